@@ -1,0 +1,1 @@
+"""The runner: campaigns on a target, samples pulled back, analysed, reported, gated."""

@@ -1,0 +1,18 @@
+"""The command ``rtrun``."""
+
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+
+from rtfiles.command import dispatch
+
+COMMANDS: tuple[ModuleType, ...] = ()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``rtrun``; see `rtfiles.command.dispatch` for the exit status."""
+    return dispatch("rtrun", "Measure a ROS system's real-time behaviour on a target.", COMMANDS, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,77 @@
+"""Slow builds, kept by the hash of everything that goes into them.
+
+An entry is a folder ``<root>/<kind>/<hash>``, where root is ``$META_RT_TESTS_CACHE`` or
+``${XDG_CACHE_HOME:-~/.cache}/meta-rt-tests``. It appears in one rename, so an interrupted build leaves none.
+"""
+
+import fcntl
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+
+def root() -> Path:
+    """The folder that holds every entry."""
+    chosen = os.environ.get("META_RT_TESTS_CACHE")
+    if chosen:
+        return Path(chosen)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "meta-rt-tests"
+
+
+def digest(parts: Iterable[str | bytes | Path]) -> str:
+    """Hash texts, bytes, files and folders (names, modes and contents, in sorted order) to 16 hex digits."""
+    total = hashlib.sha256()
+
+    def add(kind: bytes, data: bytes) -> None:
+        total.update(kind + str(len(data)).encode() + b":" + data)
+
+    def add_path(path: Path, name: str) -> None:
+        if path.is_symlink():
+            add(b"link", f"{name} {path.readlink()}".encode())
+        elif path.is_dir():
+            for child in sorted(path.iterdir()):
+                if child.name != "__pycache__":
+                    add_path(child, f"{name}/{child.name}")
+        else:
+            executable = os.access(path, os.X_OK)
+            add(b"file", f"{name} {executable}".encode())
+            add(b"data", path.read_bytes())
+
+    for part in parts:
+        if isinstance(part, Path):
+            add_path(part, part.name)
+        else:
+            add(b"text", part.encode() if isinstance(part, str) else part)
+    return total.hexdigest()[:16]
+
+
+def entry(kind: str, key: str, build: Callable[[Path], None]) -> Path:
+    """Return the folder of this kind and key, built by `build(empty folder)` if it is not there yet.
+
+    Two processes that want the same entry build it once. What `build` raises passes through; nothing is left then.
+    """
+    folder = root() / kind
+    final = folder / key
+    if final.is_dir():
+        return final
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / f".{key}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if final.is_dir():
+            return final
+        # What a killed build left: the lock is ours, so nobody works in there.
+        for leftover in folder.glob(f".{key}.tmp-*"):
+            shutil.rmtree(leftover)
+        work = Path(tempfile.mkdtemp(dir=folder, prefix=f".{key}.tmp-"))
+        try:
+            work.chmod(0o755)
+            build(work)
+            work.rename(final)
+        except BaseException:
+            shutil.rmtree(work, ignore_errors=True)
+            raise
+    return final

@@ -1,0 +1,13 @@
+"""The errors that end a command, each with its exit status (0 done and 1 gate failed are results, not errors)."""
+
+
+class UsageError(Exception):
+    """What the user asked for is wrong: a command line, a config file, a missing input. The message is the remedy."""
+
+    exit_status = 2
+
+
+class InfrastructureError(Exception):
+    """A target, a tool or the network failed; what the user asked for may be right."""
+
+    exit_status = 3

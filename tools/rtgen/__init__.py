@@ -1,0 +1,1 @@
+"""Generators: profiles, layer, kernel options, and the rehearsal board that needs no hardware."""

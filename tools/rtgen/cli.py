@@ -1,0 +1,18 @@
+"""The command ``rtgen``."""
+
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+
+from rtfiles.command import dispatch
+
+COMMANDS: tuple[ModuleType, ...] = ()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``rtgen``; see `rtfiles.command.dispatch` for the exit status."""
+    return dispatch("rtgen", "Generate images, kernels and the rehearsal board.", COMMANDS, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
