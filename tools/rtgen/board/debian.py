@@ -3,8 +3,10 @@
 import os
 import platform
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
+from urllib.parse import unquote
 
 from pydantic import StringConstraints
 
@@ -17,15 +19,19 @@ ARCHITECTURE = "armhf"
 # What neither a board nor a compiler reads; a third of all bytes.
 DROPPED = ("usr/share/doc", "usr/share/man", "usr/share/locale", "usr/share/info", "usr/share/lintian", "dev")
 
+# Where mmdebstrap is made to write down what it unpacked.
+LIST = "packages.list"
+
 Reason = Annotated[str, StringConstraints(min_length=1)]
 
 
 class Packages(Config):
-    """packages.yml: name of each Debian package and the reason it is there."""
+    """packages.yml: name of each Debian package, or pattern of files left out, and the reason."""
 
     root: dict[str, Reason]
     kernel: dict[str, Reason]
     sysroot: dict[str, Reason]
+    dropped: dict[str, Reason]
 
 
 def packages() -> Packages:
@@ -81,21 +87,23 @@ def extraction_mode() -> str:
     return "unshare"
 
 
-def extract(names: list[str], folder: Path) -> None:
+def extract(names: list[str], folder: Path, dropped: Iterable[str] = ()) -> None:
     """Unpack packages and what they depend on into an existing folder, every file owned by the caller.
 
-    Documentation and translations are left out. Absolute symbolic links become relative, so that they stay inside.
-    Raises UsageError when this user may not unpack, InfrastructureError when mmdebstrap fails (network, disk).
+    Left out are documentation, translations and what `dropped` names (patterns of tar). Absolute symbolic links
+    become relative, so that they stay inside. Raises UsageError when this user may not unpack, InfrastructureError
+    when mmdebstrap fails (network, disk).
     """
     mode = extraction_mode()
     suite, mirror = source()
     archive = folder / "packages.tar"
     command = ["mmdebstrap", "--quiet", "--variant=extract", f"--mode={mode}", f"--architectures={ARCHITECTURE}"]
+    command += [f'--extract-hook=ls "$1"/var/cache/apt/archives > "$1"/{LIST}']
     command += ["--format=tar", f"--include={','.join(names)}", suite, str(archive)]
     try:
         run(command + ([mirror] if mirror else []))
         # mknod and foreign owners need rights that nothing here needs.
-        excluded = [f"--exclude=./{name}" for name in DROPPED]
+        excluded = [f"--exclude=./{name}" for name in (*DROPPED, *dropped)]
         run(["tar", "-x", "-f", str(archive), "-C", str(folder), "--no-same-owner", *excluded])
     finally:
         archive.unlink(missing_ok=True)
@@ -114,18 +122,11 @@ def relink(folder: Path) -> None:
 
 
 def installed(folder: Path) -> dict[str, str]:
-    """Versions of the unpacked packages, by name, from the list that mmdebstrap leaves in the folder."""
-    return read_status((folder / "var/lib/dpkg/status").read_text(encoding="utf-8"))
+    """Versions of the packages that `extract` unpacked into a folder, by name."""
+    return versions((folder / LIST).read_text(encoding="utf-8").splitlines())
 
 
-def read_status(text: str) -> dict[str, str]:
-    """Package names and versions in the text of a dpkg status file."""
-    versions: dict[str, str] = {}
-    name = ""
-    for line in text.splitlines():
-        key, _, value = line.partition(": ")
-        if key == "Package":
-            name = value
-        elif key == "Version":
-            versions[name] = value
-    return versions
+def versions(archives: list[str]) -> dict[str, str]:
+    """Package names and versions in names of .deb files, ``name_version_architecture.deb``; others are no package."""
+    parts = [unquote(name).split("_") for name in archives if name.endswith(".deb")]
+    return {name: version for name, version, _ in parts}
