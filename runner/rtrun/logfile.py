@@ -297,8 +297,8 @@ def _check_summaries(path: Path, text: _Text, series: str, value_us: Int64s, cou
     for printed in found:
         for name, says, holds, tolerance in (
             ("MIN", printed.min_us, float(value_us[0]), TOLERANCE_US),
-            ("AVG", printed.avg_us, mean, MEAN_TOLERANCE_US),
             ("MAX", printed.max_us, float(value_us[-1]), TOLERANCE_US),
+            ("AVG", printed.avg_us, mean, MEAN_TOLERANCE_US),
         ):
             if abs(says - holds) > tolerance:
                 raise UsageError(

@@ -225,8 +225,9 @@ def read_runs(folder: Path) -> Runs:
     closed = [path for path in folders if is_closed(path)]
     if not closed:
         below = sorted({str(path.parent.parent) for path in folder.glob(f"*/*/{RECORD}")})
-        hint = f": give one of {', '.join(below)}" if below else f", only incomplete ones: {len(folders)}"
-        raise UsageError(f"{folder}: no finished run in it{hint if folders else ''}")
+        raise UsageError(
+            f"{folder}: no finished run (one with {RECORD}) in it{', give ' if below else ''}{' or '.join(below)}"
+        )
     runs: list[Run] = []
     refused: list[str] = []
     for path in closed:

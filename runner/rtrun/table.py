@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtrun.figures import Figures
-from rtrun.results import MAIN_SERIES, RECORD, Runs, Result, Run
+from rtrun.results import MAIN_SERIES, RECORD, Result, Run, Runs
 from rtrun.suites import Value, output_name, suite, suites
 
 EMULATED = "EMULATED: not a real-time statement"
