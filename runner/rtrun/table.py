@@ -23,7 +23,7 @@ _NOT_TOLD = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_
 def table(results: Iterable[Result]) -> Table:
     """The table of these results, a row each, times in microseconds; 80 columns are enough for it."""
     found = Table(box=box.SIMPLE, padding=0, show_edge=False)
-    found.add_column("suite, series")
+    found.add_column("suite, series", min_width=len("communication"))
     found.add_column("parameters", min_width=len("parameters"))
     for heading in ("n", "min\nus", "avg\nus", "max\nus", "p99\nus", "p99.9\nus", "missing", "out of\norder"):
         found.add_column(heading, justify="right", no_wrap=True)
