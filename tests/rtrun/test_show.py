@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.rtrun.written import write_communication, write_cyclic, write_oneshot, write_record
+from written import write_communication, write_cyclic, write_oneshot, write_record
 
 from rtfiles.errors import UsageError
 from rtrun.cli import main
