@@ -77,3 +77,9 @@ def test_the_answer_is_banner_table_and_what_has_to_be_said_once() -> None:
 def test_a_sentence_is_not_broken_where_a_program_reads_it() -> None:
     lines = drawn(answer([], emulated=False, notes=["word " * 60]), 100)
     assert len(lines) == 1
+
+
+def test_a_target_does_not_command_the_terminal() -> None:
+    lines = drawn(answer([result(WIDE, ("\x1b[2Jgone\nnew line",), cpu="\x1b]0;x\x07")], emulated=False), 200)
+    assert lines[-2].endswith(": ?[2Jgone?new line")
+    assert "cpu=?]0;x?" in lines[3]
