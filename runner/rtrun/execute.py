@@ -14,6 +14,7 @@ from rtrun import collect, deploy, journal, launch, master, probe, rundir, suite
 from rtrun.campaign import Run
 from rtrun.errors import TargetError
 from rtrun.link import Link, TargetRebooted
+from rtrun.logfile import read_log
 from rtrun.samples import read_samples
 from rtrun.target import Target
 
@@ -296,17 +297,22 @@ def judge(
         if exit_.status != 0:
             return "failed", f"{program.name} ended with exit status {exit_.status}: {_last_word(folder, program.name)}"
     for output in outputs:
-        for name in (f"{output}.json", f"{output}.npy"):
-            if name in refused:
-                return "failed", refused[name]
-            if not (folder / name).exists():
-                return "failed", f"{name} is missing though its program ended with exit status 0"
+        names = (f"{output}.json", f"{output}.npy")
+        if found := [refused[name] for name in names if name in refused]:
+            return "failed", found[0]
+        missing = [name for name in names if not (folder / name).exists()]
         try:
-            described = read_samples(folder / f"{output}.json").record
+            # The programs of 2014 write logs and nothing else.
+            logs = [path for path in folder.glob("*.log") if path.name.startswith(output)] if len(missing) == 2 else []
+            if missing and not logs:
+                return "failed", f"{missing[0]} is missing though its program ended with exit status 0"
+            for log in logs:
+                read_log(log)
+            record = None if logs else read_samples(folder / names[0]).record
         except UsageError as error:
             return "failed", str(error).replace(f"{folder}/", "")
-        if not described.complete:
-            return "incomplete", f"{output}: {described.incomplete_reason or 'ended before all was measured'}"
+        if record is not None and not record.complete:
+            return "incomplete", f"{output}: {record.incomplete_reason or 'ended before all was measured'}"
     return "ok", None
 
 

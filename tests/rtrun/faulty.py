@@ -32,7 +32,8 @@ if wish == "killed":
 rows = [(1_000_000 * n,) for n in range(count + 1)]
 path = write_output(Path("."), output, "cyclic_timer_tests", rows, requested={{"repetitions": count,
     "frequency_hz": frequency}}, asked=count, measured=count)
-Path(output + ".log").write_text("# no log\\n")
+log = Path({data!r}, "cyclic_timer_tests_l300_fq1000-tnRTRR.log")
+Path(output + ".log").write_bytes(log.read_bytes())
 print("\\tINFO: done")
 if wish == "incomplete":
     data = json.loads(path.read_text())
@@ -47,6 +48,9 @@ if wish == "huge json":
 if wish == "link":
     path.unlink()
     path.symlink_to("/etc/passwd")
+if wish == "2014":
+    path.unlink()
+    path.with_suffix(".npy").unlink()
 if wish == "junk json":
     path.write_text("[1, 2")
 """
@@ -61,6 +65,7 @@ def write_faulty_suites(folder: Path) -> "Wishes":
         PROGRAM.format(
             python=sys.executable,
             here=str(Path(__file__).parent),
+            data=str(Path(__file__).parents[1] / "data" / "2014"),
             wishes=str(wishes.wishes),
             journal=str(wishes.journal),
         )

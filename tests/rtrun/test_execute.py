@@ -21,6 +21,7 @@ from rtrun.campaign import Campaign, plan
 from rtrun.cli import main
 from rtrun.errors import TargetError, TargetGone
 from rtrun.link import Link
+from rtrun.results import read_run
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
 
@@ -134,6 +135,17 @@ def test_a_run_that_goes_wrong_is_closed_with_the_reason(target, tmp_path, watch
     assert list(statuses.values()) == [status, "ok"], "the campaign goes on"
     assert record(tmp_path / "results", runs[0])["status"] == status
     assert reason in record(tmp_path / "results", runs[0])["reason"]
+
+
+def test_programs_of_2014_write_logs_only(target, tmp_path, watching, wishes):
+    wishes.will("2014")
+    (run,) = runs = runs_of(1, repetitions=300, frequency_hz=1000, policy="RR")
+    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
+    assert {name for name in record(tmp_path / "results", run)["files"] if name.startswith("cyclic_timer_tests_l")} == {
+        "cyclic_timer_tests_l300_fq1000-tnRTRR.log"
+    }
+    (row,) = read_run(tmp_path / "results" / run.name).results
+    assert row.figures.n == 300
 
 
 def test_a_suite_that_hangs_is_ended_by_the_target(target, tmp_path, watching, wishes, monkeypatch):

@@ -108,3 +108,20 @@ def test_missing_trace(offline: Bench) -> None:
     assert (ended.status, ended.out) == (1, "")
     assert ended.err.startswith("\tERROR: --break-trace needs tracefs mounted and the right to write to it: ")
     assert offline.files() == []
+
+
+def test_too_many_samples_for_the_memory(offline: Bench) -> None:
+    if available_bytes() > 100_000_000 * 32:
+        # Room for all of them here: a limit on the address space stands in for less memory.
+        ended = offline.run("oneshot_timer_tests", "-r", "100000000", before=("prlimit", "--as=1000000000"))
+        assert ended.err == "\tERROR: not enough memory for so many samples; ask for fewer with -r\n"
+    else:
+        ended = offline.run("oneshot_timer_tests", "-r", "100000000")
+        assert ended.err.startswith("\tERROR: the samples need 3200 MB of memory, ")
+    assert (ended.status, ended.out) == (1, "")
+    assert offline.files() == []
+
+
+def available_bytes() -> int:
+    meminfo = Path("/proc/meminfo").read_text()
+    return int(re.search(r"^MemAvailable:\s*(\d+) kB$", meminfo, re.M)[1]) * 1024  # type: ignore[index]

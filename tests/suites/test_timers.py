@@ -1,5 +1,6 @@
 """oneshot_timer_tests and cyclic_timer_tests on a real ROS master."""
 
+import re
 import signal
 from pathlib import Path
 
@@ -129,6 +130,40 @@ def test_busy_mode_ends_on_a_signal(bench: Bench) -> None:
     process.terminate()
     assert end(process, timeout=10).status == 0
     assert check_outputs(bench.folder, "oneshot_timer_tests_l1000000_tm1000-bm")["complete"] is False
+
+
+def test_ros_ends_it(bench: Bench) -> None:
+    """A second node of the same name makes the master shut the first one down."""
+    for program, base in {
+        "oneshot_timer_tests": "oneshot_timer_tests_l1000_tm10000000",
+        "cyclic_timer_tests": "cyclic_timer_tests_l1000_fq1",
+    }.items():
+        slow = ("-t", "10000000") if program == "oneshot_timer_tests" else ("-f", "1")
+        first = bench.start(program, *slow)
+        until(lambda first=first: is_measuring(first), first)
+        second = bench.start(program, *slow, "-p", "second_")
+        assert end(first, timeout=20).status == 0
+        assert check_outputs(bench.folder, base)["incomplete_reason"] == "ended by ROS"
+        second.kill()
+
+
+@pytest.mark.parametrize("program", ["oneshot_timer_tests", "cyclic_timer_tests"])
+def test_break_trace_marks_the_kernel_trace(bench: Bench, program: str) -> None:
+    script = (
+        'mount -t tracefs none /sys/kernel/tracing && "$@"; '
+        "status=$?; grep tests: /sys/kernel/tracing/trace | tail -n 1 >&2; exit $status"
+    )
+    traced = ("unshare", "--mount", "sh", "-c", script, "sh")
+    ended = bench.run(program, "-r", "5000", "--break-trace", "1", before=traced)
+    assert ended.status == 0
+    base = f"{program}_l5000_" + ("tm1000" if program == "oneshot_timer_tests" else "fq1000")
+    record = check_outputs(bench.folder, base)
+    value_ns, index = re.fullmatch(
+        r"ended by --break-trace: (\d+) ns at index (\d+)", record["incomplete_reason"]
+    ).groups()  # type: ignore[union-attr]
+    assert int(index) == record["counts"]["measured"] - 1
+    assert int(value_ns) == next(iter(record["summary"].values()))["max_ns"] > 1000
+    assert f"{program}: {value_ns} ns at index {index} above 1000 ns" in ended.err
 
 
 def test_full_disk(bench: Bench) -> None:
