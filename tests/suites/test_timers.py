@@ -35,7 +35,8 @@ def test_oneshot_defaults(bench: Bench) -> None:
     assert [line[: len(start)] for line, start in zip(ended.lines, expected, strict=True)] == expected
     record = check_outputs(bench.folder, base)
     assert record["complete"] is True
-    assert record["counts"]["asked"] == record["counts"]["measured"] + record["counts"]["not_fired"] == 1000
+    # None is lost to the race in roscpp that made timers "randomly ignored" in 2014.
+    assert record["counts"]["measured"] == record["counts"]["asked"] == 1000
     assert {thread["policy"] for thread in record["in_effect"]["threads"]} == {"OTHER"}
     assert record["in_effect"]["clock"] == "CLOCK_MONOTONIC_RAW"
     assert record["in_effect"]["mlockall"] is False
