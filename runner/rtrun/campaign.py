@@ -1,8 +1,9 @@
 """A campaign file, and the plan that follows from it: every run with all its parameters, known before a target is."""
 
+import hashlib
 import itertools
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,13 +11,16 @@ from pydantic import Field
 
 from rtfiles.config import Config, parse, read_yaml
 from rtfiles.errors import UsageError
-from rtrun import suites
+from rtrun import conditions, suites
 
 SUBSCRIBERS_MAX = 64
 # The ROS master needs the priority above the suites' (thesis 4.4), and 99 belongs to the kernel.
 PRIORITY_MAX = 97
+REPEATS_MAX = 10_000
 # The runner names the output and knows where it is.
 RESERVED = ("prefix", "out_dir")
+
+Entry = dict[str, Any]
 
 
 class Campaign(Config):
@@ -24,25 +28,43 @@ class Campaign(Config):
 
     schema_: Literal[1] = Field(alias="schema")
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
-    common: dict[str, Any] = Field(default_factory=dict)
-    """Parameters of every run whose suite takes them; a run's own value wins."""
-    runs: Annotated[list[dict[str, Any]], Field(min_length=1)]
+    order: Literal["listed", "interleaved"] = "listed"
+    """interleaved: blocks of one repeat of every combination, each block in an order drawn with `seed`."""
+    seed: Annotated[int, Field(ge=0)] | None = None
+    common: Entry = Field(default_factory=dict)
+    """Values of every run that takes them; a run's own value wins."""
+    runs: Annotated[list[Entry], Field(min_length=1)]
+    exclude: list[Entry] = Field(default_factory=list)
+    """Combinations to leave out of `runs`: those that have all of the values of one of these."""
+    include: list[Entry] = Field(default_factory=list)
+    """Runs on top of that; nothing is left out of them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """One planned run: `parameters` holds every parameter of its suite, and `subscribers` where it has some."""
+    """One planned run: `parameters` holds every parameter of its suite, and `subscribers` where it has some.
+
+    `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order.
+    """
 
     name: str
     suite: str
     parameters: Mapping[str, suites.Value]
+    condition: str = conditions.IDLE
+    settings: Mapping[str, suites.Value] = field(default_factory=dict)
+    repeat: int = 1
+    seed: int | None = None
 
     @property
     def expected_s(self) -> float:
         """How long the measuring alone should take, in seconds."""
         number = {key: value for key, value in self.parameters.items() if isinstance(value, int)}
-        each_s = number["timeout_us"] / 1e6 if "timeout_us" in number else 1.0 / number["frequency_hz"]
-        return number["repetitions"] * each_s + number.get("start_delay_s", 0)
+        if "duration_s" in number:
+            return float(number["duration_s"])
+        for key in ("timeout_us", "interval_us"):
+            if key in number:
+                return number["repetitions"] * number[key] / 1e6
+        return number["repetitions"] / number["frequency_hz"] + number.get("start_delay_s", 0)
 
 
 def read_campaign(path: Path) -> tuple[Campaign, tuple[Run, ...]]:
@@ -55,33 +77,79 @@ def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
     """Return the runs in their order. Raises UsageError ``origin: runs.0.key: what is wrong, what is allowed``."""
     errors: list[str] = []
     _check_common(campaign, origin, errors)
-    found: list[tuple[str, dict[str, suites.Value]]] = []
-    for number, entry in enumerate(campaign.runs):
-        where = f"{origin}: runs.{number}"
-        try:
-            suite = suites.suite(str(entry.get("suite", "")))
-        except UsageError as error:
-            errors.append(f"{where}.suite: {error}")
-            continue
-        takes = _takes(suite)
-        own = {key: value for key, value in entry.items() if key != "suite"}
-        if unknown := [key for key in own if key not in takes]:
-            names = ", ".join(map(repr, unknown))
-            errors.append(f"{where}: unknown key {names}, {entry['suite']} takes: suite, {', '.join(takes)}")
-        inherited = {key: value for key, value in campaign.common.items() if key in takes}
-        axes = {
-            key: _axis(f"{where}.{key}", key, value, errors) for key, value in (inherited | own).items() if key in takes
-        }
-        defaults = {key: suites.suites().options[key].default for key in takes if key != "subscribers"}
-        defaults |= suite.launch | ({"subscribers": 1} if suite.repeated else {})
-        for values in itertools.product(*axes.values()):
-            found.append((entry["suite"], defaults | dict(zip(axes, values, strict=True))))
+    if (campaign.order == "interleaved") != (campaign.seed is not None):
+        errors.append(f"{origin}: seed: give one, a whole number, with order: interleaved, and only then")
+    listed = [
+        run
+        for number, entry in enumerate(campaign.runs)
+        for run in _combinations(entry, campaign.common, f"{origin}: runs.{number}", errors)
+    ]
+    for number, pattern in enumerate(campaign.exclude):
+        left = [run for run in listed if not _matches(run, pattern)]
+        if not pattern or len(left) == len(listed):
+            errors.append(f"{origin}: exclude.{number}: no run has all of {pattern}, so there is nothing to leave out")
+        listed = left
+    listed += [
+        run
+        for number, entry in enumerate(campaign.include)
+        for run in _combinations(entry, campaign.common, f"{origin}: include.{number}", errors)
+    ]
+    if not errors and not listed:
+        errors.append(f"{origin}: exclude: leaves no run")
     if errors:
         raise UsageError("\n".join(errors))
-    width = max(3, len(str(len(found))))
-    return tuple(
-        Run(name=f"{number:0{width}}-{_label(suite, parameters)}", suite=suite, parameters=parameters)
-        for number, (suite, parameters) in enumerate(found, start=1)
+    width = max(3, len(str(len(listed))))
+    named = [replace(run, name=f"{number:0{width}}-{_label(run)}") for number, run in enumerate(listed, start=1)]
+    if campaign.seed is None:
+        return tuple(named)
+    # Drawn by a hash: the same seed gives the same order for ever, whatever the Python.
+    seed = campaign.seed
+    draw = {run.name: hashlib.sha256(f"{seed} {run.name}".encode()).digest() for run in named}
+    return tuple(replace(run, seed=seed) for run in sorted(named, key=lambda run: (run.repeat, draw[run.name])))
+
+
+def _combinations(entry: Entry, common: Entry, where: str, errors: list[str]) -> Iterator[Run]:
+    """Yield the runs of an entry, all of their names empty."""
+    try:
+        suite = suites.suite(str(entry.get("suite", "")))
+    except UsageError as error:
+        errors.append(f"{where}.suite: {error}")
+        return
+    takes = _takes(suite)
+    settings = conditions.conditions().settings
+    keys = (*takes, "condition", "repeats", *settings)
+    if unknown := [key for key in entry if key not in ("suite", *keys)]:
+        names = ", ".join(map(repr, unknown))
+        errors.append(f"{where}: unknown key {names}, {entry['suite']} takes: suite, {', '.join(keys)}")
+    merged = common | entry
+    axes = {key: _axis(f"{where}.{key}", key, merged[key], errors) for key in merged if key in keys}
+    repeats = axes.pop("repeats", [1])
+    if len(repeats) > 1:
+        errors.append(f"{where}.repeats: one whole number, not a list")
+    if not all(axes.values()) or not repeats:
+        return
+    defaults = {key: suites.options()[key].default for key in takes if key != "subscribers"}
+    defaults |= suite.launch | ({"subscribers": 1} if suite.repeated else {})
+    seen: set[tuple[suites.Value, ...]] = set()
+    for values in itertools.product(*axes.values()):
+        given = dict(zip(axes, values, strict=True))
+        condition = str(given.get("condition", conditions.IDLE))
+        taken = {key: given.get(key, settings[key].default) for key in conditions.settings_of(condition)}
+        parameters = defaults | {key: value for key, value in given.items() if key in takes}
+        # A setting that this condition does not take makes no other run.
+        if (key := (*parameters.values(), condition, *taken.values())) in seen:
+            continue
+        seen.add(key)
+        run = Run(name="", suite=entry["suite"], parameters=parameters, condition=condition, settings=taken)
+        for repeat in range(1, int(repeats[0] or 1) + 1):
+            yield replace(run, repeat=repeat)
+
+
+def _matches(run: Run, pattern: Entry) -> bool:
+    has = {"suite": run.suite, "condition": run.condition, **run.parameters, **run.settings}
+    return all(
+        key in has and str(has[key]) in map(str, value if isinstance(value, list) else [value])
+        for key, value in pattern.items()
     )
 
 
@@ -91,7 +159,8 @@ def _takes(suite: suites.Suite) -> tuple[str, ...]:
 
 
 def _check_common(campaign: Campaign, origin: str, errors: list[str]) -> None:
-    known = [*(key for key in suites.suites().options if key not in RESERVED), "subscribers"]
+    known = [*(key for key in suites.options() if key not in RESERVED), "subscribers"]
+    known += ["condition", "repeats", *conditions.conditions().settings]
     if unknown := [key for key in campaign.common if key not in known]:
         errors.append(f"{origin}: common: unknown key {', '.join(map(repr, unknown))}, allowed: {', '.join(known)}")
 
@@ -110,13 +179,21 @@ def _axis(where: str, key: str, value: Any, errors: list[str]) -> list[suites.Va
 
 
 def _check(where: str, key: str, value: Any) -> suites.Value:
-    for limited, limit in (("subscribers", SUBSCRIBERS_MAX), ("priority", PRIORITY_MAX)):
+    if key == "condition":
+        conditions.condition(value, where)
+        return str(value)
+    if key in conditions.conditions().settings:
+        return conditions.check(key, value, where)
+    for limited, limit in (("subscribers", SUBSCRIBERS_MAX), ("priority", PRIORITY_MAX), ("repeats", REPEATS_MAX)):
         if key == limited and not (isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= limit):
             raise UsageError(f"{where}: {key} takes a whole number from 1 to {limit}, got {value!r}")
-    return value if key == "subscribers" else suites.check(key, value, where)
+    return value if key in ("subscribers", "repeats") else suites.check(key, value, where)
 
 
-def _label(suite: str, parameters: Mapping[str, suites.Value]) -> str:
-    name = suites.output_name(suite, parameters)
-    subscribers = parameters.get("subscribers")
-    return f"{name}-{subscribers}sub" if subscribers is not None else name
+def _label(run: Run) -> str:
+    subscribers = run.parameters.get("subscribers")
+    words = [suites.output_name(run.suite, run.parameters), *([f"{subscribers}sub"] if subscribers else [])]
+    words += [run.condition] if run.condition != conditions.IDLE else []
+    settings = conditions.conditions().settings
+    words += [f"{key}{value}" for key, value in run.settings.items() if value != settings[key].default]
+    return "-".join([*words, *([f"r{run.repeat}"] if run.repeat > 1 else [])])

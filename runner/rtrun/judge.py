@@ -1,25 +1,71 @@
 """What became of a run, from the files that were pulled back."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rtfiles.errors import UsageError
-from rtrun import launch
+from rtrun import baseline, in_effect, launch, suites
+from rtrun.campaign import Run
+from rtrun.conditions import Background
+from rtrun.conservation import contradiction
 from rtrun.logfile import read_log
-from rtrun.samples import read_samples
+from rtrun.samples import Record, read_json, read_samples
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What became of a run: `status` ok, failed, incomplete or invalid, why, and what was in effect meanwhile.
+
+    Invalid: it ended well, but not as asked for, or its numbers do not add up. It is never good.
+    """
+
+    status: str
+    reason: str | None
+    in_effect: dict[str, Any]
 
 
 def judge(
     folder: Path,
+    run: Run,
     programs: Sequence[launch.Program],
     exits: Sequence[launch.Exit],
     outputs: Sequence[str],
+    *,
     refused: Mapping[str, str],
-) -> tuple[str, str | None]:
+    beside: Sequence[Background],
+    died: Mapping[str, str],
+) -> Verdict:
     """Say what became of a run from what was pulled back, and why: the first thing that went wrong.
 
-    `refused` are files that were not taken, name to reason.
+    `refused` are files that were not taken, name to reason; `died` are programs beside the suite that ended before it,
+    name to exit status.
     """
+    records: dict[str, Record] = {}
+    looks: list[in_effect.Look] = []
+    status, reason = _of_programs(folder, programs, exits) or ("ok", None)
+    if status == "ok":
+        status, reason = _of_outputs(folder, run, outputs, refused, records) or ("ok", None)
+    try:
+        looks = in_effect.read_looks(_text(folder / "sampler.stdout"))
+        wrong = in_effect.mismatch(run, beside, looks, records)
+    except UsageError as error:
+        wrong = str(error)
+    if status in ("ok", "incomplete"):
+        for name, exit_status in died.items():
+            how = (
+                f"with exit status {exit_status}: {_last_word(folder, name)}" if exit_status else "killed from outside"
+            )
+            wrong = f"condition {run.condition}: {name} ended in the middle of the run, {how}"
+        if wrong is not None:
+            status, reason = "invalid", wrong
+    return Verdict(status=status, reason=reason, in_effect=in_effect.observed(looks, records.values()))
+
+
+def _of_programs(
+    folder: Path, programs: Sequence[launch.Program], exits: Sequence[launch.Exit]
+) -> tuple[str, str] | None:
     for program, exit_ in zip(programs, exits, strict=True):
         if exit_.expired:
             return "failed", f"{program.name} did not end within {program.deadline_s:.0f} s and was ended"
@@ -27,27 +73,46 @@ def judge(
             return "failed", f"{program.name} was killed from outside"
         if exit_.status != 0:
             return "failed", f"{program.name} ended with exit status {exit_.status}: {_last_word(folder, program.name)}"
+    return None
+
+
+def _of_outputs(
+    folder: Path, run: Run, outputs: Sequence[str], refused: Mapping[str, str], records: dict[str, Record]
+) -> tuple[str, str] | None:
+    """Say what is wrong with the outputs, and put what is known of them into `records`."""
+    if suites.suite(run.suite).always is not None:
+        wrong = baseline.contradiction(run, _text(folder / f"{run.suite}.stdout"))
+        return ("invalid", wrong) if wrong else None
     for output in outputs:
         names = (f"{output}.json", f"{output}.npy")
         if found := [refused[name] for name in names if name in refused]:
             return "failed", found[0]
         missing = [name for name in names if not (folder / name).exists()]
+        log_names = [path for path in sorted(folder.glob("*.log")) if path.name.startswith(output)]
+        # The programs of 2014 write logs and nothing else.
+        if missing and not (len(missing) == 2 and log_names):
+            return "failed", f"{missing[0]} is missing though its program ended with exit status 0"
+        status = "failed"
         try:
-            # The programs of 2014 write logs and nothing else.
-            logs = [path for path in folder.glob("*.log") if path.name.startswith(output)] if len(missing) == 2 else []
-            if missing and not logs:
-                return "failed", f"{missing[0]} is missing though its program ended with exit status 0"
-            for log in logs:
-                read_log(log)
-            record = None if logs else read_samples(folder / names[0]).record
+            logs = [read_log(path) for path in log_names]
+            if missing:
+                continue
+            records[output] = read_json(folder / names[0], Record)
+            status = "invalid"
+            record = read_samples(folder / names[0]).record
         except UsageError as error:
-            return "failed", str(error).replace(f"{folder}/", "")
-        if record is not None and not record.complete:
+            return status, str(error).replace(f"{folder}/", "")
+        if wrong := contradiction(record, logs):
+            return "invalid", f"{output}: {wrong}"
+        if not record.complete:
             return "incomplete", f"{output}: {record.incomplete_reason or 'ended before all was measured'}"
-    return "ok", None
+    return None
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
 
 
 def _last_word(folder: Path, program: str) -> str:
-    path = folder / f"{program}.stderr"
-    said = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+    said = _text(folder / f"{program}.stderr")
     return next((line.strip()[:500] for line in reversed(said.splitlines()) if line.strip()), "it said nothing")

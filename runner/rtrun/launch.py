@@ -1,7 +1,7 @@
 """One program on the target, detached: started once, waited for, ended, whatever happens to the connection."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
@@ -14,14 +14,32 @@ POLL_S = 0.1
 
 _WAIT = 'flock -s "$1.lock" true; cat "$1.exit" 2>/dev/null; [ -e "$1.expired" ] && echo expired; exit 0'
 _END = """
-# A pid of another boot is some other process now.
-[ "$(cat "$1.boot_id" 2>/dev/null)" = "$(cat /proc/sys/kernel/random/boot_id)" ] || exit 0
-for _ in 1 2 3 4 5; do [ -s "$1.pid" ] || sleep 0.1; done
-[ -s "$1.pid" ] || exit 0
-kill -TERM "-$(cat "$1.pid")" 2>/dev/null || exit 0
-for _ in 1 2 3 4 5 6 7 8 9 10; do flock -n "$1.lock" true && exit 0; sleep 0.2; done
-kill -KILL "-$(cat "$1.pid")" 2>/dev/null
+cd "$1" 2>/dev/null && shift || exit 0
+boot_id=$(cat /proc/sys/kernel/random/boot_id)
+running=
+for name; do
+    # A pid of another boot is some other process now.
+    [ "$(cat "$name.boot_id" 2>/dev/null)" = "$boot_id" ] || continue
+    for _ in 1 2 3 4 5; do [ -s "$name.pid" ] || sleep 0.1; done
+    [ -s "$name.pid" ] && kill -TERM "-$(cat "$name.pid")" 2>/dev/null && running="$running $name"
+done
+for name in $running; do
+    for pause in 0.05 0.05 0.1 0.2 0.2 0.2 0.4 0.4 0.4; do flock -n "$name.lock" true && continue 2; sleep $pause; done
+    kill -KILL "-$(cat "$name.pid")" 2>/dev/null
+done
 exit 0
+"""
+# Ended before one of the suite's programs did: newer than all of their exits is only what outlived the suite.
+_DIED = """
+cd "$1" || exit 1
+suite=$2
+shift 2
+for name; do
+    flock -n -s "$name.lock" true || continue
+    for program in $suite; do
+        [ "$name.exit" -nt "$program.exit" ] || { echo "$name $(cat "$name.exit" 2>/dev/null)"; break; }
+    done
+done
 """
 
 
@@ -73,9 +91,16 @@ def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> 
         return Exit(status=status, expired="expired" in said)
 
 
-def end(link: Link, folder: PurePosixPath, name: str) -> None:
-    """End a program and everything it started, if it still runs."""
-    link.do(lambda connection: connection.run(["sh", "-c", _END, "sh", str(folder / name)]))
+def end(link: Link, folder: PurePosixPath, *names: str) -> None:
+    """End programs of a folder and everything they started, as far as they still run."""
+    link.do(lambda connection: connection.run(["sh", "-c", _END, "sh", str(folder), *names]))
+
+
+def died(link: Link, folder: PurePosixPath, programs: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Return those of `names` that ended before `programs`, which have ended, did: name to exit status, or empty."""
+    command = ["sh", "-c", _DIED, "sh", str(folder), " ".join(programs), *names]
+    said = link.do(lambda connection: connection.check(command))
+    return {name: status for name, _, status in (line.partition(" ") for line in said.splitlines())}
 
 
 def tail(link: Link, path: PurePosixPath) -> str:

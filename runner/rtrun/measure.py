@@ -2,12 +2,13 @@
 
 import contextlib
 import json
+import time
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
-from rtrun import collect, launch, master, probe, rundir, suites
+from rtrun import collect, conditions, in_effect, launch, master, probe, rundir, suites
 from rtrun.campaign import Run
 from rtrun.errors import ConnectionLost, TargetError, TargetGone
 from rtrun.judge import judge
@@ -19,6 +20,9 @@ TOPIC = "/communication_tests"
 DEADLINE_FACTOR = 5
 DEADLINE_EXTRA_S = 120.0
 SUBSCRIBED_S = 60.0
+# What a load needs to be one: it starts its workers and takes its memory meanwhile.
+LOADED_S = 1.0
+SAMPLER = "sampler"
 
 Clock = Callable[[], datetime]
 
@@ -27,8 +31,7 @@ def programs_of(prepared: Prepared, run: Run) -> tuple[list[launch.Program], lis
     """Return the programs that wait for messages, those that start after them, and the outputs they write."""
     suite = suites.suite(run.suite)
     deadline_s = DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S
-    port = prepared.link.target.ros_master_port
-    environment = (("ROS_MASTER_URI", f"http://127.0.0.1:{port}"), ("ROS_IP", "127.0.0.1"))
+    environment = _environment(prepared)
     count = int(run.parameters.get("subscribers") or 1)
     waiting: list[launch.Program] = []
     others: list[launch.Program] = []
@@ -49,9 +52,38 @@ def programs_of(prepared: Prepared, run: Run) -> tuple[list[launch.Program], lis
                 deadline_s=deadline_s,
             )
             (waiting if repeated else others).append(program)
-            if repeated or suite.repeated is None:
+            if suite.always is None and (repeated or suite.repeated is None):
                 outputs.append(suites.output_name(run.suite, parameters))
     return waiting, others, outputs
+
+
+def _environment(prepared: Prepared) -> tuple[tuple[str, str], ...]:
+    port = prepared.link.target.ros_master_port
+    return (("ROS_MASTER_URI", f"http://127.0.0.1:{port}"), ("ROS_IP", "127.0.0.1"))
+
+
+def _beside(prepared: Prepared, run: Run) -> list[conditions.Background]:
+    """What runs beside the suite to make the run's condition so."""
+    return conditions.background(
+        run.condition,
+        run.settings,
+        cpus=prepared.equipment.cpus,
+        programs=prepared.programs,
+        scripts=prepared.scripts,
+        environment=_environment(prepared),
+        expected_s=run.expected_s,
+        deadline_s=DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S,
+    )
+
+
+def _sampler(prepared: Prepared, run: Run, remote: PurePosixPath, beside: Sequence[str]) -> launch.Program:
+    script = str(prepared.scripts / "sample.sh")
+    priority = str(run.parameters.get("priority") or 1)
+    return launch.Program(
+        name=SAMPLER,
+        argv=("nice", "-n", "19", script, str(remote), priority, " ".join(beside)),
+        deadline_s=DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S + conditions.OUTLIVE_S,
+    )
 
 
 def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path, now: Clock) -> tuple[str, str | None]:
@@ -63,16 +95,19 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     link = prepared.link
     remote = link.target.work_dir / "runs" / uid / run.name
     waiting, others, outputs = programs_of(prepared, run)
-    programs = [*waiting, *others]
-    limits = collect.expected_files(
-        run.suite, [program.name for program in programs], outputs, int(run.parameters["repetitions"] or 0)
-    )
+    beside = _beside(prepared, run)
+    loads = [each.program for each in beside]
+    sampler = _sampler(prepared, run, remote, [load.name for load in loads])
+    names = [program.name for program in (*others, *waiting)]
+    helpers = [*(load.name for load in loads), SAMPLER]
+    limits = collect.expected_files(run.suite, [*names, *helpers], outputs, int(run.parameters.get("repetitions") or 0))
     _clear_of_other_boots(link, remote, folder, limits)
     if not master.answers(link):
         raise TargetError(f"{link.target.address}: the ROS master died")
     start_time = now()
     before = probe.state(link, prepared.scripts / "state.sh")
     try:
+        _start_beside(prepared, remote, run, loads, sampler)
         _start(prepared, remote, waiting, others)
         exits = [
             launch.wait(link, remote, program.name, deadline_s=program.deadline_s + 60.0)
@@ -82,8 +117,10 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
         # Out of reach: what still runs there is picked up, or kept as incomplete, by the next call.
         raise
     except (KeyboardInterrupt, InfrastructureError):
-        _give_up(link, remote, programs)
+        _give_up(link, remote, [*names, *helpers])
         raise
+    died = launch.died(link, remote, names, helpers)
+    launch.end(link, remote, *helpers)
     after = probe.state(link, prepared.scripts / "state.sh")
     with rundir.filling(folder) as partial:
         refused = collect.pull(link, remote, partial, limits)
@@ -93,15 +130,21 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
         (partial / "target.json").write_text(json.dumps(states, indent=2) + "\n", encoding="utf-8")
         if link.target.console is not None and link.target.console.exists():
             (partial / "console.log").write_bytes(link.target.console.read_bytes())
-        status, reason = judge(partial, [*others, *waiting], exits, outputs, refused)
+        verdict = judge(partial, run, [*others, *waiting], exits, outputs, refused=refused, beside=beside, died=died)
         record = {
             "run": run.name,
             "campaign": campaign,
             "suite": run.suite,
             "parameters": dict(run.parameters),
+            "condition": run.condition,
+            "settings": dict(run.settings),
+            "repeat": run.repeat,
+            "seed": run.seed,
             "emulated": link.target.emulated,
-            "status": status,
-            "reason": reason,
+            "status": verdict.status,
+            "reason": verdict.reason,
+            "requested": in_effect.requested(run, beside),
+            "in_effect": verdict.in_effect,
             "start_time": start_time.isoformat(),
             "end_time": now().isoformat(),
             "programs": [
@@ -120,14 +163,30 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
         }
         rundir.close(partial, folder, record)
     link.do(lambda connection: connection.check(["rm", "-rf", str(remote)]))
-    return status, reason
+    return verdict.status, verdict.reason
+
+
+def _start_beside(
+    prepared: Prepared, remote: PurePosixPath, run: Run, loads: Sequence[launch.Program], sampler: launch.Program
+) -> None:
+    """Make the condition so, and begin to look. Raises TargetError when a load does not stay."""
+    link = prepared.link
+    link.do(lambda connection: connection.check(["mkdir", "-p", str(remote)]))
+    for load in loads:
+        launch.start(link, prepared.scripts, remote, load, prepared.equipment.setup)
+    if loads:
+        time.sleep(LOADED_S)
+    for load in loads:
+        if launch.ended(link, remote, load.name):
+            said = launch.tail(link, remote / f"{load.name}.stderr") or "it said nothing"
+            raise TargetError(f"{link.target.address}: condition {run.condition}: {load.name} does not run: {said}")
+    launch.start(link, prepared.scripts, remote, sampler, None)
 
 
 def _start(
     prepared: Prepared, remote: PurePosixPath, waiting: Sequence[launch.Program], others: Sequence[launch.Program]
 ) -> None:
     link = prepared.link
-    link.do(lambda connection: connection.check(["mkdir", "-p", str(remote)]))
     for program in waiting:
         launch.start(link, prepared.scripts, remote, program, prepared.equipment.setup)
     if waiting:
@@ -140,11 +199,10 @@ def _start(
         launch.start(link, prepared.scripts, remote, program, prepared.equipment.setup)
 
 
-def _give_up(link: Link, remote: PurePosixPath, programs: Sequence[launch.Program]) -> None:
+def _give_up(link: Link, remote: PurePosixPath, names: Sequence[str]) -> None:
     """End what runs and leave nothing of it."""
     with contextlib.suppress(TargetError):
-        for program in programs:
-            launch.end(link, remote, program.name)
+        launch.end(link, remote, *names)
         link.do(lambda connection: connection.run(["rm", "-rf", str(remote)]))
 
 

@@ -1,11 +1,12 @@
 """Getting a target ready: scripts and suites are put there, a ROS master answers, and what is missing is said."""
 
 import contextlib
+import gzip
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from rtrun import deploy, master, probe, suites
+from rtrun import conditions, deploy, master, probe, suites
 from rtrun.campaign import Run
 from rtrun.errors import TargetError
 from rtrun.link import Link
@@ -37,20 +38,42 @@ def prepared(link: Link, owner: str, runs: Sequence[Run]) -> Iterator[Prepared]:
             for suite, described in suites.suites().suites.items()
             for program in described.programs
         }
+    kernel_config = probe.kernel_config(link)
+    programs = programs | _tools(link, scripts, runs, kernel_config)
     for run in runs:
-        for program in suites.suite(run.suite).programs:
+        for program in (*suites.suite(run.suite).programs, *conditions.suites_programs(run.condition)):
             if program not in programs:
                 raise TargetError(
                     f"{target.address}: {program} is not installed on the target: "
                     "name a folder of `rtgen suites build` as suites in the target file"
                 )
-    priorities = [int(run.parameters["priority"] or 0) for run in runs if run.parameters["policy"] != "0"]
+    priorities = [int(run.parameters["priority"] or 0) for run in runs if run.parameters.get("policy", "0") != "0"]
     with master.running(link, scripts, equipment, owner, max(priorities) + 1 if priorities else None) as own_master:
         yield Prepared(
             link=link,
             equipment=equipment,
             scripts=scripts,
             programs=programs,
-            kernel_config=probe.kernel_config(link),
+            kernel_config=kernel_config,
             own_master=own_master,
         )
+
+
+def _tools(link: Link, scripts: PurePosixPath, runs: Sequence[Run], kernel_config: bytes) -> dict[str, str]:
+    """Return the tools of the target that are programs of a run, by name. Raises TargetError naming what it lacks."""
+    baselines = {run.suite: suites.suite(run.suite) for run in runs if suites.suite(run.suite).always is not None}
+    tools = {program for suite in baselines.values() for program in suite.programs}
+    needs = set(tools)
+    for run in runs:
+        needs |= conditions.needs(run.condition, run.settings)
+    lacks = []
+    if needs:
+        command = ["sh", str(scripts / "lacks.sh"), *sorted(needs)]
+        lacks = link.do(lambda connection: connection.check(command)).splitlines()
+    config = gzip.decompress(kernel_config).decode(errors="replace") if kernel_config else ""
+    for suite in baselines.values():
+        if suite.kernel and config and f"{suite.kernel}=" not in config:
+            lacks.append(f"{suite.kernel} in its kernel")
+    if lacks:
+        raise TargetError(f"{link.target.address}: the target lacks {', '.join(lacks)}, which this campaign needs")
+    return {tool: tool for tool in tools}

@@ -49,13 +49,19 @@ class Record(Config):
     suite: str
     parameters: dict[str, Value]
     emulated: bool
-    status: Literal["ok", "failed", "incomplete"]
+    status: Literal["ok", "failed", "incomplete", "invalid"]
     reason: str | None
     start_time: str
     end_time: str
     programs: list[Program]
     outputs: list[Name]
     target: dict[str, Any]
+    condition: str = "idle"
+    settings: dict[str, Value] = Field(default_factory=dict)
+    repeat: int = 1
+    seed: int | None = None
+    requested: dict[str, Any] = Field(default_factory=dict)
+    in_effect: dict[str, Any] = Field(default_factory=dict)
     files: dict[Name, File]
 
 
@@ -84,7 +90,7 @@ class Result:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Run:
-    """A closed run: its record, and the results of every output, none when the run failed."""
+    """A closed run: its record, and the results of every output, none when the run failed or is invalid."""
 
     folder: Path
     record: Record
@@ -150,7 +156,7 @@ def read_run(folder: Path) -> Run:
         if name in (".", "..") or "/" in name or "\0" in name:
             raise UsageError(f"{folder / RECORD}: {name!r} is no name of a file in the run directory")
     results: list[Result] = []
-    if record.status != "failed":
+    if record.status not in ("failed", "invalid"):
         for output in dict.fromkeys(record.outputs):
             results += _results_of_output(folder, record, output)
     return Run(folder=folder, record=record, results=tuple(results))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
@@ -20,18 +20,21 @@ Value = str | int | None
 Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
 
 SUITES_FILE = Path(__file__).with_name("suites.yml")
+BASELINES_FILE = Path(__file__).with_name("baselines.yml")
 
 
 class Option(Config):
     """One option of the programs: its flag and the values it takes."""
 
-    flag: str
     type: Literal["int", "choice", "string"]
     default: Value
     help: str
+    flag: str = ""
     min: int = 0
     max: int = 0
     choices: Strings = ()
+    pattern: str = ""
+    """What a text must look like unless it is empty; none: any line."""
 
     @property
     def allowed(self) -> str:
@@ -40,7 +43,25 @@ class Option(Config):
             return f"a whole number from {self.min} to {self.max}"
         if self.type == "choice":
             return f"one of {', '.join(self.choices)}"
-        return "one line of text"
+        return f"a text like {self.pattern}" if self.pattern else "one line of text"
+
+    def accept(self, value: object) -> Value:
+        """Return a value as the programs take it. Raises ValueError.
+
+        A choice may come as a number (YAML's bare 0), a value that has no default may be None.
+        """
+        number = isinstance(value, int) and not isinstance(value, bool)
+        if value is None and self.default is None:
+            return None
+        if self.type == "int" and isinstance(value, int) and number and self.min <= value <= self.max:
+            return value
+        if self.type == "choice" and (number or isinstance(value, str)) and str(value) in self.choices:
+            return str(value)
+        if self.type == "string" and (number or isinstance(value, str)):
+            text = str(value)
+            if not text or (text.isprintable() and (not self.pattern or re.fullmatch(self.pattern, text, re.ASCII))):
+                return text
+        raise ValueError(f"takes {self.allowed}, got {value!r}")
 
 
 class Packages(Config):
@@ -64,6 +85,12 @@ class Suite(Config):
     """The program that runs once per subscriber; none: there are no subscribers."""
     launch: dict[str, Value] = Field(default_factory=dict)
     """Parameters that are not the program's default unless a campaign says otherwise."""
+    always: Strings | None = None
+    """Of a baseline, a tool of the target with options of its own: what it is always given."""
+    kernel: str = ""
+    """Of a baseline, the kernel option that it needs."""
+    flags: dict[str, str] = Field(default_factory=dict)
+    values: dict[str, str] = Field(default_factory=dict)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -78,24 +105,39 @@ class Suites(Config):
     options: dict[str, Option]
     suites: dict[str, Suite]
 
-    @model_validator(mode="after")
-    def _take_known_options(self) -> "Suites":
-        for name, suite in self.suites.items():
-            for key in suite.parameters:
-                if key not in self.options:
-                    raise ValueError(f"suites.{name}: unknown option {key!r}, known: {', '.join(self.options)}")
-        return self
-
 
 @functools.cache
 def suites() -> Suites:
     """The suites of this version, read once."""
-    return load(SUITES_FILE, Suites)
+    found = load(SUITES_FILE, Suites)
+    _check_options(found, found.options)
+    return found
+
+
+@functools.cache
+def baselines() -> Suites:
+    """The yardsticks that the suites are compared with, read once."""
+    found = load(BASELINES_FILE, Suites)
+    _check_options(found, suites().options | found.options)
+    return found
+
+
+def _check_options(found: Suites, known: Mapping[str, Option]) -> None:
+    for name, described in found.suites.items():
+        for key in described.parameters:
+            if key not in known:
+                raise UsageError(f"suites.{name}: unknown option {key!r}, known: {', '.join(known)}")
+
+
+@functools.cache
+def options() -> dict[str, Option]:
+    """Every option of a suite or a baseline, by the key used in campaigns, JSON and reports."""
+    return suites().options | baselines().options
 
 
 def suite(name: str) -> Suite:
-    """The suite of this name. Raises UsageError that lists the known ones."""
-    known = suites().suites
+    """The suite or baseline of this name. Raises UsageError that lists the known ones."""
+    known = suites().suites | baselines().suites
     if name not in known:
         raise UsageError(f"unknown suite {name!r}, known: {', '.join(known)}")
     return known[name]
@@ -104,35 +146,29 @@ def suite(name: str) -> Suite:
 def check(key: str, value: object, where: str) -> Value:
     """Return a parameter's value as the programs take it, or raise UsageError ``where: what it takes, what came``.
 
-    `where` is the whole place, ``file: path.to.key``. A choice may come as a number (YAML's bare 0), a value that
-    has no default may be None.
+    `where` is the whole place, ``file: path.to.key``.
     """
-    options = suites().options
-    if key not in options:
-        raise UsageError(f"{where}: unknown parameter {key!r}, known: {', '.join(options)}")
-    option = options[key]
-    if value is None and option.default is None:
-        return None
-    number = isinstance(value, int) and not isinstance(value, bool)
-    if option.type == "int" and isinstance(value, int) and number and option.min <= value <= option.max:
-        return value
-    if option.type == "choice" and (number or isinstance(value, str)) and str(value) in option.choices:
-        return str(value)
-    if option.type == "string" and isinstance(value, str) and (value.isprintable() or not value):
-        return value
-    raise UsageError(f"{where}: {key} takes {option.allowed}, got {value!r}")
+    if key not in options():
+        raise UsageError(f"{where}: unknown parameter {key!r}, known: {', '.join(options())}")
+    try:
+        return options()[key].accept(value)
+    except ValueError as error:
+        raise UsageError(f"{where}: {key} {error}") from None
 
 
 def argv(suite_name: str, program: str, parameters: Mapping[str, Value]) -> list[str]:
     """The program and its options; what is None or the default is left out, and so is what it does not take.
 
-    A run of defaults thus asks for nothing but what the programs of 2014 know.
+    A run of defaults thus asks for nothing but what the programs of 2014 know. A baseline has defaults of its own and
+    is given everything, but no priority without a real-time policy.
     """
-    programs = suite(suite_name).programs
-    if program not in programs:
-        raise UsageError(f"unknown program {program!r} of {suite_name}, known: {', '.join(programs)}")
+    described = suite(suite_name)
+    if program not in described.programs:
+        raise UsageError(f"unknown program {program!r} of {suite_name}, known: {', '.join(described.programs)}")
+    if described.always is not None:
+        return [program, *described.always, *_explicit(described, program, parameters)]
     words = [program]
-    for key in programs[program]:
+    for key in described.programs[program]:
         option = suites().options[key]
         value = parameters.get(key)
         if value is not None and value != option.default:
@@ -140,15 +176,24 @@ def argv(suite_name: str, program: str, parameters: Mapping[str, Value]) -> list
     return words
 
 
+def _explicit(described: Suite, program: str, parameters: Mapping[str, Value]) -> list[str]:
+    words = []
+    for key in described.programs[program]:
+        value = parameters.get(key, options()[key].default)
+        if value not in (None, "") and not (key == "priority" and parameters.get("policy", "0") == "0"):
+            words.append(f"{described.flags.get(key, options()[key].flag)}={described.values.get(str(value), value)}")
+    return words
+
+
 def output_name(suite_name: str, parameters: Mapping[str, Value]) -> str:
     """The name, without ending, of what such a run writes; the prefix, which may hold a folder, comes first."""
     keys = suite(suite_name).parameters
-    values = {key: suites().options[key].default for key in keys}
+    values = {key: options()[key].default for key in keys}
     values |= {key: value for key, value in parameters.items() if key in values and value is not None}
-    return str(values["prefix"]) + suite(suite_name).output.format_map(
+    return str(values.get("prefix") or "") + suite(suite_name).output.format_map(
         values
         | {
-            "policy_suffix": "" if values["policy"] == "0" else f"-tnRT{values['policy']}",
+            "policy_suffix": "" if values.get("policy", "0") == "0" else f"-tnRT{values['policy']}",
             "busy_suffix": "-bm" if values.get("busy_mode") else "",
         }
     )

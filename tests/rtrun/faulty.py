@@ -32,8 +32,10 @@ if wish == "killed":
 rows = [(1_000_000 * n,) for n in range(count + 1)]
 path = write_output(Path("."), output, "cyclic_timer_tests", rows, requested={{"repetitions": count,
     "frequency_hz": frequency}}, asked=count, measured=count)
-log = Path({data!r}, "cyclic_timer_tests_l300_fq1000-tnRTRR.log")
-Path(output + ".log").write_bytes(log.read_bytes())
+data = json.loads(path.read_text())
+policy = words.get("-s", "0")
+data["in_effect"]["threads"][0].update(policy="OTHER" if policy == "0" else policy, priority=95 * (policy != "0"))
+path.write_text(json.dumps(data))
 print("\\tINFO: done")
 if wish == "incomplete":
     data = json.loads(path.read_text())
@@ -49,6 +51,8 @@ if wish == "link":
     path.unlink()
     path.symlink_to("/etc/passwd")
 if wish == "2014":
+    log = Path({data!r}, "cyclic_timer_tests_l300_fq1000-tnRTRR.log")
+    Path(output + ".log").write_bytes(log.read_bytes())
     path.unlink()
     path.with_suffix(".npy").unlink()
 if wish == "junk json":

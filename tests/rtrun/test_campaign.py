@@ -77,7 +77,7 @@ def test_a_run_wins_over_common(tmp_path):
         ("runs: []", "runs: List should have at least 1 item"),
         ("runs: 5", "runs: Input should be a valid list, got 5"),
         ("common: {speed: 5}\nruns: [{suite: cyclic_timer_tests}]", "common: unknown key 'speed', allowed: policy"),
-        ("rums: 5", "unknown key 'rums', allowed: schema, name, common, runs"),
+        ("rums: 5", "unknown key 'rums', allowed: schema, name, order, seed, common, runs"),
         ("runs: [{suite: cyclic_timer_tests, policy: RR, policy: RR}]", r"campaign.yml:3: key 'policy' is given twice"),
         ("runs: [", "campaign.yml:"),
     ],

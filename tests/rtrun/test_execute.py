@@ -126,7 +126,7 @@ def test_finished_runs_are_not_measured_again(target, tmp_path, watching, wishes
         ("junk json", "failed", "cyclic_timer_tests_l10_fq100.json"),
         ("link", "failed", "cyclic_timer_tests_l10_fq100.json is missing"),
         ("huge json", "failed", "fq100.json has 1073741824 bytes, at most 16777216 were expected: it was left there"),
-        ("truncated", "failed", "cyclic_timer_tests_l10_fq100.npy"),
+        ("truncated", "invalid", "cyclic_timer_tests_l10_fq100.npy"),
     ],
 )
 def test_a_run_that_goes_wrong_is_closed_with_the_reason(target, tmp_path, watching, wishes, wish, status, reason):

@@ -1,0 +1,31 @@
+"""Nothing appears and nothing vanishes: whether the counts of an output add up, among themselves and with its logs."""
+
+from collections.abc import Iterable
+
+from rtrun.logfile import Log
+from rtrun.samples import Record
+
+LISTED_MAX = 1000  # indices that an output lists of each kind
+
+
+def contradiction(record: Record, logs: Iterable[Log] = ()) -> str | None:
+    """Say what does not add up in a record and the logs beside it, or None when all of it does.
+
+    What was asked for was measured, did not fire, or is missing; of an incomplete record there may be less, never more.
+    A message that came twice was received once, and counts as duplicate apart.
+    """
+    counts = record.counts
+    known = counts.measured + counts.not_fired + counts.missing
+    names = "measured + not fired + missing"
+    if known > counts.asked or (record.complete and known != counts.asked):
+        return f"{counts.asked} asked for, but {known} {names}"
+    for kind, indices in record.indices:
+        count = getattr(counts, kind)
+        if len(indices) != min(count, LISTED_MAX):
+            return f"{count} {kind.replace('_', ' ')}, but {len(indices)} indices of them"
+        if any(not 0 <= index < counts.asked for index in indices):
+            return f"an index {kind.replace('_', ' ')} lies outside 0 to {counts.asked - 1}"
+    for log in logs:
+        if (n := log.figures().n) != counts.measured:
+            return f"{counts.measured} measured, but {n} in the log {log.path.name}"
+    return None

@@ -1,0 +1,87 @@
+#!/bin/sh
+# See what is in effect while a run measures: as little as possible, as rarely as enough.
+#
+#   sample.sh FOLDER PRIORITY LOADS
+#
+# FOLDER is that of the run, whose programs are known by their NAME.pid (also the session). PRIORITY is that of the
+# suite, LOADS the names of the programs beside it, in blanks. Prints for each look a line
+#   at UPTIME_S LOAD_1MIN TEMPERATURE_MC,.. FREQUENCY_KHZ,.. THEN THE FIRST LINE OF /proc/stat
+# and, where something is not as in the look before, what there is now, up to the line "end":
+#   thread PROGRAM TID POLICY PRIORITY CPUS NAME      each thread of the suite
+#   load PROGRAM PROCESSES CPUS                       each program beside it
+#   rival TID POLICY PRIORITY NAME                    every other thread of its priority or above
+#   governor NAME,..    sched_rt_runtime_us NUMBER
+set -u
+cd "$1" || exit 1
+priority=$2 loads=" $3 "
+trap 'exit 0' TERM
+
+joined() {
+    joined=$(cat "$@" 2>/dev/null | tr '\n' ',')
+    joined=${joined%,}
+    echo "${joined:--}"
+}
+
+look() {
+    for file in *.pid; do
+        read -r pid <"$file" && echo "session ${file%.pid} $pid"
+    done 2>/dev/null
+    # A thread that ends meanwhile is skipped in silence.
+    grep -s '' /proc/[0-9]*/task/[0-9]*/stat
+}
+
+threads() {
+    look | awk -v priority="$priority" -v loads="$loads" '
+        /^session / { program[$3] = $2; next }
+        {
+            path = $0; sub(/\/stat:.*/, "", path)
+            split(path, part, "/")
+            name = $0; sub(/^[^(]*\(/, "", name); sub(/\) [A-Za-z] .*/, "", name)
+            sub(/.*\) /, "")
+            # From here $1 is field 3 of proc(5): $4 the session, $38 and $39 the real-time priority and the policy.
+            owner = program[$4]
+            if (owner == "") { if ($38 >= priority && $38 > 0) print "rival", part[5], $39, $38, name }
+            # What supervise.sh needs for itself is not the program.
+            else if (owner == "sampler" || name == "supervise.sh" || name == "sleep") next
+            else if (index(loads, " " owner " ")) { if (part[3] == part[5]) print "process", owner, path }
+            else print "thread", owner, part[5], $39, $38, path, name
+        }'
+}
+
+affinity() {
+    awk '
+        /^cpus / { sub(/\/status:.*/, "", $2); cpus[$2] = $4; next }
+        $1 == "thread" { path = $6; $6 = (path in cpus) ? cpus[path] : "-"; print; next }
+        $1 == "process" { count[$2]++; if ($3 in cpus) of[$2] = cpus[$3]; next }
+        { print }
+        END { for (name in count) print "load", name, count[name], (name in of) ? of[name] : "-" }'
+}
+
+before=
+pause=1
+while :; do
+    # In the shell's own process: a look must not see its own look. TERM ends the pause at once.
+    sleep $pause &
+    wait $!
+    pause=2
+    read -r uptime _ </proc/uptime
+    read -r load _ </proc/loadavg
+    read -r busy </proc/stat
+    echo "at $uptime $load $(joined /sys/class/thermal/thermal_zone[0-9]*/temp)" \
+        "$(joined /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_cur_freq) $busy"
+    found=$(threads)
+    # One process of each load tells for all: what it was started with is inherited.
+    paths=$(echo "$found" | awk '$1 == "thread" { print $6 "/status" } $1 == "process" && !seen[$2]++ { print $3 "/status" }')
+    # shellcheck disable=SC2086 # the words of the list are wanted
+    now=$({
+        [ -z "$paths" ] || grep -sH Cpus_allowed_list: $paths | sed 's/^/cpus /; s/Cpus_allowed_list:/ x /'
+        echo "$found"
+    } | affinity
+        echo "governor $(joined /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor)"
+        echo "sched_rt_runtime_us $(joined /proc/sys/kernel/sched_rt_runtime_us)")
+    if [ "$now" != "$before" ]; then
+        echo "$now"
+        echo end
+        before=$now
+    fi
+done
