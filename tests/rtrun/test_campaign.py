@@ -112,3 +112,122 @@ def test_shipped_campaigns_plan(path, capsys):
 def test_exit_status_of_a_bad_campaign(tmp_path, capsys):
     assert main(["plan", str(tmp_path / "none.yml")]) == 2
     assert capsys.readouterr().err == f"rtrun: {tmp_path}/none.yml: No such file or directory\n"
+
+
+def test_conditions_settings_and_repeats_multiply_and_name_the_runs(tmp_path):
+    path = write(
+        tmp_path,
+        """
+common: {repetitions: 10, condition: [idle, nodes], nodes_hz: [10, 100], repeats: 2}
+runs: [{suite: cyclic_timer_tests, governor: performance}]
+""",
+    )
+    _, runs = read_campaign(path)
+    base = "cyclic_timer_tests_l10_fq1000"
+    assert [run.name for run in runs] == [
+        f"001-{base}-governorperformance",
+        f"002-{base}-governorperformance-r2",
+        f"003-{base}-nodes-nodes_hz10-governorperformance",
+        f"004-{base}-nodes-nodes_hz10-governorperformance-r2",
+        f"005-{base}-nodes-governorperformance",
+        f"006-{base}-nodes-governorperformance-r2",
+    ], "idle takes no nodes_hz: it is planned once, not once for each of them"
+    assert [run.repeat for run in runs] == [1, 2] * 3
+    assert runs[2].settings["nodes_hz"] == 10 and runs[0].settings.keys() == {"governor", "irq_cpu"}
+
+
+def test_single_combinations_are_left_out_and_put_in(tmp_path):
+    path = write(
+        tmp_path,
+        """
+common: {repetitions: 10}
+runs: [{suite: oneshot_timer_tests, policy: [RR, FIFO], condition: [idle, cpu80]}]
+exclude: [{policy: RR, condition: cpu80}, {policy: FIFO, condition: [idle]}]
+include: [{suite: cyclictest, policy: RR, condition: cpu80}]
+""",
+    )
+    _, runs = read_campaign(path)
+    assert [(run.suite, run.parameters["policy"], run.condition) for run in runs] == [
+        ("oneshot_timer_tests", "RR", "idle"),
+        ("oneshot_timer_tests", "FIFO", "cpu80"),
+        ("cyclictest", "RR", "cpu80"),
+    ]
+
+
+def test_an_interleaved_order_is_drawn_in_blocks_and_the_same_for_the_same_seed(tmp_path):
+    text = "order: interleaved\nseed: {}\nruns: [{{suite: cyclic_timer_tests, frequency_hz: {}, repeats: 3}}]\n"
+    frequencies = list(range(100, 110))
+
+    def names(seed):
+        _, runs = read_campaign(write(tmp_path, text.format(seed, frequencies)))
+        assert [run.repeat for run in runs] == [1] * 10 + [2] * 10 + [3] * 10, "a block has each combination once"
+        assert {run.seed for run in runs} == {seed}
+        return [run.name for run in runs]
+
+    assert names(1) == names(1) != names(2)
+    assert sorted(names(1)) == sorted(names(2)), "a run keeps its name, wherever it stands"
+    blocks = [[name.split("-")[1] for name in names(1)[start : start + 10]] for start in (0, 10, 20)]
+    assert blocks[0] != blocks[1] != blocks[2]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("condition: busy", "runs.0.condition: unknown condition 'busy', known: idle, cpu80"),
+        ("governor: ../x", r"runs.0.governor: governor takes a text like \[a-z\]\+, got '../x'"),
+        ("load_cpu: all", "load_cpu: load_cpu takes a text like"),
+        ("nodes: 17", "nodes takes a whole number from 1 to 16, got 17"),
+        ("repeats: [1, 2]", "runs.0.repeats: one whole number, not a list"),
+        ("repeats: 0", "repeats takes a whole number from 1 to 10000, got 0"),
+    ],
+)
+def test_bad_conditions(tmp_path, text, message):
+    with pytest.raises(UsageError, match=message):
+        read_campaign(write(tmp_path, f"runs: [{{suite: cyclic_timer_tests, {text}}}]\n"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("order: interleaved", "seed: give one"),
+        ("seed: 3", "seed: give one"),
+        ("exclude: [{policy: RR}]", "exclude.0: no run has all of"),
+        ("exclude: [{}]", "exclude.0: no run has all of"),
+        ("exclude: [{suite: cyclic_timer_tests}]", "exclude: leaves no run"),
+    ],
+)
+def test_bad_orders_and_exclusions(tmp_path, text, message):
+    with pytest.raises(UsageError, match=message):
+        read_campaign(write(tmp_path, f"{text}\nruns: [{{suite: cyclic_timer_tests}}]\n"))
+
+
+def test_the_published_table_is_in_the_shipped_campaign():
+    _, runs = read_campaign(CAMPAIGNS / "thesis-2014.yml")
+    oneshot = {
+        (run.condition, run.parameters["timeout_us"], run.parameters["policy"])
+        for run in runs
+        if run.suite == "oneshot_timer_tests"
+    }
+    assert oneshot == {
+        (condition, timeout_us, policy)
+        for condition in ("idle", "cpu80")
+        for timeout_us in (1000, 10000)
+        for policy in ("0", "RR", "FIFO")
+    }
+    assert {run.parameters["repetitions"] for run in runs if run.suite != "cyclictest"} == {2_000_000, 4_000_000}
+
+
+def test_71_runs_of_184_million_messages_are_planned(tmp_path, capsys):
+    path = write(
+        tmp_path,
+        """
+runs:
+  - {suite: communication_tests, frequency_hz: [100, 1000], policy: RR, repetitions: 2000000, repeats: 25}
+  - {suite: communication_tests, frequency_hz: 100, policy: FIFO, repetitions: 4000000, repeats: 21}
+""",
+    )
+    assert main(["plan", str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 72 and lines[-1].startswith("71 runs, ")
+    _, runs = read_campaign(path)
+    assert sum(int(run.parameters["repetitions"]) for run in runs) == 184_000_000

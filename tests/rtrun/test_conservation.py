@@ -1,0 +1,59 @@
+"""Counts that do not add up."""
+
+from pathlib import Path
+
+import pytest
+from written import write_communication, write_oneshot
+
+from rtrun.conservation import contradiction
+from rtrun.logfile import read_log
+from rtrun.samples import Record, read_json
+
+
+@pytest.fixture
+def oneshot(tmp_path):
+    record = read_json(write_oneshot(tmp_path), Record)
+    return changed(record, indices={"not_fired": [2]})
+
+
+@pytest.fixture
+def communication(tmp_path):
+    record = read_json(write_communication(tmp_path), Record)
+    return changed(record, indices={"missing": [4], "duplicate": [3], "out_of_order": [1]})
+
+
+def changed(record, *, counts=None, indices=None, **rest):
+    return record.model_copy(
+        update={
+            "counts": record.counts.model_copy(update=counts or {}),
+            "indices": record.indices.model_copy(update=indices or {}),
+            **rest,
+        }
+    )
+
+
+def test_what_adds_up(oneshot, communication):
+    assert contradiction(oneshot) is None
+    assert contradiction(communication) is None
+
+
+def test_a_measurement_that_vanished(oneshot, communication):
+    assert contradiction(changed(oneshot, counts={"measured": 2})) == (
+        "4 asked for, but 3 measured + not fired + missing"
+    )
+    assert contradiction(changed(communication, counts={"missing": 0}, indices={"missing": []})) is not None
+
+
+def test_an_incomplete_run_may_have_less_but_never_more(oneshot):
+    assert contradiction(changed(oneshot, counts={"measured": 2}, complete=False)) is None
+    assert contradiction(changed(oneshot, counts={"measured": 4}, complete=False)) is not None
+
+
+def test_indices_and_counts(oneshot, communication):
+    assert contradiction(changed(communication, indices={"duplicate": []})) == "1 duplicate, but 0 indices of them"
+    assert "outside 0 to 3" in (contradiction(changed(oneshot, indices={"not_fired": [4]})) or "")
+
+
+def test_a_log_of_another_number(oneshot, tmp_path):
+    log = read_log(Path(__file__).parents[1] / "data" / "2014" / "cyclic_timer_tests_l300_fq1000-tnRTRR.log")
+    assert contradiction(oneshot, [log]) == f"3 measured, but 300 in the log {log.path.name}"

@@ -1,0 +1,145 @@
+"""What was asked for beside what was in effect, from looks as sample.sh prints them."""
+
+from pathlib import PurePosixPath
+
+import pytest
+
+from rtfiles.errors import UsageError
+from rtrun import conditions
+from rtrun.campaign import Campaign, plan
+from rtrun.in_effect import mismatch, observed, read_looks, requested
+
+STAT = "cpu {busy} 0 0 {idle} 0 0 0 0 0 0"
+
+
+def look(at_s, *block, busy=0, idle=0):
+    lines = [f"at {at_s} 0.50 - 700000,920000 {STAT.format(busy=busy, idle=idle)}"]
+    return "\n".join([*lines, *block, *(["end"] if block else [])]) + "\n"
+
+
+def thread(policy=2, priority=95, cpus="0-1", program="cyclic_timer_tests"):
+    return f"thread {program} 7 {policy} {priority} {cpus} cyclic timer"
+
+
+def run_of(**values):
+    entry = {"suite": "cyclic_timer_tests", "policy": "RR", "frequency_hz": 10, "repetitions": 1000} | values
+    return plan(Campaign(schema=1, name="test", runs=[entry]), "test")[0]
+
+
+def beside(run):
+    return conditions.background(
+        run.condition,
+        run.settings,
+        cpus=2,
+        programs={},
+        scripts=PurePosixPath("/s"),
+        environment=(),
+        expected_s=run.expected_s,
+        deadline_s=100,
+    )
+
+
+def wrong(run, *looks):
+    return mismatch(run, beside(run), read_looks("".join(looks)), {})
+
+
+def test_what_is_as_asked_for():
+    looks = (look(100, thread(), thread(), "governor -", "sched_rt_runtime_us 950000"), look(102), look(104))
+    assert wrong(run_of(), *looks) is None
+    found = observed(read_looks("".join(looks)), [])
+    assert (found["policy"], found["priority"], found["cpus"], found["looks"]) == (["RR"], [95], [0, 1], 3)
+    assert found["sched_rt_runtime_us"] == [950000] and found["frequency_khz"] == [700000, 920000]
+    assert requested(run_of(), [])["policy"] == "RR" and requested(run_of(policy=0), [])["priority"] == 0
+
+
+@pytest.mark.parametrize("other", [thread(0, 0), thread(1, 95), thread(2, 94)])
+def test_a_policy_or_priority_that_was_lost_in_the_middle(other):
+    assert wrong(run_of(), look(100, thread()), look(102, other)) is not None
+    assert wrong(run_of(), look(100, thread()), look(102, thread(), other)) is not None, "every thread"
+
+
+def test_a_policy_that_never_was():
+    assert wrong(run_of(), look(100, thread(0, 0)), look(102)) is None, "a program that starts"
+    assert wrong(run_of(), look(100, thread(0, 0)), look(112)) == (
+        "cyclic_timer_tests: asked for RR 95, after 12 s in effect was OTHER 0 on CPUs 0,1"
+    )
+
+
+def test_a_program_gives_its_priority_up_when_it_has_measured():
+    run = run_of(repetitions=30)
+    assert wrong(run, look(100, thread()), look(103, thread(0, 0))) is None
+    assert wrong(run, look(100, thread()), look(100.5, thread(0, 0))) is not None
+
+
+def test_a_run_without_policy_must_not_have_one():
+    assert wrong(run_of(policy=0), look(100, thread(0, 0)), look(102, thread())) is not None
+
+
+def test_affinity():
+    assert wrong(run_of(cpu="1"), look(100, thread(cpus="1")), look(102)) is None
+    assert "on CPUs 0,1" in wrong(run_of(cpu="1"), look(100, thread(cpus="1")), look(102, thread()))
+
+
+def test_only_the_measuring_thread():
+    run = run_of(rt_scope="measuring-thread")
+    assert wrong(run, look(100, thread(), thread(0, 0)), look(112)) is None
+    assert wrong(run, look(100, thread(0, 0), thread(0, 0)), look(112)) is not None
+
+
+def test_the_main_thread_of_cyclictest_only_waits():
+    (run,) = plan(
+        Campaign(
+            schema=1,
+            name="test",
+            runs=[{"suite": "cyclictest", "policy": "RR", "interval_us": 100_000, "threads": 2, "repetitions": 1000}],
+        ),
+        "test",
+    )
+    measuring = thread(program="cyclictest")
+    main = thread(0, 0, program="cyclictest")
+    assert wrong(run, look(100, main, measuring, measuring), look(112)) is None
+    assert wrong(run, look(100, main, measuring), look(112)) is not None
+
+
+def test_a_load_with_too_few_workers():
+    run = run_of(condition="cpu80")
+    assert wrong(run, look(100, thread(), "load stress 3 0-1"), look(102)) is None
+    assert wrong(run, look(100, thread(), "load stress 3 0-1"), look(102, thread(), "load stress 2 0-1")) == (
+        "condition cpu80: stress had 2 of 3 processes while the suite ran"
+    )
+    assert "0 of 3" in wrong(run, look(100, thread()))
+    assert wrong(run, look(100, thread(), "load stress 3 0-1"), look(102, "load stress 1 0-1")) is None, "suite ended"
+
+
+def test_a_load_that_does_nothing():
+    run = run_of(condition="cpu80")
+    block = (thread(), "load stress 3 0-1")
+    assert wrong(run, look(100, *block, busy=0, idle=0), look(110, busy=81, idle=19)) is None
+    assert wrong(run, look(100, *block, busy=0, idle=0), look(110, busy=10, idle=90)) == (
+        "condition cpu80: the CPUs were 10.0 % busy, below 60 %"
+    )
+
+
+def test_a_load_on_other_cpus():
+    run = run_of(condition="cpu80", load_cpu="1")
+    assert beside(run)[0].program.argv[:3] == ("taskset", "-c", "1")
+    assert beside(run)[0].processes == 2, "one CPU, one worker"
+    assert wrong(run, look(100, thread(), "load stress 2 1"), look(102)) is None
+    assert "ran on CPUs [0, 1], not on [1]" in wrong(run, look(100, thread(), "load stress 2 0-1"))
+
+
+def test_a_governor_that_changed():
+    run = run_of(governor="performance")
+    held = "load hold-governor 1 0-1"
+    assert wrong(run, look(100, thread(), held, "governor performance,performance")) is None
+    assert "in effect was ondemand" in wrong(run, look(100, thread(), held, "governor performance,ondemand"))
+
+
+@pytest.mark.parametrize("line", ["at", "at x y", "end", "thread a", "at 1 2 - - cpu 1 2 3 4"])
+def test_what_sample_sh_never_wrote(line):
+    with pytest.raises(UsageError, match=r"sampler.stdout:\d: not what sample.sh writes"):
+        read_looks(f"{line}\nend\n")
+
+
+def test_a_last_line_that_was_cut_off():
+    assert len(read_looks(look(100, thread()) + "at 10")) == 1
