@@ -182,12 +182,18 @@ def _results_of_output(folder: Path, record: Record, output: str) -> list[Result
             suite=result.suite,
             output=output,
             series=result.series,
-            parameters=record.parameters,
+            parameters=record.parameters | _beside(record),
             figures=result.figures,
             remarks=result.remarks,
         )
         for result in found
     ]
+
+
+def _beside(record: Record) -> dict[str, Value]:
+    """What was there beside the suite, where there was something."""
+    condition: dict[str, Value] = {} if record.condition == "idle" else {"condition": record.condition}
+    return condition | {key: value for key, value in record.settings.items() if value not in (None, "")}
 
 
 def _log_names(record: Record, output: str) -> list[str]:

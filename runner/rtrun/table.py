@@ -12,6 +12,7 @@ from rtrun.results import MAIN_SERIES, RECORD, Result, Run, Runs
 from rtrun.suites import Value, output_name, suite, suites
 
 EMULATED = "EMULATED: not a real-time statement"
+NO_PREEMPT_RT = "NO PREEMPT_RT: this kernel promises no deadline"
 PLAIN_WIDTH = 100  # columns, where the output is no terminal
 COARSE_US = 10_000  # from here on a tenth of a microsecond is not worth its column
 
@@ -74,7 +75,7 @@ def _is_telling(suite_name: str, key: str, value: Value) -> bool:
     return option is None or value != option.default or f"{{{key}}}" in suite(suite_name).output
 
 
-def answer(results: Iterable[Result], *, emulated: bool, notes: Iterable[str] = ()) -> Group:
+def answer(results: Iterable[Result], *, emulated: bool, preempt_rt: bool = True, notes: Iterable[str] = ()) -> Group:
     """The banner if there is one to give, the table, and a line for every note and for every remark on a result."""
     results = list(results)
     lines = list(notes)
@@ -85,7 +86,8 @@ def answer(results: Iterable[Result], *, emulated: bool, notes: Iterable[str] = 
         lines += [f"{result.output}: {remark}" for remark in (*told, *result.remarks)]
     if any(0 < result.figures.n < 1000 for result in results):
         lines.append("p99.9 of fewer than 1000 values is their maximum.")
-    banner = [Text(EMULATED, style="bold red")] if emulated else []
+    words = [EMULATED] * emulated + [NO_PREEMPT_RT] * (not preempt_rt)
+    banner = [Text("; ".join(words), style="bold red")] if words else []
     body = [table(results)] if results else []
     return Group(
         *banner, *body, *(Text(_printable(line), no_wrap=True, overflow="ignore") for line in dict.fromkeys(lines))
@@ -99,7 +101,7 @@ def _printable(text: str) -> str:
 
 def answer_of_run(run: Run) -> Group:
     """The answer of one run: every series of every output."""
-    return answer(run.results, emulated=run.record.emulated, notes=_notes(run))
+    return answer(run.results, emulated=run.record.emulated, preempt_rt=_is_preempt_rt(run), notes=_notes(run))
 
 
 def answer_of_runs(found: Runs) -> Group:
@@ -107,7 +109,17 @@ def answer_of_runs(found: Runs) -> Group:
     results = [result for run in found.runs for result in run.results if result.series in MAIN_SERIES]
     notes = [note for run in found.runs for note in _notes(run)]
     notes += [f"{name}: incomplete: it has no {RECORD}, nothing in it is analysed" for name in found.incomplete]
-    return answer(results, emulated=any(run.record.emulated for run in found.runs), notes=notes)
+    return answer(
+        results,
+        emulated=any(run.record.emulated for run in found.runs),
+        preempt_rt=all(map(_is_preempt_rt, found.runs)),
+        notes=notes,
+    )
+
+
+def _is_preempt_rt(run: Run) -> bool:
+    """Whether the kernel is PREEMPT_RT, or nobody asked it."""
+    return run.record.target.get("preempt_rt") is not False
 
 
 def _notes(run: Run) -> list[str]:

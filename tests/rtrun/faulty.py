@@ -33,8 +33,9 @@ rows = [(1_000_000 * n,) for n in range(count + 1)]
 path = write_output(Path("."), output, "cyclic_timer_tests", rows, requested={{"repetitions": count,
     "frequency_hz": frequency}}, asked=count, measured=count)
 data = json.loads(path.read_text())
-policy = words.get("-s", "0")
+policy = "0" if wish == "no policy" else words.get("-s", "0")
 data["in_effect"]["threads"][0].update(policy="OTHER" if policy == "0" else policy, priority=95 * (policy != "0"))
+data["counts"]["asked"] += wish == "miscounted"
 path.write_text(json.dumps(data))
 print("\\tINFO: done")
 if wish == "incomplete":

@@ -9,7 +9,7 @@ from rich.console import Console
 from rtrun.figures import Figures, figures
 from rtrun.results import Result
 from rtrun.suites import Value
-from rtrun.table import EMULATED, answer, table
+from rtrun.table import EMULATED, NO_PREEMPT_RT, answer, table
 
 
 def result(found: Figures, remarks: tuple[str, ...] = (), **parameters: Value) -> Result:
@@ -72,6 +72,8 @@ def test_the_answer_is_banner_table_and_what_has_to_be_said_once() -> None:
         "p99.9 of fewer than 1000 values is their maximum.",
     ]
     assert drawn(answer([result(WIDE)], emulated=False), 100)[0] != EMULATED
+    assert drawn(answer([result(WIDE)], emulated=False, preempt_rt=False), 100)[0] == NO_PREEMPT_RT
+    assert drawn(answer([result(WIDE)], emulated=True, preempt_rt=False), 100)[0] == f"{EMULATED}; {NO_PREEMPT_RT}"
 
 
 def test_a_sentence_is_not_broken_where_a_program_reads_it() -> None:

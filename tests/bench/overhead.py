@@ -1,0 +1,98 @@
+"""What the runner adds to a run beyond the suite's own time, on a target behind the real sshd on loopback.
+
+`make bench` runs it; it is no test. Side by side: each run through the runner, and the same program, started by hand.
+"""
+
+import os
+import statistics
+import subprocess
+import time
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+import rtgen.cli
+from rtrun import execute
+from rtrun.campaign import Campaign, plan
+from rtrun.ssh import Connection
+from rtrun.target import Target
+
+TOP = Path(__file__).parents[2]
+RUNS = 8
+LIMIT_S = 0.4
+LONG_RUN_S = 60.0
+
+
+class Clock:
+    """An observer that takes the time of every run and counts the commands in it."""
+
+    def __init__(self):
+        self.elapsed_s: list[float] = []
+        self.commands = 0
+
+    def began(self, number, run):
+        self.start = time.monotonic()
+
+    def ended(self, number, run, status, reason):
+        assert status == "ok", reason
+        self.elapsed_s.append(time.monotonic() - self.start)
+
+    def note(self, text):
+        print(text)
+
+
+def test_overhead(sshd, ros_master, tmp_path, monkeypatch):
+    monkeypatch.chdir(TOP)
+    assert rtgen.cli.main(["suites", "build", "--machine", "host"]) == 0
+    suites = TOP / "build" / "suites" / "host"
+    target = Target(
+        name="loopback",
+        emulated=False,
+        address=sshd.address,
+        suites=suites,
+        work_dir=PurePosixPath(tmp_path / "target"),
+        ros_setup=None,
+        ros_master_port=ros_master,
+        reconnect_s=20,
+        boot_s=0,
+        console=None,
+        failure=lambda: None,
+    )
+    clock = Clock()
+    real = Connection.run
+
+    def counted(*words, **options):
+        clock.commands += 1
+        return real(*words, **options)
+
+    monkeypatch.setattr(Connection, "run", counted)
+    entry = {"suite": "cyclic_timer_tests", "frequency_hz": 100, "repetitions": 200}
+    runs = plan(Campaign(schema=1, name="bench", runs=[entry | {"repeats": RUNS + 1}]), "bench")
+    execute.run_campaign(replace(target), "bench", runs, tmp_path / "results", clock)
+    with_runner_s = clock.elapsed_s[1:]  # the first one deploys
+
+    program = suites / "lib" / "cyclic_timer_tests" / "cyclic_timer_tests"
+    environment = os.environ | {"ROS_MASTER_URI": f"http://127.0.0.1:{ros_master}", "ROS_IP": "127.0.0.1"}
+    by_hand_s = []
+    for _ in range(RUNS):
+        start = time.monotonic()
+        argv = [program, "-f", "100", "-r", "200", "-s", "0"]
+        subprocess.run(argv, cwd=tmp_path, env=environment, check=True, capture_output=True)
+        by_hand_s.append(time.monotonic() - start)
+
+    overhead_s = statistics.median(with_runner_s) - statistics.median(by_hand_s)
+    measuring_s = runs[0].expected_s
+    print(
+        f"\nthe runner adds {overhead_s:.2f} s a run (limit {LIMIT_S} s; "
+        f"{statistics.median(with_runner_s):.2f} s with it, {statistics.median(by_hand_s):.2f} s by hand, "
+        f"medians of {RUNS}; {clock.commands / len(runs):.1f} commands a run; load {os.getloadavg()[0]:.1f} "
+        f"on {os.cpu_count()} CPUs)"
+    )
+    around_s = statistics.median(with_runner_s) - measuring_s
+    print(
+        f"measuring: {measuring_s / statistics.median(with_runner_s):.1%} of the wall time of {measuring_s:g} s runs, "
+        f"{LONG_RUN_S / (LONG_RUN_S + around_s):.1%} of runs of {LONG_RUN_S:g} s"
+    )
+    if overhead_s > LIMIT_S:
+        pytest.fail(f"the runner adds {overhead_s:.2f} s a run, at most {LIMIT_S} s were promised")

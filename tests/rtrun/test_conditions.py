@@ -1,0 +1,204 @@
+"""Conditions on a target behind a real sshd, with real loads; the suite is one that goes wrong on request."""
+
+import json
+import os
+import signal
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from faulty import write_faulty_suites
+
+from rtrun import execute, prepare
+from rtrun.campaign import Campaign, plan
+from rtrun.errors import TargetError
+
+pytestmark = [pytest.mark.sshd, pytest.mark.ros]
+
+
+class Watching:
+    """An observer that acts when the run begins."""
+
+    def __init__(self, act=lambda: None):
+        self.act = act
+
+    def began(self, number, run):
+        self.act()
+
+    def ended(self, number, run, status, reason):
+        pass
+
+    def note(self, text):
+        pass
+
+
+@pytest.fixture
+def wishes(tmp_path):
+    return write_faulty_suites(tmp_path / "suites")
+
+
+@pytest.fixture
+def target(loopback, tmp_path, wishes, ros_master):
+    return replace(loopback, suites=tmp_path / "suites", ros_master_port=ros_master)
+
+
+def measure(target, tmp_path, act=lambda: None, **values):
+    """Run a campaign of one run and return its run.json."""
+    entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": 10} | values
+    (run,) = runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
+    execute.run_campaign(target, "test", runs, tmp_path / "results", Watching(act))
+    return json.loads((tmp_path / "results" / run.name / "run.json").read_text())
+
+
+def session_of(target, name):
+    """The processes in the session of a program of the run that is under way: pid to command."""
+    found = {}
+    for file in Path(target.work_dir, "runs").rglob(f"{name}.pid"):
+        leader = file.read_text().strip()
+        for stat in Path("/proc").glob("[0-9]*/stat"):
+            try:
+                head, _, tail = stat.read_text().rpartition(")")
+            except OSError:
+                continue
+            if tail.split()[3] == leader:
+                found[int(stat.parent.name)] = head.partition("(")[2]
+    return found
+
+
+def when(condition, then):
+    """Do something, in a thread, as soon as a condition gives something."""
+
+    def wait():
+        deadline = time.monotonic() + 60
+        while not (found := condition()):
+            if time.monotonic() > deadline:
+                return
+            time.sleep(0.05)
+        then(found)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def test_a_load_runs_with_the_suite_and_ends_with_it(target, tmp_path, wishes):
+    wishes.will("sleep 6")
+    record = measure(target, tmp_path, condition="cpu80")
+    assert (record["status"], record["reason"]) == ("ok", None)
+    assert record["condition"] == "cpu80"
+    assert record["requested"]["loads"] == {"stress": 1 + len(os.sched_getaffinity(0))}
+    assert record["in_effect"]["loads"]["stress"] >= record["requested"]["loads"]["stress"]
+    assert record["in_effect"]["policy"] == ["OTHER"] and record["in_effect"]["looks"] >= 2
+    assert record["in_effect"]["busy_percent"] > 60
+    assert {"name": "migration/0", "policy": "FIFO", "priority": 99} in record["in_effect"]["rivals"]
+    assert {"stress.stdout", "sampler.stdout"} <= set(record["files"])
+    assert not list(Path(target.work_dir, "runs").rglob("*.pid")), "nothing stays"
+    assert not [stat for stat in Path("/proc").glob("[0-9]*/environ") if runs_in(stat, target)]
+
+
+def runs_in(environ, target):
+    try:
+        return str(target.work_dir) in str((environ.parent / "cwd").readlink())
+    except OSError:
+        return False
+
+
+def kill(processes):
+    for pid, command in processes.items():
+        if command == "stress-ng":
+            os.kill(pid, signal.SIGKILL)
+
+
+def stress_in(target):
+    """The load, once the suite runs beside it."""
+    if "cyclic_timer_te" in session_of(target, "cyclic_timer_tests").values():
+        return session_of(target, "stress")
+    return {}
+
+
+def test_a_load_that_died_in_the_middle_makes_the_run_invalid(target, tmp_path, wishes):
+    wishes.will("sleep 3")
+    record = measure(target, tmp_path, lambda: when(lambda: stress_in(target), kill), condition="cpu80")
+    assert record["status"] == "invalid"
+    assert "condition cpu80: stress ended in the middle of the run, with exit status 137" in record["reason"]
+
+
+def test_a_worker_that_died_in_the_middle_makes_the_run_invalid(target, tmp_path, wishes):
+    def kill_a_worker(processes):
+        workers = [pid for pid, command in processes.items() if command == "stress-ng-cpu"]
+        os.kill(workers[0], signal.SIGKILL)
+
+    wishes.will("sleep 6")
+    record = measure(target, tmp_path, lambda: when(lambda: stress_in(target), kill_a_worker), condition="cpu80")
+    assert record["status"] == "invalid"
+    assert "condition cpu80: stress " in record["reason"]
+
+
+def test_a_sampler_that_died_makes_the_run_invalid(target, tmp_path, wishes):
+    wishes.will("sleep 3")
+
+    def kill_all(processes):
+        for pid in processes:
+            os.kill(pid, signal.SIGKILL)
+
+    def sampler():
+        suite = session_of(target, "cyclic_timer_tests")
+        return session_of(target, "sampler") if "cyclic_timer_te" in suite.values() else {}
+
+    record = measure(target, tmp_path, lambda: when(sampler, kill_all))
+    assert record["status"] == "invalid"
+    assert "sampler ended in the middle of the run, killed from outside" in record["reason"]
+
+
+def test_affinity_of_the_load(target, tmp_path, wishes):
+    wishes.will("sleep 4")
+    record = measure(target, tmp_path, condition="hackbench", load_cpu="1")
+    assert (record["status"], record["reason"]) == ("ok", None)
+    assert record["requested"]["load_cpus"] == record["in_effect"]["load_cpus"] == [1]
+    assert record["in_effect"]["loads"]["hackbench"] >= 41
+
+
+def test_what_the_target_lacks_is_said_before_anything_is_measured(target, tmp_path, wishes, monkeypatch):
+    monkeypatch.setattr(prepare.conditions, "needs", lambda *_: {"no-such-tool", "governor=warp", "sh"})
+    with pytest.raises(TargetError, match="the target lacks the cpufreq governor warp, no-such-tool, which this"):
+        measure(target, tmp_path, condition="cpu80")
+    assert wishes.calls() == []
+
+
+def test_a_load_that_does_not_start_is_an_error_of_the_target(target, tmp_path, wishes):
+    with pytest.raises(TargetError, match=r"condition cpu80: stress does not run: .*taskset"):
+        measure(target, tmp_path, condition="cpu80", load_cpu="900")
+    assert wishes.calls() == []
+
+
+def test_a_policy_that_is_not_in_effect_makes_the_run_invalid(target, tmp_path, wishes):
+    wishes.will("no policy")
+    record = measure(target, tmp_path, policy="RR")
+    assert record["status"] == "invalid"
+    assert "asked for RR 95, in effect was OTHER 0" in record["reason"]
+    assert (record["requested"]["policy"], record["in_effect"]["policy"]) == ("RR", ["OTHER"])
+
+
+def test_numbers_that_do_not_add_up_make_the_run_invalid(target, tmp_path, wishes):
+    wishes.will("miscounted")
+    record = measure(target, tmp_path)
+    assert record["status"] == "invalid"
+    assert "11 asked for, but 10 measured + not fired + missing" in record["reason"]
+
+
+def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
+    (run,) = runs = plan(
+        Campaign(
+            schema=1,
+            name="test",
+            runs=[{"suite": "cyclictest", "policy": "RR", "priority": 80, "repetitions": 2000, "threads": 2}],
+        ),
+        "test",
+    )
+    execute.run_campaign(target, "test", runs, tmp_path / "results", Watching())
+    record = json.loads((tmp_path / "results" / run.name / "run.json").read_text())
+    assert (record["status"], record["reason"]) == ("ok", None)
+    assert "--interval=1000" in record["programs"][0]["argv"] and "--policy=rr" in record["programs"][0]["argv"]
+    assert "RR" in record["in_effect"]["policy"] and 80 in record["in_effect"]["priority"]
+    said = (tmp_path / "results" / run.name / "cyclictest.stdout").read_text()
+    assert "# Total: 000002000 000002000" in said
