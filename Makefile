@@ -2,7 +2,7 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test lint setup board suites clean
+.PHONY: demo test lint bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -10,6 +10,9 @@ demo: setup
 
 test: setup
 	$(BIN)/pytest
+
+bench: setup
+	$(BIN)/pytest -q -s tests/bench/overhead.py
 
 lint: setup
 	$(BIN)/ruff check .

@@ -189,15 +189,16 @@ def mismatch(
     for output, record in records.items():
         if not right(_threads(record)):
             return f"{output}: asked for {_told(asked)}, in effect was {_seen(_threads(record))}"
-    programs = dict.fromkeys(name for look in looks for name in look.threads)
-    for program in programs:
+    complete = all(record.complete for record in records.values())
+    for program in dict.fromkeys(name for look in looks for name in look.threads):
         of_it = [(look.uptime_s, look.threads[program]) for look in looks if program in look.threads]
-        first_s, was_right = of_it[0][0], False
+        first_s, rights = of_it[0][0], [uptime_s for uptime_s, threads in of_it if right(threads)]
+        # Once it has measured, a program gives its priority up: from then on it is not held to it.
+        held_s = first_s - APART_S + run.expected_s if complete else 0.0
         for uptime_s, threads in of_it:
-            if right(threads):
-                was_right = True
-            # Once it has measured, a program gives its priority up: from then on it is not held to it.
-            elif uptime_s < first_s - APART_S + run.expected_s and (was_right or uptime_s - first_s > STARTING_S):
+            begun = uptime_s - first_s > STARTING_S or any(right_s < uptime_s for right_s in rights[:1])
+            held = uptime_s < max([held_s, *rights[-1:]])
+            if begun and held and not right(threads):
                 after_s = uptime_s - first_s
                 return f"{program}: asked for {_told(asked)}, after {after_s:.0f} s in effect was {_seen(threads)}"
     seen = [look for look in looks if look.threads]

@@ -7,10 +7,13 @@ from pathlib import PurePosixPath
 
 from rtrun.errors import DeadlineExpired, TargetError
 from rtrun.link import Link
+from rtrun.ssh import in_turn
 
 # One wait lasts at most this long, so that a board that died is noticed while we wait.
 WAIT_S = 15.0
 POLL_S = 0.1
+# Loads that will not end by themselves are killed one after the other, two seconds each.
+END_BESIDE_S = 120.0
 
 _WAIT = 'flock -s "$1.lock" true; cat "$1.exit" 2>/dev/null; [ -e "$1.expired" ] && echo expired; exit 0'
 _END = """
@@ -29,6 +32,7 @@ for name in $running; do
 done
 exit 0
 """
+_MARK = "== ended"
 # Ended before one of the suite's programs did: newer than all of their exits is only what outlived the suite.
 _DIED = """
 cd "$1" || exit 1
@@ -40,6 +44,7 @@ for name; do
         [ "$name.exit" -nt "$program.exit" ] || { echo "$name $(cat "$name.exit" 2>/dev/null)"; break; }
     done
 done
+exit 0
 """
 
 
@@ -61,13 +66,17 @@ class Exit:
     expired: bool
 
 
-def start(link: Link, scripts: PurePosixPath, folder: PurePosixPath, program: Program, setup: str | None) -> None:
-    """Start a program in a folder of the target, unless it was started there already."""
-    env = ["env", *(f"{name}={value}" for name, value in program.environment)] if program.environment else []
-    supervise = str(scripts / "supervise.sh")
-    deadline = str(max(1, round(program.deadline_s)))
-    command = [supervise, str(folder), program.name, deadline, setup or "", *env, *program.argv]
-    link.do(lambda connection: connection.check(command))
+def start(
+    link: Link, scripts: PurePosixPath, folder: PurePosixPath, *programs: Program, setup: str | None = None
+) -> None:
+    """Start programs in a folder of the target, made if need be, in this order; one started there already is not."""
+    commands = [["mkdir", "-p", str(folder)]]
+    for program in programs:
+        env = ["env", *(f"{name}={value}" for name, value in program.environment)] if program.environment else []
+        deadline = str(max(1, round(program.deadline_s)))
+        supervise = str(scripts / "supervise.sh")
+        commands.append([supervise, str(folder), program.name, deadline, setup or "", *env, *program.argv])
+    link.do(lambda connection: connection.check(in_turn(commands)))
 
 
 def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> Exit:
@@ -93,14 +102,26 @@ def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> 
 
 def end(link: Link, folder: PurePosixPath, *names: str) -> None:
     """End programs of a folder and everything they started, as far as they still run."""
-    link.do(lambda connection: connection.run(["sh", "-c", _END, "sh", str(folder), *names]))
+    link.do(lambda connection: connection.run(_end(folder, names)))
 
 
-def died(link: Link, folder: PurePosixPath, programs: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Return those of `names` that ended before `programs`, which have ended, did: name to exit status, or empty."""
-    command = ["sh", "-c", _DIED, "sh", str(folder), " ".join(programs), *names]
-    said = link.do(lambda connection: connection.check(command))
-    return {name: status for name, _, status in (line.partition(" ") for line in said.splitlines())}
+def _end(folder: PurePosixPath, names: Sequence[str]) -> list[str]:
+    return ["sh", "-c", _END, "sh", str(folder), *names]
+
+
+def end_beside(
+    link: Link, folder: PurePosixPath, programs: Sequence[str], names: Sequence[str], then: Sequence[str]
+) -> tuple[dict[str, str], str]:
+    """End the programs `names` that ran beside `programs`, which have ended, and run the command `then`.
+
+    Returns those that had ended before the others did, name to exit status or empty, and what the command printed.
+    """
+    died = ["sh", "-c", _DIED, "sh", str(folder), " ".join(programs), *names]
+    commands = [died, ["echo", _MARK], _end(folder, names), then]
+    said, _, rest = link.do(lambda connection: connection.check(in_turn(commands), deadline_s=END_BESIDE_S)).partition(
+        f"{_MARK}\n"
+    )
+    return {name: status for name, _, status in (line.partition(" ") for line in said.splitlines())}, rest
 
 
 def tail(link: Link, path: PurePosixPath) -> str:

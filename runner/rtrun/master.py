@@ -103,7 +103,7 @@ def running(
             deadline_s=LIFE_S,
         )
         ours = True
-        launch.start(link, scripts, folder, program, equipment.setup)
+        launch.start(link, scripts, folder, program, setup=equipment.setup)
     try:
         if ours:
             _wait_ready(link, folder)

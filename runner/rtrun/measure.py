@@ -81,7 +81,7 @@ def _sampler(prepared: Prepared, run: Run, remote: PurePosixPath, beside: Sequen
     priority = str(run.parameters.get("priority") or 1)
     return launch.Program(
         name=SAMPLER,
-        argv=("nice", "-n", "19", script, str(remote), priority, " ".join(beside)),
+        argv=(script, str(remote), priority, " ".join(beside)),
         deadline_s=DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S + conditions.OUTLIVE_S,
     )
 
@@ -107,8 +107,9 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     start_time = now()
     before = probe.state(link, prepared.scripts / "state.sh")
     try:
-        _start_beside(prepared, remote, run, loads, sampler)
-        _start(prepared, remote, waiting, others)
+        if loads:
+            _load(prepared, remote, run, loads)
+        _start(prepared, remote, [sampler, *waiting], others)
         exits = [
             launch.wait(link, remote, program.name, deadline_s=program.deadline_s + 60.0)
             for program in (*others, *waiting)
@@ -119,9 +120,9 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     except (KeyboardInterrupt, InfrastructureError):
         _give_up(link, remote, [*names, *helpers])
         raise
-    died = launch.died(link, remote, names, helpers)
-    launch.end(link, remote, *helpers)
-    after = probe.state(link, prepared.scripts / "state.sh")
+    state = ["sh", str(prepared.scripts / "state.sh")]
+    died, said = launch.end_beside(link, remote, names, helpers, state)
+    after = probe.parse_state(said)
     with rundir.filling(folder) as partial:
         refused = collect.pull(link, remote, partial, limits)
         if prepared.kernel_config:
@@ -166,37 +167,33 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     return verdict.status, verdict.reason
 
 
-def _start_beside(
-    prepared: Prepared, remote: PurePosixPath, run: Run, loads: Sequence[launch.Program], sampler: launch.Program
-) -> None:
-    """Make the condition so, and begin to look. Raises TargetError when a load does not stay."""
+def _load(prepared: Prepared, remote: PurePosixPath, run: Run, loads: Sequence[launch.Program]) -> None:
+    """Make the condition so. Raises TargetError when a load does not stay."""
     link = prepared.link
-    link.do(lambda connection: connection.check(["mkdir", "-p", str(remote)]))
-    for load in loads:
-        launch.start(link, prepared.scripts, remote, load, prepared.equipment.setup)
-    if loads:
-        time.sleep(LOADED_S)
+    launch.start(link, prepared.scripts, remote, *loads, setup=prepared.equipment.setup)
+    time.sleep(LOADED_S)
     for load in loads:
         if launch.ended(link, remote, load.name):
             said = launch.tail(link, remote / f"{load.name}.stderr") or "it said nothing"
             raise TargetError(f"{link.target.address}: condition {run.condition}: {load.name} does not run: {said}")
-    launch.start(link, prepared.scripts, remote, sampler, None)
 
 
 def _start(
-    prepared: Prepared, remote: PurePosixPath, waiting: Sequence[launch.Program], others: Sequence[launch.Program]
+    prepared: Prepared, remote: PurePosixPath, first: Sequence[launch.Program], others: Sequence[launch.Program]
 ) -> None:
-    link = prepared.link
-    for program in waiting:
-        launch.start(link, prepared.scripts, remote, program, prepared.equipment.setup)
-    if waiting:
-        launch.until(
-            lambda: master.subscribers(link, TOPIC) >= len(waiting) or launch.ended(link, remote, waiting[0].name),
-            deadline_s=SUBSCRIBED_S,
-            what=f"{link.target.address}: {len(waiting)} subscribers to register with the ROS master",
-        )
-    for program in others:
-        launch.start(link, prepared.scripts, remote, program, prepared.equipment.setup)
+    """Start the sampler and the programs that wait for messages, `first`, and, when these do wait, the others."""
+    link, setup = prepared.link, prepared.equipment.setup
+    waiting = first[1:]
+    if not waiting:
+        launch.start(link, prepared.scripts, remote, *first, *others, setup=setup)
+        return
+    launch.start(link, prepared.scripts, remote, *first, setup=setup)
+    launch.until(
+        lambda: master.subscribers(link, TOPIC) >= len(waiting) or launch.ended(link, remote, waiting[0].name),
+        deadline_s=SUBSCRIBED_S,
+        what=f"{link.target.address}: {len(waiting)} subscribers to register with the ROS master",
+    )
+    launch.start(link, prepared.scripts, remote, *others, setup=setup)
 
 
 def _give_up(link: Link, remote: PurePosixPath, names: Sequence[str]) -> None:

@@ -11,7 +11,7 @@ import shlex
 import socket
 import stat
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO
@@ -208,6 +208,11 @@ class Connection:
         if reason == "Failure" or "size mismatch" in reason:
             reason = "not all of it fits, most often because the target's disk is full (df -h)"
         return TargetError(f"{self.address}: {what}: {reason}")
+
+
+def in_turn(commands: Iterable[Sequence[str]]) -> list[str]:
+    """One command that runs these one after the other, up to the first that fails: one round trip, not many."""
+    return ["sh", "-c", " && ".join(map(shlex.join, commands))]
 
 
 def _connect(address: Address, timeout_s: float) -> paramiko.Transport:

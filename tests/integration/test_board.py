@@ -88,6 +88,29 @@ def test_the_three_suites_on_the_board(tmp_path, monkeypatch, capsys):
         assert result["n"] + result["missing"] == 50
 
 
+CONDITIONS = """
+common: {repetitions: 60, frequency_hz: 10}
+runs:
+  - {suite: cyclic_timer_tests, policy: RR, cpu: "1", condition: [cpu80, nodes], nodes_hz: 20}
+"""
+
+
+def test_conditions_on_the_board_and_what_was_in_effect(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    campaign = write_campaign(tmp_path, CONDITIONS)
+    status = rtrun.cli.main(["run", str(campaign), "--target", str(TOP / "targets" / "qemu.yml")])
+    assert status == 0, capsys.readouterr().out
+    _, runs = read_campaign(campaign)
+    for run in runs:
+        record = json.loads((tmp_path / "results" / "test" / run.name / "run.json").read_text())
+        found = record["in_effect"]
+        assert (found["policy"], found["priority"], found["cpus"]) == (["RR"], [95], [1])
+        assert found["looks"] >= 2 and found["sched_rt_runtime_us"] == [950000]
+        assert "rosmaster" in {rival["name"] for rival in found["rivals"]}, "at the priority above the suite's"
+        assert found["loads"].keys() == record["requested"]["loads"].keys()
+        assert found["loads"].keys() == ({"stress"} if run.condition == "cpu80" else {"listener0", "talker0"})
+
+
 class Observer:
     """Remembers, and does something when a run begins."""
 

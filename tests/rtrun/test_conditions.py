@@ -1,5 +1,6 @@
 """Conditions on a target behind a real sshd, with real loads; the suite is one that goes wrong on request."""
 
+import gzip
 import json
 import os
 import signal
@@ -202,3 +203,11 @@ def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
     assert "RR" in record["in_effect"]["policy"] and 80 in record["in_effect"]["priority"]
     said = (tmp_path / "results" / run.name / "cyclictest.stdout").read_text()
     assert "# Total: 000002000 000002000" in said
+
+
+def test_hwlatdetect_where_the_kernel_has_no_such_tracer(target, tmp_path, monkeypatch):
+    monkeypatch.setattr(prepare.probe, "kernel_config", lambda _: gzip.compress(b"CONFIG_FTRACE=y\n"))
+    (run,) = runs = plan(Campaign(schema=1, name="test", runs=[{"suite": "hwlatdetect", "duration_s": 3}]), "test")
+    assert run.expected_s == 3
+    with pytest.raises(TargetError, match="the target lacks CONFIG_HWLAT_TRACER in its kernel"):
+        execute.run_campaign(target, "test", runs, tmp_path / "results", Watching())

@@ -3,11 +3,13 @@
 from pathlib import PurePosixPath
 
 import pytest
+from written import write_cyclic
 
 from rtfiles.errors import UsageError
 from rtrun import conditions
 from rtrun.campaign import Campaign, plan
 from rtrun.in_effect import mismatch, observed, read_looks, requested
+from rtrun.samples import Record, read_json
 
 STAT = "cpu {busy} 0 0 {idle} 0 0 0 0 0 0"
 
@@ -69,6 +71,16 @@ def test_a_program_gives_its_priority_up_when_it_has_measured():
     run = run_of(repetitions=30)
     assert wrong(run, look(100, thread()), look(103, thread(0, 0))) is None
     assert wrong(run, look(100, thread()), look(100.5, thread(0, 0))) is not None
+
+
+def test_a_run_that_stopped_early_gave_its_priority_up_early(tmp_path):
+    record = read_json(write_cyclic(tmp_path), Record).model_copy(update={"complete": False})
+    looks = [look(100, thread()), look(102), look(104, thread(0, 0))]
+    run = run_of()
+    assert wrong(run, *looks) is not None
+    assert mismatch(run, beside(run), read_looks("".join(looks)), {"x": record}) is None
+    looks.append(look(106, thread()))
+    assert mismatch(run, beside(run), read_looks("".join(looks)), {"x": record}) is not None, "it came back"
 
 
 def test_a_run_without_policy_must_not_have_one():

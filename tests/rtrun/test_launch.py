@@ -34,7 +34,7 @@ def sh(text, **more):
 
 
 def start_and_wait(link, scripts, folder, program):
-    launch.start(link, scripts, PurePosixPath(folder), program, None)
+    launch.start(link, scripts, PurePosixPath(folder), program)
     return launch.wait(link, PurePosixPath(folder), program.name, deadline_s=60)
 
 
@@ -48,7 +48,7 @@ def test_status_streams_and_environment(link, scripts, folder):
 
 def test_setup_file_is_read_first(link, scripts, folder):
     (folder / "setup.sh").write_text("export GREETING=$NOT_SET_ANYWHERE-hello\n")
-    launch.start(link, scripts, PurePosixPath(folder), sh("echo $GREETING"), str(folder / "setup.sh"))
+    launch.start(link, scripts, PurePosixPath(folder), sh("echo $GREETING"), setup=str(folder / "setup.sh"))
     launch.wait(link, PurePosixPath(folder), "p", deadline_s=60)
     assert (folder / "p.stdout").read_text() == "-hello\n"
 
@@ -61,16 +61,16 @@ def test_it_is_in_a_session_of_its_own(link, scripts, folder):
 
 def test_starting_again_starts_nothing(link, scripts, folder):
     program = sh(f"echo once >>{folder}/count; sleep 0.3")
-    launch.start(link, scripts, PurePosixPath(folder), program, None)
-    launch.start(link, scripts, PurePosixPath(folder), program, None)
+    launch.start(link, scripts, PurePosixPath(folder), program)
+    launch.start(link, scripts, PurePosixPath(folder), program)
     launch.wait(link, PurePosixPath(folder), "p", deadline_s=60)
-    launch.start(link, scripts, PurePosixPath(folder), program, None)
+    launch.start(link, scripts, PurePosixPath(folder), program)
     assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=60).status == 0
     assert (folder / "count").read_text() == "once\n"
 
 
 def test_it_survives_a_lost_link_and_is_found_again(link, scripts, folder, remarks):
-    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 1.5; exit 5"), None)
+    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 1.5; exit 5"))
     cut = threading.Timer(0.4, lambda: link._connection._transport.sock.shutdown(socket.SHUT_RDWR))
     cut.start()
     assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=60).status == 5
@@ -86,7 +86,7 @@ def test_the_target_ends_what_takes_too_long(link, scripts, folder):
 
 
 def test_waiting_has_a_deadline_of_its_own(link, scripts, folder):
-    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 300"), None)
+    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
     with pytest.raises(DeadlineExpired):
         launch.wait(link, PurePosixPath(folder), "p", deadline_s=0.5)
     launch.end(link, PurePosixPath(folder), "p")
@@ -95,7 +95,7 @@ def test_waiting_has_a_deadline_of_its_own(link, scripts, folder):
 
 def test_end_takes_the_whole_group_even_the_stubborn(link, scripts, folder):
     text = f"trap '' TERM; (trap '' TERM; echo $$ >{folder}/child; sleep 300; sleep 300) & wait; sleep 300"
-    launch.start(link, scripts, PurePosixPath(folder), sh(text), None)
+    launch.start(link, scripts, PurePosixPath(folder), sh(text))
     while not (folder / "child").exists():
         time.sleep(0.02)
     launch.end(link, PurePosixPath(folder), "p")
@@ -111,14 +111,14 @@ def test_end_takes_the_whole_group_even_the_stubborn(link, scripts, folder):
 
 
 def test_end_leaves_a_pid_of_another_boot_alone(link, scripts, folder):
-    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 1; exit 4"), None)
+    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 1; exit 4"))
     (folder / "p.boot_id").write_text("00000000-0000-0000-0000-000000000000\n")
     launch.end(link, PurePosixPath(folder), "p")
     assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=20).status == 4
 
 
 def test_killed_supervisor_leaves_no_status(link, scripts, folder):
-    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 300"), None)
+    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
     deadline = time.monotonic() + 20
     while not (folder / "p.pid").exists() or not (folder / "p.pid").read_text().strip():
         assert time.monotonic() < deadline
@@ -126,6 +126,7 @@ def test_killed_supervisor_leaves_no_status(link, scripts, folder):
     assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=20) == launch.Exit(status=None, expired=False)
 
 
-def test_a_folder_that_is_not_there(link, scripts, tmp_path):
-    with pytest.raises(TargetError, match="failed with exit status 1"):
-        launch.start(link, scripts, PurePosixPath(tmp_path / "nowhere"), sh("true"), None)
+def test_a_folder_that_cannot_be(link, scripts, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(TargetError, match=r"failed with exit status 1: .*Not a directory"):
+        launch.start(link, scripts, PurePosixPath(tmp_path / "file" / "folder"), sh("true"))

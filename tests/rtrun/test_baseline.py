@@ -1,0 +1,47 @@
+"""What cyclictest and hwlatdetect print, taken at its word only as far as it adds up."""
+
+import re
+
+import pytest
+
+from rtrun.baseline import contradiction
+from rtrun.campaign import Campaign, plan
+
+SAID = """# /dev/cpu_dma_latency set to 0us
+# Histogram
+000014 000001\t000000
+000015 000008\t000010
+# Total: 000000009 000000010
+# Min Latencies: 00014 00015
+# Avg Latencies: 00015 00015
+# Max Latencies: 00062 00015
+# Histogram Overflows: 00001 00000
+"""
+
+
+def run_of(suite, **values):
+    return plan(Campaign(schema=1, name="test", runs=[{"suite": suite, **values}]), "test")[0]
+
+
+def test_every_thread_measured_as_often_as_asked():
+    assert contradiction(run_of("cyclictest", repetitions=10, threads=2), SAID) is None
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ("", "no histogram"),
+        (SAID.replace("Overflows: 00001", "Overflows: 00000"), r"asked for 10 measurements each, they made \[9, 10\]"),
+        (SAID.replace("000008\t", "000007\t"), r"the bins add up to \[8, 10\], the totals say \[9, 10\]"),
+        (SAID.replace(" 000000010", ""), "2 threads were asked for"),
+    ],
+)
+def test_what_does_not_add_up(said, message):
+    found = contradiction(run_of("cyclictest", repetitions=10, threads=2), said)
+    assert found is not None
+    assert re.search(message, found)
+
+
+def test_hwlatdetect_must_have_a_result():
+    assert contradiction(run_of("hwlatdetect"), "Max Latency: Below threshold\n") is None
+    assert contradiction(run_of("hwlatdetect"), "hwlatdetect:  test duration 3 seconds\n") is not None
