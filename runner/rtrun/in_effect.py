@@ -4,7 +4,7 @@ A look is what sample.sh found at one moment. All of it comes from the target: w
 UsageError.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -136,14 +136,14 @@ def _list(cpus: suites.Value) -> list[int] | None:
     return sorted(cpu_set(str(cpus))) if cpus else None
 
 
-def observed(looks: Sequence[Look], records: Iterable[Record]) -> dict[str, Any]:
-    """What was in effect while the suite ran: every value that was seen, of loads the fewest processes.
+def observed(run: Run, looks: Sequence[Look], records: Mapping[str, Record]) -> dict[str, Any]:
+    """What was in effect while the suite measured: every value that was seen, of loads the fewest processes.
 
-    `records` are the suite's own word on its threads.
+    `records`, by output, are the suite's own word on its threads.
     """
     seen = [look for look in looks if look.threads]
-    states = [state for look in seen for threads in look.threads.values() for state in threads]
-    states += [state for record in records for state in _threads(record)]
+    states = [state for _, _, threads in _measuring(run, looks, records) for state in threads]
+    states += [state for record in records.values() for state in _threads(record)]
     names = sorted({name for look in seen for name in look.loads})
     rivals = sorted({rival for look in seen for rival in look.rivals}, key=lambda rival: (-rival[2], rival[0]))
     return {
@@ -185,22 +185,13 @@ def mismatch(
 ) -> str | None:
     """Say what was not in effect as asked for, the first thing found, or None. `records` by output."""
     asked = requested(run, beside)
-    right = _judge_of(run, asked)
+    right = _judge_of(run)
     for output, record in records.items():
         if not right(_threads(record)):
             return f"{output}: asked for {_told(asked)}, in effect was {_seen(_threads(record))}"
-    complete = all(record.complete for record in records.values())
-    for program in dict.fromkeys(name for look in looks for name in look.threads):
-        of_it = [(look.uptime_s, look.threads[program]) for look in looks if program in look.threads]
-        first_s, rights = of_it[0][0], [uptime_s for uptime_s, threads in of_it if right(threads)]
-        # Once it has measured, a program gives its priority up: from then on it is not held to it.
-        held_s = first_s - APART_S + run.expected_s if complete else 0.0
-        for uptime_s, threads in of_it:
-            begun = uptime_s - first_s > STARTING_S or any(right_s < uptime_s for right_s in rights[:1])
-            held = uptime_s < max([held_s, *rights[-1:]])
-            if begun and held and not right(threads):
-                after_s = uptime_s - first_s
-                return f"{program}: asked for {_told(asked)}, after {after_s:.0f} s in effect was {_seen(threads)}"
+    for program, after_s, threads in _measuring(run, looks, records):
+        if not right(threads):
+            return f"{program}: asked for {_told(asked)}, after {after_s:.0f} s in effect was {_seen(threads)}"
     seen = [look for look in looks if look.threads]
     for name, processes in asked["loads"].items():
         for look in seen:
@@ -217,8 +208,29 @@ def mismatch(
     return None
 
 
-def _judge_of(run: Run, asked: Mapping[str, Any]) -> Callable[[Iterable[State]], bool]:
+def _measuring(
+    run: Run, looks: Sequence[Look], records: Mapping[str, Record]
+) -> Iterator[tuple[str, float, tuple[State, ...]]]:
+    """Yield the threads of each program at each look that counts, and the time since its first, in seconds.
+
+    A program that starts has no priority yet, and once it has measured, or stopped early, it gives it up: such looks
+    before it first was as asked for, and after it last was, do not count, unless there is no such excuse for them.
+    """
+    right = _judge_of(run)
+    complete = all(record.complete for record in records.values())
+    for program in dict.fromkeys(name for look in looks for name in look.threads):
+        of_it = [(look.uptime_s, look.threads[program]) for look in looks if program in look.threads]
+        first_s, rights = of_it[0][0], [uptime_s for uptime_s, threads in of_it if right(threads)]
+        begun_s = min([first_s + STARTING_S, *rights])
+        given_up_s = max([first_s - APART_S + run.expected_s if complete else 0.0, *rights])
+        for uptime_s, threads in of_it:
+            if begun_s <= uptime_s <= given_up_s:
+                yield program, uptime_s - first_s, threads
+
+
+def _judge_of(run: Run) -> Callable[[Iterable[State]], bool]:
     """Return whether threads are as asked for: all of them, or as many as the run's scope is about."""
+    asked = requested(run, [])
 
     def fits(state: State) -> bool:
         policy, priority, cpus = state

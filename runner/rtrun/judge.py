@@ -60,7 +60,7 @@ def judge(
             wrong = f"condition {run.condition}: {name} ended in the middle of the run, {how}"
         if wrong is not None:
             status, reason = "invalid", wrong
-    return Verdict(status=status, reason=reason, in_effect=in_effect.observed(looks, records.values()))
+    return Verdict(status=status, reason=reason, in_effect=in_effect.observed(run, looks, records))
 
 
 def _of_programs(
