@@ -44,6 +44,7 @@ def sshd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sshd]:
     if os.geteuid() == 0:
         Path("/run/sshd").mkdir(exist_ok=True)
     port = free_port()
+    # SHLVL: bash takes itself for no login, and does not read this user's .bashrc at every command.
     (folder / "config").write_text(
         f"""Port {port}
 ListenAddress 127.0.0.1
@@ -55,6 +56,7 @@ UsePAM no
 PasswordAuthentication no
 PermitRootLogin prohibit-password
 MaxStartups 100
+SetEnv SHLVL=1
 Subsystem sftp internal-sftp
 """
     )

@@ -86,8 +86,8 @@ def test_overhead(sshd, ros_master, tmp_path, monkeypatch):
     print(
         f"\nthe runner adds {overhead_s:.2f} s a run (limit {LIMIT_S} s; "
         f"{statistics.median(with_runner_s):.2f} s with it, {statistics.median(by_hand_s):.2f} s by hand, "
-        f"medians of {RUNS}; {clock.commands / len(runs):.1f} commands a run; load {os.getloadavg()[0]:.1f} "
-        f"on {os.cpu_count()} CPUs)"
+        f"medians of {RUNS}; {clock.commands / len(runs):.1f} commands a run; "
+        f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} CPUs)"
     )
     around_s = statistics.median(with_runner_s) - measuring_s
     print(
