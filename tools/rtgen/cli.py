@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from rtfiles.command import dispatch
+from rtgen.commands import kconfig, kernel
 
-COMMANDS: tuple[ModuleType, ...] = ()
+COMMANDS: tuple[ModuleType, ...] = (kconfig, kernel)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
