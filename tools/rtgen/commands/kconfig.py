@@ -95,7 +95,7 @@ def _verify(args: argparse.Namespace) -> int:
         rendered = parse_fragment(render(data, name, tree.kernel), "rendered")
         for base in machine.bases:
             fragment, origin = (rendered, None) if given is None else (given, str(args.fragment))
-            failed |= _report(verify_tree(data, tree, name, base, fragment, origin))
+            failed |= report(verify_tree(data, tree, name, base, fragment, origin))
     return int(failed)
 
 
@@ -106,10 +106,10 @@ def _verify_config(args: argparse.Namespace, data: "Data") -> int:
     if not args.machine or args.fragment:
         raise UsageError("kconfig verify: --config FILE takes --machine, and no --fragment")
     data.machine(args.machine)
-    return int(_report(verify_config(data, args.machine, read_text(args.config), str(args.config))))
+    return int(report(verify_config(data, args.machine, read_text(args.config), str(args.config))))
 
 
-def _report(verdict: "Verdict") -> bool:
+def report(verdict: "Verdict") -> bool:
     """Print a verdict; whether it is a failure."""
     count = len(verdict.mismatches)
     if not count:

@@ -46,7 +46,7 @@ class Concern(config.Config):
 
     schema_: Literal[1] = Field(alias="schema")
     summary: str
-    options: tuple[Option, ...]
+    options: list[Option]
 
 
 class Kernel(config.Config):
@@ -58,11 +58,12 @@ class Kernel(config.Config):
 
 
 class Machine(config.Config):
-    """What a fragment is made of, and the configs that it must take effect on."""
+    """What a fragment is made of, the configs it must take effect on, and other boards that run the same kernel."""
 
     summary: str
-    bases: tuple[str, ...] = Field(min_length=1)
-    concerns: tuple[str, ...] = Field(min_length=1)
+    bases: list[str] = Field(min_length=1)
+    concerns: list[str] = Field(min_length=1)
+    boards: list[str] = Field(default=[])
 
 
 class SourceFile(config.Config):
@@ -122,6 +123,14 @@ class Data:
         if name not in self.machines:
             raise UsageError(f"machine {name} is unknown, known: {', '.join(self.machines)}")
         return self.machines[name]
+
+    def fragment_of(self, board: str) -> str:
+        """The machine whose fragment a board runs: itself, or the one that lists it. Raises UsageError."""
+        names = [name for name, machine in self.machines.items() if board in (name, *machine.boards)]
+        if not names:
+            boards = [board for name, machine in self.machines.items() for board in (name, *machine.boards)]
+            raise UsageError(f"machine {board} is unknown, known: {', '.join(boards)}")
+        return names[0]
 
     def options(self, machine: str, kernel: str) -> dict[str, tuple[Option, ...]]:
         """The options of a machine that hold for a kernel, by concern, in the order of the files."""

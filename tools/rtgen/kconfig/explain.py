@@ -86,7 +86,7 @@ def reason(symbol: Any, value: str) -> str | None:
         return _reason_on(symbol)
     if value == "m" and symbol.orig_type == kconfiglib.BOOL:
         return "cannot be a module"
-    unmet = _false_terms(symbol.direct_dep)
+    unmet = _terms_below(symbol.direct_dep, rank[value])
     if unmet:
         return "unmet dependency " + ", ".join(unmet)
     if symbol.choice is not None and symbol.choice.selection not in (None, symbol):
@@ -95,17 +95,17 @@ def reason(symbol: Any, value: str) -> str | None:
     prompts = [node.prompt[1] for node in symbol.nodes if node.prompt]
     if not prompts:
         return f"has no prompt, only another option can turn it on{_who_selects(symbol)}"
-    hidden = [term for condition in prompts for term in _false_terms(condition)]
+    hidden = [term for condition in prompts for term in _terms_below(condition, rank[value])]
     if hidden:
         return "its prompt is hidden, unmet dependency " + ", ".join(dict.fromkeys(hidden))
-    return f"is not asked for, and its default is n{_who_selects(symbol)}"
+    return f"is not asked for, and its default is {symbol.str_value}{_who_selects(symbol)}"
 
 
 def _reason_number(symbol: Any, value: str) -> str:
     for low, high, condition in symbol.ranges:
         if kconfiglib.expr_value(condition):
             return f"{value} is out of its range {low.str_value} to {high.str_value}"
-    unmet = _false_terms(symbol.direct_dep)
+    unmet = _terms_below(symbol.direct_dep, 1)
     return "unmet dependency " + ", ".join(unmet) if unmet else "is not asked for, this is its default"
 
 
@@ -138,9 +138,10 @@ def _terms(expression: Any, operator: int) -> list[Any]:
     return [expression]
 
 
-def _false_terms(expression: Any) -> list[str]:
+def _terms_below(expression: Any, rank: int) -> list[str]:
+    """The operands of a conjunction that are less than this (0: n, 1: m, 2: y)."""
     terms = _terms(expression, kconfiglib.AND)
-    return [_show(term) for term in terms if kconfiglib.expr_value(term) == 0]
+    return [_show(term) for term in terms if kconfiglib.expr_value(term) < rank]
 
 
 def _show(expression: Any) -> str:
