@@ -60,6 +60,10 @@ class Suite(Config):
     logs: Strings
     columns: Strings
     packages: Packages
+    repeated: str | None = None
+    """The program that runs once per subscriber; none: there are no subscribers."""
+    launch: dict[str, Value] = Field(default_factory=dict)
+    """Parameters that are not the program's default unless a campaign says otherwise."""
 
     @property
     def parameters(self) -> tuple[str, ...]:
