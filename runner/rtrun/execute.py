@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtrun import collect, deploy, journal, launch, master, probe, rundir, suites
+from rtrun import clock, collect, deploy, journal, launch, master, probe, rundir, suites
 from rtrun.campaign import Run
 from rtrun.errors import TargetError
 from rtrun.link import Link, TargetRebooted
@@ -231,6 +231,7 @@ def _run(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path, no
                 "cpus": prepared.equipment.cpus,
                 **{key: before.get(key) for key in ("kernel_release", "kernel_version", "machine", "boot_id")},
                 **{key: before.get(key) for key in ("clocksource", "governor", "roscpp_version")},
+                "clock": clock.record(before, _clock_steps(partial, outputs)),
             },
         }
         rundir.close(partial, folder, record)
@@ -307,6 +308,15 @@ def judge(
         if complete is not True:
             return "incomplete", f"{output}: {why or 'ended before all was measured'}"
     return "ok", None
+
+
+def _clock_steps(folder: Path, outputs: Sequence[str]) -> list[int]:
+    """The clock steps that the programs saw, in ns; a program of 2014 tells none."""
+    steps = []
+    for output in outputs:
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            steps.append(int(json.loads((folder / f"{output}.json").read_text())["in_effect"]["clock_step_ns"]))
+    return steps
 
 
 def finished(results: Path, runs: Sequence[Run]) -> int:
