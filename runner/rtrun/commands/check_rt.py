@@ -51,7 +51,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         kernel = " ".join([*facts.get("kernel", []), *facts.get("kernel_version", [])])
         head = {"schema": 1, "target": target.name, "emulated": target.emulated, "kernel": kernel, "ready": ready}
-        print(json.dumps({**head, "checks": [_as_json(each) for each in findings]}, indent=2))
+        clock = {name: facts.get(name, []) for name in ("clocksource", "clockevent")}
+        print(json.dumps({**head, **clock, "checks": [_as_json(each) for each in findings]}, indent=2))
     else:
         _print(f"{target.name} ({target.address})", target.emulated, findings)
     return 0 if ready else 1

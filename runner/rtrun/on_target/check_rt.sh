@@ -67,7 +67,11 @@ section rt_runtime;      show /proc/sys/kernel/sched_rt_runtime_us
 section rt_groups
 for file in /sys/fs/cgroup/cpu.rt_runtime_us /sys/fs/cgroup/cpu*/cpu.rt_runtime_us; do [ -e "$file" ] && echo "$file"; done
 section timer_migration; show /proc/sys/kernel/timer_migration
-section turbo_mode;      show /sys/module/smsc95xx/parameters/turbo_mode
+section turbo_mode
+# The driver may be there and have nothing to drive.
+for device in /sys/bus/usb/drivers/smsc95xx/[0-9]*; do
+    [ -e "$device" ] && { show /sys/module/smsc95xx/parameters/turbo_mode; break; }
+done
 section isolated
 isolated=
 [ -r $cpus/isolated ] && { read -r isolated <$cpus/isolated; echo "${isolated:-none}"; }
