@@ -64,7 +64,7 @@ def test_options_that_do_not_hold_are_not_built(data):
     wrong = Mismatch(symbol="PREEMPT_RT", want="y", got="n", reason="unmet dependency EXPERT (is n)")
     verdict = Verdict(subject="qemu-armv7", checked=1, mismatches=(wrong,), config="")
     with pytest.raises(UsageError, match="qemu-armv7: options do not hold: PREEMPT_RT"):
-        kernel.build(data, verdict)
+        kernel.build(data, "qemu-armv7", verdict)
 
 
 def test_unknown_machine(capsys):

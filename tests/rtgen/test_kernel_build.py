@@ -30,13 +30,18 @@ runs:
 @pytest.fixture(scope="module")
 def built():
     data = kconfig.load()
-    return kernel.build(data, kernel.plan(data, "qemu-armv7"))
+    return kernel.build(data, "qemu-armv7", kernel.plan(data, "qemu-armv7"))
 
 
 def test_what_is_built(built):
     record = json.loads((built / "kernel.json").read_text())
     assert re.fullmatch(r"6\.1\.\d+-rt\d+-rtgen", record["release"])
-    assert sorted(path.name for path in (built / "dtbs").iterdir()) == sorted(kernel.DTBS)
+    assert sorted(path.name for path in (built / "dtbs").iterdir()) == [
+        "omap4-panda-es-rt.dtb",
+        "omap4-panda-es.dtb",
+        "vexpress-v2p-ca9.dtb",
+    ]
+    assert sorted(record["dtbs"]) == sorted(path.name for path in (built / "dtbs").iterdir())
     # The magic number of a zImage (Documentation/arm/booting.rst) stands at byte 36.
     assert (built / "vmlinuz").read_bytes()[36:40] == (0x016F2818).to_bytes(4, "little")
     assert (built / "modules" / record["release"] / "modules.dep").is_file()
@@ -59,7 +64,7 @@ def test_the_panda_gets_a_fine_clock(built):
 def test_a_second_build_builds_nothing(built, monkeypatch):
     monkeypatch.setattr(kernel.debian, "unpack", lambda *_, **__: pytest.fail("it builds again"))
     data = kconfig.load()
-    assert kernel.build(data, kernel.plan(data, "qemu-armv7")) == built
+    assert kernel.build(data, "qemu-armv7", kernel.plan(data, "qemu-armv7")) == built
 
 
 def test_an_interrupted_build_leaves_nothing(built, tmp_path):

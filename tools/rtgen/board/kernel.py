@@ -67,7 +67,8 @@ def built_kernel(board: str) -> Kernel:
     from rtgen.kconfig import data as kconfig
 
     data = kconfig.load()
-    folder = kernel.build(data, kernel.plan(data, data.fragment_of(board)))
+    machine = data.fragment_of(board)
+    folder = kernel.build(data, machine, kernel.plan(data, machine))
     release = json.loads((folder / "kernel.json").read_text(encoding="utf-8"))["release"]
     return Kernel(
         release=release,

@@ -64,6 +64,7 @@ class Machine(config.Config):
     bases: list[str] = Field(min_length=1)
     concerns: list[str] = Field(min_length=1)
     boards: list[str] = Field(default=[])
+    dtbs: list[str]
 
 
 class SourceFile(config.Config):
