@@ -1,6 +1,8 @@
 """The clock a run was measured with: what it is called, what wakes timers, and its step."""
 
+import json
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 # Steps of clocksources that are far coarser than what is measured, in ns, rounded up. A finer one tells its step only
@@ -23,3 +25,15 @@ def record(state: Mapping[str, Any], seen_ns: Iterable[int]) -> dict[str, Any]:
     if isinstance(source, str) and source in _COARSE_NS:
         steps.append(_COARSE_NS[source])
     return {"source": source, "event": state.get("clockevent"), "step_ns": max(steps, default=None)}
+
+
+def steps_seen(folder: Path, outputs: Iterable[str]) -> list[int]:
+    """The clock steps that programs wrote down in ``<output>.json``, in ns; a program of 2014 writes none."""
+    steps = []
+    for output in outputs:
+        try:
+            described = json.loads((folder / f"{output}.json").read_text(encoding="utf-8"))
+            steps.append(int(described["in_effect"]["clock_step_ns"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+    return steps

@@ -20,3 +20,10 @@ def test_the_32_khz_counter_is_coarse_even_where_no_program_tells():
 
 def test_a_target_that_tells_nothing():
     assert clock.record({"clocksource": None}, []) == {"source": None, "event": None, "step_ns": None}
+
+
+def test_steps_come_from_what_the_programs_wrote(tmp_path):
+    (tmp_path / "a.json").write_text('{"in_effect": {"clock_step_ns": 16}}')
+    (tmp_path / "b.json").write_text('{"in_effect": {}}')
+    (tmp_path / "c.json").write_text("cut o")
+    assert clock.steps_seen(tmp_path, ["a", "b", "c", "none"]) == [16]
