@@ -32,11 +32,9 @@ def explain(tree: Tree, config: str, wanted: Mapping[str, str]) -> dict[str, str
         return {}
     with tempfile.TemporaryDirectory(prefix="rtgen-explain-") as work:
         Path(work, ".config").write_text(config, encoding="utf-8")
-        # A build that is older than this file, or a path hook of pytest, must not decide what is imported.
-        paths = {"PYTHONPATH": ":".join(path for path in sys.path if path)}
         done = subprocess.run(
             [sys.executable, "-m", __name__, json.dumps(dict(wanted))],
-            cwd=work, env=environment(tree) | paths, capture_output=True, text=True, timeout=120, check=False,
+            cwd=work, env=environment(tree), capture_output=True, text=True, timeout=120, check=False,
         )  # fmt: skip
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
