@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from rtfiles.command import dispatch
+from rtrun.commands import plan, probe, run, show
 
-COMMANDS: tuple[ModuleType, ...] = ()
+COMMANDS: tuple[ModuleType, ...] = (plan, run, probe, show)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from rtfiles.command import dispatch
+from rtgen.commands import board
 
-COMMANDS: tuple[ModuleType, ...] = ()
+COMMANDS: tuple[ModuleType, ...] = (board,)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,0 +1,51 @@
+"""Pulling a run's files back. Names, sizes and contents come from the target and are believed only after a check."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+
+from rtrun import suites
+from rtrun.errors import TargetError
+from rtrun.link import Link
+from rtrun.ssh import Connection
+
+MIB = 1024 * 1024
+STREAM_LIMIT_BYTES = 16 * MIB
+JSON_LIMIT_BYTES = 16 * MIB
+LOG_LIMIT_BYTES = 64 * MIB
+NPY_HEADER_BYTES = 64 * 1024
+
+
+def expected_files(suite: str, programs: Sequence[str], outputs: Sequence[str], rows: int) -> dict[str, int]:
+    """Return the files that a run may write, name to the largest size that is believable, in bytes."""
+    limits = dict.fromkeys((f"{name}.{kind}" for name in programs for kind in ("stdout", "stderr")), STREAM_LIMIT_BYTES)
+    for output in outputs:
+        logs = [f"{output}-{log}.log" for log in suites.suite(suite).logs] or [f"{output}.log"]
+        limits |= dict.fromkeys(logs, LOG_LIMIT_BYTES)
+        # Duplicated messages may come on top of the rows asked for.
+        limits[f"{output}.npy"] = 2 * rows * 8 * len(suites.suite(suite).columns) + NPY_HEADER_BYTES
+        limits[f"{output}.json"] = JSON_LIMIT_BYTES
+    return limits
+
+
+def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[str, int]) -> list[str]:
+    """Copy the files of a run that are there and expected, and return their names.
+
+    Raises TargetError when a file is larger than believable or arrives with another SHA-256 than it has there.
+    """
+    present = link.do(lambda connection: connection.listing(source))
+    wanted = {name: limits[name] for name in present if name in limits}
+    if wanted:
+        link.do(lambda connection: _copy(connection, source, destination, wanted))
+    return sorted(wanted)
+
+
+def _copy(connection: Connection, source: PurePosixPath, destination: Path, wanted: Mapping[str, int]) -> None:
+    names = sorted(wanted)
+    command = ["sh", "-c", 'cd "$1" && shift && sha256sum -- "$@"', "sh", str(source), *names]
+    lines = connection.check(command, deadline_s=120.0).splitlines()
+    said = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    for name in names:
+        with (destination / name).open("wb") as stream:
+            digest = connection.download(source / name, stream, limit_bytes=wanted[name])
+        if said.get(name) != digest:
+            raise TargetError(f"{connection.address}: {source / name} arrived damaged: its SHA-256 differs")

@@ -1,0 +1,24 @@
+"""``rtrun plan``: every run of a campaign and how long it takes, without a target."""
+
+import argparse
+from pathlib import Path
+
+NAME = "plan"
+HELP = "print every run of a campaign and how long it takes, without a target"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what `plan` takes."""
+    parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.yml")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the plan."""
+    from rtrun.campaign import read_campaign
+
+    _, runs = read_campaign(args.campaign)
+    for each in runs:
+        print(f"{each.name}  {each.expected_s:.1f} s")
+    total_s = sum(each.expected_s for each in runs)
+    print(f"{len(runs)} runs, {total_s:.0f} s of measuring ({total_s / 3600:.1f} h)")
+    return 0

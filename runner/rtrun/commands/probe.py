@@ -1,0 +1,61 @@
+"""``rtrun probe``: what a target is, without measuring anything."""
+
+import argparse
+from pathlib import Path
+
+NAME = "probe"
+HELP = "say what a target is and whether it is ready for a campaign"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what `probe` takes."""
+    parser.add_argument("--target", type=Path, required=True, metavar="TARGET.yml")
+    parser.add_argument("--json", action="store_true", help="everything that was found, as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what was found. 0: ready, 3: the target cannot be reached or lacks something."""
+    import json
+    import sys
+    import tempfile
+    from dataclasses import asdict
+
+    from rtrun import deploy, master, probe
+    from rtrun.link import Link
+    from rtrun.target import read_target, switch_on
+
+    config = read_target(args.target)
+
+    def note(text: str) -> None:
+        print(f"rtrun: {text}", file=sys.stderr)
+
+    with (
+        tempfile.TemporaryDirectory(prefix="rtrun-probe-") as work,
+        switch_on(config, args.target.parent, Path(work) / "console.log") as target,
+        Link(target, note) as link,
+    ):
+        found = probe.find(link, (deploy.ON_TARGET / "find.sh").read_text(encoding="utf-8"))
+        state = probe.state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
+        answers = master.answers(link)
+    if args.json:
+        print(json.dumps({"equipment": asdict(found), "ros_master_answers": answers, "state": state}, indent=2))
+        return 0
+    suites = target.suites or ", ".join(sorted(found.programs)) or "none installed"
+    banner = ", EMULATED: not a real-time statement" if target.emulated else ""
+    lines = {
+        "target": f"{target.name} ({target.address}){banner}",
+        "kernel": f"{state['kernel_release']} {state['kernel_version']}",
+        "PREEMPT_RT": "yes" if probe.is_preempt_rt(state) else "no",
+        "CPUs": f"{found.cpus} x {state['machine']}",
+        "clocksource": state["clocksource"] or "unknown",
+        "governor": state["governor"] or "none",
+        "real-time threads": f"{len(state['rt_threads'])} of {state['threads']}",
+        "free on disk": f"{found.free_bytes // 2**20} MiB in {target.work_dir}",
+        "ROS": f"roscpp {state['roscpp_version']}" if found.master else "not found",
+        "ROS master": "answers" if answers else "does not answer, a campaign starts one",
+        "suites": suites,
+    }
+    width = max(map(len, lines))
+    for name, value in lines.items():
+        print(f"{name:{width}}  {value}")
+    return 0

@@ -1,0 +1,73 @@
+"""``rtrun run``: measure a campaign on a target."""
+
+import argparse
+from pathlib import Path
+
+NAME = "run"
+HELP = "measure a campaign on a target; goes on where an earlier call stopped"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what `run` takes."""
+    parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.yml")
+    parser.add_argument("--target", type=Path, required=True, metavar="TARGET.yml")
+    parser.add_argument("--results", type=Path, metavar="FOLDER", help="default: results/<name of the campaign>")
+    parser.add_argument("--fresh", action="store_true", help="begin anew in results/<name>-<n>, keep what is there")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, then print the table. 0: every run is ok, 3: some run failed or the target did."""
+    import signal
+
+    from rich.console import Console
+
+    from rtfiles.errors import InfrastructureError
+    from rtrun import execute, progress, table
+    from rtrun.campaign import read_campaign
+    from rtrun.results import read_runs
+    from rtrun.target import read_target, switch_on
+
+    campaign, runs = read_campaign(args.campaign)
+    config = read_target(args.target)
+    results: Path = args.results or Path("results") / campaign.name
+    if args.fresh:
+        results = _fresh(results)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _interrupt)
+    try:
+        results.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InfrastructureError(f"{results}: cannot keep the results: {error.strerror}") from error
+    console = Console()
+    statuses: dict[str, str] = {}
+    try:
+        with progress.showing(runs, console) as shown:
+            if execute.finished(results, runs) == len(runs):
+                shown.note(f"all {len(runs)} runs are finished in {results}; --fresh measures again beside them")
+                statuses = {each.name: "ok" for each in runs}
+            else:
+                with switch_on(config, args.target.parent, results / "console.log") as target:
+                    statuses = execute.run_campaign(target, campaign.name, runs, results, shown)
+    except (KeyboardInterrupt, InfrastructureError):
+        done = execute.finished(results, runs)
+        console.print(f"{done} of {len(runs)} runs are finished and kept in {results}; the same command goes on there")
+        raise
+    found = read_runs(results)
+    table.show(table.answer_of_runs(found))
+    bad = [f"{name}: {status}" for name, status in statuses.items() if status != "ok"]
+    for line in bad:
+        console.print(line, highlight=False, markup=False)
+    return InfrastructureError.exit_status if bad else 0
+
+
+def _fresh(results: Path) -> Path:
+    if not results.exists():
+        return results
+    number = 2
+    while (candidate := results.with_name(f"{results.name}-{number}")).exists():
+        number += 1
+    return candidate
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt

@@ -1,0 +1,19 @@
+"""What can go wrong with a target, told apart by what the caller can do about it."""
+
+from rtfiles.errors import InfrastructureError
+
+
+class TargetError(InfrastructureError):
+    """The target cannot be used: refused, wrong host key, no ROS, no space. Trying again changes nothing."""
+
+
+class ConnectionLost(TargetError):
+    """The connection broke; what runs on the target may go on. A new connection may succeed."""
+
+
+class TargetGone(TargetError):
+    """The board was switched off or its emulator ended."""
+
+
+class DeadlineExpired(TargetError):
+    """A remote command took longer than it was given; what it started has been ended."""

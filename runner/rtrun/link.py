@@ -1,0 +1,95 @@
+"""The link to a target that may break and come back, or come back as a target that was switched off meanwhile."""
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self, TypeVar
+
+from rtrun.errors import ConnectionLost, TargetError
+from rtrun.ssh import Connection
+from rtrun.target import Target
+
+RETRY_S = 0.5
+CONNECT_S = 10.0
+# A booting emulated board accepts the connection long before it answers: ask again soon.
+CONNECT_BOOTING_S = 3.0
+
+T = TypeVar("T")
+
+
+class TargetRebooted(TargetError):
+    """The target came back with another boot id: nothing that was running there goes on."""
+
+
+class Link:
+    """Calls actions with a live `Connection`, made anew when it was lost.
+
+    An action may run again from its beginning, so it must bear to be repeated.
+    """
+
+    def __init__(self, target: Target, tell: Callable[[str], None]) -> None:
+        self.target = target
+        self.boot_id = ""
+        self._tell = tell
+        self._connection: Connection | None = None
+
+    def __enter__(self) -> Self:
+        self.do(lambda _: None)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.drop()
+
+    def drop(self) -> None:
+        """Close the connection; the next action makes a new one."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def do(self, action: Callable[[Connection], T]) -> T:
+        """Run an action, reconnecting for as long as the target file allows.
+
+        Raises TargetRebooted once after the target came back as another boot, TargetGone when it will not come back,
+        ConnectionLost when the time is up, and whatever else the action raises.
+        """
+        while True:
+            if self._connection is None:
+                self._connection = self._reconnect()
+                self._check_boot_id(self._connection)
+            try:
+                return action(self._connection)
+            except ConnectionLost as error:
+                self.drop()
+                if failure := self.target.failure():
+                    raise failure from error
+                self._tell(f"{error}; connecting again")
+
+    def _reconnect(self) -> Connection:
+        first = not self.boot_id
+        patience_s = self.target.boot_s if first else max(self.target.reconnect_s, self.target.boot_s)
+        deadline = time.monotonic() + patience_s
+        while True:
+            try:
+                return Connection(self.target.address, timeout_s=CONNECT_BOOTING_S if self.target.boot_s else CONNECT_S)
+            except ConnectionLost as error:
+                if failure := self.target.failure():
+                    raise failure from error
+                if time.monotonic() >= deadline:
+                    waited = f", tried for {patience_s:g} s" if patience_s else ""
+                    raise ConnectionLost(f"{error}{waited}{self._last_words()}") from error
+                time.sleep(RETRY_S)
+
+    def _check_boot_id(self, connection: Connection) -> None:
+        boot_id = connection.check(["cat", "/proc/sys/kernel/random/boot_id"]).strip()
+        before, self.boot_id = self.boot_id, boot_id
+        if before and before != boot_id:
+            raise TargetRebooted(f"{self.target.address}: the target was restarted (another boot id)")
+
+    def _last_words(self) -> str:
+        console = self.target.console
+        if console is None or not console.exists():
+            return ""
+        lines = console.read_text(errors="replace").strip().splitlines()
+        return f"; its console ended with: {lines[-1]!r}" if lines else f"; its console {console} is empty"

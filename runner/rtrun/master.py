@@ -1,0 +1,130 @@
+"""The ROS master: ours where none answers, at a priority that cannot lock up the board, and ended when we are done."""
+
+import contextlib
+import http.client
+import time
+import xmlrpc.client
+from collections.abc import Iterator
+from pathlib import PurePosixPath
+from typing import Any
+
+from rtrun import launch
+from rtrun.errors import ConnectionLost, TargetError
+from rtrun.link import Link
+from rtrun.probe import Equipment
+from rtrun.ssh import Connection
+
+NAME = "rosmaster"
+START_S = 60.0
+ANSWER_S = 10.0
+# A master that the runner could not end (it was killed) ends by itself after a week.
+LIFE_S = 7 * 24 * 3600.0
+CALLER = "/rtrun"
+
+
+class _Tunnel(xmlrpc.client.Transport):
+    """XML-RPC through the SSH connection, to a port that the target need not open to the network."""
+
+    def __init__(self, connection: Connection, port: int) -> None:
+        super().__init__()
+        self._ssh, self._port = connection, port
+
+    def make_connection(self, host: Any) -> http.client.HTTPConnection:
+        name = host if isinstance(host, str) else host[0]
+        link = http.client.HTTPConnection(name)
+        channel = self._ssh.port(self._port)
+        channel.settimeout(ANSWER_S)
+        link.sock = channel  # has all of a socket that http.client uses
+        return link
+
+
+def call(connection: Connection, port: int, method: str, *arguments: Any) -> Any:
+    """Call the master's API and return the value of its answer.
+
+    Raises ConnectionRefusedError when no master answers on the port, TargetError when it answers with a failure.
+    """
+    proxy = xmlrpc.client.ServerProxy(f"http://127.0.0.1:{port}", transport=_Tunnel(connection, port))
+    try:
+        code, message, value = getattr(proxy, method)(CALLER, *arguments)
+    except (ConnectionLost, ConnectionRefusedError):
+        raise
+    except (xmlrpc.client.Error, http.client.HTTPException, OSError, ValueError, TypeError) as error:
+        raise ConnectionRefusedError(f"port {port} does not answer as a ROS master: {error}") from error
+    if code != 1:
+        raise TargetError(f"{connection.address}: the ROS master refused {method}: {message}")
+    return value
+
+
+def answers(link: Link) -> bool:
+    """Say whether a ROS master answers on the target's port."""
+    port = link.target.ros_master_port
+    try:
+        link.do(lambda connection: call(connection, port, "getPid"))
+    except ConnectionRefusedError:
+        return False
+    return True
+
+
+def subscribers(link: Link, topic: str) -> int:
+    """Return how many nodes have subscribed to a topic."""
+    port = link.target.ros_master_port
+    _, subscribed, _ = link.do(lambda connection: call(connection, port, "getSystemState"))
+    return sum(len(nodes) for name, nodes in subscribed if name == topic)
+
+
+@contextlib.contextmanager
+def running(
+    link: Link, scripts: PurePosixPath, equipment: Equipment, owner: str, priority: int | None
+) -> Iterator[bool]:
+    """Make sure that a ROS master answers, and yield whether it is ours; ours is ended when the context is left.
+
+    With `priority` it runs under FIFO at that priority, which must lie above that of every real-time node: on one CPU
+    a node spins in ros::shutdown until the master answers, and a master below it never would (thesis 4.4).
+    `owner` tells our master from one of another campaign.
+    """
+    target = link.target
+    folder = target.work_dir / "master" / owner
+    ours = _is_held(link, folder)
+    if not answers(link):
+        if equipment.master is None:
+            raise TargetError(
+                f"{target.address}: no ROS on the target: neither /opt/ros/*/bin/rosmaster "
+                "nor /usr/bin/rosmaster is there, install ROS with rosmaster"
+            )
+        launch.end(link, folder, NAME)
+        link.do(lambda connection: connection.check(["sh", "-c", 'rm -rf "$1" && mkdir -p "$1"', "sh", str(folder)]))
+        argv = [equipment.master, "--core", "-p", str(target.ros_master_port)]
+        if priority is not None:
+            argv = ["chrt", "-f", str(priority), *argv]
+        program = launch.Program(
+            name=NAME,
+            argv=tuple(argv),
+            environment=(("ROS_IP", "127.0.0.1"), ("ROS_LOG_DIR", str(folder)), ("PYTHONDONTWRITEBYTECODE", "1")),
+            deadline_s=LIFE_S,
+        )
+        ours = True
+        launch.start(link, scripts, folder, program, equipment.setup)
+    try:
+        if ours:
+            _wait_ready(link, folder)
+        yield ours
+    finally:
+        if ours:
+            with contextlib.suppress(TargetError):
+                launch.end(link, folder, NAME)
+                link.do(lambda connection: connection.run(["rm", "-rf", str(folder)]))
+
+
+def _is_held(link: Link, folder: PurePosixPath) -> bool:
+    lock = str(folder / f"{NAME}.lock")
+    command = ["sh", "-c", '[ -e "$1" ] && ! flock -n "$1" true', "sh", lock]
+    return link.do(lambda connection: connection.run(command)).status == 0
+
+
+def _wait_ready(link: Link, folder: PurePosixPath) -> None:
+    deadline = time.monotonic() + START_S
+    while not answers(link):
+        if not _is_held(link, folder) or time.monotonic() >= deadline:
+            said = launch.tail(link, folder / f"{NAME}.stderr") or "it said nothing"
+            raise TargetError(f"{link.target.address}: the ROS master did not start: {said}")
+        time.sleep(0.1)

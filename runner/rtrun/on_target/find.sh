@@ -1,0 +1,22 @@
+#!/bin/sh
+# What the runner needs to know before it can use this target: one line "name value" for each thing.
+#   find.sh WORK_DIR
+for tool in setsid flock sha256sum chrt sed; do
+    command -v $tool >/dev/null || echo "lacks $tool"
+done
+for setup in /opt/ros/*/setup.sh; do
+    [ -e "$setup" ] && echo "setup $setup"
+done
+for master in /opt/ros/*/bin/rosmaster /usr/bin/rosmaster; do
+    [ -x "$master" ] && echo "master $master"
+done
+for program in /opt/ros/*/lib/*_tests/*_tests* /usr/lib/*_tests/*_tests*; do
+    [ -x "$program" ] && echo "program $program"
+done
+echo "cpus $(grep -c '^processor' /proc/cpuinfo)"
+if mkdir -p "$1/objects" "$1/suites" "$1/runs" "$1/master" && [ -w "$1" ]; then
+    echo "free_kib $(df -Pk "$1" | sed -n '2s/^.* \([0-9][0-9]*\) *[0-9]*% .*$/\1/p')"
+else
+    echo "readonly $1"
+fi
+exit 0

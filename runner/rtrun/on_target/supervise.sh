@@ -1,0 +1,53 @@
+#!/bin/sh
+# Run one program detached from the connection that starts it, so that a lost link does not end a measurement.
+#
+#   supervise.sh FOLDER NAME DEADLINE_S SETUP PROGRAM [ARGUMENT...]
+#
+# SETUP is a shell file to read first, or empty. In FOLDER stand afterwards NAME.boot_id, NAME.pid (also the process
+# group), NAME.stdout, NAME.stderr, NAME.expired when the deadline ended it, and last NAME.exit with the exit status.
+# NAME.lock is held as long as a process of it lives: waiting for the lock costs the target nothing.
+# A program that was started already is not started again, so the caller may repeat the call after a lost link.
+set -u
+cd "$1" || exit 1
+name=$2
+
+if [ "${RTRUN_INSIDE:-}" != 1 ]; then
+    [ -e "$name.boot_id" ] && exit 0
+    exec 9>"$name.lock"
+    flock -n 9 || exit 0
+    cat /proc/sys/kernel/random/boot_id >"$name.boot_id.new" && mv "$name.boot_id.new" "$name.boot_id" || exit 1
+    RTRUN_INSIDE=1 setsid "$0" "$@" </dev/null >/dev/null 2>&1 &
+    exit 0
+fi
+
+deadline_s=$3 setup=$4
+shift 4
+unset RTRUN_INSIDE
+# The session may be new but the pid is not always its leader's until here.
+echo $$ >"$name.pid"
+if [ -n "$setup" ]; then
+    set +u
+    # shellcheck disable=SC1090
+    . "$setup"
+    set -u
+fi
+
+"$@" </dev/null >"$name.stdout" 2>"$name.stderr" &
+program=$!
+(
+    exec 9>&-
+    sleep "$deadline_s" &
+    sleeper=$!
+    trap 'kill $sleeper; exit 0' TERM
+    wait $sleeper
+    : >"$name.expired"
+    kill -TERM $program
+    sleep 5
+    kill -KILL $program
+) &
+watchdog=$!
+
+wait $program
+status=$?
+kill $watchdog
+echo $status >"$name.exit.new" && mv "$name.exit.new" "$name.exit"

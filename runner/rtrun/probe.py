@@ -1,0 +1,110 @@
+"""What a target is and what it has: asked once before a campaign, and its state before and after every run."""
+
+import gzip
+import re
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import Any
+
+from rtrun.errors import TargetError
+from rtrun.link import Link
+
+_KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -r) 2>/dev/null; exit 0"
+# Numbers of sched_setscheduler(2), as in field 41 of /proc/<pid>/stat (proc(5)).
+POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
+# Whole texts, kept as they are; every other section is one value, or a list where it has several lines.
+_TEXTS = ("cpuinfo", "memory", "os_release")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Equipment:
+    """What the runner found on a target."""
+
+    setup: str | None
+    master: str | None
+    programs: dict[str, str]
+    """Executable name to path, of suites installed on the target."""
+    cpus: int
+    free_bytes: int
+
+
+def find(link: Link, script: str) -> Equipment:
+    """Look for tools, ROS and installed suites. Raises TargetError naming what is missing and the remedy.
+
+    `script` is the text of find.sh: it runs before anything can be deployed.
+    """
+    target = link.target
+    said = link.do(lambda connection: connection.check(["sh", "-s", str(target.work_dir)], stdin=script))
+    facts: dict[str, list[str]] = {}
+    for line in said.splitlines():
+        name, _, value = line.partition(" ")
+        facts.setdefault(name, []).append(value)
+    if "lacks" in facts:
+        raise TargetError(
+            f"{target.address}: the target lacks {', '.join(facts['lacks'])}: install util-linux, coreutils"
+        )
+    if "readonly" in facts:
+        raise TargetError(
+            f"{target.address}: {target.work_dir} cannot be written: name another folder as work_dir in the target file"
+        )
+    setups = facts.get("setup", [])
+    if target.ros_setup is None and len(setups) > 1:
+        raise TargetError(f"{target.address}: several ROS there ({', '.join(setups)}): name one as ros_setup")
+    setup = target.ros_setup or (setups[0] if setups else None)
+    masters = facts.get("master", [])
+    root = str(PurePosixPath(setup).parent) + "/" if setup else ""
+    return Equipment(
+        setup=setup,
+        master=next((path for path in masters if path.startswith(root)), masters[0] if masters else None),
+        programs={PurePosixPath(path).name: path for path in reversed(facts.get("program", []))},
+        cpus=int(facts["cpus"][0]) if facts.get("cpus", [""])[0].isdigit() else 1,
+        free_bytes=int(facts["free_kib"][0]) * 1024 if facts.get("free_kib", [""])[0].isdigit() else 0,
+    )
+
+
+def state(link: Link, script: PurePosixPath) -> dict[str, Any]:
+    """Return the state of the target now, as stored in target.json. Real-time threads are listed, others counted."""
+    return parse_state(link.do(lambda connection: connection.check(["sh", str(script)])))
+
+
+def parse_state(text: str) -> dict[str, Any]:
+    """Turn what state.sh printed into plain data; what the target does not have is None."""
+    state: dict[str, Any] = {}
+    sections = re.split(r"^== (\w+)$", text, flags=re.MULTILINE)
+    for name, body in zip(sections[1::2], sections[2::2], strict=True):
+        lines = body.strip().splitlines()
+        if name == "threads":
+            threads = [thread for line in lines if (thread := _thread(line))]
+            state["threads"] = len(threads)
+            state["rt_threads"] = [thread for thread in threads if thread["priority"] > 0]
+        elif name in _TEXTS:
+            state[name] = "\n".join(lines) or None
+        else:
+            state[name] = lines[0] if len(lines) == 1 else lines or None
+    return state
+
+
+def _thread(line: str) -> dict[str, Any] | None:
+    """Read a line of /proc/<pid>/task/<tid>/stat; the name may hold blanks and brackets."""
+    found = re.match(r"(\d+) \((.*)\) (.+)$", line)
+    fields = found.group(3).split() if found else []
+    # proc(5) counts from 1 with pid and name before these: rt_priority is field 40, policy 41.
+    if found is None or len(fields) < 39:
+        return None
+    return {
+        "tid": int(found.group(1)),
+        "name": found.group(2),
+        "policy": POLICIES.get(int(fields[38]), fields[38]),
+        "priority": int(fields[37]),
+    }
+
+
+def is_preempt_rt(state: dict[str, Any]) -> bool:
+    """Say whether the kernel is PREEMPT_RT by its own word; /sys/kernel/realtime exists with the patch only."""
+    return bool(re.search(r"\bPREEMPT[_ ]RT\b", str(state.get("kernel_version")))) or state.get("realtime") == "1"
+
+
+def kernel_config(link: Link) -> bytes:
+    """Return the running kernel's configuration, gzipped, or nothing where the target does not keep it."""
+    text = link.do(lambda connection: connection.check(["sh", "-c", _KERNEL_CONFIG]))
+    return gzip.compress(text.encode(), mtime=0) if text.strip() else b""

@@ -1,0 +1,173 @@
+"""An emulated board: booted from the folder that ``rtgen board build`` makes, and never outliving the runner."""
+
+import contextlib
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import Field
+
+from rtfiles.config import Config, load
+from rtfiles.errors import UsageError
+from rtrun import qmp
+from rtrun.errors import TargetError, TargetGone
+from rtrun.ssh import Address
+
+STOP_S = 5.0
+
+
+class Emulator(Config):
+    """How QEMU is called for this board."""
+
+    binary: str
+    arguments: list[str]
+    disk_device: str
+    network_device: str
+
+
+class Login(Config):
+    """How to log in: the key made for this image, and the host key it shows."""
+
+    user: str
+    key: str
+    host_key: str
+
+
+class Board(Config):
+    """`board.json`; file names are relative to its folder (see docs/formats.md)."""
+
+    schema_: int = Field(alias="schema")
+    machine: str
+    emulated: bool
+    qemu: Emulator
+    kernel: str
+    initrd: str
+    dtb: str | None
+    cmdline: str
+    disk: str
+    disk_format: str
+    ssh: Login
+    kernel_release: str
+    packages: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Machine:
+    """A booted board."""
+
+    emulated: bool
+    address: Address
+    process: subprocess.Popen[bytes]
+    monitor: Path
+    console: Path
+
+    def failure(self) -> TargetGone | None:
+        """Return why the emulator ended, or None while it runs."""
+        status = self.process.poll()
+        if status is None:
+            return None
+        how = f"killed by signal {-status}" if status < 0 else f"exit status {status}"
+        return TargetGone(f"the emulated board was switched off: QEMU ended ({how}); console: {self.console}")
+
+
+def read_board(folder: Path) -> Board:
+    """Read `board.json`. Raises UsageError that says how to make one."""
+    path = folder / "board.json"
+    if not path.is_file():
+        raise UsageError(f"{folder}: no board there, make one: rtgen board build")
+    board = load(path, Board)
+    if board.schema_ != 1:
+        raise UsageError(f"{path}: schema: {board.schema_} is unknown, this program reads 1")
+    return board
+
+
+def command(board: Board, folder: Path, overlay: Path, monitor: Path, console: Path) -> list[str]:
+    """Return the QEMU command line. The disk is the overlay; the SSH port is chosen by the kernel (port 0)."""
+    argv = [
+        # QEMU ends with the runner, however that ends.
+        *("setpriv", "--pdeathsig", "KILL", "--"),
+        *(board.qemu.binary, *board.qemu.arguments),
+        *("-nodefaults", "-no-user-config", "-display", "none"),
+        *("-kernel", str(folder / board.kernel), "-initrd", str(folder / board.initrd), "-append", board.cmdline),
+        *("-drive", f"file={overlay},format=qcow2,if=none,id=disk"),
+        *("-device", f"{board.qemu.disk_device},drive=disk"),
+        *("-netdev", "user,id=net,restrict=on,hostfwd=tcp:127.0.0.1:0-:22"),
+        *("-device", f"{board.qemu.network_device},netdev=net"),
+        *("-serial", f"file:{console}"),
+        *("-qmp", f"unix:{monitor},server=on,wait=off"),
+    ]
+    return argv + (["-dtb", str(folder / board.dtb)] if board.dtb else [])
+
+
+@contextlib.contextmanager
+def boot(folder: Path, console: Path, overlay: Path | None = None) -> Iterator[Machine]:
+    """Start the board and yield it at once; it may take seconds until SSH answers.
+
+    `overlay` is where the changes to the disk go: one that exists is booted again (as after a power cut), by default
+    they are thrown away. Leaving the context ends QEMU.
+    """
+    board = read_board(folder)
+    for tool in (board.qemu.binary, "qemu-img", "setpriv"):
+        if shutil.which(tool) is None:
+            raise UsageError(f"{tool} is not installed: apt-get install qemu-system-arm qemu-utils util-linux")
+    with contextlib.ExitStack() as stack:
+        work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rtrun-qemu-")))
+        overlay = overlay or work / "overlay.qcow2"
+        if not overlay.exists():
+            base = (folder / board.disk).resolve()
+            _quiet("qemu-img", "create", "-q", "-f", "qcow2", "-b", str(base), "-F", board.disk_format, str(overlay))
+        monitor = work / "monitor"
+        log = stack.enter_context((work / "stderr").open("w+b"))
+        process = subprocess.Popen(
+            command(board, folder, overlay, monitor, console),
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            # Ctrl-C is for the runner: it ends the run on the board first.
+            process_group=0,
+        )
+        stack.callback(_end, process)
+        address = Address(
+            host="127.0.0.1",
+            port=_forwarded_port(process, monitor, Path(log.name)),
+            user=board.ssh.user,
+            key=folder / board.ssh.key,
+            host_key=board.ssh.host_key,
+        )
+        yield Machine(emulated=board.emulated, address=address, process=process, monitor=monitor, console=console)
+
+
+def _quiet(*argv: str) -> None:
+    done = subprocess.run(argv, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise TargetError(f"{argv[0]} failed: {done.stderr.strip()}")
+
+
+def _forwarded_port(process: subprocess.Popen[bytes], monitor: Path, log: Path) -> int:
+    while not monitor.exists():
+        try:
+            process.wait(0.02)
+        except subprocess.TimeoutExpired:
+            continue
+        said = log.read_text(errors="replace").strip().splitlines()
+        raise TargetError(f"QEMU did not start: {said[-1] if said else f'exit status {process.returncode}'}")
+    answer = qmp.execute(monitor, "human-monitor-command", {"command-line": "info usernet"})
+    found = re.search(r"HOST_FORWARD\]\s+\d+\s+127\.0\.0\.1\s+(\d+)", str(answer))
+    if found is None:
+        raise TargetError("QEMU did not forward a port to the board's SSH server")
+    return int(found.group(1))
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(process.pid, 15)
+    try:
+        process.wait(STOP_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -1,0 +1,243 @@
+"""Results read back: from a log, from samples, from a run directory, from a folder of runs.
+
+A `Result` is one series of one output, what a row of the table shows.
+"""
+
+import hashlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from rtfiles.config import Config
+from rtfiles.errors import UsageError
+from rtrun.figures import Figures
+from rtrun.logfile import read_log
+from rtrun.samples import Count, read_json, read_samples
+from rtrun.suites import Value, suite
+
+RECORD = "run.json"
+MAIN_SERIES = ("measured", "jitter", "latency")  # what a suite is about; the others are seen from another side
+_PUT_ASIDE = re.compile(r"^\.|\.old-[0-9]+$")
+
+Name = Annotated[str, Field(min_length=1, max_length=255)]
+Outputs = Annotated[tuple[Name, ...], Field(strict=False)]
+
+
+class Program(Config):
+    """A program that ran; `outputs` are the names, without ending, of what it wrote."""
+
+    name: str
+    argv: list[str]
+    exit_status: int | None
+    outputs: Outputs = ()
+
+
+class File(Config):
+    """Size and checksum of a file in the run directory."""
+
+    size_bytes: Count
+    sha256: str
+
+
+class Record(Config):
+    """``run.json``, as docs/formats.md has it."""
+
+    schema_number: Literal[1] = Field(alias="schema")
+    run: str
+    campaign: str
+    suite: str
+    parameters: dict[str, Value]
+    emulated: bool
+    status: Literal["ok", "failed", "incomplete"]
+    reason: str | None
+    start_time: str
+    end_time: str
+    programs: list[Program]
+    outputs: Outputs = ()
+    target: dict[str, Any]
+    files: dict[Name, File]
+
+    @property
+    def all_outputs(self) -> list[str]:
+        """The names, without ending, of what the programs wrote, each once."""
+        return list(dict.fromkeys([*self.outputs, *(name for program in self.programs for name in program.outputs)]))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Result:
+    """One series of one output. `parameters` are those known: all of a run's, or what a log's name tells."""
+
+    suite: str
+    output: str
+    series: str
+    parameters: dict[str, Value]
+    figures: Figures
+    remarks: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data: what it is, then the figures under their own names."""
+        return {
+            "suite": self.suite,
+            "output": self.output,
+            "series": self.series,
+            "parameters": self.parameters,
+            **self.figures.as_json(),
+            "remarks": list(self.remarks),
+        }
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Run:
+    """A closed run: its record, and the results of every output, none when the run failed."""
+
+    folder: Path
+    record: Record
+    results: tuple[Result, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Runs:
+    """The runs in a folder: those read, the names of those that are not closed, and why any other was refused."""
+
+    folder: Path
+    runs: tuple[Run, ...]
+    incomplete: tuple[str, ...]
+    refused: tuple[str, ...]
+
+
+def result_of_log(path: Path) -> Result:
+    """The result in one log. Raises UsageError as `read_log` does."""
+    log = read_log(path)
+    return Result(
+        suite=log.suite,
+        output=path.stem,
+        series=log.series,
+        parameters=log.parameters,
+        figures=log.figures(),
+        remarks=log.remarks,
+    )
+
+
+def results_of_samples(path: Path) -> tuple[Result, ...]:
+    """The results, one a series, in an npy and the json beside it. Raises UsageError as `read_samples` does."""
+    samples = read_samples(path)
+    record = samples.record
+    remarks = () if record.complete else (f"incomplete: {record.incomplete_reason or 'no reason given'}",)
+    return tuple(
+        Result(
+            suite=record.suite,
+            output=samples.path.stem,
+            series=name,
+            parameters=record.requested,
+            figures=figures,
+            remarks=remarks,
+        )
+        for name, figures in samples.figures().items()
+    )
+
+
+def is_closed(folder: Path) -> bool:
+    """Whether a run directory has its closing record; without it, nothing in there may be analysed."""
+    return (folder / RECORD).is_file()
+
+
+def read_run(folder: Path) -> Run:
+    """Read a run directory: its record, then its outputs, whose size and checksum must be those of the record.
+
+    An output is read from its samples, or, when it has none (the programs of 2014 write none), from its logs. Raises
+    UsageError when the run is not closed, or a file is missing, altered or not what it should be.
+    """
+    if not is_closed(folder):
+        raise UsageError(f"{folder}: incomplete run, it has no {RECORD}: nothing in it is analysed, run it again")
+    record = read_json(folder / RECORD, Record)
+    for name in [*record.files, *record.all_outputs]:
+        if name in (".", "..") or "/" in name or "\0" in name:
+            raise UsageError(f"{folder / RECORD}: {name!r} is no name of a file in the run directory")
+    results: list[Result] = []
+    if record.status != "failed":
+        for output in record.all_outputs:
+            results += _results_of_output(folder, record, output)
+    return Run(folder=folder, record=record, results=tuple(results))
+
+
+def _results_of_output(folder: Path, record: Record, output: str) -> list[Result]:
+    if f"{output}.npy" in record.files:
+        for ending in (".npy", ".json"):
+            _check_file(folder, record, output + ending)
+        found = list(results_of_samples(folder / f"{output}.npy"))
+    else:
+        logs = [name for name in _log_names(record, output) if name in record.files]
+        if not logs:
+            raise UsageError(f"{folder / RECORD}: neither samples nor log of the output {output!r} among its files")
+        for name in logs:
+            _check_file(folder, record, name)
+        found = [result_of_log(folder / name) for name in logs]
+    for result in found:
+        if result.suite != record.suite:
+            raise UsageError(f"{folder / output}: of {result.suite}, but {RECORD} says {record.suite}")
+    return [
+        Result(
+            suite=result.suite,
+            output=output,
+            series=result.series,
+            parameters=record.parameters,
+            figures=result.figures,
+            remarks=result.remarks,
+        )
+        for result in found
+    ]
+
+
+def _log_names(record: Record, output: str) -> list[str]:
+    return [f"{output}-{log}.log" for log in suite(record.suite).logs] or [f"{output}.log"]
+
+
+def _check_file(folder: Path, record: Record, name: str) -> None:
+    """Refuse a file that is not the one the record was closed with."""
+    path = folder / name
+    if name not in record.files:
+        raise UsageError(f"{folder / RECORD}: {name!r} is not among its files")
+    if path.is_symlink() or not path.is_file():
+        raise UsageError(f"{path}: named in {RECORD}, but no such file")
+    try:
+        with path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+    expected = record.files[name]
+    if path.stat().st_size != expected.size_bytes or digest != expected.sha256:
+        raise UsageError(f"{path}: altered since the run was closed: size or checksum is not that in {RECORD}")
+
+
+def read_runs(folder: Path) -> Runs:
+    """Read every closed run in a folder.
+
+    What the runner put aside (``.<run>.partial``, ``<run>.old-<n>``) is left out. Raises UsageError when there is no
+    closed run, naming the folders below that hold some.
+    """
+    try:
+        folders = sorted(path for path in folder.iterdir() if path.is_dir() and not _PUT_ASIDE.search(path.name))
+    except OSError as error:
+        raise UsageError(f"{folder}: {error.strerror}") from error
+    closed = [path for path in folders if is_closed(path)]
+    if not closed:
+        below = sorted({str(path.parent.parent) for path in folder.glob(f"*/*/{RECORD}")})
+        raise UsageError(
+            f"{folder}: no finished run (one with {RECORD}) in it{', give ' if below else ''}{' or '.join(below)}"
+        )
+    runs: list[Run] = []
+    refused: list[str] = []
+    for path in closed:
+        try:
+            runs.append(read_run(path))
+        except UsageError as error:
+            refused.append(str(error))
+    return Runs(
+        folder=folder,
+        runs=tuple(runs),
+        incomplete=tuple(path.name for path in folders if path not in closed),
+        refused=tuple(refused),
+    )

@@ -1,0 +1,75 @@
+"""Run directories: filled under a temporary name, closed by run.json, renamed into place (see docs/formats.md)."""
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rtfiles import atomic
+from rtfiles.errors import InfrastructureError
+
+RECORD = "run.json"
+SCHEMA = 1
+
+
+@contextlib.contextmanager
+def filling(folder: Path) -> Iterator[Path]:
+    """Yield an empty folder beside `folder` to fill; nothing of it stays when the context is left by an exception.
+
+    A full local disk, or any other trouble with it, is an InfrastructureError.
+    """
+    partial = folder.with_name(f".{folder.name}.partial")
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        yield partial
+    except OSError as error:
+        shutil.rmtree(partial, ignore_errors=True)
+        place = error.filename or partial
+        raise InfrastructureError(f"{place}: cannot keep the results: {error.strerror or error}") from error
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def close(partial: Path, folder: Path, record: dict[str, Any]) -> None:
+    """Write run.json with the size and SHA-256 of every file, and give the folder its name."""
+    files = {}
+    for path in sorted(partial.iterdir()):
+        with path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            os.fsync(stream.fileno())
+        files[path.name] = {"size_bytes": path.stat().st_size, "sha256": digest}
+    text = json.dumps({"schema": SCHEMA, **record, "files": files}, indent=2, allow_nan=False) + "\n"
+    atomic.write_text(partial / RECORD, text)
+    rename(partial, folder)
+
+
+def rename(source: Path, folder: Path) -> None:
+    """Move a folder into place for good; what stood there before is kept as ``<name>.old-<n>``."""
+    if folder.exists():
+        folder.rename(unused(folder, "old"))
+    source.rename(folder)
+    atomic.sync_folder(folder.parent)
+
+
+def unused(folder: Path, kind: str) -> Path:
+    """Return the first ``<name>.<kind>-<n>`` beside a folder that is not taken."""
+    number = 1
+    while (candidate := folder.with_name(f"{folder.name}.{kind}-{number}")).exists():
+        number += 1
+    return candidate
+
+
+def status(folder: Path) -> str | None:
+    """Return the status in a closed run directory, or None when it is not closed."""
+    try:
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    found = record.get("status") if isinstance(record, dict) else None
+    return found if isinstance(found, str) else None

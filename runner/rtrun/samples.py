@@ -1,0 +1,284 @@
+"""Reader of a suite's samples: ``<output>.npy`` with the ``<output>.json`` beside it.
+
+Both are untrusted: their sizes are limited, the npy is never unpickled, and rows and counts must tell the same.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from rtfiles.config import Config, ConfigT, parse
+from rtfiles.errors import UsageError
+from rtrun.figures import Figures, Int64s, figures
+from rtrun.suites import Suite, Value, suite
+
+MAX_JSON_BYTES = 16 << 20
+MAX_NPY_BYTES = 4 << 30
+NOT_FIRED_NS = -(2**63)
+MAX_TIME_NS = 2**61  # 73 years: a difference of two times stays within 64 bits
+
+Count = Annotated[int, Field(ge=0)]
+
+
+class Thread(Config):
+    """A thread of the measuring program, as the kernel showed it."""
+
+    tid: int
+    name: str
+    policy: str
+    priority: int
+    cpus: list[int]
+
+
+class InEffect(Config):
+    """What was in effect while measuring, read back."""
+
+    threads: list[Thread]
+    clock: str
+    clock_resolution_ns: Count
+    clock_step_ns: Count
+    mlockall: bool
+
+
+class Kernel(Config):
+    """The kernel measured on, as uname names it."""
+
+    release: str
+    version: str
+    machine: str
+
+
+class Counts(Config):
+    """How many measurements were asked for, and what became of them."""
+
+    asked: Count
+    measured: Count
+    not_fired: Count
+    missing: Count
+    duplicate: Count
+    out_of_order: Count
+
+
+class Indices(Config):
+    """Indices of what the counts count, the first 1000 of each."""
+
+    not_fired: list[int]
+    missing: list[int]
+    duplicate: list[int]
+    out_of_order: list[int]
+
+
+class Entry(Config):
+    """One value of a list of the highest or lowest."""
+
+    value_ns: int
+    index: int
+
+
+class Summary(Config):
+    """A program's own summary of one series; the numbers are None when n is 0."""
+
+    n: Count
+    min_ns: int | None
+    mean_ns: int | float | None
+    max_ns: int | None
+    top: list[Entry]
+    lowest: list[Entry]
+
+
+class Files(Config):
+    """Names of the files written beside the json."""
+
+    logs: list[str]
+    npy: str
+
+
+class Record(Config):
+    """``<output>.json``, as docs/formats.md has it."""
+
+    schema_number: Literal[1] = Field(alias="schema")
+    suite: str
+    program: str
+    version: str
+    complete: bool
+    incomplete_reason: str | None
+    requested: dict[str, Value]
+    in_effect: InEffect
+    host: str
+    kernel: Kernel
+    start_time: str
+    end_time: str
+    counts: Counts
+    indices: Indices
+    summary: dict[str, Summary]
+    files: Files
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Series:
+    """Values in nanoseconds and the index of each measurement, both of shape (n,)."""
+
+    values_ns: Int64s
+    index: Int64s
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Samples:
+    """The samples of one run of a program.
+
+    `series` are measured, reported and difference (one-shot), jitter and grid (cyclic), or latency (communication, in
+    the order of the sequence numbers, the first arrival of each); the first of them is what the suite is about.
+    `rows` has the columns of suites.yml, mapped from the file.
+    """
+
+    path: Path
+    record: Record
+    rows: Int64s
+    series: dict[str, Series]
+
+    def figures(self) -> dict[str, Figures]:
+        """Figures of each series."""
+        counts = self.record.counts
+        return {
+            name: figures(
+                series.values_ns,
+                series.index,
+                missing=counts.missing,
+                out_of_order=counts.out_of_order,
+                duplicate=counts.duplicate,
+                not_fired=counts.not_fired,
+            )
+            for name, series in self.series.items()
+        }
+
+
+def read_json(path: Path, model: type[ConfigT]) -> ConfigT:
+    """Read a JSON file into a Config. Raises UsageError that names the file and what is wrong in it."""
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_JSON_BYTES + 1)
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+    if len(data) > MAX_JSON_BYTES:
+        raise UsageError(f"{path}: larger than {MAX_JSON_BYTES} bytes")
+    try:
+        content = json.loads(data.decode("utf-8"), parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{path}: not JSON: {error}") from error
+    return parse(content, model, str(path))
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is not JSON")
+
+
+def read_samples(path: Path) -> Samples:
+    """Read an output by its json or its npy; the other one must stand beside it.
+
+    Raises UsageError that names the file, or both where they disagree.
+    """
+    json_path, npy_path = path.with_suffix(".json"), path.with_suffix(".npy")
+    record = read_json(json_path, Record)
+    try:
+        kind = suite(record.suite)
+    except UsageError as error:
+        raise UsageError(f"{json_path}: suite: {error}") from error
+    rows = _read_rows(npy_path, kind)
+    both = f"{npy_path} and {json_path.name} disagree"
+    columns = {name: rows[:, i] for i, name in enumerate(kind.columns)}
+    counts = record.counts
+    if record.suite == "oneshot_timer_tests":
+        series = _oneshot(columns, counts, both)
+    elif record.suite == "cyclic_timer_tests":
+        series = _cyclic(columns, counts, _frequency_hz(record, json_path), both)
+    else:
+        series = _communication(columns, counts, both)
+    return Samples(path=npy_path, record=record, rows=rows, series=series)
+
+
+def _read_rows(path: Path, kind: Suite) -> Int64s:
+    """Map the rows, shape (rows, columns)."""
+    try:
+        size = path.stat().st_size
+        if size > MAX_NPY_BYTES:
+            raise UsageError(f"{path}: {size} bytes, samples have at most {MAX_NPY_BYTES}")
+        with path.open("rb") as stream:
+            version = np.lib.format.read_magic(stream)
+            if version != (1, 0):
+                raise UsageError(f"{path}: NumPy format {version[0]}.{version[1]}, must be 1.0")
+            shape, fortran_order, dtype = np.lib.format.read_array_header_1_0(stream)
+            start = stream.tell()
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+    except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError) as error:
+        raise UsageError(f"{path}: not in NumPy format 1.0: {str(error).splitlines()[0]}") from error
+    if dtype.str != "<i8":
+        raise UsageError(f"{path}: values of type {dtype.str}, must be <i8 (int64)")
+    if shape[1:] != (len(kind.columns),) and not (len(shape) == len(kind.columns) == 1):
+        raise UsageError(f"{path}: shape {shape}, must be (rows, {len(kind.columns)}) of {', '.join(kind.columns)}")
+    if fortran_order and len(shape) == 2 and min(shape) > 1:
+        raise UsageError(f"{path}: in Fortran order, must be in C order")
+    rows, expected = shape[0], start + 8 * shape[0] * len(kind.columns)
+    if size != expected:
+        raise UsageError(f"{path}: {size} bytes, {rows} rows take {expected}: cut off or not of one piece")
+    if rows == 0:
+        return np.empty((0, len(kind.columns)), dtype=np.int64)
+    return np.memmap(path, dtype="<i8", mode="r", offset=start, shape=(rows, len(kind.columns)))
+
+
+def _agree(both: str, what: str, rows: int, counts: int) -> None:
+    if rows != counts:
+        raise UsageError(f"{both}: {what}: {rows} in the rows, {counts} in the counts")
+
+
+def _times(both: str, *columns: Int64s) -> None:
+    for column in columns:
+        if column.size and (int(column.min()) < -MAX_TIME_NS or int(column.max()) > MAX_TIME_NS):
+            raise UsageError(f"{both.split(' and ')[0]}: a time beyond {MAX_TIME_NS} ns cannot be")
+
+
+def _oneshot(columns: dict[str, Int64s], counts: Counts, both: str) -> dict[str, Series]:
+    fired = columns["measured_ns"] != NOT_FIRED_NS
+    index = np.flatnonzero(fired)
+    _agree(both, "measured", len(index), counts.measured)
+    _agree(both, "not fired", len(fired) - len(index), counts.not_fired)
+    measured, reported = columns["measured_ns"][index], columns["reported_ns"][index]
+    _times(both, measured, reported)
+    values = {"measured": measured, "reported": reported, "difference": reported - measured}
+    return {name: Series(values_ns=column, index=index) for name, column in values.items()}
+
+
+def _cyclic(columns: dict[str, Int64s], counts: Counts, frequency_hz: int, both: str) -> dict[str, Series]:
+    """Jitter of each period and lateness against the grid from the first timestamp, both from the second one on."""
+    timestamp = np.asarray(columns["timestamp_ns"])
+    _times(both, timestamp)
+    _agree(both, "measured periods", max(len(timestamp) - 1, 0), counts.measured)
+    index = np.arange(max(len(timestamp) - 1, 0))
+    passed_ns = timestamp[1:] - timestamp[:1] if len(timestamp) else timestamp
+    grid_ns = (index + 1) * 10**9 // frequency_hz
+    return {
+        "jitter": Series(values_ns=np.diff(timestamp) - round(10**9 / frequency_hz), index=index),
+        "grid": Series(values_ns=passed_ns - grid_ns, index=index),
+    }
+
+
+def _frequency_hz(record: Record, path: Path) -> int:
+    frequency_hz = record.requested.get("frequency_hz")
+    if not isinstance(frequency_hz, int) or frequency_hz <= 0:
+        raise UsageError(f"{path}: requested.frequency_hz: must be a whole number above 0, got {frequency_hz!r}")
+    return frequency_hz
+
+
+def _communication(columns: dict[str, Int64s], counts: Counts, both: str) -> dict[str, Series]:
+    publication, reception, arrived = columns["publication_ns"], columns["reception_ns"], columns["seq"]
+    _times(both, publication, reception)
+    seq, first = np.unique(arrived, return_index=True)
+    if seq.size and not (int(seq[0]) >= 0 and int(seq[-1]) < counts.asked):
+        raise UsageError(f"{both}: seq: {seq[0]} to {seq[-1]} in the rows, {counts.asked} asked for in the counts")
+    _agree(both, "measured", len(seq), counts.measured)
+    _agree(both, "missing", counts.asked - len(seq), counts.missing)
+    return {"latency": Series(values_ns=(reception - publication)[first], index=seq)}

@@ -1,0 +1,107 @@
+"""What `rtrun show` prints, and `rtrun run` at its end: banner, table of results, and what has to be said of them."""
+
+from collections.abc import Iterable
+
+from rich import box
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
+
+from rtrun.figures import Figures
+from rtrun.results import MAIN_SERIES, RECORD, Result, Run, Runs
+from rtrun.suites import Value, output_name, suite, suites
+
+EMULATED = "EMULATED: not a real-time statement"
+PLAIN_WIDTH = 100  # columns, where the output is no terminal
+COARSE_US = 10_000  # from here on a tenth of a microsecond is not worth its column
+
+_UNITS = {"timeout_us": "us", "frequency_hz": "Hz", "payload_bytes": "B", "subscribers": "sub"}
+# The number of measurements has its own column; these do not change what is measured.
+_NOT_TOLD = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s")
+
+
+def table(results: Iterable[Result]) -> Table:
+    """The table of these results, a row each, times in microseconds; 80 columns are enough for it."""
+    found = Table(box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False)
+    found.add_column("suite, series")
+    found.add_column("parameters", min_width=8)
+    for heading in ("n", "min\nus", "avg\nus", "max\nus", "p99\nus", "p99.9\nus", "missing", "out of\norder"):
+        found.add_column(heading, justify="right", no_wrap=True)
+    for result in results:
+        figures = result.figures
+        found.add_row(
+            Text(f"{result.suite.removesuffix('_tests')} {result.series}"),
+            Text(_parameters(result)),
+            str(figures.n),
+            *(
+                _time(value, figures)
+                for value in (figures.min_us, figures.mean_us, figures.max_us, figures.p99_us, figures.p999_us)
+            ),
+            str(figures.missing),
+            str(figures.out_of_order),
+        )
+    return found
+
+
+def _time(value_us: float | None, figures: Figures) -> str:
+    if value_us is None:
+        return "-"
+    coarse = figures.resolution_ns >= 1000 or abs(value_us) >= COARSE_US
+    return f"{value_us:.0f}" if coarse else f"{value_us:.1f}"
+
+
+def _parameters(result: Result) -> str:
+    """The parameters in a few words: the policy, what the output is named after, and whatever is not the default."""
+    words: list[str] = []
+    for key, value in result.parameters.items():
+        if key == "policy":
+            words.insert(0, "no policy" if value == "0" else str(value))
+        elif key not in _NOT_TOLD and value is not None and _is_telling(result.suite, key, value):
+            words.append(f"{value}\N{NO-BREAK SPACE}{_UNITS[key]}" if key in _UNITS else f"{key}={value}")
+    if result.parameters.get("subscribers", 1) != 1:
+        words.append(f"#{result.output.removesuffix(output_name(result.suite, {**result.parameters, 'prefix': ''}))}")
+    return " ".join(words)
+
+
+def _is_telling(suite_name: str, key: str, value: Value) -> bool:
+    option = suites().options.get(key)
+    return option is None or value != option.default or f"{{{key}}}" in suite(suite_name).output
+
+
+def answer(results: Iterable[Result], *, emulated: bool, notes: Iterable[str] = ()) -> Group:
+    """The banner if there is one to give, the table, and a line for every note and for every remark on a result."""
+    results = list(results)
+    lines = list(notes)
+    for result in results:
+        lines += [f"{result.output}: {remark}" for remark in result.remarks]
+    if any(0 < result.figures.n < 1000 for result in results):
+        lines.append("p99.9 of fewer than 1000 values is their maximum.")
+    banner = [Text(EMULATED, style="bold red")] if emulated else []
+    body = [table(results)] if results else []
+    return Group(*banner, *body, *(Text(line, no_wrap=True, overflow="ignore") for line in dict.fromkeys(lines)))
+
+
+def answer_of_run(run: Run) -> Group:
+    """The answer of one run: every series of every output."""
+    return answer(run.results, emulated=run.record.emulated, notes=_notes(run))
+
+
+def answer_of_runs(found: Runs) -> Group:
+    """The answer of all runs in a folder: a row for every output, and what was not analysed and why."""
+    results = [result for run in found.runs for result in run.results if result.series in MAIN_SERIES]
+    notes = [note for run in found.runs for note in _notes(run)]
+    notes += [f"{name}: incomplete: it has no {RECORD}, nothing in it is analysed" for name in found.incomplete]
+    return answer(results, emulated=any(run.record.emulated for run in found.runs), notes=notes)
+
+
+def _notes(run: Run) -> list[str]:
+    record = run.record
+    return [] if record.status == "ok" else [f"{record.run}: {record.status}: {record.reason or 'no reason given'}"]
+
+
+def show(answer: Group) -> None:
+    """Print an answer: as wide as the terminal, or as plain text of 100 columns where there is none."""
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=PLAIN_WIDTH)
+    console.print(answer, crop=False)

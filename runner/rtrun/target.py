@@ -1,0 +1,132 @@
+"""Targets: where to measure. A board over SSH and an emulated board look the same from here on."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rtfiles.config import Config, parse, read_yaml
+from rtfiles.errors import UsageError
+from rtrun import qemu
+from rtrun.errors import TargetGone
+from rtrun.ssh import Address
+
+
+class _Common(Config):
+    schema_: Literal[1] = Field(alias="schema")
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    suites: str | None = None
+    """Folder of `rtgen suites build` to deploy, relative to this file; none: those installed on the target."""
+    work_dir: Annotated[str, Field(pattern=r"^/[A-Za-z0-9._/-]+$")] = "/var/lib/rt-tests"
+    """Folder on the target for deployed suites and running measurements."""
+    ros_setup: str | None = None
+    """Shell file on the target that sets up ROS; none: /opt/ros/<distro>/setup.sh when there is exactly one."""
+    ros_master_port: Annotated[int, Field(ge=1, le=65535)] = 11311
+    reconnect_s: Annotated[int, Field(ge=0)] = 120
+    """How long a lost target is waited for, in seconds."""
+
+
+class SshConfig(_Common):
+    """Any board that runs an SSH server."""
+
+    kind: Literal["ssh"]
+    host: str
+    port: Annotated[int, Field(ge=1, le=65535)] = 22
+    user: str = "root"
+    key: str | None = None
+    host_key: str | None = None
+    known_hosts: str = "~/.ssh/known_hosts"
+    emulated: bool = False
+    """True for a virtual machine behind SSH: its timing is no real-time statement."""
+
+
+class QemuConfig(_Common):
+    """A board that the runner boots and ends itself."""
+
+    kind: Literal["qemu"]
+    board: str
+    """Folder of `rtgen board build`, relative to this file."""
+
+
+TargetConfig = SshConfig | QemuConfig
+_KINDS: dict[str, type[SshConfig] | type[QemuConfig]] = {"ssh": SshConfig, "qemu": QemuConfig}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """A target that is switched on, as everything after this module sees it."""
+
+    name: str
+    emulated: bool
+    address: Address
+    suites: Path | None
+    work_dir: PurePosixPath
+    ros_setup: str | None
+    ros_master_port: int
+    reconnect_s: float
+    boot_s: float
+    """How long it may take until SSH answers for the first time, in seconds."""
+    console: Path | None
+    failure: Callable[[], TargetGone | None]
+    """Why the target is gone for good, as far as one can tell without asking it."""
+
+
+def read_target(path: Path) -> TargetConfig:
+    """Read a target file. Raises UsageError with every mistake found."""
+    data = read_yaml(path)
+    if not isinstance(data, dict) or data.get("kind") not in _KINDS:
+        raise UsageError(f"{path}: kind: missing or unknown, allowed: {', '.join(_KINDS)}")
+    return parse(data, _KINDS[data["kind"]], str(path))
+
+
+@contextlib.contextmanager
+def switch_on(config: TargetConfig, folder: Path, console: Path) -> Iterator[Target]:
+    """Yield the target; an emulated board is booted, and ended when the context is left.
+
+    Relative paths of the config are relative to `folder`. The serial console of an emulated board goes to `console`.
+    """
+    suites = _resolve(folder, config.suites)
+    if suites is not None and not (suites / "build.json").is_file():
+        raise UsageError(f"{suites}: no suites there, build them: rtgen suites build")
+    with contextlib.ExitStack() as stack:
+        if isinstance(config, QemuConfig):
+            board = folder / Path(config.board).expanduser()
+            machine = stack.enter_context(qemu.boot(board, console))
+            emulated = machine.emulated
+            address, failure, seen_console = machine.address, machine.failure, machine.console
+            boot_s = 180.0
+        else:
+            emulated = config.emulated
+            address = Address(
+                host=config.host,
+                port=config.port,
+                user=config.user,
+                key=_resolve(folder, config.key),
+                host_key=config.host_key,
+                known_hosts=folder / Path(config.known_hosts).expanduser(),
+            )
+            failure, seen_console, boot_s = _never, None, 0.0
+        yield Target(
+            name=config.name,
+            emulated=emulated,
+            address=address,
+            suites=suites,
+            work_dir=PurePosixPath(config.work_dir),
+            ros_setup=config.ros_setup,
+            ros_master_port=config.ros_master_port,
+            reconnect_s=config.reconnect_s,
+            boot_s=boot_s,
+            console=seen_console,
+            failure=failure,
+        )
+
+
+def _resolve(folder: Path, path: str | None) -> Path | None:
+    return None if path is None else folder / Path(path).expanduser()
+
+
+def _never() -> None:
+    return None

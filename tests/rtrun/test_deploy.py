@@ -1,0 +1,72 @@
+"""Deploying by content to a target behind a real sshd."""
+
+from pathlib import Path
+
+import pytest
+from rtfiles.errors import UsageError
+from rtrun import deploy
+from rtrun.ssh import Connection
+
+pytestmark = pytest.mark.sshd
+
+
+@pytest.fixture
+def tree(tmp_path, target):
+    Path(target.work_dir / "objects").mkdir(parents=True)
+    folder = tmp_path / "tree"
+    (folder / "lib" / "deep").mkdir(parents=True)
+    (folder / "lib" / "deep" / "program").write_text("#!/bin/sh\necho hello\n")
+    (folder / "data").write_bytes(b"\0" * 100_000)
+    return folder
+
+
+@pytest.fixture
+def uploads(monkeypatch):
+    sent = []
+    real = Connection.upload
+
+    def counting(self, source, destination):
+        sent.append(source.name)
+        real(self, source, destination)
+
+    monkeypatch.setattr(Connection, "upload", counting)
+    return sent
+
+
+def test_the_tree_stands_there_and_runs(link, tree):
+    there = Path(deploy.deploy(link, tree, "suites"))
+    assert (there / "data").read_bytes() == (tree / "data").read_bytes()
+    assert link.do(lambda connection: connection.check([str(there / "lib/deep/program")])) == "hello\n"
+
+
+def test_what_is_there_is_not_sent_again(link, tree, uploads):
+    first = deploy.deploy(link, tree, "suites")
+    assert sorted(uploads) == ["data", "program"]
+    uploads.clear()
+    assert deploy.deploy(link, tree, "suites") == first
+    assert uploads == []
+    (tree / "lib/deep/program").write_text("#!/bin/sh\necho changed\n")
+    second = deploy.deploy(link, tree, "suites")
+    assert uploads == ["program"] and second != first
+    assert (Path(second) / "data").samefile(Path(first) / "data")
+
+
+def test_a_half_sent_object_is_never_adopted(link, tree, target, monkeypatch):
+    real = Connection.upload
+
+    def truncating(self, source, destination):
+        real(self, source, destination)
+        Path(destination).write_bytes(source.read_bytes()[:-1])
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Connection, "upload", truncating)
+        with pytest.raises(Exception, match="failed with exit status 1"):
+            deploy.deploy(link, tree, "suites")
+    assert list(Path(target.work_dir / "objects").iterdir()) == []
+    assert (Path(deploy.deploy(link, tree, "suites")) / "data").exists()
+
+
+def test_an_empty_folder_is_an_error(link, tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UsageError, match="the folder is empty"):
+        deploy.deploy(link, tmp_path / "empty", "suites")

@@ -1,0 +1,130 @@
+"""Programs that run detached on a target behind a real sshd."""
+
+import os
+import signal
+import socket
+import threading
+import time
+from pathlib import Path, PurePosixPath
+
+import pytest
+from rtrun import deploy, launch
+from rtrun.errors import DeadlineExpired, TargetError
+
+pytestmark = pytest.mark.sshd
+
+
+@pytest.fixture
+def scripts(link, target):
+    for name in ("objects", "scripts"):
+        Path(target.work_dir / name).mkdir(parents=True)
+    return deploy.deploy(link, deploy.ON_TARGET, "scripts")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    return folder
+
+
+def sh(text, **more):
+    return launch.Program(name="p", argv=("sh", "-c", text), **more)
+
+
+def start_and_wait(link, scripts, folder, program):
+    launch.start(link, scripts, PurePosixPath(folder), program, None)
+    return launch.wait(link, PurePosixPath(folder), program.name, deadline_s=60)
+
+
+def test_status_streams_and_environment(link, scripts, folder):
+    program = sh('echo "out $GREETING"; echo err >&2; exit 3', environment=(("GREETING", "it's $me"),))
+    assert start_and_wait(link, scripts, folder, program) == launch.Exit(status=3, expired=False)
+    assert (folder / "p.stdout").read_text() == "out it's $me\n"
+    assert (folder / "p.stderr").read_text() == "err\n"
+    assert (folder / "p.boot_id").read_text() == Path("/proc/sys/kernel/random/boot_id").read_text()
+
+
+def test_setup_file_is_read_first(link, scripts, folder):
+    (folder / "setup.sh").write_text("export GREETING=$NOT_SET_ANYWHERE-hello\n")
+    launch.start(link, scripts, PurePosixPath(folder), sh("echo $GREETING"), str(folder / "setup.sh"))
+    launch.wait(link, PurePosixPath(folder), "p", deadline_s=60)
+    assert (folder / "p.stdout").read_text() == "-hello\n"
+
+
+def test_it_is_in_a_session_of_its_own(link, scripts, folder):
+    start_and_wait(link, scripts, folder, sh("ps -o pgid= -o sid= -p $$"))
+    group, session = (folder / "p.stdout").read_text().split()
+    assert group == session == (folder / "p.pid").read_text().strip()
+
+
+def test_starting_again_starts_nothing(link, scripts, folder):
+    program = sh(f"echo once >>{folder}/count; sleep 0.3")
+    launch.start(link, scripts, PurePosixPath(folder), program, None)
+    launch.start(link, scripts, PurePosixPath(folder), program, None)
+    launch.wait(link, PurePosixPath(folder), "p", deadline_s=60)
+    launch.start(link, scripts, PurePosixPath(folder), program, None)
+    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=60).status == 0
+    assert (folder / "count").read_text() == "once\n"
+
+
+def test_it_survives_a_lost_link_and_is_found_again(link, scripts, folder, remarks):
+    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 1.5; exit 5"), None)
+    cut = threading.Timer(0.4, lambda: link._connection._transport.sock.shutdown(socket.SHUT_RDWR))
+    cut.start()
+    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=60).status == 5
+    assert any("connection broke" in remark for remark in remarks)
+
+
+def test_the_target_ends_what_takes_too_long(link, scripts, folder):
+    program = sh(f"echo $$ >{folder}/child; exec sleep 300", deadline_s=1)
+    ended = start_and_wait(link, scripts, folder, program)
+    assert ended.expired
+    assert ended.status == 128 + signal.SIGTERM
+    assert not Path(f"/proc/{(folder / 'child').read_text().strip()}").exists()
+
+
+def test_waiting_has_a_deadline_of_its_own(link, scripts, folder):
+    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 300"), None)
+    with pytest.raises(DeadlineExpired):
+        launch.wait(link, PurePosixPath(folder), "p", deadline_s=0.5)
+    launch.end(link, PurePosixPath(folder), "p")
+    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=20).status is None
+
+
+def test_end_takes_the_whole_group_even_the_stubborn(link, scripts, folder):
+    text = f"trap '' TERM; (trap '' TERM; echo $$ >{folder}/child; sleep 300; sleep 300) & wait; sleep 300"
+    launch.start(link, scripts, PurePosixPath(folder), sh(text), None)
+    while not (folder / "child").exists():
+        time.sleep(0.02)
+    launch.end(link, PurePosixPath(folder), "p")
+    group = int((folder / "p.pid").read_text())
+    deadline = time.monotonic() + 20
+    while True:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            break
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_end_leaves_a_pid_of_another_boot_alone(link, scripts, folder):
+    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 1; exit 4"), None)
+    (folder / "p.boot_id").write_text("00000000-0000-0000-0000-000000000000\n")
+    launch.end(link, PurePosixPath(folder), "p")
+    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=20).status == 4
+
+
+def test_killed_supervisor_leaves_no_status(link, scripts, folder):
+    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 300"), None)
+    deadline = time.monotonic() + 20
+    while not (folder / "p.pid").exists() or not (folder / "p.pid").read_text().strip():
+        assert time.monotonic() < deadline
+    os.killpg(int((folder / "p.pid").read_text()), signal.SIGKILL)
+    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=20) == launch.Exit(status=None, expired=False)
+
+
+def test_a_folder_that_is_not_there(link, scripts, tmp_path):
+    with pytest.raises(TargetError, match="failed with exit status 1"):
+        launch.start(link, scripts, PurePosixPath(tmp_path / "nowhere"), sh("true"), None)

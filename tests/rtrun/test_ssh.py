@@ -1,0 +1,183 @@
+"""The SSH connection against a real sshd."""
+
+import io
+import socket
+import subprocess
+import threading
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+import pytest
+from rtrun.errors import ConnectionLost, DeadlineExpired, TargetError
+from rtrun.ssh import Address, Connection
+
+pytestmark = pytest.mark.sshd
+
+
+@pytest.fixture
+def connection(sshd):
+    connection = Connection(sshd.address)
+    yield connection
+    connection.close()
+
+
+def test_arguments_arrive_as_they_are(connection):
+    words = ["a b", "$HOME", "'", '"', "*", "\\", "", "ä", "x\ny"]
+    assert connection.check(["printf", "%s\\0", *words]).split("\0")[:-1] == words
+
+
+def test_status_and_both_streams(connection):
+    done = connection.run(["sh", "-c", "echo out; echo err >&2; exit 7"])
+    assert (done.status, done.stdout, done.stderr) == (7, "out\n", "err\n")
+
+
+def test_large_output_on_both_streams(connection):
+    done = connection.run(["sh", "-c", "head -c 3000000 /dev/zero | tr '\\0' a; head -c 3000000 /dev/zero | tr '\\0' b >&2"])
+    assert (len(done.stdout), len(done.stderr)) == (3_000_000, 3_000_000)
+
+
+def test_standard_input(connection):
+    assert connection.check(["cat"], stdin="x" * 200_000) == "x" * 200_000
+
+
+def test_failure_names_the_command_and_what_it_said(connection):
+    with pytest.raises(TargetError, match=r"ls failed with exit status 2: .*no-such-file"):
+        connection.check(["ls", "/no-such-file"])
+
+
+def test_deadline_ends_everything_that_was_started(connection, tmp_path):
+    pids = tmp_path / "pids"
+    with pytest.raises(DeadlineExpired, match="sh took longer than 1 s and was ended"):
+        connection.run(["sh", "-c", f"echo $$ >{pids}; sleep 300 & echo $! >>{pids}; wait"], deadline_s=1)
+    for pid in pids.read_text().split():
+        status = Path(f"/proc/{pid}/status")
+        assert not status.exists() or "Z (zombie)" in status.read_text()
+
+
+def test_no_delay_and_authenticated_cipher(connection):
+    link = connection._transport.sock
+    assert link.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) == 1
+    assert connection._transport.remote_cipher == "aes128-gcm@openssh.com"
+
+
+def test_files_both_ways(connection, tmp_path):
+    (tmp_path / "up").write_bytes(bytes(range(256)) * 4096)
+    connection.upload(tmp_path / "up", PurePosixPath(tmp_path / "there"))
+    received = io.BytesIO()
+    digest = connection.download(PurePosixPath(tmp_path / "there"), received, limit_bytes=2_000_000)
+    assert received.getvalue() == (tmp_path / "up").read_bytes()
+    assert digest == subprocess.run(["sha256sum", tmp_path / "up"], capture_output=True, text=True).stdout.split()[0]
+
+
+def test_a_file_larger_than_believable_is_refused(connection, tmp_path):
+    (tmp_path / "big").write_bytes(b"x" * 1001)
+    with pytest.raises(TargetError, match="has 1001 bytes, at most 1000 were expected"):
+        connection.download(PurePosixPath(tmp_path / "big"), io.BytesIO(), limit_bytes=1000)
+
+
+def test_a_listing_has_regular_files_only(connection, tmp_path):
+    (tmp_path / "file").write_bytes(b"12345")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to("/etc/passwd")
+    assert connection.listing(PurePosixPath(tmp_path)) == {"file": 5}
+
+
+def test_nobody_listens(sshd):
+    with pytest.raises(ConnectionLost, match="cannot connect: Connection refused"):
+        Connection(Address(host="127.0.0.1", port=1, key=sshd.key, host_key=sshd.host_key))
+
+
+def test_somebody_listens_who_is_no_ssh_server(sshd):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer():
+            link, _ = server.accept()
+            link.sendall(b"HTTP/1.0 400 Bad Request\r\n\r\n")
+            link.close()
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        with pytest.raises(ConnectionLost, match="SSH did not come up"):
+            Connection(Address(host="127.0.0.1", port=server.getsockname()[1], key=sshd.key, host_key=sshd.host_key))
+        thread.join()
+
+
+def test_changed_host_key_is_refused(sshd):
+    other = "SHA256:" + "A" * 43
+    with pytest.raises(TargetError, match=f"host key has changed: the target file says {other}, the target shows SHA256"):
+        Connection(replace(sshd.address, host_key=other))
+
+
+def test_known_hosts_decides_without_a_fingerprint(sshd, tmp_path):
+    known = tmp_path / "known_hosts"
+    address = replace(sshd.address, host_key=None, known_hosts=known)
+    with pytest.raises(TargetError, match=r"unknown host key SHA256:.*put 'host_key: SHA256:"):
+        Connection(address)
+    known.write_text(f"[127.0.0.1]:{sshd.port} {sshd.host_key}\n")
+    Connection(address).close()
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / "other"], check=True)
+    changed = " ".join((tmp_path / "other.pub").read_text().split()[:2])
+    known.write_text(f"[127.0.0.1]:{sshd.port} {changed}\n")
+    with pytest.raises(TargetError, match="host key has changed"):
+        Connection(address)
+
+
+def test_a_key_that_may_not_log_in(sshd, tmp_path):
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / "key"], check=True)
+    with pytest.raises(TargetError, match="may not log in with .*/key: authorise the key on the target"):
+        Connection(replace(sshd.address, key=tmp_path / "key"))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"), [(None, "does not exist"), ("junk", "cannot be read"), ("", "cannot be read")]
+)
+def test_a_key_file_that_is_none(sshd, tmp_path, content, message):
+    if content is not None:
+        (tmp_path / "key").write_text(content)
+    with pytest.raises(TargetError, match=message):
+        Connection(replace(sshd.address, key=tmp_path / "key"))
+
+
+def test_a_key_with_a_passphrase(sshd, tmp_path):
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "secret", "-f", tmp_path / "key"], check=True)
+    with pytest.raises(TargetError, match="has a passphrase: load it into ssh-agent"):
+        Connection(replace(sshd.address, key=tmp_path / "key"))
+
+
+def test_agent(sshd, tmp_path, monkeypatch):
+    agent = subprocess.Popen(["ssh-agent", "-D", "-a", tmp_path / "agent"], stdout=subprocess.DEVNULL)
+    try:
+        while not (tmp_path / "agent").exists():
+            assert agent.poll() is None
+        monkeypatch.setenv("SSH_AUTH_SOCK", str(tmp_path / "agent"))
+        with pytest.raises(TargetError, match="no key: name one as 'key'"):
+            Connection(replace(sshd.address, key=None))
+        subprocess.run(["ssh-add", "-q", sshd.key], check=True)
+        Connection(replace(sshd.address, key=None)).close()
+    finally:
+        agent.terminate()
+        agent.wait()
+
+
+def test_a_broken_link_is_a_lost_connection(connection):
+    connection._transport.sock.shutdown(socket.SHUT_RDWR)
+    with pytest.raises(ConnectionLost):
+        connection.run(["true"])
+
+
+def test_a_link_that_breaks_in_the_middle(connection):
+    threading.Timer(0.3, lambda: connection._transport.sock.shutdown(socket.SHUT_RDWR)).start()
+    with pytest.raises(ConnectionLost):
+        connection.run(["sleep", "20"])
+
+
+def test_port_of_the_target(connection):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        channel = connection.port(server.getsockname()[1])
+        link, _ = server.accept()
+        link.sendall(b"hello")
+        assert channel.recv(5) == b"hello"
+        port = server.getsockname()[1]
+        link.close()
+    with pytest.raises(ConnectionRefusedError):
+        connection.port(port)

@@ -1,0 +1,93 @@
+"""Put kernel, initial RAM disk, root disk and board.json together, and keep them by content."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from rtfiles import atomic, cache
+from rtfiles.errors import InfrastructureError
+from rtgen.board import debian, disk, initrd
+from rtgen.board.kernel import Kernel, debian_kernel
+from rtgen.board.machine import Machine, find, machines
+
+SCHEMA = 1
+HERE = Path(__file__).parent
+
+
+def build(name: str, place: Path) -> Path:
+    """Build the board of this machine with Debian's kernel; return `place`/<name>, a link to it in the cache.
+
+    About a minute the first time, nothing when nothing changed. Raises UsageError for an unknown machine or a missing
+    right or tool, InfrastructureError when a package or tool fails.
+    """
+    machine = find(name)
+    # Who waits for the lock of another build waits here, before anything is downloaded.
+    folder = assemble(name, machine, debian_kernel())
+    place.mkdir(parents=True, exist_ok=True)
+    link = place / name
+    if link.is_symlink() and link.readlink() == folder:
+        return link
+    fresh = place / f".{name}.{os.getpid()}"
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(folder)
+    try:
+        fresh.replace(link)
+    except OSError as error:
+        fresh.unlink()
+        raise InfrastructureError(f"{link}: cannot be replaced by a link to the board: {error.strerror}") from error
+    return link
+
+
+def assemble(name: str, machine: Machine, kernel: Kernel) -> Path:
+    """Return the cached folder of a machine with a kernel, made if need be."""
+    inputs = [HERE / name for name in ("debian.py", "disk.py", "kernel.py", "packages.yml", "applets.txt", "root")]
+    modules = list(machines().modules)
+    identity = [*map(str, debian.source()), kernel.release, *modules]
+    root = cache.entry(
+        "disk",
+        cache.digest([*identity, kernel.config, kernel.image, *inputs]),
+        lambda folder: disk.build(kernel, modules, folder),
+    )
+
+    def build_in(folder: Path) -> None:
+        # The disk is the same for every machine: linked, not copied.
+        for file in (disk.IMAGE, disk.KEY, f"{disk.KEY}.pub"):
+            os.link(root / file, folder / file)
+        os.link(kernel.image, folder / "vmlinuz")
+        if machine.dtb is not None:
+            os.link(kernel.dtbs / machine.dtb, folder / machine.dtb)
+        drivers = {Path(file).name: (kernel.modules / file).read_bytes() for file in kernel.files_of(modules)}
+        (folder / "initrd").write_bytes(initrd.archive((root / disk.BUSYBOX).read_bytes(), drivers))
+        packages = debian.versions((root / disk.LIST).read_text(encoding="utf-8").splitlines())
+        record = board_record(name, machine, kernel, packages, (root / disk.HOST_KEY).read_text(encoding="utf-8"))
+        atomic.write_text(folder / "board.json", json.dumps(record, indent=2) + "\n")
+
+    inputs = [HERE / name for name in ("build.py", "initrd.py", "init.sh")]
+    return cache.entry("board", cache.digest([name, repr(machine), str(root), *inputs]), build_in)
+
+
+def board_record(
+    name: str, machine: Machine, kernel: Kernel, packages: dict[str, str], host_key: str
+) -> dict[str, Any]:
+    """What board.json says; docs/formats.md describes it."""
+    return {
+        "schema": SCHEMA,
+        "machine": name,
+        "emulated": True,
+        "qemu": {
+            "binary": "qemu-system-arm",
+            "arguments": machine.arguments,
+            "disk_device": "virtio-blk-device",
+            "network_device": "virtio-net-device",
+        },
+        "kernel": "vmlinuz",
+        "initrd": "initrd",
+        "dtb": machine.dtb,
+        "cmdline": f"console={machine.console} root=/dev/vda quiet",
+        "disk": disk.IMAGE,
+        "disk_format": "raw",
+        "ssh": {"user": "root", "key": disk.KEY, "host_key": " ".join(host_key.split()[:2])},
+        "kernel_release": kernel.release,
+        "packages": packages | kernel.packages,
+    }

@@ -1,0 +1,26 @@
+#!/bin/busybox sh
+# First program of the initial RAM disk: load the drivers of the disk, mount it, hand over to its init.
+give_up() {
+    echo "initrd: $1, powering off"
+    busybox poweroff -f
+}
+export PATH=/bin
+busybox mount -t devtmpfs devtmpfs /dev
+busybox mount -t proc proc /proc
+busybox mount -t sysfs sysfs /sys
+while read -r module; do
+    busybox insmod "/lib/$module" || echo "initrd: cannot load $module"
+done < /lib/modules.list
+root=$(busybox sed -n 's/.*\broot=\([^ ]*\).*/\1/p' /proc/cmdline)
+tries=100
+until [ -b "$root" ]; do
+    tries=$((tries - 1))
+    [ "$tries" -gt 0 ] || give_up "no disk $root"
+    busybox sleep 0.1
+done
+busybox mount -t ext4 -o noatime "$root" /root || give_up "cannot mount $root"
+for place in dev proc sys; do
+    busybox mount --move "/$place" "/root/$place"
+done
+exec busybox switch_root /root /sbin/init
+give_up "no /sbin/init on $root"

@@ -1,0 +1,25 @@
+"""``rtgen board``: the rehearsal board."""
+
+import argparse
+from pathlib import Path
+
+NAME = "board"
+HELP = "make an emulated ARM board with a PREEMPT_RT kernel, ROS and SSH, from Debian's packages"
+
+PLACE = Path("build/board")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare ``build --machine NAME``."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    build = actions.add_parser("build", help=f"build it into {PLACE}/MACHINE (network the first time)")
+    build.add_argument("--machine", help="board to emulate; without it the default of docs/board.md")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Build the board and say where it is."""
+    from rtgen.board.build import build
+    from rtgen.board.machine import machines
+
+    print(build(args.machine or machines().default, PLACE))
+    return 0
