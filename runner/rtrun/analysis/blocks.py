@@ -101,3 +101,19 @@ def align(sets: Sequence[Sequence[Blocks]]) -> tuple[Int64s, list[list[NDArray[n
             rows.append(table)
         aligned.append(rows)
     return columns, aligned
+
+
+def gather(outputs: Sequence[Blocks]) -> Blocks:
+    """Add outputs that measured the same moments (the subscribers of one run), block by block."""
+    if len(outputs) == 1:
+        return outputs[0]
+    columns = np.unique(np.concatenate([one.values_ns for one in outputs]))
+    rows = min(len(one.sums_ns) for one in outputs)
+    counts = np.zeros((rows, columns.size), np.int32)
+    sums = np.zeros(rows)
+    for one in outputs:
+        at = np.searchsorted(columns, one.values_ns)
+        # An output that lost messages may have fewer blocks; what the others have more goes into their last one.
+        counts[:, at] += np.add.reduceat(one.counts, np.arange(rows), axis=0)
+        sums += np.add.reduceat(one.sums_ns, np.arange(rows))
+    return Blocks(values_ns=columns, counts=counts, sums_ns=sums, ordered=all(one.ordered for one in outputs))

@@ -102,8 +102,7 @@ def compare(
     if any(not run.ordered for run in (*a, *b)) and not whole_runs:
         assumes.append("independent measurements: a log without samples keeps no order")
     if whole_runs:
-        rows_a, rows_b = ([[row.sum(axis=0, keepdims=True)] for row in rows] for rows in (rows_a, rows_b))
-        rows_a, rows_b = ([np.concatenate([r[0] for r in rows])] for rows in (rows_a, rows_b))
+        rows_a, rows_b = ([np.array([row.sum(axis=0) for row in rows])] for rows in (rows_a, rows_b))
     else:
         assumes.append(
             f"runs alike: with {len(a)} and {len(b)} runs the difference between boots is not in the intervals"
@@ -193,7 +192,8 @@ def _means(counts: NDArray[np.generic], columns: Int64s) -> NDArray[np.float64]:
 
 def _quantiles(counts: NDArray[np.generic], columns: Int64s, q: float) -> NDArray[np.float64]:
     below = np.cumsum(counts, axis=1)
-    return columns[(below >= np.ceil(q * below[:, -1:])).argmax(axis=1)].astype(np.float64)
+    found = columns[(below >= np.ceil(q * below[:, -1:])).argmax(axis=1)]
+    return np.asarray(found, dtype=np.float64)
 
 
 def _permutation_test(

@@ -148,10 +148,12 @@ def judge(
     period_ns: float | None = None,
     clock_step_ns: int | None = None,
     emulated: bool = False,
+    together: int = 1,
 ) -> Verdict:
     """Answer for runs of one set of parameters: is P(miss) below `probability`, at this confidence?
 
     PROVEN: the interval's upper end is below it. REFUTED: the lower end is above it. Else NEEDS MORE, with how many.
+    `together` measurements of one moment (the subscribers of one message) count as one, the worst they can be worth.
     Numbers from an emulated board, or for a deadline below two clock steps, are no real-time statement.
     Raises ValueError when probability or confidence is not between 0 and 1.
     """
@@ -161,6 +163,7 @@ def judge(
     late, never = sum(run.late for run in runs), sum(run.never for run in runs)
     misses = late + never
     effect, assumes = _effect_of(runs, misses, confidence)
+    effect *= together
     lower, upper = clopper_pearson(misses / effect, n / effect, confidence)
     refused = None
     if emulated:

@@ -102,7 +102,7 @@ def extremal_index(positions: Int64s) -> float:
 
 
 def burst_starts(positions: Int64s, theta: float) -> Int64s:
-    """Indices into `positions` where a new burst begins: its ``floor(theta * k)`` longest gaps (Ferro & Segers 2003)."""
+    """Indices into `positions` where a burst begins: after its ``theta * k`` longest gaps (Ferro & Segers 2003)."""
     if positions.size == 0:
         return np.empty(0, np.int64)
     gaps = np.diff(positions)

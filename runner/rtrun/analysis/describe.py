@@ -5,7 +5,7 @@ the values in those bins are looked at again. Nothing is sorted whole.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,9 +80,7 @@ def describe(values_ns: Int64s, indices: NDArray[np.int64] | None = None) -> Des
 
     def extreme(positions: NDArray[np.intp]) -> tuple[Extreme, ...]:
         loop = positions if indices is None else indices[positions]
-        return tuple(
-            Extreme(value_ns=int(v), index=int(i)) for v, i in zip(values_ns[positions], loop, strict=True)
-        )
+        return tuple(Extreme(value_ns=int(v), index=int(i)) for v, i in zip(values_ns[positions], loop, strict=True))
 
     return Description(
         n=n,
@@ -148,20 +146,21 @@ def describe_histogram(histogram: Histogram) -> Description:
         return Description(n=0, bin_ns=histogram.bin_ns)
     values, counts = histogram.values_ns, histogram.counts
     n = histogram.n
-    common = {"n": n, "bin_ns": histogram.bin_ns, "overflow": histogram.overflow}
+    common = Description(n=n, bin_ns=histogram.bin_ns, overflow=histogram.overflow)
     if values.size == 0:
-        return Description(**common)
+        return common
     below = np.cumsum(counts)
     seen = int(below[-1])
     percentiles = {p: int(values[np.searchsorted(below, rank(n, p))]) for p in PERCENTILES if rank(n, p) <= seen}
     lowest = _repeat(values, counts)
     if histogram.overflow:
-        return Description(min_ns=int(values[0]), percentiles_ns=percentiles, lowest=lowest, **common)
+        return replace(common, min_ns=int(values[0]), percentiles_ns=percentiles, lowest=lowest)
     total = sum(int(v) * int(c) for v, c in zip(values, counts, strict=True))
     mean = total / n
     spread = values - mean
     variance = float(np.dot(spread * spread, counts)) / (n - 1) if n > 1 else 0.0
-    return Description(
+    return replace(
+        common,
         min_ns=int(values[0]),
         mean_ns=mean,
         max_ns=int(values[-1]),
@@ -169,7 +168,6 @@ def describe_histogram(histogram: Histogram) -> Description:
         percentiles_ns=percentiles,
         top=_repeat(values[::-1], counts[::-1]),
         lowest=lowest,
-        **common,
     )
 
 

@@ -58,7 +58,7 @@ def sample_of(values_ns: Int64s, quantum_ns: int) -> Sample:
     spread = int(np.percentile(values_ns, 90)) - low
     step = quantum_ns * max(1, spread // (_GROUPS * quantum_ns // 2))
     groups, counts = np.unique((values_ns - low) // step, return_counts=True)
-    return Sample(edges=low + groups * float(step), counts=counts.astype(np.float64), step=float(step))
+    return Sample(edges=(low + groups * step).astype(np.float64), counts=counts.astype(np.float64), step=float(step))
 
 
 def fit(family: Family, sample: Sample) -> tuple[Parameters, float]:
