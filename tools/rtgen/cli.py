@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from rtfiles.command import dispatch
-from rtgen.commands import board
+from rtgen.commands import board, suites
 
-COMMANDS: tuple[ModuleType, ...] = (board,)
+COMMANDS: tuple[ModuleType, ...] = (board, suites)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,0 +1,26 @@
+// How a program of the suites ends when it cannot do what it was asked.
+#pragma once
+
+#include <functional>
+#include <stdexcept>
+#include <string>
+
+namespace rt_tests {
+
+// The command line is wrong: exit status 2.
+struct UsageError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// A right, a resource or a file is missing: exit status 1.
+struct Failure : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+void info(const std::string& line);   // "\tINFO: ..." on standard output
+void error(const std::string& line);  // "\tERROR: ..." on standard error
+
+// Runs the body of a program and turns what it throws into one line and an exit status.
+int guarded(const std::function<int()>& body);
+
+}  // namespace rt_tests

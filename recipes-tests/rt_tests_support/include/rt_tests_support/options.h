@@ -1,0 +1,66 @@
+// The options of all programs: one table, from which parsing, --help and the JSON are driven.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace rt_tests {
+
+enum class Kind { integer, choice, text, cpus };
+
+struct Option {
+  const char* key;       // as in suites.yml and in the JSON
+  const char* flag;      // as on the command line
+  Kind kind;
+  int64_t min, max;      // integer only
+  std::vector<std::string> choices;
+  const char* fallback;  // nullptr: none
+  const char* help;
+};
+
+struct Program {
+  const char* suite;
+  const char* name;
+  const char* purpose;
+  std::vector<std::string> keys;  // the options it takes
+};
+
+class Options {
+ public:
+  struct Value {
+    Option option;
+    std::string text;
+    int64_t number = 0;
+    bool given = false;  // on the command line
+    bool set = false;    // given, or has a default
+  };
+
+  explicit Options(const Program& program);
+
+  int64_t number(const std::string& key) const { return find(key).number; }
+  const std::string& text(const std::string& key) const { return find(key).text; }
+  bool given(const std::string& key) const { return find(key).given; }
+  bool has(const std::string& key) const;
+  const std::vector<Value>& values() const { return values_; }
+
+  // Throws UsageError, one line that names the option and what it takes.
+  void assign(const std::string& flag, const std::string& argument);
+  bool knows(const std::string& flag) const;
+
+ private:
+  const Value& find(const std::string& key) const;
+  std::vector<Value> values_;
+};
+
+// Reads a command line; ROS remappings (name:=value) are left to ROS. Prints and ends the program with status 0 on
+// --help and --version. Throws UsageError.
+Options parse(const Program& program, int argc, char* argv[]);
+
+// "0-1,3" to {0, 1, 3}; throws UsageError for what is no such list or no CPU of this machine.
+std::vector<int> parse_cpus(const std::string& list, int cpu_count);
+
+std::string help(const Program& program);
+const char* version();
+
+}  // namespace rt_tests

@@ -1,0 +1,70 @@
+// The outputs of a run: summary on standard output, logs, npy, json.
+#pragma once
+
+#include <time.h>
+
+#include <string>
+#include <vector>
+
+#include "rt_tests_support/log.h"
+#include "rt_tests_support/options.h"
+#include "rt_tests_support/process.h"
+#include "rt_tests_support/samples.h"
+#include "rt_tests_support/summary.h"
+
+namespace rt_tests {
+
+// Where the outputs go: <out_dir>/<prefix><base>...
+struct Destination {
+  std::string folder;  // --out-dir, empty or with a slash at the end
+  std::string name;    // prefix and base: also the name in the log, which gnuplot draws beside
+  std::string path(const std::string& ending) const { return folder + name + ending; }
+};
+
+std::string policy_suffix(const Options& options);  // "", "-tnRTRR", "-tnRTFIFO"
+
+// Throws UsageError if the folder cannot be written to.
+Destination destination(const Options& options, const std::string& base);
+
+// What was in effect; taken while every thread still runs as it did when measuring.
+struct Surroundings {
+  clockid_t clock;
+  int64_t clock_step_ns;
+  std::string start_time;
+  std::string end_time;
+  std::vector<ThreadState> threads;
+  bool memory_locked = false;
+
+  explicit Surroundings(clockid_t clock);  // before the measurement
+  void finish();                           // right after it
+};
+
+struct LogFile {
+  std::string ending;  // "-measured.log"
+  const Series* series;
+};
+
+struct Report {
+  Report(const Program& of_program, const Options& with_options) : program(&of_program), options(&with_options) {}
+
+  const Program* program;
+  const Options* options;
+  std::string incomplete_reason;  // empty: complete
+  int64_t asked = 0;
+  int64_t measured = 0;
+  Noted not_fired, missing, duplicate, out_of_order;
+  std::vector<const Series*> series;
+  std::string title;
+  std::vector<std::string> heading;  // lines for standard output only
+  std::vector<std::string> lines;    // the summary
+  Plot plot = Plot::oneshot;
+  std::vector<LogFile> logs;
+};
+
+std::string json_of(const Report& report, const Surroundings& surroundings, const Destination& destination);
+
+// Prints the summary, then writes npy, logs and, last, the json that names them. Throws Failure.
+void write_report(Report& report, const Surroundings& surroundings, const Destination& destination,
+                  const int64_t* rows, std::size_t row_count, std::size_t columns);
+
+}  // namespace rt_tests

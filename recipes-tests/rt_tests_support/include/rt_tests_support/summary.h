@@ -1,0 +1,46 @@
+// What is said of a series of values: extremes, mean, the ten highest and lowest, and a histogram of 1 us bins.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+namespace rt_tests {
+
+struct Indexed {
+  int64_t value_ns;
+  int64_t index;
+};
+
+class Series {
+ public:
+  explicit Series(std::string name) : name_(std::move(name)) {}
+
+  void add(int64_t value_ns, int64_t index);
+
+  const std::string& name() const { return name_; }
+  int64_t n() const { return n_; }
+  int64_t min_ns() const { return lowest_.front().value_ns; }  // min, mean and max only if n > 0
+  int64_t max_ns() const { return top_.front().value_ns; }
+  int64_t mean_ns() const;  // rounded to the nearest nanosecond
+  const std::vector<Indexed>& top() const { return top_; }        // at most ten, highest first, then by index
+  const std::vector<Indexed>& lowest() const { return lowest_; }  // at most ten, lowest first, then by index
+  const std::map<int64_t, int64_t>& bins() const { return bins_; }  // whole microseconds, towards zero, to count
+
+ private:
+  std::string name_;
+  int64_t n_ = 0;
+  int64_t sum_ns_ = 0;
+  std::vector<Indexed> top_;
+  std::vector<Indexed> lowest_;
+  std::map<int64_t, int64_t> bins_;
+};
+
+// "<before>MIN: 60us<gap>AVG: 101us<gap>MAX: 138us", towards zero, as the 2014 programs print; "no samples" for none.
+std::string extremes(const Series& series, const std::string& pad, const std::string& gap);
+
+// The two lines with the ten highest and the ten lowest values, |us:index|.
+std::vector<std::string> boundary_lines(const Series& series);
+
+}  // namespace rt_tests

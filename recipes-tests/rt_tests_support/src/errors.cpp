@@ -1,0 +1,26 @@
+#include "rt_tests_support/errors.h"
+
+#include <iostream>
+#include <new>
+
+namespace rt_tests {
+
+void info(const std::string& line) { std::cout << "\tINFO: " << line << std::endl; }
+
+void error(const std::string& line) { std::cerr << "\tERROR: " << line << std::endl; }
+
+int guarded(const std::function<int()>& body) {
+  try {
+    return body();
+  } catch (const UsageError& wrong) {
+    error(wrong.what());
+    return 2;
+  } catch (const std::bad_alloc&) {
+    error("not enough memory for the samples; ask for fewer repetitions with -r");
+  } catch (const std::exception& failure) {
+    error(failure.what());
+  }
+  return 1;
+}
+
+}  // namespace rt_tests

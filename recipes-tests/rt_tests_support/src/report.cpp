@@ -1,0 +1,135 @@
+#include "rt_tests_support/report.h"
+
+#include <sys/utsname.h>
+
+#include "rt_tests_support/clock.h"
+#include "rt_tests_support/errors.h"
+#include "rt_tests_support/files.h"
+#include "rt_tests_support/json.h"
+
+namespace rt_tests {
+namespace {
+
+void write_requested(Json& json, const Options& options) {
+  json.key("requested").open('{');
+  for (const auto& value : options.values()) {
+    json.key(value.option.key);
+    if (!value.set) {
+      json.null();
+    } else if (value.option.kind == Kind::integer) {
+      json.value(value.number);
+    } else {
+      json.value(value.text);
+    }
+  }
+  json.close();
+}
+
+void write_in_effect(Json& json, const Surroundings& surroundings) {
+  json.key("in_effect").open('{').key("threads").open('[');
+  for (const auto& thread : surroundings.threads) {
+    json.open('{').field("tid", thread.tid).field("name", thread.name).field("policy", thread.policy);
+    json.field("priority", thread.priority).field("cpus", thread.cpus).close();
+  }
+  json.close();
+  json.field("clock", clock_name(surroundings.clock));
+  json.field("clock_resolution_ns", clock_resolution_ns(surroundings.clock));
+  json.field("clock_step_ns", surroundings.clock_step_ns);
+  json.field("mlockall", surroundings.memory_locked).close();
+}
+
+void write_series(Json& json, const Series& series) {
+  const auto list = [&](const char* name, const std::vector<Indexed>& items) {
+    json.key(name).open('[');
+    for (const auto& item : items) {
+      json.open('{').field("value_ns", item.value_ns).field("index", item.index).close();
+    }
+    json.close();
+  };
+  json.key(series.name()).open('{').field("n", series.n());
+  if (series.n() > 0) {
+    json.field("min_ns", series.min_ns()).field("mean_ns", series.mean_ns()).field("max_ns", series.max_ns());
+  } else {
+    json.key("min_ns").null().key("mean_ns").null().key("max_ns").null();
+  }
+  list("top", series.top());
+  list("lowest", series.lowest());
+  json.close();
+}
+
+}  // namespace
+
+std::string policy_suffix(const Options& options) {
+  return is_realtime(options) ? "-tnRT" + options.text("policy") : "";
+}
+
+Destination destination(const Options& options, const std::string& base) {
+  Destination place{options.text("out_dir"), options.text("prefix") + base};
+  if (!place.folder.empty() && place.folder.back() != '/') place.folder += '/';
+  require_writable_folder(folder_of(place.path("")));
+  return place;
+}
+
+Surroundings::Surroundings(clockid_t chosen)
+    : clock(chosen), clock_step_ns(rt_tests::clock_step_ns(chosen)), start_time(utc_now()) {}
+
+void Surroundings::finish() {
+  end_time = utc_now();
+  threads = read_threads();
+  memory_locked = memory_is_locked();
+}
+
+std::string json_of(const Report& report, const Surroundings& surroundings, const Destination& destination) {
+  utsname names{};
+  uname(&names);
+  Json json;
+  json.open('{').field("schema", 1).field("suite", report.program->suite).field("program", report.program->name);
+  json.field("version", version()).field("complete", report.incomplete_reason.empty()).key("incomplete_reason");
+  if (report.incomplete_reason.empty()) {
+    json.null();
+  } else {
+    json.value(report.incomplete_reason);
+  }
+  write_requested(json, *report.options);
+  write_in_effect(json, surroundings);
+  json.field("host", std::string(names.nodename)).key("kernel").open('{');
+  json.field("release", std::string(names.release)).field("version", std::string(names.version));
+  json.field("machine", std::string(names.machine)).close();
+  json.field("start_time", surroundings.start_time).field("end_time", surroundings.end_time);
+
+  const std::vector<std::pair<const char*, const Noted*>> events = {{"not_fired", &report.not_fired},
+                                                                    {"missing", &report.missing},
+                                                                    {"duplicate", &report.duplicate},
+                                                                    {"out_of_order", &report.out_of_order}};
+  json.key("counts").open('{').field("asked", report.asked).field("measured", report.measured);
+  for (const auto& [name, noted] : events) json.field(name, noted->count());
+  json.close().key("indices").open('{');
+  for (const auto& [name, noted] : events) json.field(name, noted->indices());
+  json.close().key("summary").open('{');
+  for (const Series* series : report.series) write_series(json, *series);
+  json.close().key("files").open('{').key("logs").open('[');
+  for (const auto& log : report.logs) json.value(name_of(destination.path(log.ending)));
+  json.close().field("npy", name_of(destination.path(".npy"))).close();
+  return json.close().text();
+}
+
+void write_report(Report& report, const Surroundings& surroundings, const Destination& destination,
+                  const int64_t* rows, std::size_t row_count, std::size_t columns) {
+  if (!report.incomplete_reason.empty()) {
+    report.lines.push_back("Incomplete: " + std::to_string(report.measured) + " of " + std::to_string(report.asked) +
+                           " measured, " + report.incomplete_reason);
+  }
+  for (const auto& line : report.heading) info(line);
+  for (const auto& line : report.lines) info(line);
+
+  write_npy(destination.path(".npy"), rows, row_count, columns);
+  for (const auto& log : report.logs) {
+    const std::string output = destination.name + log.ending.substr(0, log.ending.rfind('.'));
+    const std::string text = gnuplot_log(report.plot, report.title, output, *log.series, report.lines);
+    write_file(destination.path(log.ending), {{text.data(), text.size()}});
+  }
+  const std::string json = json_of(report, surroundings, destination);
+  write_file(destination.path(".json"), {{json.data(), json.size()}});
+}
+
+}  // namespace rt_tests
