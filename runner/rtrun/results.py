@@ -13,7 +13,8 @@ from pydantic import Field
 
 from rtfiles.config import Config
 from rtfiles.errors import UsageError
-from rtrun.figures import Figures
+from rtrun.figures import Figures, figures_of_bins
+from rtrun.importers.histogram_file import ENDING, read_histogram
 from rtrun.logfile import read_log
 from rtrun.samples import Count, read_json, read_samples
 from rtrun.suites import Value, suite
@@ -170,6 +171,20 @@ def read_run(folder: Path) -> Run:
 
 
 def _results_of_output(folder: Path, record: Record, output: str) -> list[Result]:
+    if f"{output}{ENDING}" in record.files:
+        check_file(folder, record, output + ENDING)
+        imported = read_histogram(folder / f"{output}{ENDING}")
+        bins = imported.histogram
+        return [
+            Result(
+                suite=record.suite,
+                output=output,
+                series="latency",
+                parameters=record.parameters,
+                figures=figures_of_bins(bins.values_ns // 1000, bins.counts),
+                remarks=tuple(f"not known: {text}" for text in imported.left_out),
+            )
+        ]
     if f"{output}.npy" in record.files:
         for ending in (".npy", ".json"):
             check_file(folder, record, output + ending)

@@ -134,7 +134,7 @@ def _loop_positions(of_samples: Int64s, gone: Int64s) -> Int64s:
 
 def hold_histogram(histogram: Histogram, deadline_ns: int, never: int = 0) -> Trials:
     """Hold a histogram against a deadline. Raises ValueError when the deadline lies in the overflow."""
-    top = int(histogram.values_ns[-1]) if histogram.values_ns.size and not histogram.overflow else None
+    top = int(histogram.values_ns[-1]) if histogram.values_ns.size and not histogram.overflow else histogram.max_ns
     late = histogram.above(deadline_ns)
     return Trials(n=histogram.n + never, late=late, never=never, misses=None, level=None, worst_ns=top)
 

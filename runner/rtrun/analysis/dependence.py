@@ -10,6 +10,7 @@ from rtrun.analysis.histogram import Int64s
 
 _LEAST_BLOCKS = 16
 _LEAST_RUNS = 8
+_CHANCE = 2.58
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +64,7 @@ def design_effect(events: Events) -> float:
 
     It is the largest index of dispersion of block counts over all block lengths that leave 16 blocks, and over whole
     runs where there are 8, among those that independent events (mean 1, standard error sqrt(2/m + 1/k)) would exceed
-    only once in forty times. For bursts that are independent of each other it tends to E[S^2]/E[S], S a burst's size.
+    only once in two hundred times. For independent bursts of size S it tends to E[S^2]/E[S].
     """
     n, k = events.loops, events.count
     if k < 2 or k >= n:
@@ -83,7 +84,7 @@ def design_effect(events: Events) -> float:
 
 
 def _beyond_chance(dispersion: float, blocks: int, events: int) -> float:
-    return dispersion if dispersion - 1 > 1.96 * math.sqrt(2 / blocks + 1 / events) else 1.0
+    return dispersion if dispersion - 1 > _CHANCE * math.sqrt(2 / blocks + 1 / events) else 1.0
 
 
 def extremal_index(positions: Int64s) -> float:

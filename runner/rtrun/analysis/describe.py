@@ -154,7 +154,9 @@ def describe_histogram(histogram: Histogram) -> Description:
     percentiles = {p: int(values[np.searchsorted(below, rank(n, p))]) for p in PERCENTILES if rank(n, p) <= seen}
     lowest = _repeat(values, counts)
     if histogram.overflow:
-        return replace(common, min_ns=int(values[0]), percentiles_ns=percentiles, lowest=lowest)
+        return replace(
+            common, min_ns=int(values[0]), max_ns=histogram.max_ns, percentiles_ns=percentiles, lowest=lowest
+        )
     total = sum(int(v) * int(c) for v, c in zip(values, counts, strict=True))
     mean = total / n
     spread = values - mean

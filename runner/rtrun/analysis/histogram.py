@@ -14,7 +14,8 @@ class Histogram:
     """Bins of equal width: ``values_ns[i]`` is the lower edge of a bin that holds ``counts[i]`` measurements.
 
     ``values_ns`` is strictly ascending, ``counts`` are positive; both int64. ``overflow`` values lie at or above
-    ``overflow_from_ns`` and are known by number only (cyclictest -h counts them so).
+    ``overflow_from_ns`` and are known by number only (cyclictest -h counts them so); ``max_ns`` is the largest of all,
+    where it was told.
     """
 
     values_ns: Int64s
@@ -22,6 +23,7 @@ class Histogram:
     bin_ns: int = 1000
     overflow: int = 0
     overflow_from_ns: int | None = None
+    max_ns: int | None = None
 
     @property
     def n(self) -> int:
@@ -33,8 +35,10 @@ class Histogram:
 
         Raises ValueError when the limit lies in the overflow, where nothing is known.
         """
+        if self.overflow and self.max_ns is not None and self.max_ns <= limit_ns:
+            return 0
         if self.overflow and (self.overflow_from_ns is None or limit_ns > self.overflow_from_ns):
-            raise ValueError("the limit lies beyond the histogram's last bin, where values are only counted")
+            raise ValueError("the deadline lies beyond the histogram's last bin, where values are only counted")
         return int(self.counts[self.values_ns + self.bin_ns - 1 > limit_ns].sum()) + self.overflow
 
 
@@ -75,4 +79,5 @@ def merge(parts: Iterable[Histogram]) -> Histogram:
         bin_ns=all_parts[0].bin_ns,
         overflow=sum(part.overflow for part in all_parts),
         overflow_from_ns=limits.pop() if limits else None,
+        max_ns=None if any(part.max_ns is None for part in all_parts) else max(part.max_ns or 0 for part in all_parts),
     )

@@ -28,14 +28,14 @@ class _File(Config):
     counts: list[Annotated[int, Field(ge=1)]]
     overflow: Natural
     overflow_from_ns: int | None
-    printed_max_ns: int | None
+    max_ns: int | None
     period_ns: float | None
     left_out: list[str]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Imported:
-    """One thread's histogram. ``printed_max_ns`` is the maximum the program printed, known though its bin is not.
+    """One thread's histogram; ``name`` tells the threads of one file apart.
 
     ``left_out`` says, a sentence each, what the format does not tell; ``parameters`` are those it does.
     """
@@ -43,7 +43,6 @@ class Imported:
     source: str
     name: str
     histogram: Histogram
-    printed_max_ns: int | None
     period_ns: float | None
     left_out: tuple[str, ...]
     parameters: dict[str, str | int | None]
@@ -60,7 +59,7 @@ def histogram_text(found: Imported) -> str:
         "counts": bins.counts.tolist(),
         "overflow": bins.overflow,
         "overflow_from_ns": bins.overflow_from_ns,
-        "printed_max_ns": found.printed_max_ns,
+        "max_ns": bins.max_ns,
         "period_ns": found.period_ns,
         "left_out": list(found.left_out),
     }
@@ -86,8 +85,8 @@ def read_histogram(path: Path) -> Imported:
             bin_ns=file.bin_ns,
             overflow=file.overflow,
             overflow_from_ns=file.overflow_from_ns,
+            max_ns=file.max_ns,
         ),
-        printed_max_ns=file.printed_max_ns,
         period_ns=file.period_ns,
         left_out=tuple(file.left_out),
         parameters={},

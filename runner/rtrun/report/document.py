@@ -43,6 +43,7 @@ class Document:
 
     title: str
     banner: str | None
+    summary: str
     question: str
     lines: tuple[Line, ...]
     tables: tuple[Table, ...]
@@ -56,12 +57,20 @@ def document(study: Study, claims: Sequence[Examined]) -> Document:
     return Document(
         title=f"Real-time report: {study.source.path.resolve().name}",
         banner=EMULATED if study.emulated else None,
-        question=f"Is P(value above {us(study.deadline_ns)} us) below {study.probability:g}? "
+        summary=summary(study),
+        question=f"Is P(value above {study.deadline_ns / 1000:g} us) below {study.probability:g}? "
         f"Confidence {100 * study.confidence:g} %, two-sided.",
         lines=tuple(verdict_line(group) for group in study.groups),
         tables=tuple(table for table in tables if table.rows),
         left_out=study.left_out,
     )
+
+
+def summary(study: Study) -> str:
+    """How many groups got which answer, the worst first."""
+    found = [verdict_line(group).answer for group in study.groups]
+    order = (Answer.REFUTED, Answer.NEEDS_MORE, Answer.PROVEN, Answer.NO_STATEMENT)
+    return ", ".join(f"{answer} {found.count(answer)} of {len(found)}" for answer in order if answer in found)
 
 
 def verdict_line(group: Group) -> Line:
@@ -73,14 +82,18 @@ def verdict_line(group: Group) -> Line:
 
 
 def _numbers(verdict: Verdict, group: Group) -> str:
-    parts = [f"{verdict.late} of {verdict.n} late"]
+    parts = [f"{verdict.late:,} of {verdict.n:,} late".replace(",", "\N{NO-BREAK SPACE}")]
     if verdict.never:
         parts[0] += f" and {verdict.never} never came"
     parts.append(f"P(miss) {_between(verdict)}")
     if verdict.worst_ns is not None:
         parts.append(f"worst {us(verdict.worst_ns)} us")
     if verdict.design_effect > 1.005:
-        parts.append(f"misses come in bursts: worth {verdict.n_effective:.3g} independent measurements")
+        parts.append(
+            f"high values come in bursts: worth {verdict.n_effective:,.0f} independent measurements".replace(
+                ",", "\N{NO-BREAK SPACE}"
+            )
+        )
     if verdict.refused:
         parts.insert(0, verdict.refused)
     elif verdict.answer == Answer.NEEDS_MORE:
@@ -114,7 +127,7 @@ def _more(verdict: Verdict) -> list[str]:
 
 def _amount(verdict: Verdict, count: int) -> str:
     hours = verdict.hours(count)
-    return f"{count} more measurements" + (
+    return f"{count:,} more measurements".replace(",", "\N{NO-BREAK SPACE}") + (
         "" if hours is None else f" ({hours:.2g} h)" if hours < 10 else f" ({hours:.0f} h)"
     )
 
@@ -173,7 +186,7 @@ def _worst_cases(study: Study) -> Table:
     return Table(
         id="worst-case",
         title="Worst case by extreme value theory",
-        columns=("suite and parameters", "method", "exceeded once in so many", "found"),
+        columns=("suite and parameters", "method", f"level exceeded once in {1 / study.probability:.3g}", "found"),
         rows=rows,
         numbers=9,
         notes=("A bound is printed only where every assumption was tested and held.",),
@@ -184,8 +197,7 @@ def _bound(bound: Bound) -> tuple[str, str]:
     if bound.refused is not None or bound.level_ns is None or bound.low_ns is None or bound.high_ns is None:
         return "refused", bound.refused or "no level"
     return (
-        f"{1 / bound.probability:.3g}: {us(bound.level_ns)} us "
-        f"({100 * bound.confidence:g} % CI {us(bound.low_ns)} to {us(bound.high_ns)} us)",
+        f"{us(bound.level_ns)} us ({100 * bound.confidence:g} % CI {us(bound.low_ns)} to {us(bound.high_ns)} us)",
         f"shape {bound.shape:.3f}, {bound.points} points, "
         + ", ".join(f"{c.name} p = {c.p_value:.2g}" for c in bound.checks if c.p_value is not None),
     )
@@ -199,7 +211,11 @@ def _layers(study: Study) -> list[Table]:
     for low_name, high_name in (("cyclictest", "oneshot_timer_tests"), ("oneshot_timer_tests", "communication_tests")):
         for low in select(study, low_name):
             for high in select(study, high_name):
-                same = low.target == high.target and (low_name == "cyclictest" or _policy(low) == _policy(high))
+                same = (
+                    high.parameters.get("subscribers", 1) == 1
+                    and low.target == high.target
+                    and (low_name == "cyclictest" or _policy(low) == _policy(high))
+                )
                 if same and is_rt(high) and low.blocks and high.blocks:
                     for added in attribute(low.blocks, high.blocks, confidence=study.confidence):
                         rows.append(

@@ -25,7 +25,7 @@ _NOT_XML = dict.fromkeys(c for c in range(32) if chr(c) not in "\t\n\r") | {0xFF
 def markdown(said: Document) -> str:
     """The report as Markdown; the banner is its first line."""
     parts = [f"**{said.banner}**", ""] if said.banner else []
-    parts += [f"# {_plain(said.title)}", "", said.question, ""]
+    parts += [f"# {_plain(said.title)}", "", said.question, "", said.summary, ""]
     parts += [f"- **{line.answer}** {_plain(line.about)}: {_plain(line.text)}" for line in said.lines]
     if said.left_out:
         parts += ["", "Not analysed:", "", *(f"- {_plain(text)}" for text in said.left_out)]

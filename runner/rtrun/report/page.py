@@ -27,6 +27,7 @@ def html(study: Study, said: Document) -> str:
     return environment.get_template("page.html.j2").render(
         title=said.title,
         banner=said.banner,
+        summary=said.summary,
         question=said.question,
         lines=said.lines,
         tables=said.tables,

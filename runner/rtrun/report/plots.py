@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from rtrun.analysis.extreme import Bound
-from rtrun.analysis.histogram import Histogram
+from rtrun.analysis.histogram import Histogram, merge
 from rtrun.report.digest import Digest
-from rtrun.report.study import Group, Study
+from rtrun.report.study import Group, Study, slowest
 from rtrun.report.svg import COLOURS, DASHES, FAINT, INK, Axis, Mark, Point, chart
 
 _BINS = 240
@@ -160,7 +160,8 @@ def _course(one: Digest, what: str) -> str:
 
 def _ccdf(group: Group, what: str, deadline_ns: int) -> str:
     low, high = _span(group, deadline_ns)
-    bins = group.histogram or group.digests[0].histogram
+    shown = slowest(group.digests)
+    bins = merge(one.histogram for one in shown)
     n = bins.n
     above = (n - np.cumsum(bins.counts)) / n
     seen = above > 0
@@ -168,7 +169,13 @@ def _ccdf(group: Group, what: str, deadline_ns: int) -> str:
     keep = _thin(-np.log10(above), 200) if above.size else []
     points: list[Point] = [(low, 1.0), *((float(values[i]), float(above[i])) for i in keep)]
     points.append(((int(bins.values_ns[-1]) + bins.bin_ns) / 1000, 0.5 / n))
-    marks = [Mark(kind="steps", points=points, name="measured")]
+    marks = [
+        Mark(
+            kind="steps",
+            points=points,
+            name="measured" if len(shown) == len(group.digests) else "measured by the slowest subscriber",
+        )
+    ]
     floor = 0.5 / n
     for bound in group.bounds:
         if bound.refused is None and bound.method == "GPD":

@@ -10,7 +10,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES = ("", "6 2", "2 2", "8 2 2 2", "4 4", "1 3")
 INK, FAINT = "#222222", "#cccccc"
 WIDTH, HEIGHT = 480, 300
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 12, 14, 44
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 26, 14, 44
 
 Point = tuple[float, float]
 
