@@ -31,7 +31,7 @@ def table(results: Iterable[Result]) -> Table:
         figures = result.figures
         found.add_row(
             Text(f"{result.suite.removesuffix('_tests')} {result.series}"),
-            Text(_parameters(result)),
+            Text(_printable(_parameters(result))),
             str(figures.n),
             *(
                 _time(value, figures)
@@ -81,7 +81,14 @@ def answer(results: Iterable[Result], *, emulated: bool, notes: Iterable[str] = 
         lines.append("p99.9 of fewer than 1000 values is their maximum.")
     banner = [Text(EMULATED, style="bold red")] if emulated else []
     body = [table(results)] if results else []
-    return Group(*banner, *body, *(Text(line, no_wrap=True, overflow="ignore") for line in dict.fromkeys(lines)))
+    return Group(
+        *banner, *body, *(Text(_printable(line), no_wrap=True, overflow="ignore") for line in dict.fromkeys(lines))
+    )
+
+
+def _printable(text: str) -> str:
+    """Without what would command the terminal: names and reasons come from a target."""
+    return "".join(character if character.isprintable() else "?" for character in text)
 
 
 def answer_of_run(run: Run) -> Group:
