@@ -17,6 +17,7 @@ LISTED = 10
 # Beyond this no difference of two values can overflow an int64; it is 146 years.
 LIMIT_NS = 1 << 62
 _BINS = 1 << 21
+_PIECE = 1 << 13  # stays in the cache, and is too short for BLAS to start threads
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,10 +72,7 @@ def describe(values_ns: Int64s, indices: NDArray[np.int64] | None = None) -> Des
 
     offsets = values_ns - low
     total = int(offsets.sum()) if high - low < LIMIT_NS // n else sum(map(int, offsets))
-    spread = offsets - total / n
-    variance = float(np.dot(spread, spread)) / (n - 1) if n > 1 else 0.0
-    del spread
-
+    variance = _squares(offsets, total / n) / (n - 1) if n > 1 else 0.0
     order = _OrderStatistics(offsets, high - low)
     listed = min(LISTED, n)
 
@@ -89,15 +87,26 @@ def describe(values_ns: Int64s, indices: NDArray[np.int64] | None = None) -> Des
         max_ns=high,
         std_ns=math.sqrt(variance),
         percentiles_ns={p: low + order.at(rank(n, p)) for p in PERCENTILES},
-        top=extreme(_first(-offsets, -order.at(n - listed + 1), listed)),
-        lowest=extreme(_first(offsets, order.at(listed), listed)),
+        top=extreme(_first(offsets, offsets >= order.at(n - listed + 1), listed, -1)),
+        lowest=extreme(_first(offsets, offsets <= order.at(listed), listed, 1)),
     )
 
 
-def _first(keys: Int64s, limit: int, count: int) -> NDArray[np.intp]:
-    """Positions of the `count` smallest keys, equal keys by position; `limit` is the count-th smallest key."""
-    candidates = np.flatnonzero(keys <= limit)
-    return candidates[np.argsort(keys[candidates], kind="stable")][:count]
+def _squares(offsets: Int64s, mean: float) -> float:
+    """Sum of squared distances from the mean, in pieces that stay in the cache."""
+    piece = np.empty(min(_PIECE, offsets.size))
+    total = 0.0
+    for start in range(0, offsets.size, _PIECE):
+        part = offsets[start : start + _PIECE]
+        spread = np.subtract(part, mean, out=piece[: part.size])
+        total += float(np.dot(spread, spread))
+    return total
+
+
+def _first(offsets: Int64s, within: NDArray[np.bool_], count: int, sign: int) -> NDArray[np.intp]:
+    """Positions of the `count` lowest (sign 1) or highest (-1) offsets among those `within`, equal ones by position."""
+    candidates = np.flatnonzero(within)
+    return candidates[np.argsort(sign * offsets[candidates], kind="stable")][:count]
 
 
 class _OrderStatistics:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._question import add_confidence
+from rtrun.commands._question import add_confidence, say
 
 NAME = "claims"
 HELP = "re-examine the 19 claims of the thesis on a campaign"
@@ -36,10 +36,10 @@ def run(args: argparse.Namespace) -> int:
     for claim in examined:
         result = claim.result
         print(f"{result.finding:9}  {claim.id} ({claim.section}): {claim.text}")
-        print(f"           {result.numbers}")
+        say(f"           {result.numbers}")
         if result.runs:
             shown = ", ".join(result.runs[:4]) + (f" and {len(result.runs) - 4} more" if len(result.runs) > 4 else "")
-            print(f"           test: {result.test}; runs: {shown}")
+            say(f"           test: {result.test}; runs: {shown}")
     for text in found.left_out:
-        print(f"not analysed: {text}")
+        say(f"not analysed: {text}")
     return 0

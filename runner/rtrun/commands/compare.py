@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._question import add_question, time_ns
+from rtrun.commands._question import add_question, say, time_ns
 
 NAME = "compare"
 HELP = "compare two folders of runs: what shifted, and how sure that is"
@@ -35,5 +35,9 @@ def run(args: argparse.Namespace) -> int:
     )
     if not found.changes:
         raise UsageError(f"{args.a} and {args.b} have no suite with the same parameters in common")
-    print(compare.as_json(found) if args.json else compare.as_text(found), end="")
+    if args.json:
+        print(compare.as_json(found), end="")
+    else:
+        for line in compare.as_text(found).splitlines():
+            say(line)
     return 0

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._question import add_question, ask
+from rtrun.commands._question import add_question, ask, say
 
 NAME = "gate"
 HELP = "pass (exit 0) only if every group of runs proves the deadline, else fail (exit 1)"
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
         print(EMULATED)
     print("passed" if judged.passed else "failed")
     for case in judged.cases:
-        print(f"{'pass' if case.passed else 'FAIL'}  {case.answer}  {case.about}: {case.text}")
+        say(f"{'pass' if case.passed else 'FAIL'}  {case.answer}  {case.about}: {case.text}")
     if args.junit:
         try:
             atomic.write_text(args.junit, junit(judged))

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._question import add_question, ask
+from rtrun.commands._question import add_question, ask, say
 
 NAME = "report"
 HELP = "write what was found as one file: verdict, figures, claims, plots"
@@ -57,9 +57,10 @@ def run(args: argparse.Namespace) -> int:
         print(f"not drawn: {trouble}", file=sys.stderr)
     if said.banner:
         print(said.banner)
+    print(said.summary)
     for line in said.lines:
-        print(f"{line.answer}  {line.about}: {line.text}")
+        say(f"{line.answer}  {line.about}: {line.text}")
     for text in said.left_out:
-        print(f"not analysed: {text}")
+        say(f"not analysed: {text}")
     print(output)
     return 0

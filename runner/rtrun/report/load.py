@@ -100,7 +100,7 @@ def measured(source: Source, left_out: list[str]) -> Iterator[Measured]:
             if record.status != "ok":
                 left_out.append(f"{record.run}: {record.status}: {record.reason or 'no reason given'}")
                 continue
-            for output in record.all_outputs:
+            for output in dict.fromkeys(record.outputs):
                 yield from _of_output(folder, record, output, left_out)
         except UsageError as error:
             left_out.append(str(error))

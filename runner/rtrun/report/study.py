@@ -113,7 +113,7 @@ def told(parameters: dict[str, Value]) -> str:
         if key not in _TELLING and option is not None and value == option.default:
             continue
         if key == "policy":
-            words.insert(0, "no policy" if value == "0" else str(value))
+            words.insert(0, "OTHER" if value == "0" else str(value))
         else:
             words.append(f"{value}{_UNITS[key]}" if key in _UNITS else f"{key}={value}")
     return " ".join(words)

@@ -81,9 +81,12 @@ def write_log(path: Path, suite: str, values_ns: Int64s, *, label: str, asked: i
     ]
     filled = dict(zip(found.tolist(), counts.tolist(), strict=True))
     first = low if suite == "cyclic_timer_tests" else 0
+    ordered = [value for value in found.tolist() if value < 0] if suite != "cyclic_timer_tests" else []
     lines += [
         f"{'-' if value < 0 else ''}{abs(value):06d} \t{filled.get(value, 0):06d}" for value in range(first, high + 1)
     ]
+    if ordered:
+        lines += ["# negative Values following", *(f"#-{-value:06d} \t{filled[value]:06d}" for value in ordered)]
     path.write_text("\n".join([*lines, "", "end"]) + "\n")
 
 
@@ -198,9 +201,7 @@ def _write_output(
 
 def write_campaign(root: Path, *, n: int = 20_000, emulated: bool = False, seed: int = 0) -> Path:
     """One-shot, cyclic and communication runs with and without policy, one and five subscribers."""
-    k = 0
-    for policy in ("RR", "FIFO", "0"):
-        k += 1
+    for k, policy in enumerate(("RR", "FIFO", "0"), start=1):
         spread = 8.0 if policy != "0" else 300.0
         for timeout in (1000, 10000):
             mean = 98.0 if timeout == 1000 else 150.0
