@@ -82,7 +82,7 @@ def verdict_line(group: Group) -> Line:
 
 
 def _numbers(verdict: Verdict, group: Group) -> str:
-    parts = [f"{verdict.late:,} of {verdict.n:,} late".replace(",", "\N{NO-BREAK SPACE}")]
+    parts = [f"{verdict.late:,} of {verdict.n:,} late".replace(",", " ")]
     if verdict.never:
         parts[0] += f" and {verdict.never} never came"
     parts.append(f"P(miss) {_between(verdict)}")
@@ -90,9 +90,7 @@ def _numbers(verdict: Verdict, group: Group) -> str:
         parts.append(f"worst {us(verdict.worst_ns)} us")
     if verdict.design_effect > 1.005:
         parts.append(
-            f"high values come in bursts: worth {verdict.n_effective:,.0f} independent measurements".replace(
-                ",", "\N{NO-BREAK SPACE}"
-            )
+            f"high values come in bursts: worth {verdict.n_effective:,.0f} independent measurements".replace(",", " ")
         )
     if verdict.refused:
         parts.insert(0, verdict.refused)
@@ -127,7 +125,7 @@ def _more(verdict: Verdict) -> list[str]:
 
 def _amount(verdict: Verdict, count: int) -> str:
     hours = verdict.hours(count)
-    return f"{count:,} more measurements".replace(",", "\N{NO-BREAK SPACE}") + (
+    return f"{count:,} more measurements".replace(",", " ") + (
         "" if hours is None else f" ({hours:.2g} h)" if hours < 10 else f" ({hours:.0f} h)"
     )
 
@@ -237,14 +235,21 @@ def _policy(group: Group) -> object:
 
 
 def _claims(claims: Sequence[Examined]) -> Table:
-    rows = [(c.result.finding, c.id, c.section, c.text, c.result.numbers, c.result.test) for c in claims]
+    rows = [
+        (c.result.finding, c.id, c.section, c.text, c.result.numbers, c.result.test, _few(c.result.runs))
+        for c in claims
+    ]
     return Table(
         id="claims",
         title="Claims of the thesis, re-examined",
-        columns=("found", "claim", "section", "text", "numbers", "test"),
+        columns=("found", "claim", "section", "text", "numbers", "test", "runs"),
         rows=[tuple(map(str, row)) for row in rows],
         numbers=9,
     )
+
+
+def _few(runs: Sequence[str]) -> str:
+    return ", ".join(runs[:3]) + (f" and {len(runs) - 3} more" if len(runs) > 3 else "")
 
 
 def _published(study: Study) -> list[Table]:

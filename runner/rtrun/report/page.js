@@ -3,10 +3,10 @@
 for (const figure of document.querySelectorAll(".long-term")) {
   const data = JSON.parse(figure.dataset.plot), canvas = figure.querySelector("canvas"), pen = canvas.getContext("2d");
   const runs = data.rows.length, size = data.size, top = Math.max(1, ...data.rows.map((row) => Math.max(...row.log10)));
-  let turn = -0.5, tilt = 0.5, from = null;
+  let turn = -0.3, tilt = 0.35, from = null;
   const place = (x, y, z) => {
     const u = x * Math.cos(turn) - y * Math.sin(turn), v = x * Math.sin(turn) + y * Math.cos(turn);
-    return [480 + 560 * u, 330 - 340 * z * Math.cos(tilt) - 560 * v * Math.sin(tilt), v];
+    return [470 + 520 * u, 300 - 330 * z * Math.cos(tilt) - 520 * v * Math.sin(tilt), v];
   };
   const across = (i) => i / Math.max(1, size - 1) - 0.5, along = (k) => k / Math.max(1, runs - 1) - 0.5;
   const lift = (log) => (log + 1) / (top + 1) - 0.4;
@@ -37,9 +37,9 @@ for (const figure of document.querySelectorAll(".long-term")) {
       const value = Math.round(data.low_us + (t / 4) * size * data.width_us);
       say(value + " us", place(t / 4 - 0.5, -0.58, lift(-1)));
     }
-    for (let z = 0; z <= top; z++) say("1e" + z, place(-0.56, -0.5, lift(z)));
-    say("run 1", place(0.53, -0.5, lift(-1)));
-    if (runs > 1) say("run " + runs, place(0.53, 0.5, lift(-1)));
+    for (let z = 0; z <= top; z++) say("1e" + z, place(-0.58, -0.5, lift(z)));
+    say("first", place(0.56, -0.42, lift(-1)));
+    if (runs > 1) say("last of " + runs, place(0.53, 0.5, lift(-1)));
   };
   canvas.addEventListener("pointerdown", (event) => { from = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
   canvas.addEventListener("pointerup", () => { from = null; });

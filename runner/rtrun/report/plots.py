@@ -271,5 +271,5 @@ def long_term_still(data: dict[str, Any], title: str) -> str:
         f'font-family="sans-serif" font-size="12" fill="{INK}">{"".join(parts)}'
         '<text x="210" y="304" text-anchor="middle">value in us</text>'
         '<text x="40" y="130" text-anchor="middle">count</text>'
-        f'<text x="425" y="215">{len(rows)} runs</text></svg>'
+        f'<text x="425" y="215">{len(rows)} series</text></svg>'
     )

@@ -52,8 +52,8 @@ def test_cyclictest_tells_the_same_in_text_and_json(cyclictest):
     text, data = read(cyclictest / "run.txt"), read(cyclictest / "run.json")
     assert [one.name for one in text] == [one.name for one in data] == ["cyclictest-t0", "cyclictest-t1"]
     for a, b in zip(text, data, strict=True):
-        # A thread that is faster than the other runs on until both are done.
-        assert a.histogram.n == b.histogram.n >= 1000
+        # cyclictest ends when the faster thread is done: the other has fewer.
+        assert a.histogram.n == b.histogram.n > 0
         assert a.histogram.counts.tolist() == b.histogram.counts.tolist()
         assert a.histogram.values_ns.tolist() == b.histogram.values_ns.tolist()
         assert (a.histogram.overflow, a.histogram.max_ns) == (b.histogram.overflow, b.histogram.max_ns)
@@ -139,7 +139,7 @@ def test_one_bad_file_does_not_stop_the_others(tmp_path, capsys):
         ("n.json", "[" * 100_000, "expected"),
         ("o.json", "{" + '"a":{' * 50_000, "not JSON"),
         ("tl.txt", TIMERLAT.replace("count:     1000", "count:     1001"), "IRQ-001: a count of 1001"),
-        ("tl2.txt", TIMERLAT[:200], "cut off"),
+        ("tl2.txt", TIMERLAT[: TIMERLAT.index("over:")], "cut off"),
         ("tl3.txt", TIMERLAT.replace("944       134", "944"), "tl3.txt:5: 5 values for 6 columns"),
     ],
 )

@@ -77,6 +77,7 @@ def write_log(path: Path, suite: str, values_ns: Int64s, *, label: str, asked: i
         "# Plot data for gnuplot",
         head,
         f"# {label}\t{summary}",
+        *([f"# {asked - us.size} timers didn't fire"] if suite.startswith("oneshot") and asked > us.size else []),
         "# Indices of top values(|latency:index|): |" + "".join(f"{us[i]}:{i}|" for i in top),
     ]
     filled = dict(zip(found.tolist(), counts.tolist(), strict=True))
