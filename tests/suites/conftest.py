@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import time
@@ -20,6 +21,8 @@ from rtgen import suites as builder
 
 NOT_FIRED = np.iinfo(np.int64).min
 HIST_LINE = re.compile(r"^(#?)(-?\d{6,}) \t(\d{6,})$")
+UNIT_SOURCE = Path(__file__).parent / "unit"
+UNIT_BUILD = Path(__file__).parents[2] / "build" / "suites-unit"
 PROGRAMS = {
     "oneshot_timer_tests": "oneshot_timer_tests",
     "cyclic_timer_tests": "cyclic_timer_tests",
@@ -32,6 +35,22 @@ PROGRAMS = {
 def suites(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the native build."""
     return builder.build("host", tmp_path_factory.mktemp("suites"))
+
+
+def say(*command: str) -> str:
+    """What a tool says; a failure shows it."""
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}"
+    return done.stdout
+
+
+@pytest.fixture(scope="session")
+def unit_build() -> Path:
+    """The folder of the compiled unit tests; what did not change is not compiled again."""
+    launcher = ["-DCMAKE_CXX_COMPILER_LAUNCHER=ccache"] if shutil.which("ccache") else []
+    say("cmake", "-G", "Ninja", "-S", str(UNIT_SOURCE), "-B", str(UNIT_BUILD), *launcher)
+    say("ninja", "-C", str(UNIT_BUILD), "-j", "2")
+    return UNIT_BUILD
 
 
 @dataclass

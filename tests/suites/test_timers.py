@@ -35,7 +35,8 @@ def test_oneshot_defaults(bench: Bench) -> None:
     assert [line[: len(start)] for line, start in zip(ended.lines, expected, strict=True)] == expected
     record = check_outputs(bench.folder, base)
     assert record["complete"] is True
-    assert record["counts"]["asked"] == record["counts"]["measured"] + record["counts"]["not_fired"] == 1000
+    # None is lost to the race in roscpp that made timers "randomly ignored" in 2014.
+    assert record["counts"]["measured"] == record["counts"]["asked"] == 1000
     assert {thread["policy"] for thread in record["in_effect"]["threads"]} == {"OTHER"}
     assert record["in_effect"]["clock"] == "CLOCK_MONOTONIC_RAW"
     assert record["in_effect"]["mlockall"] is False
@@ -132,6 +133,28 @@ def test_busy_mode_ends_on_a_signal(bench: Bench) -> None:
     assert check_outputs(bench.folder, "oneshot_timer_tests_l1000000_tm1000-bm")["complete"] is False
 
 
+@pytest.mark.parametrize(
+    ("program", "mode"), [("oneshot_timer_tests", "-b0"), ("oneshot_timer_tests", "-b1"), ("cyclic_timer_tests", "")]
+)
+def test_the_program_allocates_nothing_per_measurement(bench: Bench, unit_build: Path, program: str, mode: str) -> None:
+    """The real loop, on roscpp: twenty times the measurements cost the program's own code not one allocation more.
+
+    Allocations inside roscpp are counted apart: it makes a callback object for each expiry, as it did in 2014.
+    """
+    preload = ("env", f"LD_PRELOAD={unit_build / 'libcount_allocations.so'}")
+    counts = []
+    for repetitions in ("50", "1000"):
+        arguments = ["-s", "RR", "-r", repetitions, *([mode[:2], mode[2:]] if mode else [])]
+        ended = bench.run(program, *arguments, before=preload)
+        assert ended.status == 0
+        counts.append(
+            [int(n) for n in re.findall(r"^allocations: program (\d+), libraries (\d+)$", ended.err, re.M)[0]]
+        )
+    (few, few_of_ros), (many, many_of_ros) = counts
+    assert few == many > 0
+    assert many_of_ros - few_of_ros >= 950  # the counter sees what there is to see
+
+
 def test_ros_ends_it(bench: Bench) -> None:
     """A second node of the same name makes the master shut the first one down."""
     for program, base in {
@@ -150,8 +173,9 @@ def test_ros_ends_it(bench: Bench) -> None:
 @pytest.mark.parametrize("program", ["oneshot_timer_tests", "cyclic_timer_tests"])
 def test_break_trace_marks_the_kernel_trace(bench: Bench, program: str) -> None:
     script = (
-        'mount -t tracefs none /sys/kernel/tracing && "$@"; '
-        "status=$?; grep tests: /sys/kernel/tracing/trace | tail -n 1 >&2; exit $status"
+        "test -e /sys/kernel/tracing/trace_marker || mount -t tracefs none /sys/kernel/tracing || exit; "
+        '"$@"; status=$?; '
+        "grep tests: /sys/kernel/tracing/trace | tail -n 1 >&2; exit $status"
     )
     traced = ("unshare", "--mount", "sh", "-c", script, "sh")
     ended = bench.run(program, "-r", "5000", "--break-trace", "1", before=traced)
