@@ -89,6 +89,11 @@ def no_runs(what: str) -> Result:
     return Result(finding=Finding.UNDECIDED, numbers=f"no {what} in this campaign")
 
 
+def too_small(figure: str, groups: Iterable[Group]) -> Result:
+    """Runs bear on the claim, but with too few measurements."""
+    return Result(finding=Finding.UNDECIDED, numbers=f"too few measurements to compare {figure}", runs=runs_of(groups))
+
+
 def select(study: Study, suite: str, *, rt: bool | None = None) -> list[Group]:
     """Groups of a suite that measured something; with real-time policy, without, or either."""
     return [group for group in study.groups if group.suite == suite and group.n and (rt is None or is_rt(group) is rt)]
@@ -142,14 +147,16 @@ def examine_shift(
     study: Study, candidates: Iterable[tuple[Group, Group]], figure: str, sign: int, missing: str
 ) -> Result:
     """Confirmed when every pair's figure moved in the direction of `sign`, refuted when one moved against it."""
-    found = []
+    found, small = [], []
     for pair in candidates:
         comparison = compared(pair, study.confidence)
         shift = shift_of(comparison, figure) if comparison else None
         if shift is not None:
             found.append((pair, shift))
+        else:
+            small += [*pair]
     if not found:
-        return no_runs(missing)
+        return too_small(figure, small) if small else no_runs(missing)
     with_it = [sign * (shift.low_ns if sign > 0 else shift.high_ns) > 0 for _, shift in found]
     against = [sign * (shift.high_ns if sign > 0 else shift.low_ns) < 0 for _, shift in found]
     finding = Finding.CONFIRMED if all(with_it) else Finding.REFUTED if any(against) else Finding.UNDECIDED

@@ -13,6 +13,7 @@ from rtrun.report.claims import (
     runs_of,
     select,
     shift_of,
+    too_small,
     us,
 )
 from rtrun.report.study import Study, told
@@ -97,7 +98,7 @@ def _first(study: Study) -> Result:
 @examines("comm-more-subscribers-broader")
 def _broader(study: Study) -> Result:
     groups = select(study, COMMUNICATION, rt=True)
-    found = []
+    found, small = [], []
     for first, second in pairs(groups, "subscribers", 1, 5):
         comparison = compared((first, second), study.confidence)
         shift = shift_of(comparison, "p99") if comparison else None
@@ -107,6 +108,10 @@ def _broader(study: Study) -> Result:
                 for g in (first, second)
             ]
             found.append((first, second, shift, widths))
+        else:
+            small += [first, second]
+    if small and not found:
+        return too_small("p99", small)
     if not found:
         return no_runs("pair of communication runs with one and five real-time subscribers")
     broader = all(shift.low_ns > 0 and widths[1] > widths[0] for *_, shift, widths in found)

@@ -60,7 +60,15 @@ def test_every_claim_has_an_answer_and_none_without_runs(tmp_path):
 @pytest.mark.parametrize(("mean_us", "finding"), [(300.0, CONFIRMED), (90.0, REFUTED)])
 def test_timeouts_below_a_millisecond(tmp_path, mean_us, finding):
     oneshot(tmp_path, "a", latencies(3000, 1, mean_us), timeout_us=800)
+    oneshot(tmp_path, "b", latencies(3000, 2, 95.0))
     assert found(tmp_path, "oneshot-sub-millisecond").finding == finding
+
+
+def test_a_slow_timer_alone_does_not_show_that_a_millisecond_was_waited(tmp_path):
+    oneshot(tmp_path, "a", latencies(3000, 1, 900.0), timeout_us=800)
+    assert found(tmp_path, "oneshot-sub-millisecond").finding == UNDECIDED
+    oneshot(tmp_path, "b", latencies(3000, 2, 890.0))
+    assert found(tmp_path, "oneshot-sub-millisecond").finding == UNDECIDED
 
 
 @pytest.mark.parametrize(
