@@ -90,7 +90,7 @@ def _numbers(verdict: Verdict, group: Group) -> str:
         parts.append(f"worst {us(verdict.worst_ns)} us")
     if verdict.design_effect > 1.005:
         parts.append(
-            f"high values come in bursts: worth {verdict.n_effective:,.0f} independent measurements".replace(",", " ")
+            f"dependent values: worth {verdict.n_effective:,.0f} independent measurements".replace(",", " ")
         )
     if verdict.refused:
         parts.insert(0, verdict.refused)
