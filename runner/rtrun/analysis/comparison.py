@@ -60,10 +60,11 @@ class Shift:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Two sets, compared. ``distance`` is the largest difference of the distribution functions (0 to 1).
+    """Two sets, compared; too little data have no shifts.
 
-    ``p_value`` is the chance of a distance as large if both sets came from one process. ``units`` says what was
-    resampled: 'runs', or 'blocks' where there are too few runs to know how much one boot differs from the next.
+    ``distance`` is the largest difference of the distribution functions (0 to 1), ``p_value`` the chance of one as
+    large if both sets came from one process. ``units`` says what was resampled: 'runs', or 'blocks' where there are
+    too few runs to know how much one boot differs from the next.
     """
 
     answer: Change
@@ -141,7 +142,7 @@ def compare(
         answer = Change.SAME if all(shift.within_margin for shift in shifts) else Change.NOT_SEEN
     return Comparison(
         answer=answer,
-        shifts=tuple(shifts),
+        shifts=() if answer == Change.UNDECIDED else tuple(shifts),
         distance=distance,
         p_value=p_value,
         units="runs" if whole_runs else "blocks",

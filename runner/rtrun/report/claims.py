@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from rtrun.analysis.blocks import Blocks
-from rtrun.analysis.comparison import Comparison, Shift, compare
+from rtrun.analysis.comparison import Change, Comparison, Shift, compare
 from rtrun.report.reference import published
 from rtrun.report.study import Group, Study, told
 
@@ -124,10 +124,13 @@ def _rest(group: Group, key: str) -> tuple[object, ...]:
 
 
 def compared(pair: tuple[Group, Group], confidence: float) -> Comparison | None:
-    """The comparison of a pair; None where one of them has no values."""
+    """The comparison of a pair; None where one of them has too few values."""
     first, second = pair
     blocks: tuple[tuple[Blocks, ...], tuple[Blocks, ...]] = (first.blocks, second.blocks)
-    return compare(*blocks, confidence=confidence) if all(blocks) else None
+    if not all(blocks):
+        return None
+    comparison = compare(*blocks, confidence=confidence)
+    return None if comparison.answer == Change.UNDECIDED else comparison
 
 
 def shift_of(found: Comparison, figure: str) -> Shift | None:

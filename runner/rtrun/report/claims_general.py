@@ -161,7 +161,7 @@ def _same(study: Study) -> Result:
     if not found:
         return no_runs("pair of runs with RR and FIFO")
     apart = [c.answer == Change.DIFFERENT and not all(s.within_margin for s in c.shifts) for _, c in found]
-    alike = [all(s.within_margin for s in c.shifts) and c.answer != Change.UNDECIDED for _, c in found]
+    alike = [all(s.within_margin for s in c.shifts) for _, c in found]
     finding = Finding.REFUTED if any(apart) else Finding.CONFIRMED if all(alike) else Finding.UNDECIDED
     if any(apart) and any(c.units == "blocks" for _, c in found):
         # One boot or run may differ from the next whatever the policy: too few runs to blame the policy.

@@ -89,9 +89,7 @@ def _numbers(verdict: Verdict, group: Group) -> str:
     if verdict.worst_ns is not None:
         parts.append(f"worst {us(verdict.worst_ns)} us")
     if verdict.design_effect > 1.005:
-        parts.append(
-            f"dependent values: worth {verdict.n_effective:,.0f} independent measurements".replace(",", " ")
-        )
+        parts.append(f"dependent values: worth {verdict.n_effective:,.0f} independent measurements".replace(",", " "))
     if verdict.refused:
         parts.insert(0, verdict.refused)
     elif verdict.answer == Answer.NEEDS_MORE:

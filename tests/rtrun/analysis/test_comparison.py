@@ -72,6 +72,7 @@ def test_a_heavier_tail_is_seen_where_it_is() -> None:
 def test_a_few_values_are_too_few() -> None:
     few = cut(np.array([1000, 2000], dtype=np.int64))
     assert compare([few], [few]).answer == Change.UNDECIDED
+    assert compare([few], [cut(process(5000, np.random.default_rng(1)))]).shifts == ()
     with pytest.raises(ValueError, match="no measurement"):
         compare([few], [])
 
