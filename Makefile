@@ -2,7 +2,7 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test test-kernel lint setup board suites clean
+.PHONY: demo test test-kernel lint bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -19,6 +19,9 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+bench: setup
+	nice -n 5 $(BIN)/python tests/bench/bench_analysis.py --check
 
 setup:
 	@tools/setup
