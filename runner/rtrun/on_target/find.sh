@@ -15,7 +15,9 @@ for program in /opt/ros/*/lib/*_tests/*_tests* /usr/lib/*_tests/*_tests*; do
 done
 echo "cpus $(grep -c '^processor' /proc/cpuinfo)"
 if mkdir -p "$1/objects" "$1/suites" "$1/runs" "$1/master" && [ -w "$1" ]; then
-    echo "free_kib $(df -Pk "$1" | sed -n '2s/^.* \([0-9][0-9]*\) *[0-9]*% .*$/\1/p')"
+    # shellcheck disable=SC2046 # the words of the line are wanted
+    set -- $(df -Pk "$1" | tail -n 1)
+    echo "free_kib $4"
 else
     echo "readonly $1"
 fi

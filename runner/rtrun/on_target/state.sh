@@ -19,7 +19,11 @@ section sched_rt_runtime_us; cat /proc/sys/kernel/sched_rt_runtime_us 2>/dev/nul
 section load;               cat /proc/loadavg 2>/dev/null
 section memory;             head -n 3 /proc/meminfo 2>/dev/null
 section os_release;         cat /etc/os-release 2>/dev/null
-section roscpp_version;     sed -n 's/.*<version>\(.*\)<.version>.*/\1/p' /opt/ros/*/share/roscpp/package.xml /usr/share/roscpp/package.xml 2>/dev/null | head -n 1
+section roscpp_version
+{
+    sed -n 's/.*<version>\(.*\)<.version>.*/\1/p' /opt/ros/*/share/roscpp/package.xml /usr/share/roscpp/package.xml
+    ls /usr/lib/libroscpp.so.*.* /usr/lib/*/libroscpp.so.*.* | sed 's/.*[.]so[.]//'
+} 2>/dev/null | head -n 1
 section cpuinfo;            cat /proc/cpuinfo 2>/dev/null
 section threads;            cat /proc/[0-9]*/task/[0-9]*/stat 2>/dev/null
 exit 0

@@ -1,0 +1,29 @@
+# The front door: each target does all the set-up it needs. README.md says what they are for.
+MACHINE ?= qemu-armv7
+BIN := .venv/bin
+
+.PHONY: demo test lint setup board suites clean
+
+demo: setup
+	@$(MAKE) --no-print-directory -j2 board suites
+	$(BIN)/rtrun run campaigns/demo.yml --target targets/qemu.yml --fresh
+
+test: setup
+	$(BIN)/pytest
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+setup:
+	@tools/setup
+
+board: setup
+	$(BIN)/rtgen board build --machine $(MACHINE)
+
+suites: setup
+	$(BIN)/rtgen suites build --machine $(MACHINE)
+
+clean:
+	rm -rf build results .venv
