@@ -11,7 +11,9 @@ HELP = "write a profile of your own, derived from another, to edit"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, help="file to write, ending in .yml; must not exist")
-    parser.add_argument("--from", dest="origin", default=DEFAULT_PROFILE, metavar="PROFILE", help=f"[{DEFAULT_PROFILE}]")
+    parser.add_argument(
+        "--from", dest="origin", default=DEFAULT_PROFILE, metavar="PROFILE", help=f"[{DEFAULT_PROFILE}]"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,7 +13,9 @@ HELP = "write meta-rt-tests/ and kas.yml from a profile"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--profile", default=DEFAULT_PROFILE, help=f"name or file (….yml) [{DEFAULT_PROFILE}]")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write to [this repository]")
-    parser.add_argument("--check", action="store_true", help="write nothing; show the difference, exit 1 if there is one")
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; show what differs and exit 1 if anything does"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -27,9 +27,8 @@ def differences(tree: Tree, out: Path) -> str:
         name = path.as_posix()
         have, want = _read(out / path), _content(tree, path, out)
         if have != want:
-            lines += difflib.unified_diff(
-                have.splitlines(keepends=True), want.splitlines(keepends=True), f"{name} (present)", f"{name} (rendered)"
-            )
+            before, after = have.splitlines(keepends=True), want.splitlines(keepends=True)
+            lines += difflib.unified_diff(before, after, f"{name} (present)", f"{name} (rendered)")
     return "".join(line if line.endswith("\n") else f"{line}\n" for line in lines)
 
 
@@ -77,7 +76,9 @@ def _present(out: Path) -> list[PurePosixPath]:
 
 
 def _replaceable(path: Path) -> bool:
-    return path.is_symlink() and path.name == "files" or path.is_file() and is_ours(_read(path))
+    if path.is_symlink():
+        return path.name == "files"
+    return is_ours(_read(path))
 
 
 def _content(tree: Tree, path: PurePosixPath, out: Path) -> str:

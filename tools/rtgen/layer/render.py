@@ -3,6 +3,7 @@
 Every file begins with a line that says it is generated and from what; `is_ours` knows it by that line.
 """
 
+import importlib.metadata
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -42,13 +43,14 @@ def is_ours(text: str) -> bool:
     return MARK in text.partition("\n")[0]
 
 
-def render(name: str, profile: Profile, release: Release, prefix: str = "", version: str = "0.1.0") -> Tree:
+def render(name: str, profile: Profile, release: Release, prefix: str = "") -> Tree:
     """Every file of the rendering by its path below the output folder.
 
     `prefix` is the output folder's path in the git repository it lies in ("" or "folder/"): kas names layers from
     there. Raises UsageError if kconfig/ has no fragment for a kernel of the profile.
     """
     source = f"profile {name}"
+    version = importlib.metadata.version("meta-rt-tests")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         undefined=jinja2.StrictUndefined,
@@ -83,8 +85,10 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "", vers
     add(f"{layer}/recipes-core/images/{profile.image.name}.bb", "recipes-core/image.bb")
 
     suites = list(suite_recipes(profile))
+    if profile.suites:
+        version = profile.suites.version
     for suite in suites:
-        path = f"{layer}/recipes-tests/suites/{suite['package']}_{profile.suites.version if profile.suites else version}.bb"
+        path = f"{layer}/recipes-tests/suites/{suite['package']}_{version}.bb"
         add(path, "recipes-tests/suite.bb", **suite, git_url=_git_url(profile))
     add(
         f"{layer}/recipes-core/packagegroups/packagegroup-rt-tests.bb",
@@ -105,7 +109,12 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "", vers
     if "pandaboard-es" in profile.machines:
         machine = profile.machines["pandaboard-es"]
         folder = device_tree_folder(machine)
-        add(f"{layer}/conf/machine/pandaboard-es.conf", "conf/machine/pandaboard-es.conf", machine=machine, dtb_folder=folder)
+        add(
+            f"{layer}/conf/machine/pandaboard-es.conf",
+            "conf/machine/pandaboard-es.conf",
+            machine=machine,
+            dtb_folder=folder,
+        )
         if machine.sd_card:
             add(f"{layer}/wic/pandaboard-es.wks", "wic/pandaboard-es.wks", machine=machine)
         device_tree = "devicetree/omap4-panda-es-rt.dts"
@@ -141,12 +150,14 @@ def suite_recipes(profile: Profile) -> Iterator[dict[str, Any]]:
     }
     for package, suite in data.items():
         # The originals' messages need std-msgs, as their own package.xml says.
-        extra = ["std-msgs"] if profile.suites and "message_runtime" in suite["packages"]["run"] else []
+        build, run = suite["packages"]["build"], suite["packages"]["run"]
+        extra = ["std-msgs"] if profile.suites and "message_runtime" in run else []
         yield {
             "package": _dashed(package),
             "summary": f"Measures the {suite['summary']}",
-            "build": [_dashed(name) for name in suite["packages"]["build"]] + extra,
-            "run": [_dashed(name) for name in suite["packages"]["run"]] + extra,
+            # What is exported (catkin_package) has to be there when building, too.
+            "build": list(dict.fromkeys([_dashed(name) for name in build + run] + extra)),
+            "run": [_dashed(name) for name in run] + extra,
             "library": False,
         }
 
