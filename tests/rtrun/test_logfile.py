@@ -187,6 +187,29 @@ def test_counts_that_contradict_the_missing_messages_are_refused(tmp_path: Path)
         read_log(altered(tmp_path, LATE, "Total of 101 missing", "Total of 99 missing"))
 
 
+def test_an_incomplete_log_holds_as_many_as_it_says(tmp_path: Path) -> None:
+    text = write_log([5, 6], suite="communication_tests", negative_first=False, padding_2014=False)
+    text = text.replace("messages: 2;", "messages: 9;")
+    path = tmp_path / "ct_gnuplot_l9_fq50_pl0.log"
+    path.write_text(text)
+    with pytest.raises(
+        UsageError, match=r"the summary speaks of 9 measurements, 0 missing, 0 not fired, but .* hold 2"
+    ):
+        read_log(path)
+    said = "# Incomplete: 2 of 9 measured, the publisher left, last message seen: 1\n000000"
+    path.write_text(text.replace("000000", said, 1))
+    assert read_log(path).remarks == ("incomplete: the publisher left, last message seen: 1",)
+
+
+def test_a_measured_minus_one_is_no_missing_message(tmp_path: Path) -> None:
+    path = tmp_path / "ct_gnuplot_l3_fq50_pl0.log"
+    path.write_text(write_log([-1, 5, 9], suite="communication_tests", negative_first=False, padding_2014=False))
+    assert (read_log(path).missing, as_values(read_log(path)), read_log(path).remarks) == (0, [-1, 5, 9], ())
+    path.write_text(write_log([-1, -5, 9], suite="communication_tests", negative_first=False, padding_2014=False))
+    assert read_log(path).missing == 0
+    assert read_log(path).remarks == ("if this log is of 2014, 1 of its values, those of -1 us, are missing messages",)
+
+
 def test_lists_of_another_series_lend_no_index(tmp_path: Path) -> None:
     log = read_log(altered(tmp_path, ONESHOT, "|273:33|", "|279:33|"))
     assert log.remarks == ("the list of top values does not belong to the bins: its indices are left out",)

@@ -88,9 +88,7 @@ def downloads(pinned: DebianSource) -> Path:
             _run_in(folder, ["apt-get", *options, "source", "--diff-only", "--download-only", packaging])
         except InfrastructureError as error:
             served = run(["apt-cache", *options, "madison", str(pinned.tree.package)])
-            versions = ", ".join(
-                dict.fromkeys(line.split("|")[1].strip() for line in served.splitlines() if "|" in line)
-            )
+            versions = ", ".join(dict.fromkeys(line.split("|")[1].strip() for line in served.splitlines() if "|" in line))
             raise InfrastructureError(
                 f"{package} and its source cannot be had, served: {versions or 'none'}; "
                 f"if that one is gone, pin another in kconfig/sources.yml\n{error}"

@@ -119,7 +119,9 @@ def _reason_on(symbol: Any) -> str:
         return "has no prompt here, its default turns it on"
     implying = [term for term in _terms(symbol.weak_rev_dep, kconfiglib.OR) if kconfiglib.expr_value(term)]
     if implying:
-        return "is not turned off, implied by " + ", ".join(_show(_terms(term, kconfiglib.AND)[0]) for term in implying)
+        return "is not turned off, implied by " + ", ".join(
+            _show(_terms(term, kconfiglib.AND)[0]) for term in implying
+        )
     return "is not turned off, and its default is on"
 
 

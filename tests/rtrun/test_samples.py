@@ -1,0 +1,201 @@
+"""The reader of samples: what it takes from good ones, and that it refuses every bad one by name."""
+
+import json
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from tests.rtrun.written import write_communication, write_cyclic, write_oneshot
+
+from rtfiles.errors import UsageError
+from rtrun import samples
+from rtrun.samples import Series, read_samples
+
+
+def as_pairs(series: Series) -> list[tuple[int, int]]:
+    return list(zip(series.index.tolist(), series.values_ns.tolist(), strict=True))
+
+
+def test_oneshot_leaves_out_what_did_not_fire_and_keeps_the_indices(tmp_path: Path) -> None:
+    found = read_samples(write_oneshot(tmp_path))
+    assert as_pairs(found.series["measured"]) == [(0, 50_000), (1, 60_000), (3, 100)]
+    assert as_pairs(found.series["reported"]) == [(0, 58_000), (1, 67_500), (3, -400)]
+    assert as_pairs(found.series["difference"]) == [(0, 8000), (1, 7500), (3, -500)]
+    figures = found.figures()["measured"]
+    assert (figures.n, figures.not_fired, figures.max_us, figures.lowest[0].index) == (3, 1, 60.0, 3)
+
+
+def test_cyclic_counts_from_the_exact_period(tmp_path: Path) -> None:
+    found = read_samples(write_cyclic(tmp_path))
+    assert as_pairs(found.series["jitter"]) == [(0, 500), (1, -500), (2, 0)]
+    assert as_pairs(found.series["grid"]) == [(0, 500), (1, 0), (2, 0)]
+
+
+def test_communication_comes_in_sequence_order(tmp_path: Path) -> None:
+    found = read_samples(write_communication(tmp_path).with_suffix(".npy"))
+    assert as_pairs(found.series["latency"]) == [(0, 200_000), (1, 400_000), (2, 300_000), (3, 100_000)]
+    figures = found.figures()["latency"]
+    assert (figures.n, figures.missing, figures.duplicate, figures.out_of_order) == (4, 1, 1, 1)
+
+
+def change_record(path: Path, **changed: Any) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text()) | changed))
+
+
+@pytest.mark.parametrize(
+    ("write", "count", "says"),
+    [
+        (write_oneshot, {"measured": 4}, "measured: 3 in the rows, 4 in the counts"),
+        (write_oneshot, {"not_fired": 0}, "not fired: 1 in the rows, 0 in the counts"),
+        (write_cyclic, {"measured": 4}, "measured periods: 3 in the rows, 4 in the counts"),
+        (write_communication, {"measured": 5}, "measured: 4 in the rows, 5 in the counts"),
+        (write_communication, {"missing": 0}, "missing: 1 in the rows, 0 in the counts"),
+        (write_communication, {"out_of_order": 0}, "out of order: 1 in the rows, 0 in the counts"),
+        (write_communication, {"asked": 3, "missing": 0}, "seq: 0 to 3 in the rows, 3 asked for in the counts"),
+    ],
+)
+def test_rows_and_counts_that_disagree_are_refused_naming_both(
+    tmp_path: Path, write: Callable[[Path], Path], count: dict[str, int], says: str
+) -> None:
+    path = write(tmp_path)
+    change_record(path, counts=json.loads(path.read_text())["counts"] | count)
+    with pytest.raises(UsageError) as error:
+        read_samples(path)
+    assert str(error.value) == f"{path.with_suffix('.npy')} and {path.name} disagree: {says}"
+
+
+class Bomb:
+    """Unpickling it would fail the test."""
+
+    def __reduce__(self) -> tuple[Callable[..., None], tuple[str]]:
+        return pytest.fail, ("the npy was unpickled",)
+
+
+def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
+    path = write_cyclic(tmp_path).with_suffix(".npy")
+    np.save(path, np.array([Bomb(), Bomb()], dtype=object), allow_pickle=True)
+    with pytest.raises(UsageError, match=r"npy: values of type \|O, must be <i8"):
+        read_samples(path)
+    path.write_bytes(pickle.dumps(Bomb()))
+    with pytest.raises(UsageError, match=r"npy: not in NumPy format 1\.0"):
+        read_samples(path)
+
+
+def test_an_npy_cut_off_or_grown_is_refused(tmp_path: Path) -> None:
+    path = write_oneshot(tmp_path).with_suffix(".npy")
+    data = path.read_bytes()
+    for length in range(len(data)):
+        path.write_bytes(data[:length])
+        with pytest.raises(UsageError, match="npy: "):
+            read_samples(path)
+    path.write_bytes(data + b"\0")
+    with pytest.raises(UsageError, match="257 bytes, 4 rows take 256: cut off or not of one piece"):
+        read_samples(path)
+
+
+@pytest.mark.parametrize(
+    ("array", "says"),
+    [
+        (np.zeros((4, 4), dtype="<i4"), "values of type <i4, must be <i8"),
+        (np.zeros((4, 4), dtype=">i8"), "values of type >i8, must be <i8"),
+        (np.zeros((4, 3), dtype="<i8"), r"shape \(4, 3\), must be \(rows, 4\) of start_ns, end_ns"),
+        (np.zeros(16, dtype="<i8"), r"shape \(16,\), must be \(rows, 4\)"),
+        (np.array(3, dtype="<i8"), r"shape \(\), must be"),
+        (np.zeros((4, 4), dtype="<i8", order="F"), "in Fortran order"),
+    ],
+)
+def test_an_npy_of_another_shape_is_refused(tmp_path: Path, array: Any, says: str) -> None:
+    path = write_oneshot(tmp_path).with_suffix(".npy")
+    np.save(path, array)
+    with pytest.raises(UsageError, match=says):
+        read_samples(path)
+
+
+def test_a_header_that_lies_about_its_size_takes_no_memory(tmp_path: Path) -> None:
+    path = write_oneshot(tmp_path).with_suffix(".npy")
+    path.write_bytes(path.read_bytes().replace(b"(4, 4), }      ", b"(4000000000, 4)"))
+    with pytest.raises(UsageError, match="npy: "):
+        read_samples(path)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(data=st.data())
+def test_junk_in_the_header_is_refused_and_nothing_else_happens(tmp_path: Path, data: st.DataObject) -> None:
+    path = write_cyclic(tmp_path).with_suffix(".npy")
+    good = path.read_bytes()
+    start = data.draw(st.integers(0, 127))
+    junk = data.draw(st.binary(max_size=8) | st.text("0123456789,-+()'{} <i8TrueFals", max_size=8).map(str.encode))
+    path.write_bytes(good[:start] + junk + good[start + len(junk) :])
+    try:
+        found = read_samples(path)
+    except UsageError as error:
+        assert str(error).startswith(str(path))
+    else:
+        assert found.rows.shape == (4, 1)
+
+
+def test_incomplete_samples_miss_what_nobody_knows_of(tmp_path: Path) -> None:
+    path = write_communication(tmp_path)
+    counts = json.loads(path.read_text())["counts"]
+    change_record(path, complete=False, incomplete_reason="the publisher left", counts=counts | {"missing": 0})
+    assert read_samples(path).figures()["latency"].missing == 0
+    change_record(path, counts=counts | {"missing": 2})
+    with pytest.raises(UsageError, match="missing: 1 in the rows, 2 in the counts"):
+        read_samples(path)
+
+
+def test_times_that_cannot_be_are_refused_not_wrapped_around(tmp_path: Path) -> None:
+    path = write_cyclic(tmp_path).with_suffix(".npy")
+    np.save(path, np.array([[-(2**63)], [2**63 - 1], [0], [1]], dtype="<i8"))
+    with pytest.raises(UsageError, match="a time beyond 2305843009213693952 ns cannot be"):
+        read_samples(path)
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"schema": 2}, "schema: Input should be 1, got 2"),
+        ({"colour": "red"}, "unknown key 'colour', allowed: schema, suite"),
+        ({"suite": "twoshot"}, "suite: unknown suite 'twoshot', known: oneshot_timer_tests"),
+        ({"counts": {"asked": -1}}, "counts.asked"),
+        ({"requested": {}}, "requested.frequency_hz: must be a whole number above 0, got None"),
+        ({"requested": {"frequency_hz": 0}}, "requested.frequency_hz: must be a whole number above 0, got 0"),
+    ],
+)
+def test_a_record_that_breaks_the_format_is_refused(tmp_path: Path, changed: dict[str, Any], says: str) -> None:
+    path = write_cyclic(tmp_path)
+    change_record(path, **changed)
+    with pytest.raises(UsageError) as error:
+        read_samples(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert says in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"[1]", b'{"schema": NaN}', b"\xff\xfe", b"[" * 100_000, b"1" * 5000, b'{"a": ' * 50_000]
+)
+def test_what_is_no_json_is_refused(tmp_path: Path, data: bytes) -> None:
+    path = write_cyclic(tmp_path)
+    path.write_bytes(data)
+    with pytest.raises(UsageError) as error:
+        read_samples(path)
+    assert str(error.value).startswith(f"{path}: ")
+
+
+def test_a_json_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(samples, "MAX_JSON_BYTES", 100)
+    with pytest.raises(UsageError, match="larger than 100 bytes"):
+        read_samples(write_cyclic(tmp_path))
+
+
+@pytest.mark.parametrize("ending", [".json", ".npy"])
+def test_one_without_the_other_is_refused(tmp_path: Path, ending: str) -> None:
+    path = write_cyclic(tmp_path)
+    path.with_suffix(ending).unlink()
+    with pytest.raises(UsageError, match=rf"{ending}: No such file"):
+        read_samples(path)

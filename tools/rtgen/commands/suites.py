@@ -1,0 +1,24 @@
+"""``rtgen suites``: the measuring programs."""
+
+import argparse
+from pathlib import Path
+
+NAME = "suites"
+HELP = "build the measuring programs for this machine or a board"
+
+PLACE = Path("build/suites")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare ``build --machine NAME``."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    build = actions.add_parser("build", help=f"build them into {PLACE}/MACHINE")
+    build.add_argument("--machine", default="host", help="host, or a board of rtgen board (default: host)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Build the suites and say where they are."""
+    from rtgen.suites import build
+
+    print(build(args.machine, PLACE))
+    return 0

@@ -1,0 +1,201 @@
+"""Build the catkin packages of recipes-tests, one after the other, natively or for a board."""
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rtfiles import atomic, cache
+from rtfiles.config import read_yaml
+from rtfiles.errors import InfrastructureError, UsageError
+from rtgen.board import sysroot
+from rtgen.board.machine import machines
+
+SCHEMA = 1
+HERE = Path(__file__).parent
+FLAGS = "-O2"
+SUPPORT = "rt_tests_support"
+
+# Debian packages whose versions decide what a native build becomes.
+HOST_PACKAGES = ("catkin", "libroscpp-dev", "python3-gencpp", "ros-message-generation")
+# The Python that Debian's catkin and genmsg belong to, whatever Python runs us.
+SYSTEM_PYTHON = "/usr/bin/python3"
+
+
+@dataclass(frozen=True)
+class Toolchain:
+    """What a build is made with: the compiler, a sysroot for a foreign one, and what tells two builds apart."""
+
+    compiler: str
+    sysroot: Path | None
+    identity: tuple[str, ...]
+
+
+def sources() -> Path:
+    """The folder recipes-tests. Raises UsageError where only the Python packages are installed."""
+    folder = (HERE / "suites.yml").resolve().parent
+    if not (folder / SUPPORT / "package.xml").is_file():
+        raise UsageError(f"{folder}: no sources of the suites there; run rtgen from a checkout (pip install -e .)")
+    return folder
+
+
+def packages() -> list[str]:
+    """The catkin packages in the order of their dependencies."""
+    return [SUPPORT, *read_yaml(sources() / "suites.yml")["suites"]]
+
+
+def names() -> list[str]:
+    """The machines there are: this one, and the rehearsal boards."""
+    return ["host", *machines().machines]
+
+
+def toolchain(machine: str) -> Toolchain:
+    """Find or make what a machine's build needs. Raises UsageError for an unknown machine or a missing tool."""
+    if machine not in names():
+        raise UsageError(f"unknown machine {machine!r}, known: {', '.join(names())}")
+    if machine != "host":
+        compiler = "arm-linux-gnueabihf-g++"
+        root = sysroot.build()
+        return Toolchain(compiler, root, (version(compiler), str(root)))
+    listing = say(["dpkg-query", "--show", *HOST_PACKAGES])
+    return Toolchain("g++", None, (version("g++"), listing))
+
+
+def build(machine: str, place: Path) -> Path:
+    """Build for `host` or a board; return `place`/<machine>, a link to the result in the cache.
+
+    About half a minute the first time, nothing when nothing changed. Raises UsageError as `toolchain` does and
+    InfrastructureError with the compiler's words.
+    """
+    tools = toolchain(machine)
+    folder = sources()
+    inputs = [folder / name for name in (*packages(), "suites.yml")]
+    source_hash = cache.digest(inputs)
+    key = cache.digest([source_hash, FLAGS, *tools.identity, Path(__file__), HERE / "armhf.cmake"])
+
+    def build_in(result: Path) -> None:
+        with tempfile.TemporaryDirectory(prefix="rtgen-suites-") as temporary:
+            stage = Path(temporary) / "stage"
+            for package in packages():
+                build_package(folder / package, Path(temporary), stage, tools)
+            collect(stage, result)
+        shutil.copyfile(folder / "suites.yml", result / "suites.yml")
+        record = {
+            "schema": SCHEMA,
+            "machine": machine,
+            "compiler": version(tools.compiler),
+            "flags": FLAGS,
+            "source_hash": source_hash,
+            "files": describe(result),
+        }
+        atomic.write_text(result / "build.json", json.dumps(record, indent=2) + "\n")
+
+    # The record names the machine, so each has its entry.
+    entry = cache.entry("suites", f"{machine}-{key}", build_in)
+    return link(place, machine, entry)
+
+
+def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) -> None:
+    """Configure, compile and install one catkin package into the stage, where the next one finds it."""
+    work = temporary / source.name
+    options = {
+        "CMAKE_INSTALL_PREFIX": str(stage),
+        "CMAKE_PREFIX_PATH": str(stage),
+        "CMAKE_BUILD_TYPE": "None",
+        "CMAKE_CXX_FLAGS": FLAGS,
+        "CATKIN_ENABLE_TESTING": "OFF",
+        "PYTHON_EXECUTABLE": SYSTEM_PYTHON,
+    }
+    if tools.sysroot is not None:
+        options |= {
+            "CMAKE_TOOLCHAIN_FILE": str(HERE / "armhf.cmake"),
+            "META_SYSROOT": str(tools.sysroot),
+            "META_STAGE": str(stage),
+        }
+    if shutil.which("ccache"):
+        options["CMAKE_CXX_COMPILER_LAUNCHER"] = "ccache"
+    definitions = [f"-D{name}={value}" for name, value in options.items()]
+    # Paths below the temporary folder are told apart by nothing else than its name: ccache may look past it.
+    # Only C++ messages are needed; a generator of another language is one the target would have to have, too.
+    environment = {
+        "CCACHE_BASEDIR": str(temporary),
+        "CCACHE_NOHASHDIR": "1",
+        "ROS_LANG_DISABLE": "genlisp:genpy",
+    }
+    say(["cmake", "-G", "Ninja", "-S", str(source), "-B", str(work), *definitions], environment)
+    say(["ninja", "-C", str(work), "install"], environment)
+
+
+def collect(stage: Path, result: Path) -> None:
+    """Take from the stage what a target runs: programs, launch files, and what rosrun and roslaunch find them by."""
+    (result / ".catkin").touch()
+    for package in packages():
+        if package == SUPPORT:
+            continue
+        shutil.copytree(stage / "lib" / package, result / "lib" / package)
+        share = result / "share" / package
+        shutil.copytree(stage / "share" / package / "launch", share / "launch")
+        shutil.copyfile(stage / "share" / package / "package.xml", share / "package.xml")
+
+
+def describe(folder: Path) -> dict[str, dict[str, int | str]]:
+    """Size and SHA-256 of every file of a folder, by path relative to it."""
+    return {
+        str(path.relative_to(folder)): {
+            "size_bytes": path.stat().st_size,
+            "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        }
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def link(place: Path, name: str, target: Path) -> Path:
+    """Point `place`/`name` at a folder, replacing an older link in one step."""
+    final = place / name
+    if final.is_symlink() and final.readlink() == target:
+        return final
+    place.mkdir(parents=True, exist_ok=True)
+    fresh = place / f".{name}.{os.getpid()}"
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(target)
+    try:
+        fresh.replace(final)
+    except OSError as error:
+        fresh.unlink()
+        raise InfrastructureError(f"{final}: cannot be replaced by a link: {error.strerror}") from error
+    return final
+
+
+def version(compiler: str) -> str:
+    """The first line of what a compiler says of itself."""
+    return say([compiler, "--version"]).splitlines()[0]
+
+
+def say(command: Sequence[str], environment: Mapping[str, str] | None = None) -> str:
+    """Run a tool and return its output, errors among it.
+
+    Raises UsageError when it is not installed, InfrastructureError with what it last said when it fails.
+    """
+    try:
+        done = subprocess.run(
+            command,
+            env={**os.environ, **(environment or {})},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            check=False,
+        )
+    except FileNotFoundError as error:
+        raise UsageError(f"{command[0]} is not installed, see tools/apt-packages.txt") from error
+    if done.returncode != 0:
+        words = "\n  ".join(done.stdout.strip().splitlines()[-20:])
+        raise InfrastructureError(f"exit status {done.returncode} of {' '.join(command)}\n  {words}")
+    return done.stdout
