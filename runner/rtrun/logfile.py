@@ -260,6 +260,8 @@ def _interpret(path: Path, text: _Text) -> Log:
             f"{path}:{asked_line}: the summary speaks of {asked} measurements, {number['missing']} missing,"
             f" {number['not_fired']} not fired, but the bins hold {total}"
         )
+    if series in ("reported", "difference"):
+        lists = {}  # these logs print the lists of the measured values
     top = _of_these_bins("top", lists.get("top", ()), value_us[::-1], count[::-1], remarks)
     lowest = _of_these_bins("lowest", lists.get("lowest", ()), value_us, count, remarks)
     return Log(
@@ -329,7 +331,7 @@ def _without_padding(entries: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
 def _of_these_bins(
     which: str, entries: tuple[Ranked, ...], value_us: Int64s, count: Int64s, remarks: list[str]
 ) -> tuple[Ranked, ...]:
-    """The list if it is one of these bins, which come in its order; in 2014 every log had the measured values' list."""
+    """The list if it is one of these bins, which come in its order."""
     values = np.repeat(value_us[:LISTED], np.minimum(count[:LISTED], LISTED))[: len(entries)]
     if len(values) == len(entries) and all(
         abs(entry.value_us - int(value)) <= TOLERANCE_US for entry, value in zip(entries, values, strict=True)

@@ -23,16 +23,14 @@ MAIN_SERIES = ("measured", "jitter", "latency")  # what a suite is about; the ot
 _PUT_ASIDE = re.compile(r"^\.|\.old-[0-9]+$")
 
 Name = Annotated[str, Field(min_length=1, max_length=255)]
-Outputs = Annotated[tuple[Name, ...], Field(strict=False)]
 
 
 class Program(Config):
-    """A program that ran; `outputs` are the names, without ending, of what it wrote."""
+    """A program that ran."""
 
     name: str
     argv: list[str]
     exit_status: int | None
-    outputs: Outputs = ()
 
 
 class File(Config):
@@ -43,7 +41,7 @@ class File(Config):
 
 
 class Record(Config):
-    """``run.json``, as docs/formats.md has it."""
+    """``run.json``, as docs/formats.md has it; `outputs` are the names, without ending, of what the programs wrote."""
 
     schema_number: Literal[1] = Field(alias="schema")
     run: str
@@ -56,14 +54,9 @@ class Record(Config):
     start_time: str
     end_time: str
     programs: list[Program]
-    outputs: Outputs = ()
+    outputs: list[Name]
     target: dict[str, Any]
     files: dict[Name, File]
-
-    @property
-    def all_outputs(self) -> list[str]:
-        """The names, without ending, of what the programs wrote, each once."""
-        return list(dict.fromkeys([*self.outputs, *(name for program in self.programs for name in program.outputs)]))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -153,12 +146,12 @@ def read_run(folder: Path) -> Run:
     if not is_closed(folder):
         raise UsageError(f"{folder}: incomplete run, it has no {RECORD}: nothing in it is analysed, run it again")
     record = read_json(folder / RECORD, Record)
-    for name in [*record.files, *record.all_outputs]:
+    for name in [*record.files, *record.outputs]:
         if name in (".", "..") or "/" in name or "\0" in name:
             raise UsageError(f"{folder / RECORD}: {name!r} is no name of a file in the run directory")
     results: list[Result] = []
     if record.status != "failed":
-        for output in record.all_outputs:
+        for output in dict.fromkeys(record.outputs):
             results += _results_of_output(folder, record, output)
     return Run(folder=folder, record=record, results=tuple(results))
 

@@ -22,16 +22,16 @@ _NOT_TOLD = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_
 
 def table(results: Iterable[Result]) -> Table:
     """The table of these results, a row each, times in microseconds; 80 columns are enough for it."""
-    found = Table(box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False)
-    found.add_column("suite, series")
-    found.add_column("parameters", min_width=8)
+    found = Table(box=box.SIMPLE, padding=0, show_edge=False)
+    found.add_column("suite, series", min_width=len("communication"))
+    found.add_column("parameters", min_width=len("parameters"))
     for heading in ("n", "min\nus", "avg\nus", "max\nus", "p99\nus", "p99.9\nus", "missing", "out of\norder"):
         found.add_column(heading, justify="right", no_wrap=True)
     for result in results:
         figures = result.figures
         found.add_row(
             Text(f"{result.suite.removesuffix('_tests')} {result.series}"),
-            Text(_parameters(result)),
+            Text(_printable(_parameters(result))),
             str(figures.n),
             *(
                 _time(value, figures)
@@ -46,8 +46,8 @@ def table(results: Iterable[Result]) -> Table:
 def _time(value_us: float | None, figures: Figures) -> str:
     if value_us is None:
         return "-"
-    coarse = figures.resolution_ns >= 1000 or abs(value_us) >= COARSE_US
-    return f"{value_us:.0f}" if coarse else f"{value_us:.1f}"
+    digits = 0 if figures.resolution_ns >= 1000 or abs(value_us) >= COARSE_US else 1
+    return f"{round(value_us, digits) + 0.0:.{digits}f}"  # + 0.0: no minus in front of a zero
 
 
 def _parameters(result: Result) -> str:
@@ -55,9 +55,9 @@ def _parameters(result: Result) -> str:
     words: list[str] = []
     for key, value in result.parameters.items():
         if key == "policy":
-            words.insert(0, "no policy" if value == "0" else str(value))
+            words.insert(0, "OTHER" if value == "0" else str(value))  # as the kernel calls it
         elif key not in _NOT_TOLD and value is not None and _is_telling(result.suite, key, value):
-            words.append(f"{value}\N{NO-BREAK SPACE}{_UNITS[key]}" if key in _UNITS else f"{key}={value}")
+            words.append(f"{value}{_UNITS[key]}" if key in _UNITS else f"{key}={value}")
     if result.parameters.get("subscribers", 1) != 1:
         words.append(f"#{result.output.removesuffix(output_name(result.suite, {**result.parameters, 'prefix': ''}))}")
     return " ".join(words)
@@ -73,12 +73,22 @@ def answer(results: Iterable[Result], *, emulated: bool, notes: Iterable[str] = 
     results = list(results)
     lines = list(notes)
     for result in results:
-        lines += [f"{result.output}: {remark}" for remark in result.remarks]
+        found = result.figures
+        told = [f"{found.not_fired} timers did not fire, they are in no figure"] if found.not_fired else []
+        told += [f"{found.duplicate} messages came again, only the first arrival counts"] if found.duplicate else []
+        lines += [f"{result.output}: {remark}" for remark in (*told, *result.remarks)]
     if any(0 < result.figures.n < 1000 for result in results):
         lines.append("p99.9 of fewer than 1000 values is their maximum.")
     banner = [Text(EMULATED, style="bold red")] if emulated else []
     body = [table(results)] if results else []
-    return Group(*banner, *body, *(Text(line, no_wrap=True, overflow="ignore") for line in dict.fromkeys(lines)))
+    return Group(
+        *banner, *body, *(Text(_printable(line), no_wrap=True, overflow="ignore") for line in dict.fromkeys(lines))
+    )
+
+
+def _printable(text: str) -> str:
+    """Without what would command the terminal: names and reasons come from a target."""
+    return "".join(character if character.isprintable() else "?" for character in text)
 
 
 def answer_of_run(run: Run) -> Group:

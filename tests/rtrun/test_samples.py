@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.rtrun.written import write_communication, write_cyclic, write_oneshot
+from written import write_communication, write_cyclic, write_oneshot
 
 from rtfiles.errors import UsageError
 from rtrun import samples

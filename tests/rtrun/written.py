@@ -121,7 +121,8 @@ def write_record(folder: Path, suite: str, outputs: list[str], parameters: dict[
         "reason": None,
         "start_time": "2026-11-21T10:00:00Z",
         "end_time": "2026-11-21T10:00:01Z",
-        "programs": [{"name": suite, "argv": [suite], "exit_status": 0, "outputs": outputs}],
+        "programs": [{"name": suite, "argv": [suite], "exit_status": 0}],
+        "outputs": outputs,
         "target": {"name": "board", "kernel_release": "6.1.0-rt"},
         "files": files,
     }

@@ -5,11 +5,11 @@ set(CMAKE_C_COMPILER arm-linux-gnueabihf-gcc)
 set(CMAKE_CXX_COMPILER arm-linux-gnueabihf-g++)
 set(CMAKE_LIBRARY_ARCHITECTURE arm-linux-gnueabihf)
 
-set(CMAKE_TRY_COMPILE_PLATFORM_VARIABLES META_SYSROOT META_STAGE)
+set(CMAKE_TRY_COMPILE_PLATFORM_VARIABLES META_SYSROOT META_WORK)
 set(CMAKE_SYSROOT "${META_SYSROOT}")
-# Packages already built come from the stage, everything else from the sysroot: never from /usr of this machine, to
+# What this build made comes from its working folder, everything else from the sysroot: never from /usr of this machine, to
 # which the absolute paths in Debian's CMake files would otherwise lead.
-set(CMAKE_FIND_ROOT_PATH "${META_STAGE}" "${META_SYSROOT}")
+set(CMAKE_FIND_ROOT_PATH "${META_WORK}" "${META_SYSROOT}")
 set(CMAKE_FIND_ROOT_PATH_MODE_PROGRAM NEVER)
 set(CMAKE_FIND_ROOT_PATH_MODE_LIBRARY ONLY)
 set(CMAKE_FIND_ROOT_PATH_MODE_INCLUDE ONLY)

@@ -115,7 +115,7 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
         options |= {
             "CMAKE_TOOLCHAIN_FILE": str(HERE / "armhf.cmake"),
             "META_SYSROOT": str(tools.sysroot),
-            "META_STAGE": str(stage),
+            "META_WORK": str(temporary),
         }
     if shutil.which("ccache"):
         options["CMAKE_CXX_COMPILER_LAUNCHER"] = "ccache"

@@ -51,6 +51,8 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
             "incomplete": list(found.incomplete),
         }
         return data, table.answer_of_runs(found), found.refused
+    if not path.is_file():
+        raise UsageError(f"{path}: no such file or directory")
     if path.suffix == ".log":
         log = results.result_of_log(path)
         return {"schema": 1, **log.as_json()}, table.answer([log], emulated=False), ()
@@ -58,8 +60,6 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
         samples = results.results_of_samples(path)
         data = {"schema": 1, "results": [result.as_json() for result in samples]}
         return data, table.answer(samples, emulated=False), ()
-    if not path.exists():
-        raise UsageError(f"{path}: no such file or directory")
     raise UsageError(f"{path}: not a run directory, a folder of runs, or a .log, .npy or .json of a suite")
 
 

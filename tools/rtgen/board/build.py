@@ -84,7 +84,7 @@ def board_record(
         "kernel": "vmlinuz",
         "initrd": "initrd",
         "dtb": machine.dtb,
-        "cmdline": f"console={machine.console} root=/dev/vda quiet",
+        "cmdline": f"{machine.cmdline} root=/dev/vda quiet",
         "disk": disk.IMAGE,
         "disk_format": "raw",
         "ssh": {"user": "root", "key": disk.KEY, "host_key": " ".join(host_key.split()[:2])},

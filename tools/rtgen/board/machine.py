@@ -18,7 +18,7 @@ class Machine(Config):
     summary: Annotated[str, StringConstraints(min_length=1)]
     arguments: list[str]
     dtb: str | None
-    console: str
+    cmdline: str
 
 
 class Machines(Config):

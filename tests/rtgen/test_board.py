@@ -1,0 +1,137 @@
+"""The rehearsal board without booting it: what is generated, and what is said when it cannot be."""
+
+import os
+import stat
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from rtfiles.errors import InfrastructureError, UsageError
+from rtgen import cli
+from rtgen.board import build, debian, initrd, kernel, machine
+
+
+@pytest.fixture
+def some_kernel(tmp_path: Path) -> kernel.Kernel:
+    return kernel.Kernel(
+        "6.1.0-rt", tmp_path / "vmlinuz", tmp_path / "config", tmp_path, tmp_path, {"linux": "6.1.1-1"}
+    )
+
+
+def test_unknown_machine_is_a_usage_error_that_lists_the_known(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["board", "build", "--machine", "pandaboard"]) == 2
+    said = capsys.readouterr().err.strip()
+    assert said == "rtgen: unknown machine 'pandaboard', known: qemu-armv7, vexpress-a9"
+
+
+def test_board_record_is_what_formats_md_promises(some_kernel: kernel.Kernel) -> None:
+    board = machine.find("vexpress-a9")
+    record = build.board_record(
+        "vexpress-a9", board, some_kernel, {"libroscpp4d": "1.15"}, "ssh-ed25519 AAAA comment\n"
+    )
+    assert record["qemu"]["arguments"][:4] == ["-M", "vexpress-a9", "-smp", "2"]
+    assert record["dtb"] == "vexpress-v2p-ca9.dtb"
+    assert record["cmdline"] == "console=ttyAMA0 nr_cpus=2 root=/dev/vda quiet"
+    assert record["ssh"]["host_key"] == "ssh-ed25519 AAAA"
+    assert record["kernel_release"] == "6.1.0-rt"
+    assert record["packages"] == {"libroscpp4d": "1.15", "linux": "6.1.1-1"}
+
+
+@pytest.mark.parametrize(
+    ("listing", "found"),
+    [
+        ("Debian|http://mirror/debian/|bookworm|main", "deb http://mirror/debian/ bookworm main"),
+        ("$(ORIGIN)|http://mirror/debian|bookworm|main", "deb http://mirror/debian bookworm main"),
+        ("Debian|http://mirror/debian/|bookworm-updates|main", None),
+        ("Docker|http://docker/linux/debian|bookworm|main", None),
+        ("$(ORIGIN)|http://vendor/apt|bookworm|main", None),
+        ("", None),
+    ],
+)
+def test_only_the_main_suite_of_debian_itself_is_a_source(listing: str, found: str | None) -> None:
+    assert debian.mirror_line(listing, "bookworm") == found
+
+
+def test_versions_come_from_archive_names() -> None:
+    names = ["openssh-server_1%3a9.2p1-2_armhf.deb", "libroscpp4d_1.15.15+ds-2_armhf.deb", "partial"]
+    assert debian.versions(names) == {"openssh-server": "1:9.2p1-2", "libroscpp4d": "1.15.15+ds-2"}
+
+
+def test_absolute_links_stay_inside(tmp_path: Path) -> None:
+    (tmp_path / "usr/lib").mkdir(parents=True)
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib/libm.so.6").write_text("here")
+    (tmp_path / "usr/lib/libm.so").symlink_to("/lib/libm.so.6")
+    (tmp_path / "usr/dangling").symlink_to("/nowhere/at/all")
+    debian.relink(tmp_path)
+    assert (tmp_path / "usr/lib/libm.so").readlink() == Path("../../lib/libm.so.6")
+    assert (tmp_path / "usr/lib/libm.so").read_text() == "here"
+    assert (tmp_path / "usr/dangling").readlink() == Path("../nowhere/at/all")
+
+
+def test_modules_come_after_what_they_need_and_once() -> None:
+    dep = (
+        "kernel/fs/ext4/ext4.ko: kernel/lib/crc16.ko kernel/fs/mbcache.ko kernel/fs/jbd2/jbd2.ko\n"
+        "kernel/drivers/virtio-rng.ko:\nkernel/fs/jbd2/jbd2.ko:\nkernel/fs/mbcache.ko:\nkernel/lib/crc16.ko:\n"
+    )
+    assert kernel.module_files(dep, ["virtio_rng", "mbcache", "ext4", "built_in"]) == [
+        "kernel/drivers/virtio-rng.ko",
+        "kernel/fs/mbcache.ko",
+        "kernel/fs/jbd2/jbd2.ko",
+        "kernel/lib/crc16.ko",
+        "kernel/fs/ext4/ext4.ko",
+    ]
+
+
+def test_ram_disk_is_read_by_cpio(tmp_path: Path) -> None:
+    packed = initrd.archive(b"busybox!", {"b.ko": b"second", "a.ko": b"first?"})
+    subprocess.run(["cpio", "-id", "--quiet", "--no-absolute-filenames"], input=packed, cwd=tmp_path, check=True)
+    assert (tmp_path / "bin/busybox").read_bytes() == b"busybox!"
+    assert os.access(tmp_path / "init", os.X_OK)
+    assert (tmp_path / "lib/modules.list").read_text() == "b.ko\na.ko\n"
+    assert (tmp_path / "lib/a.ko").read_bytes() == b"first?"
+    listing = subprocess.run(["cpio", "-tv", "--quiet"], input=packed, capture_output=True, check=True).stdout.decode()
+    assert [line[0] for line in listing.splitlines() if line.endswith(" dev/console")] == ["c"]
+
+
+def test_ram_disk_sorts_types_by_mode() -> None:
+    kinds = {entry.name: stat.S_IFMT(entry.mode) for entry in initrd.entries(b"", {})}
+    assert kinds["dev"] == stat.S_IFDIR
+    assert kinds["dev/console"] == stat.S_IFCHR
+    assert kinds["init"] == stat.S_IFREG
+
+
+def test_init_script_is_a_valid_script() -> None:
+    for script in [initrd.INIT, *Path(build.HERE, "root/etc/init.d").iterdir(), build.HERE / "root/etc/udhcpc.script"]:
+        assert os.access(script, os.X_OK), script
+        subprocess.run(["sh", "-n", str(script)], check=True)
+
+
+def test_user_without_namespaces_is_told_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    refusing = tmp_path / "unshare"
+    refusing.write_text("#!/bin/sh\necho 'unshare failed: Operation not permitted' >&2\nexit 1\n")
+    refusing.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    with pytest.raises(UsageError, match="run as root, or sysctl"):
+        debian.extraction_mode()
+
+
+def test_missing_mmdebstrap_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(UsageError, match="apt-get install mmdebstrap"):
+        debian.extraction_mode()
+
+
+def test_package_that_does_not_exist_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The real mmdebstrap fails; its last words are in the error, its files are gone."""
+    temporary = tmp_path / "tmp"
+    temporary.mkdir(mode=0o1777)
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    folder = tmp_path / "tree"
+    folder.mkdir()
+    with pytest.raises(InfrastructureError, match="no-such-package"):
+        debian.extract(["no-such-package"], folder)
+    assert list(folder.iterdir()) == []
+    assert list(temporary.iterdir()) == []
