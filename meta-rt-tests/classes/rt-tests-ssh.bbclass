@@ -2,7 +2,7 @@
 # Who may log in to an image: root, with one of the keys given, and no password.
 # Host keys are made by the target at its first boot and kept: they stay the same for the life of a card.
 
-# Public keys, one a line, from the environment (or local.conf).
+# Public keys, one a line, from the environment; in local.conf, where a value has one line only, with \n between them.
 RT_TESTS_AUTHORIZED_KEYS ?= ""
 
 rt_tests_ssh_policy() {
@@ -15,6 +15,7 @@ rt_tests_ssh_policy() {
 ${RT_TESTS_AUTHORIZED_KEYS}
 END_OF_KEYS
     chmod 0600 $keys
+    sed -i -e 's/\\n/\n/g' $keys
     sed -i -e '/^[[:space:]]*$/d' $keys
     if grep -q -v -E '^(ssh-ed25519|ssh-rsa|ecdsa-sha2-[a-z0-9-]+) [A-Za-z0-9+/]+=*( .*)?$' $keys; then
         bbfatal "RT_TESTS_AUTHORIZED_KEYS holds a line that is no OpenSSH public key"
