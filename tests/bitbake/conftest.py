@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from rtgen.layer import output
 from rtgen.layer.render import render
 from rtgen.profile import Release, load_profile

@@ -1,6 +1,7 @@
 """Every profile is parsed by the real BitBake, for each of its machines."""
 
 import pytest
+
 from rtgen.layer.render import suite_recipes
 from rtgen.profile import load_profile, profile_names
 
@@ -32,7 +33,7 @@ def test_parses_and_resolves(make_build, name, machine):
 
 @pytest.mark.parametrize(("name", "machine"), CASES)
 def test_kernel_takes_the_fragment(make_build, name, machine):
-    profile, release = load_profile(name)
+    profile, _ = load_profile(name)
     kernel = profile.machines[machine].kernel
     on = f'MACHINE_FEATURES:append:{machine} = " preempt-rt"\n' if machine == "qemuarm" else ""
     build = make_build(name, machine, separator=":", local=on)

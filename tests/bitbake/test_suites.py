@@ -5,6 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
 import rtgen.suites
 from rtgen.board import sysroot
 from rtgen.layer.render import REPOSITORY, suite_recipes
@@ -23,7 +24,8 @@ PROGRAMS = {
 
 def tools() -> str:
     return (
-        f'SYSROOT = "{sysroot.build()}"\nTOOLCHAIN_FILE = "{TOOLCHAIN}"\nBUILD_PYTHON = "{rtgen.suites.SYSTEM_PYTHON}"\n'
+        f'SYSROOT = "{sysroot.build()}"\nTOOLCHAIN_FILE = "{TOOLCHAIN}"\n'
+        f'BUILD_PYTHON = "{rtgen.suites.SYSTEM_PYTHON}"\n'
         # Only C++ messages: generators of other languages would have to be on the target, too.
         'export ROS_LANG_DISABLE = "genlisp:genpy"\n'
     )
@@ -57,7 +59,7 @@ def test_fetch_to_install(make_build, name):
     assert files["rt-tests-support"]["/opt/ros/noetic/lib/librt_tests_support.a"] == "rt-tests-support-staticdev"
 
 
-def test_layer_works_outside_the_repository(make_build, tmp_path):
+def test_layer_works_outside_the_repository(make_build):
     """Only meta-rt-tests/ and recipes-tests/ side by side, as another kas project would have them."""
     build = make_build("scarthgap-noetic", "qemuarm", local=tools())
     shutil.rmtree(build.layer)

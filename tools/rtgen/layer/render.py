@@ -81,7 +81,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         add(f"{layer}/kas/{feature}.yml", f"kas/{feature}.yml")
     add(f"{layer}/README.md", "layer.README.md")
     add(f"{layer}/conf/layer.conf", "conf/layer.conf")
-    add(f"{layer}/classes/rt-tests-ssh.bbclass", "classes/rt-tests-ssh.bbclass")
+    add(f"{layer}/classes/rt_tests_ssh.bbclass", "classes/rt_tests_ssh.bbclass")
     add(f"{layer}/recipes-core/images/{profile.image.name}.bb", "recipes-core/image.bb")
 
     suites = list(suite_recipes(profile))
@@ -93,7 +93,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
     add(
         f"{layer}/recipes-core/packagegroups/packagegroup-rt-tests.bb",
         "recipes-core/packagegroup-rt-tests.bb",
-        suites=[suite["package"] for suite in suites if not suite["library"]],
+        suites=sorted(suite["package"] for suite in suites if not suite["library"]),
     )
     if not profile.suites:
         tree[PurePosixPath(f"{layer}/recipes-tests/suites/files")] = Link(target=SOURCES)
@@ -143,7 +143,8 @@ def suite_recipes(profile: Profile) -> Iterator[dict[str, Any]]:
     library_needs = ["roscpp"] if profile.suites else []
     yield {
         "package": _dashed(LIBRARY),
-        "summary": "What the suites share: options, real-time setup, logs",
+        "summary": "Library of the suites that measure ROS",
+        "description": "What the suites share: options, real-time setup, statistics, logs",
         "build": library_needs,
         "run": [],
         "library": True,
@@ -155,9 +156,10 @@ def suite_recipes(profile: Profile) -> Iterator[dict[str, Any]]:
         yield {
             "package": _dashed(package),
             "summary": f"Measures the {suite['summary']}",
+            "description": f"Programs that measure the {suite['summary']}: {', '.join(suite['programs'])}",
             # What is exported (catkin_package) has to be there when building, too.
-            "build": list(dict.fromkeys([_dashed(name) for name in build + run] + extra)),
-            "run": [_dashed(name) for name in run] + extra,
+            "build": sorted({*map(_dashed, build + run), *extra}),
+            "run": sorted({*map(_dashed, run), *extra}),
             "library": False,
         }
 
