@@ -5,11 +5,14 @@ import shutil
 import socket
 import subprocess
 import time
+import xmlrpc.client
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+
+from ports import free_port
 from rtrun.ssh import Address
 
 SSHD = shutil.which("sshd", path="/usr/sbin:/usr/bin:/sbin") or "/usr/sbin/sshd"
@@ -29,12 +32,6 @@ class Sshd:
     @property
     def address(self) -> Address:
         return Address(host="127.0.0.1", port=self.port, user=self.user, key=self.key, host_key=self.host_key)
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture(scope="session")
@@ -80,6 +77,31 @@ Subsystem sftp internal-sftp
             folder=folder,
             process=process,
         )
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+@pytest.fixture(scope="session")
+def ros_master(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """The port of a real ROS master on loopback, started once for all tests."""
+    port = free_port()
+    folder = tmp_path_factory.mktemp("rosmaster")
+    environment = os.environ | {"ROS_IP": "127.0.0.1", "ROS_LOG_DIR": str(folder)}
+    with (folder / "log").open("wb") as log:
+        argv = ["rosmaster", "--core", "-p", str(port)]
+        process = subprocess.Popen(argv, env=environment, stdout=log, stderr=log)
+    try:
+        deadline = time.monotonic() + 60
+        while True:
+            try:
+                with xmlrpc.client.ServerProxy(f"http://127.0.0.1:{port}") as master:
+                    master.getPid("/tests")
+                break
+            except OSError:
+                assert process.poll() is None and time.monotonic() < deadline, (folder / "log").read_text()
+                time.sleep(0.05)
+        yield port
     finally:
         process.terminate()
         process.wait(10)

@@ -27,16 +27,22 @@ def expected_files(suite: str, programs: Sequence[str], outputs: Sequence[str], 
     return limits
 
 
-def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[str, int]) -> list[str]:
-    """Copy the files of a run that are there and expected, and return their names.
+def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[str, int]) -> dict[str, str]:
+    """Copy the files of a run that are there and expected; return those that were left there, name to reason.
 
-    Raises TargetError when a file is larger than believable or arrives with another SHA-256 than it has there.
+    Raises TargetError when a file arrives with another SHA-256 than it has on the target.
     """
     present = link.do(lambda connection: connection.listing(source))
-    wanted = {name: limits[name] for name in present if name in limits}
+    sizes = {name: size for name, size in present.items() if name in limits}
+    refused = {
+        name: f"{name} has {size} bytes, at most {limits[name]} were expected: it was left there"
+        for name, size in sizes.items()
+        if size > limits[name]
+    }
+    wanted = {name: limits[name] for name in sizes if name not in refused}
     if wanted:
         link.do(lambda connection: _copy(connection, source, destination, wanted))
-    return sorted(wanted)
+    return refused
 
 
 def _copy(connection: Connection, source: PurePosixPath, destination: Path, wanted: Mapping[str, int]) -> None:

@@ -15,7 +15,7 @@ UPLOAD_DEADLINE_S = 120.0
 
 _MISSING = 'cd "$1" && shift && for object; do [ -e "$object" ] || echo "$object"; done'
 # The file is its name's word: checked where it lies, then renamed, so that a power cut leaves no half of it.
-_ADOPT = 'cd "$1" && echo "$3  $2" | sha256sum -c - >/dev/null && chmod 755 "$2" && sync && mv "$2" "$3"'
+_ADOPT = 'cd "$1" && echo "$3  $2" | sha256sum -c - >/dev/null && chmod 755 "$2" && sync "$2" && mv "$2" "$3"'
 _LINK = """
 set -e
 [ -d "$1" ] && exit 0

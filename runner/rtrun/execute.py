@@ -3,17 +3,19 @@
 import contextlib
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
-from typing import Any, Protocol
+from typing import Protocol
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun import collect, deploy, journal, launch, master, probe, rundir, suites
 from rtrun.campaign import Run
 from rtrun.errors import TargetError
 from rtrun.link import Link, TargetRebooted
+from rtrun.logfile import read_log
+from rtrun.samples import read_samples
 from rtrun.target import Target
 
 TOPIC = "/communication_tests"
@@ -201,14 +203,14 @@ def _run(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path, no
         raise
     after = probe.state(link, prepared.scripts / "state.sh")
     with rundir.filling(folder) as partial:
-        pulled = collect.pull(link, remote, partial, limits)
+        refused = collect.pull(link, remote, partial, limits)
         if prepared.kernel_config:
             (partial / "kernel.config.gz").write_bytes(prepared.kernel_config)
         states = {"schema": 1, "before": before, "after": after, "own_ros_master": prepared.own_master}
         (partial / "target.json").write_text(json.dumps(states, indent=2) + "\n", encoding="utf-8")
         if link.target.console is not None and link.target.console.exists():
             (partial / "console.log").write_bytes(link.target.console.read_bytes())
-        status, reason = judge(partial, [*others, *waiting], exits, outputs, pulled)
+        status, reason = judge(partial, [*others, *waiting], exits, outputs, refused)
         record = {
             "run": run.name,
             "campaign": campaign,
@@ -271,10 +273,8 @@ def _clear_of_other_boots(link: Link, remote: PurePosixPath, folder: Path, limit
         return
     kept = rundir.unused(folder, "incomplete")
     with rundir.filling(kept) as partial:
-        if collect.pull(link, remote, partial, limits):
-            rundir.rename(partial, kept)
-        else:
-            partial.rmdir()
+        collect.pull(link, remote, partial, limits)
+        rundir.rename(partial, kept)
     link.do(lambda connection: connection.check(["rm", "-rf", str(remote)]))
 
 
@@ -283,30 +283,43 @@ def judge(
     programs: Sequence[launch.Program],
     exits: Sequence[launch.Exit],
     outputs: Sequence[str],
-    pulled: Sequence[str],
+    refused: Mapping[str, str],
 ) -> tuple[str, str | None]:
-    """Say what became of a run from what was pulled back, and why: the first thing that went wrong."""
+    """Say what became of a run from what was pulled back, and why: the first thing that went wrong.
+
+    `refused` are files that were not taken, name to reason.
+    """
     for program, exit_ in zip(programs, exits, strict=True):
         if exit_.expired:
             return "failed", f"{program.name} did not end within {program.deadline_s:.0f} s and was ended"
         if exit_.status is None:
             return "failed", f"{program.name} was killed from outside"
         if exit_.status != 0:
-            said = (folder / f"{program.name}.stderr").read_text(encoding="utf-8", errors="replace")
-            last = next((line.strip() for line in reversed(said.splitlines()) if line.strip()), "it said nothing")
-            return "failed", f"{program.name} ended with exit status {exit_.status}: {last[:500]}"
+            return "failed", f"{program.name} ended with exit status {exit_.status}: {_last_word(folder, program.name)}"
     for output in outputs:
-        for name in (f"{output}.json", f"{output}.npy"):
-            if name not in pulled:
-                return "failed", f"{name} is missing though its program ended with exit status 0"
+        names = (f"{output}.json", f"{output}.npy")
+        if found := [refused[name] for name in names if name in refused]:
+            return "failed", found[0]
+        missing = [name for name in names if not (folder / name).exists()]
         try:
-            described: Any = json.loads((folder / f"{output}.json").read_text(encoding="utf-8"))
-            complete, why = described["complete"], described["incomplete_reason"]
-        except (ValueError, KeyError, TypeError) as error:
-            return "failed", f"{output}.json cannot be read: {error}"
-        if complete is not True:
-            return "incomplete", f"{output}: {why or 'ended before all was measured'}"
+            # The programs of 2014 write logs and nothing else.
+            logs = [path for path in folder.glob("*.log") if path.name.startswith(output)] if len(missing) == 2 else []
+            if missing and not logs:
+                return "failed", f"{missing[0]} is missing though its program ended with exit status 0"
+            for log in logs:
+                read_log(log)
+            record = None if logs else read_samples(folder / names[0]).record
+        except UsageError as error:
+            return "failed", str(error).replace(f"{folder}/", "")
+        if record is not None and not record.complete:
+            return "incomplete", f"{output}: {record.incomplete_reason or 'ended before all was measured'}"
     return "ok", None
+
+
+def _last_word(folder: Path, program: str) -> str:
+    path = folder / f"{program}.stderr"
+    said = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+    return next((line.strip()[:500] for line in reversed(said.splitlines()) if line.strip()), "it said nothing")
 
 
 def finished(results: Path, runs: Sequence[Run]) -> int:

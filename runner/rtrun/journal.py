@@ -19,6 +19,7 @@ CREATE TABLE IF NOT EXISTS event (time TEXT NOT NULL, run TEXT NOT NULL, what TE
 class Journal:
     """An open journal. `uid` names this campaign on the target; `plan` is the hash of its runs."""
 
+    path: Path
     database: sqlite3.Connection
     uid: str
     plan: str
@@ -26,8 +27,11 @@ class Journal:
 
     def note(self, time: str, run: str, what: str, reason: str | None = None) -> None:
         """Record what happened to a run: started, ok, failed, incomplete, interrupted."""
-        with self.database:
-            self.database.execute("INSERT INTO event VALUES (?, ?, ?, ?)", (time, run, what, reason))
+        try:
+            with self.database:
+                self.database.execute("INSERT INTO event VALUES (?, ?, ?, ?)", (time, run, what, reason))
+        except sqlite3.Error as error:
+            raise InfrastructureError(f"{self.path}: cannot keep the results: {error}") from error
 
     def close(self) -> None:
         """Close the file."""
@@ -51,4 +55,4 @@ def open_journal(folder: Path, *, name: str, plan: str, target: str) -> Journal:
                 database.execute("INSERT INTO campaign VALUES (?, ?, ?, ?)", (row[0], name, plan, target))
     except sqlite3.Error as error:
         raise InfrastructureError(f"{path}: {error}") from error
-    return Journal(database=database, uid=row[0], plan=row[1], target=row[2])
+    return Journal(path=path, database=database, uid=row[0], plan=row[1], target=row[2])

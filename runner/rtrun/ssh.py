@@ -205,8 +205,8 @@ class Connection:
             return ConnectionLost(f"{self.address}: the connection broke ({what})")
         # SFTP version 3 has no code of its own for a full disk: the server says just "Failure".
         reason = getattr(error, "strerror", None) or str(error)
-        if reason == "Failure":
-            reason = "refused, most often because its disk is full (df -h)"
+        if reason == "Failure" or "size mismatch" in reason:
+            reason = "not all of it fits, most often because the target's disk is full (df -h)"
         return TargetError(f"{self.address}: {what}: {reason}")
 
 

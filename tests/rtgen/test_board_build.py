@@ -15,28 +15,6 @@ from rtfiles import cache
 from rtgen.board import sysroot
 from rtgen.board.build import build
 
-HELLO = """
-#include <ros/ros.h>
-#include <std_msgs/Header.h>
-int main(int argc, char** argv) {
-    ros::init(argc, argv, "hello");
-    ros::NodeHandle node;
-    ros::Publisher publisher = node.advertise<std_msgs::Header>("hello", 1);
-    return 0;
-}
-"""
-
-
-def test_sysroot_compiles_and_links_roscpp(tmp_path: Path) -> None:
-    source, program = tmp_path / "hello.cpp", tmp_path / "hello"
-    source.write_text(HELLO)
-    libraries = ["-lroscpp", "-lrosconsole", "-lroscpp_serialization", "-lrostime"]
-    command = ["arm-linux-gnueabihf-g++", f"--sysroot={sysroot.build()}", "-std=c++17", str(source), "-o", str(program)]
-    subprocess.run([*command, *libraries], check=True)
-    header = subprocess.run(["arm-linux-gnueabihf-readelf", "-hd", program], capture_output=True, text=True, check=True)
-    assert "ARM" in header.stdout
-    assert "[libroscpp.so.4d]" in header.stdout
-
 
 def test_sysroot_has_no_link_that_leaves_it() -> None:
     folder = sysroot.build()

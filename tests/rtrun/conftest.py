@@ -3,12 +3,13 @@
 from pathlib import PurePosixPath
 
 import pytest
+
 from rtrun.link import Link
 from rtrun.target import Target
 
 
 @pytest.fixture
-def target(sshd, tmp_path):
+def loopback(sshd, tmp_path):
     return Target(
         name="loopback",
         emulated=False,
@@ -22,6 +23,11 @@ def target(sshd, tmp_path):
         console=None,
         failure=lambda: None,
     )
+
+
+@pytest.fixture
+def target(loopback):
+    return loopback
 
 
 @pytest.fixture

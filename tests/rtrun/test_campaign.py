@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+
 from rtfiles.errors import UsageError
 from rtrun.campaign import read_campaign
 from rtrun.cli import main

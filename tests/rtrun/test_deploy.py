@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+
 from rtfiles.errors import UsageError
 from rtrun import deploy
 from rtrun.ssh import Connection

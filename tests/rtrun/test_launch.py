@@ -8,6 +8,7 @@ import time
 from pathlib import Path, PurePosixPath
 
 import pytest
+
 from rtrun import deploy, launch
 from rtrun.errors import DeadlineExpired, TargetError
 

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rtfiles.errors import UsageError
-from rtrun import logfile
+from rtrun import logtext
 from rtrun.logfile import Log, read_log
 
 DATA = Path(__file__).parents[1] / "data" / "2014"
@@ -90,7 +90,9 @@ def test_cyclic_logs_come_back(tmp_path: Path, values: list[int], old: bool) -> 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(
-    values=st.lists(st.none() | st.integers(0, 500), min_size=1, max_size=40).filter(any),
+    values=st.lists(st.none() | st.integers(0, 500), min_size=1, max_size=40).filter(
+        lambda values: set(values) != {None}
+    ),
     old=st.booleans(),
 )
 def test_a_missing_message_is_a_count_and_never_a_number(tmp_path: Path, values: list[int | None], old: bool) -> None:
@@ -106,6 +108,13 @@ def test_a_missing_message_is_a_count_and_never_a_number(tmp_path: Path, values:
     assert any("stand in the log as -1 us" in remark for remark in log.remarks) == (old and log.missing > 0)
     for entry in (*log.figures().top, *log.figures().lowest):
         assert entry.index is None or values[entry.index] == entry.value_us
+
+
+def test_a_log_of_2014_with_every_message_missing_has_no_figure(tmp_path: Path) -> None:
+    path = tmp_path / "ct_gnuplot_l12_fq50_pl0.log"
+    path.write_text(write_log([None] * 12, suite="communication_tests", negative_first=False, padding_2014=True))
+    figures = read_log(path).figures()
+    assert (figures.n, figures.missing, figures.min_us, figures.top, figures.lowest) == (0, 12, None, (), ())
 
 
 def test_negative_bins_after_the_others_in_comments_are_read(tmp_path: Path) -> None:
@@ -246,7 +255,7 @@ def test_huge_values_take_no_memory_for_the_range(tmp_path: Path) -> None:
 
 
 def test_a_file_too_large_is_refused_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(logfile, "MAX_SIZE_BYTES", 4000)
+    monkeypatch.setattr(logtext, "MAX_SIZE_BYTES", 4000)
     with pytest.raises(UsageError, match="4985 bytes, a log has at most 4000"):
         read_log(DATA / ONESHOT)
     endless = tmp_path / "x.log"

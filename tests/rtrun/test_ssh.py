@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import pytest
+
 from rtrun.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.ssh import Address, Connection
 
@@ -32,7 +33,9 @@ def test_status_and_both_streams(connection):
 
 
 def test_large_output_on_both_streams(connection):
-    done = connection.run(["sh", "-c", "head -c 3000000 /dev/zero | tr '\\0' a; head -c 3000000 /dev/zero | tr '\\0' b >&2"])
+    done = connection.run(
+        ["sh", "-c", "head -c 3000000 /dev/zero | tr '\\0' a; head -c 3000000 /dev/zero | tr '\\0' b >&2"]
+    )
     assert (len(done.stdout), len(done.stderr)) == (3_000_000, 3_000_000)
 
 
@@ -104,7 +107,7 @@ def test_somebody_listens_who_is_no_ssh_server(sshd):
 
 def test_changed_host_key_is_refused(sshd):
     other = "SHA256:" + "A" * 43
-    with pytest.raises(TargetError, match=f"host key has changed: the target file says {other}, the target shows SHA256"):
+    with pytest.raises(TargetError, match=f"has changed: the target file says {other}, the target shows SHA256"):
         Connection(replace(sshd.address, host_key=other))
 
 
@@ -124,7 +127,7 @@ def test_known_hosts_decides_without_a_fingerprint(sshd, tmp_path):
 
 def test_a_key_that_may_not_log_in(sshd, tmp_path):
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / "key"], check=True)
-    with pytest.raises(TargetError, match="may not log in with .*/key: authorise the key on the target"):
+    with pytest.raises(TargetError, match=r"may not log in with .*/key: authorise the key on the target"):
         Connection(replace(sshd.address, key=tmp_path / "key"))
 
 

@@ -35,7 +35,7 @@ int64_t publish(const rt_tests::Options& options, ros::Publisher& publisher) {
 
 // ros::shutdown drops what is still queued. The subscribers leave after the last message; a foreign one never does.
 void wait_for_subscribers_to_leave(const ros::Publisher& publisher) {
-  const ros::WallTime limit = ros::WallTime::now() + ros::WallDuration(2.0);
+  const ros::WallTime limit = ros::WallTime::now() + ros::WallDuration(5.0);
   while (publisher.getNumSubscribers() > 0 && ros::ok() && ros::WallTime::now() < limit) {
     ros::WallDuration(0.01).sleep();
   }

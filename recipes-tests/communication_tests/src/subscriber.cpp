@@ -109,6 +109,7 @@ int run(int argc, char* argv[]) {
                    rt_tests::policy_suffix(options));
   rt_tests::BreakTrace break_trace(options, program.name);
   rt_tests::set_up_process(options);
+  rt_tests::require_memory(options.number("repetitions") * int64_t{sizeof(Receptions::Samples::Row)});
   Receptions receptions(options.number("repetitions"));
   rt_tests::Report report(program, options);
   rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));

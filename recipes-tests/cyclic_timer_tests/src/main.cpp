@@ -54,6 +54,7 @@ int run(int argc, char* argv[]) {
       options, "cyclic_timer_tests_l" + repetitions + "_fq" + frequency + rt_tests::policy_suffix(options));
   rt_tests::BreakTrace break_trace(options, program.name);
   rt_tests::set_up_process(options);
+  rt_tests::require_memory(options.number("repetitions") * int64_t{sizeof(cyclic::Samples::Row)});
   cyclic::Samples samples(static_cast<std::size_t>(options.number("repetitions")) + 1);
   rt_tests::Report report(program, options);
   rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));

@@ -105,6 +105,7 @@ int run(int argc, char* argv[]) {
                    std::to_string(options.number("timeout_us")) + rt_tests::policy_suffix(options) + (busy ? "-bm" : ""));
   rt_tests::BreakTrace break_trace(options, program.name);
   rt_tests::set_up_process(options);
+  rt_tests::require_memory(options.number("repetitions") * int64_t{sizeof(oneshot::Samples::Row)});
   oneshot::Samples samples(static_cast<std::size_t>(options.number("repetitions")));
   rt_tests::Report report(program, options);
   rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));

@@ -2,6 +2,7 @@
 
 #include <iostream>
 #include <new>
+#include <stdexcept>
 
 namespace rt_tests {
 
@@ -16,7 +17,9 @@ int guarded(const std::function<int()>& body) {
     error(wrong.what());
     return 2;
   } catch (const std::bad_alloc&) {
-    error("not enough memory for the samples; ask for fewer repetitions with -r");
+    error("not enough memory for so many samples; ask for fewer with -r");
+  } catch (const std::length_error&) {
+    error("not enough address space for so many samples; ask for fewer with -r");
   } catch (const std::exception& failure) {
     error(failure.what());
   }

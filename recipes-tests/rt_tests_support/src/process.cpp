@@ -131,6 +131,17 @@ std::vector<ThreadState> read_threads() {
   return threads;
 }
 
+void require_memory(int64_t bytes) {
+  std::ifstream meminfo("/proc/meminfo");
+  for (std::string line; std::getline(meminfo, line);) {
+    if (line.compare(0, 13, "MemAvailable:") != 0) continue;  // not there before Linux 3.14
+    const int64_t available = std::atoll(line.c_str() + 13) * 1024;
+    if (available >= bytes) return;
+    throw Failure("the samples need " + std::to_string(bytes / 1000000) + " MB of memory, " +
+                  std::to_string(available / 1000000) + " MB are available; ask for fewer with -r");
+  }
+}
+
 bool memory_is_locked() {
   std::ifstream status("/proc/self/status");
   for (std::string line; std::getline(status, line);) {

@@ -50,13 +50,14 @@ def run(args: argparse.Namespace) -> int:
                     statuses = execute.run_campaign(target, campaign.name, runs, results, shown)
     except (KeyboardInterrupt, InfrastructureError):
         done = execute.finished(results, runs)
-        console.print(f"{done} of {len(runs)} runs are finished and kept in {results}; the same command goes on there")
+        kept = f"{done} of {len(runs)} runs are finished and kept in {results}; the same command goes on there"
+        console.print(kept, highlight=False, markup=False, soft_wrap=True)
         raise
     found = read_runs(results)
     table.show(table.answer_of_runs(found))
     bad = [f"{name}: {status}" for name, status in statuses.items() if status != "ok"]
     for line in bad:
-        console.print(line, highlight=False, markup=False)
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
     return InfrastructureError.exit_status if bad else 0
 
 

@@ -16,6 +16,8 @@ if [ "${RTRUN_INSIDE:-}" != 1 ]; then
     exec 9>"$name.lock"
     flock -n 9 || exit 0
     cat /proc/sys/kernel/random/boot_id >"$name.boot_id.new" && mv "$name.boot_id.new" "$name.boot_id" || exit 1
+    # After a power cut the runner must see that this run was cut off.
+    sync "$name.boot_id" .
     RTRUN_INSIDE=1 setsid "$0" "$@" </dev/null >/dev/null 2>&1 &
     exit 0
 fi

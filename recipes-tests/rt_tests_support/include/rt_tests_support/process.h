@@ -1,6 +1,7 @@
 // The real-time set-up of a process (thesis, section 2.3.3) and what the kernel says became of it.
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -32,5 +33,9 @@ void give_up_realtime();
 
 std::vector<ThreadState> read_threads();  // every thread of this process
 bool memory_is_locked();
+
+// Before the samples are allocated and touched, which would otherwise end in the kernel's out-of-memory killer. Throws
+// Failure if the kernel says that less memory is available.
+void require_memory(int64_t bytes);
 
 }  // namespace rt_tests

@@ -1,0 +1,171 @@
+"""The lines of a gnuplot log, taken apart: what stands in them, not yet what it means (see logfile).
+
+The file is untrusted: its size and its lines' are limited, and memory goes by the bins that hold something, not by the
+range of the values. Anything that cannot stand in such a log is refused with ``file:line: what must stand here``.
+"""
+
+import re
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO, NoReturn
+
+from rtfiles.errors import UsageError
+from rtrun.figures import Ranked
+
+MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
+MAX_LINE_BYTES = 1 << 20
+MAX_VALUE_US = 10**15 - 1  # 31 years
+
+_BIN = re.compile(r"(#?)(-?[0-9]{1,15})[ \t]+([0-9]{1,12})[ \t]*", re.ASCII)
+_NUMBER = r"(-?[0-9]{1,15}(?:\.[0-9]{1,6})?)"
+_BOUNDS = re.compile(rf"MIN:\s*{_NUMBER}us\s+AVG:\s*{_NUMBER}us\s+MAX:\s*{_NUMBER}us")
+_ENTRY = re.compile(rf"{_NUMBER}:([0-9]{{1,12}})")
+_LABELS = {"Measured:": "measured", "Reported:": "reported", "Difference:": "difference", "Jitter:": "jitter"}
+_LISTS = {"Indices of top values": "top", "Indices of lowest values": "lowest"}
+SUITES = {
+    "oneshot_timer_tests": re.compile(r"with a loop length of ([0-9]{1,12}) "),
+    "cyclic_timer_tests": re.compile(r"with a total of ([0-9]{1,12}) measurements"),
+    "communication_tests": re.compile(r"Amount messages: ([0-9]{1,12})\b"),
+}
+_INCOMPLETE = re.compile(r"Incomplete: ([0-9]{1,12}) of [0-9]{1,12} measured, (.*)")
+COUNTS = {
+    "out_of_order": re.compile(r"Messages out of order: ([0-9]{1,12})\b"),
+    "missing": re.compile(r"Total of ([0-9]{1,12}) missing messages"),
+    "duplicate": re.compile(r"Total of ([0-9]{1,12}) duplicate messages"),
+    "not_fired": re.compile(r"^([0-9]{1,12}) timers didn't fire"),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Printed:
+    """A summary as it stands in the log, in microseconds, uncorrected; `line` is where."""
+
+    min_us: float
+    avg_us: float
+    max_us: float
+    line: int
+
+
+@dataclass(kw_only=True, slots=True)
+class Text:
+    """What stands in the lines, not yet interpreted. `counts` hold (number, line)."""
+
+    suite: str = ""
+    output: str = ""
+    incomplete: tuple[int, str] | None = None  # how many were measured, and why no more
+    summaries: dict[str, Printed] = field(default_factory=dict)  # by series, "" for one without a label
+    counts: dict[str, tuple[int, int]] = field(default_factory=dict)
+    lists: dict[str, tuple[Ranked, ...]] = field(default_factory=dict)
+    values: "array[int]" = field(default_factory=lambda: array("q"))
+    numbers: "array[int]" = field(default_factory=lambda: array("q"))
+    last: dict[str, int] = field(default_factory=dict)  # the last bin, by "" and "#"
+    lines: int = 0
+
+
+class _Lines:
+    """The lines of a file, with the number of the last one read."""
+
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self.path, self.stream, self.number = path, stream, 0
+
+    def __iter__(self) -> Iterator[str]:
+        while raw := self.stream.readline(MAX_LINE_BYTES):
+            self.number += 1
+            if len(raw) == MAX_LINE_BYTES:
+                self.refuse("the line is longer than any in a log")
+            yield raw.decode("utf-8", "replace").rstrip("\r\n")
+
+    def refuse(self, message: str) -> NoReturn:
+        raise UsageError(f"{self.path}:{self.number}: {message}")
+
+
+def read_text(path: Path) -> Text:
+    """Take a log apart. Raises UsageError ``file:line: what is wrong``."""
+    try:
+        with path.open("rb") as stream:
+            stream.seek(0, 2)
+            if stream.tell() > MAX_SIZE_BYTES:
+                raise UsageError(f"{path}: {stream.tell()} bytes, a log has at most {MAX_SIZE_BYTES}")
+            stream.seek(0)
+            return _read(path, stream)
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+
+
+def _read(path: Path, stream: BinaryIO) -> Text:
+    lines, text = _Lines(path, stream), Text()
+    numbered = iter(lines)
+    for line in numbered:
+        if line == "# Plot data for gnuplot":
+            break
+        if not line.startswith(("set ", "plot ")):
+            lines.refuse(f"no log of a suite: 'set ...' or 'plot ...' must stand here, not {_cut(line)}")
+        _read_command(lines, text, line)
+    else:
+        lines.refuse("no log of a suite: '# Plot data for gnuplot' is missing")
+    for line in numbered:
+        if line == "end":
+            break
+        if line.startswith("# "):
+            _read_comment(lines, text, line[2:])
+        elif line:
+            _read_bin(lines, text, line)
+    else:
+        lines.refuse("cut off: the last line must be 'end'")
+    for line in numbered:
+        if line:
+            lines.refuse(f"nothing may follow 'end', got {_cut(line)}")
+    text.lines = lines.number
+    return text
+
+
+def _cut(line: str) -> str:
+    return repr(line if len(line) <= 40 else line[:40] + "...")
+
+
+def _read_command(lines: _Lines, text: Text, line: str) -> None:
+    if line.startswith("set xlabel ") and (found := _BOUNDS.search(line)):
+        text.summaries["xlabel"] = _printed(found, lines.number)
+    elif found := re.fullmatch(r'set output "(.*)\.jpg"', line):
+        text.output = found[1]
+
+
+def _printed(found: re.Match[str], line: int) -> Printed:
+    return Printed(min_us=float(found[1]), avg_us=float(found[2]), max_us=float(found[3]), line=line)
+
+
+def _read_comment(lines: _Lines, text: Text, line: str) -> None:
+    if found := _BOUNDS.search(line):
+        label = line[: found.start()].strip()
+        text.summaries[_LABELS.get(label, "latency")] = _printed(found, lines.number)
+    for suite, pattern in SUITES.items():
+        if found := pattern.search(line):
+            text.suite = suite
+            text.counts["asked"] = (int(found[1]), lines.number)
+    for name, pattern in COUNTS.items():
+        if found := pattern.search(line):
+            text.counts[name] = (int(found[1]), lines.number)
+    if found := _INCOMPLETE.fullmatch(line):
+        text.incomplete = (int(found[1]), found[2])
+    for mark, name in _LISTS.items():
+        if line.startswith(mark):
+            # The first piece is the explanation in front of the first bar.
+            entries = [_ENTRY.fullmatch(piece) for piece in line.split("|")]
+            text.lists[name] = tuple(Ranked(value_us=float(e[1]), index=int(e[2])) for e in entries if e)
+
+
+def _read_bin(lines: _Lines, text: Text, line: str) -> None:
+    found = _BIN.fullmatch(line)
+    if not found:
+        lines.refuse(f"a bin must stand here, 'value <TAB>count', not {_cut(line)}")
+    value, number = int(found[2]), int(found[3])
+    if found[1] and value >= 0:
+        lines.refuse(f"only a negative value is commented out, not {_cut(line)}")
+    if value <= text.last.get(found[1], -MAX_VALUE_US - 1):
+        lines.refuse(f"the bins must rise, {value} follows {text.last[found[1]]}")
+    text.last[found[1]] = value
+    if number:
+        text.values.append(value)
+        text.numbers.append(number)

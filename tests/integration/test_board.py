@@ -1,0 +1,188 @@
+"""The main job: the real suites on the real board in QEMU, over SSH, under a real ROS master, with the real runner."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import rtgen.cli
+import rtrun.cli
+from rtrun import execute, qmp, rundir, target
+from rtrun.campaign import read_campaign
+from rtrun.errors import TargetGone
+
+pytestmark = [pytest.mark.qemu, pytest.mark.ros]
+TOP = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def built():
+    """The board image and the suites for it, from the cache or made now."""
+    folder = Path.cwd()
+    os.chdir(TOP)
+    try:
+        assert rtgen.cli.main(["board", "build", "--machine", "qemu-armv7"]) == 0
+        assert rtgen.cli.main(["suites", "build", "--machine", "qemu-armv7"]) == 0
+    finally:
+        os.chdir(folder)
+
+
+def write_campaign(folder, text):
+    path = folder / "campaign.yml"
+    path.write_text("schema: 1\nname: test\n" + text)
+    return path
+
+
+ALL_SUITES = """
+common: {repetitions: 50, policy: RR}
+runs:
+  - {suite: oneshot_timer_tests}
+  - {suite: cyclic_timer_tests, frequency_hz: 50, policy: "0"}
+  - {suite: communication_tests, frequency_hz: 50, subscribers: [1, 3], policy: FIFO}
+"""
+
+
+def test_the_three_suites_on_the_board(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    campaign = write_campaign(tmp_path, ALL_SUITES)
+    assert rtrun.cli.main(["run", str(campaign), "--target", str(TOP / "targets" / "qemu.yml")]) == 0
+    out = capsys.readouterr().out
+    assert "EMULATED: not a real-time statement" in out
+    _, runs = read_campaign(campaign)
+    for run in runs:
+        folder = tmp_path / "results" / "test" / run.name
+        record = json.loads((folder / "run.json").read_text())
+        assert record["status"] == "ok" and record["emulated"] is True
+        assert record["target"]["preempt_rt"] is True and "PREEMPT_RT" in record["target"]["kernel_version"]
+        assert set(record["files"]) == {path.name for path in folder.iterdir()} - {"run.json"}
+        assert {"target.json", "console.log"} <= set(record["files"])
+        logs = sorted(folder.glob("*.log"))
+        outputs = record["outputs"]
+        expected = 3 if run.suite == "oneshot_timer_tests" else len(outputs)
+        drawn = [log for log in logs if log.name != "console.log"]
+        assert len(drawn) == expected
+        for output in outputs:
+            suite = json.loads((folder / f"{output}.json").read_text())
+            assert suite["complete"] is True and suite["counts"]["asked"] == 50
+            policy = {"0": "OTHER"}.get(str(run.parameters["policy"]), run.parameters["policy"])
+            assert policy in {thread["policy"] for thread in suite["in_effect"]["threads"]}
+            assert suite["in_effect"]["mlockall"] is (run.parameters["policy"] != "0")
+        for log in drawn:
+            work = tmp_path / "drawing"
+            work.mkdir(exist_ok=True)
+            shutil.copy(log, work)
+            subprocess.run(["gnuplot", log.name], cwd=work, check=True)
+            assert (work / log.with_suffix(".jpg").name).read_bytes()[:2] == b"\xff\xd8"
+    assert rtrun.cli.main(["show", "--json", str(tmp_path / "results" / "test" / runs[3].name)]) == 0
+    results = json.loads(capsys.readouterr().out)["results"]
+    assert len(results) == 3
+    for result in results:
+        assert {"n", "min_us", "mean_us", "max_us", "missing", "out_of_order", "top", "lowest"} <= set(result)
+        assert result["n"] + result["missing"] == 50
+
+
+class Observer:
+    """Remembers, and does something when a run begins."""
+
+    def __init__(self, act):
+        self.act = act
+        self.notes = []
+
+    def began(self, number, run):
+        self.act(number)
+
+    def ended(self, number, run, status, reason):
+        pass
+
+    def note(self, text):
+        self.notes.append(text)
+
+
+def measure(tmp_path, act, results):
+    """Run a campaign of three runs on a booted board; `act(machine, number)` is called when a run begins."""
+    campaign = write_campaign(
+        tmp_path,
+        "runs: [{suite: cyclic_timer_tests, frequency_hz: 10, repetitions: [10, 40, 11], policy: RR}]\n",
+    )
+    _, runs = read_campaign(campaign)
+    config = target.read_target(TOP / "targets" / "qemu.yml")
+    machines = []
+    real = target.qemu.boot
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(target.qemu, "boot", lambda *words: Remembering(real(*words), machines))
+        observer = Observer(lambda number: act(machines[0], number))
+        with target.switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
+            try:
+                return runs, observer, execute.run_campaign(switched_on, "test", runs, results, observer)
+            except TargetGone as error:
+                return runs, observer, error
+
+
+class Remembering:
+    """A context manager that tells what it yielded."""
+
+    def __init__(self, context, seen):
+        self.context, self.seen = context, seen
+
+    def __enter__(self):
+        self.seen.append(self.context.__enter__())
+        return self.seen[-1]
+
+    def __exit__(self, *words):
+        return self.context.__exit__(*words)
+
+
+def test_a_reset_and_then_a_power_cut_in_the_middle_of_a_run(tmp_path):
+    results = tmp_path / "results"
+
+    def reset_in_the_second(machine, number):
+        if number == 1 and not timers:
+            timers.append(threading.Timer(4.0, qmp.execute, (machine.monitor, "system_reset")))
+            timers[0].start()
+
+    timers = []
+    runs, observer, statuses = measure(tmp_path, reset_in_the_second, results)
+    assert list(statuses.values()) == ["ok", "ok", "ok"], "the run that was cut off is repeated"
+    assert any("the target was restarted" in note for note in observer.notes)
+    assert rundir.status(results / runs[1].name) == "ok"
+    kept = results / f"{runs[1].name}.incomplete-1"
+    assert kept.is_dir() and rundir.status(kept) is None
+
+    def quit_in_the_second(machine, number):
+        if number == 1:
+            threading.Timer(3.0, qmp.execute, (machine.monitor, "quit")).start()
+
+    runs, observer, error = measure(tmp_path, quit_in_the_second, tmp_path / "other")
+    assert isinstance(error, TargetGone)
+    assert "the emulated board was switched off: QEMU ended (exit status 0)" in str(error)
+    assert execute.finished(tmp_path / "other", runs) == 1, "what was finished is kept"
+
+
+def qemus_of(console):
+    found = subprocess.run(["pgrep", "-f", f"file:{console}"], capture_output=True, text=True, check=False)
+    return found.stdout.split()
+
+
+def test_a_killed_runner_leaves_no_emulator_behind(tmp_path):
+    campaign = write_campaign(tmp_path, "runs: [{suite: oneshot_timer_tests, repetitions: 10}]\n")
+    argv = [sys.executable, "-m", "rtrun.cli", "run", campaign, "--target", TOP / "targets" / "qemu.yml"]
+    runner = subprocess.Popen(argv, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    console = "results/test/console.log"
+    while not qemus_of(console):
+        assert runner.poll() is None
+        time.sleep(0.1)
+    (emulator,) = qemus_of(console)
+    runner.send_signal(signal.SIGKILL)
+    runner.wait()
+    deadline = time.monotonic() + 20
+    while Path(f"/proc/{emulator}").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)

@@ -1,0 +1,215 @@
+"""The real board in QEMU, each machine booted once: everything the runner and the suites rely on."""
+
+import json
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rtgen.board import sysroot
+from rtgen.board.build import build
+from rtgen.board.machine import machines
+
+pytestmark = pytest.mark.qemu
+
+# Generous: the emulated board shares the CPUs with whatever else runs here.
+BOOT_S = 120
+COMMAND_S = 60
+
+ASK_MASTER = """
+import time, xmlrpc.client
+for attempt in range(300):
+    try:
+        print(xmlrpc.client.ServerProxy('http://localhost:11311').getSystemState('/test')[0])
+        break
+    except OSError:
+        time.sleep(0.1)
+"""
+
+
+HELLO = """
+#include <iostream>
+#include <ros/ros.h>
+#include <std_msgs/Header.h>
+int main(int argc, char** argv) {
+    ros::init(argc, argv, "hello");
+    ros::NodeHandle node;
+    ros::Publisher publisher = node.advertise<std_msgs::Header>("greeting", 1);
+    std::cout << publisher.getTopic() << " " << ros::master::check() << std::endl;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def hello(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ROS program for the board, compiled and linked against the sysroot."""
+    source = tmp_path_factory.mktemp("hello") / "hello.cpp"
+    source.write_text(HELLO)
+    program = source.with_suffix("")
+    libraries = ["-lroscpp", "-lrosconsole", "-lroscpp_serialization", "-lrostime"]
+    command = ["arm-linux-gnueabihf-g++", f"--sysroot={sysroot.build()}", "-std=c++17", str(source), "-o", str(program)]
+    subprocess.run([*command, *libraries], check=True)
+    return program
+
+
+@dataclass(frozen=True)
+class Board:
+    """A booted board."""
+
+    record: dict[str, Any]
+    qemu: subprocess.Popen[bytes]
+    options: list[str]
+    login: list[str]
+    port: int
+    console: Path
+
+    def ssh(self, command: str, stdin: str = "") -> subprocess.CompletedProcess[str]:
+        arguments = ["ssh", *self.options, *self.login, "-p", str(self.port), "root@127.0.0.1", command]
+        return subprocess.run(arguments, input=stdin, capture_output=True, text=True, timeout=COMMAND_S)
+
+    def said(self, command: str, stdin: str = "") -> str:
+        done = self.ssh(command, stdin)
+        assert done.returncode == 0, f"{command}: {done.stderr}"
+        return done.stdout.strip()
+
+    def hang_up(self) -> None:
+        """End the connection, if there is one."""
+        command = ["ssh", *self.options, *self.login, "-O", "exit", "root@127.0.0.1", "-p", str(self.port)]
+        subprocess.run(command, capture_output=True, timeout=COMMAND_S)
+
+    def wait(self) -> None:
+        """Until SSH answers."""
+        deadline = time.monotonic() + BOOT_S
+        while self.ssh("true").returncode != 0:
+            assert self.qemu.poll() is None, self.console.read_text(errors="replace")
+            assert time.monotonic() < deadline, self.console.read_text(errors="replace")
+            time.sleep(0.5)
+
+
+@contextmanager
+def booted(machine: str, place: Path) -> Iterator[Board]:
+    folder = build(machine, place)
+    record = json.loads((folder / "board.json").read_text())
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    known = place / "known_hosts"
+    known.write_text(f"[127.0.0.1]:{port} {record['ssh']['host_key']}\n")
+    console = place / "console.log"
+    qemu = record["qemu"]
+    # The death of pytest ends QEMU, however it came about.
+    command = ["setpriv", "--pdeathsig", "KILL", qemu["binary"], *qemu["arguments"]]
+    command += ["-kernel", str(folder / record["kernel"]), "-initrd", str(folder / record["initrd"])]
+    command += ["-dtb", str(folder / record["dtb"])] if record["dtb"] else []
+    command += ["-append", record["cmdline"], "-display", "none", "-monitor", "none", "-serial", f"file:{console}"]
+    command += ["-snapshot", "-drive", f"file={folder / record['disk']},format={record['disk_format']},if=none,id=disk"]
+    command += ["-device", f"{qemu['disk_device']},drive=disk", "-device", f"{qemu['network_device']},netdev=net"]
+    command += ["-netdev", f"user,id=net,hostfwd=tcp:127.0.0.1:{port}-:22"]
+    options = ["-F", "none", "-o", f"UserKnownHostsFile={known}", "-o", "StrictHostKeyChecking=yes"]
+    options += ["-o", "BatchMode=yes", "-o", "IdentitiesOnly=yes", "-o", "ConnectTimeout=10", "-o", "LogLevel=ERROR"]
+    login = ["-i", str(folder / record["ssh"]["key"])]
+    # One connection for all commands: a handshake takes the emulated CPU a second.
+    login += ["-o", "ControlMaster=auto", "-o", f"ControlPath={place / 'ssh'}", "-o", "ControlPersist=60"]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    board = Board(record, process, options, login, port, console)
+    try:
+        board.wait()
+        yield board
+    finally:
+        process.kill()
+        process.wait()
+        board.hang_up()
+
+
+@pytest.mark.parametrize("machine", list(machines().machines))
+def test_board_serves_runner_and_suites(machine: str, hello: Path, tmp_path: Path) -> None:
+    with booted(machine, tmp_path) as board:
+        check_system(board)
+        check_ssh(board, hello, tmp_path)
+        check_ros(board)
+        check_measuring(board)
+        check_reboot_keeps_the_disk(board)
+        board.ssh("poweroff")
+        assert board.qemu.wait(timeout=BOOT_S) == 0
+        errors = board.qemu.stderr.read().decode() if board.qemu.stderr else ""
+        assert errors == ""
+
+
+def check_system(board: Board) -> None:
+    assert "PREEMPT_RT" in board.said("uname -v")
+    assert board.said("uname -r") == board.record["kernel_release"]
+    assert "CONFIG_PREEMPT_RT=y" in board.said("grep PREEMPT_RT /boot/config-$(uname -r)")
+    assert board.said("nproc") == "2"
+    mounts = {line.split()[1]: line.split()[2] for line in board.said("cat /proc/mounts").splitlines()}
+    wanted = {"/": "ext4", "/dev": "devtmpfs", "/dev/pts": "devpts", "/dev/shm": "tmpfs", "/proc": "proc"}
+    wanted |= {"/sys": "sysfs", "/sys/kernel/debug": "debugfs", "/sys/kernel/tracing": "tracefs"}
+    assert mounts.items() >= wanted.items()
+    assert board.said("cat /proc/sys/kernel/sched_rt_runtime_us") == "950000"
+    free_kib = int(board.said("df -k / | tail -1").split()[3])
+    assert 256 * 1024 < free_kib < 512 * 1024
+    board.said("touch /var/lib/rt-tests/x /tmp/x && rm /var/lib/rt-tests/x /tmp/x")
+    assert "(127.0.0.1)" in board.said("ping -c 1 $(hostname)")
+    # The clock comes from QEMU's real-time clock, so the board knows the day.
+    assert abs(int(board.said("date +%s")) - time.time()) < 3600
+    # init takes over orphans and buries them.
+    board.said("sh -c '(sleep 0.1 &) ; exit 0'; sleep 1")
+    assert "Z" not in {line.split()[0][0] for line in board.said("ps -eo stat | tail -n +2").splitlines()}
+
+
+def check_ssh(board: Board, hello: Path, place: Path) -> None:
+    back = place / "back"
+    batch = f"put -p {hello} /var/lib/rt-tests/hello\nget /var/lib/rt-tests/hello {back}\n"
+    command = [
+        "sftp",
+        *board.options,
+        *board.login[:2],
+        "-o",
+        "Ciphers=aes128-gcm@openssh.com",
+        "-P",
+        str(board.port),
+        "-b",
+        "-",
+    ]
+    done = subprocess.run([*command, "root@127.0.0.1"], input=batch, capture_output=True, text=True, timeout=COMMAND_S)
+    assert done.returncode == 0, done.stderr
+    assert back.read_bytes() == hello.read_bytes()
+    # Nobody gets in without the key, not even for a password.
+    nobody = ["ssh", *board.options, "-o", "IdentityFile=none", "-p", str(board.port), "root@127.0.0.1", "true"]
+    refused = subprocess.run(nobody, capture_output=True, text=True, timeout=COMMAND_S)
+    assert refused.stderr.strip() == "root@127.0.0.1: Permission denied (publickey)."
+
+
+def check_ros(board: Board) -> None:
+    board.said("setsid rosmaster --core -p 11311 > /tmp/master.log 2>&1 < /dev/null &")
+    assert board.said("python3 -", ASK_MASTER) == "1"
+    # A roscpp program finds its libraries and the master. It came by SFTP.
+    assert board.said("ROS_MASTER_URI=http://localhost:11311 /var/lib/rt-tests/hello") == "/greeting 1"
+
+
+def check_measuring(board: Board) -> None:
+    measured = board.said("cyclictest --quiet --mlockall --priority=80 --policy=fifo --loops=100 --threads=1")
+    assert "P:80" in measured
+    assert "C:    100" in measured
+    assert board.said("chrt -f 50 chrt -p 0 | head -1").endswith("SCHED_FIFO")
+    assert "successful run" in board.ssh("stress-ng --cpu 1 --timeout 1 2>&1").stdout
+
+
+def check_reboot_keeps_the_disk(board: Board) -> None:
+    boot = board.said("cat /proc/sys/kernel/random/boot_id")
+    board.said("echo kept > /var/lib/rt-tests/kept; echo lost > /tmp/lost")
+    board.ssh("reboot")
+    board.hang_up()
+    deadline = time.monotonic() + BOOT_S
+    while board.ssh("cat /proc/sys/kernel/random/boot_id").stdout.strip() in (boot, ""):
+        assert time.monotonic() < deadline, board.console.read_text(errors="replace")
+        time.sleep(0.5)
+    assert board.said("cat /var/lib/rt-tests/kept") == "kept"
+    assert board.said("ls /tmp") == ""
+    # It was put down properly: nothing to recover.
+    assert "recovery" not in board.said("dmesg | grep EXT4")

@@ -1,0 +1,77 @@
+"""The build of the suites: order, cache, record, errors; natively and for ARM, with the real tools."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from rtfiles.errors import InfrastructureError, UsageError
+from rtgen import cli, suites
+
+ELF_MACHINE = 18  # offset of e_machine
+EM_ARM = 40
+
+
+def test_support_comes_first() -> None:
+    assert suites.packages() == ["rt_tests_support", "oneshot_timer_tests", "cyclic_timer_tests", "communication_tests"]
+
+
+def test_every_package_is_built() -> None:
+    folders = {path.parent.name for path in suites.sources().glob("*/package.xml")}
+    assert folders == set(suites.packages())
+
+
+def test_unknown_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(UsageError, match=r"unknown machine 'vax', known: host, qemu-armv7"):
+        suites.build("vax", tmp_path)
+    assert cli.main(["suites", "build", "--machine", "vax"]) == 2
+    assert capsys.readouterr().err.startswith("rtgen: unknown machine 'vax'")
+
+
+@pytest.mark.parametrize("machine", ["host", "qemu-armv7"])
+def test_build(tmp_path: Path, machine: str) -> None:
+    link = suites.build(machine, tmp_path)
+    assert link == tmp_path / machine
+    record = json.loads((link / "build.json").read_text())
+    assert (record["schema"], record["machine"]) == (1, machine)
+    assert ("arm-linux-gnueabihf" in record["compiler"]) == (machine != "host")
+    described = suites.describe(link)
+    described.pop("build.json")
+    assert record["files"] == described
+    programs = sorted(path for path in described if path.startswith("lib/"))
+    assert programs == [
+        "lib/communication_tests/communication_tests_publisher",
+        "lib/communication_tests/communication_tests_subscriber",
+        "lib/cyclic_timer_tests/cyclic_timer_tests",
+        "lib/oneshot_timer_tests/oneshot_timer_tests",
+    ]
+    for program in programs:
+        is_arm = int.from_bytes((link / program).read_bytes()[ELF_MACHINE : ELF_MACHINE + 2], "little") == EM_ARM
+        assert is_arm == (machine != "host")
+    assert sorted(path.name for path in link.glob("share/*/launch/*")) == [
+        "communication_tests.launch",
+        "communication_tests_5sub.launch",
+        "cyclic_timer_tests.launch",
+        "oneshot_timer_tests.launch",
+    ]
+    assert (link / "suites.yml").read_bytes() == (suites.sources() / "suites.yml").read_bytes()
+
+
+def test_second_build_is_the_same_and_compiles_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = suites.build("host", tmp_path).readlink()
+    monkeypatch.setattr(suites, "build_package", None)
+    assert suites.build("host", tmp_path).readlink() == first
+
+
+def test_a_change_is_built_and_a_mistake_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copy = tmp_path / "recipes-tests"
+    shutil.copytree(suites.sources(), copy)
+    monkeypatch.setattr(suites, "sources", lambda: copy)
+    monkeypatch.setenv("META_RT_TESTS_CACHE", str(tmp_path / "cache"))
+    (copy / "rt_tests_support" / "src" / "json.cpp").write_text("this is no C++\n")
+    with pytest.raises(InfrastructureError, match=r"(?s)exit status 1 of ninja .*json.cpp:1:1: error"):
+        suites.build("host", tmp_path / "place")
+    assert not (tmp_path / "place").exists()
+    left = [path for path in (tmp_path / "cache" / "suites").iterdir() if path.suffix != ".lock"]
+    assert left == []

@@ -1,0 +1,94 @@
+"""A stand-in for cyclic_timer_tests that goes wrong on request: what no real suite would do when a test needs it."""
+
+import sys
+from pathlib import Path
+
+PROGRAM = """#!{python}
+import json, os, sys, time
+sys.path.insert(0, {here!r})
+from pathlib import Path
+from written import write_output
+
+words = dict(zip(sys.argv[1::2], sys.argv[2::2]))
+count, frequency = int(words.get("-r", 1000)), int(words.get("-f", 1000))
+wishes = Path({wishes!r}).read_text().splitlines()
+wish = wishes[0]
+Path({wishes!r}).write_text("\\n".join(wishes[1:] or ["ok"]))
+with open({journal!r}, "a") as journal:
+    journal.write(f"{{count}} {{frequency}} {{wish}}\\n")
+output = f"cyclic_timer_tests_l{{count}}_fq{{frequency}}"
+if "-s" in words:
+    output += "-tnRT" + words["-s"]
+if wish.startswith("sleep"):
+    time.sleep(float(wish.split()[1]))
+if wish == "fail":
+    print("\\tINFO: trying")
+    print("\\tERROR: cannot set RR priority 95: CAP_SYS_NICE is missing", file=sys.stderr)
+    sys.exit(1)
+if wish == "silent":
+    sys.exit(0)
+if wish == "killed":
+    os.kill(os.getpid(), 9)
+rows = [(1_000_000 * n,) for n in range(count + 1)]
+path = write_output(Path("."), output, "cyclic_timer_tests", rows, requested={{"repetitions": count,
+    "frequency_hz": frequency}}, asked=count, measured=count)
+log = Path({data!r}, "cyclic_timer_tests_l300_fq1000-tnRTRR.log")
+Path(output + ".log").write_bytes(log.read_bytes())
+print("\\tINFO: done")
+if wish == "incomplete":
+    data = json.loads(path.read_text())
+    data.update(complete=False, incomplete_reason="the publisher ended")
+    path.write_text(json.dumps(data))
+if wish == "truncated":
+    npy = Path(output + ".npy")
+    npy.write_bytes(npy.read_bytes()[:-5])
+if wish == "huge json":
+    with path.open("r+b") as stream:
+        stream.truncate(1 << 30)
+if wish == "link":
+    path.unlink()
+    path.symlink_to("/etc/passwd")
+if wish == "2014":
+    path.unlink()
+    path.with_suffix(".npy").unlink()
+if wish == "junk json":
+    path.write_text("[1, 2")
+"""
+
+
+def write_faulty_suites(folder: Path) -> "Wishes":
+    """Make a folder as `rtgen suites build` does, whose cyclic_timer_tests obeys the returned wishes."""
+    wishes = Wishes(folder)
+    program = folder / "lib" / "cyclic_timer_tests" / "cyclic_timer_tests"
+    program.parent.mkdir(parents=True)
+    program.write_text(
+        PROGRAM.format(
+            python=sys.executable,
+            here=str(Path(__file__).parent),
+            data=str(Path(__file__).parents[1] / "data" / "2014"),
+            wishes=str(wishes.wishes),
+            journal=str(wishes.journal),
+        )
+    )
+    program.chmod(0o755)
+    (folder / "build.json").write_text("{}")
+    wishes.will()
+    return wishes
+
+
+class Wishes:
+    """What the next runs shall do, and what they did."""
+
+    def __init__(self, folder: Path) -> None:
+        self.wishes = folder.with_name(folder.name + ".wishes")
+        self.journal = folder.with_name(folder.name + ".journal")
+
+    def will(self, *wishes: str) -> None:
+        """Let the next calls do these, one each, and all after them be fine."""
+        temporary = self.wishes.with_suffix(".new")
+        temporary.write_text("\n".join([*wishes, "ok"]))
+        temporary.replace(self.wishes)
+
+    def calls(self) -> list[str]:
+        """Every call so far: repetitions, frequency, what it did."""
+        return self.journal.read_text().splitlines() if self.journal.exists() else []

@@ -1,0 +1,354 @@
+"""Campaigns on a target behind a real sshd with a real ROS master; the suite is one that goes wrong on request."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+import pytest
+from faulty import write_faulty_suites
+
+from ports import free_port
+from rtfiles.errors import InfrastructureError, UsageError
+from rtrun import execute, master
+from rtrun.campaign import Campaign, plan
+from rtrun.cli import main
+from rtrun.errors import TargetError, TargetGone
+from rtrun.link import Link
+from rtrun.results import read_run
+
+pytestmark = [pytest.mark.sshd, pytest.mark.ros]
+
+
+class Watching:
+    """An observer that remembers."""
+
+    def __init__(self):
+        self.ends = []
+        self.notes = []
+        self.at_start = lambda number: None
+
+    def began(self, number, run):
+        self.at_start(number)
+
+    def ended(self, number, run, status, reason):
+        self.ends.append((status, reason))
+
+    def note(self, text):
+        self.notes.append(text)
+
+
+@pytest.fixture
+def watching():
+    return Watching()
+
+
+@pytest.fixture
+def suites_folder(tmp_path):
+    return tmp_path / "suites"
+
+
+@pytest.fixture
+def wishes(suites_folder):
+    return write_faulty_suites(suites_folder)
+
+
+@pytest.fixture
+def bare_target(loopback, suites_folder, wishes):
+    """A target on which no ROS master runs."""
+    return replace(loopback, suites=suites_folder, ros_master_port=free_port())
+
+
+@pytest.fixture
+def target(bare_target, ros_master):
+    return replace(bare_target, ros_master_port=ros_master)
+
+
+def runs_of(count, **parameters):
+    entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": [100 + n for n in range(count)]}
+    return plan(Campaign(schema=1, name="test", runs=[entry | parameters]), "test")
+
+
+def measure(target, runs, results, watching):
+    return execute.run_campaign(target, "test", runs, results, watching)
+
+
+def record(results, run):
+    return json.loads((results / run.name / "run.json").read_text())
+
+
+def master_is_gone(target):
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", target.ros_master_port)) != 0
+
+
+def test_a_campaign_from_end_to_end(bare_target, tmp_path, watching, wishes):
+    runs = runs_of(2)
+    statuses = measure(bare_target, runs, tmp_path / "results", watching)
+    assert list(statuses.values()) == ["ok", "ok"]
+    folder = tmp_path / "results" / runs[0].name
+    written = record(tmp_path / "results", runs[0])
+    assert set(written["files"]) == {path.name for path in folder.iterdir()} - {"run.json"}
+    assert {"cyclic_timer_tests.stdout", "cyclic_timer_tests_l10_fq100.npy", "target.json"} <= set(written["files"])
+    assert (folder / "cyclic_timer_tests.stdout").read_text() == "\tINFO: done\n"
+    state = json.loads((folder / "target.json").read_text())
+    assert state["before"]["boot_id"] == Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    assert state["own_ros_master"] is True
+    assert written["target"]["kernel_release"] == os.uname().release
+    assert master_is_gone(bare_target), "a master that the runner started is ended"
+    assert list((Path(bare_target.work_dir) / "runs").rglob("*.npy")) == [], "nothing stays on the bare_target"
+
+
+def test_finished_runs_are_not_measured_again(target, tmp_path, watching, wishes):
+    runs = runs_of(3)
+    wishes.will("ok", "fail")
+    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok", "failed", "ok"]
+    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok", "ok", "ok"]
+    assert len(wishes.calls()) == 4
+    assert any("2 of 3 runs are finished" in note for note in watching.notes)
+    assert (tmp_path / "results" / f"{runs[1].name}.old-1" / "run.json").exists(), "the failed run is kept beside it"
+
+
+@pytest.mark.parametrize(
+    ("wish", "status", "reason"),
+    [
+        ("fail", "failed", "exit status 1: ERROR: cannot set RR priority 95: CAP_SYS_NICE is missing"),
+        ("silent", "failed", "cyclic_timer_tests_l10_fq100.json is missing though"),
+        ("killed", "failed", "cyclic_timer_tests ended with exit status 137"),
+        ("incomplete", "incomplete", "the publisher ended"),
+        ("junk json", "failed", "cyclic_timer_tests_l10_fq100.json"),
+        ("link", "failed", "cyclic_timer_tests_l10_fq100.json is missing"),
+        ("huge json", "failed", "fq100.json has 1073741824 bytes, at most 16777216 were expected: it was left there"),
+        ("truncated", "failed", "cyclic_timer_tests_l10_fq100.npy"),
+    ],
+)
+def test_a_run_that_goes_wrong_is_closed_with_the_reason(target, tmp_path, watching, wishes, wish, status, reason):
+    wishes.will(wish)
+    runs = runs_of(2)
+    statuses = measure(target, runs, tmp_path / "results", watching)
+    assert list(statuses.values()) == [status, "ok"], "the campaign goes on"
+    assert record(tmp_path / "results", runs[0])["status"] == status
+    assert reason in record(tmp_path / "results", runs[0])["reason"]
+
+
+def test_programs_of_2014_write_logs_only(target, tmp_path, watching, wishes):
+    wishes.will("2014")
+    (run,) = runs = runs_of(1, repetitions=300, frequency_hz=1000, policy="RR")
+    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
+    assert {name for name in record(tmp_path / "results", run)["files"] if name.startswith("cyclic_timer_tests_l")} == {
+        "cyclic_timer_tests_l300_fq1000-tnRTRR.log"
+    }
+    (row,) = read_run(tmp_path / "results" / run.name).results
+    assert row.figures.n == 300
+
+
+def test_a_suite_that_hangs_is_ended_by_the_target(target, tmp_path, watching, wishes, monkeypatch):
+    monkeypatch.setattr(execute, "DEADLINE_EXTRA_S", 1.0)
+    wishes.will("sleep 300")
+    statuses = measure(target, runs_of(2), tmp_path / "results", watching)
+    assert list(statuses.values()) == ["failed", "ok"]
+    assert "did not end within" in watching.ends[0][1]
+
+
+def test_a_link_cut_in_the_middle_costs_nothing(target, tmp_path, watching, wishes, monkeypatch):
+    seen = []
+    real = Link.__enter__
+
+    def remembering(self):
+        seen.append(self)
+        return real(self)
+
+    monkeypatch.setattr(Link, "__enter__", remembering)
+    wishes.will("sleep 2")
+    cut = threading.Timer(1.2, lambda: seen[0]._connection._transport.sock.shutdown(socket.SHUT_RDWR))
+    watching.at_start = lambda number: cut.start() if number == 0 else None
+    assert list(measure(target, runs_of(2), tmp_path / "results", watching).values()) == ["ok", "ok"]
+    assert len(wishes.calls()) == 2
+    assert any("connection broke" in note for note in watching.notes)
+
+
+def test_a_target_that_stays_away_is_an_error_and_finished_runs_stay(target, tmp_path, watching, wishes):
+    away = threading.Event()
+    target = replace(target, failure=lambda: TargetGone("the board was switched off") if away.is_set() else None)
+    with Link(target, watching.notes.append):
+        pass
+    runs = runs_of(2)
+
+    def switch_off(number):
+        if number == 1:
+            away.set()
+            raise TargetGone("the board was switched off")
+
+    watching.at_start = switch_off
+    with pytest.raises(TargetGone, match="switched off"):
+        measure(target, runs, tmp_path / "results", watching)
+    assert execute.finished(tmp_path / "results", runs) == 1
+
+
+def test_a_changed_campaign_is_not_mixed_with_the_old_one(target, tmp_path, watching, wishes):
+    measure(target, runs_of(1), tmp_path / "results", watching)
+    with pytest.raises(UsageError, match="holds another campaign"):
+        measure(target, runs_of(2), tmp_path / "results", watching)
+
+
+def test_a_master_that_is_there_is_used_and_left_alone(target, tmp_path, watching):
+    runs = runs_of(1)
+    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
+    state = json.loads((tmp_path / "results" / runs[0].name / "target.json").read_text())
+    assert state["own_ros_master"] is False
+    with Link(target, watching.notes.append) as link:
+        assert master.answers(link)
+
+
+def test_a_port_that_is_no_master(bare_target, tmp_path, watching, wishes):
+    with socket.create_server(("127.0.0.1", bare_target.ros_master_port)) as server:
+        threading.Thread(target=answer_junk, args=(server,), daemon=True).start()
+        with pytest.raises(TargetError, match="the ROS master did not start"):
+            measure(bare_target, runs_of(1), tmp_path / "results", watching)
+
+
+def answer_junk(server):
+    while True:
+        try:
+            link, _ = server.accept()
+        except OSError:
+            return
+        link.sendall(b"220 mail ready\r\n")
+        link.close()
+
+
+def test_no_ros_on_the_target(bare_target, tmp_path, watching, wishes, monkeypatch):
+    real = execute.probe.find
+    monkeypatch.setattr(execute.probe, "find", lambda *words: replace(real(*words), master=None))
+    with pytest.raises(TargetError, match="no ROS on the target"):
+        measure(bare_target, runs_of(1), tmp_path / "results", watching)
+
+
+def test_a_suite_that_is_not_on_the_target(target, tmp_path, watching):
+    with pytest.raises(TargetError, match="cyclic_timer_tests is not installed on the target"):
+        measure(replace(target, suites=None), runs_of(1), tmp_path / "results", watching)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 1 MiB, for what a full disk does."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", folder], check=True)
+    yield folder
+    subprocess.run(["umount", "-l", folder], check=True)
+
+
+def test_a_full_disk_on_the_target(target, tmp_path, watching, wishes, small_disk):
+    target = replace(target, work_dir=PurePosixPath(small_disk))
+    (target.suites / "lib" / "large").write_bytes(os.urandom(2_000_000))
+    with pytest.raises(TargetError, match=r"cannot write .*disk is full"):
+        measure(target, runs_of(1), tmp_path / "results", watching)
+
+
+def test_a_full_disk_here(target, tmp_path, watching, wishes, small_disk):
+    runs = runs_of(2)
+
+    def fill(number):
+        if number == 1:
+            (small_disk / "ballast").write_bytes(b"x" * (os.statvfs(small_disk).f_bavail * 4096))
+
+    watching.at_start = fill
+    with pytest.raises(InfrastructureError, match=r"cannot keep the results: No space left on device|disk is full"):
+        measure(target, runs, small_disk / "results", watching)
+    assert execute.finished(small_disk / "results", runs) == 1
+
+
+def write_files(tmp_path, sshd, target, count):
+    (tmp_path / "campaign.yml").write_text(
+        f"schema: 1\nname: test\nruns: [{{suite: cyclic_timer_tests, repetitions: 10, "
+        f"frequency_hz: {[100 + n for n in range(count)]}}}]\n"
+    )
+    (tmp_path / "target.yml").write_text(
+        f"schema: 1\nname: loopback\nkind: ssh\nhost: 127.0.0.1\nport: {sshd.port}\nuser: {sshd.user}\n"
+        f"key: {sshd.key}\nhost_key: {sshd.host_key}\nsuites: suites\nwork_dir: {target.work_dir}\n"
+        f"ros_master_port: {target.ros_master_port}\nreconnect_s: 2\n"
+    )
+    return ["run", str(tmp_path / "campaign.yml"), "--target", str(tmp_path / "target.yml")]
+
+
+def rtrun(tmp_path, words):
+    return subprocess.Popen(
+        [sys.executable, "-m", "rtrun.cli", *words],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupt(sshd, bare_target, tmp_path, wishes, number):
+    words = write_files(tmp_path, sshd, bare_target, 3)
+    wishes.will("ok", "sleep 100")
+    runner = rtrun(tmp_path, words)
+    while len(wishes.calls()) < 2:
+        assert runner.poll() is None
+        time.sleep(0.05)
+    runner.send_signal(number)
+    out, err = runner.communicate(timeout=60)
+    assert runner.returncode == 130
+    assert "1 of 3 runs are finished and kept in results/test; the same command goes on there" in out
+    assert err.splitlines()[-1] == "rtrun: interrupted"
+    assert master_is_gone(bare_target)
+    assert rtrun(tmp_path, words).wait(60) == 0
+    assert [call.split()[1] for call in wishes.calls()] == ["100", "101", "101", "102"]
+
+
+def test_a_killed_runner_finds_its_run_again(sshd, bare_target, tmp_path, wishes):
+    words = write_files(tmp_path, sshd, bare_target, 2)
+    wishes.will("sleep 3")
+    runner = rtrun(tmp_path, words)
+    while len(wishes.calls()) < 1:
+        assert runner.poll() is None
+        time.sleep(0.05)
+    runner.kill()
+    runner.communicate()
+    second = rtrun(tmp_path, words)
+    _, err = second.communicate(timeout=90)
+    assert second.returncode == 0, err
+    assert len(wishes.calls()) == 2, "the run that was going on is picked up, not repeated"
+    assert master_is_gone(bare_target)
+
+
+def test_exit_status_of_failed_runs_and_of_a_finished_campaign(sshd, target, tmp_path, wishes, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = write_files(tmp_path, sshd, target, 1)
+    wishes.will("fail")
+    assert main(words) == 3
+    assert "CAP_SYS_NICE is missing" in capsys.readouterr().out
+    assert main(words) == 0
+    assert main(words) == 0
+    assert "all 1 runs are finished" in capsys.readouterr().err
+    assert len(wishes.calls()) == 2
+    assert main([*words, "--fresh"]) == 0
+    assert (tmp_path / "results" / "test-2").is_dir() and len(wishes.calls()) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("schema: 1\nname: x\nkind: telnet\n", "kind: missing or unknown, allowed: ssh, qemu"),
+        ("schema: 1\nname: x\nkind: ssh\nhost: h\nport: 0\n", "port: Input should be greater than or equal to 1"),
+        ("schema: 1\nname: x\nkind: ssh\nhots: h\n", "unknown key 'hots'"),
+        ("schema: 1\nname: x\nkind: qemu\nboard: nowhere\n", "no board there, make one: rtgen board build"),
+        ("schema: 1\nname: x\nkind: ssh\nhost: 127.0.0.1\nsuites: nowhere\n", "no suites there, build them"),
+    ],
+)
+def test_bad_target_files(tmp_path, text, message, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "target.yml").write_text(text)
+    (tmp_path / "campaign.yml").write_text("schema: 1\nname: test\nruns: [{suite: cyclic_timer_tests}]\n")
+    assert main(["run", "campaign.yml", "--target", "target.yml"]) == 2
+    assert message in capsys.readouterr().err

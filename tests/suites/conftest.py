@@ -1,0 +1,218 @@
+"""The suites, built natively, on a real ROS master; and what their outputs must have in common."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import time
+import xmlrpc.client
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rtgen import suites as builder
+
+NOT_FIRED = np.iinfo(np.int64).min
+HIST_LINE = re.compile(r"^(#?)(-?\d{6,}) \t(\d{6,})$")
+UNIT_SOURCE = Path(__file__).parent / "unit"
+UNIT_BUILD = Path(__file__).parents[2] / "build" / "suites-unit"
+PROGRAMS = {
+    "oneshot_timer_tests": "oneshot_timer_tests",
+    "cyclic_timer_tests": "cyclic_timer_tests",
+    "communication_tests_publisher": "communication_tests",
+    "communication_tests_subscriber": "communication_tests",
+}
+
+
+@pytest.fixture(scope="session")
+def suites(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the native build."""
+    return builder.build("host", tmp_path_factory.mktemp("suites"))
+
+
+def say(*command: str) -> str:
+    """What a tool says; a failure shows it."""
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}"
+    return done.stdout
+
+
+@pytest.fixture(scope="session")
+def unit_build() -> Path:
+    """The folder of the compiled unit tests; what did not change is not compiled again."""
+    launcher = ["-DCMAKE_CXX_COMPILER_LAUNCHER=ccache"] if shutil.which("ccache") else []
+    say("cmake", "-G", "Ninja", "-S", str(UNIT_SOURCE), "-B", str(UNIT_BUILD), *launcher)
+    say("ninja", "-C", str(UNIT_BUILD), "-j", "2")
+    return UNIT_BUILD
+
+
+@dataclass
+class Bench:
+    """Starts programs of the suites in a folder of their own, and ends them with the test."""
+
+    suites: Path
+    folder: Path
+    environment: dict[str, str]
+    started: list[subprocess.Popen[str]]
+
+    def start(self, program: str, *arguments: str, before: tuple[str, ...] = ()) -> "subprocess.Popen[str]":
+        path = self.suites / "lib" / PROGRAMS[program] / program
+        process = subprocess.Popen(
+            [*before, str(path), *arguments],
+            cwd=self.folder,
+            env=self.environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.started.append(process)
+        return process
+
+    def run(self, program: str, *arguments: str, before: tuple[str, ...] = ()) -> "Ended":
+        return end(self.start(program, *arguments, before=before))
+
+    def files(self) -> list[str]:
+        return sorted(path.name for path in self.folder.iterdir())
+
+    def subscribers(self) -> int:
+        with xmlrpc.client.ServerProxy(self.environment["ROS_MASTER_URI"]) as master:
+            state = master.getSystemState("/tests")[2]  # type: ignore[index]
+        return sum(len(nodes) for topic, nodes in state[1] if topic == "/communication_tests")
+
+    def communicate(self, *arguments: str, subscriber: tuple[str, ...] = ()) -> tuple["Ended", "Ended"]:
+        """One subscriber and one publisher with the same arguments; what both said, the subscriber first."""
+        receiver = self.start("communication_tests_subscriber", *arguments, *subscriber)
+        until(lambda: self.subscribers() == 1, receiver)
+        sender = self.run("communication_tests_publisher", *arguments, "-d", "1")
+        return end(receiver), sender
+
+
+@dataclass(frozen=True)
+class Ended:
+    status: int
+    out: str
+    err: str
+
+    @property
+    def lines(self) -> list[str]:
+        return self.out.splitlines()
+
+
+def end(process: "subprocess.Popen[str]", timeout: float = 60) -> Ended:
+    out, err = process.communicate(timeout=timeout)
+    return Ended(process.returncode, out, err)
+
+
+def until(condition: Callable[[], bool], process: "subprocess.Popen[str]", timeout: float = 30) -> None:
+    """Wait for a condition while a process runs."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def is_measuring(process: "subprocess.Popen[str]") -> bool:
+    """Whether a program has caught SIGTERM, which it does when it begins to measure."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    caught = int(re.search(r"^SigCgt:\s*(\w+)$", status, re.M)[1], 16)  # type: ignore[index]
+    return bool(caught >> (signal.SIGTERM - 1) & 1)
+
+
+@pytest.fixture
+def bench(suites: Path, ros_master: int, tmp_path: Path) -> Iterator[Bench]:
+    environment = os.environ | {
+        "ROS_MASTER_URI": f"http://127.0.0.1:{ros_master}",
+        "ROS_IP": "127.0.0.1",
+        "ROS_LOG_DIR": str(tmp_path / "ros-log"),
+    }
+    folder = tmp_path / "out"
+    folder.mkdir()
+    bench = Bench(suites, folder, environment, [])
+    yield bench
+    for process in bench.started:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+
+
+def summary_of(values: Any, indices: Any) -> dict[str, Any]:
+    """What the json must say of a series (int64 ns), computed another way."""
+    if len(values) == 0:
+        return {"n": 0, "min_ns": None, "mean_ns": None, "max_ns": None, "top": [], "lowest": []}
+    pairs = [(int(value), int(index)) for value, index in zip(values, indices, strict=True)]
+    order = {index: at for at, (_, index) in enumerate(pairs)}
+    top = sorted(pairs, key=lambda pair: (-pair[0], order[pair[1]]))[:10]
+    lowest = sorted(pairs, key=lambda pair: (pair[0], order[pair[1]]))[:10]
+    return {
+        "n": len(pairs),
+        "min_ns": lowest[0][0],
+        "mean_ns": pytest.approx(sum(value for value, _ in pairs) / len(pairs), abs=0.51),
+        "max_ns": top[0][0],
+        "top": [{"value_ns": value, "index": index} for value, index in top],
+        "lowest": [{"value_ns": value, "index": index} for value, index in lowest],
+    }
+
+
+def series_of(record: dict[str, Any], rows: Any) -> dict[str, tuple[Any, Any]]:
+    """Values and indices of every series of a run, from its npy."""
+    if record["suite"] == "oneshot_timer_tests":
+        fired = rows[:, 1] != NOT_FIRED
+        index = np.flatnonzero(fired)
+        start, ended, measured, reported = rows[fired].T
+        assert np.array_equal(measured, ended - start - record["requested"]["timeout_us"] * 1000)
+        return {
+            "measured": (measured, index),
+            "reported": (reported, index),
+            "difference": (reported - measured, index),
+        }
+    if record["suite"] == "cyclic_timer_tests":
+        stamps, frequency = [int(stamp) for stamp in rows[:, 0]], record["requested"]["frequency_hz"]
+        pairs = range(max(len(stamps) - 1, 0))
+        jitter = [stamps[i + 1] - stamps[i] - round(10**9 / frequency) for i in pairs]
+        grid = [stamps[i + 1] - stamps[0] - (2 * (i + 1) * 10**9 + frequency) // (2 * frequency) for i in pairs]
+        return {"jitter": (jitter, pairs), "grid": (grid, pairs)}
+    publication, reception, seq = rows.T
+    return {"latency": (reception - publication, seq)}
+
+
+def log_series(record: dict[str, Any]) -> list[str]:
+    return {
+        "oneshot_timer_tests": ["measured", "reported", "difference"],
+        "cyclic_timer_tests": ["jitter"],
+        "communication_tests": ["latency"],
+    }[record["suite"]]
+
+
+def histogram(log: str) -> Counter[int]:
+    matches = [HIST_LINE.match(line) for line in log.splitlines()]
+    return Counter({int(match[2]): int(match[3]) for match in matches if match and int(match[3]) > 0})
+
+
+def check_outputs(folder: Path, output: str) -> dict[str, Any]:
+    """Read the json of a run, check npy, logs and pictures against it, and return it."""
+    record: dict[str, Any] = json.loads((folder / f"{output}.json").read_text())
+    rows = np.load(folder / f"{output}.npy", allow_pickle=False)
+    assert rows.dtype == np.int64
+    series = series_of(record, rows)
+    assert record["summary"] == {name: summary_of(*pair) for name, pair in series.items()}
+    assert record["counts"]["measured"] == len(series[log_series(record)[0]][0])
+    assert record["complete"] == (record["incomplete_reason"] is None)
+    assert record["files"]["npy"] == f"{output}.npy"
+    for name, file in zip(log_series(record), record["files"]["logs"], strict=True):
+        log = (folder / file).read_text()
+        microseconds = [int(abs(value) // 1000 * (1 if value >= 0 else -1)) for value in series[name][0]]
+        assert histogram(log) == Counter(microseconds)
+        assert log.endswith("\n\nend\n")
+        assert f'set output "{output}' in log
+        drawn = subprocess.run(["gnuplot", file], cwd=folder, capture_output=True, text=True, check=False)
+        assert drawn.returncode == 0, drawn.stderr
+        assert (folder / file).with_suffix(".jpg").read_bytes()[:3] == b"\xff\xd8\xff"
+    return record

@@ -1,0 +1,127 @@
+"""What the programs refuse to do, and how they say so: no ROS master needed, nothing written."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from rtfiles.config import read_yaml
+from rtgen import suites as builder
+
+from .conftest import PROGRAMS, Bench
+
+NOTHING = ("--bounding-set=-all", "--inh-caps=-all", "--ambient-caps=-all")
+# Root without its capabilities, or with just one; and no limits that would do instead.
+UNPRIVILEGED = ("prlimit", "--rtprio=0", "setpriv", "--securebits=+noroot", *NOTHING)
+ONLY_PRIORITY = (
+    *("prlimit", "--memlock=65536", "setpriv", "--securebits=+noroot"),
+    *(f"{word},+sys_nice" for word in NOTHING),
+)
+
+
+@pytest.fixture
+def offline(suites: Path, tmp_path: Path) -> Bench:
+    """A bench without a ROS master: whoever asks one would wait for ever."""
+    folder = tmp_path / "out"
+    folder.mkdir()
+    return Bench(suites, folder, {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin"}, [])
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_help_and_suites_yml_agree(offline: Bench, program: str) -> None:
+    ended = offline.run(program, "--help")
+    assert (ended.status, ended.err) == (0, "")
+    lines = dict(re.findall(r"^  (-{1,2}[\w-]+) (.*)$", ended.out, re.M))
+    known = read_yaml(builder.sources() / "suites.yml")
+    keys = known["suites"][PROGRAMS[program]]["programs"][program]
+    assert set(lines) == {known["options"][key]["flag"] for key in keys} | {"--help", "--version"}
+    for key in keys:
+        option = known["options"][key]
+        takes, said = re.fullmatch(r"(\S+) +(.*)", lines[option["flag"]]).groups()  # type: ignore[union-attr]
+        if option["type"] == "int":
+            assert takes == f"{option['min']}..{option['max']}"
+        elif option["type"] == "choice":
+            assert takes == "|".join(option["choices"])
+        default = re.fullmatch(r".*? \[(.*)\]", said)
+        assert (default[1] if default else "") == str(option["default"] if option["default"] is not None else "")
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_version(offline: Bench, program: str) -> None:
+    ended = offline.run(program, "--version")
+    assert (ended.status, ended.out) == (0, f"{program} 0.1.0\n")
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-x"], "unknown option '-x'; {program} --help lists what there is"),
+        (["extra"], "unknown option 'extra'; {program} --help lists what there is"),
+        (["-r"], "-r takes 1..100000000, got nothing"),
+        (["-r", "many"], "-r takes an integer from 1 to 100000000, got 'many'"),
+        (["-r", "0"], "-r takes an integer from 1 to 100000000, got '0'"),
+        (["-s", "EDF"], "-s takes 0|RR|FIFO, got 'EDF'"),
+        (["--priority=99"], "--priority takes an integer from 1 to 98, got '99'"),
+    ],
+)
+def test_bad_options(offline: Bench, program: str, arguments: list[str], message: str) -> None:
+    ended = offline.run(program, *arguments)
+    assert (ended.status, ended.out) == (2, "")
+    assert ended.err == f"\tERROR: {message.format(program=program)}\n"
+    assert offline.files() == []
+
+
+def test_output_folder_is_looked_at_first(offline: Bench) -> None:
+    ended = offline.run("cyclic_timer_tests", "--out-dir", "nowhere")
+    assert ended.status == 2
+    assert ended.err == (
+        "\tERROR: output folder 'nowhere' (--out-dir, -p) must exist and be writable: No such file or directory\n"
+    )
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_missing_right_to_real_time(offline: Bench, program: str) -> None:
+    ended = offline.run(program, "-s", "RR", before=UNPRIVILEGED)
+    assert (ended.status, ended.out) == (1, "")
+    assert ended.err.startswith(
+        "\tERROR: cannot run with policy RR at priority 95: it needs the capability CAP_SYS_NICE or RLIMIT_RTPRIO"
+    )
+    assert ended.err.count("\n") == 1
+    assert offline.files() == []
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_missing_right_to_lock_memory(offline: Bench, program: str) -> None:
+    ended = offline.run(program, "-s", "FIFO", before=ONLY_PRIORITY)
+    assert (ended.status, ended.out) == (1, "")
+    assert ended.err.startswith(
+        "\tERROR: cannot lock memory: it needs the capability CAP_IPC_LOCK or a larger RLIMIT_MEMLOCK (now 65536 bytes)"
+    )
+    assert offline.files() == []
+
+
+def test_missing_trace(offline: Bench) -> None:
+    # A mount namespace of its own, in which there is no tracefs.
+    hidden = ("unshare", "--mount", "sh", "-c", 'mount -t tmpfs none /sys/kernel && exec "$@"', "sh")
+    ended = offline.run("oneshot_timer_tests", "--break-trace", "100", before=hidden)
+    assert (ended.status, ended.out) == (1, "")
+    assert ended.err.startswith("\tERROR: --break-trace needs tracefs mounted and the right to write to it: ")
+    assert offline.files() == []
+
+
+def test_too_many_samples_for_the_memory(offline: Bench) -> None:
+    if available_bytes() > 100_000_000 * 32:
+        # Room for all of them here: a limit on the address space stands in for less memory.
+        ended = offline.run("oneshot_timer_tests", "-r", "100000000", before=("prlimit", "--as=1000000000"))
+        assert ended.err == "\tERROR: not enough memory for so many samples; ask for fewer with -r\n"
+    else:
+        ended = offline.run("oneshot_timer_tests", "-r", "100000000")
+        assert ended.err.startswith("\tERROR: the samples need 3200 MB of memory, ")
+    assert (ended.status, ended.out) == (1, "")
+    assert offline.files() == []
+
+
+def available_bytes() -> int:
+    meminfo = Path("/proc/meminfo").read_text()
+    return int(re.search(r"^MemAvailable:\s*(\d+) kB$", meminfo, re.M)[1]) * 1024  # type: ignore[index]

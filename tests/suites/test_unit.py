@@ -1,0 +1,20 @@
+"""The ROS-free parts of the suites: their GoogleTest programs, each a test here."""
+
+from pathlib import Path
+
+import pytest
+
+from .conftest import UNIT_SOURCE, say
+
+PROGRAMS = ("options", "summary", "log", "output", "oneshot", "cyclic", "communication", "allocations")
+
+
+def test_every_program_is_run() -> None:
+    assert {f"test_{name}" for name in PROGRAMS} == {path.stem for path in UNIT_SOURCE.glob("test_*.cpp")}
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_gtest(unit_build: Path, name: str) -> None:
+    said = say(str(unit_build / f"test_{name}"))
+    print(said)
+    assert "[  PASSED  ]" in said

@@ -1,0 +1,146 @@
+#include <gtest/gtest.h>
+
+#include <csignal>
+#include <thread>
+
+#include "rt_tests_support/errors.h"
+#include "shots.h"
+
+using oneshot::did_not_fire;
+using oneshot::ShotBox;
+
+namespace {
+
+constexpr clockid_t clock_used = CLOCK_MONOTONIC_RAW;
+
+// roscpp's side, with faults: shots fire from another thread, each after what `plan` says.
+enum class Fate { fires, fires_at_once, never, late };
+
+struct FakeTimer {
+  ShotBox& box;
+  std::vector<Fate> plan;
+  std::size_t shot = 0;
+  std::atomic<int> pending{0};     // shots that are to fire
+  std::atomic<bool> ended{false};
+  bool owed = false;               // a callback that comes only when the shot is cancelled
+  int cancelled = 0;
+  std::thread spinner{[this] {
+    while (!ended) {
+      if (pending > 0) {
+        box.fire(rt_tests::now_ns(clock_used), 7);
+        pending = 0;
+      }
+      if (box.settle()) box.wake();
+      std::this_thread::yield();
+    }
+  }};
+
+  FakeTimer(ShotBox& with, std::vector<Fate> fates) : box(with), plan(std::move(fates)) {}
+  ~FakeTimer() {
+    ended = true;
+    spinner.join();
+  }
+
+  void trigger() {
+    const Fate fate = plan[shot++];
+    if (fate == Fate::fires) pending = 1;
+    if (fate == Fate::fires_at_once) {
+      pending = 1;
+      while (pending > 0 || !box.is_settled()) std::this_thread::yield();
+    }
+    owed = fate == Fate::late;
+  }
+
+  // Like ros::Timer::stop(): a callback that runs is waited for, none comes later.
+  void cancel() {
+    ++cancelled;
+    if (owed) {
+      pending = 1;
+      while (pending > 0) std::this_thread::yield();
+    }
+  }
+};
+
+void measure(const std::vector<Fate>& plan, oneshot::Samples& samples, rt_tests::Noted& not_fired, int& cancelled) {
+  const rt_tests::Program program = {"", "", "", {"break_trace_us"}};
+  const rt_tests::Options options(program);
+  rt_tests::BreakTrace trace(options, "", {});
+  ShotBox box(clock_used, 20 * 1000000);
+  FakeTimer timer(box, plan);
+  oneshot::measure(
+      clock_used, 1000, box, samples, not_fired, trace, [&] { timer.trigger(); }, [&] { timer.cancel(); },
+      [&] { return box.wait(); });
+  cancelled = timer.cancelled;
+}
+
+}  // namespace
+
+TEST(Oneshot, EveryShotHasOneRow) {
+  oneshot::Samples samples(500);
+  rt_tests::Noted not_fired;
+  int cancelled = 0;
+  measure(std::vector<Fate>(500, Fate::fires), samples, not_fired, cancelled);
+  ASSERT_EQ(samples.size(), 500u);
+  EXPECT_EQ(not_fired.count(), 0);
+  EXPECT_EQ(cancelled, 0);
+  int64_t previous_end = 0;
+  for (std::size_t i = 0; i < samples.size(); ++i) {
+    const auto& [start, end, measured, reported] = samples[i];
+    EXPECT_GE(start, previous_end);  // no outcome of an earlier shot
+    EXPECT_GE(end, start);
+    EXPECT_EQ(measured, end - 1000 - start);
+    EXPECT_EQ(reported, 7);
+    previous_end = end;
+  }
+}
+
+// The 2014 programs cleared the flag after they had started the timer, and waited for ever for a quick one.
+TEST(Oneshot, CallbackBeforeTriggerReturnsIsNotLost) {
+  oneshot::Samples samples(50);
+  rt_tests::Noted not_fired;
+  int cancelled = 0;
+  measure(std::vector<Fate>(50, Fate::fires_at_once), samples, not_fired, cancelled);
+  EXPECT_EQ(not_fired.count(), 0);
+  EXPECT_EQ(samples.size(), 50u);
+}
+
+// They threw a late callback away and repeated the shot, or took it for the next one.
+TEST(Oneshot, ShotsThatDoNotFireAreCountedAndLateCallbacksAreNobodyElses) {
+  oneshot::Samples samples(6);
+  rt_tests::Noted not_fired;
+  int cancelled = 0;
+  measure({Fate::fires, Fate::never, Fate::late, Fate::fires, Fate::late, Fate::fires}, samples, not_fired, cancelled);
+  ASSERT_EQ(samples.size(), 6u);
+  EXPECT_EQ(not_fired.indices(), std::vector<int64_t>({1, 2, 4}));
+  EXPECT_EQ(cancelled, 3);
+  for (std::size_t i : {1u, 2u, 4u}) {
+    EXPECT_EQ(samples[i][1], did_not_fire);
+    EXPECT_EQ(samples[i][2], did_not_fire);
+    EXPECT_EQ(samples[i][3], did_not_fire);
+  }
+  for (std::size_t i : {0u, 3u, 5u}) EXPECT_GE(samples[i][1], samples[i][0]);
+}
+
+TEST(Oneshot, StopLeavesOnlyWholeRows) {
+  oneshot::Samples samples(3);
+  rt_tests::Noted not_fired;
+  const rt_tests::Program program = {"", "", "", {"break_trace_us"}};
+  const rt_tests::Options options(program);
+  rt_tests::BreakTrace trace(options, "", {});
+  ShotBox box(clock_used, INT64_C(1000000000000));
+  rt_tests::catch_stop_signals(box.semaphore());
+  int shots = 0;
+  oneshot::measure(
+      clock_used, 1000, box, samples, not_fired, trace,
+      [&] {
+        if (++shots == 2) {
+          raise(SIGTERM);
+        } else {
+          box.fire(rt_tests::now_ns(clock_used), 0);
+          box.settle();
+        }
+      },
+      [] {}, [&] { return box.wait(); });
+  EXPECT_EQ(samples.size(), 1u);
+  EXPECT_EQ(rt_tests::stop_reason(), "ended by SIGTERM");
+}
