@@ -166,10 +166,13 @@ def _write(path: Path, text: str) -> None:
 
 def test_parses_without_a_warning(yocto):
     said = yocto.run("bitbake", "-p")
+    # BitBake 1.20 counts nothing when all of it comes from its cache.
     counted = re.search(r"Parsing of (\d+) .bb files complete .* (\d+) errors", said)
-    assert counted and int(counted[1]) > 1000
-    assert counted[2] == "0"
-    print(counted[0])
+    cached = re.search(r"Loaded (\d+) entries from dependency cache", said)
+    if counted:
+        assert counted[2] == "0"
+    assert int((counted or cached)[1]) > 1000
+    print((counted or cached)[0])
 
 
 def test_recipes_resolve(yocto):
