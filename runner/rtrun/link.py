@@ -32,6 +32,7 @@ class Link:
         self.boot_id = ""
         self._tell = tell
         self._connection: Connection | None = None
+        self._given_up: TargetError | None = None
 
     def __enter__(self) -> Self:
         self.do(lambda _: None)
@@ -67,6 +68,16 @@ class Link:
                 self._tell(f"{error}; connecting again")
 
     def _reconnect(self) -> Connection:
+        if self._given_up is not None:
+            # Cleaning up must not wait all over again.
+            raise self._given_up
+        try:
+            return self._connect()
+        except TargetError as error:
+            self._given_up = error
+            raise
+
+    def _connect(self) -> Connection:
         first = not self.boot_id
         patience_s = self.target.boot_s if first else max(self.target.reconnect_s, self.target.boot_s)
         deadline = time.monotonic() + patience_s

@@ -23,14 +23,14 @@ _NOT_TOLD = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_
 def table(results: Iterable[Result]) -> Table:
     """The table of these results, a row each, times in microseconds; 80 columns are enough for it."""
     found = Table(box=box.SIMPLE, padding=0, show_edge=False)
-    found.add_column("suite, series", min_width=len("communication"))
+    found.add_column("suite", min_width=len("communication"))
     found.add_column("parameters", min_width=len("parameters"))
     for heading in ("n", "min\nus", "avg\nus", "max\nus", "p99\nus", "p99.9\nus", "missing", "out of\norder"):
         found.add_column(heading, justify="right", no_wrap=True)
     for result in results:
         figures = result.figures
         found.add_row(
-            Text(f"{result.suite.removesuffix('_tests')} {result.series}"),
+            Text(_name(result)),
             Text(_printable(_parameters(result))),
             str(figures.n),
             *(
@@ -41,6 +41,12 @@ def table(results: Iterable[Result]) -> Table:
             str(figures.out_of_order),
         )
     return found
+
+
+def _name(result: Result) -> str:
+    """The suite; the series only where it is not the one the suite is about."""
+    name = result.suite.removesuffix("_tests")
+    return name if result.series in MAIN_SERIES else f"{name} {result.series}"
 
 
 def _time(value_us: float | None, figures: Figures) -> str:

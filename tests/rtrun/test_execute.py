@@ -16,7 +16,8 @@ from faulty import write_faulty_suites
 
 from ports import free_port
 from rtfiles.errors import InfrastructureError, UsageError
-from rtrun import execute, master
+from rtrun import execute, master, prepare
+from rtrun import measure as measurement
 from rtrun.campaign import Campaign, plan
 from rtrun.cli import main
 from rtrun.errors import TargetError, TargetGone
@@ -149,7 +150,7 @@ def test_programs_of_2014_write_logs_only(target, tmp_path, watching, wishes):
 
 
 def test_a_suite_that_hangs_is_ended_by_the_target(target, tmp_path, watching, wishes, monkeypatch):
-    monkeypatch.setattr(execute, "DEADLINE_EXTRA_S", 1.0)
+    monkeypatch.setattr(measurement, "DEADLINE_EXTRA_S", 1.0)
     wishes.will("sleep 300")
     statuses = measure(target, runs_of(2), tmp_path / "results", watching)
     assert list(statuses.values()) == ["failed", "ok"]
@@ -224,8 +225,8 @@ def answer_junk(server):
 
 
 def test_no_ros_on_the_target(bare_target, tmp_path, watching, wishes, monkeypatch):
-    real = execute.probe.find
-    monkeypatch.setattr(execute.probe, "find", lambda *words: replace(real(*words), master=None))
+    real = prepare.probe.find
+    monkeypatch.setattr(prepare.probe, "find", lambda *words: replace(real(*words), master=None))
     with pytest.raises(TargetError, match="no ROS on the target"):
         measure(bare_target, runs_of(1), tmp_path / "results", watching)
 
