@@ -2,7 +2,7 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test lint setup board suites clean
+.PHONY: demo test test-yocto lint setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -10,6 +10,10 @@ demo: setup
 
 test: setup
 	$(BIN)/pytest
+
+# A profile against the real layers: DIR holds checkouts of its repositories (docs/layer.md).
+test-yocto: setup
+	RT_TESTS_LAYERS=$(abspath $(LAYERS)) $(BIN)/pytest -s tests/bitbake/real_layers.py
 
 lint: setup
 	$(BIN)/ruff check .

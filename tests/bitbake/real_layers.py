@@ -146,15 +146,14 @@ def _configure(yocto: Yocto, build: Path, layers: list[Path], machine: str) -> N
         local += [
             'INHERIT:remove = "sanity"',
             f'PREFERRED_PROVIDER_virtual/kernel = "{kernel.recipe}"',
-            f'PREFERRED_VERSION_{kernel.recipe} = "{kernel.version}%"',
             'MACHINE_FEATURES:append:qemuarm = " preempt-rt"',
             'BB_NUMBER_PARSE_THREADS = "2"',
         ]
     _write(build / "conf" / "local.conf", "\n".join(local) + "\n")
-    paths = " ".join(str(layer) for layer in layers)
+    paths = "".join(f" {layer}" for layer in layers)
     _write(
         build / "conf" / "bblayers.conf",
-        f'LCONF_VERSION = "{6 if old else 7}"\nBBPATH = "${{TOPDIR}}"\nBBFILES ?= ""\nBBLAYERS = "{paths}"\n',
+        f'LCONF_VERSION = "{6 if old else 7}"\nBBPATH = "${{TOPDIR}}"\nBBFILES ?= ""\nBBLAYERS = "{paths} "\n',
     )
 
 
