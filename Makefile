@@ -2,14 +2,18 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test test-yocto lint setup board suites clean
+.PHONY: demo test test-kernel test-yocto lint setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
 	$(BIN)/rtrun run campaigns/demo.yml --target targets/qemu.yml --fresh
 
 test: setup
-	$(BIN)/pytest
+	$(BIN)/pytest -m "not kernel"
+
+# Builds the kernel (five minutes on two idle cores) unless one of the same inputs is in the cache, and boots it.
+test-kernel: setup
+	$(BIN)/pytest -m kernel
 
 # A profile against the real layers: DIR holds checkouts of its repositories (docs/layer.md).
 test-yocto: setup

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 from rtfiles import atomic, cache
@@ -17,7 +18,6 @@ from rtgen.kconfig.verify import Verdict, verify_tree
 
 SCHEMA = 1
 DEVICE_TREE = "omap4-panda-es-rt.dts"
-DTBS = ("omap4-panda-es.dtb", "omap4-panda-es-rt.dtb", "vexpress-v2p-ca9.dtb")
 
 # The same source and options give the same bytes, whoever builds them and when.
 _REPRODUCIBLE = {
@@ -34,8 +34,8 @@ def plan(data: Data, machine: str) -> Verdict:
     return verify_tree(data, tree, machine, data.machine(machine).bases[0], fragment, None)
 
 
-def build(data: Data, verdict: Verdict) -> Path:
-    """Build the kernel of a verdict without mismatches; return its folder in the cache.
+def build(data: Data, machine: str, verdict: Verdict) -> Path:
+    """Build the kernel that was planned for a machine; return its folder in the cache.
 
     The folder holds vmlinuz (zImage), config, modules/<release> (as in /lib/modules), dtbs/*.dtb, and kernel.json
     (schema, release, version of the source, dtbs). Five minutes on two idle cores, nothing when it is there; an
@@ -44,12 +44,13 @@ def build(data: Data, verdict: Verdict) -> Path:
     """
     if verdict.mismatches:
         raise UsageError(f"{verdict.subject}: options do not hold: {', '.join(m.symbol for m in verdict.mismatches)}")
-    for tool in (f"{CROSS_COMPILE}gcc", "make", "bc", "depmod", "rsync"):
+    for tool in (f"{CROSS_COMPILE}gcc", "make", "flex", "bison", "bc", "patch", "xz", "depmod"):
         if shutil.which(tool) is None:
             raise UsageError(f"{tool} is not installed, see tools/apt-packages.txt")
+    dtbs = data.machine(machine).dtbs
     device_tree = data.folder / "devicetree" / DEVICE_TREE
     compiler = run([f"{CROSS_COMPILE}gcc", "--version"]).splitlines()[0]
-    key = cache.digest([data.debian.model_dump_json(), verdict.config, compiler, device_tree, Path(__file__)])
+    key = cache.digest([data.debian.model_dump_json(), verdict.config, *dtbs, compiler, device_tree, Path(__file__)])
 
     def build_in(folder: Path) -> None:
         source = debian.unpack(data.debian, folder, whole=True)
@@ -63,9 +64,9 @@ def build(data: Data, verdict: Verdict) -> Path:
         run([*make, f"-j{os.cpu_count() or 1}", "zImage", "modules", "dtbs"], timeout_s=BUILD_TIMEOUT_S)
         run([*make, f"INSTALL_MOD_PATH={folder / 'installed'}", "modules_install"], timeout_s=BUILD_TIMEOUT_S)
         release = (objects / "include/config/kernel.release").read_text(encoding="utf-8").strip()
-        _collect(folder, objects, release)
+        _collect(folder, objects, release, dtbs)
         record = {"schema": SCHEMA, "release": release, "source": f"{data.debian.source} {data.debian.version}",
-                  "rt": data.debian.rt_version, "dtbs": list(DTBS)}  # fmt: skip
+                  "rt": data.debian.rt_version, "dtbs": dtbs}  # fmt: skip
         atomic.write_text(folder / "kernel.json", json.dumps(record, indent=2) + "\n")
         shutil.rmtree(source)
 
@@ -106,12 +107,12 @@ def _settings(config: str) -> list[str]:
     return [line for line in config.splitlines() if line and (not line.startswith("#") or line.endswith(" is not set"))]
 
 
-def _collect(folder: Path, objects: Path, release: str) -> None:
+def _collect(folder: Path, objects: Path, release: str, dtbs: Sequence[str]) -> None:
     boot = objects / "arch/arm/boot"
     shutil.copy(boot / "zImage", folder / "vmlinuz")
     shutil.copy(objects / ".config", folder / "config")
     (folder / "dtbs").mkdir()
-    for name in DTBS:
+    for name in dtbs:
         found = next(iter(sorted((boot / "dts").glob(f"**/{name}"))), None)
         if found is None:
             raise InfrastructureError(f"the kernel's make built no {name}")

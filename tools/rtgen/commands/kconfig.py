@@ -3,7 +3,6 @@
 import argparse
 import sys
 from pathlib import Path
-
 from typing import TYPE_CHECKING
 
 from rtfiles import atomic
@@ -24,12 +23,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     render = commands.add_parser("render", help=text, description=text)
     render.add_argument("--machine", help="pandaboard-es, qemu-armv7 (default: every machine)")
     render.add_argument("--kernel", help="3.4, 6.1, ... (default: every version)")
-    render.add_argument("--check", action="store_true", help="write nothing, show the drift; exit status 1 if there is any")
+    render.add_argument(
+        "--check", action="store_true", help="write nothing, show the drift; exit status 1 if there is any"
+    )
     text = "hold what the kernel makes of a fragment, or a finished .config, against kconfig/options"
     verify = commands.add_parser("verify", help=text, description=text)
     verify.add_argument("--machine", help="pandaboard-es, qemu-armv7 (default with --source: every machine)")
-    verify.add_argument("--source", metavar="TREE", help="a kernel tree, a Kconfig-only tree, or 'debian', which gets one")
-    verify.add_argument("--fragment", type=Path, metavar="FILE", help="put this one on the base instead of the rendered one")
+    verify.add_argument(
+        "--source", metavar="TREE", help="a kernel tree, a Kconfig-only tree, or 'debian', which gets one"
+    )
+    verify.add_argument(
+        "--fragment", type=Path, metavar="FILE", help="put this one on the base instead of the rendered one"
+    )
     verify.add_argument(
         "--config", type=Path, metavar="FILE", help="a finished .config, a /boot/config-*, a copy of /proc/config.gz"
     )

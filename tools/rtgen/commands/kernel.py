@@ -21,10 +21,11 @@ def run(args: argparse.Namespace) -> int:
     from rtgen.kconfig import data as kconfig
 
     data = kconfig.load()
-    verdict = kernel.plan(data, data.fragment_of(args.machine))
+    machine = data.fragment_of(args.machine)
+    verdict = kernel.plan(data, machine)
     if report(verdict):
         return 1
-    folder = kernel.build(data, verdict)
+    folder = kernel.build(data, machine, verdict)
     print(f"{folder}:")
     for file in sorted(folder.rglob("*")):
         if file.is_file() and file.relative_to(folder).parts[0] != "modules":

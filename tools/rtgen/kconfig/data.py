@@ -30,7 +30,7 @@ class Option(config.Config):
     @classmethod
     def _check_value(cls, value: str | int) -> str | int:
         if not _VALUE.fullmatch(str(value)):
-            raise ValueError(f'a value is y, m, n, a number or a text in double quotes, not {value!r}')
+            raise ValueError(f"a value is y, m, n, a number or a text in double quotes, not {value!r}")
         return value
 
     def holds_for(self, kernel: str) -> bool:
@@ -64,6 +64,7 @@ class Machine(config.Config):
     bases: list[str] = Field(min_length=1)
     concerns: list[str] = Field(min_length=1)
     boards: list[str] = Field(default=[])
+    dtbs: list[str]
 
 
 class SourceFile(config.Config):

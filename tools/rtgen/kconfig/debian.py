@@ -88,7 +88,9 @@ def downloads(pinned: DebianSource) -> Path:
             _run_in(folder, ["apt-get", *options, "source", "--diff-only", "--download-only", packaging])
         except InfrastructureError as error:
             served = run(["apt-cache", *options, "madison", str(pinned.tree.package)])
-            versions = ", ".join(dict.fromkeys(line.split("|")[1].strip() for line in served.splitlines() if "|" in line))
+            versions = ", ".join(
+                dict.fromkeys(line.split("|")[1].strip() for line in served.splitlines() if "|" in line)
+            )
             raise InfrastructureError(
                 f"{package} and its source cannot be had, served: {versions or 'none'}; "
                 f"if that one is gone, pin another in kconfig/sources.yml\n{error}"
@@ -133,7 +135,7 @@ def _extract_wanted(archive: Path, tree: Path) -> None:
     with tarfile.open(archive, "r|xz") as stream:
         for member in stream:
             _, _, name = member.name.partition("/")
-            if member.isfile() and wanted(name):
+            if (member.isfile() or member.issym()) and wanted(name):
                 member.name = name
                 stream.extract(member, tree, filter="data")
 

@@ -32,11 +32,9 @@ def explain(tree: Tree, config: str, wanted: Mapping[str, str]) -> dict[str, str
         return {}
     with tempfile.TemporaryDirectory(prefix="rtgen-explain-") as work:
         Path(work, ".config").write_text(config, encoding="utf-8")
-        # A build that is older than this file, or a path hook of pytest, must not decide what is imported.
-        paths = {"PYTHONPATH": ":".join(path for path in sys.path if path)}
         done = subprocess.run(
             [sys.executable, "-m", __name__, json.dumps(dict(wanted))],
-            cwd=work, env=environment(tree) | paths, capture_output=True, text=True, timeout=120, check=False,
+            cwd=work, env=environment(tree), capture_output=True, text=True, timeout=120, check=False,
         )  # fmt: skip
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
@@ -119,9 +117,7 @@ def _reason_on(symbol: Any) -> str:
         return "has no prompt here, its default turns it on"
     implying = [term for term in _terms(symbol.weak_rev_dep, kconfiglib.OR) if kconfiglib.expr_value(term)]
     if implying:
-        return "is not turned off, implied by " + ", ".join(
-            _show(_terms(term, kconfiglib.AND)[0]) for term in implying
-        )
+        return "is not turned off, implied by " + ", ".join(_show(_terms(term, kconfiglib.AND)[0]) for term in implying)
     return "is not turned off, and its default is on"
 
 

@@ -36,6 +36,7 @@ PATTERNS = (
     "arch/arm/boot/dts/ti/omap/elpida*",
     "arch/arm/boot/dts/ti/omap/twl60*",
     "include/dt-bindings/*",
+    "include/uapi/linux/input-event-codes.h",
 )
 _WANTED = re.compile("|".join(fnmatch.translate(pattern) for pattern in PATTERNS))
 _CONF_SOURCES = ("conf", "confdata", "expr", "menu", "preprocess", "symbol", "util")
@@ -137,6 +138,8 @@ def environment(tree: Tree) -> dict[str, str]:
         "RUSTC": "rustc",
         "BINDGEN": "bindgen",
         "PAHOLE": "pahole",
+        "PAHOLE_VERSION": "0",
+        "RUSTC_VERSION_TEXT": "",
         **tools,
     }
 
@@ -165,7 +168,8 @@ def _walk(path: Path) -> list[str]:
             folders.remove(".git")
         relative = os.path.relpath(folder, path)
         prefix = "" if relative == "." else f"{relative}/"
-        found += [prefix + file for file in files if wanted(prefix + file)]
+        # A link may point at what this tree does not have.
+        found += [prefix + file for file in files if wanted(prefix + file) and Path(folder, file).is_file()]
     return found
 
 

@@ -87,7 +87,7 @@ def verify_config(data: Data, machine: str, text: str, origin: str) -> Verdict:
     kernel = kernel_of(text)
     if kernel is None:
         raise UsageError(
-            f"{origin}:1: no finished .config of a kernel, its head must say '# Linux/arm <version> Kernel Configuration'"
+            f"{origin}:1: no finished .config, its head must say '# Linux/arm <version> Kernel Configuration'"
         )
     wanted = data.wanted(machine, kernel)
     got = values(parse(text, origin))
