@@ -10,4 +10,4 @@ IMAGE_FEATURES += "ssh-server-${RT_TESTS_SSH_SERVER}"
 IMAGE_LINGUAS = ""
 
 IMAGE_INSTALL = "packagegroup-core-boot packagegroup-rt-tests openssh-sftp-server ${CORE_IMAGE_EXTRA_INSTALL}"
-IMAGE_INSTALL += "roslaunch rosbash rostopic rosnode htop rt-tests hwlatdetect stress-ng"
+IMAGE_INSTALL += "roslaunch rosbash rosnode rostopic htop hwlatdetect rt-tests stress-ng util-linux-chrt util-linux-taskset"
