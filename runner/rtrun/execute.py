@@ -104,9 +104,7 @@ def _alone(results: Path) -> Iterator[None]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise UsageError(
-                f"{results}: another rtrun is at work there: wait for it, or give --results"
-            ) from error
+            raise UsageError(f"{results}: another rtrun is at work there: wait for it, or give --results") from error
         yield
 
 
