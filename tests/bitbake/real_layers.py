@@ -83,6 +83,8 @@ class Yocto:
         found = {}
         for name in names:
             match = re.search(rf'^(?:export )?{re.escape(name)}="((?:[^"\\]|\\.)*)"$', said, re.MULTILINE)
+            # kirkstone shows what it runs in the root file system as a function.
+            match = match or re.search(rf"^{re.escape(name)}\(\) {{\n(.*)$", said, re.MULTILINE)
             found[name] = re.sub(r"\\\n", " ", match[1]) if match else ""
         return found
 
