@@ -34,7 +34,7 @@ def explain(tree: Tree, config: str, wanted: Mapping[str, str]) -> dict[str, str
         Path(work, ".config").write_text(config, encoding="utf-8")
         done = subprocess.run(
             [sys.executable, "-m", __name__, json.dumps(dict(wanted))],
-            cwd=work, env=environment(tree), capture_output=True, text=True, timeout=120, check=False,
+            cwd=work, env=environment(tree), capture_output=True, text=True, timeout=600, check=False,
         )  # fmt: skip
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]

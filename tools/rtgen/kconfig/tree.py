@@ -153,7 +153,7 @@ def run_conf(tree: Tree, defconfig: str) -> str:
         done = subprocess.run(
             [tree.folder / "conf", f"--defconfig={given}", tree.source / "Kconfig"],
             cwd=work, env=environment(tree) | {"KCONFIG_CONFIG": str(made)},
-            capture_output=True, text=True, timeout=120, check=False,
+            capture_output=True, text=True, timeout=600, check=False,
         )  # fmt: skip
         if done.returncode or not made.is_file():
             reason = (done.stderr or done.stdout).strip().splitlines()
