@@ -2,22 +2,31 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test lint bench setup board suites clean
+.PHONY: demo test test-kernel test-yocto lint bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
 	$(BIN)/rtrun run campaigns/demo.yml --target targets/qemu.yml --fresh
 
 test: setup
-	$(BIN)/pytest
+	$(BIN)/pytest -m "not kernel"
 
-bench: setup
-	$(BIN)/pytest -q -s tests/bench/overhead.py
+# Builds the kernel (five minutes on two idle cores) unless one of the same inputs is in the cache, and boots it.
+test-kernel: setup
+	$(BIN)/pytest -m kernel
+
+# A profile against the real layers: DIR holds checkouts of its repositories (docs/layer.md).
+test-yocto: setup
+	RT_TESTS_LAYERS=$(abspath $(LAYERS)) $(BIN)/pytest -s tests/bitbake/real_layers.py
 
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+bench: setup
+	nice -n 5 $(BIN)/python tests/bench/bench_analysis.py --check
+	$(BIN)/pytest -q -s tests/bench/overhead.py
 
 setup:
 	@tools/setup

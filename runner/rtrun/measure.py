@@ -4,11 +4,12 @@ import contextlib
 import json
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
-from rtrun import collect, conditions, in_effect, launch, master, probe, rundir, suites
+from rtrun import clock, collect, conditions, in_effect, launch, master, probe, rundir, suites
 from rtrun.campaign import Run
 from rtrun.errors import ConnectionLost, TargetError, TargetGone
 from rtrun.judge import judge
@@ -132,6 +133,9 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
         if link.target.console is not None and link.target.console.exists():
             (partial / "console.log").write_bytes(link.target.console.read_bytes())
         verdict = judge(partial, run, [*others, *waiting], exits, outputs, refused=refused, beside=beside, died=died)
+        if not master.answers(link):
+            reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
+            verdict = replace(verdict, status="failed", reason=reason)
         record = {
             "run": run.name,
             "campaign": campaign,
@@ -160,6 +164,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
                 "cpus": prepared.equipment.cpus,
                 **{key: before.get(key) for key in ("kernel_release", "kernel_version", "machine", "boot_id")},
                 **{key: before.get(key) for key in ("clocksource", "governor", "roscpp_version")},
+                "clock": clock.record(before, clock.steps_seen(partial, outputs)),
             },
         }
         rundir.close(partial, folder, record)

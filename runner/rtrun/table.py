@@ -32,7 +32,7 @@ def table(results: Iterable[Result]) -> Table:
         figures = result.figures
         found.add_row(
             Text(_name(result)),
-            Text(_printable(_parameters(result))),
+            Text(printable(_parameters(result))),
             str(figures.n),
             *(
                 _time(value, figures)
@@ -90,11 +90,11 @@ def answer(results: Iterable[Result], *, emulated: bool, preempt_rt: bool = True
     banner = [Text("; ".join(words), style="bold red")] if words else []
     body = [table(results)] if results else []
     return Group(
-        *banner, *body, *(Text(_printable(line), no_wrap=True, overflow="ignore") for line in dict.fromkeys(lines))
+        *banner, *body, *(Text(printable(line), no_wrap=True, overflow="ignore") for line in dict.fromkeys(lines))
     )
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
     """Without what would command the terminal: names and reasons come from a target."""
     return "".join(character if character.isprintable() else "?" for character in text)
 
