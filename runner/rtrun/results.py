@@ -66,6 +66,11 @@ class Record(Config):
     files: dict[Name, File]
 
     @property
+    def preempt_rt(self) -> bool:
+        """Whether the kernel was PREEMPT_RT; true where nobody has asked it."""
+        return self.target.get("preempt_rt") is not False
+
+    @property
     def circumstances(self) -> dict[str, Value]:
         """The parameters, and what was there beside the suite where there was something: runs of one are alike."""
         condition: dict[str, Value] = {} if self.condition == "idle" else {"condition": self.condition}

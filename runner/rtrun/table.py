@@ -75,6 +75,11 @@ def _is_telling(suite_name: str, key: str, value: Value) -> bool:
     return option is None or value != option.default or f"{{{key}}}" in suite(suite_name).output
 
 
+def banner_of(*, emulated: bool, preempt_rt: bool) -> str:
+    """What has to be said before any number, in one line; empty when there is nothing to say."""
+    return "; ".join([EMULATED] * emulated + [NO_PREEMPT_RT] * (not preempt_rt))
+
+
 def answer(results: Iterable[Result], *, emulated: bool, preempt_rt: bool = True, notes: Iterable[str] = ()) -> Group:
     """The banner if there is one to give, the table, and a line for every note and for every remark on a result."""
     results = list(results)
@@ -86,8 +91,8 @@ def answer(results: Iterable[Result], *, emulated: bool, preempt_rt: bool = True
         lines += [f"{result.output}: {remark}" for remark in (*told, *result.remarks)]
     if any(0 < result.figures.n < 1000 for result in results):
         lines.append("p99.9 of fewer than 1000 values is their maximum.")
-    words = [EMULATED] * emulated + [NO_PREEMPT_RT] * (not preempt_rt)
-    banner = [Text("; ".join(words), style="bold red")] if words else []
+    words = banner_of(emulated=emulated, preempt_rt=preempt_rt)
+    banner = [Text(words, style="bold red")] if words else []
     body = [table(results)] if results else []
     return Group(
         *banner, *body, *(Text(printable(line), no_wrap=True, overflow="ignore") for line in dict.fromkeys(lines))
@@ -101,7 +106,7 @@ def printable(text: str) -> str:
 
 def answer_of_run(run: Run) -> Group:
     """The answer of one run: every series of every output."""
-    return answer(run.results, emulated=run.record.emulated, preempt_rt=_is_preempt_rt(run), notes=_notes(run))
+    return answer(run.results, emulated=run.record.emulated, preempt_rt=run.record.preempt_rt, notes=_notes(run))
 
 
 def answer_of_runs(found: Runs) -> Group:
@@ -112,14 +117,9 @@ def answer_of_runs(found: Runs) -> Group:
     return answer(
         results,
         emulated=any(run.record.emulated for run in found.runs),
-        preempt_rt=all(map(_is_preempt_rt, found.runs)),
+        preempt_rt=all(run.record.preempt_rt for run in found.runs),
         notes=notes,
     )
-
-
-def _is_preempt_rt(run: Run) -> bool:
-    """Whether the kernel is PREEMPT_RT, or nobody asked it."""
-    return run.record.target.get("preempt_rt") is not False
 
 
 def _notes(run: Run) -> list[str]:

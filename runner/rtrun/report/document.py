@@ -13,7 +13,7 @@ from rtrun.report.claims import Examined, is_rt, select, us
 from rtrun.report.digest import Digest
 from rtrun.report.reference import oneshot_rows, published
 from rtrun.report.study import Group, Study, environment, told
-from rtrun.table import EMULATED
+from rtrun.table import banner_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ def document(study: Study, claims: Sequence[Examined]) -> Document:
     tables += [_claims(claims), *_published(study), _environment(study), _reproduce(study)]
     return Document(
         title=f"Real-time report: {study.source.path.resolve().name}",
-        banner=EMULATED if study.emulated else None,
+        banner=banner_of(emulated=study.emulated, preempt_rt=all(one.preempt_rt for one in study.records)) or None,
         summary=summary(study),
         question=f"Is P(value above {study.deadline_ns / 1000:g} us) below {study.probability:g}? "
         f"Confidence {100 * study.confidence:g} %, two-sided.",
