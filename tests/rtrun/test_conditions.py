@@ -211,3 +211,15 @@ def test_hwlatdetect_where_the_kernel_has_no_such_tracer(target, tmp_path, monke
     assert run.expected_s == 3
     with pytest.raises(TargetError, match="the target lacks CONFIG_HWLAT_TRACER in its kernel"):
         execute.run_campaign(target, "test", runs, tmp_path / "results", Watching())
+
+
+def test_every_other_load_keeps_its_workers(target, tmp_path, wishes):
+    loads = ["memory", "io", "network", "irq"]
+    wishes.will(*["sleep 2"] * len(loads))
+    entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": 10, "condition": loads}
+    runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
+    execute.run_campaign(target, "test", runs, tmp_path / "results", Watching())
+    for run in runs:
+        record = json.loads((tmp_path / "results" / run.name / "run.json").read_text())
+        assert (record["status"], record["reason"]) == ("ok", None)
+        assert record["in_effect"]["loads"]["stress"] >= record["requested"]["loads"]["stress"] > 1
