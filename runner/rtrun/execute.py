@@ -1,9 +1,10 @@
 """A campaign on a target: every planned run is measured, pulled back and closed, whatever happens in between."""
 
 import contextlib
+import fcntl
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -53,8 +54,7 @@ def run_campaign(
     except OSError as error:
         raise InfrastructureError(f"{results}: cannot keep the results: {error.strerror}") from error
     digest = hashlib.sha256(json.dumps([asdict(run) for run in runs], sort_keys=True).encode()).hexdigest()
-    log = journal.open_journal(results, name=name, plan=digest, target=target.name)
-    with contextlib.closing(log):
+    with _alone(results), contextlib.closing(journal.open_journal(results, name, digest, target.name)) as log:
         if (log.plan, log.target) != (digest, target.name):
             raise UsageError(
                 f"{results}: holds another campaign (its file or target has changed since): "
@@ -91,7 +91,21 @@ def run_campaign(
                         statuses[run.name] = status
                         observer.ended(number, run, status, reason)
                         break
+            # A runner that was killed may have left something of runs it had closed.
+            leftovers = str(target.work_dir / "runs" / log.uid)
+            link.do(lambda connection: connection.check(["rm", "-rf", leftovers]))
         return statuses
+
+
+@contextlib.contextmanager
+def _alone(results: Path) -> Iterator[None]:
+    """Keep a second runner away from these results; the lock ends with the process, however that ends."""
+    with (results / ".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise UsageError(f"{results}: another rtrun is at work there: wait for it, or give --results") from error
+        yield
 
 
 def finished(results: Path, runs: Sequence[Run]) -> int:

@@ -38,7 +38,7 @@ class Journal:
         self.database.close()
 
 
-def open_journal(folder: Path, *, name: str, plan: str, target: str) -> Journal:
+def open_journal(folder: Path, name: str, plan: str, target: str) -> Journal:
     """Open the journal in a results folder, made anew when there is none; what it says of an older one is returned.
 
     Raises InfrastructureError when the file cannot be used.

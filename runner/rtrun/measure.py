@@ -94,6 +94,8 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
         if link.target.console is not None and link.target.console.exists():
             (partial / "console.log").write_bytes(link.target.console.read_bytes())
         status, reason = judge(partial, [*others, *waiting], exits, outputs, refused)
+        if not master.answers(link):
+            status, reason = "failed", "the ROS master died during the run" + (f"; {reason}" if reason else "")
         record = {
             "run": run.name,
             "campaign": campaign,

@@ -38,8 +38,8 @@ class _Estimate:
     def left_s(self) -> float:
         seen = self._overhead_s
         overhead_s = sum(seen) / len(seen) if seen else OVERHEAD_GUESS_S
-        rest = self._runs[self._number :]
-        return max(0.0, sum(run.expected_s + overhead_s for run in rest) - (time.monotonic() - self._began))
+        current_s, *rest_s = [run.expected_s + overhead_s for run in self._runs[self._number :]] or [0.0]
+        return max(0.0, current_s - (time.monotonic() - self._began)) + sum(rest_s)
 
 
 class PlainProgress:

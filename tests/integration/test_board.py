@@ -17,6 +17,8 @@ import rtrun.cli
 from rtrun import execute, qmp, rundir, target
 from rtrun.campaign import read_campaign
 from rtrun.errors import TargetGone
+from rtrun.results import read_run
+from rtrun.ssh import Connection
 
 pytestmark = [pytest.mark.qemu, pytest.mark.ros]
 TOP = Path(__file__).parents[2]
@@ -144,13 +146,26 @@ def test_a_reset_and_then_a_power_cut_in_the_middle_of_a_run(tmp_path):
     results = tmp_path / "results"
 
     def reset_in_the_second(machine, number):
+        if number == 0:
+            # The suites and the runner measure nothing with the clock that can be set.
+            timers_of_the_clock.append(threading.Timer(1.5, jump_a_year, (machine.address,)))
+            timers_of_the_clock[0].start()
         if number == 1 and not timers:
             timers.append(threading.Timer(4.0, qmp.execute, (machine.monitor, "system_reset")))
             timers[0].start()
 
-    timers = []
+    timers, timers_of_the_clock, jumps = [], [], []
+
+    def jump_a_year(address):
+        connection = Connection(address)
+        jumps.append(connection.check(["sh", "-c", "date -s '2031-01-01 00:00:00' && date +%Y"]))
+        connection.close()
+
     runs, observer, statuses = measure(tmp_path, reset_in_the_second, results)
     assert list(statuses.values()) == ["ok", "ok", "ok"], "the run that was cut off is repeated"
+    assert jumps[0].split()[-1] == "2031"
+    (first,) = read_run(results / runs[0].name).results[:1]
+    assert first.figures.n == 10 and abs(first.figures.max_us) < 60e6
     assert any("the target was restarted" in note for note in observer.notes)
     assert rundir.status(results / runs[1].name) == "ok"
     kept = results / f"{runs[1].name}.incomplete-1"

@@ -1,0 +1,32 @@
+"""The time left, as the bar tells it."""
+
+from rtrun import progress
+from rtrun.campaign import Campaign, plan
+
+RUNS = plan(
+    Campaign(
+        schema=1,
+        name="test",
+        runs=[{"suite": "cyclic_timer_tests", "frequency_hz": 100, "repetitions": [1000, 2000, 3000]}],
+    ),
+    "test",
+)
+
+
+def test_a_run_that_takes_longer_leaves_the_others_their_time(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    estimate = progress._Estimate(RUNS)
+    estimate.began(0)
+    assert estimate.left_s() == 60 + 3 * progress.OVERHEAD_GUESS_S
+    now[0] = 25.0
+    assert estimate.left_s() == 50 + 2 * progress.OVERHEAD_GUESS_S, "late, but the rest still takes its time"
+    assert estimate.ended() == 25.0
+    assert estimate.left_s() == 20 + 30 + 2 * 15, "each of the rest is expected to cost what the first did"
+
+
+def test_lines_where_there_is_no_terminal(capsys):
+    plain = progress.PlainProgress(RUNS)
+    plain.began(1, RUNS[1])
+    plain.ended(1, RUNS[1], "failed", "no rights")
+    assert capsys.readouterr().out.startswith(f"[2/3] failed     {RUNS[1].name}  0.")

@@ -1,0 +1,209 @@
+"""Campaigns that survive: a runner killed at random, a link cut or frozen, two runners at once."""
+
+import hashlib
+import json
+import random
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from faulty import write_faulty_suites
+from proxy import proxy_to
+
+from rtfiles.errors import UsageError
+from rtrun import execute, rundir
+from rtrun import measure as measurement
+from rtrun.campaign import Campaign, plan
+from rtrun.errors import ConnectionLost
+
+pytestmark = [pytest.mark.sshd, pytest.mark.ros]
+KILLS = 20
+
+
+@pytest.fixture
+def suites_folder(tmp_path):
+    return tmp_path / "suites"
+
+
+@pytest.fixture
+def wishes(suites_folder):
+    return write_faulty_suites(suites_folder)
+
+
+def write_files(folder, sshd, ros_master, work_dir, count):
+    frequencies = [100 + number for number in range(count)]
+    (folder / "campaign.yml").write_text(
+        f"schema: 1\nname: test\nruns: [{{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: {frequencies}}}]\n"
+    )
+    (folder / "target.yml").write_text(
+        f"schema: 1\nname: loopback\nkind: ssh\nhost: 127.0.0.1\nport: {sshd.port}\nuser: {sshd.user}\n"
+        f"key: {sshd.key}\nhost_key: {sshd.host_key}\nsuites: suites\nwork_dir: {work_dir}\n"
+        f"ros_master_port: {ros_master}\nreconnect_s: 2\n"
+    )
+    return [sys.executable, "-m", "rtrun.cli", "run", "campaign.yml", "--target", "target.yml"]
+
+
+def finished(results):
+    """What stands in the end: run name to the digests of its measurements."""
+    return {
+        folder.name: {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob("*.npy")}
+        for folder in sorted(results.iterdir())
+        if rundir.status(folder) == "ok" and ".old-" not in folder.name
+    }
+
+
+def test_a_runner_killed_at_twenty_random_moments(sshd, ros_master, tmp_path, wishes):
+    words = write_files(tmp_path, sshd, ros_master, tmp_path / "target", 6)
+    undisturbed = [*words, "--results", "undisturbed"]
+    assert subprocess.run(undisturbed, cwd=tmp_path, capture_output=True, timeout=120).returncode == 0
+    calls = len(wishes.calls())
+    seed = random.randrange(2**32)
+    moments = random.Random(seed)
+    for _ in range(KILLS):
+        wishes.will("sleep 0.5")
+        runner = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            runner.wait(moments.uniform(0.2, 3.0))
+        except subprocess.TimeoutExpired:
+            runner.send_signal(signal.SIGKILL)
+            runner.wait()
+    last = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert last.returncode == 0, f"seed {seed}: {last.stderr}"
+    results = tmp_path / "results" / "test"
+    assert finished(results) == finished(tmp_path / "undisturbed"), f"seed {seed}"
+    assert len(wishes.calls()) - calls == 6, f"seed {seed}: a run that is going on is picked up, never started twice"
+    assert not list(results.glob(".*.partial")), f"seed {seed}"
+    for folder in results.iterdir():
+        if folder.is_dir():
+            record = json.loads((folder / "run.json").read_text())
+            for name, file in record["files"].items():
+                assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == file["sha256"]
+
+
+class Watching:
+    """An observer that remembers."""
+
+    def __init__(self):
+        self.notes = []
+        self.at_start = lambda number: None
+
+    def began(self, number, run):
+        self.at_start(number)
+
+    def ended(self, number, run, status, reason):
+        pass
+
+    def note(self, text):
+        self.notes.append(text)
+
+
+def runs_of(count):
+    entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": [100 + n for n in range(count)]}
+    return plan(Campaign(schema=1, name="test", runs=[entry]), "test")
+
+
+@pytest.fixture
+def proxied(loopback, sshd, suites_folder, wishes, ros_master):
+    with proxy_to(sshd.port) as proxy:
+        address = replace(loopback.address, port=proxy.port)
+        yield proxy, replace(loopback, address=address, suites=suites_folder, ros_master_port=ros_master)
+
+
+def test_a_cut_link_that_comes_back(proxied, tmp_path, wishes):
+    proxy, target = proxied
+    watching = Watching()
+    wishes.will("sleep 3")
+
+    def act(number):
+        if number == 0:
+            threading.Timer(1.5, proxy.cut).start()
+            threading.Timer(4.0, proxy.mend).start()
+
+    watching.at_start = act
+    statuses = execute.run_campaign(target, "test", runs_of(2), tmp_path / "results", watching)
+    assert list(statuses.values()) == ["ok", "ok"]
+    assert len(wishes.calls()) == 2
+    assert any("connecting again" in note for note in watching.notes)
+
+
+def test_a_frozen_link_is_noticed_and_left(proxied, tmp_path, wishes, monkeypatch):
+    monkeypatch.setattr(measurement.launch, "WAIT_S", 2.0)
+    proxy, target = proxied
+    watching = Watching()
+    wishes.will("sleep 4")
+
+    def act(number):
+        if number == 0:
+            threading.Timer(1.5, proxy.freeze).start()
+            threading.Timer(10.0, proxy.mend).start()
+
+    watching.at_start = act
+    statuses = execute.run_campaign(target, "test", runs_of(2), tmp_path / "results", watching)
+    assert list(statuses.values()) == ["ok", "ok"]
+    assert len(wishes.calls()) == 2
+
+
+def test_a_link_that_stays_cut_is_an_error_and_the_run_is_picked_up_later(proxied, tmp_path, wishes):
+    proxy, target = proxied
+    target = replace(target, reconnect_s=1)
+    watching = Watching()
+    wishes.will("ok", "sleep 2")
+    watching.at_start = lambda number: threading.Timer(1.0, proxy.cut).start() if number == 1 else None
+    runs = runs_of(3)
+    with pytest.raises(ConnectionLost, match="tried for 1 s"):
+        execute.run_campaign(target, "test", runs, tmp_path / "results", watching)
+    assert execute.finished(tmp_path / "results", runs) == 1
+    proxy.mend()
+    watching.at_start = lambda number: None
+    statuses = execute.run_campaign(target, "test", runs, tmp_path / "results", watching)
+    assert list(statuses.values()) == ["ok", "ok", "ok"]
+    assert len(wishes.calls()) == 3, "the run went on without us and is not measured again"
+
+
+def test_two_runners_do_not_mix(proxied, tmp_path, wishes):
+    _, target = proxied
+    watching = Watching()
+    refused = []
+
+    def act(number):
+        try:
+            execute.run_campaign(target, "test", runs_of(1), tmp_path / "results", Watching())
+        except UsageError as error:
+            refused.append(str(error))
+
+    watching.at_start = act
+    execute.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
+    assert "another rtrun is at work there" in refused[0]
+
+
+def test_a_reboot_while_nobody_looked(loopback, suites_folder, ros_master, tmp_path, wishes):
+    """A run folder that another boot left is kept as incomplete, and the run is repeated."""
+    target = replace(loopback, suites=suites_folder, ros_master_port=ros_master)
+    (run,) = runs = runs_of(1)
+    results = tmp_path / "results"
+
+    class Stop(Exception):
+        pass
+
+    def stop(number):
+        raise Stop
+
+    watching = Watching()
+    watching.at_start = stop
+    with pytest.raises(Stop):
+        execute.run_campaign(target, "test", runs, results, watching)
+    log = execute.journal.open_journal(results, "test", "", "")
+    left = Path(target.work_dir) / "runs" / log.uid / run.name
+    log.close()
+    left.mkdir(parents=True)
+    (left / "cyclic_timer_tests.boot_id").write_text("11111111-2222-3333-4444-555555555555\n")
+    (left / "cyclic_timer_tests.stdout").write_text("\tINFO: as far as it came\n")
+    watching.at_start = lambda number: None
+    assert execute.run_campaign(target, "test", runs, results, watching) == {run.name: "ok"}
+    kept = results / f"{run.name}.incomplete-1"
+    assert (kept / "cyclic_timer_tests.stdout").read_text() == "\tINFO: as far as it came\n"
+    assert not (kept / "run.json").exists()
