@@ -105,6 +105,13 @@ class Files(Config):
     npy: str
 
 
+class Traces(Config):
+    """Values above a limit that the kernel trace was asked for, and the traces that were kept."""
+
+    above_limit: Count
+    files: list[str]
+
+
 class Record(Config):
     """``<output>.json``, as docs/formats.md has it."""
 
@@ -124,6 +131,7 @@ class Record(Config):
     indices: Indices
     summary: dict[str, Summary]
     files: Files
+    traces: Traces = Field(default_factory=lambda: Traces(above_limit=0, files=[]))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

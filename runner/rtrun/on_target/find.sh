@@ -1,6 +1,8 @@
 #!/bin/sh
 # What the runner needs to know before it can use this target: one line "name value" for each thing.
 #   find.sh WORK_DIR
+# The trace of a run whose runner was killed; busy, and left alone, while that run goes on.
+rmdir /sys/kernel/tracing/instances/rtrun 2>/dev/null
 for tool in setsid flock sha256sum chrt sed; do
     command -v $tool >/dev/null || echo "lacks $tool"
 done
