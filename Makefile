@@ -2,14 +2,18 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test lint setup board suites clean
+.PHONY: demo test test-kernel lint setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
 	$(BIN)/rtrun run campaigns/demo.yml --target targets/qemu.yml --fresh
 
 test: setup
-	$(BIN)/pytest
+	$(BIN)/pytest -m "not kernel"
+
+# Builds the kernel (five minutes on two idle cores) unless one of the same inputs is in the cache, and boots it.
+test-kernel: setup
+	$(BIN)/pytest -m kernel
 
 lint: setup
 	$(BIN)/ruff check .

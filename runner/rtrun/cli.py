@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from rtfiles.command import dispatch
-from rtrun.commands import plan, probe, run, show
+from rtrun.commands import check_rt, plan, probe, run, show
 
-COMMANDS: tuple[ModuleType, ...] = (plan, run, probe, show)
+COMMANDS: tuple[ModuleType, ...] = (plan, run, probe, check_rt, show)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

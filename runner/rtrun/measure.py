@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
-from rtrun import collect, launch, master, probe, rundir, suites
+from rtrun import clock, collect, launch, master, probe, rundir, suites
 from rtrun.campaign import Run
 from rtrun.errors import ConnectionLost, TargetError, TargetGone
 from rtrun.judge import judge
@@ -118,6 +118,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
                 "cpus": prepared.equipment.cpus,
                 **{key: before.get(key) for key in ("kernel_release", "kernel_version", "machine", "boot_id")},
                 **{key: before.get(key) for key in ("clocksource", "governor", "roscpp_version")},
+                "clock": clock.record(before, clock.steps_seen(partial, outputs)),
             },
         }
         rundir.close(partial, folder, record)

@@ -64,7 +64,7 @@ def test_interrupted_build_leaves_nothing(tmp_path: Path, how: signal.Signals) -
         process.kill()
         process.wait()
     if how == signal.SIGINT:
-        assert process.returncode == 130
+        assert process.returncode == 130, errors
         assert errors.decode().strip().splitlines()[-1] == "rtgen: interrupted"
     # Whoever was killed could not wait for mmdebstrap, which was told to end and cleans up.
     wait_for(lambda: not any(temporary.iterdir()))

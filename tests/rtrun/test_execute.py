@@ -298,12 +298,12 @@ def test_interrupt(sshd, bare_target, tmp_path, wishes, number):
         assert runner.poll() is None
         time.sleep(0.05)
     runner.send_signal(number)
-    out, err = runner.communicate(timeout=60)
+    out, err = runner.communicate(timeout=240)
     assert runner.returncode == 130
     assert "1 of 3 runs are finished and kept in results/test; the same command goes on there" in out
     assert err.splitlines()[-1] == "rtrun: interrupted"
     assert master_is_gone(bare_target)
-    assert rtrun(tmp_path, words).wait(60) == 0
+    assert rtrun(tmp_path, words).wait(240) == 0
     assert [call.split()[1] for call in wishes.calls()] == ["100", "101", "101", "102"]
 
 
@@ -317,7 +317,7 @@ def test_a_killed_runner_finds_its_run_again(sshd, bare_target, tmp_path, wishes
     runner.kill()
     runner.communicate()
     second = rtrun(tmp_path, words)
-    _, err = second.communicate(timeout=90)
+    _, err = second.communicate(timeout=240)
     assert second.returncode == 0, err
     assert len(wishes.calls()) == 2, "the run that was going on is picked up, not repeated"
     assert master_is_gone(bare_target)

@@ -8,22 +8,23 @@ from typing import Any
 from rtfiles import atomic, cache
 from rtfiles.errors import InfrastructureError
 from rtgen.board import debian, disk, initrd
-from rtgen.board.kernel import Kernel, debian_kernel
+from rtgen.board.kernel import Kernel, built_kernel, debian_kernel
 from rtgen.board.machine import Machine, find, machines
 
 SCHEMA = 1
 HERE = Path(__file__).parent
 
 
-def build(name: str, place: Path) -> Path:
-    """Build the board of this machine with Debian's kernel; return `place`/<name>, a link to it in the cache.
+def build(name: str, place: Path, built: bool = False) -> Path:
+    """Build the board of this machine; return `place`/<name>, a link to it in the cache.
 
-    About a minute the first time, nothing when nothing changed. Raises UsageError for an unknown machine or a missing
+    It runs Debian's kernel or, if `built`, the one of `rtgen kernel build`. About a minute the first time (and the
+    kernel's build), nothing when nothing changed. Raises UsageError for an unknown machine or a missing
     right or tool, InfrastructureError when a package or tool fails.
     """
     machine = find(name)
     # Who waits for the lock of another build waits here, before anything is downloaded.
-    folder = assemble(name, machine, debian_kernel())
+    folder = assemble(name, machine, built_kernel(name) if built else debian_kernel())
     place.mkdir(parents=True, exist_ok=True)
     link = place / name
     if link.is_symlink() and link.readlink() == folder:

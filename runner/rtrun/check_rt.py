@@ -1,0 +1,99 @@
+"""What stands in the way of real time on a running target: facts from a shell script, held against check_rt.yml."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from rtfiles.config import Config, load
+
+DATA = Path(__file__).with_suffix(".yml")
+SCRIPT = Path(__file__).parent / "on_target" / "check_rt.sh"
+
+Severity = Literal["fatal", "high", "medium", "info"]
+SEVERITIES: tuple[Severity, ...] = ("fatal", "high", "medium", "info")
+# With one of these a target is not ready.
+GRAVE: frozenset[Severity] = frozenset({"fatal", "high"})
+# Lines of a fact that are shown at most, and how long.
+SHOWN_LINES = 4
+SHOWN_CHARACTERS = 100
+
+
+class Check(Config):
+    """One thing to look at; `none` and `some` are regular expressions searched for in each line of the fact."""
+
+    name: str
+    severity: Severity
+    fact: str
+    none: str | None = None
+    some: str | None = None
+    absent: Literal["ok", "unknown"]
+    why: str
+    remedy: str
+
+    @model_validator(mode="after")
+    def _one_expression(self) -> "Check":
+        if (self.none is None) == (self.some is None):
+            raise ValueError("give one of none and some")
+        re.compile(self.none or self.some or "")
+        return self
+
+
+class Checks(Config):
+    """check_rt.yml."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    checks: list[Check]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """What a check found: `found` are the lines at fault, or the reason why it is unknown."""
+
+    check: Check
+    status: Literal["ok", "fault", "unknown"]
+    found: tuple[str, ...]
+
+
+def read_checks() -> list[Check]:
+    """Read check_rt.yml."""
+    return load(DATA, Checks).checks
+
+
+def parse(text: str) -> dict[str, list[str]]:
+    """Turn what check_rt.sh printed into lines by fact; a fact without lines is what the target does not have."""
+    parts = re.split(r"^== (\w+)$", text, flags=re.MULTILINE)
+    return {name: body.strip("\n").splitlines() for name, body in zip(parts[1::2], parts[2::2], strict=True)}
+
+
+def judge(checks: list[Check], facts: dict[str, list[str]]) -> list[Finding]:
+    """Hold facts against checks; findings stand in the order of severity, faults first."""
+    findings = [_judge(check, facts.get(check.fact, [])) for check in checks]
+    order = ("fault", "unknown", "ok")
+    return sorted(findings, key=lambda each: (order.index(each.status), SEVERITIES.index(each.check.severity)))
+
+
+def is_ready(findings: list[Finding]) -> bool:
+    """Whether nothing fatal or high was found."""
+    return not any(each.status == "fault" and each.check.severity in GRAVE for each in findings)
+
+
+def _judge(check: Check, lines: list[str]) -> Finding:
+    lines = [line for line in lines if line]
+    if not lines:
+        if check.absent == "ok":
+            return Finding(check=check, status="ok", found=())
+        return Finding(check=check, status="unknown", found=(f"the target does not tell its {check.fact}",))
+    if check.some is not None:
+        good = any(re.search(check.some, line) for line in lines)
+        bad = [] if good else lines
+    else:
+        bad = [line for line in lines if re.search(str(check.none), line)]
+    return Finding(check=check, status="fault" if bad else "ok", found=tuple(_printable(line) for line in bad))
+
+
+def _printable(line: str) -> str:
+    """A line that came from the target, fit for a terminal."""
+    return "".join(char if char.isprintable() else "?" for char in line)[:SHOWN_CHARACTERS]

@@ -1,0 +1,111 @@
+"""``rtrun check-rt``: what stands in the way of real time on a target."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rtrun.check_rt import Finding
+    from rtrun.link import Link
+
+NAME = "check-rt"
+HELP = "list what stands in the way of real time on a running target, why, and the remedy"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what `check-rt` takes."""
+    parser.add_argument("target", type=Path, metavar="TARGET.yml")
+    parser.add_argument("--json", action="store_true", help="every check, as JSON")
+    parser.add_argument(
+        "--save-config", type=Path, metavar="FILE", help="keep the kernel's configuration, for rtgen kconfig verify"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the findings. 0: nothing fatal or high, 1: something, 3: the target cannot be reached."""
+    import json
+    import sys
+    import tempfile
+
+    from rtrun import check_rt
+    from rtrun.link import Link
+    from rtrun.target import read_target, switch_on
+
+    config = read_target(args.target)
+    checks = check_rt.read_checks()
+    script = check_rt.SCRIPT.read_text(encoding="utf-8")
+
+    def note(text: str) -> None:
+        print(f"rtrun: {text}", file=sys.stderr)
+
+    with (
+        tempfile.TemporaryDirectory(prefix="rtrun-check-rt-") as work,
+        switch_on(config, args.target.parent, Path(work) / "console.log") as target,
+        Link(target, note) as link,
+    ):
+        facts = check_rt.parse(link.do(lambda connection: connection.check(["sh", "-s"], stdin=script)))
+        if args.save_config:
+            _save_config(link, args.save_config)
+    findings = check_rt.judge(checks, facts)
+    ready = check_rt.is_ready(findings)
+    if args.json:
+        kernel = " ".join([*facts.get("kernel", []), *facts.get("kernel_version", [])])
+        head = {"schema": 1, "target": target.name, "emulated": target.emulated, "kernel": kernel, "ready": ready}
+        clock = {name: facts.get(name, []) for name in ("clocksource", "clockevent")}
+        print(json.dumps({**head, **clock, "checks": [_as_json(each) for each in findings]}, indent=2))
+    else:
+        _print(f"{target.name} ({target.address})", target.emulated, findings)
+    return 0 if ready else 1
+
+
+def _save_config(link: "Link", path: Path) -> None:
+    from rtfiles import atomic
+    from rtfiles.errors import UsageError
+    from rtrun import probe
+    from rtrun.errors import TargetError
+
+    packed = probe.kernel_config(link)
+    if not packed:
+        raise TargetError(
+            f"{link.target.address}: the kernel keeps no configuration, neither /proc/config.gz nor /boot"
+        )
+    try:
+        atomic.write_bytes(path, packed)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _as_json(finding: "Finding") -> dict[str, Any]:
+    check = finding.check
+    return {
+        "name": check.name,
+        "severity": check.severity,
+        "status": finding.status,
+        "found": list(finding.found),
+        "why": check.why,
+        "remedy": check.remedy,
+    }
+
+
+def _print(target: str, emulated: bool, findings: "list[Finding]") -> None:
+    from rtrun.check_rt import SEVERITIES, SHOWN_LINES
+
+    faults = [each for each in findings if each.status == "fault"]
+    unknown = [each for each in findings if each.status == "unknown"]
+    counts = [(len([each for each in faults if each.check.severity == name]), name) for name in SEVERITIES]
+    told = ", ".join(f"{count} {name}" for count, name in counts if count)
+    banner = " EMULATED: not a real-time statement." if emulated else ""
+    if faults:
+        print(f"{target}: {len(faults)} of {len(findings)} checks find fault: {told}.{banner}")
+    else:
+        print(f"{target}: nothing found in the way of real time, {len(findings)} checks.{banner}")
+    for each in faults:
+        print(f"\n{each.check.severity}: {each.check.name}")
+        for line in each.found[:SHOWN_LINES]:
+            print(f"  found   {line}")
+        if len(each.found) > SHOWN_LINES:
+            print(f"          and {len(each.found) - SHOWN_LINES} more like it")
+        print(f"  why     {each.check.why}")
+        print(f"  remedy  {each.check.remedy}")
+    if unknown:
+        print(f"\nnot to be seen: {', '.join(f'{each.check.name} ({each.found[0]})' for each in unknown)}")

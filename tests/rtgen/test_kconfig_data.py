@@ -1,0 +1,129 @@
+"""The options as data: what is rendered for which kernel, and what is refused."""
+
+import shutil
+
+import pytest
+
+from rtfiles.errors import UsageError
+from rtgen.cli import main
+from rtgen.kconfig import data as kconfig
+from rtgen.kconfig.fragment import parse_fragment, values
+from rtgen.kconfig.render import fragment_path, render
+
+
+@pytest.fixture(scope="module")
+def data():
+    return kconfig.load()
+
+
+@pytest.fixture
+def copy(data, tmp_path):
+    """A copy of kconfig/ that a test may break."""
+    folder = tmp_path / "kconfig"
+    shutil.copytree(data.folder, folder)
+    return folder
+
+
+def rendered(data, machine, kernel):
+    return values(parse_fragment(render(data, machine, kernel), "rendered"))
+
+
+def test_committed_fragments_are_as_rendered(data):
+    for machine in data.machines:
+        for kernel in data.kernels:
+            assert fragment_path(data, machine, kernel).read_text() == render(data, machine, kernel)
+    committed = {path.name for path in (data.folder / "fragments").iterdir()}
+    assert committed == {f"{machine}-{kernel}.cfg" for machine in data.machines for kernel in data.kernels}
+
+
+def test_rt_is_preempt_rt_full_on_3_4_and_preempt_rt_with_expert_later(data):
+    old, new = rendered(data, "pandaboard-es", "3.4"), rendered(data, "pandaboard-es", "6.1")
+    assert old["PREEMPT_RT_FULL"] == "y" and "PREEMPT_RT" not in old
+    assert new["PREEMPT_RT"] == "y" and new["EXPERT"] == "y" and "PREEMPT_RT_FULL" not in new
+
+
+def test_3_4_gets_the_memory_that_rt_full_allows(data):
+    old, new = rendered(data, "pandaboard-es", "3.4"), rendered(data, "pandaboard-es", "6.1")
+    assert (old["SLAB"], old["HIGHMEM"], old["VMSPLIT_2G"]) == ("y", "n", "y")
+    assert old["RT_GROUP_SCHED"] == "n"
+    assert (new["VMSPLIT_3G_OPT"], new["SLUB_CPU_PARTIAL"]) == ("y", "n")
+    assert not {"SLAB", "VMSPLIT_2G"} & new.keys() and not {"SLUB_CPU_PARTIAL", "OSNOISE_TRACER"} & old.keys()
+
+
+def test_options_of_removed_and_later_symbols_follow_the_version(data):
+    assert "SLUB_CPU_PARTIAL" in rendered(data, "pandaboard-es", "6.18")
+    assert "SLUB_CPU_PARTIAL" not in rendered(data, "pandaboard-es", "7.1")
+    assert "NO_HZ" in rendered(data, "pandaboard-es", "3.4")
+    assert rendered(data, "pandaboard-es", "7.1")["HZ_PERIODIC"] == "y"
+
+
+def test_version_numbers_compare_as_numbers():
+    option = kconfig.Option(symbol="X", value="y", reason="r", source="s", since="6.2")
+    assert option.holds_for("6.12") and not option.holds_for("6.1")
+
+
+@pytest.mark.parametrize("kernel", ["3.4", "6.1", "6.6", "6.12", "6.18"])
+def test_head_names_the_patch_series_before_7_1(data, kernel):
+    head = render(data, "pandaboard-es", kernel).split("\n\n")[0]
+    assert f"only with the patch series {kernel}-rt" in head
+
+
+def test_head_names_no_patch_series_from_7_1_on(data):
+    assert "no patch series is needed" in render(data, "pandaboard-es", "7.1").split("\n\n")[0]
+
+
+def test_errata_that_a_multiplatform_kernel_cannot_have_are_never_rendered(data):
+    for kernel in data.kernels:
+        assert not {"ARM_ERRATA_743622", "ARM_ERRATA_751472"} & rendered(data, "pandaboard-es", kernel).keys()
+
+
+def test_unknown_kernel_and_machine_list_the_known_ones(capsys):
+    assert main(["kconfig", "render", "--check", "--machine", "pandaboard-es", "--kernel", "5.10"]) == 2
+    assert capsys.readouterr().err == "rtgen: kernel 5.10 is unknown, known: 3.4, 6.1, 6.6, 6.12, 6.18, 7.1\n"
+    assert main(["kconfig", "render", "--check", "--machine", "beagle", "--kernel", "6.1"]) == 2
+    assert capsys.readouterr().err == "rtgen: machine beagle is unknown, known: pandaboard-es, qemu-armv7\n"
+
+
+def test_check_shows_the_drift_and_writes_nothing(copy, monkeypatch, capsys):
+    monkeypatch.setattr(kconfig.load, "__defaults__", (copy,))
+    path = copy / "fragments/pandaboard-es-6.1.cfg"
+    path.write_text(path.read_text().replace("CONFIG_HZ_250=y", "CONFIG_HZ_100=y"))
+    changed = path.read_text()
+    assert main(["kconfig", "render", "--check"]) == 1
+    out = capsys.readouterr().out
+    assert "-CONFIG_HZ_100=y\n+CONFIG_HZ_250=y\n" in out and "kconfig/fragments/pandaboard-es-6.1.cfg" in out
+    assert path.read_text() == changed
+    assert main(["kconfig", "render", "--machine", "pandaboard-es", "--kernel", "6.1"]) == 0
+    assert main(["kconfig", "render", "--check"]) == 0
+
+
+def test_an_option_given_twice_is_refused(copy):
+    path = copy / "options/power.yml"
+    path.write_text(path.read_text() + "  - {symbol: KSM, value: n, source: s, reason: r}\n")
+    with pytest.raises(UsageError, match=r"memory\.yml: KSM is given twice to pandaboard-es 3\.4.*power\.yml"):
+        kconfig.load(copy)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("{symbol: CONFIG_foo, value: y, source: s, reason: r}", "options.5.symbol"),
+        ("{symbol: FOO, value: maybe, source: s, reason: r}", r"options\.5\.value: a value is y, m, n, a number"),
+        ("{symbol: FOO, value: y, source: s}", "options.5.reason"),
+        ("{symbol: FOO, value: y, source: s, reason: r, since: 6}", "options.5.since"),
+    ],
+)
+def test_a_malformed_option_is_refused_with_its_place(copy, line, message):
+    path = copy / "options/validation.yml"
+    path.write_text(path.read_text() + f"  - {line}\n")
+    with pytest.raises(UsageError, match=rf"validation\.yml: {message}"):
+        kconfig.load(copy)
+
+
+def test_a_machine_with_an_unknown_concern_is_refused(copy):
+    path = copy / "machines.yml"
+    path.write_text(path.read_text().replace("validation, board]", "validation, bored]"))
+    with pytest.raises(
+        UsageError, match=r"machines\.yml: machines\.pandaboard-es\.concerns: there is no bored, known: board"
+    ):
+        kconfig.load(copy)

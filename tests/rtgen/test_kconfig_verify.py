@@ -1,0 +1,278 @@
+"""Fragments against the real 6.1 RT Kconfig tree: what holds, and the reason for each thing that does not."""
+
+import gzip
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from rtfiles.errors import UsageError
+from rtgen.cli import main
+from rtgen.kconfig import data as kconfig
+from rtgen.kconfig import debian
+from rtgen.kconfig.fragment import parse_fragment
+from rtgen.kconfig.render import render
+from rtgen.kconfig.tree import open_tree
+from rtgen.kconfig.verify import merge, read_base, verify_config, verify_tree
+
+
+@pytest.fixture(scope="module")
+def data():
+    return kconfig.load()
+
+
+@pytest.fixture(scope="module")
+def tree(data):
+    return debian.open_debian(data)
+
+
+@pytest.fixture
+def copy(tree, tmp_path):
+    """A copy of the tree that a test may break."""
+    shutil.copytree(tree.source, tmp_path / "linux")
+    return tmp_path / "linux"
+
+
+BASES = [
+    ("pandaboard-es", "omap2plus_defconfig"),
+    ("pandaboard-es", "multi_v7_defconfig"),
+    ("qemu-armv7", "qemu-armv7_defconfig"),
+]
+
+
+def test_the_bases_below_are_all_there_are(data):
+    assert [(name, base) for name, machine in data.machines.items() for base in machine.bases] == BASES
+
+
+@pytest.mark.parametrize(("machine", "base"), BASES)
+def test_every_option_holds(data, tree, machine, base):
+    fragment = parse_fragment(render(data, machine, "6.1"), "rendered")
+    verdict = verify_tree(data, tree, machine, base, fragment, None)
+    assert verdict.mismatches == () and verdict.checked == len(fragment) > 70
+    assert "CONFIG_PREEMPT_RT=y\n" in verdict.config and "CONFIG_SUSPEND=y" not in verdict.config
+
+
+@pytest.mark.parametrize(("machine", "base"), BASES)
+def test_without_the_fragment_the_base_is_not_fit(data, tree, machine, base):
+    verdict = verify_tree(data, tree, machine, base, (), "nothing")
+    assert {"PREEMPT_RT", "HZ_250"} <= {item.symbol for item in verdict.mismatches}
+    assert all(
+        item.reason.startswith(("not in nothing; ", "this tree lacks")) or item.want == "n"
+        for item in verdict.mismatches
+    )
+
+
+def broken(data, tree, change, machine="pandaboard-es"):
+    """The mismatches of a fragment whose text was changed, by symbol."""
+    text = render(data, machine, "6.1")
+    changed = change(text)
+    assert changed != text
+    fragment = parse_fragment(changed, "mine.cfg")
+    base = data.machine(machine).bases[0]
+    verdict = verify_tree(data, tree, machine, base, fragment, "mine.cfg")
+    return {item.symbol: (item.want, item.got, item.reason) for item in verdict.mismatches}
+
+
+def test_expert_dropped(data, tree):
+    # omap2plus_defconfig and multi_v7_defconfig have EXPERT themselves.
+    found = broken(data, tree, lambda text: text.replace("CONFIG_EXPERT=y\n", ""), "qemu-armv7")
+    assert found["EXPERT"][:2] == ("y", "n") and found["EXPERT"][2].startswith("not in mine.cfg; ")
+    assert found["PREEMPT_RT"] == ("y", "n", "unmet dependency EXPERT (is n)")
+
+
+def test_hotplug_cpu_dropped(data, tree):
+    found = broken(data, tree, lambda text: text.replace("CONFIG_HOTPLUG_CPU=y\n", ""))
+    assert found.keys() == {"HOTPLUG_CPU"}
+    want, got, reason = found["HOTPLUG_CPU"]
+    assert (want, got) == ("y", "n") and reason.startswith("not in mine.cfg; is not asked for, and its default is n")
+    assert "PM_SLEEP_SMP (is n)" in reason
+
+
+def test_erratum_of_single_platform_kernels_added(data, tree):
+    found = broken(data, tree, lambda text: text + "CONFIG_ARM_ERRATA_743622=y\n")
+    assert found == {"ARM_ERRATA_743622": ("y", "n", "unmet dependency !ARCH_MULTIPLATFORM")}
+
+
+def test_misspelt_symbol(data, tree):
+    found = broken(data, tree, lambda text: text.replace("CONFIG_PREEMPT_RT=", "CONFIG_PREMPT_RT="))
+    assert found["PREMPT_RT"][1:] == (
+        "nothing",
+        f"undefined symbol in {tree.name}, did you mean PREEMPT_RT?",
+    )
+    assert found["PREEMPT_RT"][2].startswith("not in mine.cfg; ")
+
+
+def test_misspelt_symbol_that_is_to_be_off(data, tree):
+    found = broken(data, tree, lambda text: text + "# CONFIG_KSMM is not set\n")
+    assert found["KSMM"][1:] == ("nothing", f"undefined symbol in {tree.name}, did you mean KSM?")
+
+
+def test_choice_lost(data, tree):
+    found = broken(data, tree, lambda text: text + "CONFIG_HZ_1000=y\n")
+    assert found == {"HZ_250": ("y", "n", 'choice lost: HZ_1000 was chosen in "Timer frequency"')}
+
+
+def test_selected_by(data, tree):
+    found = broken(data, tree, lambda text: text + "# CONFIG_PM_OPP is not set\n")
+    assert found["PM_OPP"][:2] == ("n", "y") and re.match(r"selected by .*ARCH_OMAP4 \(is y\)", found["PM_OPP"][2])
+
+
+def test_fragment_contradicts_the_data(data, tree):
+    found = broken(data, tree, lambda text: text.replace("# CONFIG_KSM is not set", "CONFIG_KSM=y"))
+    want, got, reason = found["KSM"]
+    assert (want, got) == ("n", "y") and re.match(r"mine\.cfg:\d+ says y; ", reason)
+
+
+def test_dependency_that_is_only_a_module(data, tree):
+    found = broken(data, tree, lambda text: text.replace("CONFIG_USB=y", "CONFIG_USB=m"))
+    assert found["USB_EHCI_HCD"] == ("y", "m", "unmet dependency USB (is m)")
+
+
+def test_number_out_of_range(data, tree):
+    found = broken(data, tree, lambda text: text.replace("CONFIG_NR_CPUS=2", "CONFIG_NR_CPUS=99"))
+    assert found["NR_CPUS"][0] == "2" and "mine.cfg:" in found["NR_CPUS"][2]
+
+
+def test_tree_without_the_rt_patches(data, copy):
+    arch = copy / "arch/arm/Kconfig"
+    arch.write_text(re.sub(r"\tselect ARCH_SUPPORTS_RT.*\n", "", arch.read_text()))
+    fragment = parse_fragment(render(data, "pandaboard-es", "6.1"), "rendered")
+    verdict = verify_tree(data, open_tree(copy), "pandaboard-es", "omap2plus_defconfig", fragment, None)
+    found = {item.symbol: item.reason for item in verdict.mismatches}
+    assert found["PREEMPT_RT"].startswith("this tree lacks the patch series 6.1-rt")
+
+
+def test_command_on_a_tree(copy, capsys):
+    assert main(["kconfig", "verify", "--source", str(copy)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3 and all(re.search(r"all \d+ options hold$", line) for line in lines)
+
+
+def test_command_on_a_broken_fragment(data, tree, tmp_path, capsys):
+    mine = tmp_path / "mine.cfg"
+    mine.write_text(render(data, "qemu-armv7", "6.1").replace("CONFIG_EXPERT=y\n", ""))
+    arguments = ["kconfig", "verify", "--source", str(tree.source), "--fragment", str(mine), "--machine", "qemu-armv7"]
+    assert main(arguments) == 1
+    assert "PREEMPT_RT: wanted y, is n: unmet dependency EXPERT (is n)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("CONFIG_A=y\nCONFIG_A=n\n", ":2: CONFIG_A is given twice, first in line 1: keep one"),
+        ("# fine\nPREEMPT_RT=y\n", ":2: 'PREEMPT_RT=y' is no config line, write CONFIG_NAME=value"),
+        ("CONFIG_A=yes\n", ":1: 'CONFIG_A=yes' is no config line"),
+        ("CONFIG_A = y\n", ":1: 'CONFIG_A = y' is no config line"),
+        ("# CONFIG_A not set\n", ":1: '# CONFIG_A not set' is no config line"),
+        ("#CONFIG_A is not set\n", ":1: '#CONFIG_A is not set' is no config line"),
+        ('CONFIG_A="open\n', ":1: "),
+    ],
+)
+def test_a_bad_line_of_a_fragment_is_named(tmp_path, text, message, capsys):
+    path = tmp_path / "bad.cfg"
+    path.write_text(text)
+    assert main(["kconfig", "verify", "--source", "debian", "--machine", "qemu-armv7", "--fragment", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"rtgen: {path}{message}") and error.count("\n") == 1
+
+
+def test_expanded_config_is_no_base(data, copy):
+    finished = copy / "arch/arm/configs/omap2plus_defconfig"
+    finished.write_text(
+        "#\n# Automatically generated file; DO NOT EDIT.\n# Linux/arm 6.1.176 Kernel Configuration\n#\n"
+    )
+    with pytest.raises(UsageError, match=r"omap2plus_defconfig:2: this is a finished \.config, not a defconfig"):
+        read_base(data, open_tree(copy), "omap2plus_defconfig")
+
+
+@pytest.mark.parametrize("missing", ["Kconfig", "scripts/kconfig/conf.c", "Makefile"])
+def test_no_kernel_tree(copy, missing, capsys):
+    (copy / missing).unlink()
+    assert main(["kconfig", "verify", "--source", str(copy)]) == 2
+    assert capsys.readouterr().err == f"rtgen: {copy}: no kernel tree, it has no {missing}\n"
+
+
+def test_tree_of_an_unknown_version(copy, capsys):
+    makefile = copy / "Makefile"
+    makefile.write_text(makefile.read_text().replace("PATCHLEVEL = 1\n", "PATCHLEVEL = 2\n", 1))
+    assert main(["kconfig", "verify", "--source", str(copy)]) == 2
+    assert "kernel 6.2 is unknown, known: 3.4, 6.1" in capsys.readouterr().err
+
+
+def test_a_tree_is_not_written_to(copy, data):
+    before = sorted(path for path in copy.rglob("*"))
+    subprocess.run(["chmod", "-R", "a-w", copy], check=True)
+    verify_tree(data, open_tree(copy), "qemu-armv7", "qemu-armv7_defconfig", (), "nothing")
+    assert sorted(path for path in copy.rglob("*")) == before
+
+
+def test_missing_defconfig_lists_what_there_is(tree):
+    with pytest.raises(UsageError, match=r"has no panda_defconfig for arm, it has: .*omap2plus_defconfig"):
+        tree.defconfig("panda_defconfig")
+
+
+def test_the_fragment_has_the_last_word_in_a_merge():
+    base = parse_fragment("CONFIG_A=y\nCONFIG_B=m\n", "base")
+    assert merge(base, parse_fragment("# CONFIG_A is not set\n", "f")) == "CONFIG_B=m\n# CONFIG_A is not set\n"
+
+
+@pytest.fixture(scope="module")
+def finished(data, tree):
+    fragment = parse_fragment(render(data, "qemu-armv7", "6.1"), "rendered")
+    return verify_tree(data, tree, "qemu-armv7", "qemu-armv7_defconfig", fragment, None).config
+
+
+class TestFinishedConfig:
+    """`--config`: a .config, a /boot/config, a /proc/config.gz."""
+
+    def test_holds_packed_and_plain(self, finished, tmp_path, capsys):
+        plain, packed = tmp_path / ".config", tmp_path / "config.gz"
+        plain.write_text(finished)
+        packed.write_bytes(gzip.compress(finished.encode()))
+        for path in (plain, packed):
+            assert main(["kconfig", "verify", "--machine", "qemu-armv7", "--config", str(path)]) == 0
+        assert capsys.readouterr().out.count("options hold") == 2
+
+    def test_names_what_differs_and_why_it_matters(self, data, finished):
+        text = finished.replace("CONFIG_PREEMPT_RT=y\n", "# CONFIG_PREEMPT_RT is not set\n")
+        text = text.replace("# CONFIG_KSM is not set", "CONFIG_KSM=y")
+        verdict = verify_config(data, "qemu-armv7", text, "theirs")
+        found = {item.symbol: (item.want, item.got) for item in verdict.mismatches}
+        assert found == {"PREEMPT_RT": ("y", "n"), "KSM": ("n", "y")}
+        assert "merged pages fault again" in verdict.mismatches[-1].reason
+
+    def test_cut_gzip(self, finished, tmp_path, capsys):
+        path = tmp_path / "config.gz"
+        path.write_bytes(gzip.compress(finished.encode())[:100])
+        assert main(["kconfig", "verify", "--machine", "qemu-armv7", "--config", str(path)]) == 2
+        assert capsys.readouterr().err == f"rtgen: {path}: neither a text nor a whole gzip file\n"
+
+    def test_a_fragment_is_no_finished_config(self, data, tmp_path, capsys):
+        path = tmp_path / "fragment"
+        path.write_text(render(data, "qemu-armv7", "6.1"))
+        assert main(["kconfig", "verify", "--machine", "qemu-armv7", "--config", str(path)]) == 2
+        assert f"{path}:1: no finished .config" in capsys.readouterr().err
+
+
+def test_device_tree_compiles_and_gives_a_fine_clock(data, tree, tmp_path):
+    """The PandaBoard's change on top of the tree's own omap4-panda-es.dts, through cpp and dtc, as kbuild does it."""
+    original = next(tree.source.glob("arch/arm/boot/dts/**/omap4-panda-es.dts"))
+    includes = ["-I", original.parent, "-I", tree.source / "include"]
+    changed = data.folder / "devicetree/omap4-panda-es-rt.dts"
+    cpp = ["cpp", "-nostdinc", "-undef", "-D__DTS__", "-x", "assembler-with-cpp", *includes, changed]
+    text = subprocess.run(cpp, check=True, capture_output=True).stdout
+    dtb = tmp_path / "rt.dtb"
+    subprocess.run(
+        ["dtc", "-q", "-i", original.parent, "-I", "dts", "-O", "dtb", "-o", dtb, "-"], input=text, check=True
+    )
+
+    def get(node, name, kind="s"):
+        done = subprocess.run(["fdtget", "-t", kind, dtb, node, name], capture_output=True, text=True, check=False)
+        return done.stdout.strip() if done.returncode == 0 else None
+
+    source = subprocess.run(["dtc", "-q", "-I", "dtb", "-O", "dts", dtb], check=True, capture_output=True, text=True)
+    counter = re.search(r"counter@0 \{.*?\};", source.stdout, re.S)
+    assert counter and 'compatible = "ti,omap-counter32k"' in counter[0] and 'status = "disabled"' in counter[0]
+    assert get("/local-timer@48240600", "always-on") == ""
+    assert get("/", "compatible").startswith("ti,omap4-panda-es")

@@ -1,0 +1,119 @@
+"""The kernel built from the fragment: what comes out, that it boots on both machines, proves itself and measures."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import rtrun.cli
+from rtfiles import cache
+from rtgen import kernel
+from rtgen.cli import main
+from rtgen.kconfig import data as kconfig
+
+# A full build takes five minutes on two idle cores.
+pytestmark = [pytest.mark.kernel, pytest.mark.timeout(3 * 3600)]
+
+CAMPAIGN = """\
+schema: 1
+name: built
+runs:
+  - {suite: cyclic_timer_tests, policy: RR, frequency_hz: 100, repetitions: 50}
+"""
+
+
+@pytest.fixture(scope="module")
+def built():
+    data = kconfig.load()
+    return kernel.build(data, "qemu-armv7", kernel.plan(data, "qemu-armv7"))
+
+
+def test_what_is_built(built):
+    record = json.loads((built / "kernel.json").read_text())
+    assert re.fullmatch(r"6\.1\.\d+-rt\d+-rtgen", record["release"])
+    assert sorted(path.name for path in (built / "dtbs").iterdir()) == [
+        "omap4-panda-es-rt.dtb",
+        "omap4-panda-es.dtb",
+        "vexpress-v2p-ca9.dtb",
+    ]
+    assert sorted(record["dtbs"]) == sorted(path.name for path in (built / "dtbs").iterdir())
+    # The magic number of a zImage (Documentation/arm/booting.rst) stands at byte 36.
+    assert (built / "vmlinuz").read_bytes()[36:40] == (0x016F2818).to_bytes(4, "little")
+    assert (built / "modules" / record["release"] / "modules.dep").is_file()
+    assert {path.name for path in built.iterdir()} == {"config", "dtbs", "kernel.json", "modules", "vmlinuz"}
+
+
+def test_the_panda_gets_a_fine_clock(built):
+    def source(name):
+        dtb = built / "dtbs" / name
+        return subprocess.run(
+            ["dtc", "-q", "-I", "dtb", "-O", "dts", dtb], check=True, capture_output=True, text=True
+        ).stdout
+
+    plain, changed = source("omap4-panda-es.dtb"), source("omap4-panda-es-rt.dtb")
+    assert "always-on" not in re.search(r"local-timer@48240600 \{.*?\};", plain, re.S)[0]
+    assert "always-on" in re.search(r"local-timer@48240600 \{.*?\};", changed, re.S)[0]
+    assert 'status = "disabled"' in re.search(r"counter@0 \{.*?\};", changed, re.S)[0]
+
+
+def test_a_second_build_builds_nothing(built, monkeypatch):
+    monkeypatch.setattr(kernel.debian, "unpack", lambda *_, **__: pytest.fail("it builds again"))
+    data = kconfig.load()
+    assert kernel.build(data, "qemu-armv7", kernel.plan(data, "qemu-armv7")) == built
+
+
+def test_an_interrupted_build_leaves_nothing(built, tmp_path):
+    # The sources are there already; only the build is to start from nothing.
+    for kind in ("kernel-source", "kernel-kconfig", "kconfig-tree"):
+        (tmp_path / kind).symlink_to(cache.root() / kind)
+    environment = os.environ | {"META_RT_TESTS_CACHE": str(tmp_path)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rtgen.cli", "kernel", "build", "--machine", "qemu-armv7"],
+        env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    # While the source is unpacked: a whole tree takes long to make, and to remove again.
+    while process.poll() is None and not list(tmp_path.glob("kernel-built/.*/linux/*")):
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=1800)
+    assert (process.returncode, error) == (130, "rtgen: interrupted\n")
+    assert [path.name for path in (tmp_path / "kernel-built").iterdir() if not path.name.endswith(".lock")] == []
+
+
+@pytest.mark.qemu
+@pytest.mark.parametrize(("machine", "clockevent"), [("qemu-armv7", "arch_sys_timer"), ("vexpress-a9", "local_timer")])
+def test_it_boots_proves_itself_and_measures(built, machine, clockevent, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["board", "build", "--machine", machine, "--kernel", "built"]) == 0
+    assert main(["suites", "build", "--machine", "qemu-armv7"]) == 0
+    target = tmp_path / "target.yml"
+    target.write_text(
+        f"schema: 1\nname: {machine}\nkind: qemu\nboard: build/board/{machine}\nsuites: build/suites/qemu-armv7\n"
+    )
+    saved = tmp_path / "config.gz"
+    capsys.readouterr()
+    rtrun.cli.main(["check-rt", str(target), "--json", "--save-config", str(saved)])
+    told = json.loads(capsys.readouterr().out)
+    release = json.loads((built / "kernel.json").read_text())["release"]
+    assert told["kernel"].startswith(f"{release} ") and " PREEMPT_RT " in told["kernel"]
+    assert told["emulated"] is True and told["ready"] is True
+    assert any(line.endswith(clockevent) for line in told["clockevent"])
+    checks = {each["name"]: each["status"] for each in told["checks"]}
+    assert (checks["PREEMPT_RT"], checks["RT_GROUP_SCHED"], checks["high-resolution timers"]) == ("ok", "ok", "ok")
+
+    assert main(["kconfig", "verify", "--machine", "qemu-armv7", "--config", str(saved)]) == 0
+
+    (tmp_path / "built.yml").write_text(CAMPAIGN)
+    assert rtrun.cli.main(["run", "built.yml", "--target", str(target)]) == 0
+    (record,) = [json.loads(path.read_text()) for path in (tmp_path / "results/built").glob("*/run.json")]
+    assert (record["status"], record["emulated"], record["target"]["preempt_rt"]) == ("ok", True, True)
+    assert record["target"]["kernel_release"] == release
+    assert record["target"]["clock"]["source"] == record["target"]["clocksource"]
+    assert 0 < record["target"]["clock"]["step_ns"] < 1_000_000
+    packed = next((tmp_path / "results/built").glob("*/kernel.config.gz"))
+    assert main(["kconfig", "verify", "--machine", "qemu-armv7", "--config", str(packed)]) == 0

@@ -1,0 +1,126 @@
+"""``rtgen kconfig``: kernel fragments, rendered and proved."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rtfiles import atomic
+from rtfiles.errors import UsageError
+
+if TYPE_CHECKING:
+    from rtgen.kconfig.data import Data
+    from rtgen.kconfig.verify import Verdict
+
+NAME = "kconfig"
+HELP = "render PREEMPT_RT kernel fragments, and prove that they take effect"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add ``render`` and ``verify``."""
+    commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    text = "write kconfig/fragments/<machine>-<kernel>.cfg from kconfig/options"
+    render = commands.add_parser("render", help=text, description=text)
+    render.add_argument("--machine", help="pandaboard-es, qemu-armv7 (default: every machine)")
+    render.add_argument("--kernel", help="3.4, 6.1, ... (default: every version)")
+    render.add_argument(
+        "--check", action="store_true", help="write nothing, show the drift; exit status 1 if there is any"
+    )
+    text = "hold what the kernel makes of a fragment, or a finished .config, against kconfig/options"
+    verify = commands.add_parser("verify", help=text, description=text)
+    verify.add_argument("--machine", help="pandaboard-es, qemu-armv7 (default with --source: every machine)")
+    verify.add_argument(
+        "--source", metavar="TREE", help="a kernel tree, a Kconfig-only tree, or 'debian', which gets one"
+    )
+    verify.add_argument(
+        "--fragment", type=Path, metavar="FILE", help="put this one on the base instead of the rendered one"
+    )
+    verify.add_argument(
+        "--config", type=Path, metavar="FILE", help="a finished .config, a /boot/config-*, a copy of /proc/config.gz"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 if all is as it should be, 1 on drift or a mismatch."""
+    return _render(args) if args.action == "render" else _verify(args)
+
+
+def _render(args: argparse.Namespace) -> int:
+    import difflib
+
+    from rtgen.kconfig import data as kconfig
+    from rtgen.kconfig.render import fragment_path, render
+
+    data = kconfig.load()
+    machines = [args.machine] if args.machine else list(data.machines)
+    kernels = [args.kernel] if args.kernel else list(data.kernels)
+    drifted = False
+    for machine in machines:
+        for kernel in kernels:
+            text, path = render(data, machine, kernel), fragment_path(data, machine, kernel)
+            name = str(path.relative_to(data.folder.parent))
+            before = path.read_text(encoding="utf-8") if path.is_file() else ""
+            if not args.check:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                atomic.write_text(path, text)
+                print(f"{name}: {'unchanged' if before == text else 'written'}")
+            elif before != text:
+                drifted = True
+                sys.stdout.writelines(
+                    difflib.unified_diff(
+                        before.splitlines(keepends=True), text.splitlines(keepends=True), name, f"{name} (rendered)"
+                    )
+                )
+    if args.check and not drifted:
+        print(f"{len(machines) * len(kernels)} fragments are as rendered")
+    return int(drifted)
+
+
+def _verify(args: argparse.Namespace) -> int:
+    from rtgen.kconfig import data as kconfig
+
+    data = kconfig.load()
+    if bool(args.source) == bool(args.config):
+        raise UsageError("kconfig verify: give either --source TREE or --config FILE")
+    if args.config:
+        return _verify_config(args, data)
+    if args.fragment and not args.machine:
+        raise UsageError("kconfig verify: --fragment FILE needs --machine, for the bases it is put on")
+    from rtgen.kconfig import debian
+    from rtgen.kconfig.fragment import parse_fragment
+    from rtgen.kconfig.render import render
+    from rtgen.kconfig.tree import open_tree
+    from rtgen.kconfig.verify import load_fragment, verify_tree
+
+    machines = {name: data.machine(name) for name in ([args.machine] if args.machine else data.machines)}
+    given = load_fragment(args.fragment) if args.fragment else None
+    tree = debian.open_debian(data) if args.source == "debian" else open_tree(Path(args.source))
+    failed = False
+    for name, machine in machines.items():
+        rendered = parse_fragment(render(data, name, tree.kernel), "rendered")
+        for base in machine.bases:
+            fragment, origin = (rendered, None) if given is None else (given, str(args.fragment))
+            failed |= report(verify_tree(data, tree, name, base, fragment, origin))
+    return int(failed)
+
+
+def _verify_config(args: argparse.Namespace, data: "Data") -> int:
+    from rtgen.kconfig.fragment import read_text
+    from rtgen.kconfig.verify import verify_config
+
+    if not args.machine or args.fragment:
+        raise UsageError("kconfig verify: --config FILE takes --machine, and no --fragment")
+    data.machine(args.machine)
+    return int(report(verify_config(data, args.machine, read_text(args.config), str(args.config))))
+
+
+def report(verdict: "Verdict") -> bool:
+    """Print a verdict; whether it is a failure."""
+    count = len(verdict.mismatches)
+    if not count:
+        print(f"{verdict.subject}: all {verdict.checked} options hold")
+        return False
+    print(f"{verdict.subject}: {count} of {verdict.checked} options do not hold")
+    for item in verdict.mismatches:
+        print(f"  {item.symbol}: wanted {item.want}, is {item.got}: {item.reason}")
+    return True

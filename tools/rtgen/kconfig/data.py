@@ -1,0 +1,190 @@
+"""The files in ``kconfig/``, read into types and checked against each other."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from rtfiles import config
+from rtfiles.errors import UsageError
+
+FOLDER = Path(__file__).resolve().parents[3] / "kconfig"
+
+_VERSION = r"\d+\.\d+"
+_VALUE = re.compile(r'[ymn]|-?\d+|0x[0-9a-fA-F]+|"[^"]*"')
+
+
+class Option(config.Config):
+    """One kernel option: the value it must have, why, who says so, and for which kernels (since <= kernel < before)."""
+
+    symbol: str = Field(pattern=r"^[A-Z0-9_]+$")
+    value: str | int
+    reason: str = Field(min_length=1)
+    source: str = Field(min_length=1)
+    since: str | None = Field(default=None, pattern=f"^{_VERSION}$")
+    before: str | None = Field(default=None, pattern=f"^{_VERSION}$")
+
+    @field_validator("value")
+    @classmethod
+    def _check_value(cls, value: str | int) -> str | int:
+        if not _VALUE.fullmatch(str(value)):
+            raise ValueError(f"a value is y, m, n, a number or a text in double quotes, not {value!r}")
+        return value
+
+    def holds_for(self, kernel: str) -> bool:
+        """Whether this option exists in that kernel (like ``6.1``)."""
+        number = version_key(kernel)
+        return (self.since is None or version_key(self.since) <= number) and (
+            self.before is None or number < version_key(self.before)
+        )
+
+
+class Concern(config.Config):
+    """``options/<concern>.yml``: options that serve one purpose."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    summary: str
+    options: list[Option]
+
+
+class Kernel(config.Config):
+    """A kernel version: the symbol that means PREEMPT_RT, and the patch series that 32-bit ARM needs for it."""
+
+    rt_series: str | None
+    rt_symbol: str
+    proven: str | None
+
+
+class Machine(config.Config):
+    """What a fragment is made of, the configs it must take effect on, and other boards that run the same kernel."""
+
+    summary: str
+    bases: list[str] = Field(min_length=1)
+    concerns: list[str] = Field(min_length=1)
+    boards: list[str] = Field(default=[])
+    dtbs: list[str]
+
+
+class SourceFile(config.Config):
+    """A file that Debian serves."""
+
+    file: str
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    package: str | None = None
+    folder: str | None = None
+
+
+class DebianSource(config.Config):
+    """The pinned Debian kernel: its tree and the RT patches of the same version."""
+
+    suite: str
+    source: str
+    version: str
+    kernel: str
+    rt_version: str
+    tree: SourceFile
+    patches: SourceFile
+
+
+class _Kernels(config.Config):
+    schema_: Literal[1] = Field(alias="schema")
+    kernels: dict[str, Kernel]
+
+
+class _Machines(config.Config):
+    schema_: Literal[1] = Field(alias="schema")
+    machines: dict[str, Machine]
+
+
+class _Sources(config.Config):
+    schema_: Literal[1] = Field(alias="schema")
+    debian: DebianSource
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Data:
+    """Everything in a ``kconfig/`` folder."""
+
+    folder: Path
+    kernels: dict[str, Kernel]
+    machines: dict[str, Machine]
+    concerns: dict[str, Concern]
+    debian: DebianSource
+
+    def kernel(self, version: str) -> Kernel:
+        """The kernel of that version. Raises UsageError, naming the known ones."""
+        if version not in self.kernels:
+            raise UsageError(f"kernel {version} is unknown, known: {', '.join(self.kernels)}")
+        return self.kernels[version]
+
+    def machine(self, name: str) -> Machine:
+        """The machine of that name. Raises UsageError, naming the known ones."""
+        if name not in self.machines:
+            raise UsageError(f"machine {name} is unknown, known: {', '.join(self.machines)}")
+        return self.machines[name]
+
+    def fragment_of(self, board: str) -> str:
+        """The machine whose fragment a board runs: itself, or the one that lists it. Raises UsageError."""
+        names = [name for name, machine in self.machines.items() if board in (name, *machine.boards)]
+        if not names:
+            boards = [board for name, machine in self.machines.items() for board in (name, *machine.boards)]
+            raise UsageError(f"machine {board} is unknown, known: {', '.join(boards)}")
+        return names[0]
+
+    def options(self, machine: str, kernel: str) -> dict[str, tuple[Option, ...]]:
+        """The options of a machine that hold for a kernel, by concern, in the order of the files."""
+        self.kernel(kernel)
+        return {
+            concern: tuple(option for option in self.concerns[concern].options if option.holds_for(kernel))
+            for concern in self.machine(machine).concerns
+        }
+
+    def wanted(self, machine: str, kernel: str) -> dict[str, str]:
+        """The value that each symbol must have."""
+        return {
+            option.symbol: str(option.value) for group in self.options(machine, kernel).values() for option in group
+        }
+
+
+def version_key(version: str) -> tuple[int, ...]:
+    """A version like ``6.12`` as numbers that compare."""
+    return tuple(int(part) for part in version.split("."))
+
+
+def load(folder: Path = FOLDER) -> Data:
+    """Read ``kernels.yml``, ``machines.yml``, ``sources.yml`` and ``options/*.yml``.
+
+    Raises UsageError for what is malformed, for a concern without a file, and for a symbol that two options give to
+    one machine and kernel.
+    """
+    data = Data(
+        folder=folder,
+        kernels=config.load(folder / "kernels.yml", _Kernels).kernels,
+        machines=config.load(folder / "machines.yml", _Machines).machines,
+        concerns={path.stem: config.load(path, Concern) for path in sorted((folder / "options").glob("*.yml"))},
+        debian=config.load(folder / "sources.yml", _Sources).debian,
+    )
+    for name, machine in data.machines.items():
+        for concern in machine.concerns:
+            if concern not in data.concerns:
+                raise UsageError(
+                    f"{folder / 'machines.yml'}: machines.{name}.concerns: there is no {concern}, "
+                    f"known: {', '.join(data.concerns)}"
+                )
+        for kernel in data.kernels:
+            _refuse_twice(data, name, kernel)
+    return data
+
+
+def _refuse_twice(data: Data, machine: str, kernel: str) -> None:
+    seen: dict[str, str] = {}
+    for concern, options in data.options(machine, kernel).items():
+        for option in options:
+            if option.symbol in seen:
+                raise UsageError(
+                    f"{data.folder / 'options' / concern}.yml: {option.symbol} is given twice to {machine} {kernel}, "
+                    f"the other is in {seen[option.symbol]}.yml: keep one, or part them by since and before"
+                )
+            seen[option.symbol] = concern

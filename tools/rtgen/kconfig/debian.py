@@ -1,0 +1,145 @@
+"""The pinned kernel of Debian: its tree, and the RT patches that are kept beside it in the source package.
+
+Debian's ``linux-source`` package has no RT patch inside; the packaging part of the source package has them, in
+``debian/patches-rt``. Both must be of one version, or patches fail. What apt needs to bring them lives in a folder of
+its own: the machine's sources stay as they are.
+"""
+
+import hashlib
+import re
+import shutil
+import tarfile
+from pathlib import Path
+
+from rtfiles import cache
+from rtfiles.errors import InfrastructureError
+from rtgen.board.debian import source
+from rtgen.board.process import run
+from rtgen.kconfig.data import Data, DebianSource
+from rtgen.kconfig.tree import Tree, open_tree, wanted
+
+_SERIES = "debian/patches-rt"
+
+
+def open_debian(data: Data) -> Tree:
+    """Debian's kernel tree with its RT patches, as far as Kconfig reads it.
+
+    Downloads 140 MB and takes half a minute the first time. Raises InfrastructureError when Debian does not serve the
+    pinned version any more, or something else.
+    """
+    pinned = data.debian
+
+    def build(folder: Path) -> None:
+        unpack(pinned, folder, whole=False)
+
+    key = cache.digest([pinned.model_dump_json(), Path(__file__)])
+    folder = cache.entry("kernel-kconfig", key, build)
+    return open_tree(folder / "linux", f"debian {pinned.source} {pinned.version}")
+
+
+def unpack(pinned: DebianSource, folder: Path, *, whole: bool) -> Path:
+    """Unpack the pinned kernel with its RT patches to ``folder/linux``: all of it, or what `tree.wanted` names."""
+    files = downloads(pinned)
+    packed = folder / "package"
+    packed.mkdir()
+    run(["dpkg-deb", "--extract", str(files / pinned.tree.file), str(packed)])
+    archive = next((packed / "usr/src").glob("linux-source-*.tar.xz"))
+    tree = folder / "linux"
+    tree.mkdir()
+    if whole:
+        run(["tar", "-x", "-f", str(archive), "-C", str(tree), "--strip-components=1", "--no-same-owner"])
+    else:
+        _extract_wanted(archive, tree)
+    run(["tar", "-x", "-f", str(files / pinned.patches.file), "-C", str(packed), "--no-same-owner", _SERIES])
+    patches = packed / _SERIES
+    for name in (patches / "series").read_text(encoding="utf-8").split("\n"):
+        if name and not name.startswith("#"):
+            text = (patches / name).read_bytes()
+            if not whole:
+                text = sections(text)
+            if text:
+                run(["patch", "-d", str(tree), "-p1", "--silent", "--force", "--no-backup-if-mismatch"], stdin=text)
+    shutil.rmtree(packed)
+    return tree
+
+
+def sections(patch: bytes) -> bytes:
+    """The sections of a git patch whose file `tree.wanted` names."""
+    parts = re.split(rb"^(?=diff --git )", patch, flags=re.M)[1:]
+    kept = []
+    for part in parts:
+        match = re.match(rb"diff --git a/\S+ b/(\S+)", part)
+        if match and wanted(match[1].decode()):
+            kept.append(part)
+    return b"".join(kept)
+
+
+def downloads(pinned: DebianSource) -> Path:
+    """The folder with the two pinned files, from the cache or downloaded, their checksums compared."""
+
+    def build(folder: Path) -> None:
+        apt = folder / "apt"
+        options = _private_apt(apt, pinned)
+        run(["apt-get", *options, "update"])
+        package = f"{pinned.tree.package}={pinned.version}"
+        packaging = f"{pinned.source}={pinned.version}"
+        try:
+            _run_in(folder, ["apt-get", *options, "download", package])
+            _run_in(folder, ["apt-get", *options, "source", "--diff-only", "--download-only", packaging])
+        except InfrastructureError as error:
+            served = run(["apt-cache", *options, "madison", str(pinned.tree.package)])
+            versions = ", ".join(
+                dict.fromkeys(line.split("|")[1].strip() for line in served.splitlines() if "|" in line)
+            )
+            raise InfrastructureError(
+                f"{package} and its source cannot be had, served: {versions or 'none'}; "
+                f"if that one is gone, pin another in kconfig/sources.yml\n{error}"
+            ) from error
+        for file in (pinned.tree, pinned.patches):
+            found = _sha256(folder / file.file)
+            if found != file.sha256:
+                raise InfrastructureError(f"{file.file}: sha256 is {found}, kconfig/sources.yml pins {file.sha256}")
+        shutil.rmtree(apt)
+
+    return cache.entry("kernel-source", cache.digest([pinned.model_dump_json(), "1"]), build)
+
+
+def _private_apt(folder: Path, pinned: DebianSource) -> list[str]:
+    """An apt of its own in this folder, and the options that make apt-get use it."""
+    _, mirror = source()
+    if mirror is None:
+        raise InfrastructureError("the kernel's source comes from Debian, and apt on this machine has no Debian mirror")
+    uri = mirror.split()[1]
+    (folder / "lists/partial").mkdir(parents=True)
+    (folder / "archives/partial").mkdir(parents=True)
+    (folder / "status").touch()
+    keyring = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
+    signed = f"[signed-by={keyring}] " if keyring.is_file() else ""
+    (folder / "sources.list").write_text(
+        "".join(f"{kind} {signed}{uri} {pinned.suite} main\n" for kind in ("deb", "deb-src")), encoding="utf-8"
+    )
+    settings = {
+        "Dir::State": folder, "Dir::State::status": folder / "status", "Dir::State::Lists": folder / "lists",
+        "Dir::Cache": folder, "Dir::Etc::SourceList": folder / "sources.list", "Dir::Etc::SourceParts": "/dev/null",
+        "Dir::Etc::Preferences": "/dev/null", "Dir::Etc::PreferencesParts": "/dev/null",
+        "Acquire::Languages": "none", "APT::Sandbox::User": "",
+    }  # fmt: skip
+    return [f"-o{key}={value}" for key, value in settings.items()]
+
+
+def _run_in(folder: Path, command: list[str]) -> None:
+    run(["env", f"--chdir={folder}", *command])
+
+
+def _extract_wanted(archive: Path, tree: Path) -> None:
+    with tarfile.open(archive, "r|xz") as stream:
+        for member in stream:
+            _, _, name = member.name.partition("/")
+            if (member.isfile() or member.issym()) and wanted(name):
+                member.name = name
+                stream.extract(member, tree, filter="data")
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,91 @@
+"""Config files of the kernel: fragments, defconfigs and finished .config files, read line by line."""
+
+import gzip
+import re
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from rtfiles.errors import UsageError
+
+_SET = re.compile(r'CONFIG_(\w+)=([ymn]|-?\d+|0x[0-9a-fA-F]+|"(?:[^"\\]|\\.)*")')
+_UNSET = re.compile(r"# CONFIG_(\w+) is not set")
+# A comment that the kernel ignores although its author meant it.
+_NEARLY_UNSET = re.compile(r"#\s*(CONFIG_)?[A-Z0-9_]+ (is )?not set\b")
+_EXPANDED = re.compile(r"# Automatically generated file; DO NOT EDIT|CONFIG_CC_VERSION_TEXT=")
+_HEAD = re.compile(r"# Linux/(\w+) (\d+\.\d+)\S* Kernel Configuration")
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A symbol and its value (``n``: not set), and the number of the line that says so."""
+
+    symbol: str
+    value: str
+    number: int
+
+
+def read_text(path: Path) -> str:
+    """The text of a config file, unpacked if it is gzip (as ``/proc/config.gz``). Raises UsageError."""
+    try:
+        data = path.read_bytes()
+        if data[:2] == b"\x1f\x8b":
+            data = gzip.decompress(data)
+        return data.decode("utf-8")
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "neither a text nor a whole gzip file"
+        raise UsageError(f"{path}: {reason}") from error
+
+
+def parse(text: str, origin: str) -> tuple[Line, ...]:
+    """Read every setting. Raises UsageError, with file and line, for a line that the kernel would ignore."""
+    lines = []
+    for number, raw in enumerate(text.splitlines(), 1):
+        line = raw.rstrip()
+        if match := _SET.fullmatch(line):
+            lines.append(Line(match[1], match[2], number))
+        elif match := _UNSET.fullmatch(line):
+            lines.append(Line(match[1], "n", number))
+        elif line and (not line.startswith("#") or _NEARLY_UNSET.match(line)):
+            raise UsageError(
+                f"{origin}:{number}: {line!r} is no config line, "
+                "write CONFIG_NAME=value, # CONFIG_NAME is not set, or a # comment"
+            )
+    return tuple(lines)
+
+
+def parse_fragment(text: str, origin: str) -> tuple[Line, ...]:
+    """As `parse`, for a file in which a symbol stands once."""
+    first: dict[str, int] = {}
+    lines = parse(text, origin)
+    for line in lines:
+        if line.symbol in first:
+            raise UsageError(
+                f"{origin}:{line.number}: CONFIG_{line.symbol} is given twice, "
+                f"first in line {first[line.symbol]}: keep one"
+            )
+        first[line.symbol] = line.number
+    return lines
+
+
+def parse_defconfig(text: str, origin: str) -> tuple[Line, ...]:
+    """As `parse`, for a defconfig; a finished .config is refused, for it answers every question before the fragment."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if _EXPANDED.match(line):
+            raise UsageError(
+                f"{origin}:{number}: this is a finished .config, not a defconfig; make one with `make savedefconfig`"
+            )
+    return parse(text, origin)
+
+
+def kernel_of(text: str) -> str | None:
+    """The version (``6.1``) that the head of a finished .config names."""
+    for line in text.splitlines()[:5]:
+        if match := _HEAD.match(line):
+            return match[2]
+    return None
+
+
+def values(lines: tuple[Line, ...]) -> dict[str, str]:
+    """The value of each symbol; of two the later one, as the kernel reads it."""
+    return {line.symbol: line.value for line in lines}

@@ -1,0 +1,45 @@
+"""Fragments from the data: the same data, the same bytes."""
+
+import textwrap
+from pathlib import Path
+
+from rtgen.kconfig.data import Data
+
+
+def fragment_path(data: Data, machine: str, kernel: str) -> Path:
+    """Where the committed fragment of a machine and kernel lies."""
+    return data.folder / "fragments" / f"{machine}-{kernel}.cfg"
+
+
+def render(data: Data, machine: str, kernel: str) -> str:
+    """The fragment of a machine for a kernel version. Raises UsageError when either is unknown."""
+    series = data.kernel(kernel).rt_series
+    needs = (
+        f"On 32-bit ARM this kernel has PREEMPT_RT only with the patch series {series}."
+        if series
+        else "Mainline has PREEMPT_RT for 32-bit ARM: no patch series is needed."
+    )
+    lines = [
+        f"# {machine}, Linux {kernel}: {data.machine(machine).summary}.",
+        *_comment(needs),
+        "# Rendered from kconfig/options by `rtgen kconfig render`: change the options, not this file.",
+    ]
+    for concern, options in data.options(machine, kernel).items():
+        if not options:
+            continue
+        lines += ["", f"# {concern}: {data.concerns[concern].summary}"]
+        for option in options:
+            lines += _comment(f"{option.reason} [{option.source}]")
+            lines.append(config_line(option.symbol, str(option.value)))
+    return "\n".join(lines) + "\n"
+
+
+def config_line(symbol: str, value: str) -> str:
+    """A symbol and its value as a line of a config file."""
+    return f"# CONFIG_{symbol} is not set" if value == "n" else f"CONFIG_{symbol}={value}"
+
+
+def _comment(text: str) -> list[str]:
+    return textwrap.wrap(
+        text, 118, initial_indent="# ", subsequent_indent="#   ", break_long_words=False, break_on_hyphens=False
+    )

@@ -1,0 +1,205 @@
+"""A kernel tree, and the kernel's own ``conf`` built from it.
+
+Only what Kconfig reads is looked at: it is copied into the cache by its content, so the tree itself is never written
+to, and a second look at the same tree takes no build.
+"""
+
+import fnmatch
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from rtfiles import cache
+from rtfiles.errors import InfrastructureError, UsageError
+
+CROSS_COMPILE = "arm-linux-gnueabihf-"
+
+# What `conf` reads, what builds it, the defconfigs, and what the PandaBoard's device tree includes.
+PATTERNS = (
+    "Makefile",
+    "localversion*",
+    "Kconfig*",
+    "*/Kconfig*",
+    "scripts/*.sh",
+    "scripts/kconfig/*.[chly]",
+    "scripts/include/*.h",
+    "arch/arm/configs/*_defconfig",
+    "arch/arm/boot/dts/omap4*",
+    "arch/arm/boot/dts/elpida*",
+    "arch/arm/boot/dts/twl603*",
+    "arch/arm/boot/dts/twl604*",
+    "arch/arm/boot/dts/ti/omap/omap4*",
+    "arch/arm/boot/dts/ti/omap/elpida*",
+    "arch/arm/boot/dts/ti/omap/twl60*",
+    "include/dt-bindings/*",
+    "include/uapi/linux/input-event-codes.h",
+)
+_WANTED = re.compile("|".join(fnmatch.translate(pattern) for pattern in PATTERNS))
+_CONF_SOURCES = ("conf", "confdata", "expr", "menu", "preprocess", "symbol", "util")
+_NEEDED = ("Makefile", "Kconfig", "arch/arm/Kconfig", "scripts/Kconfig.include", "scripts/kconfig/conf.c")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Tree:
+    """A kernel tree in the cache: ``folder/source`` holds the files, ``folder/conf`` the program."""
+
+    name: str
+    folder: Path
+    kernel: str
+    release: str
+
+    @property
+    def source(self) -> Path:
+        """The files that Kconfig reads."""
+        return self.folder / "source"
+
+    def defconfig(self, name: str) -> Path:
+        """The tree's own defconfig of that name. Raises UsageError, naming the ones it has."""
+        path = self.source / "arch/arm/configs" / name
+        if not path.is_file():
+            known = ", ".join(sorted(file.name for file in path.parent.glob("*_defconfig")))
+            raise UsageError(f"{self.name}: has no {name} for arm, it has: {known or 'none'}")
+        return path
+
+    def symbols(self) -> frozenset[str]:
+        """Every symbol that an ARM config of this tree can hold."""
+        return frozenset((self.folder / "symbols").read_text(encoding="utf-8").split())
+
+
+def wanted(path: str) -> bool:
+    """Whether this file of a kernel tree is taken in (path relative to its top)."""
+    return _WANTED.match(path) is not None
+
+
+def open_tree(path: Path, name: str | None = None) -> Tree:
+    """Take in a kernel tree, or a Kconfig-only one.
+
+    Raises UsageError when it is none, or too old for its ``conf`` to be built (before 5.1), InfrastructureError when
+    a compiler, flex or bison is missing.
+    """
+    name = name or str(path)
+    missing = [file for file in _NEEDED if not (path / file).is_file()]
+    if missing:
+        raise UsageError(f"{name}: no kernel tree, it has no {', '.join(missing)}")
+    if not (path / "scripts/kconfig/parser.y").is_file():
+        raise UsageError(f"{name}: its scripts/kconfig has no parser.y: a tree before 5.1 cannot be verified")
+    kernel, release = read_version(path)
+    files = sorted(_walk(path))
+    parts: list[str | bytes | Path] = ["1"]
+    for file in files:
+        parts += [file, path / file]
+
+    def build(folder: Path) -> None:
+        for file in files:
+            target = folder / "source" / file
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(path / file, target)
+        _build_conf(folder)
+        (folder / "symbols").write_text("\n".join(sorted(_defined(folder / "source"))), encoding="utf-8")
+
+    folder = cache.entry("kconfig-tree", cache.digest(parts), build)
+    return Tree(name=name, folder=folder, kernel=kernel, release=release)
+
+
+def read_version(path: Path) -> tuple[str, str]:
+    """(``6.1``, ``6.1.176-rt64``) from the Makefile and the localversion files. Raises UsageError."""
+    text = (path / "Makefile").read_text(encoding="utf-8")
+    numbers = [re.search(rf"^{part} = (\d+)$", text, re.M) for part in ("VERSION", "PATCHLEVEL", "SUBLEVEL")]
+    version, level, sub = (match[1] if match else None for match in numbers)
+    if version is None or level is None:
+        raise UsageError(f"{path / 'Makefile'}: no kernel's Makefile, it has no VERSION and PATCHLEVEL")
+    local = "".join(file.read_text(encoding="utf-8").strip() for file in sorted(path.glob("localversion*")))
+    return f"{version}.{level}", f"{version}.{level}.{sub or 0}{local}"
+
+
+def environment(tree: Tree) -> dict[str, str]:
+    """What the kernel's Makefile would hand to Kconfig."""
+    compiler = f"{CROSS_COMPILE}gcc"
+    if not shutil.which(compiler):
+        raise InfrastructureError(f"{compiler} is missing: apt-get install gcc-arm-linux-gnueabihf")
+    version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=True).stdout
+    tools = {name: f"{CROSS_COMPILE}{name.lower()}" for name in ("LD", "NM", "AR", "OBJCOPY", "READELF")}
+    return {
+        "PATH": os.environ.get("PATH", os.defpath),
+        "LC_ALL": "C",
+        "srctree": str(tree.source),
+        "ARCH": "arm",
+        "SRCARCH": "arm",
+        "KERNELVERSION": tree.release.split("-")[0],
+        "CC": compiler,
+        "CC_VERSION_TEXT": version.splitlines()[0],
+        "HOSTCC": "gcc",
+        "HOSTCXX": "g++",
+        # Not what this project builds with; empty names would break the shell calls in Kconfig.
+        "RUSTC": "rustc",
+        "BINDGEN": "bindgen",
+        "PAHOLE": "pahole",
+        "PAHOLE_VERSION": "0",
+        "RUSTC_VERSION_TEXT": "",
+        **tools,
+    }
+
+
+def run_conf(tree: Tree, defconfig: str) -> str:
+    """The finished .config that ``conf --defconfig`` makes of a defconfig's text. Raises InfrastructureError."""
+    # conf leaves include/ and .tmp_* folders where it runs.
+    with tempfile.TemporaryDirectory(prefix="rtgen-conf-") as work:
+        given, made = Path(work, "defconfig"), Path(work, ".config")
+        given.write_text(defconfig, encoding="utf-8")
+        done = subprocess.run(
+            [tree.folder / "conf", f"--defconfig={given}", tree.source / "Kconfig"],
+            cwd=work, env=environment(tree) | {"KCONFIG_CONFIG": str(made)},
+            capture_output=True, text=True, timeout=600, check=False,
+        )  # fmt: skip
+        if done.returncode or not made.is_file():
+            reason = (done.stderr or done.stdout).strip().splitlines()
+            raise InfrastructureError(f"{tree.name}: conf failed: {reason[-1] if reason else done.returncode}")
+        return made.read_text(encoding="utf-8")
+
+
+def _walk(path: Path) -> list[str]:
+    found = []
+    for folder, folders, files in os.walk(path):
+        if ".git" in folders:
+            folders.remove(".git")
+        relative = os.path.relpath(folder, path)
+        prefix = "" if relative == "." else f"{relative}/"
+        # A link may point at what this tree does not have.
+        found += [prefix + file for file in files if wanted(prefix + file) and Path(folder, file).is_file()]
+    return found
+
+
+def _build_conf(folder: Path) -> None:
+    scripts = folder / "source/scripts"
+    work = folder / "build"
+    work.mkdir()
+    sources = [scripts / "kconfig" / f"{name}.c" for name in _CONF_SOURCES]
+    steps: list[list[str | Path]] = [
+        ["flex", "-o", "lexer.lex.c", "-L", scripts / "kconfig/lexer.l"],
+        ["bison", "-o", "parser.tab.c", "--defines=parser.tab.h", "-t", "-l", scripts / "kconfig/parser.y"],
+        ["gcc", "-O1", "-w", "-I.", "-I", scripts / "kconfig", "-I", scripts / "include", "-o", folder / "conf",
+         *[source for source in sources if source.is_file()], "lexer.lex.c", "parser.tab.c"],
+    ]  # fmt: skip
+    for step in steps:
+        if not shutil.which(step[0]):
+            raise InfrastructureError(f"{step[0]} is missing: apt-get install {step[0]}")
+        done = subprocess.run(step, cwd=work, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise InfrastructureError(f"building the kernel's conf failed: {step[0]}: {done.stderr.strip()}")
+    shutil.rmtree(work)
+
+
+def _defined(source: Path) -> set[str]:
+    define = re.compile(r"^\s*(?:menu)?config\s+(\w+)\s*$", re.M)
+    symbols = set()
+    for file in source.rglob("Kconfig*"):
+        parts = file.relative_to(source).parts
+        other_architecture = parts[0] == "arch" and len(parts) > 2 and parts[1] != "arm"
+        if other_architecture or parts[:3] == ("scripts", "kconfig", "tests"):
+            continue
+        symbols.update(define.findall(file.read_text(encoding="utf-8", errors="replace")))
+    return symbols

@@ -1,0 +1,124 @@
+"""Does a fragment take effect? The kernel's own ``conf`` decides, line by line."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rtfiles.errors import UsageError
+from rtgen.kconfig import explain
+from rtgen.kconfig.data import Data
+from rtgen.kconfig.fragment import Line, kernel_of, parse, parse_defconfig, parse_fragment, values
+from rtgen.kconfig.render import config_line
+from rtgen.kconfig.tree import Tree, run_conf
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Mismatch:
+    """A symbol that has not its value, and why."""
+
+    symbol: str
+    want: str
+    got: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Verdict:
+    """What became of `checked` options on one base; `config` is the finished .config."""
+
+    subject: str
+    checked: int
+    mismatches: tuple[Mismatch, ...]
+    config: str
+
+
+def read_base(data: Data, tree: Tree, name: str) -> tuple[Line, ...]:
+    """A base of a machine: a file in ``bases/``, or a defconfig of the tree. Raises UsageError."""
+    own = data.folder / "bases" / name
+    path = own if own.is_file() else tree.defconfig(name)
+    return parse_defconfig(path.read_text(encoding="utf-8"), name if path != own else str(own))
+
+
+def merge(base: Sequence[Line], fragment: Sequence[Line]) -> str:
+    """A base with a fragment on top, as the text of a defconfig. The fragment's word is the last."""
+    overridden = {line.symbol for line in fragment}
+    kept = [line for line in base if line.symbol not in overridden]
+    return "".join(f"{config_line(line.symbol, line.value)}\n" for line in [*kept, *fragment])
+
+
+def verify_tree(
+    data: Data, tree: Tree, machine: str, base: str, fragment: Sequence[Line], origin: str | None
+) -> Verdict:
+    """Put a fragment on a base of the machine, and hold what ``conf`` makes of it against fragment and data.
+
+    What the data ask for counts even if the fragment leaves it out or says otherwise. `origin` names the file that
+    the fragment comes from, None if it is the rendered one. Raises UsageError when the tree's version is unknown.
+    """
+    data.kernel(tree.kernel)
+    given = values(tuple(fragment))
+    wanted = given | data.wanted(machine, tree.kernel)
+    config = run_conf(tree, merge(read_base(data, tree, base), fragment))
+    got = values(parse(config, ".config"))
+    known = tree.symbols()
+    wrong = {name: value for name, value in wanted.items() if name not in known or got.get(name, "n") != value}
+    reasons = explain.explain(tree, config, {name: value for name, value in wrong.items() if name in known})
+    mismatches = []
+    for name, value in wrong.items():
+        if name not in known:
+            why = f"undefined symbol in {tree.name}{explain.nearest(name, known)}"
+        else:
+            why = reasons.get(name, "no explanation: kconfiglib sees no difference")
+            if origin and name not in given:
+                why = f"not in {origin}; {why}"
+            elif origin and given[name] != value:
+                number = next(line.number for line in fragment if line.symbol == name)
+                why = f"{origin}:{number} says {given[name]}; {why}"
+        if name == data.kernel(tree.kernel).rt_symbol and _without_series(data, tree, name, why):
+            why = f"this tree lacks the patch series {data.kernel(tree.kernel).rt_series} ({why})"
+        mismatches.append(Mismatch(symbol=name, want=value, got=_shown(name, got, known), reason=why))
+    return Verdict(
+        subject=f"{machine}, Linux {tree.release}, {base}",
+        checked=len(wanted), mismatches=tuple(mismatches), config=config,
+    )  # fmt: skip
+
+
+def verify_config(data: Data, machine: str, text: str, origin: str) -> Verdict:
+    """Hold a finished .config against the data. Raises UsageError when it names no known kernel version in its head."""
+    kernel = kernel_of(text)
+    if kernel is None:
+        raise UsageError(
+            f"{origin}:1: no finished .config, its head must say '# Linux/arm <version> Kernel Configuration'"
+        )
+    wanted = data.wanted(machine, kernel)
+    got = values(parse(text, origin))
+    mismatches = tuple(
+        Mismatch(symbol=name, want=value, got=got.get(name, "n"), reason=_why_not(data, machine, kernel, name))
+        for name, value in wanted.items()
+        if got.get(name, "n") != value
+    )
+    return Verdict(
+        subject=f"{machine}, Linux {kernel}, {origin}", checked=len(wanted), mismatches=mismatches, config=text
+    )
+
+
+def load_fragment(path: Path) -> tuple[Line, ...]:
+    """Read a fragment. Raises UsageError for a malformed or repeated line, with file and line."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: {getattr(error, 'strerror', None) or 'not UTF-8 text'}") from error
+    return parse_fragment(text, str(path))
+
+
+def _shown(name: str, got: Mapping[str, str], known: frozenset[str]) -> str:
+    return got.get(name, "n" if name in known else "nothing")
+
+
+def _without_series(data: Data, tree: Tree, symbol: str, why: str) -> bool:
+    series = data.kernel(tree.kernel).rt_series
+    return series is not None and (symbol not in tree.symbols() or "ARCH_SUPPORTS_RT" in why)
+
+
+def _why_not(data: Data, machine: str, kernel: str, symbol: str) -> str:
+    options = (option for group in data.options(machine, kernel).values() for option in group)
+    return next(option.reason for option in options if option.symbol == symbol)
