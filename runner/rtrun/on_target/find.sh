@@ -1,8 +1,6 @@
 #!/bin/sh
 # What the runner needs to know before it can use this target: one line "name value" for each thing.
 #   find.sh WORK_DIR
-# The trace of a run whose runner was killed; busy, and left alone, while that run goes on.
-rmdir /sys/kernel/tracing/instances/rtrun 2>/dev/null
 for tool in setsid flock sha256sum chrt sed; do
     command -v $tool >/dev/null || echo "lacks $tool"
 done
@@ -23,4 +21,6 @@ if mkdir -p "$1/objects" "$1/suites" "$1/runs" "$1/master" && [ -w "$1" ]; then
 else
     echo "readonly $1"
 fi
+# Left by a runner that was killed: it would slow down whatever is measured next. One whose run goes on is busy.
+rmdir /sys/kernel/tracing/instances/rtrun 2>/dev/null
 exit 0

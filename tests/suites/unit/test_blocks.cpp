@@ -14,6 +14,7 @@
 #include <thread>
 
 #include "rt_tests_support/blocks.h"
+#include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
 #include "rt_tests_support/files.h"
 #include "rt_tests_support/process.h"
@@ -93,6 +94,24 @@ TEST_F(BlocksTest, RowsReachTheDiskWhileMoreAreTaken) {
   }
   EXPECT_EQ(error_of([&] { blocks.discard(); }), "");
   EXPECT_FALSE(is_there());
+}
+
+TEST_F(BlocksTest, WhoMeasuresNeverWaitsForTheDisk) {
+  const auto waits = [] {
+    rusage usage{};
+    getrusage(RUSAGE_THREAD, &usage);
+    return usage.ru_nvcsw;
+  };
+  Samples<4> samples(3000);
+  Blocks blocks(npy, samples, long_ns, 1);
+  const auto before = waits();
+  for (int64_t i = 0; i < 3000; ++i) {
+    for (const int64_t until_ns = now_ns(CLOCK_MONOTONIC) + 100000; now_ns(CLOCK_MONOTONIC) < until_ns;) {
+    }
+    samples.append({i, i, i, i});
+  }
+  EXPECT_EQ(waits(), before);
+  EXPECT_TRUE(comes_true([&] { return content(part) == part_of(samples, 3000); }));
 }
 
 TEST_F(BlocksTest, WithoutResultsThePartKeepsEveryRow) {
