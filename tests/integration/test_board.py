@@ -260,8 +260,11 @@ def test_traces_of_outliers_and_the_blocks_of_a_run_cut_off(tmp_path, monkeypatc
             text = (results / runs[0].name / name).read_text()
             at_s = float(re.match(r"# .* ns at index \d+ above 1000 ns, at (\S+) s of ", text)[1])
             assert at_s == pytest.approx(reception[index] / 1e9, abs=1e-6)
+            if elsewhere := re.search(r"^# in (.*)$", text, re.M):
+                text = (results / runs[0].name / elsewhere[1]).read_text()
             stamps = [float(stamp) for stamp in re.findall(r" (\d+\.\d{6}): sched_switch: ", text)]
-            assert min(stamps) < at_s < max(stamps)
+            # Values that come while an emulated CPU copies the trace of the one before may be older than their own.
+            assert at_s < max(stamps) and (index > 0 or min(stamps) < at_s)
 
     resets[0].join()
     (kept,) = results.glob("*.incomplete-1")

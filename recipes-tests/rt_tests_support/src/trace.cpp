@@ -34,7 +34,7 @@ OutlierTrace::OutlierTrace(const Options& options, const char* program, const st
                            const std::vector<std::string>& folders)
     : program_(program),
       output_(output),
-      clock_(options.has("clock") ? clock_name(clock_of(options.text("clock"))) : "an unknown clock"),
+      clock_(clock_of(options.text("clock"))),
       threshold_ns_(limit_of(options, "trace_threshold_us")),
       break_ns_(limit_of(options, "break_trace_us")),
       lowest_limit_ns_(std::min(threshold_ns_, break_ns_)) {
@@ -107,27 +107,43 @@ bool OutlierTrace::is_recording() const noexcept {
   return good && state == '1';
 }
 
-// Several programs may share a trace: subscribers that all see the same late message. The first of them takes the
-// snapshot, and writes down when; whose value is older than that copies the same one.
+// Values that one copy of the trace holds share it, and so do programs that share a trace: subscribers that all see the
+// same late message. Whoever comes later finds in the lock file when the last copy was taken, and where it is.
 void OutlierTrace::take(bool going_on) noexcept {
   const std::size_t noted = std::min(above_.load(std::memory_order_acquire), outliers_.size());
   if (noted == taken_) return;
   while (flock(lock_, LOCK_EX) != 0 && errno == EINTR) {
   }
-  int64_t last_ns = std::numeric_limits<int64_t>::min();
-  [[maybe_unused]] const ssize_t read_bytes = pread(lock_, &last_ns, sizeof last_ns, 0);
-  const int64_t newest_ns = outliers_[noted - 1].at_ns;
-  const char* source = "snapshot";
-  bool frozen = false;
-  // At the end the trace is left as it is, for whoever set it up; values come no more.
-  if (newest_ns > last_ns && (!going_on || !write_at("snapshot", "2") || !write_at("snapshot", "1"))) {
-    source = "trace";
-    frozen = is_recording() && write_at("tracing_on", "0");
-  } else if (newest_ns > last_ns) {
-    write_all(lock_, {&newest_ns, sizeof newest_ns}, 0);
+  Copy last{};
+  const bool known = pread(lock_, &last, sizeof last, 0) == static_cast<ssize_t>(sizeof last);
+  // A time to come is one of another boot.
+  if (!known || last.at_ns > now_ns(clock_)) last.at_ns = std::numeric_limits<int64_t>::min();
+  for (; taken_ < noted; ++taken_) {
+    const Outlier& outlier = outliers_[taken_];
+    if (outlier.at_ns <= last.at_ns) {
+      write_trace(-1, outlier, last.file);
+      continue;
+    }
+    const int64_t at_ns = now_ns(clock_);
+    // At the end the trace is left as it is, for whoever set it up: nothing is to come for which it must go on.
+    const bool snapshot = going_on && write_at("snapshot", "2") && write_at("snapshot", "1");
+    const bool frozen = !snapshot && is_recording() && write_at("tracing_on", "0");
+    const int source = openat(folder_, snapshot ? "snapshot" : "trace", O_RDONLY | O_CLOEXEC);
+    if (source < 0) problem_ = errno;
+    if (source >= 0 && write_trace(source, outlier, "")) {
+      last.at_ns = at_ns;
+      char path[PATH_MAX];
+      name(path, sizeof path, outlier.index);
+      const char* slash = std::strrchr(path, '/');
+      const char* file = slash ? slash + 1 : path;
+      const std::size_t length = std::min(std::strlen(file), sizeof last.file - 1);
+      std::memcpy(last.file, file, length);
+      last.file[length] = '\0';
+      write_all(lock_, {&last, sizeof last}, 0);
+    }
+    if (source >= 0) close(source);
+    if (frozen) write_at("tracing_on", "1");
   }
-  for (; taken_ < noted; ++taken_) copy(source, outliers_[taken_]);
-  if (frozen) write_at("tracing_on", "1");
   flock(lock_, LOCK_UN);
 }
 
@@ -135,28 +151,32 @@ void OutlierTrace::name(char* path, std::size_t size, int64_t index) const noexc
   std::snprintf(path, size, "%s-trace-%" PRId64 ".txt", output_.c_str(), index);
 }
 
-void OutlierTrace::copy(const char* source, const Outlier& outlier) noexcept {
+// What `source` gives, or, without one, where that is.
+bool OutlierTrace::write_trace(int source, const Outlier& outlier, const char* elsewhere) noexcept {
   char path[PATH_MAX];
   name(path, sizeof path, outlier.index);
-  const int from = openat(folder_, source, O_RDONLY | O_CLOEXEC);
-  const int to = from < 0 ? -1 : open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
   const int64_t us = outlier.at_ns / ns_per_us;
-  ssize_t length = std::snprintf(buffer_.data(), buffer_.size(),
-                                 "# %s: %" PRId64 " ns at index %" PRId64 " above %" PRId64 " ns, at %" PRId64
-                                 ".%06d s of %s\n",
-                                 program_, outlier.value_ns, outlier.index, lowest_limit_ns_, us / 1000000,
-                                 static_cast<int>(us % 1000000), clock_);
-  bool good = to >= 0;
+  int head = std::snprintf(buffer_.data(), buffer_.size(),
+                           "# %s: %" PRId64 " ns at index %" PRId64 " above %" PRId64 " ns, at %" PRId64
+                           ".%06d s of %s\n",
+                           program_, outlier.value_ns, outlier.index, lowest_limit_ns_, us / 1000000,
+                           static_cast<int>(us % 1000000), clock_name(clock_));
+  if (source < 0) {
+    head += std::snprintf(buffer_.data() + head, buffer_.size() - static_cast<std::size_t>(head), "# in %s\n", elsewhere);
+  }
+  const int file = open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
+  bool good = file >= 0;
+  ssize_t length = head;
   for (std::size_t offset = 0; good && length > 0;) {
-    good = write_all(to, {buffer_.data(), static_cast<std::size_t>(length)}, offset);
+    good = write_all(file, {buffer_.data(), static_cast<std::size_t>(length)}, offset);
     offset += static_cast<std::size_t>(length);
-    if (good) length = read(from, buffer_.data(), buffer_.size());
+    if (good) length = source < 0 ? 0 : read(source, buffer_.data(), buffer_.size());
   }
   good = good && length == 0;
   if (!good) problem_ = errno;
-  if (to >= 0) close(to);
-  if (from >= 0) close(from);
-  if (to >= 0 && !good) unlink(path);
+  if (file >= 0) close(file);
+  if (file >= 0 && !good) unlink(path);
+  return good;
 }
 
 void OutlierTrace::finish() {

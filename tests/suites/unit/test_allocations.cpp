@@ -50,7 +50,7 @@ int allocations_in(Body body) {
 }
 
 rt_tests::Options no_options() {
-  static const rt_tests::Program program = {"", "", "", {"break_trace_us", "trace_threshold_us"}};
+  static const rt_tests::Program program = {"", "", "", {"clock", "break_trace_us", "trace_threshold_us"}};
   return rt_tests::Options(program);
 }
 
@@ -131,7 +131,7 @@ TEST(Allocations, NoneInTheWriterOfBlocks) {
 }
 
 TEST(Allocations, NoneInTheTraces) {
-  const rt_tests::Program program = {"", "", "", {"break_trace_us", "trace_threshold_us"}};
+  const rt_tests::Program program = {"", "", "", {"clock", "break_trace_us", "trace_threshold_us"}};
   rt_tests::Options options(program);
   options.assign("--break-trace", "5");
   options.assign("--trace-threshold", "1");

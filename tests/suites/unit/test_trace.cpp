@@ -9,6 +9,7 @@
 #include <iterator>
 #include <thread>
 
+#include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
 #include "rt_tests_support/trace.h"
 
@@ -73,14 +74,43 @@ TEST_F(TraceTest, ThresholdTakesASnapshotAndGoesOn) {
   EXPECT_FALSE(trace.exceeded(5000, 1, 0));
   EXPECT_FALSE(trace.exceeded(7000, 2, 1000000));
   ASSERT_TRUE(comes("out-trace-2.txt"));
-  EXPECT_FALSE(trace.exceeded(8000, 3, 2000000));
+  EXPECT_FALSE(trace.exceeded(8000, 3, now_ns(CLOCK_MONOTONIC_RAW)));
   ASSERT_TRUE(comes("out-trace-3.txt"));
   trace.finish();
   EXPECT_EQ(trace.reason(), "");
   EXPECT_EQ(trace.above(), 2);
   EXPECT_EQ(trace.files(), (std::vector<std::string>{"out-trace-2.txt", "out-trace-3.txt"}));
   EXPECT_EQ(content("out-trace-2.txt"), head(7000, 2, 5000, "0.001000") + "1napshot");  // asked for: a snapshot
+  EXPECT_EQ(content("out-trace-3.txt").substr(0, 45), "# program: 8000 ns at index 3 above 5000 ns, ");
   EXPECT_EQ(content("trace_marker"), "trace_marker");
+}
+
+TEST_F(TraceTest, ValuesOfBeforeACopyShareIt) {
+  options.assign("--trace-threshold", "5");
+  OutlierTrace first(options, "program", output(), {folder});
+  OutlierTrace second(options, "program", folder + "/other", {folder});
+  first.exceeded(7000, 2, 5000000);
+  first.exceeded(7000, 3, 6000000);
+  ASSERT_TRUE(comes("out-trace-2.txt"));
+  second.exceeded(6000, 2, 7000000);
+  first.finish();
+  second.finish();
+  EXPECT_EQ(content("out-trace-2.txt"), head(7000, 2, 5000, "0.005000") + "1napshot");
+  EXPECT_EQ(content("out-trace-3.txt"), head(7000, 3, 5000, "0.006000") + "# in out-trace-2.txt\n");
+  EXPECT_EQ(content("other-trace-2.txt"), head(6000, 2, 5000, "0.007000") + "# in out-trace-2.txt\n");
+}
+
+TEST_F(TraceTest, ACopyOfAnotherBootIsNotShared) {
+  options.assign("--break-trace", "5");
+  struct {
+    int64_t at_ns;
+    char file[256];
+  } copy{now_ns(CLOCK_MONOTONIC_RAW) * 2, "old.txt"};
+  put(".rt_tests-trace", std::string(reinterpret_cast<const char*>(&copy), sizeof copy));
+  OutlierTrace trace(options, "program", output(), {folder});
+  trace.exceeded(7000, 2, 5000000);
+  trace.finish();
+  EXPECT_EQ(content("out-trace-2.txt"), head(7000, 2, 5000, "0.005000") + "trace");
 }
 
 TEST_F(TraceTest, WithoutSnapshotsTheTraceIsHeldAndCopied) {
@@ -101,19 +131,6 @@ TEST_F(TraceTest, ATraceThatWasOffStaysOff) {
   trace.exceeded(7000, 2, 1000000);
   trace.finish();
   EXPECT_EQ(content("tracing_on"), "0\n");
-}
-
-TEST_F(TraceTest, WhoeverCameLaterCopiesTheSnapshotOfTheFirst) {
-  options.assign("--trace-threshold", "5");
-  OutlierTrace first(options, "program", output(), {folder});
-  OutlierTrace second(options, "program", folder + "/other", {folder});
-  first.exceeded(7000, 2, 5000000);
-  ASSERT_TRUE(comes("out-trace-2.txt"));
-  put("snapshot", "that of the first");
-  second.exceeded(6000, 2, 4000000);
-  ASSERT_TRUE(comes("other-trace-2.txt"));
-  second.finish();
-  EXPECT_EQ(content("other-trace-2.txt"), head(6000, 2, 5000, "0.004000") + "that of the first");
 }
 
 TEST_F(TraceTest, OnlyTheFirstAreTracedAllAreCounted) {

@@ -1,6 +1,8 @@
 // What the kernel was doing around a value above a limit: --break-trace and --trace-threshold.
 #pragma once
 
+#include <time.h>
+
 #include <array>
 #include <atomic>
 #include <cstddef>
@@ -17,8 +19,8 @@ namespace rt_tests {
 // Looked into in this order: an instance made for us first, then the kernel's own trace.
 extern const std::vector<std::string> trace_folders;
 
-// For the first traced_at_most values above a limit the kernel's trace is copied to `<output>-trace-<index>.txt`; the
-// rest is counted. The thread that measures writes down the value, and no more (--break-trace: and marks the trace,
+// For the first traced_at_most values above a limit the kernel's trace is copied to `<output>-trace-<index>.txt`, or that
+// file tells which one holds it; the rest is counted. The thread that measures writes down the value, and no more (--break-trace: and marks the trace,
 // its last deed); a thread of low priority takes a snapshot of the trace and copies that, while the kernel goes on
 // recording. A kernel without snapshots (CONFIG_TRACER_SNAPSHOT) does not record while the trace itself is copied.
 class OutlierTrace {
@@ -50,18 +52,22 @@ class OutlierTrace {
   struct Outlier {
     int64_t value_ns, index, at_ns;
   };
+  struct Copy {
+    int64_t at_ns;
+    char file[256];  // without folder: programs that share a trace share one
+  };
 
   bool note(int64_t value_ns, int64_t index, int64_t at_ns) noexcept;
   void mark(const Outlier& outlier) noexcept;
   void take(bool going_on) noexcept;
   bool is_recording() const noexcept;
   bool write_at(const char* file, const char* text) noexcept;
-  void copy(const char* source, const Outlier& outlier) noexcept;
+  bool write_trace(int source, const Outlier& outlier, const char* elsewhere) noexcept;
   void name(char* path, std::size_t size, int64_t index) const noexcept;
 
   const char* program_;
   const std::string output_;
-  const char* clock_;
+  const clockid_t clock_;
   int64_t threshold_ns_, break_ns_, lowest_limit_ns_;
   int folder_ = -1;
   int marker_ = -1;
