@@ -2,7 +2,7 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test test-kernel lint setup board suites clean
+.PHONY: demo test test-kernel test-yocto lint bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -15,10 +15,17 @@ test: setup
 test-kernel: setup
 	$(BIN)/pytest -m kernel
 
+# A profile against the real layers: DIR holds checkouts of its repositories (docs/layer.md).
+test-yocto: setup
+	RT_TESTS_LAYERS=$(abspath $(LAYERS)) $(BIN)/pytest -s tests/bitbake/real_layers.py
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+bench: setup
+	nice -n 5 $(BIN)/python tests/bench/bench_analysis.py --check
 
 setup:
 	@tools/setup

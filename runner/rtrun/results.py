@@ -13,7 +13,8 @@ from pydantic import Field
 
 from rtfiles.config import Config
 from rtfiles.errors import UsageError
-from rtrun.figures import Figures
+from rtrun.figures import Figures, figures_of_bins
+from rtrun.importers.histogram_file import ENDING, read_histogram
 from rtrun.logfile import read_log
 from rtrun.samples import Count, read_json, read_samples
 from rtrun.suites import Value, suite
@@ -137,18 +138,24 @@ def is_closed(folder: Path) -> bool:
     return (folder / RECORD).is_file()
 
 
-def read_run(folder: Path) -> Run:
-    """Read a run directory: its record, then its outputs, whose size and checksum must be those of the record.
-
-    An output is read from its samples, or, when it has none (the programs of 2014 write none), from its logs. Raises
-    UsageError when the run is not closed, or a file is missing, altered or not what it should be.
-    """
+def read_record(folder: Path) -> Record:
+    """Read the closing record of a run directory. Raises UsageError when there is none, or it is wrong."""
     if not is_closed(folder):
         raise UsageError(f"{folder}: incomplete run, it has no {RECORD}: nothing in it is analysed, run it again")
     record = read_json(folder / RECORD, Record)
     for name in [*record.files, *record.outputs]:
         if name in (".", "..") or "/" in name or "\0" in name:
             raise UsageError(f"{folder / RECORD}: {name!r} is no name of a file in the run directory")
+    return record
+
+
+def read_run(folder: Path) -> Run:
+    """Read a run directory: its record, then its outputs, whose size and checksum must be those of the record.
+
+    An output is read from its samples, or, when it has none (the programs of 2014 write none), from its logs. Raises
+    UsageError when the run is not closed, or a file is missing, altered or not what it should be.
+    """
+    record = read_record(folder)
     results: list[Result] = []
     if record.status != "failed":
         for output in dict.fromkeys(record.outputs):
@@ -157,16 +164,30 @@ def read_run(folder: Path) -> Run:
 
 
 def _results_of_output(folder: Path, record: Record, output: str) -> list[Result]:
+    if f"{output}{ENDING}" in record.files:
+        check_file(folder, record, output + ENDING)
+        imported = read_histogram(folder / f"{output}{ENDING}")
+        bins = imported.histogram
+        return [
+            Result(
+                suite=record.suite,
+                output=output,
+                series="latency",
+                parameters=record.parameters,
+                figures=figures_of_bins(bins.values_ns // 1000, bins.counts),
+                remarks=tuple(f"not known: {text}" for text in imported.left_out),
+            )
+        ]
     if f"{output}.npy" in record.files:
         for ending in (".npy", ".json"):
-            _check_file(folder, record, output + ending)
+            check_file(folder, record, output + ending)
         found = list(results_of_samples(folder / f"{output}.npy"))
     else:
-        logs = [name for name in _log_names(record, output) if name in record.files]
+        logs = [name for name in log_names(record, output) if name in record.files]
         if not logs:
             raise UsageError(f"{folder / RECORD}: neither samples nor log of the output {output!r} among its files")
         for name in logs:
-            _check_file(folder, record, name)
+            check_file(folder, record, name)
         found = [result_of_log(folder / name) for name in logs]
     for result in found:
         if result.suite != record.suite:
@@ -184,11 +205,12 @@ def _results_of_output(folder: Path, record: Record, output: str) -> list[Result
     ]
 
 
-def _log_names(record: Record, output: str) -> list[str]:
+def log_names(record: Record, output: str) -> list[str]:
+    """The names of the logs that an output of this run's suite has."""
     return [f"{output}-{log}.log" for log in suite(record.suite).logs] or [f"{output}.log"]
 
 
-def _check_file(folder: Path, record: Record, name: str) -> None:
+def check_file(folder: Path, record: Record, name: str) -> None:
     """Refuse a file that is not the one the record was closed with."""
     path = folder / name
     if name not in record.files:
@@ -205,8 +227,8 @@ def _check_file(folder: Path, record: Record, name: str) -> None:
         raise UsageError(f"{path}: altered since the run was closed: size or checksum is not that in {RECORD}")
 
 
-def read_runs(folder: Path) -> Runs:
-    """Read every closed run in a folder.
+def find_runs(folder: Path) -> tuple[list[Path], list[Path]]:
+    """The run directories in a folder: those that are closed, and those that are not.
 
     What the runner put aside (``.<run>.partial``, ``<run>.old-<n>``) is left out. Raises UsageError when there is no
     closed run, naming the folders below that hold some.
@@ -221,6 +243,12 @@ def read_runs(folder: Path) -> Runs:
         raise UsageError(
             f"{folder}: no finished run (one with {RECORD}) in it{', give ' if below else ''}{' or '.join(below)}"
         )
+    return closed, [path for path in folders if path not in closed]
+
+
+def read_runs(folder: Path) -> Runs:
+    """Read every closed run in a folder. Raises UsageError as `find_runs` does."""
+    closed, incomplete = find_runs(folder)
     runs: list[Run] = []
     refused: list[str] = []
     for path in closed:
@@ -231,6 +259,6 @@ def read_runs(folder: Path) -> Runs:
     return Runs(
         folder=folder,
         runs=tuple(runs),
-        incomplete=tuple(path.name for path in folders if path not in closed),
+        incomplete=tuple(path.name for path in incomplete),
         refused=tuple(refused),
     )

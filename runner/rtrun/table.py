@@ -31,7 +31,7 @@ def table(results: Iterable[Result]) -> Table:
         figures = result.figures
         found.add_row(
             Text(_name(result)),
-            Text(_printable(_parameters(result))),
+            Text(printable(_parameters(result))),
             str(figures.n),
             *(
                 _time(value, figures)
@@ -88,11 +88,11 @@ def answer(results: Iterable[Result], *, emulated: bool, notes: Iterable[str] = 
     banner = [Text(EMULATED, style="bold red")] if emulated else []
     body = [table(results)] if results else []
     return Group(
-        *banner, *body, *(Text(_printable(line), no_wrap=True, overflow="ignore") for line in dict.fromkeys(lines))
+        *banner, *body, *(Text(printable(line), no_wrap=True, overflow="ignore") for line in dict.fromkeys(lines))
     )
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
     """Without what would command the terminal: names and reasons come from a target."""
     return "".join(character if character.isprintable() else "?" for character in text)
 

@@ -1,0 +1,119 @@
+"""One run cut into blocks of consecutive measurements: the units that dependent data are resampled in."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtrun.analysis.histogram import Histogram, Int64s, from_samples
+
+BLOCKS = 64
+_COLUMNS = 4096
+_SEED = 20140715
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blocks:
+    """Counts of 1 us bins in each block of a run: ``counts`` (b, m) for bins from ``values_ns`` (m,), ascending.
+
+    ``sums_ns`` (b,) are exact sums of each block. ``ordered`` is False where a histogram had to be dealt out by lot,
+    which takes its measurements for independent. ``values_ns`` beyond a few thousand bins are coarser.
+    """
+
+    values_ns: Int64s
+    counts: NDArray[np.int32]
+    sums_ns: NDArray[np.float64]
+    ordered: bool = True
+
+    @property
+    def n(self) -> int:
+        """Measurements in all blocks."""
+        return int(self.counts.sum())
+
+    @property
+    def length(self) -> float:
+        """Measurements a block."""
+        return self.n / max(1, len(self.sums_ns))
+
+
+def cut(values_ns: Int64s, blocks: int = BLOCKS) -> Blocks:
+    """Cut int64 samples, shape (n,), into at most so many blocks of equal length; the last takes the rest."""
+    whole = from_samples(values_ns)
+    columns = _columns(whole)
+    n = values_ns.size
+    blocks = max(1, min(blocks, n))
+    starts = np.arange(blocks) * (n // blocks)
+    counts = np.zeros((blocks, columns.size), np.int32)
+    sums = np.zeros(blocks)
+    for row, (start, stop) in enumerate(zip(starts, [*starts[1:], n], strict=True)):
+        part = values_ns[start:stop]
+        found = from_samples(part)
+        np.add.at(counts[row], np.searchsorted(columns, found.values_ns, side="right") - 1, found.counts)
+        sums[row] = float(part.sum())
+    return Blocks(values_ns=columns, counts=counts, sums_ns=sums)
+
+
+def deal(histogram: Histogram, blocks: int = BLOCKS) -> Blocks:
+    """Deal a histogram without order into blocks by lot (fixed seed)."""
+    columns = _columns(histogram)
+    counts = np.zeros(columns.size, np.int64)
+    at = np.searchsorted(columns, histogram.values_ns, side="right") - 1
+    np.add.at(counts, at, histogram.counts)
+    lot = np.random.default_rng(_SEED)
+    rows = []
+    left = counts
+    for remaining in range(blocks, 0, -1):
+        take = lot.binomial(left, 1 / remaining) if remaining > 1 else left
+        rows.append(take)
+        left = left - take
+    table = np.array(rows, dtype=np.int32)
+    centre = columns + histogram.bin_ns / 2 if histogram.bin_ns > 1 else columns.astype(np.float64)
+    return Blocks(values_ns=columns, counts=table, sums_ns=table @ centre, ordered=False)
+
+
+def _columns(histogram: Histogram) -> Int64s:
+    """Lower edges of the columns: every filled bin, or each several-th of them where there are too many."""
+    values = histogram.values_ns
+    return values[:: -(-values.size // _COLUMNS)] if values.size else values
+
+
+def align(sets: Sequence[Sequence[Blocks]]) -> tuple[Int64s, list[list[NDArray[np.int32]]]]:
+    """Bring runs of several sets to the same columns and to about the same block length.
+
+    Returns the columns (m,) and, for each set and run, counts (b, m).
+    """
+    runs = [run for members in sets for run in members]
+    columns = np.unique(np.concatenate([run.values_ns for run in runs]))
+    columns = columns[:: -(-columns.size // _COLUMNS)]
+    longest = max(run.length for run in runs)
+    aligned = []
+    for members in sets:
+        rows = []
+        for run in members:
+            factor = max(1, round(longest / max(run.length, 1e-9)))
+            groups = max(1, len(run.sums_ns) // factor)
+            at = np.searchsorted(columns, run.values_ns, side="right") - 1
+            starts = np.arange(groups) * factor
+            merged = np.add.reduceat(run.counts, starts, axis=0)
+            table = np.zeros((groups, columns.size), np.int32)
+            np.add.at(table.T, np.maximum(at, 0), merged.T)
+            rows.append(table)
+        aligned.append(rows)
+    return columns, aligned
+
+
+def gather(outputs: Sequence[Blocks]) -> Blocks:
+    """Add outputs that measured the same moments (the subscribers of one run), block by block."""
+    if len(outputs) == 1:
+        return outputs[0]
+    columns = np.unique(np.concatenate([one.values_ns for one in outputs]))
+    rows = min(len(one.sums_ns) for one in outputs)
+    counts = np.zeros((rows, columns.size), np.int32)
+    sums = np.zeros(rows)
+    for one in outputs:
+        at = np.searchsorted(columns, one.values_ns)
+        # An output that lost messages may have fewer blocks; what the others have more goes into their last one.
+        counts[:, at] += np.add.reduceat(one.counts, np.arange(rows), axis=0)
+        sums += np.add.reduceat(one.sums_ns, np.arange(rows))
+    return Blocks(values_ns=columns, counts=counts, sums_ns=sums, ordered=all(one.ordered for one in outputs))

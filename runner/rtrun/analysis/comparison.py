@@ -1,0 +1,220 @@
+"""Did it change? Two sets of runs, compared by resampling blocks or runs, never single measurements."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtrun.analysis.blocks import Blocks, align
+from rtrun.analysis.deadline import Verdict, clopper_pearson
+from rtrun.analysis.histogram import Int64s
+
+ROUNDS = 999
+SEED = 20140715
+QUANTILES = (0.5, 0.9, 0.99, 0.999, 0.9999)
+# From so many runs a side on, whole runs are resampled: then what differs between boots is in the interval.
+_RUNS_AS_UNITS = 5
+_LEAST_UNITS = 5
+# A quantile needs so many values beyond it in each set.
+_BEYOND = 20
+
+
+class Change(StrEnum):
+    """What can be said about two sets."""
+
+    DIFFERENT = "DIFFERENT"
+    SAME = "NO DIFFERENCE"
+    NOT_SEEN = "NO DIFFERENCE SEEN"
+    UNDECIDED = "TOO LITTLE DATA"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shift:
+    """B minus A of one figure, with its interval; None where one set is too small for the figure."""
+
+    figure: str
+    a_ns: float
+    b_ns: float
+    low_ns: float
+    high_ns: float
+    margin_ns: float
+
+    @property
+    def shift_ns(self) -> float:
+        """B minus A."""
+        return self.b_ns - self.a_ns
+
+    @property
+    def seen(self) -> bool:
+        """The interval excludes no change."""
+        return self.low_ns > 0 or self.high_ns < 0
+
+    @property
+    def within_margin(self) -> bool:
+        """The interval excludes every change as large as the margin (equivalence, Schuirmann 1987)."""
+        return -self.margin_ns < self.low_ns and self.high_ns < self.margin_ns
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Two sets, compared; too little data have no shifts.
+
+    ``distance`` is the largest difference of the distribution functions (0 to 1), ``p_value`` the chance of one as
+    large if both sets came from one process. ``units`` says what was resampled: 'runs', or 'blocks' where there are
+    too few runs to know how much one boot differs from the next.
+    """
+
+    answer: Change
+    shifts: tuple[Shift, ...]
+    distance: float
+    p_value: float
+    units: str
+    unit_counts: tuple[int, int]
+    confidence: float
+    seed: int
+    assumes: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ratio:
+    """P(miss) of B over that of A with its interval; ``value`` is None when neither set has a miss."""
+
+    value: float | None
+    low: float
+    high: float
+
+
+def compare(
+    a: Sequence[Blocks], b: Sequence[Blocks], *, confidence: float = 0.95, margin_ns: float | None = None
+) -> Comparison:
+    """Compare two sets of runs of the same series; the margin of no concern is 5 % of A's figure unless given.
+
+    Shifts: percentile intervals of the block bootstrap (Carlstein 1986). Distance: Kolmogorov-Smirnov statistic
+    under permutation of blocks or runs (Lahiri 2003, chapter 2). Raises ValueError when a set is empty.
+    """
+    if not any(run.n for run in a) or not any(run.n for run in b):
+        raise ValueError("one of the two sets has no measurement")
+    whole_runs = min(len(a), len(b)) >= _RUNS_AS_UNITS
+    columns, (rows_a, rows_b) = align((a, b))
+    assumes = []
+    if any(not run.ordered for run in (*a, *b)) and not whole_runs:
+        assumes.append("independent measurements: a log without samples keeps no order")
+    if whole_runs:
+        rows_a, rows_b = ([np.array([row.sum(axis=0) for row in rows])] for rows in (rows_a, rows_b))
+    else:
+        assumes.append(
+            f"runs alike: with {len(a)} and {len(b)} runs the difference between boots is not in the intervals"
+        )
+    units = (sum(len(rows) for rows in rows_a), sum(len(rows) for rows in rows_b))
+    lot = np.random.default_rng(SEED)
+    boot_a, boot_b = _resample(rows_a, lot), _resample(rows_b, lot)
+    tail = 100 * (1 - confidence) / 2
+    shifts = []
+    total_a, total_b = sum(run.n for run in a), sum(run.n for run in b)
+    exact = (sum(float(run.sums_ns.sum()) for run in a) / total_a, sum(float(run.sums_ns.sum()) for run in b) / total_b)
+    whole_a, whole_b = np.concatenate(rows_a).sum(axis=0)[None], np.concatenate(rows_b).sum(axis=0)[None]
+    figures: list[tuple[str, float | None]] = [("mean", None)]
+    figures += [(f"p{100 * q:g}", q) for q in QUANTILES if min(total_a, total_b) * (1 - q) >= _BEYOND]
+    for name, q in figures:
+        if q is None:
+            (at_a, at_b) = exact
+            draws = _means(boot_b, columns) - _means(boot_a, columns)
+            draws += (at_b - at_a) - float((_means(whole_b, columns) - _means(whole_a, columns))[0])
+        else:
+            at_a, at_b = (float(_quantiles(w, columns, q)[0]) for w in (whole_a, whole_b))
+            draws = _quantiles(boot_b, columns, q) - _quantiles(boot_a, columns, q)
+        low, high = (at_b - at_a) + _few_units(min(units), confidence) * (
+            np.percentile(draws, [tail, 100 - tail]) - (at_b - at_a)
+        )
+        margin = margin_ns if margin_ns is not None else max(1000.0, 0.05 * abs(at_a))
+        shifts.append(
+            Shift(figure=name, a_ns=at_a, b_ns=at_b, low_ns=float(low), high_ns=float(high), margin_ns=margin)
+        )
+    distance, p_value = _permutation_test(np.concatenate(rows_a), np.concatenate(rows_b), lot)
+    if min(units) < _LEAST_UNITS:
+        answer = Change.UNDECIDED
+    elif p_value < 1 - confidence:
+        answer = Change.DIFFERENT
+    else:
+        answer = Change.SAME if all(shift.within_margin for shift in shifts) else Change.NOT_SEEN
+    return Comparison(
+        answer=answer,
+        shifts=() if answer == Change.UNDECIDED else tuple(shifts),
+        distance=distance,
+        p_value=p_value,
+        units="runs" if whole_runs else "blocks",
+        unit_counts=units,
+        confidence=confidence,
+        seed=SEED,
+        assumes=tuple(assumes),
+    )
+
+
+def ratio_of_misses(a: Verdict, b: Verdict, confidence: float = 0.95) -> Ratio:
+    """P(miss) of B over A: exact, given the sum of misses (Przyborowski & Wilenski 1940), on effective numbers."""
+    k_a, k_b = a.misses / a.design_effect, b.misses / b.design_effect
+    if not a.n or not b.n or not (k_a or k_b):
+        return Ratio(value=None, low=0.0, high=math.inf)
+    low, high = clopper_pearson(k_b, k_a + k_b, confidence)
+    exposure = a.n_effective / b.n_effective
+    return Ratio(
+        value=b.p_miss / a.p_miss if a.p_miss else math.inf,
+        low=exposure * low / (1 - low) if low < 1 else math.inf,
+        high=exposure * high / (1 - high) if high < 1 else math.inf,
+    )
+
+
+def _few_units(units: int, confidence: float) -> float:
+    """How much too narrow percentile intervals from few units are: Student's t over the normal quantile."""
+    from scipy.special import ndtri, stdtrit
+
+    if units < 2:
+        return 1.0
+    middle = (1 + confidence) / 2
+    return float(stdtrit(units - 1, middle) / ndtri(middle)) * math.sqrt(units / (units - 1))
+
+
+def _resample(strata: Sequence[NDArray[np.int32]], lot: np.random.Generator) -> NDArray[np.float64]:
+    """Counts (ROUNDS, m) of sets drawn with replacement, each stratum (run) as often as it has units."""
+    total = np.zeros((ROUNDS, strata[0].shape[1]))
+    for rows in strata:
+        weights = lot.multinomial(len(rows), np.full(len(rows), 1 / len(rows)), size=ROUNDS)
+        total += weights.astype(np.float64) @ rows.astype(np.float64)
+    return total
+
+
+def _means(counts: NDArray[np.generic], columns: Int64s) -> NDArray[np.float64]:
+    sizes = np.maximum(counts.sum(axis=1), 1)
+    return np.asarray(counts @ columns.astype(np.float64) / sizes)
+
+
+def _quantiles(counts: NDArray[np.generic], columns: Int64s, q: float) -> NDArray[np.float64]:
+    below = np.cumsum(counts, axis=1)
+    found = columns[(below >= np.ceil(q * below[:, -1:])).argmax(axis=1)]
+    return np.asarray(found, dtype=np.float64)
+
+
+def _permutation_test(
+    rows_a: NDArray[np.int32], rows_b: NDArray[np.int32], lot: np.random.Generator
+) -> tuple[float, float]:
+    rows = np.concatenate((rows_a, rows_b)).astype(np.float64)
+    total = rows.sum(axis=0)
+
+    def distances(in_a: NDArray[np.float64]) -> NDArray[np.float64]:
+        first = in_a @ rows
+        second = total - first
+        gap = np.cumsum(first, axis=1) / first.sum(axis=1, keepdims=True)
+        gap -= np.cumsum(second, axis=1) / second.sum(axis=1, keepdims=True)
+        return np.asarray(np.abs(gap).max(axis=1))
+
+    truth = np.zeros((1, len(rows)))
+    truth[0, : len(rows_a)] = 1
+    seen = float(distances(truth)[0])
+    shuffled = lot.permuted(np.repeat(truth, ROUNDS, axis=0), axis=1)
+    reached = 0
+    for part in np.array_split(shuffled, max(1, ROUNDS * rows.shape[1] // 2_000_000)):
+        reached += int((distances(part) >= seen - 1e-12).sum())
+    return seen, (1 + reached) / (1 + ROUNDS)

@@ -1,0 +1,384 @@
+"""Worst case by extreme value theory: peaks over threshold and block maxima, or the reason why there is none."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtrun.analysis import tails
+from rtrun.analysis.dependence import burst_starts, extremal_index
+from rtrun.analysis.histogram import Int64s
+
+_KEPT = 20_000
+_BLOCKS = 1024
+_LEAST_PEAKS = 50
+_MOST_PEAKS = 5_000
+_SIGNIFICANT = 0.01
+_FIT_BELOW = 0.10
+_DISTINCT = 10
+_LEAST_INDEX = 0.05
+_EXTRAPOLATION = 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tail:
+    """What one run says about its worst case: its highest values where they lie, and maxima of equal blocks.
+
+    ``values_ns`` (k,) with ascending ``positions`` (k,) are all values at or above ``floor_ns``, about the highest
+    1 % and at most 20 000; ``maxima_ns`` (b,) of consecutive blocks of ``block`` loops.
+    """
+
+    n: int
+    floor_ns: int
+    values_ns: Int64s
+    positions: Int64s
+    maxima_ns: Int64s
+    block: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One assumption put to the test: its p-value (None where the check is a plain limit) and what was seen."""
+
+    name: str
+    passed: bool
+    p_value: float | None
+    seen: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bound:
+    """One fit. ``level_ns`` is exceeded on average once in ``1 / probability`` measurements (a burst counts once),
+    ``low_ns`` to ``high_ns`` its interval at ``confidence``; all three are None when ``refused`` says why not.
+    """
+
+    method: str
+    refused: str | None
+    probability: float
+    confidence: float
+    points: int
+    threshold_ns: int | None
+    block: int | None
+    shape: float | None
+    scale_ns: float | None
+    location_ns: float | None
+    rate: float | None
+    level_ns: float | None
+    low_ns: float | None
+    high_ns: float | None
+    checks: tuple[Check, ...]
+
+
+def tail_of(values_ns: Int64s) -> Tail:
+    """The tail of int64 samples, shape (n,), in loop order."""
+    n = values_ns.size
+    kept = min(n, _KEPT, max(2000, n // 50))
+    floor = int(np.partition(values_ns, n - kept)[n - kept]) if n else 0
+    positions = np.flatnonzero(values_ns >= floor)
+    if positions.size > 2 * kept:
+        # Many equal values at the floor carry nothing: only what lies above it.
+        floor += 1
+        positions = np.flatnonzero(values_ns >= floor)
+    block = max(1, n // _BLOCKS)
+    # The last block takes what is left over: no value is left out.
+    maxima = np.maximum.reduceat(values_ns, np.arange(n // block) * block) if n else values_ns
+    return Tail(
+        n=n,
+        floor_ns=floor,
+        values_ns=values_ns[positions],
+        positions=positions.astype(np.int64),
+        maxima_ns=maxima,
+        block=block,
+    )
+
+
+def worst_case(
+    runs: Sequence[Tail], *, probability: float, confidence: float = 0.95, quantum_ns: int = 1
+) -> tuple[Bound, Bound]:
+    """Bounds from peaks over threshold (GPD) and block maxima (GEV) of runs of one set of parameters, in order."""
+    return (
+        peaks_over_threshold(runs, probability, confidence, quantum_ns),
+        block_maxima(runs, probability, confidence, quantum_ns),
+    )
+
+
+def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: float, quantum_ns: int) -> Bound:
+    """Fit a generalised Pareto distribution to declustered excesses (Pickands 1975; Coles 2001, chapters 4 and 5)."""
+
+    def refuse(why: str, checks: Sequence[Check] = (), points: int = 0, threshold: int | None = None) -> Bound:
+        return _refused("GPD", why, probability, confidence, points, checks, threshold_ns=threshold)
+
+    n = sum(run.n for run in runs)
+    floor = max((run.floor_ns for run in runs if run.n), default=0)
+    offsets = np.cumsum([0, *(run.n for run in runs)])[:-1]
+    values = np.concatenate([run.values_ns for run in runs]) if runs else np.empty(0, np.int64)
+    positions = np.concatenate([run.positions + o for run, o in zip(runs, offsets, strict=True)]) if runs else values
+    keep = values >= floor
+    values, positions = values[keep], positions[keep]
+    if values.size < 2 * _LEAST_PEAKS:
+        return refuse(f"{n} measurements leave {values.size} high values, at least {2 * _LEAST_PEAKS} are needed")
+    if n * probability * _EXTRAPOLATION < 1:
+        return refuse(_too_far(n, probability))
+
+    last: Bound | None = None
+    for threshold in _thresholds(values):
+        above = values > threshold
+        high, where = values[above], positions[above]
+        theta = extremal_index(where)
+        starts = burst_starts(where, theta)
+        peaks, at = np.maximum.reduceat(high, starts), where[starts]
+        if peaks.size < _LEAST_PEAKS:
+            break
+        rate = peaks.size / n
+        if probability >= rate:
+            last = last or refuse("the probability asked for lies within the data: the percentiles answer it")
+            break
+        checks = [
+            Check(
+                name="dependence",
+                passed=theta >= _LEAST_INDEX,
+                p_value=None,
+                seen=f"extremal index {theta:.2f}, {peaks.size} bursts of {high.size} high values",
+            ),
+            *_common_checks(peaks, at, n, quantum_ns),
+        ]
+        base = (threshold // quantum_ns + 1) * quantum_ns
+        excess = peaks - base
+        sample = tails.sample_of(excess, quantum_ns)
+        best = tails.fit(tails.GPD, sample)
+        checks.append(_fit_check(tails.GPD, sample, best[0]))
+        failed = next((check for check in checks if not check.passed), None)
+        if failed:
+            last = refuse(f"{failed.name}: {failed.seen}", checks, peaks.size, threshold)
+            # Only a bad fit gets better further out; a trend or bursts would only be seen less.
+            if failed.name == "fit":
+                continue
+            return last
+        checks.append(_back_test(tails.GPD, excess, at, n, quantum_ns))
+        if not checks[-1].passed:
+            return refuse(f"back-test: {checks[-1].seen}", checks, peaks.size, threshold)
+        chance = probability / rate
+        low, high_end = tails.profile_interval(tails.GPD, sample, best, chance, confidence)
+        if not math.isfinite(high_end):
+            return refuse("the data do not bound the tail from above", checks, peaks.size, threshold)
+        if peaks.max() > base + high_end:
+            return refuse(_above_bound(int(peaks.max()), base + high_end), checks, peaks.size, threshold)
+        return Bound(
+            method="GPD",
+            refused=None,
+            probability=probability,
+            confidence=confidence,
+            points=int(peaks.size),
+            threshold_ns=threshold,
+            block=None,
+            shape=best[0][0],
+            scale_ns=best[0][1],
+            location_ns=None,
+            rate=rate,
+            level_ns=base + tails.GPD.level(chance, best[0]),
+            low_ns=max(base + low, float(base)),
+            high_ns=base + high_end,
+            checks=tuple(checks),
+        )
+    return last or refuse(f"bursts leave fewer than {_LEAST_PEAKS} independent high values")
+
+
+def block_maxima(runs: Sequence[Tail], probability: float, confidence: float, quantum_ns: int) -> Bound:
+    """Fit a generalised extreme value distribution to maxima of equal blocks (Coles 2001, chapter 3)."""
+
+    def refuse(why: str, checks: Sequence[Check] = (), points: int = 0, block: int | None = None) -> Bound:
+        return _refused("GEV", why, probability, confidence, points, checks, block=block)
+
+    n = sum(run.n for run in runs)
+    if n * probability * _EXTRAPOLATION < 1:
+        return refuse(_too_far(n, probability))
+    fine = max((run.block for run in runs), default=1)
+    last = refuse(f"{n} measurements are too few for {_LEAST_PEAKS} blocks of 20")
+    for per_run in (256, 128, 64, 32, 16, 8, 4, 2):
+        block = max(fine, max((run.n for run in runs), default=0) // per_run)
+        maxima = np.concatenate([_coarser(run, block) for run in runs]) if runs else np.empty(0, np.int64)
+        if block < 20:
+            continue
+        if maxima.size < _LEAST_PEAKS:
+            break
+        if maxima.size > _MOST_PEAKS:
+            continue
+        chance = -math.expm1(block * math.log1p(-probability))
+        if chance >= 0.5:
+            return refuse("the probability asked for lies within the data: the percentiles answer it")
+        at = np.arange(maxima.size, dtype=np.int64)
+        checks = list(_common_checks(maxima, at, maxima.size, quantum_ns))
+        sample = tails.sample_of(maxima, quantum_ns)
+        best = tails.fit(tails.GEV, sample)
+        checks.append(_fit_check(tails.GEV, sample, best[0]))
+        failed = next((check for check in checks if not check.passed), None)
+        if failed:
+            last = refuse(f"{failed.name}: {failed.seen}", checks, maxima.size, block)
+            if failed.name == "fit":
+                continue
+            return last
+        checks.append(_back_test(tails.GEV, maxima, at, maxima.size, quantum_ns))
+        if not checks[-1].passed:
+            return refuse(f"back-test: {checks[-1].seen}", checks, maxima.size, block)
+        low, high = tails.profile_interval(tails.GEV, sample, best, chance, confidence)
+        if not math.isfinite(high):
+            return refuse("the data do not bound the tail from above", checks, maxima.size, block)
+        if maxima.max() > high:
+            return refuse(_above_bound(int(maxima.max()), high), checks, maxima.size, block)
+        return Bound(
+            method="GEV",
+            refused=None,
+            probability=probability,
+            confidence=confidence,
+            points=int(maxima.size),
+            threshold_ns=None,
+            block=block,
+            shape=best[0][0],
+            scale_ns=best[0][1],
+            location_ns=best[0][2],
+            rate=None,
+            level_ns=tails.GEV.level(chance, best[0]),
+            low_ns=low,
+            high_ns=high,
+            checks=tuple(checks),
+        )
+    return last
+
+
+def _refused(
+    method: str,
+    why: str,
+    probability: float,
+    confidence: float,
+    points: int,
+    checks: Sequence[Check],
+    threshold_ns: int | None = None,
+    block: int | None = None,
+) -> Bound:
+    return Bound(
+        method=method,
+        refused=why,
+        probability=probability,
+        confidence=confidence,
+        points=points,
+        threshold_ns=threshold_ns,
+        block=block,
+        shape=None,
+        scale_ns=None,
+        location_ns=None,
+        rate=None,
+        level_ns=None,
+        low_ns=None,
+        high_ns=None,
+        checks=tuple(checks),
+    )
+
+
+def _too_far(n: int, probability: float) -> str:
+    return (
+        f"a probability of {probability:g} is more than {_EXTRAPOLATION} times beyond {n} measurements, "
+        f"at least {math.ceil(1 / (probability * _EXTRAPOLATION))} are needed"
+    )
+
+
+def _above_bound(seen_ns: int, bound_ns: float) -> str:
+    return f"a value of {seen_ns / 1000:.0f} us was seen above the fitted bound of {bound_ns / 1000:.0f} us"
+
+
+def _thresholds(values: Int64s) -> list[int]:
+    """Candidates from many exceedances to few; the first whose fit is not rejected is taken."""
+    ordered = np.sort(values)
+    chosen = []
+    count = min(values.size - 1, _MOST_PEAKS)
+    while count >= _LEAST_PEAKS:
+        chosen.append(int(ordered[-count - 1]))
+        count = int(count * 0.6)
+    return list(dict.fromkeys(chosen))
+
+
+def _coarser(run: Tail, block: int) -> Int64s:
+    factor = max(1, block // run.block)
+    whole = run.maxima_ns.size // factor
+    return np.maximum.reduceat(run.maxima_ns, np.arange(whole) * factor) if whole else run.maxima_ns[:0]
+
+
+def _common_checks(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[Check]:
+    from scipy.special import chdtrc
+    from scipy.stats import spearmanr
+
+    distinct = int(np.unique(peaks // quantum_ns).size)
+    checks = [
+        Check(
+            name="quantisation",
+            passed=distinct >= _DISTINCT,
+            p_value=None,
+            seen=f"{distinct} different values in steps of {quantum_ns / 1000:g} us, at least {_DISTINCT} are needed",
+        )
+    ]
+    if distinct < 3:
+        return checks
+    trend = spearmanr(np.arange(peaks.size), peaks)
+    checks.append(
+        Check(
+            name="stationarity",
+            passed=bool(trend.pvalue >= _SIGNIFICANT),
+            p_value=float(trend.pvalue),
+            seen=f"rank correlation of height and time {trend.statistic:+.2f} (p = {trend.pvalue:.2g})",
+        )
+    )
+    if n > peaks.size:
+        parts = np.bincount(at * 8 // n, minlength=8)
+        statistic = float(((parts - peaks.size / 8) ** 2).sum() / (peaks.size / 8))
+        p = float(chdtrc(7, statistic))
+        checks.append(
+            Check(
+                name="stationarity",
+                passed=p >= _SIGNIFICANT,
+                p_value=p,
+                seen=f"high values in eighths of the time: {', '.join(map(str, parts))} (p = {p:.2g})",
+            )
+        )
+    follow = spearmanr(peaks[:-1], peaks[1:])
+    # A constant half has no rank correlation: NaN, and nothing that depends.
+    p = float(follow.pvalue) if math.isfinite(follow.pvalue) else 1.0
+    checks.append(
+        Check(
+            name="dependence",
+            passed=p >= _SIGNIFICANT,
+            p_value=p,
+            seen=f"rank correlation of one peak and the next {follow.statistic:+.2f} (p = {p:.2g})",
+        )
+    )
+    return checks
+
+
+def _fit_check(family: tails.Family, sample: tails.Sample, parameters: tails.Parameters) -> Check:
+    p = tails.goodness(family, sample, parameters)
+    if p is None:
+        return Check(name="fit", passed=False, p_value=None, seen="too few different values to test the fit")
+    return Check(
+        name="fit", passed=p >= _FIT_BELOW, p_value=p, seen=f"chi-squared test of the {family.name} fit: p = {p:.2g}"
+    )
+
+
+def _back_test(family: tails.Family, values: Int64s, at: Int64s, n: int, quantum_ns: int) -> Check:
+    """Fit the first half in time; its 99 % bound for the maximum of the second half must hold there."""
+    early = at < n // 2
+    first, rest = values[early], values[~early]
+    if first.size < _LEAST_PEAKS // 2 or rest.size == 0:
+        return Check(name="back-test", passed=False, p_value=None, seen="too few high values in one half of the time")
+    sample = tails.sample_of(first, quantum_ns)
+    best = tails.fit(family, sample)
+    chance = 0.01 / rest.size
+    _, bound = tails.profile_interval(family, sample, best, chance, 0.95)
+    worst = int(rest.max())
+    broken = int((rest > bound).sum())
+    unit = "above the threshold " if family.name == "GPD" else ""
+    return Check(
+        name="back-test",
+        passed=broken == 0,
+        p_value=None,
+        seen=f"the first half's bound for the second is {bound / 1000:.0f} us {unit}and was exceeded {broken} times "
+        f"(worst {worst / 1000:.0f} us)",
+    )

@@ -1,0 +1,83 @@
+"""Counts of values: all that is left of a measurement when only its log remains."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Int64s = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Histogram:
+    """Bins of equal width: ``values_ns[i]`` is the lower edge of a bin that holds ``counts[i]`` measurements.
+
+    ``values_ns`` is strictly ascending, ``counts`` are positive; both int64. ``overflow`` values lie at or above
+    ``overflow_from_ns`` and are known by number only (cyclictest -h counts them so); ``max_ns`` is the largest of all,
+    where it was told.
+    """
+
+    values_ns: Int64s
+    counts: Int64s
+    bin_ns: int = 1000
+    overflow: int = 0
+    overflow_from_ns: int | None = None
+    max_ns: int | None = None
+
+    @property
+    def n(self) -> int:
+        """Measurements, the overflow with them."""
+        return int(self.counts.sum()) + self.overflow
+
+    def above(self, limit_ns: int) -> int:
+        """Measurements above a limit; a bin that holds the limit is taken as above it unless the limit ends it.
+
+        Raises ValueError when the limit lies in the overflow, where nothing is known.
+        """
+        if self.overflow and self.max_ns is not None and self.max_ns <= limit_ns:
+            return 0
+        if self.overflow and (self.overflow_from_ns is None or limit_ns > self.overflow_from_ns):
+            raise ValueError("the deadline lies beyond the histogram's last bin, where values are only counted")
+        return int(self.counts[self.values_ns + self.bin_ns - 1 > limit_ns].sum()) + self.overflow
+
+
+def from_samples(values_ns: Int64s, bin_ns: int = 1000) -> Histogram:
+    """The histogram of int64 samples of any shape; bins start at whole multiples of `bin_ns` (floor)."""
+    if values_ns.size == 0:
+        return Histogram(values_ns=np.empty(0, np.int64), counts=np.empty(0, np.int64), bin_ns=bin_ns)
+    bins = np.floor_divide(values_ns.ravel(), bin_ns)
+    low, high = int(bins.min()), int(bins.max())
+    if high - low < max(1 << 20, 4 * values_ns.size):
+        bins -= low
+        counts = np.bincount(bins)
+        filled = np.flatnonzero(counts)
+        return Histogram(values_ns=(filled + low) * bin_ns, counts=counts[filled].astype(np.int64), bin_ns=bin_ns)
+    found, counts = np.unique(bins, return_counts=True)
+    return Histogram(values_ns=found * bin_ns, counts=counts.astype(np.int64), bin_ns=bin_ns)
+
+
+def merge(parts: Iterable[Histogram]) -> Histogram:
+    """The sum of histograms of one bin width. Raises ValueError when widths or overflow limits differ."""
+    all_parts = list(parts)
+    if not all_parts:
+        return from_samples(np.empty(0, np.int64))
+    if len({part.bin_ns for part in all_parts}) > 1:
+        raise ValueError("histograms of different bin widths cannot be added")
+    limits = {part.overflow_from_ns for part in all_parts if part.overflow}
+    if len(limits) > 1:
+        raise ValueError("histograms that overflow at different values cannot be added")
+    values = np.concatenate([part.values_ns for part in all_parts])
+    counts = np.concatenate([part.counts for part in all_parts])
+    order = np.argsort(values, kind="stable")
+    values, counts = values[order], counts[order]
+    starts = np.flatnonzero(np.diff(values, prepend=values[:1] - 1)) if values.size else np.empty(0, np.int64)
+    sums = np.add.reduceat(counts, starts) if values.size else counts
+    return Histogram(
+        values_ns=values[starts],
+        counts=sums,
+        bin_ns=all_parts[0].bin_ns,
+        overflow=sum(part.overflow for part in all_parts),
+        overflow_from_ns=limits.pop() if limits else None,
+        max_ns=None if any(part.max_ns is None for part in all_parts) else max(part.max_ns or 0 for part in all_parts),
+    )

@@ -1,0 +1,45 @@
+"""rtrun claims: what the campaign says about each of the 19 claims of the thesis."""
+
+import argparse
+from pathlib import Path
+
+from rtrun.commands._question import add_confidence, say
+
+NAME = "claims"
+HELP = "re-examine the 19 claims of the thesis on a campaign"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The results and how to print."""
+    parser.add_argument("results", type=Path, help="folder of runs or run directory")
+    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    add_confidence(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the claims. Raises UsageError when there is nothing to examine."""
+    import dataclasses
+    import json
+
+    from rtrun.report.claims import examine_claims
+    from rtrun.report.study import study
+    from rtrun.table import EMULATED
+
+    found = study(args.results, confidence=args.confidence, bounds=False)
+    examined = examine_claims(found)
+    if args.json:
+        data = {"schema": 1, "emulated": found.emulated, "claims": [dataclasses.asdict(claim) for claim in examined]}
+        print(json.dumps(data, indent=1, allow_nan=False))
+        return 0
+    if found.emulated:
+        print(EMULATED)
+    for claim in examined:
+        result = claim.result
+        print(f"{result.finding:9}  {claim.id} ({claim.section}): {claim.text}")
+        say(f"           {result.numbers}")
+        if result.runs:
+            shown = ", ".join(result.runs[:4]) + (f" and {len(result.runs) - 4} more" if len(result.runs) > 4 else "")
+            say(f"           test: {result.test}; runs: {shown}")
+    for text in found.left_out:
+        say(f"not analysed: {text}")
+    return 0

@@ -1,0 +1,39 @@
+"""rtrun gate: pass (exit status 0) or fail (1) a campaign, for CI."""
+
+import argparse
+from pathlib import Path
+
+from rtrun.commands._question import add_question, ask, say
+
+NAME = "gate"
+HELP = "pass (exit 0) only if every group of runs proves the deadline, else fail (exit 1)"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The results, the question, where JUnit XML goes."""
+    parser.add_argument("results", type=Path, help="folder of runs, run directory, .log or .npy of a suite")
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="write the cases as JUnit XML")
+    add_question(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print one line a case. Raises UsageError when there is nothing to judge."""
+    from rtfiles import atomic
+    from rtfiles.errors import UsageError
+    from rtrun.report.formats import junit
+    from rtrun.report.gate import gate
+    from rtrun.table import EMULATED
+
+    found = ask(args, bounds=False)
+    judged = gate(found)
+    if found.emulated:
+        print(EMULATED)
+    print("passed" if judged.passed else "failed")
+    for case in judged.cases:
+        say(f"{'pass' if case.passed else 'FAIL'}  {case.answer}  {case.about}: {case.text}")
+    if args.junit:
+        try:
+            atomic.write_text(args.junit, junit(judged))
+        except OSError as error:
+            raise UsageError(f"{args.junit}: {error.strerror}") from error
+    return 0 if judged.passed else 1

@@ -1,0 +1,33 @@
+"""rtrun import: results of other programs, made into run directories."""
+
+import argparse
+from pathlib import Path
+
+NAME = "import"
+HELP = "make run directories of 2014 logs and of histograms of cyclictest, jitterdebugger and rtla timerlat"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The files, where they go, whether they come from a real board."""
+    parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="a log, or what one of the programs wrote")
+    parser.add_argument("--out", type=Path, default=Path("results/imported"), metavar="DIR", help="[results/imported]")
+    parser.add_argument("--emulated", action="store_true", help="they were measured on an emulated board")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Import every file; one that cannot be read does not stop the others. Raises UsageError naming those."""
+    from rtfiles.errors import UsageError
+    from rtrun.importers.adopt import adopt
+
+    refused = []
+    for path in args.files:
+        try:
+            for folder, left_out in adopt(path, args.out, emulated=args.emulated):
+                print(folder)
+                for text in left_out:
+                    print(f"    not known: {text}")
+        except UsageError as error:
+            refused.append(str(error))
+    if refused:
+        raise UsageError("\n".join(refused))
+    return 0

@@ -1,0 +1,68 @@
+"""rtrun report: the answer about all runs in a folder, as one file."""
+
+import argparse
+from pathlib import Path
+
+from rtrun.commands._question import add_question, ask, say
+
+NAME = "report"
+HELP = "write what was found as one file: verdict, figures, claims, plots"
+
+_ENDINGS = {"html": "html", "markdown": "md", "json": "json", "junit": "xml", "csv": "csv", "parquet": "parquet"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The results, the format, the question."""
+    parser.add_argument("results", type=Path, help="folder of runs, run directory, .log or .npy of a suite")
+    parser.add_argument("--format", choices=list(_ENDINGS), default="html", help="[html]")
+    parser.add_argument(
+        "--output", type=Path, metavar="FILE", help="file to write, - for standard output [beside RESULTS]"
+    )
+    add_question(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the report, and say the verdicts. Raises UsageError when there is nothing to report on."""
+    import sys
+
+    from rtfiles import atomic
+    from rtfiles.errors import UsageError
+    from rtrun.report import claims, document, formats, gate, page, pictures
+
+    # The other formats hold neither worst cases nor claims.
+    whole = args.format in ("html", "markdown", "json")
+    found = ask(args, bounds=whole)
+    examined = claims.examine_claims(found) if whole else ()
+    said = document.document(found, examined)
+    writers = {
+        "html": lambda: page.html(found, said).encode(),
+        "markdown": lambda: formats.markdown(said).encode(),
+        "json": lambda: formats.as_json(found, examined).encode(),
+        "junit": lambda: formats.junit(gate.gate(found)).encode(),
+        "csv": lambda: formats.as_csv(found).encode(),
+        "parquet": lambda: formats.parquet(found),
+    }
+    content = writers[args.format]()
+    if args.output == Path("-"):
+        sys.stdout.buffer.write(content)
+        return 0
+    ending = _ENDINGS[args.format]
+    folder = args.results if args.results.is_dir() else args.results.parent
+    name = "report" if args.results.is_dir() else f"{args.results.stem}.report"
+    output = args.output or folder / f"{name}.{ending}"
+    try:
+        atomic.write_bytes(output, content)
+    except OSError as error:
+        raise UsageError(f"{output}: {error.strerror}") from error
+    logs = [log for place in found.source.folders for log in sorted(place.glob("*.log")) if log.name != "console.log"]
+    for trouble in pictures.draw_all(logs or ([args.results] if args.results.suffix == ".log" else [])):
+        print(f"not drawn: {trouble}", file=sys.stderr)
+    if said.banner:
+        print(said.banner)
+    print(said.summary)
+    for line in said.lines:
+        say(f"{line.answer}  {line.about}: {line.text}")
+    for text in said.left_out:
+        say(f"not analysed: {text}")
+    print(output)
+    return 0

@@ -1,0 +1,85 @@
+"""Make run directories of files that other programs wrote, so that everything else can read them."""
+
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rtfiles import atomic
+from rtfiles.errors import UsageError
+from rtrun import rundir
+from rtrun.importers.detect import read
+from rtrun.importers.histogram_file import ENDING, Imported, histogram_text
+from rtrun.logfile import read_log
+
+
+def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tuple[str, ...]]]:
+    """Import one file into `results`; returns each run directory made and what its format leaves out.
+
+    A log keeps its name and is read as a log of its suite; other files become histograms, one run a context. Raises
+    UsageError when the file is none that can be read, or a run of that name exists.
+    """
+    name = re.sub(r"[^A-Za-z0-9._-]", "_", path.stem) or "imported"
+    if path.suffix == ".log" and "set output" in _head(path):
+        log = read_log(path)
+        output = (
+            re.sub(r"-(measured|reported|diff)$", "", path.stem) if log.suite == "oneshot_timer_tests" else path.stem
+        )
+        record = _record(name, results, log.suite, dict(log.parameters), [output], emulated)
+        folder = _new(results, name)
+        with rundir.filling(folder) as partial:
+            shutil.copyfile(path, partial / path.name)
+            rundir.close(partial, folder, record)
+        return [(folder, ("the samples, and their order but for the listed extremes", *log.remarks))]
+    found = read(path)
+    made = []
+    contexts: dict[str, list[Imported]] = {}
+    for one in found:
+        contexts.setdefault(str(one.parameters.get("context", "")), []).append(one)
+    for context, members in contexts.items():
+        run = f"{name}-{context}" if context else name
+        folder = _new(results, run)
+        first = members[0]
+        record = _record(run, results, first.source, first.parameters, [one.name for one in members], emulated)
+        with rundir.filling(folder) as partial:
+            shutil.copyfile(path, partial / f"original{path.suffix}")
+            for one in members:
+                atomic.write_text(partial / f"{one.name}{ENDING}", histogram_text(one))
+            rundir.close(partial, folder, record)
+        made.append((folder, tuple(dict.fromkeys(text for one in members for text in one.left_out))))
+    return made
+
+
+def _head(path: Path) -> str:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(4096).decode("utf-8", "replace")
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+
+
+def _new(results: Path, run: str) -> Path:
+    folder = results / run
+    if folder.exists():
+        raise UsageError(f"{folder}: there already, give another --out or remove it")
+    return folder
+
+
+def _record(
+    run: str, results: Path, suite: str, parameters: dict[str, Any], outputs: Sequence[str], emulated: bool
+) -> dict[str, Any]:
+    return {
+        "run": run,
+        "campaign": results.name,
+        "suite": suite,
+        "parameters": parameters,
+        "emulated": emulated,
+        "status": "ok",
+        "reason": None,
+        "start_time": "unknown",
+        "end_time": "unknown",
+        "programs": [],
+        "outputs": list(outputs),
+        "target": {"name": "imported"},
+    }

@@ -1,0 +1,36 @@
+"""Which program wrote a file, from its beginning; and the histograms in it."""
+
+from pathlib import Path
+
+from rtfiles.errors import UsageError
+from rtrun.importers import cyclictest, jitterdebugger, timerlat
+from rtrun.importers.histogram_file import Imported
+
+MAX_BYTES = 128 << 20
+READS = "a log of 2014 or of a suite, cyclictest -h or --json, jitterdebugger's results.json, rtla timerlat hist"
+
+
+def read(path: Path) -> tuple[Imported, ...]:
+    """The histograms in a file of cyclictest, jitterdebugger or rtla timerlat, one a thread.
+
+    Raises UsageError ``file[:line]: what is wrong``.
+    """
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise UsageError(f"{path}: {size} bytes, a histogram has at most {MAX_BYTES}")
+        data = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: not text, expected {READS}") from error
+    if text.lstrip().startswith("{"):
+        found = cyclictest.read_json_results(path, text)
+        return found if found is not None else jitterdebugger.read_results(path, text)
+    if "# Histogram" in text:
+        return cyclictest.read_text(path, text)
+    if "RTLA timerlat histogram" in text:
+        return timerlat.read_text(path, text)
+    raise UsageError(f"{path}: expected {READS}")

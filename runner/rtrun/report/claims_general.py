@@ -1,0 +1,200 @@
+"""Examiners of the claims on communication and on the system as a whole (thesis sections 4.3.2 and 4.4)."""
+
+from rtrun.analysis.comparison import Change
+from rtrun.analysis.deadline import clopper_pearson
+from rtrun.report.claims import (
+    Finding,
+    Result,
+    compared,
+    examine_shift,
+    examines,
+    no_runs,
+    pairs,
+    runs_of,
+    select,
+    shift_of,
+    too_small,
+    us,
+)
+from rtrun.report.study import Study, told
+
+ONESHOT, COMMUNICATION, CYCLICTEST = "oneshot_timer_tests", "communication_tests", "cyclictest"
+SUITES = ("cyclic_timer_tests", ONESHOT, COMMUNICATION)
+
+
+@examines("peaks-random")
+def _random(study: Study) -> Result:
+    """Places of the ten highest values of each run, as shares of the run, against the uniform distribution."""
+    places, runs = [], []
+    for d in study.digests:
+        listed = [entry.index for entry in d.figures.top if entry.index is not None]
+        if d.suite in SUITES and d.n >= 1000 and listed:
+            places += [(index + 0.5) / (d.n + len(d.startup) + d.missing + d.not_fired) for index in listed]
+            runs.append(d.run)
+    if not places:
+        return no_runs("run of 1000 measurements or more that lists where its peaks lie")
+    from scipy.stats import kstest
+
+    p = float(kstest(places, "uniform").pvalue)
+    finding = Finding.REFUTED if p < 0.01 else Finding.CONFIRMED if len(places) >= 100 else Finding.UNDECIDED
+    return Result(
+        finding=finding,
+        numbers=f"places of {len(places)} peaks in {len(runs)} runs, p = {p:.2g} for an even spread",
+        test="Kolmogorov-Smirnov against the uniform distribution: refuted below 0.01, confirmed with 100 peaks",
+        runs=tuple(dict.fromkeys(runs)),
+    )
+
+
+@examines("nanosleep-better")
+def _nanosleep(study: Study) -> Result:
+    timers, base = select(study, ONESHOT, rt=True), select(study, CYCLICTEST)
+    if not timers or not base:
+        return no_runs(
+            "cyclictest run"
+            if timers
+            else "one-shot run with real-time priority"
+            if base
+            else "cyclictest or one-shot run"
+        )
+    # The deadline each would have met: its highest value; the same number of measurements on both sides counts.
+    below = [d.figures.max_ns for g in base for d in g.digests]
+    above = max(d.figures.max_ns or 0 for g in timers for d in g.digests)
+    runs = runs_of([*timers, *base])
+    if any(value is None for value in below):
+        return Result(
+            finding=Finding.UNDECIDED, numbers="a cyclictest histogram overflowed, its maximum is not in it", runs=runs
+        )
+    worst = max(value for value in below if value is not None)
+    n_base, n_timer = sum(g.n for g in base), sum(g.n for g in timers)
+    if worst >= above and n_base <= n_timer:
+        finding = Finding.REFUTED
+    else:
+        finding = Finding.CONFIRMED if 2 * worst <= above and n_base >= n_timer else Finding.UNDECIDED
+    return Result(
+        finding=finding,
+        numbers=f"highest value: cyclictest {us(worst)} us of {n_base}, ROS one-shot timer {us(above)} us of {n_timer}",
+        test="maxima; confirmed at half or less of as many values, refuted when not lower of as few",
+        runs=runs,
+    )
+
+
+@examines("comm-first-message-worst")
+def _first(study: Study) -> Result:
+    digests = [d for g in select(study, COMMUNICATION) for d in g.digests if d.startup and d.figures.max_ns is not None]
+    if not digests:
+        return no_runs("communication run whose first message came")
+    worst = [d for d in digests if d.figures.max_ns is not None and d.startup[0][0] > d.figures.max_ns]
+    low, high = clopper_pearson(len(worst), len(digests), study.confidence)
+    finding = Finding.CONFIRMED if low > 0.5 else Finding.REFUTED if high < 0.5 else Finding.UNDECIDED
+    return Result(
+        finding=finding,
+        numbers=f"the first message was the slowest for {len(worst)} of {len(digests)} subscribers "
+        f"({100 * study.confidence:g} % CI of the share {low:.2f} to {high:.2f})",
+        test="Clopper-Pearson against one half",
+        runs=tuple(dict.fromkeys(d.run for d in digests)),
+    )
+
+
+@examines("comm-more-subscribers-broader")
+def _broader(study: Study) -> Result:
+    groups = select(study, COMMUNICATION, rt=True)
+    found, small = [], []
+    for first, second in pairs(groups, "subscribers", 1, 5):
+        comparison = compared((first, second), study.confidence)
+        shift = shift_of(comparison, "p99") if comparison else None
+        if shift is not None:
+            widths = [
+                max(d.figures.max_ns or 0 for d in g.digests) - min(d.figures.min_ns or 0 for d in g.digests)
+                for g in (first, second)
+            ]
+            found.append((first, second, shift, widths))
+        else:
+            small += [first, second]
+    if small and not found:
+        return too_small("p99", small)
+    if not found:
+        return no_runs("pair of communication runs with one and five real-time subscribers")
+    broader = all(shift.low_ns > 0 and widths[1] > widths[0] for *_, shift, widths in found)
+    narrower = any(shift.high_ns < 0 and widths[1] < widths[0] for *_, shift, widths in found)
+    return Result(
+        finding=Finding.CONFIRMED if broader else Finding.REFUTED if narrower else Finding.UNDECIDED,
+        numbers="; ".join(
+            f"{told(a.parameters)}: range {us(w[0])} -> {us(w[1])} us, p99 {us(s.a_ns)} -> {us(s.b_ns)} us"
+            for a, _, s, w in found
+        ),
+        test="block bootstrap interval of the shift of p99, and the range",
+        runs=runs_of(g for a, b, *_ in found for g in (a, b)),
+    )
+
+
+@examines("comm-higher-frequency-faster")
+def _faster(study: Study) -> Result:
+    groups = select(study, COMMUNICATION, rt=True)
+    return examine_shift(
+        study, pairs(groups, "frequency_hz", 100, 1000), "mean", -1, "pair of communication runs at 100 Hz and 1 kHz"
+    )
+
+
+@examines("comm-nothing-lost", functional=True)
+def _lost(study: Study) -> Result:
+    digests = [d for g in study.groups if g.suite == COMMUNICATION for d in g.digests]
+    if not digests:
+        return no_runs("communication run")
+    missing, swapped = sum(d.missing for d in digests), sum(d.out_of_order for d in digests)
+    n = sum(d.n + len(d.startup) + d.missing for d in digests)
+    return Result(
+        finding=Finding.REFUTED if missing or swapped else Finding.CONFIRMED,
+        numbers=f"{missing} missing and {swapped} out of order of {n} messages expected",
+        test="counts",
+        runs=tuple(dict.fromkeys(d.run for d in digests)),
+    )
+
+
+@examines("rr-equals-fifo")
+def _same(study: Study) -> Result:
+    found = []
+    for suite in SUITES:
+        for pair in pairs(select(study, suite, rt=True), "policy", "RR", "FIFO"):
+            comparison = compared(pair, study.confidence)
+            if comparison is not None:
+                found.append((pair, comparison))
+    if not found:
+        return no_runs("pair of runs with RR and FIFO")
+    apart = [c.answer == Change.DIFFERENT and not all(s.within_margin for s in c.shifts) for _, c in found]
+    alike = [all(s.within_margin for s in c.shifts) for _, c in found]
+    finding = Finding.REFUTED if any(apart) else Finding.CONFIRMED if all(alike) else Finding.UNDECIDED
+    if any(apart) and any(c.units == "blocks" for _, c in found):
+        # One boot or run may differ from the next whatever the policy: too few runs to blame the policy.
+        finding = Finding.UNDECIDED
+    return Result(
+        finding=finding,
+        numbers="; ".join(
+            f"{pair[0].label}: {c.answer} (mean {c.shifts[0].shift_ns / 1000:+.1f} us, p = {c.p_value:.2g})"
+            for pair, c in found
+        ),
+        test="permutation of blocks or runs, and equivalence within 5 %; refuted with five runs a side only",
+        runs=runs_of(group for pair, _ in found for group in pair),
+    )
+
+
+@examines("single-cpu-shutdown-stuck", functional=True)
+def _stuck(study: Study) -> Result:
+    single = [record.run for record in study.records if record.target.get("cpus") in (1, "1")]
+    if not single:
+        return no_runs("run on a target with one CPU")
+    return Result(
+        finding=Finding.UNDECIDED,
+        numbers=f"{len(single)} runs on one CPU, but the runner keeps the master above the nodes' priority, as it must",
+        runs=tuple(single),
+    )
+
+
+@examines("default-priority-unpredictable")
+def _unpredictable(study: Study) -> Result:
+    candidates = [
+        pair
+        for suite in SUITES
+        for policy in ("RR", "FIFO")
+        for pair in pairs(select(study, suite), "policy", policy, "0")
+    ]
+    return examine_shift(study, candidates, "p99", +1, "pair of runs with and without real-time priority")

@@ -1,0 +1,122 @@
+"""Two folders of runs compared, group by group."""
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rtrun.analysis.comparison import Change, Comparison, Ratio, compare, ratio_of_misses
+from rtrun.report.claims import us
+from rtrun.report.study import Group, study
+from rtrun.table import EMULATED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Changed:
+    """What became of one group."""
+
+    label: str
+    comparison: Comparison
+    misses: Ratio | None
+    runs: tuple[tuple[str, ...], tuple[str, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compared:
+    """Two sets: the groups both have, and what only one of them has."""
+
+    emulated: bool
+    deadline_ns: int
+    changes: tuple[Changed, ...]
+    only_a: tuple[str, ...]
+    only_b: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+def compare_sets(
+    a: Path, b: Path, *, deadline_ns: int, probability: float, confidence: float, margin_ns: float | None
+) -> Compared:
+    """Compare what two paths hold; groups are matched by suite and parameters, whatever the target."""
+    first, second = (
+        study(path, deadline_ns=deadline_ns, probability=probability, confidence=confidence, bounds=False)
+        for path in (a, b)
+    )
+    groups_a, groups_b = ({group.label: group for group in side.groups if group.blocks} for side in (first, second))
+    changes = [
+        _changed(groups_a[label], groups_b[label], confidence, margin_ns) for label in groups_a if label in groups_b
+    ]
+    return Compared(
+        emulated=first.emulated or second.emulated,
+        deadline_ns=deadline_ns,
+        changes=tuple(changes),
+        only_a=tuple(label for label in groups_a if label not in groups_b),
+        only_b=tuple(label for label in groups_b if label not in groups_a),
+        left_out=(*first.left_out, *second.left_out),
+    )
+
+
+def _changed(a: Group, b: Group, confidence: float, margin_ns: float | None) -> Changed:
+    return Changed(
+        label=a.label,
+        comparison=compare(a.blocks, b.blocks, confidence=confidence, margin_ns=margin_ns),
+        misses=ratio_of_misses(a.verdict, b.verdict, confidence) if a.verdict and b.verdict else None,
+        runs=(a.runs, b.runs),
+    )
+
+
+def as_text(found: Compared) -> str:
+    """The answer for people."""
+    lines = [EMULATED] if found.emulated else []
+    for change in found.changes:
+        c = change.comparison
+        lines.append(f"{c.answer}  {change.label}: {_why(c)}")
+        for shift in c.shifts:
+            mark = "shifted" if shift.seen else "equal within the margin" if shift.within_margin else "not seen"
+            if shift.seen and shift.within_margin:
+                mark = "shifted, within the margin"
+            lines.append(
+                f"    {shift.figure:7} {us(shift.a_ns)} -> {us(shift.b_ns)} us, "
+                f"{100 * c.confidence:g} % CI of the shift "
+                f"{shift.low_ns / 1000:+.1f} to {shift.high_ns / 1000:+.1f} us, margin {us(shift.margin_ns)} us: {mark}"
+            )
+        lines.append(f"    P(> {us(found.deadline_ns)} us) {_ratio(change.misses, c.confidence)}")
+        lines += [f"    assumes {text}" for text in c.assumes]
+    lines += [f"only in A: {label}" for label in found.only_a] + [f"only in B: {label}" for label in found.only_b]
+    lines += [f"not analysed: {text}" for text in found.left_out]
+    return "\n".join(lines) + "\n"
+
+
+def _why(c: Comparison) -> str:
+    test = f"largest difference of the distributions {100 * c.distance:.2g} %, p = {c.p_value:.2g} ({c.units})"
+    if c.answer == Change.UNDECIDED:
+        return f"{min(c.unit_counts)} {c.units} are too few to compare"
+    if c.answer == Change.NOT_SEEN:
+        widest = max(c.shifts, key=lambda shift: max(-shift.low_ns, shift.high_ns) / shift.margin_ns)
+        most = max(-widest.low_ns, widest.high_ns)
+        return f"{test}; yet a shift of {widest.figure} of up to {us(most)} us is not excluded"
+    return test
+
+
+def _ratio(ratio: Ratio | None, confidence: float) -> str:
+    if ratio is None:
+        return "cannot be compared: a histogram does not reach so far"
+    if ratio.value is None:
+        return "no miss on either side: nothing can be said of a change"
+    high = "any" if math.isinf(ratio.high) else f"{ratio.high:.2g}"
+    value = "from none" if math.isinf(ratio.value) else f"times {ratio.value:.2g}"
+    return f"{value}, {100 * confidence:g} % CI {ratio.low:.2g} to {high}"
+
+
+def as_json(found: Compared) -> str:
+    """The answer for programs; infinite ends are null."""
+    return json.dumps({"schema": 1, **_finite(dataclasses.asdict(found))}, indent=1, allow_nan=False) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,331 @@
+"""What a report says, as plain text and tables: written down by the HTML and the Markdown format alike."""
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rtrun.analysis.deadline import Answer, Verdict
+from rtrun.analysis.describe import PERCENTILES, Description
+from rtrun.analysis.extreme import Bound
+from rtrun.analysis.layers import attribute
+from rtrun.report.claims import Examined, is_rt, select, us
+from rtrun.report.digest import Digest
+from rtrun.report.reference import oneshot_rows, published
+from rtrun.report.study import Group, Study, environment, told
+from rtrun.table import EMULATED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """A verdict: its answer, what it is about, and the numbers."""
+
+    answer: str
+    about: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table of text; cells from column `numbers` on hold numbers. ``notes`` stand below it."""
+
+    id: str
+    title: str
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    numbers: int = 1
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Document:
+    """A report: the banner if there is one, verdicts, and tables in their order."""
+
+    title: str
+    banner: str | None
+    summary: str
+    question: str
+    lines: tuple[Line, ...]
+    tables: tuple[Table, ...]
+    left_out: tuple[str, ...]
+
+
+def document(study: Study, claims: Sequence[Examined]) -> Document:
+    """Put a study into words."""
+    tables = [_figures(study), *_startup(study), *_clusters(study), _worst_cases(study), *_layers(study)]
+    tables += [_claims(claims), *_published(study), _environment(study), _reproduce(study)]
+    return Document(
+        title=f"Real-time report: {study.source.path.resolve().name}",
+        banner=EMULATED if study.emulated else None,
+        summary=summary(study),
+        question=f"Is P(value above {study.deadline_ns / 1000:g} us) below {study.probability:g}? "
+        f"Confidence {100 * study.confidence:g} %, two-sided.",
+        lines=tuple(verdict_line(group) for group in study.groups),
+        tables=tuple(table for table in tables if table.rows),
+        left_out=study.left_out,
+    )
+
+
+def summary(study: Study) -> str:
+    """How many groups got which answer, the worst first."""
+    found = [verdict_line(group).answer for group in study.groups]
+    order = (Answer.REFUTED, Answer.NEEDS_MORE, Answer.PROVEN, Answer.NO_STATEMENT)
+    return ", ".join(f"{answer} {found.count(answer)} of {len(found)}" for answer in order if answer in found)
+
+
+def verdict_line(group: Group) -> Line:
+    """The verdict of a group in one line."""
+    verdict = group.verdict
+    if verdict is None:
+        return Line(answer=Answer.NEEDS_MORE, about=group.label, text=group.undecidable or "nothing was measured")
+    return Line(answer=verdict.answer, about=group.label, text=_numbers(verdict, group))
+
+
+def _numbers(verdict: Verdict, group: Group) -> str:
+    parts = [f"{verdict.late:,} of {verdict.n:,} late".replace(",", " ")]
+    if verdict.never:
+        parts[0] += f" and {verdict.never} never came"
+    parts.append(f"P(miss) {_between(verdict)}")
+    if verdict.worst_ns is not None:
+        parts.append(f"worst {us(verdict.worst_ns)} us")
+    if verdict.design_effect > 1.005:
+        parts.append(f"dependent values: worth {verdict.n_effective:,.0f} independent measurements".replace(",", " "))
+    if verdict.refused:
+        parts.insert(0, verdict.refused)
+    elif verdict.answer == Answer.NEEDS_MORE:
+        parts += _more(verdict)
+    late_start = [value for one in group.digests for value, _ in one.startup if value > verdict.deadline_ns]
+    if late_start:
+        parts.append(f"start-up apart: {len(late_start)} late, worst {us(max(late_start))} us")
+    parts += [f"assumes {text}" for text in verdict.assumes]
+    return "; ".join(parts)
+
+
+def _between(verdict: Verdict) -> str:
+    if verdict.lower == 0:
+        return f"at most {verdict.upper:.2g}"
+    return f"{verdict.lower:.2g} to {verdict.upper:.2g}"
+
+
+def _more(verdict: Verdict) -> list[str]:
+    parts = []
+    if verdict.further is not None:
+        parts.append(
+            f"{_amount(verdict, verdict.further)} without {'another' if verdict.misses else 'a'} miss prove it"
+        )
+    if verdict.further_at_rate is not None:
+        answer, count = verdict.further_at_rate
+        parts.append(f"at the rate seen, {answer} after {_amount(verdict, count)}")
+    elif verdict.misses:
+        parts.append("at the rate seen, no number decides it")
+    return parts
+
+
+def _amount(verdict: Verdict, count: int) -> str:
+    hours = verdict.hours(count)
+    return f"{count:,} more measurements".replace(",", " ") + (
+        "" if hours is None else f" ({hours:.2g} h)" if hours < 10 else f" ({hours:.0f} h)"
+    )
+
+
+def _figures(study: Study) -> Table:
+    columns: tuple[str, ...] = ("suite and parameters", "run", "series", "n", "min us", "mean us", "std us")
+    columns += (*(f"p{p:g} us" for p in PERCENTILES), "max us", "missing", "out of order", "not fired")
+    rows = [_row(one) for one in (*study.digests, *study.others)]
+    notes = ["Start-up values (the first message, the first two periods) stand apart, as in the thesis."]
+    notes.append("A percentile of fewer values than it needs is their maximum.")
+    notes += [f"{one.output}: {remark}" for one in (*study.digests, *study.others) for remark in one.remarks]
+    return Table(
+        id="figures", title="Figures", columns=columns, rows=rows, numbers=3, notes=tuple(dict.fromkeys(notes))
+    )
+
+
+def _row(one: Digest) -> tuple[str, ...]:
+    f: Description = one.figures
+    label = f"{one.suite.removesuffix('_tests')} {told(one.parameters)}"
+    cells = [one.run, one.series, str(f.n), _time(f.min_ns), _time(f.mean_ns), _time(f.std_ns)]
+    cells += [_time(f.percentiles_ns.get(p)) for p in PERCENTILES]
+    cells += [_time(f.max_ns), str(one.missing), str(one.out_of_order), str(one.not_fired)]
+    return (label, *cells)
+
+
+def _time(value_ns: float | None) -> str:
+    return "-" if value_ns is None or not math.isfinite(value_ns) else us(value_ns)
+
+
+def _startup(study: Study) -> list[Table]:
+    rows = [
+        (one.run, one.output, one.series, ", ".join(f"{us(value)} (loop {index})" for value, index in one.startup))
+        for one in (*study.digests, *study.others)
+        if one.startup
+    ]
+    return [Table(id="startup", title="Start-up", columns=("run", "output", "series", "us"), rows=rows, numbers=3)]
+
+
+def _clusters(study: Study) -> list[Table]:
+    rows = []
+    for one in (*study.digests, *study.others):
+        if one.cluster is not None and one.n:
+            c = one.cluster
+            place = [_time(value) for value in (c.median_ns, c.low_ns, c.high_ns)]
+            rows.append((one.run, "successive" if one.series == "jitter" else "grid", f"{100 * c.share:.3f}", *place))
+    columns = ("run", "jitter", "share %", "median us", "lowest us", "highest us")
+    return [Table(id="cluster", title="Negative cluster (below -500 us)", columns=columns, rows=rows, numbers=2)]
+
+
+def _worst_cases(study: Study) -> Table:
+    rows = []
+    for group in study.groups:
+        if group.no_bound:
+            rows.append((group.label, "-", "refused", group.no_bound))
+        rows += [(group.label, bound.method, *_bound(bound)) for bound in group.bounds]
+    return Table(
+        id="worst-case",
+        title="Worst case by extreme value theory",
+        columns=("suite and parameters", "method", f"level exceeded once in {1 / study.probability:.3g}", "found"),
+        rows=rows,
+        numbers=9,
+        notes=("A bound is printed only where every assumption was tested and held.",),
+    )
+
+
+def _bound(bound: Bound) -> tuple[str, str]:
+    if bound.refused is not None or bound.level_ns is None or bound.low_ns is None or bound.high_ns is None:
+        return "refused", bound.refused or "no level"
+    return (
+        f"{us(bound.level_ns)} us ({100 * bound.confidence:g} % CI {us(bound.low_ns)} to {us(bound.high_ns)} us)",
+        f"shape {bound.shape:.3f}, {bound.points} points, "
+        + ", ".join(f"{c.name} p = {c.p_value:.2g}" for c in bound.checks if c.p_value is not None),
+    )
+
+
+def _layers(study: Study) -> list[Table]:
+    """What each layer adds to the one below, for every pair of groups on the same target with the same policy."""
+    if study.emulated:
+        return []
+    rows = []
+    for low_name, high_name in (("cyclictest", "oneshot_timer_tests"), ("oneshot_timer_tests", "communication_tests")):
+        for low in select(study, low_name):
+            for high in select(study, high_name):
+                same = (
+                    high.parameters.get("subscribers", 1) == 1
+                    and low.target == high.target
+                    and (low_name == "cyclictest" or _policy(low) == _policy(high))
+                )
+                if same and is_rt(high) and low.blocks and high.blocks:
+                    for added in attribute(low.blocks, high.blocks, confidence=study.confidence):
+                        rows.append(
+                            (
+                                low.label,
+                                high.label,
+                                added.figure,
+                                f"{added.added_ns / 1000:+.1f}",
+                                f"{added.low_ns / 1000:+.1f} to {added.high_ns / 1000:+.1f}",
+                                added.method,
+                            )
+                        )
+    columns = ("layer", "layer above", "figure", "adds us", f"{100 * study.confidence:g} % CI us", "method")
+    return [Table(id="layers", title="What each layer adds", columns=columns, rows=rows, numbers=9)]
+
+
+def _policy(group: Group) -> object:
+    return group.parameters.get("policy", "0")
+
+
+def _claims(claims: Sequence[Examined]) -> Table:
+    rows = [
+        (c.result.finding, c.id, c.section, c.text, c.result.numbers, c.result.test, _few(c.result.runs))
+        for c in claims
+    ]
+    return Table(
+        id="claims",
+        title="Claims of the thesis, re-examined",
+        columns=("found", "claim", "section", "text", "numbers", "test", "runs"),
+        rows=[tuple(map(str, row)) for row in rows],
+        numbers=9,
+    )
+
+
+def _few(runs: Sequence[str]) -> str:
+    return ", ".join(runs[:3]) + (f" and {len(runs) - 3} more" if len(runs) > 3 else "")
+
+
+def _published(study: Study) -> list[Table]:
+    rows = []
+    for group in select(study, "oneshot_timer_tests"):
+        timeout = group.parameters.get("timeout_us")
+        if not isinstance(timeout, int):
+            continue
+        for row in oneshot_rows(str(group.parameters.get("policy", "0")), timeout):
+            there = f"PandaBoard ES 2014, {row['kernel']}, {row['cpu_load_percent']} % load"
+            rows.append((group.label, there, *_here(group), *(str(row[k]) for k in ("min_us", "avg_us", "max_us"))))
+    for group in select(study, "communication_tests", rt=True):
+        known = published()["thesis_figures"]["communication_fig_4_3"]
+        if (group.parameters.get("frequency_hz"), group.parameters.get("subscribers", 1)) == (100, 1):
+            numbers = [str(known[f"rest_{k}_us"]) for k in ("min", "avg", "max")]
+            rows.append((group.label, "PandaBoard ES 2014, figure 4.3", *_here(group), *numbers))
+    columns = (
+        "suite and parameters",
+        "beside",
+        "min us",
+        "mean us",
+        "max us",
+        "2014 min us",
+        "2014 mean us",
+        "2014 max us",
+    )
+    note = "Another board, kernel or ROS: a difference says nothing about any one of them alone."
+    return [
+        Table(
+            id="published",
+            title="Beside the published PandaBoard figures",
+            columns=columns,
+            rows=rows,
+            numbers=2,
+            notes=(note,),
+        )
+    ]
+
+
+def _here(group: Group) -> tuple[str, str, str]:
+    lows = [d.figures.min_ns for d in group.digests if d.figures.min_ns is not None]
+    highs = [d.figures.max_ns for d in group.digests if d.figures.max_ns is not None]
+    means = [(d.figures.mean_ns * d.n, d.n) for d in group.digests if d.figures.mean_ns is not None]
+    mean = sum(total for total, _ in means) / sum(n for _, n in means) if means else None
+    return _time(min(lows, default=None)), _time(mean), _time(max(highs, default=None))
+
+
+def _environment(study: Study) -> Table:
+    rows = [(key.replace("_", " "), value) for key, value in environment(study.records)]
+    seen: dict[str, dict[str, None]] = {}
+    for one in study.digests:
+        effect = one.in_effect
+        if effect:
+            threads = {f"{t['policy']} {t['priority']}": None for t in effect.get("threads", [])}
+            asked = str(one.parameters.get("policy", "0"))
+            seen.setdefault(f"threads in effect, policy {asked} asked for", {}).update(threads)
+            for key in ("clock", "clock_step_ns", "mlockall"):
+                seen.setdefault(key.replace("_", " "), {})[str(effect.get(key))] = None
+    rows += [(key, "; ".join(sorted(values))) for key, values in seen.items()]
+    return Table(id="environment", title="Environment", columns=("what", "found"), rows=rows, numbers=9)
+
+
+def _reproduce(study: Study) -> Table:
+    rows = [
+        ("measured", f"{record.run}: {' ; '.join(' '.join(p.argv) for p in record.programs)}")
+        for record in study.records
+    ]
+    command = f"rtrun report RESULTS --deadline {study.deadline_ns / 1000:g}us"
+    rows.append(("examined", f"{command} --probability {study.probability:g} --confidence {study.confidence:g}"))
+    rows.append(("input", f"sha256 {fingerprint(study)} of all closing records"))
+    rows.append(("seed", "20140715 for every resampling"))
+    return Table(id="reproduce", title="How to reproduce", columns=("what", "how"), rows=rows, numbers=9)
+
+
+def fingerprint(study: Study) -> str:
+    """A hash of what was examined: the closing records, which hold the checksum of every file."""
+    total = hashlib.sha256()
+    paths = [folder / "run.json" for folder in study.source.folders] or [study.source.path]
+    for path in paths:
+        total.update(path.read_bytes())
+    return total.hexdigest()[:16]

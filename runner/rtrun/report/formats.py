@@ -1,0 +1,176 @@
+"""The other formats of a report: Markdown, JSON, JUnit, CSV, Parquet. The same study gives the same bytes."""
+
+import csv
+import dataclasses
+import io
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+from xml.sax.saxutils import escape, quoteattr
+
+from rtfiles.errors import UsageError
+from rtrun.analysis.describe import PERCENTILES
+from rtrun.report.claims import Examined
+from rtrun.report.digest import Digest
+from rtrun.report.document import Document, Table, fingerprint
+from rtrun.report.gate import Gate
+from rtrun.report.study import Study
+
+_PARAMETERS = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
+# Control characters that XML 1.0 cannot hold at all.
+_NOT_XML = dict.fromkeys(c for c in range(32) if chr(c) not in "\t\n\r") | {0xFFFE: None, 0xFFFF: None}
+
+
+def markdown(said: Document) -> str:
+    """The report as Markdown; the banner is its first line."""
+    parts = [f"**{said.banner}**", ""] if said.banner else []
+    parts += [f"# {_plain(said.title)}", "", said.question, "", said.summary, ""]
+    parts += [f"- **{line.answer}** {_plain(line.about)}: {_plain(line.text)}" for line in said.lines]
+    if said.left_out:
+        parts += ["", "Not analysed:", "", *(f"- {_plain(text)}" for text in said.left_out)]
+    for table in said.tables:
+        parts += ["", f"## {table.title}", "", *_markdown_table(table)]
+    return "\n".join(parts) + "\n"
+
+
+def _markdown_table(table: Table) -> list[str]:
+    lines = ["| " + " | ".join(table.columns) + " |"]
+    lines.append("|" + "|".join("---:" if k >= table.numbers else "---" for k in range(len(table.columns))) + "|")
+    lines += ["| " + " | ".join(_plain(cell) for cell in row) + " |" for row in table.rows]
+    return lines + ([""] + [f"{_plain(note)}  " for note in table.notes] if table.notes else [])
+
+
+def _plain(text: str) -> str:
+    """Text that stays text in a Markdown cell."""
+    for special in "\\`*_<>|[]":
+        text = text.replace(special, "\\" + special)
+    return " ".join(text.split())
+
+
+def as_json(study: Study, claims: Sequence[Examined]) -> str:
+    """Everything that was found, for programs; numbers that do not exist are null."""
+    data = {
+        "schema": 1,
+        "emulated": study.emulated,
+        "deadline_ns": study.deadline_ns,
+        "probability": study.probability,
+        "confidence": study.confidence,
+        "input_sha256": fingerprint(study),
+        "groups": [
+            {
+                "label": group.label,
+                "suite": group.suite,
+                "series": group.series,
+                "target": group.target,
+                "parameters": group.parameters,
+                "runs": list(group.runs),
+                "n": group.n,
+                "verdict": _data(group.verdict),
+                "undecidable": group.undecidable,
+                "worst_case": _data(group.bounds),
+                "no_worst_case": group.no_bound,
+            }
+            for group in study.groups
+        ],
+        "series": [_series(one) for one in (*study.digests, *study.others)],
+        "claims": [{"id": c.id, "section": c.section, "text": c.text, **_data(c.result)} for c in claims],
+        "left_out": list(study.left_out),
+    }
+    return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+def _data(value: Any) -> Any:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: _data(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {f"p{key:g}" if isinstance(key, float) else str(key): _data(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_data(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _series(one: Digest) -> dict[str, Any]:
+    return {
+        "run": one.run,
+        "suite": one.suite,
+        "output": one.output,
+        "series": one.series,
+        "parameters": one.parameters,
+        "emulated": one.emulated,
+        "figures": _data(one.figures),
+        "startup": [{"value_ns": value, "index": index} for value, index in one.startup],
+        "negative_cluster": _data(one.cluster),
+        "missing": one.missing,
+        "out_of_order": one.out_of_order,
+        "duplicate": one.duplicate,
+        "not_fired": one.not_fired,
+        "remarks": list(one.remarks),
+    }
+
+
+def junit(gate: Gate) -> str:
+    """The gate as JUnit XML: one test case a group; not proven is a failure, whatever the reason."""
+    failures = sum(not case.passed for case in gate.cases)
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>']
+    lines.append(f'<testsuites tests="{len(gate.cases)}" failures="{failures}" errors="0">')
+    lines.append(
+        f'<testsuite name="rtrun gate" tests="{len(gate.cases)}" failures="{failures}" errors="0" skipped="0">'
+    )
+    for case in gate.cases:
+        lines.append(f'<testcase classname="deadline" name={quoteattr(_xml(case.about))}>')
+        if case.passed:
+            lines.append(f"<system-out>{escape(_xml(case.text))}</system-out>")
+        else:
+            message = quoteattr(_xml(f"{case.answer}: {case.text}"))
+            lines.append(f"<failure type={quoteattr(case.answer)} message={message}/>")
+        lines.append("</testcase>")
+    return "\n".join([*lines, "</testsuite>", "</testsuites>"]) + "\n"
+
+
+def _xml(text: str) -> str:
+    return text.translate(_NOT_XML)
+
+
+def rows(study: Study) -> list[dict[str, Any]]:
+    """The table as plain rows, one a series of an output: what CSV and Parquet hold. Times in us."""
+    return [_plain_row(one) for one in (*study.digests, *study.others)]
+
+
+def _plain_row(one: Digest) -> dict[str, Any]:
+    f = one.figures
+    row: dict[str, Any] = {"run": one.run, "suite": one.suite, "output": one.output, "series": one.series}
+    row |= {key: None if one.parameters.get(key) is None else str(one.parameters[key]) for key in _PARAMETERS}
+    row |= {"emulated": one.emulated, "n": f.n, "min_us": _us(f.min_ns), "mean_us": _us(f.mean_ns)}
+    row |= {"std_us": _us(f.std_ns)}
+    row |= {f"p{p:g}_us": _us(f.percentiles_ns.get(p)) for p in PERCENTILES}
+    row |= {"max_us": _us(f.max_ns), "missing": one.missing, "out_of_order": one.out_of_order}
+    return row | {"duplicate": one.duplicate, "not_fired": one.not_fired}
+
+
+def _us(value_ns: float | None) -> float | None:
+    return None if value_ns is None else value_ns / 1000
+
+
+def as_csv(study: Study) -> str:
+    """The table as CSV with a header line; an empty cell is a number that does not exist."""
+    table = rows(study)
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, list(table[0]) if table else ["run"], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(table)
+    return stream.getvalue()
+
+
+def parquet(study: Study) -> bytes:
+    """The table as Parquet. Raises UsageError when pyarrow is not installed."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise UsageError("--format parquet needs pyarrow: pip install 'meta-rt-tests[parquet]'") from error
+    stream = io.BytesIO()
+    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(rows(study)), stream)
+    return stream.getvalue()

@@ -1,0 +1,44 @@
+"""Does a campaign pass? One case for every group of runs alike, and one for whatever was not analysed."""
+
+from dataclasses import dataclass
+
+from rtrun.analysis.deadline import Answer
+from rtrun.report.document import verdict_line
+from rtrun.report.study import Study
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One answer that the gate depends on."""
+
+    about: str
+    answer: str
+    text: str
+
+    @property
+    def passed(self) -> bool:
+        """Only a proof passes: neither too little data nor an emulated board is one."""
+        return self.answer == Answer.PROVEN
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gate:
+    """All cases; `passed` when there is one and every one passed."""
+
+    cases: tuple[Case, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the gate lets the campaign through."""
+        return bool(self.cases) and all(case.passed for case in self.cases)
+
+
+def gate(study: Study) -> Gate:
+    """Judge a study. A run that failed, is incomplete or was refused does not pass: what it hides is not known."""
+    lines = [verdict_line(group) for group in study.groups]
+    cases = [Case(about=line.about, answer=line.answer, text=line.text) for line in lines]
+    cases += [
+        Case(about=text.split(":", 1)[0], answer="NOT ANALYSED", text=text.split(":", 1)[-1].strip())
+        for text in study.left_out
+    ]
+    return Gate(cases=tuple(cases))

@@ -1,0 +1,241 @@
+"""A folder of runs, examined: groups of runs alike with their verdicts, and all that the formats write down."""
+
+import functools
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rtrun.analysis.blocks import Blocks, gather
+from rtrun.analysis.deadline import Verdict, judge
+from rtrun.analysis.extreme import Bound, worst_case
+from rtrun.analysis.histogram import Histogram, merge
+from rtrun.report.digest import Digest, digest
+from rtrun.report.load import Source, find, measured
+from rtrun.results import Record
+from rtrun.suites import Value, suites
+
+DEADLINE_NS = 400_000  # of the thesis, section 4.1.2
+PROBABILITY = 1e-6
+CONFIDENCE = 0.95
+_UNITS = {"timeout_us": " us", "frequency_hz": " Hz", "payload_bytes": " B", "subscribers": " sub", "priority": " prio"}
+# These do not change what is measured: runs that differ in them only are alike.
+_NOT_TELLING = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s")
+# Always told, default or not.
+_TELLING = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Runs of one suite with the same parameters on the same target; outputs of one run stand together."""
+
+    suite: str
+    series: str
+    target: str
+    parameters: dict[str, Value]
+    digests: tuple[Digest, ...]
+    verdict: Verdict | None
+    undecidable: str | None
+    bounds: tuple[Bound, ...]
+    no_bound: str | None
+
+    @property
+    def label(self) -> str:
+        """Suite and parameters in a few words."""
+        return f"{self.suite.removesuffix('_tests')} {told(self.parameters)}".strip()
+
+    @property
+    def emulated(self) -> bool:
+        """Whether any of it was measured on an emulated board."""
+        return any(one.emulated for one in self.digests)
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of its runs, each once."""
+        return tuple(dict.fromkeys(one.run for one in self.digests))
+
+    @property
+    def n(self) -> int:
+        """Measurements in all runs."""
+        return sum(one.n for one in self.digests)
+
+    @functools.cached_property
+    def blocks(self) -> tuple[Blocks, ...]:
+        """One `Blocks` a run; its subscribers, who received the same messages, are added up."""
+        by_run: dict[str, list[Blocks]] = {}
+        for one in self.digests:
+            if one.blocks is not None:
+                by_run.setdefault(one.run, []).append(one.blocks)
+        return tuple(gather(outputs) for outputs in by_run.values())
+
+    @functools.cached_property
+    def histogram(self) -> Histogram | None:
+        """All counts; None where bins do not fit together."""
+        try:
+            return merge(one.histogram for one in self.digests)
+        except ValueError:
+            return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """Everything a report says, before it is written down."""
+
+    source: Source
+    deadline_ns: int
+    probability: float
+    confidence: float
+    groups: tuple[Group, ...]
+    others: tuple[Digest, ...]
+    records: tuple[Record, ...]
+    left_out: tuple[str, ...]
+
+    @property
+    def emulated(self) -> bool:
+        """Whether any run was made on an emulated board."""
+        return any(one.emulated for one in (*self.digests, *self.others))
+
+    @property
+    def digests(self) -> tuple[Digest, ...]:
+        """Main series of all runs."""
+        return tuple(one for group in self.groups for one in group.digests)
+
+
+def told(parameters: dict[str, Value]) -> str:
+    """Parameters in a few words: policy first, what is not the default, units behind the number."""
+    words: list[str] = []
+    options = suites().options
+    for key, value in parameters.items():
+        if key in _NOT_TELLING or value is None or value == "":
+            continue
+        option = options.get(key)
+        if key not in _TELLING and option is not None and value == option.default:
+            continue
+        if key == "policy":
+            words.insert(0, "OTHER" if value == "0" else str(value))
+        else:
+            words.append(f"{value}{_UNITS[key]}" if key in _UNITS else f"{key}={value}")
+    return " ".join(words)
+
+
+def study(
+    path: Path,
+    *,
+    deadline_ns: int = DEADLINE_NS,
+    probability: float = PROBABILITY,
+    confidence: float = CONFIDENCE,
+    bounds: bool = True,
+) -> Study:
+    """Examine what is at a path: a folder of runs, one run, a log or an npy.
+
+    Raises UsageError when there is nothing to examine; a run that is refused is told in ``left_out``.
+    """
+    source = find(path)
+    left_out = list(source.left_out)
+    digests = [digest(one, deadline_ns) for one in measured(source, left_out)]
+    members: dict[str, list[Digest]] = {}
+    for one in digests:
+        if one.main:
+            members.setdefault(_key(one), []).append(one)
+    groups = [_group(alike, deadline_ns, probability, confidence, bounds) for alike in members.values()]
+    return Study(
+        source=source,
+        deadline_ns=deadline_ns,
+        probability=probability,
+        confidence=confidence,
+        groups=tuple(sorted(groups, key=lambda group: (group.suite, group.target))),
+        others=tuple(one for one in digests if not one.main),
+        records=tuple(_records(source)),
+        left_out=tuple(left_out),
+    )
+
+
+def _records(source: Source) -> Iterable[Record]:
+    from rtfiles.errors import UsageError
+    from rtrun.results import read_record
+
+    for folder in source.folders:
+        try:
+            yield read_record(folder)
+        except UsageError:
+            continue  # `measured` has told why
+
+
+def _key(one: Digest) -> str:
+    telling = {key: value for key, value in one.parameters.items() if key not in _NOT_TELLING}
+    return json.dumps([one.suite, one.series, one.target, one.emulated, one.histogram.bin_ns, sorted(telling.items())])
+
+
+def _group(alike: Sequence[Digest], deadline_ns: int, probability: float, confidence: float, bounds: bool) -> Group:
+    first = alike[0]
+    trials = [one.trials for one in alike if one.trials is not None]
+    undecidable = next((one.undecidable for one in alike if one.undecidable), None)
+    periods = [one.period_ns for one in alike if one.period_ns]
+    steps = [one.clock_step_ns for one in alike if one.clock_step_ns]
+    # Subscribers of one run receive the same messages; threads of cyclictest only measure at the same time.
+    side_by_side = len(alike) / len({one.run for one in alike})
+    verdict = None
+    if undecidable is None and trials:
+        verdict = judge(
+            trials,
+            deadline_ns=deadline_ns,
+            probability=probability,
+            confidence=confidence,
+            period_ns=sum(periods) / len(periods) / side_by_side if periods else None,
+            clock_step_ns=max(steps, default=None),
+            emulated=first.emulated,
+            together=round(side_by_side) if "subscribers" in first.parameters else 1,
+        )
+    found, no_bound = _bounds(alike, probability, confidence, max(steps, default=1)) if bounds else ((), None)
+    return Group(
+        suite=first.suite,
+        series=first.series,
+        target=first.target,
+        parameters={key: value for key, value in first.parameters.items() if key not in _NOT_TELLING},
+        digests=tuple(alike),
+        verdict=verdict,
+        undecidable=undecidable,
+        bounds=found,
+        no_bound=no_bound,
+    )
+
+
+def _bounds(
+    alike: Sequence[Digest], probability: float, confidence: float, step_ns: int
+) -> tuple[tuple[Bound, ...], str | None]:
+    if alike[0].emulated:
+        return (), "measured on an emulated board"
+    tails = [one.tail for one in slowest(alike)]
+    if any(tail is None for tail in tails):
+        return (), "a log without samples keeps no order: neither dependence nor stationarity can be tested"
+    return worst_case(
+        [tail for tail in tails if tail is not None], probability=probability, confidence=confidence, quantum_ns=step_ns
+    ), None
+
+
+def slowest(alike: Sequence[Digest]) -> list[Digest]:
+    """Of each run the output with the highest value: subscribers of one run peak with the same messages."""
+    worst: dict[str, Digest] = {}
+    for one in alike:
+        known = worst.get(one.run)
+        if known is None or (one.figures.max_ns or 0) > (known.figures.max_ns or 0):
+            worst[one.run] = one
+    return list(worst.values())
+
+
+def environment(records: Sequence[Record]) -> list[tuple[str, str]]:
+    """What the runs were made on, each fact once: (what, value or values)."""
+    facts: dict[str, dict[str, None]] = {}
+    for record in records:
+        for key, value in _flat(record.target):
+            facts.setdefault(key, {})[value] = None
+    return [(key, "; ".join(values)) for key, values in facts.items() if len(values) <= 3]
+
+
+def _flat(data: dict[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:
+    for key, value in data.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        elif isinstance(value, str | int | float) and len(str(value)) <= 300:
+            yield f"{prefix}{key}", str(value)

@@ -1,0 +1,71 @@
+"""A rendered profile, stub layers and the real BitBake."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rtgen.layer import output
+from rtgen.layer.render import render
+from rtgen.profile import Release, load_profile
+
+HERE = Path(__file__).parent
+STUBS = HERE / "stubs"
+
+
+@dataclass(frozen=True)
+class Build:
+    """A build folder: the rendering, and local.conf and bblayers.conf on it."""
+
+    folder: Path
+    layer: Path
+
+    def bitbake(self, **request: Any) -> dict[str, Any]:
+        """Run driver.py; a failure is an AssertionError with what BitBake said."""
+        done = self.try_bitbake(**request)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "WARNING" not in done.stderr, done.stderr
+        answer: dict[str, Any] = json.loads((self.folder / "answer.json").read_text())
+        return answer
+
+    def try_bitbake(self, **request: Any) -> subprocess.CompletedProcess[str]:
+        """Run driver.py, whatever comes."""
+        argv = [sys.executable, str(HERE / "driver.py"), str(self.folder), json.dumps(request), "answer.json"]
+        return subprocess.run(
+            argv, capture_output=True, text=True, env={**os.environ, "LC_ALL": "C.UTF-8"}, check=False
+        )
+
+
+@pytest.fixture
+def make_build(tmp_path: Path) -> Callable[..., Build]:
+    """Render a profile and set up a build of it for a machine; `local` is more for local.conf."""
+
+    def make(name: str, machine: str, local: str = "", separator: str | None = None) -> Build:
+        profile, release = load_profile(name)
+        if separator:
+            release = release.model_copy(update={"separator": separator})
+        project = tmp_path / name
+        output.write(render(name, profile, release), project)
+        folder = tmp_path / f"build-{name}-{machine}"
+        (folder / "conf").mkdir(parents=True)
+        layers = f"{STUBS} {project / 'meta-rt-tests'}"
+        (folder / "conf" / "bblayers.conf").write_text(
+            f'BBPATH = "${{TOPDIR}}"\nBBFILES = ""\nRELEASE = "{profile.release}"\nBBLAYERS = "{layers}"\n'
+        )
+        (folder / "conf" / "local.conf").write_text(_local(release, machine) + local)
+        return Build(folder, project / "meta-rt-tests")
+
+    return make
+
+
+def _local(release: Release, machine: str) -> str:
+    lines = [f'MACHINE = "{machine}"']
+    if release.unpack_folder == "${UNPACKDIR}":
+        lines.append('UNPACKDIR = "${WORKDIR}/sources"')
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,266 @@
+"""A profile against the real layers: what only openembedded-core, meta-openembedded and meta-ros can say.
+
+Not part of `make test`: `make test-yocto LAYERS=DIR` runs it, DIR holding checkouts of a profile's repositories at the
+profile's commits, each in a folder of the repository's name. Which profile it is, the commits say. A first run parses
+every recipe (minutes), later ones take it from DIR/build. dora needs Python 2.7: python2.7 in the PATH, or its path in
+RT_TESTS_PYTHON2. RT_TESTS_CHECK_LAYER=1 adds yocto-check-layer (about half an hour on two cores).
+"""
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from rtgen.layer import output
+from rtgen.layer.render import render, suite_recipes
+from rtgen.profile import Profile, Release, load_profile, profile_names
+
+pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(7200)]
+
+KEY = "ssh-ed25519 AAAA"
+# Said of layers that are not ours, and of the missing network.
+FOREIGN = ("omap3-sgx-modules", "uninative")
+
+
+@dataclass(frozen=True)
+class Yocto:
+    """A profile's checkouts and a build folder beside them."""
+
+    top: Path
+    name: str
+    profile: Profile
+    release: Release
+
+    @property
+    def build(self) -> Path:
+        return self.top / "build"
+
+    @property
+    def layer(self) -> Path:
+        return self.top / "rendered" / "meta-rt-tests"
+
+    @property
+    def machine(self) -> str:
+        return os.environ.get("RT_TESTS_MACHINE", self.profile.default_machine)
+
+    @property
+    def layers(self) -> list[Path]:
+        return [
+            self.top / name / layer
+            for name, repository in self.profile.repositories.items()
+            for layer in repository.layers
+        ]
+
+    def run(self, *command: str, build: Path | None = None) -> str:
+        """Run a command in the build environment; what it said. Neither errors nor warnings of ours may be in it."""
+        core = self.top / ("openembedded-core" if (self.top / "openembedded-core").is_dir() else "poky")
+        environment = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "LC_ALL": "en_US.UTF-8", "HOME": str(Path.home())}
+        if (self.top / "bitbake").is_dir():
+            environment["BITBAKEDIR"] = str(self.top / "bitbake")
+        else:
+            environment["PATH"] = f"{self._python2()}:{environment['PATH']}"
+        script = 'build=$1; shift; set -- "$build" -- "$@"; b=$1; shift 2; run=("$@"); set -- "$b"; '
+        script += '. ./oe-init-build-env "$b" >/dev/null && exec "${run[@]}"'
+        done = subprocess.run(
+            ["bash", "-c", script, "bash", str(build or self.build), *command],
+            cwd=core, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stdout[-4000:]
+        lines = [
+            line for line in done.stdout.splitlines() if re.match(r"(Parsing recipes\.\.\.)?(WARNING|ERROR): ", line)
+        ]
+        assert [line for line in lines if not any(name in line for name in FOREIGN)] == []
+        return done.stdout
+
+    def variables(self, recipe: str, *names: str) -> dict[str, str]:
+        """Variables of a recipe, expanded, as `bitbake -e` gives them."""
+        said = self.run("bitbake", "-e", recipe)
+        found = {}
+        for name in names:
+            match = re.search(rf'^(?:export )?{re.escape(name)}="((?:[^"\\]|\\.)*)"$', said, re.MULTILINE)
+            # kirkstone shows what it runs in the root file system as a function.
+            match = match or re.search(rf"^{re.escape(name)}\(\) {{\n(.*)$", said, re.MULTILINE)
+            found[name] = re.sub(r"\\\n", " ", match[1]) if match else ""
+        return found
+
+    def _python2(self) -> Path:
+        python = os.environ.get("RT_TESTS_PYTHON2") or shutil.which("python2.7")
+        assert python, "BitBake 1.20 needs Python 2.7: give its path in RT_TESTS_PYTHON2"
+        folder = self.top / "python2"
+        folder.mkdir(exist_ok=True)
+        for name in ("python", "python2", "python2.7"):
+            if not (folder / name).exists():
+                (folder / name).symlink_to(python)
+        return folder
+
+
+@pytest.fixture(scope="session")
+def yocto():
+    given = os.environ.get("RT_TESTS_LAYERS")
+    assert given, "give the checkouts: make test-yocto LAYERS=DIR"
+    top = Path(given).resolve()
+    seen = []
+    for name in profile_names():
+        profile, release = load_profile(name)
+        commits = {repository: _head(top / repository) for repository in profile.repositories}
+        wrong = {key: commit for key, commit in commits.items() if commit != profile.repositories[key].commit}
+        if not wrong:
+            break
+        seen.append(f"{name}: {', '.join(f'{key} is at {commit}' for key, commit in wrong.items())}")
+    else:
+        pytest.fail(f"{top} holds no profile's checkouts:\n" + "\n".join(seen))
+    output.write(render(name, profile, release), top / "rendered")
+    yocto = Yocto(top, name, profile, release)
+    _configure(yocto, yocto.build, [*yocto.layers, yocto.layer], yocto.machine)
+    print(f"\nprofile {name}, machine {yocto.machine}: {top}")
+    return yocto
+
+
+def _head(folder: Path) -> str:
+    done = subprocess.run(["git", "-C", folder, "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
+    return done.stdout.strip() or "no checkout"
+
+
+def _configure(yocto: Yocto, build: Path, layers: list[Path], machine: str) -> None:
+    old = not yocto.release.layer_depends
+    kernel = yocto.profile.machines[machine].kernel
+    local = [
+        f'MACHINE ?= "{machine}"',
+        f'DISTRO ?= "{yocto.profile.distro}"',
+        'BB_NO_NETWORK = "1"',
+        f'RT_TESTS_AUTHORIZED_KEYS = "{KEY}"',
+        f'CONF_VERSION = "{1 if old else 2}"',
+        'BB_NUMBER_THREADS = "2"',
+    ]
+    (build / "conf").mkdir(parents=True, exist_ok=True)
+    if old:
+        local += ['BBMASK = "meta-ros/recipes-support/boost/"', 'PACKAGE_CLASSES = "package_ipk"']
+        # BitBake as root; 1.20 has no INHERIT_remove.
+        versions = ('BB_MIN_VERSION = "1.19.1"', 'SANITY_VERSION ?= "1"', 'LOCALCONF_VERSION ?= "1"',
+                    'LAYER_CONF_VERSION ?= "6"', 'SITE_CONF_VERSION ?= "1"')  # fmt: skip
+        _write(build / "conf" / "sanity.conf", "\n".join(versions) + "\n")
+    else:
+        local += [
+            'INHERIT:remove = "sanity"',
+            f'PREFERRED_PROVIDER_virtual/kernel = "{kernel.recipe}"',
+            'MACHINE_FEATURES:append:qemuarm = " preempt-rt"',
+            'BB_NUMBER_PARSE_THREADS = "2"',
+        ]
+    _write(build / "conf" / "local.conf", "\n".join(local) + "\n")
+    paths = "".join(f" {layer}" for layer in layers)
+    _write(
+        build / "conf" / "bblayers.conf",
+        f'LCONF_VERSION = "{6 if old else 7}"\nBBPATH = "${{TOPDIR}}"\nBBFILES ?= ""\nBBLAYERS = "{paths} "\n',
+    )
+
+
+def _write(path: Path, text: str) -> None:
+    """Leave a file that holds it already as it is: BitBake goes by times."""
+    if not path.exists() or path.read_text() != text:
+        path.write_text(text)
+
+
+def test_parses_without_a_warning(yocto):
+    said = yocto.run("bitbake", "-p")
+    # BitBake 1.20 counts nothing when all of it comes from its cache.
+    counted = re.search(r"Parsing of (\d+) .bb files complete .* (\d+) errors", said)
+    cached = re.search(r"Loaded (\d+) entries from dependency cache", said)
+    if counted:
+        assert counted[2] == "0"
+    assert int((counted or cached)[1]) > 1000
+    print((counted or cached)[0])
+
+
+def test_recipes_resolve(yocto):
+    for suite in suite_recipes(yocto.profile):
+        recipe = suite["package"]
+        found = yocto.variables(recipe, "S", "SRC_URI", "LIC_FILES_CHKSUM", "FILE", "DEPENDS", "PV")
+        assert found["FILE"].startswith(str(yocto.layer)), recipe
+        assert found["S"].endswith("/" + recipe.replace("-", "_"))
+        assert "${" not in "".join(found.values())
+        assert {*suite["build"]} <= set(found["DEPENDS"].split())
+        license_file, _, checksum = found["LIC_FILES_CHKSUM"].removeprefix("file://").partition(";md5=")
+        if Path(license_file).is_file():
+            assert hashlib.md5(Path(license_file).read_bytes()).hexdigest() == checksum
+
+
+def test_kernel_and_image_resolve(yocto):
+    kernel = yocto.profile.machines[yocto.machine].kernel
+    found = yocto.variables(kernel.recipe, "SRC_URI", "PV", "SRCREV", "KBUILD_DEFCONFIG", "KERNEL_DEVICETREE")
+    assert found["PV"].startswith(kernel.version)
+    assert f"file://rt-tests-{yocto.machine}.cfg" in found["SRC_URI"].split()
+    if kernel.rt == "branch":
+        assert "preempt-rt" in found["SRC_URI"]
+    else:
+        assert kernel.source.rt_patch in found["SRC_URI"] and found["SRCREV"] == kernel.source.commit
+    if yocto.machine == "pandaboard-es":
+        assert found["KBUILD_DEFCONFIG"] == "omap2plus_defconfig"
+        assert "omap4-panda-es-rt.dtb" in found["KERNEL_DEVICETREE"]
+    image = yocto.variables(yocto.profile.image.name, "IMAGE_INSTALL", "IMAGE_FEATURES", "ROOTFS_POSTPROCESS_COMMAND")
+    assert {"packagegroup-rt-tests", "openssh-sftp-server", *yocto.profile.image.packages} <= set(
+        image["IMAGE_INSTALL"].split()
+    )
+    assert f"ssh-server-{yocto.profile.ssh.server}" in image["IMAGE_FEATURES"].split()
+    assert "rt_tests_ssh_policy" in image["ROOTFS_POSTPROCESS_COMMAND"]
+    for open_door in ("debug-tweaks", "empty-root-password", "allow-root-login", "allow-empty-password"):
+        assert open_door not in image["IMAGE_FEATURES"].split()
+
+
+def test_graph_of_the_image(yocto):
+    yocto.run("bitbake", "-g", yocto.profile.image.name)
+    recipes = set((yocto.build / "pn-buildlist").read_text().split())
+    kernel = yocto.profile.machines[yocto.machine].kernel.recipe
+    suites = [suite["package"] for suite in suite_recipes(yocto.profile)]
+    wanted = {re.sub("^util-linux-.*", "util-linux", package) for package in yocto.profile.image.packages}
+    assert {*suites, "packagegroup-rt-tests", kernel, "openssh", *wanted} <= recipes
+    if yocto.machine.startswith("pandaboard"):
+        assert ("u-boot-panda" if yocto.release.own_u_boot else "u-boot") in recipes
+    print(f"{len(recipes)} recipes")
+
+
+def test_suites_are_fetched_and_unpacked(yocto):
+    if yocto.profile.suites:
+        pytest.skip("the originals of 2014 are in a git repository, and BB_NO_NETWORK is set")
+    for suite in suite_recipes(yocto.profile):
+        recipe = suite["package"]
+        yocto.run("bitbake", "-c", "clean", recipe)
+        yocto.run("bitbake", "-c", "unpack", recipe)
+        source = Path(yocto.variables(recipe, "S")["S"])
+        assert (source / "package.xml").is_file()
+        assert (source / "CMakeLists.txt").is_file()
+
+
+def test_dry_run_of_the_image(yocto):
+    if not yocto.release.layer_depends:
+        pytest.skip("BitBake 1.20 starts pseudo even for a dry run, and pseudo is not built")
+    said = yocto.run("bitbake", "-n", yocto.profile.image.name)
+    counted = re.search(r"Attempted (\d+) tasks of which \d+ didn't need to be rerun and all succeeded", said)
+    assert counted and int(counted[1]) > 1000, said[-2000:]
+    print(counted[0])
+
+
+def test_yocto_check_layer(yocto):
+    if not os.environ.get("RT_TESTS_CHECK_LAYER"):
+        pytest.skip("takes half an hour: RT_TESTS_CHECK_LAYER=1 asks for it")
+    if not yocto.release.layer_depends:
+        pytest.skip("dora has no yocto-check-layer")
+    build = yocto.top / "build-check"
+    core, *others = yocto.layers
+    _configure(yocto, build, [core], "qemuarm")
+    local = build / "conf" / "local.conf"
+    # As somebody else has it who adds the layer: nothing of ours is switched on.
+    kept = [
+        line for line in local.read_text().splitlines() if "PREFERRED" not in line and "MACHINE_FEATURES" not in line
+    ]
+    _write(local, "\n".join(kept) + "\n")
+    dependencies = [str(layer) for layer in others]
+    said = yocto.run(
+        "yocto-check-layer", str(yocto.layer), "--dependency", *dependencies, "--no-auto", "--no-auto-dependency",
+        build=build,
+    )  # fmt: skip
+    assert re.search(r"meta-rt-tests \.\.\. PASS", said), said[-4000:]

@@ -1,0 +1,2 @@
+catkin_prefix = "${ros_prefix}"
+inherit catkin-stub

@@ -1,0 +1,1 @@
+ROS_BPN ??= "${@d.getVar('BPN').replace('-', '_')}"

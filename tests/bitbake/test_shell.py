@@ -1,0 +1,104 @@
+"""The layer's own shell code, run by the real BitBake: who may log in, and whether the kernel options took effect."""
+
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.bitbake
+
+KEY = "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIKq0 somebody@host"
+OTHER = "ssh-rsa AAAAB3NzaC1yc2EAAAADAQABAAABgQC="
+CALL = [["rt-tests-image", "do_rootfs"]], [["rt-tests-image", "rt_tests_ssh_policy"]]
+
+
+def image(make_build, keys: str, features: str = "") -> tuple[Path, object]:
+    local = f'RT_TESTS_AUTHORIZED_KEYS = "{keys}"\n' + features
+    build = make_build("scarthgap-noetic", "qemuarm", local=local)
+    root = build.folder / "tmp/work/rt-tests-image/1.0/rootfs"
+    (root / "etc/ssh").mkdir(parents=True)
+    (root / "etc/ssh/sshd_config").write_text("Include /etc/ssh/sshd_config.d/*.conf\nPermitRootLogin yes\n")
+    (root / "etc/init.d").mkdir()
+    (root / "etc/init.d/dropbear").touch()
+    return root, build
+
+
+def policy(build):
+    return build.try_bitbake(functions=[["rt-tests-image", "rt_tests_ssh_policy"]])
+
+
+def test_keys_and_no_password(make_build):
+    root, build = image(make_build, f"{KEY}\\n{OTHER}\\n")
+    done = policy(build)
+    assert done.returncode == 0, done.stderr
+    keys = root / "home/root/.ssh/authorized_keys"
+    assert keys.read_text() == f"{KEY}\n{OTHER}\n"
+    assert keys.stat().st_mode & 0o777 == 0o600
+    assert keys.parent.stat().st_mode & 0o777 == 0o700
+    config = (root / "etc/ssh/sshd_config").read_text().splitlines()
+    assert config[:2] == ["PermitRootLogin without-password", "PasswordAuthentication no"]
+    assert (root / "etc/default/dropbear").read_text() == 'DROPBEAR_EXTRA_ARGS="-s"\n'
+
+
+def test_keys_come_from_the_environment(make_build, monkeypatch):
+    monkeypatch.setenv("RT_TESTS_AUTHORIZED_KEYS", f"{KEY}\n{OTHER}")
+    monkeypatch.setenv("BB_ENV_PASSTHROUGH_ADDITIONS", "RT_TESTS_AUTHORIZED_KEYS")
+    build = make_build("scarthgap-noetic", "qemuarm")
+    done = policy(build)
+    assert done.returncode == 0, done.stderr
+    keys = build.folder / "tmp/work/rt-tests-image/1.0/rootfs/home/root/.ssh/authorized_keys"
+    assert keys.read_text() == f"{KEY}\n{OTHER}\n"
+
+
+@pytest.mark.parametrize(
+    ("keys", "features", "message"),
+    [
+        ("", "", "no key could log in"),
+        ("-----BEGIN OPENSSH PRIVATE KEY-----", "", "no OpenSSH public key"),
+        ("ssh-ed25519 AAAA; rm -rf $(HOME)", "", "no OpenSSH public key"),
+        (KEY, 'IMAGE_FEATURES += "read-only-rootfs"\n', "host keys would change"),
+    ],
+)
+def test_an_image_nobody_should_have_is_not_built(make_build, keys, features, message):
+    _, build = image(make_build, keys, features)
+    done = policy(build)
+    assert done.returncode != 0
+    assert message in done.stdout + done.stderr + "".join(
+        log.read_text() for log in build.folder.glob("tmp/work/rt-tests-image/*/temp/log.*")
+    )
+
+
+def kernel(make_build, config: str):
+    build = make_build("scarthgap-noetic", "pandaboard-es")
+    fragment = build.layer / "recipes-kernel/linux/files/rt-tests-pandaboard-es.cfg"
+    fragment.write_text("# a comment\nCONFIG_PREEMPT_RT=y\nCONFIG_HZ=250\n\n# CONFIG_CPU_IDLE is not set\n")
+    folder = build.folder / "tmp/work/linux-yocto-rt/6.6"
+    (folder / "build").mkdir(parents=True)
+    (folder / "build/.config").write_text(config)
+    (folder / "rt-tests-pandaboard-es.cfg").write_text(fragment.read_text())
+    return build.try_bitbake(tasks=[["linux-yocto-rt", "do_rt_tests_config_check"]])
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        "CONFIG_PREEMPT_RT=y\nCONFIG_HZ=250\n# CONFIG_CPU_IDLE is not set\n",
+        "CONFIG_HZ=250\nCONFIG_PREEMPT_RT=y\n",  # an option that does not exist is off
+    ],
+)
+def test_options_that_took_effect(make_build, config):
+    done = kernel(make_build, config)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("config", "missing"),
+    [
+        ("CONFIG_HZ=250\n", "[CONFIG_PREEMPT_RT=y]"),
+        ("# CONFIG_PREEMPT_RT is not set\nCONFIG_HZ=2500\n", "[CONFIG_PREEMPT_RT=y] [CONFIG_HZ=250]"),
+        ("CONFIG_PREEMPT_RT=y\nCONFIG_HZ=250\nCONFIG_CPU_IDLE=y\n", "[# CONFIG_CPU_IDLE is not set]"),
+    ],
+)
+def test_an_option_that_was_dropped_fails_the_build(make_build, config, missing):
+    done = kernel(make_build, config)
+    assert done.returncode != 0
+    assert f"not in the final .config: {missing}" in done.stderr

@@ -1,0 +1,107 @@
+"""kas.yml: valid by kas' own schema, and read by the real kas."""
+
+import json
+import os
+import subprocess
+import sys
+from importlib import resources
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from rtgen.layer import output
+from rtgen.layer.render import render
+from rtgen.profile import load_profile, profile_names
+
+KAS = Path(sys.executable).with_name("kas")
+
+
+def rendered(tmp_path, name):
+    output.write(render(name, *load_profile(name)), tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_schema(tmp_path, name):
+    schema = json.loads(resources.files("kas").joinpath("schema-kas.json").read_text())
+    files = [tmp_path / "kas.yml", *sorted((rendered(tmp_path, name) / "meta-rt-tests/kas").glob("*.yml"))]
+    assert len(files) >= 4
+    for file in files:
+        jsonschema.validate(yaml.safe_load(file.read_text()), schema)
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_every_repository_is_pinned(tmp_path, name):
+    profile, _ = load_profile(name)
+    repositories = yaml.safe_load((rendered(tmp_path, name) / "kas.yml").read_text())["repos"]
+    assert set(repositories) == {"meta-rt-tests", *profile.repositories}
+    for repository, pinned in profile.repositories.items():
+        assert repositories[repository]["commit"] == pinned.commit
+        assert repositories[repository]["url"] == pinned.url
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """The default rendering, its repositories replaced by local ones: commits differ, everything else is as it is."""
+    project = rendered(tmp_path / "project", "scarthgap-noetic")
+    for key in ("KAS_REPO_REF_DIR", "KAS_WORK_DIR", "GIT_DIR", "GIT_WORK_TREE"):
+        monkeypatch.delenv(key, raising=False)
+    git(project, "init", "-q", "-b", "main")
+    git(project, "add", ".")
+    git(project, "commit", "-q", "-m", "render")
+    override = {"header": {"version": 14}, "repos": {}}
+    for name, repository in load_profile("scarthgap-noetic")[0].repositories.items():
+        source = tmp_path / "upstream" / name
+        (source / "meta").mkdir(parents=True)
+        (source / "README").write_text(name)
+        git(source, "init", "-q", "-b", "main")
+        git(source, "add", ".")
+        git(source, "commit", "-q", "-m", "first")
+        commit = git(source, "rev-parse", "HEAD").strip()
+        override["repos"][name] = {"url": str(source), "branch": "main", "commit": commit}
+        assert repository.commit != commit
+    (project / "local.yml").write_text(yaml.safe_dump(override))
+    return project
+
+
+def git(folder, *arguments):
+    identity = ["-c", "user.name=t", "-c", "user.email=t@localhost"]
+    done = subprocess.run(["git", *identity, *arguments], cwd=folder, capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+def kas(project, *arguments):
+    environment = {**os.environ, "KAS_WORK_DIR": str(project.parent / "work"), "LC_ALL": "C.UTF-8"}
+    (project.parent / "work").mkdir(exist_ok=True)
+    done = subprocess.run([KAS, *arguments], cwd=project, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.mark.parametrize(
+    ("joined", "machine"),
+    [
+        ("kas.yml", "pandaboard-es"),
+        ("kas.yml:meta-rt-tests/kas/qemuarm.yml", "qemuarm"),
+        ("kas.yml:meta-rt-tests/kas/qemuarm.yml:meta-rt-tests/kas/dropbear.yml", "qemuarm"),
+        ("kas.yml:meta-rt-tests/kas/pandaboard-es.yml:meta-rt-tests/kas/rm-work.yml", "pandaboard-es"),
+    ],
+)
+def test_dump_joins_the_fragments(project, joined, machine):
+    dumped = yaml.safe_load(kas(project, "dump", f"{joined}:local.yml").stdout)
+    assert dumped["machine"] == machine
+    assert dumped["target"] == "rt-tests-image"
+    header = "\n".join(dumped["local_conf_header"].values())
+    assert 'PREFERRED_PROVIDER_virtual/kernel = "linux-yocto-rt"' in header
+    assert ('MACHINE_FEATURES:append:qemuarm = " preempt-rt"' in header) == (machine == "qemuarm")
+    assert ('RT_TESTS_SSH_SERVER = "dropbear"' in header) == ("dropbear" in joined)
+    assert ('INHERIT += "rm_work"' in header) == ("rm-work" in joined)
+
+
+def test_lock_finds_nothing_to_pin(project):
+    done = kas(project, "lock", "kas.yml:local.yml")
+    assert "WARNING" not in done.stderr, done.stderr
+    assert "No floating repos found" in done.stderr
+    assert not (project / "kas.lock.yml").exists()

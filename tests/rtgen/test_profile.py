@@ -1,0 +1,125 @@
+"""Profiles: what is read, and what is refused with file and key path."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from rtfiles.errors import UsageError
+from rtgen.cli import main
+from rtgen.profile import DEFAULT_PROFILE, load_profile, profile_names, profile_path
+
+
+def changed(tmp_path: Path, *changes: tuple[str, object], base: str = DEFAULT_PROFILE) -> Path:
+    """A copy of a profile with keys (dotted paths) changed; None removes one."""
+    data = yaml.safe_load(profile_path(base).read_text())
+    for dotted, value in changes:
+        *path, last = dotted.split("/")
+        node = data
+        for key in path:
+            node = node[key]
+        if value is None:
+            del node[last]
+        else:
+            node[last] = value
+    file = tmp_path / "mine.yml"
+    file.write_text(yaml.safe_dump(data, sort_keys=False))
+    return file
+
+
+def test_four_profiles_load():
+    assert profile_names() == ["kirkstone-noetic", "scarthgap-noetic", "thesis-2014", "wrynose-noetic"]
+    for name in profile_names():
+        profile, release = load_profile(name)
+        assert profile.ros_distro in release.ros_distros
+    assert list(load_profile(DEFAULT_PROFILE)[0].machines) == ["pandaboard-es", "qemuarm"]
+
+
+def test_thesis_profile_has_every_version_of_table_3_2_1():
+    profile, _ = load_profile("thesis-2014")
+    commits = {name: repository.commit for name, repository in profile.repositories.items()}
+    assert commits == {
+        "poky": "8e410e9e46e3335458a7747cdd32e05f5c19ccbb",
+        "meta-openembedded": "40e0f371f3eb1628655c484feac0cebf810737b4",
+        "meta-ros": "f6ce8dddab4e8c7bedf5adb31c541adbc3941f94",
+        "meta-ti": "aacecf01794687af7c78cf98a979a3db8b69938a",
+    }
+    kernel = profile.machines["pandaboard"].kernel
+    assert kernel.source is not None
+    assert (kernel.source.branch, kernel.source.commit) == (
+        "ti-ubuntu-3.4-1485",
+        "b3d5eeb10553e4bc0c3f250a4d06d43c4ab397a9",
+    )
+    assert kernel.source.rt_patch.endswith("patch-3.4.9-rt17.patch.gz")
+    assert profile.suites is not None
+    assert profile.suites.commit == "a3f87bb3c259a9482a104b7346f38a1126be2821"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ([("release", "dunfel")], "release: 'dunfel' is unknown, allowed: kirkstone, scarthgap, wrynose, dora"),
+        ([("ros_distro", "hydro")], "ros_distro: 'hydro' does not exist in scarthgap, allowed: noetic"),
+        ([("machines/beagleboard", {"kernel": {"recipe": "linux-yocto-rt", "version": "6.6", "rt": "branch"},
+                                    "serial_console": {"device": "ttyS2", "baud": 115200}})],
+         "machines.beagleboard: 'beagleboard' does not exist in scarthgap, allowed: pandaboard-es, qemuarm"),
+        ([("machines/qemuarm/kernel/version", "6.18")], "machines.qemuarm.kernel.version: '6.18' does not exist in"),
+        ([("machines/qemuarm/kernel/recipe", "linux-yocto")], "machines.qemuarm.kernel.recipe: 'linux-yocto' does not"),
+        ([("machines/qemuarm/kernel/rt", "patch")], "machines.qemuarm.kernel: rt: patch and source belong together"),
+        ([("repositories/meta-ros/commit", "0b0756d1")], "meta-ros.commit: '0b0756d1' is not a commit of 40"),
+        ([("repositories/meta-ros/commit", "G" * 40)], "is not a commit of 40 lower-case hex digits"),
+        ([("repositories/meta-ros/url", "/home/me/meta-ros")], "is not an http(s) or git address"),
+        ([("repositories/meta-ros", None)], "repositories: no repository has the layer 'meta-ros1-noetic'"),
+        ([("machine", "qemuarm")], "unknown key 'machine', allowed: schema, summary, release"),
+        ([("image/packages", ["htop; rm -rf /"])], "image.packages.0: 'htop; rm -rf /' is not a name"),
+        ([("machines/pandaboard-es/serial_console/baud", "115200")], "machines.pandaboard-es.serial_console.baud: "),
+        ([("machines/pandaboard-es/boot_arguments", ['a" b'])], "is not one boot argument"),
+        ([("ssh/authorized_keys", ["-----BEGIN OPENSSH PRIVATE KEY-----"])], "is not an OpenSSH public key"),
+        ([("ssh/server", "telnet")], "ssh.server: "),
+    ],
+)  # fmt: skip
+def test_what_does_not_exist_is_refused(tmp_path, changes, message):
+    file = changed(tmp_path, *changes)
+    with pytest.raises(UsageError) as caught:
+        load_profile(str(file))
+    assert message in str(caught.value)
+    assert all(line.startswith(f"{file}: ") for line in str(caught.value).splitlines())
+
+
+def test_a_card_on_a_release_without_wic(tmp_path):
+    card = ("machines/pandaboard/sd_card", {"boot_size_mib": 64, "root_extra_mib": 0})
+    with pytest.raises(UsageError, match=r"machines\.pandaboard\.sd_card: dora has no image type wic"):
+        load_profile(str(changed(tmp_path, card, base="thesis-2014")))
+
+
+def test_a_key_given_twice(tmp_path):
+    file = tmp_path / "twice.yml"
+    file.write_text(profile_path(DEFAULT_PROFILE).read_text() + "release: kirkstone\n")
+    with pytest.raises(UsageError, match=r"twice\.yml:\d+: key 'release' is given twice"):
+        load_profile(str(file))
+
+
+def test_an_unknown_name():
+    with pytest.raises(UsageError, match="profile 'dora' is unknown: give one of kirkstone-noetic,"):
+        load_profile("dora")
+
+
+def test_list_derive_and_show(tmp_path, capsys):
+    assert main(["profiles"]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert len(out) == len(profile_names())
+    assert "(default)" in out[1]
+
+    mine = tmp_path / "mine.yml"
+    assert main(["new-profile", str(mine), "--from", "kirkstone-noetic"]) == 0
+    assert load_profile(str(mine))[0] == load_profile("kirkstone-noetic")[0]
+    assert main(["new-profile", str(mine)]) == 2
+    assert main(["new-profile", str(tmp_path / "mine.yaml")]) == 2
+    capsys.readouterr()
+
+    assert main(["explain", str(mine)]) == 0
+    shown = yaml.safe_load(capsys.readouterr().out)
+    assert shown["release"] == "kirkstone"
+    assert shown["layers"][0] == "openembedded-core/meta"
+    assert shown["fragments"]["pandaboard-es"] == "kconfig/fragments/pandaboard-es-5.15.cfg"
+    assert "meta-rt-tests/conf/layer.conf" in shown["files"]

@@ -1,0 +1,101 @@
+"""Figures of samples and histograms against slow ways to reach them."""
+
+import statistics
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rtrun.analysis.describe import PERCENTILES, describe, describe_histogram, rank
+from rtrun.analysis.histogram import Histogram, from_samples, merge
+
+NS = st.integers(-(2**50), 2**50) | st.integers(-3, 3) | st.integers(10**5, 10**5 + 300)
+
+
+@given(st.lists(NS, min_size=1, max_size=80))
+def test_figures_are_those_of_the_sorted_values(values: list[int]) -> None:
+    found = describe(np.array(values, dtype=np.int64))
+    rising = sorted(values)
+    assert (found.n, found.min_ns, found.max_ns) == (len(values), rising[0], rising[-1])
+    assert found.mean_ns == pytest.approx(statistics.fmean(values), rel=1e-12, abs=1e-6)
+    spread = statistics.stdev(values) if len(values) > 1 else 0.0
+    assert found.std_ns == pytest.approx(spread, rel=1e-9, abs=1e-6)
+    for percent in PERCENTILES:
+        assert found.percentiles_ns[percent] == rising[rank(len(values), percent) - 1]
+    top = sorted((-value, index) for index, value in enumerate(values))[:10]
+    assert [(-e.value_ns, e.index) for e in found.top] == top
+    lowest = sorted((value, index) for index, value in enumerate(values))[:10]
+    assert [(e.value_ns, e.index) for e in found.lowest] == lowest
+
+
+@pytest.mark.parametrize("outlier", [3_600_000_000_000, -3_600_000_000_000, 5_000_000])
+def test_one_value_of_hours_does_not_blur_the_others(outlier: int) -> None:
+    values = np.random.default_rng(1).gamma(9, 11_000, 300_000).astype(np.int64)
+    values[1234] = outlier
+    found = describe(values)
+    rising = np.sort(values)
+    assert [found.percentiles_ns[p] for p in PERCENTILES] == [rising[rank(values.size, p) - 1] for p in PERCENTILES]
+    assert found.std_ns == pytest.approx(values.std(ddof=1), rel=1e-9)
+    assert outlier in (found.top[0].value_ns, found.lowest[0].value_ns, found.top[1].value_ns)
+
+
+def test_percentiles_are_ranks_without_rounding() -> None:
+    assert rank(100_000, 99.999) == 99_999
+    assert rank(2_000_000, 99.999) == 1_999_980
+    assert rank(7, 99.9) == 7
+    assert rank(1, 50) == 1
+
+
+def test_the_index_is_the_loop_not_the_position() -> None:
+    found = describe(np.array([5, 9, 7], dtype=np.int64), np.array([0, 4, 9]))
+    assert [(e.value_ns, e.index) for e in found.top] == [(9, 4), (7, 9), (5, 0)]
+
+
+def test_nothing_has_no_figures() -> None:
+    found = describe(np.empty(0, np.int64))
+    assert (found.n, found.min_ns, found.mean_ns, found.std_ns, found.percentiles_ns) == (0, None, None, None, {})
+
+
+@pytest.mark.parametrize(
+    "values", [np.array([1.5, np.nan]), np.zeros((2, 2), np.int64), np.array([-(2**63), 1], dtype=np.int64)]
+)
+def test_what_is_no_series_of_times_is_refused(values: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"int64|no measured time"):
+        describe(values)
+
+
+@given(st.lists(st.integers(-(10**6), 10**6), min_size=1, max_size=60), st.sampled_from([1, 10, 1000]))
+def test_a_histogram_tells_what_floored_values_tell(values: list[int], width: int) -> None:
+    floored = np.array(values, dtype=np.int64) // width * width
+    exact, found = describe(floored), describe_histogram(from_samples(np.array(values, dtype=np.int64), width))
+    assert (found.n, found.min_ns, found.max_ns) == (exact.n, exact.min_ns, exact.max_ns)
+    assert found.percentiles_ns == exact.percentiles_ns
+    assert found.mean_ns == pytest.approx(exact.mean_ns, abs=1e-6)
+    assert found.std_ns == pytest.approx(exact.std_ns, abs=1e-3)
+    assert [e.value_ns for e in found.top] == [e.value_ns for e in exact.top]
+
+
+@given(st.lists(st.lists(st.integers(-5000, 5000), max_size=20), min_size=1, max_size=4))
+def test_merged_histograms_are_the_histogram_of_all(parts: list[list[int]]) -> None:
+    merged = merge(from_samples(np.array(part, dtype=np.int64), 10) for part in parts)
+    whole = from_samples(np.array([v for part in parts for v in part], dtype=np.int64), 10)
+    assert merged.values_ns.tolist() == whole.values_ns.tolist()
+    assert merged.counts.tolist() == whole.counts.tolist()
+
+
+def test_what_overflowed_is_left_out_of_the_figures() -> None:
+    bins = Histogram(values_ns=np.array([1000, 2000]), counts=np.array([90, 5]), overflow=5, overflow_from_ns=3000)
+    found = describe_histogram(bins)
+    assert found.n == 100
+    assert found.mean_ns is None and found.max_ns is None and found.top == ()
+    assert found.percentiles_ns == {50.0: 1000, 90.0: 1000, 95.0: 2000}
+
+
+def test_a_deadline_in_the_overflow_is_not_guessed() -> None:
+    bins = Histogram(values_ns=np.array([1000]), counts=np.array([9]), overflow=1, overflow_from_ns=3000)
+    assert bins.above(2500) == 1
+    with pytest.raises(ValueError, match="only counted"):
+        bins.above(5000)
+    known = Histogram(values_ns=np.array([1000]), counts=np.array([9]), overflow=1, overflow_from_ns=3000, max_ns=4000)
+    assert known.above(5000) == 0

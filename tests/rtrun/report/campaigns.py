@@ -1,0 +1,230 @@
+"""Campaigns as a board would leave them, made of numbers drawn by lot: run directories with npy, json and log."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+NOT_FIRED = -(2**63)
+Int64s = NDArray[np.int64]
+
+
+def lot(seed: int = 1) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def latencies(n: int, seed: int, mean_us: float = 90.0, spread_us: float = 8.0) -> Int64s:
+    """Independent latencies with a tail of exponential kind."""
+    values = mean_us + spread_us * (lot(seed).gamma(4.0, 0.5, n) - 2)
+    return (1000 * values).astype(np.int64)
+
+
+def bursty(n: int, seed: int, mean_us: float = 90.0) -> Int64s:
+    """Latencies that remember the ones before them (first order, 0.95)."""
+    noise = lot(seed).normal(size=n)
+    state = np.empty(n)
+    level = 0.0
+    for i, step in enumerate(noise):
+        level = 0.95 * level + 0.31 * step
+        state[i] = level
+    return (1000 * (mean_us + 10 * state)).astype(np.int64)
+
+
+def oneshot_rows(latency_ns: Int64s, timeout_us: int, reported_off_ns: int = 8000) -> Int64s:
+    fired = latency_ns != NOT_FIRED
+    step = timeout_us * 1000 + 150_000
+    start = 5_000_000 + np.arange(latency_ns.size, dtype=np.int64) * step
+    end = np.where(fired, start + timeout_us * 1000 + latency_ns, NOT_FIRED)
+    return np.stack([start, end, latency_ns, np.where(fired, latency_ns + reported_off_ns, NOT_FIRED)], axis=1)
+
+
+def cyclic_rows(lateness_ns: Int64s, frequency_hz: int) -> Int64s:
+    """Timestamps whose lateness against the ideal grid is given; shape (n + 1, 1), the first on the grid."""
+    grid = np.arange(1, lateness_ns.size + 1, dtype=np.int64) * 10**9 // frequency_hz
+    return (7_000_000 + np.concatenate(([0], grid + lateness_ns))).reshape(-1, 1)
+
+
+def communication_rows(latency_ns: Int64s, frequency_hz: int, lost: tuple[int, ...] = ()) -> Int64s:
+    seq = np.setdiff1d(np.arange(latency_ns.size), np.array(lost, dtype=np.int64))
+    sent = 9_000_000 + seq * 10**9 // frequency_hz
+    return np.stack([sent, sent + latency_ns[seq], seq], axis=1)
+
+
+def write_log(path: Path, suite: str, values_ns: Int64s, *, label: str, asked: int) -> None:
+    """A log as suites.md has it."""
+    us = np.floor_divide(values_ns, 1000)
+    found, counts = np.unique(us, return_counts=True)
+    low, high, mean = int(us.min()), int(us.max()), int(us.mean())
+    summary = f"MIN: {low}us AVG: {mean}us MAX: {high}us"
+    head = {
+        "oneshot_timer_tests": f"# Measurement results with a loop length of {asked} and a timeout of 1000 us:",
+        "cyclic_timer_tests": f"# Measurement results with a total of {asked} measurements and a frequency of 100Hz:",
+        "communication_tests": f"# Amount messages: {asked}; Messages out of order: 0",
+    }[suite]
+    top = np.lexsort((np.arange(us.size), -us))[:10]
+    lines = [
+        f'set title "{suite} plot"',
+        f'set xlabel "Latency in micro seconds - {summary}"',
+        "set yrange [0.7:]",
+        "set logscale y",
+        f"set xrange [{low - 5}:{high + 5}]",
+        "set terminal jpeg size 1920,1080",
+        f'set output "{path.stem}.jpg"',
+        "plot \"-\" u 1:2 t 'Occurrence' w steps",
+        "# Plot data for gnuplot",
+        head,
+        f"# {label}\t{summary}",
+        *([f"# {asked - us.size} timers didn't fire"] if suite.startswith("oneshot") and asked > us.size else []),
+        "# Indices of top values(|latency:index|): |" + "".join(f"{us[i]}:{i}|" for i in top),
+    ]
+    filled = dict(zip(found.tolist(), counts.tolist(), strict=True))
+    first = low if suite == "cyclic_timer_tests" else 0
+    ordered = [value for value in found.tolist() if value < 0] if suite != "cyclic_timer_tests" else []
+    lines += [
+        f"{'-' if value < 0 else ''}{abs(value):06d} \t{filled.get(value, 0):06d}" for value in range(first, high + 1)
+    ]
+    if ordered:
+        lines += ["# negative Values following", *(f"#-{-value:06d} \t{filled[value]:06d}" for value in ordered)]
+    path.write_text("\n".join([*lines, "", "end"]) + "\n")
+
+
+_OUTPUTS = {
+    "oneshot_timer_tests": "oneshot_timer_tests_l{n}_tm{timeout_us}",
+    "cyclic_timer_tests": "cyclic_timer_tests_l{n}_fq{frequency_hz}",
+    "communication_tests": "ct_gnuplot_l{n}_fq{frequency_hz}_pl{payload_bytes}",
+}
+
+
+def write_run(
+    root: Path,
+    name: str,
+    suite: str,
+    outputs: list[Int64s],
+    parameters: dict[str, Any],
+    *,
+    asked: int,
+    emulated: bool = False,
+    logs: bool = True,
+    **record: Any,
+) -> Path:
+    """Write and close a run directory; one output for each array of rows (the subscribers)."""
+    folder = root / name
+    folder.mkdir(parents=True)
+    policy = parameters.get("policy", "0")
+    parameters = {"policy": policy, "repetitions": asked, **parameters}
+    base = _OUTPUTS[suite].format(n=asked, **parameters) + ("" if policy == "0" else f"-tnRT{policy}")
+    names = []
+    for k, rows in enumerate(outputs):
+        output = base if len(outputs) == 1 else f"s{k}_{base}"
+        names.append(output)
+        _write_output(folder, output, suite, rows, parameters, asked, logs)
+    files = {
+        path.name: {"size_bytes": path.stat().st_size, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        for path in sorted(folder.iterdir())
+    }
+    closing = {
+        "schema": 1,
+        "run": name,
+        "campaign": root.name,
+        "suite": suite,
+        "parameters": parameters,
+        "emulated": emulated,
+        "status": "ok",
+        "reason": None,
+        "start_time": "2026-11-21T10:00:00Z",
+        "end_time": "2026-11-21T10:00:01Z",
+        "programs": [{"name": suite, "argv": [suite, "-r", str(asked)], "exit_status": 0}],
+        "outputs": names,
+        "target": {"name": "board", "kernel_release": "6.1.0-rt", "kernel_version": "#1 SMP PREEMPT_RT", "cpus": 2},
+        "files": files,
+    }
+    (folder / "run.json").write_text(json.dumps(closing | record))
+    return folder
+
+
+def _write_output(
+    folder: Path, output: str, suite: str, rows: Int64s, parameters: dict[str, Any], asked: int, logs: bool
+) -> None:
+    with (folder / f"{output}.npy").open("wb") as stream:
+        np.lib.format.write_array(stream, np.ascontiguousarray(rows, dtype="<i8"), version=(1, 0))
+    counts = dict.fromkeys(("not_fired", "missing", "duplicate", "out_of_order"), 0)
+    if suite == "oneshot_timer_tests":
+        values = rows[:, 2][rows[:, 2] != NOT_FIRED]
+        counts["not_fired"] = asked - values.size
+        label, names = "Measured:", [f"{output}-measured.log"]
+    elif suite == "cyclic_timer_tests":
+        values = np.diff(rows[:, 0]) - round(1e9 / parameters["frequency_hz"])
+        label, names = "Jitter:", [f"{output}.log"]
+    else:
+        values = rows[:, 1] - rows[:, 0]
+        counts["missing"] = asked - values.size
+        label, names = "Latency:", [f"{output}.log"]
+    record = {
+        "schema": 1,
+        "suite": suite,
+        "program": suite,
+        "version": "0.1.0",
+        "complete": True,
+        "incomplete_reason": None,
+        "requested": {"priority": 95, "cpu": "", **parameters},
+        "in_effect": {
+            "threads": [
+                {
+                    "tid": 7,
+                    "name": suite[:15],
+                    "policy": {"0": "OTHER"}.get(parameters["policy"], parameters["policy"]),
+                    "priority": 0 if parameters["policy"] == "0" else 95,
+                    "cpus": [0, 1],
+                }
+            ],
+            "clock": "CLOCK_MONOTONIC_RAW",
+            "clock_resolution_ns": 1,
+            "clock_step_ns": 16,
+            "mlockall": True,
+        },
+        "host": "board",
+        "kernel": {"release": "6.1.0-rt", "version": "#1 SMP PREEMPT_RT", "machine": "armv7l"},
+        "start_time": "2026-11-21T10:00:00Z",
+        "end_time": "2026-11-21T10:00:01Z",
+        "counts": {"asked": asked, "measured": int(values.size), **counts},
+        "indices": {"not_fired": [], "missing": [], "duplicate": [], "out_of_order": []},
+        "summary": {},
+        "files": {"logs": names if logs else [], "npy": f"{output}.npy"},
+    }
+    (folder / f"{output}.json").write_text(json.dumps(record))
+    if logs and values.size:
+        for name in names:
+            write_log(folder / name, suite, values, label=label, asked=asked)
+
+
+def write_campaign(root: Path, *, n: int = 20_000, emulated: bool = False, seed: int = 0) -> Path:
+    """One-shot, cyclic and communication runs with and without policy, one and five subscribers."""
+    for k, policy in enumerate(("RR", "FIFO", "0"), start=1):
+        spread = 8.0 if policy != "0" else 300.0
+        for timeout in (1000, 10000):
+            mean = 98.0 if timeout == 1000 else 150.0
+            values = latencies(n, seed + k + timeout, mean, spread)
+            if policy == "0":
+                values = values.copy()
+                values[n // 2] = NOT_FIRED
+            name = f"{k:03d}-oneshot-tm{timeout}-{policy}"
+            rows = oneshot_rows(values, timeout, 8000 if policy != "0" else 3_000_000)
+            parameters = {"policy": policy, "timeout_us": timeout, "busy_mode": 0}
+            write_run(root, name, "oneshot_timer_tests", [rows], parameters, asked=n, emulated=emulated)
+        name = f"{k:03d}-cyclic-{policy}"
+        rows = cyclic_rows(latencies(n, seed + 50 + k, 90.0, spread), 1000)
+        parameters = {"policy": policy, "frequency_hz": 1000}
+        write_run(root, name, "cyclic_timer_tests", [rows], parameters, asked=n, emulated=emulated)
+        for subscribers in (1, 5):
+            outputs = []
+            for s in range(subscribers):
+                values = latencies(n, seed + 70 + k + s, 224.0 + 40 * s, spread)
+                values[0] = 538_000
+                outputs.append(communication_rows(values, 100))
+            name = f"{k:03d}-comm-{subscribers}sub-{policy}"
+            parameters = {"policy": policy, "frequency_hz": 100, "payload_bytes": 200, "subscribers": subscribers}
+            write_run(root, name, "communication_tests", outputs, parameters, asked=n, emulated=emulated)
+    return root

@@ -1,0 +1,237 @@
+"""Each claim of the thesis, confirmed and refuted by campaigns made to do so."""
+
+import numpy as np
+import pytest
+from report.campaigns import (
+    NOT_FIRED,
+    communication_rows,
+    cyclic_rows,
+    latencies,
+    oneshot_rows,
+    write_run,
+)
+
+from rtrun.importers.adopt import adopt
+from rtrun.report.claims import Finding, examine_claims
+from rtrun.report.reference import published
+from rtrun.report.study import study
+
+CONFIRMED, REFUTED, UNDECIDED = Finding.CONFIRMED, Finding.REFUTED, Finding.UNDECIDED
+IDS = [claim["id"] for claim in published()["claims"]]
+
+
+def oneshot(root, name, values, policy="RR", timeout_us=1000, off_ns=8000, **more):
+    parameters = {"policy": policy, "timeout_us": timeout_us, "busy_mode": 0}
+    rows = [oneshot_rows(values, timeout_us, off_ns)]
+    write_run(root, name, "oneshot_timer_tests", rows, parameters, asked=values.size, logs=False, **more)
+
+
+def cyclic(root, name, lateness, policy="RR", hz=1000, **more):
+    parameters = {"policy": policy, "frequency_hz": hz}
+    rows = [cyclic_rows(lateness, hz)]
+    write_run(root, name, "cyclic_timer_tests", rows, parameters, asked=lateness.size, logs=False, **more)
+
+
+def comm(root, name, outputs, policy="RR", hz=100, lost=(), **more):
+    parameters = {"policy": policy, "frequency_hz": hz, "payload_bytes": 0, "subscribers": len(outputs)}
+    rows = [communication_rows(values, hz, lost) for values in outputs]
+    write_run(root, name, "communication_tests", rows, parameters, asked=outputs[0].size, logs=False, **more)
+
+
+def found(root, claim):
+    return next(examined.result for examined in examine_claims(study(root, bounds=False)) if examined.id == claim)
+
+
+def with_values(values, *changes):
+    values = values.copy()
+    for index, value in changes:
+        values[index] = value
+    return values
+
+
+def test_every_claim_has_an_answer_and_none_without_runs(tmp_path):
+    comm(tmp_path, "a", [latencies(50, 1)])
+    examined = examine_claims(study(tmp_path))
+    assert [claim.id for claim in examined] == IDS and len(IDS) == 19
+    for claim in examined:
+        assert claim.result.runs or claim.result.finding == UNDECIDED
+
+
+@pytest.mark.parametrize(("mean_us", "finding"), [(300.0, CONFIRMED), (90.0, REFUTED)])
+def test_timeouts_below_a_millisecond(tmp_path, mean_us, finding):
+    oneshot(tmp_path, "a", latencies(3000, 1, mean_us), timeout_us=800)
+    oneshot(tmp_path, "b", latencies(3000, 2, 95.0))
+    assert found(tmp_path, "oneshot-sub-millisecond").finding == finding
+
+
+def test_a_slow_timer_alone_does_not_show_that_a_millisecond_was_waited(tmp_path):
+    oneshot(tmp_path, "a", latencies(3000, 1, 900.0), timeout_us=800)
+    assert found(tmp_path, "oneshot-sub-millisecond").finding == UNDECIDED
+    oneshot(tmp_path, "b", latencies(3000, 2, 890.0))
+    assert found(tmp_path, "oneshot-sub-millisecond").finding == UNDECIDED
+
+
+@pytest.mark.parametrize(
+    ("rt", "other", "finding"), [(None, 5, CONFIRMED), (5, None, REFUTED), (None, None, UNDECIDED)]
+)
+def test_timers_that_never_fire(tmp_path, rt, other, finding):
+    for name, policy, index in (("a", "RR", rt), ("b", "0", other)):
+        values = latencies(1000, 1)
+        oneshot(tmp_path, name, values if index is None else with_values(values, (index, NOT_FIRED)), policy)
+    assert found(tmp_path, "oneshot-ignored-without-rt").finding == finding
+
+
+@pytest.mark.parametrize(
+    ("rt_ns", "other_ns", "finding"),
+    [(8000, 3_000_000, CONFIRMED), (15_000, 3_000_000, REFUTED), (8000, 9000, UNDECIDED)],
+)
+def test_reported_latency(tmp_path, rt_ns, other_ns, finding):
+    oneshot(tmp_path, "a", latencies(500, 1), "RR", off_ns=rt_ns)
+    oneshot(tmp_path, "b", latencies(500, 2), "0", off_ns=other_ns)
+    assert found(tmp_path, "oneshot-reported-accurate").finding == finding
+
+
+def test_400_us_rarely_exceeded(tmp_path):
+    oneshot(tmp_path / "few", "a", latencies(5000, 1))
+    assert found(tmp_path / "few", "oneshot-400us-rare").finding == UNDECIDED
+    oneshot(tmp_path / "late", "a", with_values(latencies(5000, 1), *((k, 500_000) for k in range(0, 5000, 500))))
+    assert found(tmp_path / "late", "oneshot-400us-rare").finding == REFUTED
+    oneshot(tmp_path / "many", "a", latencies(4_000_000, 1))
+    result = found(tmp_path / "many", "oneshot-400us-rare")
+    assert result.finding == CONFIRMED and "0 of 4000000" in result.numbers
+
+
+@pytest.mark.parametrize(("mean_us", "finding"), [(150.0, CONFIRMED), (60.0, REFUTED)])
+def test_latency_grows_with_the_timeout(tmp_path, mean_us, finding):
+    oneshot(tmp_path, "a", latencies(3000, 1, 98.0))
+    oneshot(tmp_path, "b", latencies(3000, 2, mean_us), timeout_us=10_000)
+    assert found(tmp_path, "oneshot-latency-grows-with-timeout").finding == finding
+
+
+def test_where_the_peaks_lie(tmp_path):
+    for k in range(12):
+        oneshot(tmp_path / "even", f"{k}", latencies(2000, k))
+        early = with_values(latencies(2000, k), *((place, 300_000) for place in range(10)))
+        oneshot(tmp_path / "early", f"{k}", early)
+    oneshot(tmp_path / "few", "a", latencies(2000, 1))
+    assert found(tmp_path / "even", "peaks-random").finding == CONFIRMED
+    assert found(tmp_path / "early", "peaks-random").finding == REFUTED
+    assert found(tmp_path / "few", "peaks-random").finding == UNDECIDED
+
+
+def test_nanosleep_beside_the_timer(tmp_path):
+    text = "# Histogram\n000010 002000\n000{} 000001\n# Total: 000002001\n# Max Latencies: 000{}\n"
+    for name, most, finding in (("low", "030", CONFIRMED), ("high", "900", REFUTED)):
+        root = tmp_path / name
+        oneshot(root, "a", latencies(2001, 1))
+        file = tmp_path / f"{name}.txt"
+        file.write_text(text.format(most, most))
+        adopt(file, root, emulated=False)
+        assert found(root, "nanosleep-better").finding == finding
+
+
+@pytest.mark.parametrize(("every", "finding"), [(8, CONFIRMED), (0, REFUTED), (30, UNDECIDED)])
+def test_the_negative_cluster(tmp_path, every, finding):
+    lateness = latencies(20_000, 1)
+    if every:
+        lateness[::every] -= 900_000
+    cyclic(tmp_path, "a", lateness)
+    assert found(tmp_path, "cyclic-negative-cluster").finding == finding
+
+
+def test_the_first_two_periods(tmp_path):
+    for k in range(3):
+        cyclic(tmp_path / "no", f"{k}", latencies(300, k), hz=100)
+        early = latencies(300, k)
+        early[0] -= 9_900_000
+        early[1] -= 9_900_000
+        early[2:] -= 9_900_000
+        cyclic(tmp_path / "yes", f"{k}", early, hz=100)
+    assert found(tmp_path / "yes", "cyclic-first-two-negative").finding == CONFIRMED
+    assert found(tmp_path / "no", "cyclic-first-two-negative").finding == REFUTED
+    cyclic(tmp_path / "one", "a", latencies(300, 1), hz=100)
+    assert found(tmp_path / "one", "cyclic-first-two-negative").finding == UNDECIDED
+
+
+@pytest.mark.parametrize(("drift_ns", "finding"), [(0, CONFIRMED), (20_000, REFUTED)])
+def test_the_frequency_is_kept(tmp_path, drift_ns, finding):
+    cyclic(tmp_path, "a", latencies(1000, 1) + drift_ns * np.arange(1000))
+    assert found(tmp_path, "cyclic-frequency-kept").finding == finding
+
+
+def test_jitter_above_400_us(tmp_path):
+    cyclic(tmp_path / "few", "a", latencies(3000, 1))
+    assert found(tmp_path / "few", "cyclic-400us-never").finding == UNDECIDED
+    cyclic(tmp_path / "once", "a", with_values(latencies(3000, 1), (1500, 900_000)))
+    assert found(tmp_path / "once", "cyclic-400us-never").finding == REFUTED
+
+
+@pytest.mark.parametrize(("spread_us", "finding"), [(30.0, CONFIRMED), (3.0, REFUTED)])
+def test_above_a_kilohertz(tmp_path, spread_us, finding):
+    cyclic(tmp_path, "a", latencies(5000, 1))
+    cyclic(tmp_path, "b", latencies(5000, 2, spread_us=spread_us), hz=4000)
+    assert found(tmp_path, "cyclic-degrades-above-1khz").finding == finding
+
+
+@pytest.mark.parametrize(
+    ("first_ns", "runs", "finding"), [(538_000, 8, CONFIRMED), (100_000, 8, REFUTED), (538_000, 2, UNDECIDED)]
+)
+def test_the_first_message(tmp_path, first_ns, runs, finding):
+    for k in range(runs):
+        comm(tmp_path, f"{k}", [with_values(latencies(500, k, 220.0), (0, first_ns))])
+    assert found(tmp_path, "comm-first-message-worst").finding == finding
+
+
+@pytest.mark.parametrize(("step_us", "finding"), [(40.0, CONFIRMED), (-20.0, UNDECIDED)])
+def test_more_subscribers(tmp_path, step_us, finding):
+    comm(tmp_path, "a", [latencies(3000, 1, 220.0)])
+    comm(tmp_path, "b", [latencies(3000, k, 220.0 + step_us * k) for k in range(5)])
+    assert found(tmp_path, "comm-more-subscribers-broader").finding == finding
+
+
+@pytest.mark.parametrize(("mean_us", "finding"), [(203.0, CONFIRMED), (260.0, REFUTED)])
+def test_a_higher_frequency(tmp_path, mean_us, finding):
+    comm(tmp_path, "a", [latencies(3000, 1, 224.0)])
+    comm(tmp_path, "b", [latencies(3000, 2, mean_us)], hz=1000)
+    assert found(tmp_path, "comm-higher-frequency-faster").finding == finding
+
+
+@pytest.mark.parametrize(("lost", "finding"), [((), CONFIRMED), ((7,), REFUTED)])
+def test_lost_messages(tmp_path, lost, finding):
+    comm(tmp_path, "a", [latencies(300, 1)], lost=lost)
+    assert found(tmp_path, "comm-nothing-lost").finding == finding
+
+
+def test_round_robin_beside_fifo(tmp_path):
+    for k in range(5):
+        oneshot(tmp_path / "same", f"r{k}", latencies(5000, k))
+        oneshot(tmp_path / "same", f"f{k}", latencies(5000, 50 + k), "FIFO")
+        oneshot(tmp_path / "apart", f"r{k}", latencies(2000, k))
+        oneshot(tmp_path / "apart", f"f{k}", latencies(2000, 50 + k, 140.0), "FIFO")
+    oneshot(tmp_path / "single", "r", latencies(2000, 1))
+    oneshot(tmp_path / "single", "f", latencies(2000, 2, 140.0), "FIFO")
+    assert found(tmp_path / "same", "rr-equals-fifo").finding == CONFIRMED
+    assert found(tmp_path / "apart", "rr-equals-fifo").finding == REFUTED
+    assert found(tmp_path / "single", "rr-equals-fifo").finding == UNDECIDED
+
+
+def test_a_single_cpu(tmp_path):
+    target = {"name": "single", "cpus": 1}
+    oneshot(tmp_path, "a", latencies(300, 1), target=target)
+    result = found(tmp_path, "single-cpu-shutdown-stuck")
+    assert result.finding == UNDECIDED and result.runs == ("a",)
+
+
+@pytest.mark.parametrize(("spread_us", "finding"), [(300.0, CONFIRMED), (2.0, REFUTED)])
+def test_without_priority(tmp_path, spread_us, finding):
+    oneshot(tmp_path, "a", latencies(3000, 1))
+    oneshot(tmp_path, "b", latencies(3000, 2, spread_us=spread_us), "0")
+    assert found(tmp_path, "default-priority-unpredictable").finding == finding
+
+
+def test_emulated_runs_decide_what_ros_does_not_how_fast(tmp_path):
+    oneshot(tmp_path, "a", latencies(3000, 1, 90.0), timeout_us=800, emulated=True)
+    oneshot(tmp_path, "b", latencies(3000, 1), "0", emulated=True)
+    assert found(tmp_path, "oneshot-sub-millisecond").finding == REFUTED
+    result = found(tmp_path, "oneshot-400us-rare")
+    assert result.finding == UNDECIDED and "emulated" in result.numbers

@@ -1,0 +1,97 @@
+"""Every format: complete, the same bytes twice, and nothing from a target gets out of its place."""
+
+import csv
+import io
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+
+import pyarrow.parquet
+import pytest
+from report.campaigns import latencies, oneshot_rows, write_run
+
+from rtrun.cli import main
+from rtrun.table import EMULATED
+
+
+def write(capsysbinary, results, form):
+    assert main(["report", str(results), "--format", form, "--output", "-"]) == 0
+    return capsysbinary.readouterr().out
+
+
+@pytest.mark.parametrize("form", ["html", "markdown", "json", "junit", "csv", "parquet"])
+def test_the_same_input_gives_the_same_bytes(capsysbinary, campaign, form):
+    first = write(capsysbinary, campaign, form)
+    assert first and first == write(capsysbinary, campaign, form)
+
+
+def test_the_page_needs_no_network(capsysbinary, campaign):
+    page = write(capsysbinary, campaign, "html").decode()
+    outside = re.findall(r"""(?:src|href|url\(|@import|fetch\(|import\()\s*=?\s*["']?(https?:|//)""", page)
+    assert not outside
+    assert page.count("<svg") > 10 and "default-src 'none'" in page
+
+
+def test_emulated_is_the_first_thing_said(capsysbinary, emulated):
+    assert write(capsysbinary, emulated, "markdown").decode().splitlines()[0] == f"**{EMULATED}**"
+    page = write(capsysbinary, emulated, "html").decode()
+    body = re.sub(r"\s*<[^>]+>\s*", "\n", page[page.index("<body>") :]).split("\n")
+    assert next(line for line in body if line) == EMULATED
+    data = json.loads(write(capsysbinary, emulated, "json"))
+    assert data["emulated"] and {g["verdict"]["answer"] for g in data["groups"]} == {"not a real-time statement"}
+
+
+def test_json_holds_everything(capsysbinary, campaign):
+    data = json.loads(write(capsysbinary, campaign, "json"), parse_constant=lambda name: pytest.fail(name))
+    assert data["schema"] == 1 and len(data["claims"]) == 19
+    oneshot = next(s for s in data["series"] if s["series"] == "measured")
+    assert set(oneshot["figures"]["percentiles_ns"]) >= {"p50", "p99.9", "p99.999"}
+    assert len(oneshot["figures"]["top"]) == len(oneshot["figures"]["lowest"]) == 10
+    for group in data["groups"]:
+        for bound in group["worst_case"]:
+            assert (bound["level_ns"] is None) == (bound["refused"] is not None)
+
+
+def test_tables_agree_between_csv_and_parquet(capsysbinary, campaign):
+    rows = list(csv.DictReader(io.StringIO(write(capsysbinary, campaign, "csv").decode())))
+    table = pyarrow.parquet.read_table(io.BytesIO(write(capsysbinary, campaign, "parquet"))).to_pylist()
+    assert [row["run"] for row in rows] == [row["run"] for row in table]
+    assert [float(row["p99_us"]) for row in rows] == [row["p99_us"] for row in table]
+    assert {row["series"] for row in rows} == {"measured", "reported", "difference", "jitter", "grid", "latency"}
+
+
+def test_junit_has_a_case_a_group(capsysbinary, campaign):
+    root = ElementTree.fromstring(write(capsysbinary, campaign, "junit"))
+    cases = root.findall(".//testcase")
+    assert len(cases) == 15 == int(root.attrib["tests"])
+    assert int(root.attrib["failures"]) == len(root.findall(".//failure"))
+
+
+def test_what_a_target_says_stays_text(capsysbinary, tmp_path):
+    evil = "<script>alert(1)</script>\x1b]0;x\x07 \"'&|`*"
+    values = latencies(300, 1)
+    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0, "cpu": evil}
+    target = {"name": evil, "kernel_version": evil, "nested": {"<b>": evil}}
+    rows = [oneshot_rows(values, 1000)]
+    write_run(tmp_path, "a", "oneshot_timer_tests", rows, parameters, asked=300, target=target, logs=False)
+    write_run(tmp_path, "b", "oneshot_timer_tests", rows, parameters, asked=300, status="failed", reason=evil)
+    page = write(capsysbinary, tmp_path, "html").decode()
+    assert "<script>alert" not in page and "<b>" not in page and "&lt;script&gt;" in page
+    root = ElementTree.fromstring(write(capsysbinary, tmp_path, "junit"))
+    assert any("<script>" in case.attrib["name"] for case in root.findall(".//testcase"))
+    text = write(capsysbinary, tmp_path, "markdown").decode()
+    assert "<script>" not in text.replace("\\<script\\>", "")
+    assert main(["gate", str(tmp_path)]) == 1
+    assert b"\x1b" not in capsysbinary.readouterr().out
+
+
+def test_a_report_is_written_beside_the_results(capsys, tmp_path):
+    rows = [oneshot_rows(latencies(300, 1), 1000)]
+    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
+    folder = write_run(tmp_path, "a", "oneshot_timer_tests", rows, parameters, asked=300)
+    assert main(["report", str(tmp_path)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == "NEEDS MORE 1 of 1" and said[-1] == str(tmp_path / "report.html")
+    assert "<html" in (tmp_path / "report.html").read_text()
+    pictures = sorted(path.name for path in folder.glob("*.jpg"))
+    assert pictures == [path.with_suffix(".jpg").name for path in sorted(folder.glob("*.log"))] and pictures

@@ -1,0 +1,91 @@
+"""The gate, compare and claims commands: answers and exit statuses."""
+
+import json
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_run
+
+from rtrun.cli import main
+
+PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
+
+
+def write_oneshot(root, name="a", n=5000, mean_us=90.0, seed=1, **more):
+    rows = [oneshot_rows(latencies(n, seed, mean_us), 1000)]
+    return write_run(root, name, "oneshot_timer_tests", rows, PARAMETERS, asked=n, logs=False, **more)
+
+
+def test_a_proof_passes(tmp_path, capsys):
+    write_oneshot(tmp_path / "r")
+    junit = tmp_path / "gate.xml"
+    question = ["--deadline", "400us", "--probability", "1e-3", "--confidence", "0.95"]
+    assert main(["gate", str(tmp_path / "r"), *question, "--junit", str(junit)]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == "passed"
+    assert ElementTree.parse(junit).getroot().attrib["failures"] == "0"
+
+
+@pytest.mark.parametrize(
+    ("question", "answer"),
+    [(["--probability", "1e-6"], "NEEDS MORE"), (["--deadline", "0.09ms", "--probability", "1e-3"], "REFUTED")],
+)
+def test_too_little_and_too_late_fail(tmp_path, capsys, question, answer):
+    write_oneshot(tmp_path)
+    assert main(["gate", str(tmp_path), *question]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == "failed" and answer in said[1]
+
+
+def test_emulated_results_never_pass(tmp_path, capsys):
+    write_oneshot(tmp_path, emulated=True)
+    assert main(["gate", str(tmp_path), "--probability", "1e-2"]) == 1
+    said = capsys.readouterr().out
+    assert said.startswith("EMULATED") and "FAIL  not a real-time statement" in said
+
+
+def test_a_failed_run_does_not_pass_unseen(tmp_path, capsys):
+    write_oneshot(tmp_path)
+    write_oneshot(tmp_path, "b", status="failed", reason="the link was lost")
+    assert main(["gate", str(tmp_path), "--probability", "1e-3"]) == 1
+    assert "NOT ANALYSED" in capsys.readouterr().out
+
+
+def test_wrong_questions_are_usage_errors(tmp_path, capsys):
+    write_oneshot(tmp_path)
+    for wrong in (["--deadline", "400"], ["--deadline", "0us"], ["--probability", "0"], ["--confidence", "nan"]):
+        with pytest.raises(SystemExit) as ended:
+            main(["gate", str(tmp_path), *wrong])
+        assert ended.value.code == 2 and wrong[1] in capsys.readouterr().err
+    assert main(["gate", str(tmp_path / "none")]) == 2
+
+
+def test_compare_tells_what_changed(tmp_path, capsys):
+    write_oneshot(tmp_path / "a", n=20_000)
+    write_oneshot(tmp_path / "b", n=20_000, mean_us=95.0, seed=2)
+    write_oneshot(tmp_path / "c", n=20_000, seed=3)
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b"), "--margin", "1us"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("DIFFERENT  oneshot_timer RR 1000 us") and "us, margin 1.0 us: shifted" in said
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "c"), "--margin", "50us"]) == 0
+    assert capsys.readouterr().out.startswith("NO DIFFERENCE  ")
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "c"), "--margin", "0.01us"]) == 0
+    assert capsys.readouterr().out.startswith("NO DIFFERENCE SEEN  ")
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b"), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["changes"][0]["comparison"]["answer"] == "DIFFERENT"
+
+
+def test_compare_needs_something_in_common(tmp_path, capsys):
+    write_oneshot(tmp_path / "a")
+    rows = [cyclic_rows(latencies(500, 1), 100)]
+    write_run(tmp_path / "b", "x", "cyclic_timer_tests", rows, {"policy": "RR", "frequency_hz": 100}, asked=500)
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 2
+    assert "in common" in capsys.readouterr().err
+
+
+def test_claims_are_printed_with_their_numbers(campaign, capsys):
+    assert main(["claims", str(campaign)]) == 0
+    said = capsys.readouterr().out
+    assert sum(line.startswith(("confirmed", "refuted", "undecided")) for line in said.splitlines()) == 19
+    assert main(["claims", str(campaign), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["claims"]) == 19

@@ -1,0 +1,173 @@
+"""From run directories to groups and verdicts, and what is refused on the way."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from report.campaigns import bursty, communication_rows, cyclic_rows, latencies, oneshot_rows, write_run
+
+from rtfiles.errors import UsageError
+from rtrun.analysis.deadline import Answer
+from rtrun.report.document import verdict_line
+from rtrun.report.study import study
+
+ONESHOT = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
+
+
+def write_oneshot(root, name, values, **more):
+    return write_run(
+        root, name, "oneshot_timer_tests", [oneshot_rows(values, 1000)], ONESHOT, asked=values.size, **more
+    )
+
+
+def only(path, **question):
+    (group,) = study(path, **question).groups
+    return group
+
+
+def test_runs_alike_are_one_group(tmp_path):
+    for k in range(3):
+        write_oneshot(tmp_path, f"{k}", latencies(1000 * (k + 1), k))
+    group = only(tmp_path)
+    assert group.runs == ("0", "1", "2") and group.n == 6000
+    assert group.verdict is not None and group.verdict.n == 6000
+
+
+@pytest.mark.parametrize("other", [{"name": "board", "kernel_release": "6.6"}, {"name": "another"}])
+def test_runs_on_another_board_or_kernel_are_another_group(tmp_path, other):
+    write_oneshot(tmp_path, "a", latencies(1000, 1))
+    write_oneshot(tmp_path, "b", latencies(1000, 2), target=other)
+    assert [group.n for group in study(tmp_path).groups] == [1000, 1000]
+
+
+def test_enough_measurements_prove_a_deadline(tmp_path):
+    write_oneshot(tmp_path, "a", latencies(5000, 1), logs=False)
+    assert verdict_line(only(tmp_path, probability=1e-3)).answer == Answer.PROVEN
+    line = verdict_line(only(tmp_path, probability=1e-6))
+    assert line.answer == Answer.NEEDS_MORE and "1.2 h" in line.text
+    assert verdict_line(only(tmp_path, deadline_ns=90_000)).answer == Answer.REFUTED
+
+
+def test_bursts_make_measurements_worth_less(tmp_path):
+    write_oneshot(tmp_path, "a", bursty(8000, 1), logs=False)
+    verdict = only(tmp_path, deadline_ns=110_000).verdict
+    assert verdict is not None and verdict.design_effect > 3 and verdict.n_effective < 3000
+
+
+def test_a_timer_that_never_fired_missed_its_deadline(tmp_path):
+    values = latencies(2000, 1)
+    values[[3, 77]] = -(2**63)
+    write_oneshot(tmp_path, "a", values, logs=False)
+    group = only(tmp_path)
+    assert group.verdict is not None and (group.verdict.n, group.verdict.late, group.verdict.never) == (2000, 0, 2)
+    assert "2 never came" in verdict_line(group).text
+    assert group.digests[0].figures.n == 1998
+
+
+def test_the_first_message_stands_apart_and_lost_ones_count(tmp_path):
+    values = latencies(1000, 1, 220.0)
+    values[0] = 900_000
+    rows = communication_rows(values, 100, lost=(5, 6, 7))
+    parameters = {"policy": "RR", "frequency_hz": 100, "payload_bytes": 0, "subscribers": 1}
+    write_run(tmp_path, "a", "communication_tests", [rows], parameters, asked=1000, logs=False)
+    group = only(tmp_path)
+    (one,) = group.digests
+    assert one.startup == ((900_000, 0),) and one.n == 996 and one.missing == 3
+    assert group.verdict is not None and (group.verdict.n, group.verdict.late, group.verdict.never) == (999, 0, 3)
+    assert "start-up apart: 1 late, worst 900.0 us" in verdict_line(group).text
+    assert one.figures.top[0].index is not None and one.figures.top[0].index > 0
+
+
+def test_the_two_definitions_of_jitter_and_the_cluster(tmp_path):
+    lateness = latencies(4000, 1)
+    lateness[::8] -= 900_000
+    parameters = {"policy": "RR", "frequency_hz": 100}
+    write_run(tmp_path, "a", "cyclic_timer_tests", [cyclic_rows(lateness, 100)], parameters, asked=4000, logs=False)
+    found = study(tmp_path)
+    (jitter,) = found.digests
+    grid = next(one for one in found.others if one.series == "grid")
+    assert jitter.cluster is not None and jitter.cluster.share == pytest.approx(1 / 8, abs=0.002)
+    assert grid.cluster is not None and grid.cluster.share == pytest.approx(1 / 8, abs=0.002)
+    assert grid.cluster.median_ns == pytest.approx(-810_000, abs=5000)
+    assert len(jitter.startup) == 2
+
+
+def test_five_subscribers_are_one_group_whose_messages_count_once(tmp_path):
+    outputs = [communication_rows(latencies(1000, k), 100) for k in range(5)]
+    parameters = {"policy": "RR", "frequency_hz": 100, "payload_bytes": 0, "subscribers": 5}
+    write_run(tmp_path, "a", "communication_tests", outputs, parameters, asked=1000, logs=False)
+    group = only(tmp_path)
+    assert len(group.digests) == 5 and len(group.blocks) == 1
+    assert group.verdict is not None and group.verdict.n_effective == pytest.approx(999, rel=0.01)
+
+
+def test_an_emulated_board_gets_no_verdict_and_no_worst_case(emulated):
+    found = study(emulated)
+    assert found.emulated
+    assert {verdict_line(group).answer for group in found.groups} == {Answer.NO_STATEMENT}
+    assert all(not group.bounds and group.no_bound == "measured on an emulated board" for group in found.groups)
+
+
+def test_what_cannot_be_analysed_is_told_and_the_rest_is(tmp_path):
+    write_oneshot(tmp_path, "good", latencies(500, 1))
+    write_oneshot(tmp_path, "failed", latencies(500, 2), status="failed", reason="the board rebooted")
+    cut = write_oneshot(tmp_path, "cut", latencies(500, 3))
+    data = next(cut.glob("*.npy"))
+    data.write_bytes(data.read_bytes()[:-8])
+    (tmp_path / "open").mkdir()
+    found = study(tmp_path)
+    assert [group.runs for group in found.groups] == [("good",)]
+    told = "\n".join(found.left_out)
+    assert "failed: failed: the board rebooted" in told
+    assert "altered since the run was closed" in told and ".npy" in told
+    assert "open: incomplete" in told
+
+
+def test_logs_alone_are_read_as_histograms(tmp_path):
+    folder = write_oneshot(tmp_path, "a", latencies(3000, 1))
+    log = next(folder.glob("*.log"))
+    alone = tmp_path / log.name
+    shutil.copy(log, alone)
+    group = only(alone, probability=0.01)
+    assert group.n == 3000 and group.verdict is not None and group.verdict.assumes
+    assert group.no_bound is not None and "no order" in group.no_bound
+
+
+def test_a_lone_npy_is_read_with_its_json(tmp_path):
+    folder = write_oneshot(tmp_path, "a", latencies(3000, 1))
+    assert only(next(folder.glob("*.npy"))).n == 3000
+    assert only(folder).n == 3000
+
+
+@pytest.mark.parametrize("values", [np.full(500, 70_000), np.array([5_000]), -latencies(400, 1), np.full(300, 10**13)])
+def test_odd_series_are_reported_like_others(tmp_path, values):
+    """All equal, one sample, negative only, values of hours."""
+    write_oneshot(tmp_path, "a", values.astype(np.int64), logs=False)
+    group = only(tmp_path)
+    assert group.n == values.size and all(bound.refused for bound in group.bounds)
+
+
+def test_all_missing_is_a_miss_each_time(tmp_path):
+    write_oneshot(tmp_path, "a", np.full(100, -(2**63)), logs=False)
+    group = only(tmp_path)
+    assert group.n == 0 and group.verdict is not None and group.verdict.never == 100
+    assert verdict_line(group).answer == Answer.REFUTED
+
+
+def test_nothing_to_examine_is_an_error(tmp_path):
+    for path, message in ((tmp_path / "none", "no such file"), (tmp_path, "no finished run")):
+        with pytest.raises(UsageError, match=message):
+            study(path)
+    (tmp_path / "x.txt").write_text("x")
+    with pytest.raises(UsageError, match="not a folder of runs"):
+        study(tmp_path / "x.txt")
+
+
+def test_a_record_with_names_that_leave_the_folder_is_refused(tmp_path):
+    folder = write_oneshot(tmp_path, "a", latencies(100, 1))
+    write_oneshot(tmp_path, "b", latencies(100, 1))
+    record = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps(record | {"outputs": ["../b/x"]}))
+    found = study(tmp_path)
+    assert len(found.groups) == 1 and "no name of a file" in found.left_out[0]

@@ -1,0 +1,22 @@
+"""rtgen explain: what a profile resolves to."""
+
+import argparse
+import sys
+
+from rtgen.profile import DEFAULT_PROFILE
+
+NAME = "explain"
+HELP = "show what a profile resolves to: layers, kernels, fragments, files"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("profile", nargs="?", default=DEFAULT_PROFILE, help=f"name or file (….yml) [{DEFAULT_PROFILE}]")
+
+
+def run(args: argparse.Namespace) -> int:
+    from rtgen.layer.render import resolve
+    from rtgen.profile import load_profile, profile_path
+
+    profile, release = load_profile(args.profile)
+    sys.stdout.write(resolve(profile_path(args.profile).stem, profile, release))
+    return 0

@@ -1,0 +1,41 @@
+"""rtgen flash: an image onto an SD card."""
+
+import argparse
+import sys
+from pathlib import Path
+
+NAME = "flash"
+HELP = "write an image (.wic) to an SD card and read it back"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--image", type=Path, required=True, metavar="FILE", help="the .wic file")
+    parser.add_argument(
+        "--device", type=Path, required=True, metavar="/dev/sdX", help="the card, not a partition of it"
+    )
+    parser.add_argument("--yes", action="store_true", help="do not ask")
+
+
+def run(args: argparse.Namespace) -> int:
+    from rtfiles.errors import UsageError
+    from rtgen import flash
+
+    size = flash.check_image(args.image)
+    card = flash.check_device(args.device, size)
+    print(f"{args.image} ({size} bytes) -> {card.path}: {card.model}, {card.size_bytes} bytes. All on it will be lost.")
+    if not args.yes:
+        if not sys.stdin.isatty():
+            raise UsageError("nobody to ask for confirmation: give --yes")
+        if input(f"Type {card.name} to go on: ").strip() != card.name:
+            print("Nothing was written.")
+            return 1
+
+    def show(what: str, done: int) -> None:
+        if sys.stderr.isatty():
+            print(f"\r{what} {done * 100 // size} %   ", end="", file=sys.stderr, flush=True)
+
+    digest = flash.write(args.image, card, show)
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
+    print(f"{card.path}: {size} bytes written and verified, sha256 {digest}")
+    return 0

@@ -1,0 +1,34 @@
+"""rtgen new-profile: start a profile of one's own from another."""
+
+import argparse
+from pathlib import Path
+
+from rtgen.profile import DEFAULT_PROFILE
+
+NAME = "new-profile"
+HELP = "write a profile of your own, derived from another, to edit"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, help="file to write, ending in .yml; must not exist")
+    parser.add_argument(
+        "--from", dest="origin", default=DEFAULT_PROFILE, metavar="PROFILE", help=f"[{DEFAULT_PROFILE}]"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    from rtfiles import atomic
+    from rtfiles.errors import UsageError
+    from rtgen.profile import load_profile, profile_path
+
+    if args.file.suffix != ".yml":
+        raise UsageError(f"{args.file}: the name of a profile's file ends in .yml")
+    if args.file.exists():
+        raise UsageError(f"{args.file}: exists, choose another name")
+    if not args.file.parent.is_dir():
+        raise UsageError(f"{args.file.parent}: no such folder")
+    load_profile(args.origin)  # what is wrong already is not worth a copy
+    text = profile_path(args.origin).read_text(encoding="utf-8")
+    atomic.write_text(args.file, f"# Derived from {args.origin}.\n{text}")
+    print(f"{args.file}: a copy of {args.origin}; edit it, then: rtgen render --profile {args.file} --out DIR")
+    return 0

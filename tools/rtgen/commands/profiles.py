@@ -1,0 +1,21 @@
+"""rtgen profiles: list the profiles that come with rtgen."""
+
+import argparse
+
+NAME = "profiles"
+HELP = "list the profiles"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    del parser
+
+
+def run(args: argparse.Namespace) -> int:
+    from rtgen.profile import DEFAULT_PROFILE, load_profile, profile_names
+
+    del args
+    width = max(len(name) for name in profile_names())
+    for name in profile_names():
+        profile, _ = load_profile(name)
+        print(f"{name:{width}}  {profile.summary}{' (default)' if name == DEFAULT_PROFILE else ''}")
+    return 0

@@ -1,0 +1,39 @@
+"""rtgen render: write the layer and kas.yml of a profile, or check that they are what it renders."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from rtgen.profile import DEFAULT_PROFILE
+
+NAME = "render"
+HELP = "write meta-rt-tests/ and kas.yml from a profile"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--profile", default=DEFAULT_PROFILE, help=f"name or file (….yml) [{DEFAULT_PROFILE}]")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write to [this repository]")
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; show what differs and exit 1 if anything does"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    from rtgen.layer import output
+    from rtgen.layer.render import REPOSITORY, render
+    from rtgen.profile import load_profile, profile_path
+
+    out = args.out or REPOSITORY
+    profile, release = load_profile(args.profile)
+    tree = render(profile_path(args.profile).stem, profile, release, prefix=output.prefix_in_git(out))
+    if args.check:
+        difference = output.differences(tree, out)
+        if difference:
+            sys.stdout.write(difference)
+            print(f"rtgen: {out} is not what profile {args.profile} renders", file=sys.stderr)
+            return 1
+        print(f"{out}: {len(tree)} files, as profile {args.profile} renders them")
+        return 0
+    written, removed = output.write(tree, out)
+    print(f"{out}: {len(tree)} files of profile {args.profile}, {written} written, {removed} removed")
+    return 0

@@ -1,0 +1,104 @@
+"""A rendering on disk: compared, and written without touching what others put there."""
+
+import difflib
+import os
+from pathlib import Path, PurePosixPath
+
+from rtfiles import atomic
+from rtfiles.errors import UsageError
+from rtgen.layer.render import Link, Tree, is_ours
+
+OWNED = ("meta-rt-tests",)  # folders that hold nothing but the rendering
+
+
+def prefix_in_git(out: Path) -> str:
+    """`out` below the git repository it lies in, with a slash at the end; "" if it is its top or there is none."""
+    out = out.resolve()
+    for folder in (out, *out.parents):
+        if (folder / ".git").exists():
+            return "" if folder == out else f"{out.relative_to(folder).as_posix()}/"
+    return ""
+
+
+def differences(tree: Tree, out: Path) -> str:
+    """How the folder differs from the rendering, as a unified diff; "" if it does not."""
+    lines: list[str] = []
+    for path in sorted({*tree, *_present(out)}):
+        name = path.as_posix()
+        have, want = _read(out / path), _content(tree, path, out)
+        if have != want:
+            before, after = have.splitlines(keepends=True), want.splitlines(keepends=True)
+            lines += difflib.unified_diff(before, after, f"{name} (present)", f"{name} (rendered)")
+    return "".join(line if line.endswith("\n") else f"{line}\n" for line in lines)
+
+
+def write(tree: Tree, out: Path) -> tuple[int, int]:
+    """Make the folder hold the rendering, and return how many files were written and how many removed.
+
+    What is there must be a rendering: raises UsageError naming every file that is not, before anything is written.
+    """
+    present = _present(out)
+    foreign = [path for path in present if not _replaceable(out / path)]
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"{out}: not a folder")
+    if foreign:
+        raise UsageError("\n".join(f"{out / path}: not rendered by rtgen, move it away" for path in foreign))
+    written = removed = 0
+    for path, content in tree.items():
+        target = out / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # An unchanged file keeps its time, so that BitBake parses it no second time.
+        if isinstance(content, Link):
+            link = _relative(content, target)
+            if not target.is_symlink() or str(target.readlink()) != link:
+                target.unlink(missing_ok=True)
+                target.symlink_to(link)
+                written += 1
+        elif target.is_symlink() or _read(target) != content:
+            atomic.write_text(target, content)
+            written += 1
+    for path in present:
+        if path not in tree:
+            (out / path).unlink()
+            removed += 1
+            _remove_empty(out / path, out)
+    return written, removed
+
+
+def _present(out: Path) -> list[PurePosixPath]:
+    """Every file and link below the folders we own, and kas.yml."""
+    found = [PurePosixPath("kas.yml")] if os.path.lexists(out / "kas.yml") else []
+    for owned in OWNED:
+        for folder, folders, files in os.walk(out / owned):
+            links = [name for name in folders if (Path(folder) / name).is_symlink()]
+            found += [PurePosixPath((Path(folder) / name).relative_to(out).as_posix()) for name in [*files, *links]]
+    return sorted(found)
+
+
+def _replaceable(path: Path) -> bool:
+    if path.is_symlink():
+        return path.name == "files"
+    return is_ours(_read(path))
+
+
+def _content(tree: Tree, path: PurePosixPath, out: Path) -> str:
+    content = tree.get(path, "")
+    return f"link to {_relative(content, out / path)}\n" if isinstance(content, Link) else content
+
+
+def _read(path: Path) -> str:
+    """What is there: a file's text, a link's target, "" if nothing."""
+    if path.is_symlink():
+        return f"link to {path.readlink()}\n"
+    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+
+
+def _relative(link: Link, at: Path) -> str:
+    return os.path.relpath(link.target.resolve(), at.parent.resolve())
+
+
+def _remove_empty(path: Path, out: Path) -> None:
+    for folder in path.parents:
+        if folder == out or any(folder.iterdir()):
+            return
+        folder.rmdir()

@@ -1,0 +1,230 @@
+"""Profiles: one YAML file says which image is built from what.
+
+`load_profile` takes the name of a profile that comes with rtgen or the path of a file, and raises UsageError with
+file and key path for anything that is unknown or does not fit together.
+"""
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from rtfiles.config import Config, load
+from rtfiles.errors import UsageError
+
+PROFILES = Path(__file__).with_name("profiles")
+RELEASES_FILE = Path(__file__).parent / "layer" / "releases.yml"
+DEFAULT_PROFILE = "scarthgap-noetic"
+
+Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
+
+
+def _matches(pattern: str, allowed: str) -> AfterValidator:
+    def check(value: str) -> str:
+        if not re.fullmatch(pattern, value):
+            raise ValueError(f"{value!r} is not {allowed}")
+        return value
+
+    return AfterValidator(check)
+
+
+# What ends up in recipes and shell: nothing that BitBake, kas or a shell would take for syntax.
+Commit = Annotated[str, _matches(r"[0-9a-f]{40}", "a commit of 40 lower-case hex digits")]
+Url = Annotated[str, _matches(r"(https?|git)://[\w.~:/@%+-]+", "an http(s) or git address")]
+Name = Annotated[str, _matches(r"[a-z0-9][a-z0-9.+_-]*", "a name of lower-case letters, digits and . + _ -")]
+Argument = Annotated[str, _matches(r"[\w.,:/=+-]+", "one boot argument without blanks or quotes")]
+PublicKey = Annotated[
+    str, _matches(r"(ssh-ed25519|ssh-rsa|ecdsa-sha2-[\w-]+) [\w+/=]+( [\w.@ -]+)?", "an OpenSSH public key")
+]
+
+
+class Release(Config):
+    """What a Yocto release expects of a layer."""
+
+    separator: Literal[":", "_"]
+    unpack_folder: str
+    ros_distros: Strings
+    kernels: dict[str, Strings]
+    machines: Strings
+    layers: Strings
+    layer_depends: Strings
+    wic_boot_plugin: str | None
+    own_u_boot: bool
+    sshd_config_folder: bool
+
+
+class Releases(Config):
+    """releases.yml."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    releases: dict[str, Release]
+
+
+class Repository(Config):
+    """A repository of layers (or BitBake itself, which has none), pinned by commit."""
+
+    url: Url
+    commit: Commit
+    branch: str | None = None
+    layers: Strings = ()
+
+
+class KernelSource(Config):
+    """A kernel tree and patch other than those of the recipe."""
+
+    url: Url
+    branch: str
+    commit: Commit
+    rt_patch: Url
+    rt_patch_sha256: Annotated[str, _matches(r"[0-9a-f]{64}", "64 lower-case hex digits")] | None = None
+
+
+class Kernel(Config):
+    """The kernel of a machine, and how PREEMPT_RT gets into it.
+
+    `rt`: "branch" (the recipe's branch carries the RT patch) or "patch" (ours adds it, from `source`).
+    """
+
+    recipe: Name
+    version: Annotated[str, _matches(r"\d+\.\d+", "a kernel series such as 6.6")]
+    rt: Literal["branch", "patch"]
+    source: KernelSource | None = None
+
+    @model_validator(mode="after")
+    def _patch_needs_source(self) -> Self:
+        if (self.rt == "patch") != (self.source is not None):
+            raise ValueError("rt: patch and source belong together, give both or neither")
+        return self
+
+    @property
+    def series(self) -> tuple[int, ...]:
+        """The version as numbers."""
+        return tuple(int(part) for part in self.version.split("."))
+
+
+class Console(Config):
+    """A serial console."""
+
+    device: Annotated[str, _matches(r"tty[A-Za-z]+\d+", "a serial device such as ttyS2")]
+    baud: Annotated[int, Field(ge=1200, le=4_000_000)]
+
+
+class SdCard(Config):
+    """Two partitions: FAT for the boot files, ext4 for the root."""
+
+    boot_size_mib: Annotated[int, Field(ge=32, le=1024)]
+    root_extra_mib: Annotated[int, Field(ge=0, le=65536)]
+
+
+class Machine(Config):
+    """A machine the layer builds for; `sd_card` none: the machine's own image types."""
+
+    kernel: Kernel
+    serial_console: Console
+    boot_arguments: Annotated[tuple[Argument, ...], Field(strict=False)] = ()
+    sd_card: SdCard | None = None
+
+
+class SuiteSource(Config):
+    """Where the suites come from when not from this repository."""
+
+    url: Url
+    branch: str
+    commit: Commit
+    version: Annotated[str, _matches(r"\d+(\.\d+)+", "a version such as 0.1.2")]
+
+
+class Image(Config):
+    """The image and what is put into it beside the suites and the SSH server."""
+
+    name: Name
+    packages: Annotated[tuple[Name, ...], Field(strict=False)]
+
+
+class Ssh(Config):
+    """SSH server, and the public keys that may log in as root beside those of RT_TESTS_AUTHORIZED_KEYS."""
+
+    server: Literal["openssh", "dropbear"]
+    authorized_keys: Annotated[tuple[PublicKey, ...], Field(strict=False)] = ()
+
+
+class Profile(Config):
+    """One image: Yocto release, layers, machines, kernel, contents. The first machine is what kas.yml builds."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    summary: str
+    release: str
+    ros_distro: str
+    distro: Name
+    repositories: Annotated[dict[Name, Repository], Field(min_length=1)]
+    machines: Annotated[dict[Name, Machine], Field(min_length=1)]
+    suites: SuiteSource | None = None
+    image: Image
+    ssh: Ssh
+
+    @property
+    def default_machine(self) -> str:
+        """The machine that kas.yml builds for."""
+        return next(iter(self.machines))
+
+
+def load_releases() -> dict[str, Release]:
+    """The known Yocto releases by name."""
+    return load(RELEASES_FILE, Releases).releases
+
+
+def profile_names() -> list[str]:
+    """The profiles that come with rtgen, sorted."""
+    return sorted(path.stem for path in PROFILES.glob("*.yml"))
+
+
+def profile_path(name: str) -> Path:
+    """Where a profile is: a name that comes with rtgen, or a path ending in .yml."""
+    if name.endswith(".yml"):
+        return Path(name)
+    if name not in profile_names():
+        raise UsageError(f"profile {name!r} is unknown: give one of {', '.join(profile_names())}, or a file (….yml)")
+    return PROFILES / f"{name}.yml"
+
+
+def load_profile(name: str) -> tuple[Profile, Release]:
+    """Read a profile and the release it names, and check that they fit. Raises UsageError, a line a problem."""
+    path = profile_path(name)
+    profile = load(path, Profile)
+    releases = load_releases()
+    if profile.release not in releases:
+        raise UsageError(f"{path}: release: {profile.release!r} is unknown, allowed: {', '.join(releases)}")
+    release = releases[profile.release]
+    problems = _misfits(profile, release)
+    if problems:
+        raise UsageError("\n".join(f"{path}: {problem}" for problem in problems))
+    return profile, release
+
+
+def _misfits(profile: Profile, release: Release) -> list[str]:
+    """What of the profile does not exist in its release, as `key path: what, what is allowed`."""
+    problems = []
+
+    def check(key: str, value: str, allowed: tuple[str, ...]) -> None:
+        if value not in allowed:
+            problems.append(f"{key}: {value!r} does not exist in {profile.release}, allowed: {', '.join(allowed)}")
+
+    check("ros_distro", profile.ros_distro, release.ros_distros)
+    for name, machine in profile.machines.items():
+        check(f"machines.{name}", name, release.machines)
+        check(f"machines.{name}.kernel.recipe", machine.kernel.recipe, tuple(release.kernels))
+        versions = release.kernels.get(machine.kernel.recipe)
+        if versions:
+            check(f"machines.{name}.kernel.version", machine.kernel.version, versions)
+        if machine.sd_card and not release.wic_boot_plugin:
+            problems.append(f"machines.{name}.sd_card: {profile.release} has no image type wic, leave it out")
+    given = {
+        name if layer == "." else layer.rpartition("/")[2]
+        for name, repository in profile.repositories.items()
+        for layer in repository.layers
+    }
+    for layer in release.layers:
+        if layer not in given:
+            problems.append(f"repositories: no repository has the layer {layer!r}, {profile.release} needs it")
+    return problems
