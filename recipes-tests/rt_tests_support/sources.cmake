@@ -1,5 +1,7 @@
 # The library's sources, relative to this folder; the unit tests compile the same list.
 set(rt_tests_support_SOURCES
+  ${CMAKE_CURRENT_LIST_DIR}/src/background.cpp
+  ${CMAKE_CURRENT_LIST_DIR}/src/blocks.cpp
   ${CMAKE_CURRENT_LIST_DIR}/src/clock.cpp
   ${CMAKE_CURRENT_LIST_DIR}/src/errors.cpp
   ${CMAKE_CURRENT_LIST_DIR}/src/files.cpp

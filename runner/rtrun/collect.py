@@ -1,9 +1,10 @@
 """Pulling a run's files back. Names, sizes and contents come from the target and are believed only after a check."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
-from rtrun import suites
+from rtrun import salvage, suites
 from rtrun.errors import TargetError
 from rtrun.link import Link
 from rtrun.ssh import Connection
@@ -13,6 +14,10 @@ STREAM_LIMIT_BYTES = 16 * MIB
 JSON_LIMIT_BYTES = 16 * MIB
 LOG_LIMIT_BYTES = 64 * MIB
 NPY_HEADER_BYTES = 64 * 1024
+TRACE_LIMIT_BYTES = 64 * MIB
+# Of each output, as the suites have it.
+TRACES_MAX = 16
+_TRACE = re.compile(r"(.+)-trace-[0-9]{1,18}\.txt")
 
 
 def expected_files(suite: str, programs: Sequence[str], outputs: Sequence[str], rows: int) -> dict[str, int]:
@@ -23,6 +28,7 @@ def expected_files(suite: str, programs: Sequence[str], outputs: Sequence[str], 
         limits |= dict.fromkeys(logs, LOG_LIMIT_BYTES)
         # Duplicated messages may come on top of the rows asked for.
         limits[f"{output}.npy"] = 2 * rows * 8 * len(suites.suite(suite).columns) + NPY_HEADER_BYTES
+        limits[f"{output}{salvage.ENDING}"] = limits[f"{output}.npy"]
         limits[f"{output}.json"] = JSON_LIMIT_BYTES
     return limits
 
@@ -33,6 +39,7 @@ def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[s
     Raises TargetError when a file arrives with another SHA-256 than it has on the target.
     """
     present = link.do(lambda connection: connection.listing(source))
+    limits = {**limits, **_traces(present, limits)}
     sizes = {name: size for name, size in present.items() if name in limits}
     refused = {
         name: f"{name} has {size} bytes, at most {limits[name]} were expected: it was left there"
@@ -42,7 +49,17 @@ def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[s
     wanted = {name: limits[name] for name in sizes if name not in refused}
     if wanted:
         link.do(lambda connection: _copy(connection, source, destination, wanted))
+    for name in wanted:
+        if name.endswith(salvage.ENDING):
+            salvage.salvage(destination / name)
     return refused
+
+
+def _traces(present: Iterable[str], limits: Mapping[str, int]) -> dict[str, int]:
+    """Return the traces among the files there, with their limit: which indices they are of is for the suite to say."""
+    found = sorted(name for name in present if (trace := _TRACE.fullmatch(name)) and f"{trace[1]}.npy" in limits)
+    outputs = len([name for name in limits if name.endswith(".npy")])
+    return dict.fromkeys(found[: TRACES_MAX * outputs], TRACE_LIMIT_BYTES)
 
 
 def _copy(connection: Connection, source: PurePosixPath, destination: Path, wanted: Mapping[str, int]) -> None:

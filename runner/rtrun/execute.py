@@ -15,6 +15,7 @@ from rtrun import journal, measure, prepare, rundir
 from rtrun.campaign import Run
 from rtrun.link import Link, TargetRebooted
 from rtrun.target import Target
+from rtrun.tracing import tracing
 
 # A board that restarts under every attempt will not carry this run.
 ATTEMPTS = 3
@@ -75,7 +76,8 @@ def run_campaign(
                 for attempt in range(1, ATTEMPTS + 1):
                     log.note(now().isoformat(), run.name, "began")
                     try:
-                        status, reason = measure.measure(prepared, log.uid, name, run, results / run.name, now)
+                        with tracing(link, prepared.scripts, run.parameters):
+                            status, reason = measure.measure(prepared, log.uid, name, run, results / run.name, now)
                     except TargetRebooted as error:
                         log.note(now().isoformat(), run.name, "cut off", str(error))
                         observer.note(f"{run.name}: {error}")

@@ -13,7 +13,7 @@ from rtrun import conditions, suites
 from rtrun.campaign import Run
 from rtrun.conditions import Background, cpu_set
 from rtrun.probe import POLICIES
-from rtrun.samples import Record
+from rtrun.samples import BESIDE, Record
 
 # A program may take this long to get its policy; before, it is only told, not held against it.
 STARTING_S = 10.0
@@ -84,6 +84,8 @@ def _with(look: Look, block: list[list[str]]) -> Look:
     runtime_us: int | None = None
     for words in block:
         if words[0] == "thread":
+            if " ".join(words[6:]) in BESIDE:
+                continue
             state = (POLICIES[int(words[3])], int(words[4]), _cpus(words[5]))
             threads[words[1]] = (*threads.get(words[1], ()), state)
         elif words[0] == "load":
@@ -177,7 +179,11 @@ def _range(values: Iterable[float]) -> list[float] | None:
 
 
 def _threads(record: Record) -> list[State]:
-    return [(thread.policy, thread.priority, frozenset(thread.cpus)) for thread in record.in_effect.threads]
+    return [
+        (thread.policy, thread.priority, frozenset(thread.cpus))
+        for thread in record.in_effect.threads
+        if thread.name not in BESIDE
+    ]
 
 
 def mismatch(

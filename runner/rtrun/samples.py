@@ -20,6 +20,8 @@ from rtrun.suites import Suite, Value, suite
 MAX_JSON_BYTES = 16 << 20
 MAX_NPY_BYTES = 4 << 30
 NOT_FIRED_NS = -(2**63)
+# Threads of a suite that have no part in the measurement: of normal scheduling, on spare CPUs, whatever was asked for.
+BESIDE = frozenset({"rt_blocks", "rt_traces"})
 MAX_TIME_NS = 2**61  # 73 years: a difference of two times stays within 64 bits
 
 # Not numpy's own reader: it evaluates the header, and what that raises on junk is not to be foreseen.
@@ -105,6 +107,13 @@ class Files(Config):
     npy: str
 
 
+class Traces(Config):
+    """Values above a limit that the kernel trace was asked for, and the traces that were kept."""
+
+    above_limit: Count
+    files: list[str]
+
+
 class Record(Config):
     """``<output>.json``, as docs/formats.md has it."""
 
@@ -124,6 +133,7 @@ class Record(Config):
     indices: Indices
     summary: dict[str, Summary]
     files: Files
+    traces: Traces = Field(default_factory=lambda: Traces(above_limit=0, files=[]))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

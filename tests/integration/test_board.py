@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -10,13 +11,14 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import rtgen.cli
 import rtrun.cli
 from rtrun import execute, qmp, rundir, target
 from rtrun.campaign import read_campaign
-from rtrun.errors import TargetGone
+from rtrun.errors import TargetError, TargetGone
 from rtrun.results import read_run
 from rtrun.ssh import Connection
 
@@ -224,3 +226,73 @@ def test_a_killed_runner_leaves_no_emulator_behind(tmp_path):
     while Path(f"/proc/{emulator}").exists():
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+OUTLIERS_AND_BLOCKS = """
+runs:
+  - {suite: communication_tests, frequency_hz: 20, repetitions: 60, subscribers: 2, policy: RR, trace_threshold_us: 1}
+  - {suite: cyclic_timer_tests, frequency_hz: 10, repetitions: 150, policy: RR}
+"""
+
+
+def reset_after_the_first_block(machine):
+    """Cut the board off once rows of the run stand on its disk."""
+    script = 'for part in /var/lib/rt-tests/runs/*/*/*.npy.part; do wc -c <"$part"; done 2>/dev/null'
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline:
+        try:
+            connection = Connection(machine.address)
+            sizes = connection.run(["sh", "-c", script]).stdout.split()
+            connection.close()
+        except TargetError:
+            sizes = []
+        if any(int(size) > 128 for size in sizes):
+            break
+        time.sleep(0.5)
+    qmp.execute(machine.monitor, "system_reset")
+
+
+def test_traces_of_outliers_and_the_blocks_of_a_run_cut_off(tmp_path, monkeypatch):
+    campaign = write_campaign(tmp_path, OUTLIERS_AND_BLOCKS)
+    _, runs = read_campaign(campaign)
+    results = tmp_path / "results"
+    machines, resets = [], []
+    real = target.qemu.boot
+    monkeypatch.setattr(target.qemu, "boot", lambda *words: Remembering(real(*words), machines))
+
+    def act(number):
+        if number == 1 and not resets:
+            resets.append(threading.Thread(target=reset_after_the_first_block, args=(machines[0],)))
+            resets[0].start()
+
+    config = target.read_target(TOP / "targets" / "qemu.yml")
+    with target.switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
+        statuses = execute.run_campaign(switched_on, "test", runs, results, Observer(act))
+        connection = Connection(switched_on.address)
+        instances = connection.check(["ls", "/sys/kernel/tracing/instances"]).split()
+        connection.close()
+    assert list(statuses.values()) == ["ok", "ok"]
+    assert instances == [], "what was set up to trace is taken down"
+
+    for output in json.loads((results / runs[0].name / "run.json").read_text())["outputs"]:
+        record = json.loads((results / runs[0].name / f"{output}.json").read_text())
+        assert record["traces"]["above_limit"] == 60
+        assert record["traces"]["files"] == [f"{output}-trace-{index}.txt" for index in range(16)]
+        reception = np.load(results / runs[0].name / f"{output}.npy")[:, 1]
+        for index, name in enumerate(record["traces"]["files"]):
+            text = (results / runs[0].name / name).read_text()
+            at_s = float(re.match(r"# .* ns at index \d+ above 1000 ns, at (\S+) s of ", text)[1])
+            assert at_s == pytest.approx(reception[index] / 1e9, abs=1e-6)
+            if elsewhere := re.search(r"^# in (.*)$", text, re.M):
+                text = (results / runs[0].name / elsewhere[1]).read_text()
+            stamps = [float(stamp) for stamp in re.findall(r" (\d+\.\d{6}): sched_switch: ", text)]
+            # Values that come while an emulated CPU copies the trace of the one before may be older than their own.
+            assert at_s < max(stamps) and (index > 0 or min(stamps) < at_s)
+
+    resets[0].join()
+    (kept,) = results.glob("*.incomplete-1")
+    assert kept.name == f"{runs[1].name}.incomplete-1"
+    rows = np.load(next(kept.glob("*.npy")))
+    assert 1 < len(rows) < 150
+    assert (np.diff(rows[:, 0]) > 0).all()
+    assert not list(kept.glob("*.json"))

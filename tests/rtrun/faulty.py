@@ -7,7 +7,7 @@ PROGRAM = """#!{python}
 import json, os, sys, time
 sys.path.insert(0, {here!r})
 from pathlib import Path
-from written import write_output
+from written import write_npy, write_output
 
 words = dict(zip(sys.argv[1::2], sys.argv[2::2]))
 count, frequency = int(words.get("-r", 1000)), int(words.get("-f", 1000))
@@ -27,6 +27,15 @@ if wish == "fail":
     sys.exit(1)
 if wish == "silent":
     sys.exit(0)
+instance = Path("/sys/kernel/tracing/instances/rtrun")
+if wish.startswith("traced"):
+    indices = [int(index) for index in wish.split()[1:]]
+    for index in indices:
+        Path(f"{{output}}-trace-{{index}}.txt").write_text((instance / "trace_clock").read_text())
+    Path("passwd-trace-1.txt").write_text("not of this run")
+if wish == "part":
+    write_npy(Path(output + ".npy.part"), [(1,), (2,), (0,)], announced=count + 1)
+    os.kill(os.getpid(), 9)
 if wish == "killed":
     os.kill(os.getpid(), 9)
 rows = [(1_000_000 * n,) for n in range(count + 1)]

@@ -10,9 +10,11 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from faulty import write_faulty_suites
 from proxy import proxy_to
+from written import write_npy
 
 from rtfiles.errors import UsageError
 from rtrun import execute, rundir
@@ -202,8 +204,10 @@ def test_a_reboot_while_nobody_looked(loopback, suites_folder, ros_master, tmp_p
     left.mkdir(parents=True)
     (left / "cyclic_timer_tests.boot_id").write_text("11111111-2222-3333-4444-555555555555\n")
     (left / "cyclic_timer_tests.stdout").write_text("\tINFO: as far as it came\n")
+    write_npy(left / "cyclic_timer_tests_l10_fq100.npy.part", [(n,) for n in range(1, 7)], announced=11)
     watching.at_start = lambda number: None
     assert execute.run_campaign(target, "test", runs, results, watching) == {run.name: "ok"}
     kept = results / f"{run.name}.incomplete-1"
+    assert np.load(kept / "cyclic_timer_tests_l10_fq100.npy").tolist() == [[n] for n in range(1, 7)]
     assert (kept / "cyclic_timer_tests.stdout").read_text() == "\tINFO: as far as it came\n"
     assert not (kept / "run.json").exists()

@@ -10,9 +10,9 @@ import numpy as np
 NOT_FIRED = -(2**63)
 
 
-def write_npy(path: Path, rows: list[tuple[int, ...]]) -> None:
-    """Write rows by hand in NumPy format 1.0."""
-    header = f"{{'descr': '<i8', 'fortran_order': False, 'shape': ({len(rows)}, {len(rows[0])}), }}"
+def write_npy(path: Path, rows: list[tuple[int, ...]], announced: int | None = None) -> None:
+    """Write rows by hand in NumPy format 1.0; a part announces more of them."""
+    header = f"{{'descr': '<i8', 'fortran_order': False, 'shape': ({announced or len(rows)}, {len(rows[0])}), }}"
     header += " " * (-(10 + len(header) + 1) % 64) + "\n"
     magic = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little")
     path.write_bytes(magic + header.encode() + np.array(rows, dtype="<i8").tobytes())
@@ -47,6 +47,7 @@ def write_output(
         "indices": {"not_fired": [], "missing": [], "duplicate": [], "out_of_order": []},
         "summary": {"x": {"n": 0, "min_ns": None, "mean_ns": None, "max_ns": None, "top": [], "lowest": []}},
         "files": {"logs": [f"{output}.log"], "npy": f"{output}.npy"},
+        "traces": {"above_limit": 0, "files": []},
     }
     path = folder / f"{output}.json"
     path.write_text(json.dumps(record))

@@ -106,7 +106,9 @@ def test_missing_trace(offline: Bench) -> None:
     hidden = ("unshare", "--mount", "sh", "-c", 'mount -t tmpfs none /sys/kernel && exec "$@"', "sh")
     ended = offline.run("oneshot_timer_tests", "--break-trace", "100", before=hidden)
     assert (ended.status, ended.out) == (1, "")
-    assert ended.err.startswith("\tERROR: --break-trace needs tracefs mounted and the right to write to it: ")
+    assert ended.err.startswith(
+        "\tERROR: --break-trace and --trace-threshold need tracefs mounted and the right to write to it: "
+    )
     assert offline.files() == []
 
 

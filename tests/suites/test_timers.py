@@ -14,6 +14,7 @@ from .conftest import Bench, check_outputs, end, is_measuring, until
 
 pytestmark = pytest.mark.ros
 
+TRACE_SCRIPT = Path(__file__).parents[2] / "runner/rtrun/on_target/trace.sh"
 LISTS = ["\tINFO: Indices of top values(|latency:index|): |", "\tINFO: Indices of lowest values(|latency:index|): |"]
 
 
@@ -170,15 +171,20 @@ def test_ros_ends_it(bench: Bench) -> None:
         second.kill()
 
 
+# In a mount namespace of their own, with a trace of their own: the test leaves the machine as it was.
+TRACED = (
+    *("unshare", "--mount", "sh", "-c"),
+    "test -e /sys/kernel/tracing/trace_marker || mount -t tracefs tracefs /sys/kernel/tracing || exit; "
+    f'sh "{TRACE_SCRIPT}" up mono_raw || exit; "$@"; status=$?; '
+    f'sh "{TRACE_SCRIPT}" down; test ! -e /sys/kernel/tracing/instances/rtrun || status=99; exit $status',
+    "sh",
+)
+EVENT = re.compile(r"^ +.*-\d+ +\[\d+\] .* (\d+\.\d{6}): (\w+): ", re.M)
+
+
 @pytest.mark.parametrize("program", ["oneshot_timer_tests", "cyclic_timer_tests"])
-def test_break_trace_marks_the_kernel_trace(bench: Bench, program: str) -> None:
-    script = (
-        "test -e /sys/kernel/tracing/trace_marker || mount -t tracefs none /sys/kernel/tracing || exit; "
-        '"$@"; status=$?; '
-        "grep tests: /sys/kernel/tracing/trace | tail -n 1 >&2; exit $status"
-    )
-    traced = ("unshare", "--mount", "sh", "-c", script, "sh")
-    ended = bench.run(program, "-r", "5000", "--break-trace", "1", before=traced)
+def test_break_trace_keeps_the_kernel_trace(bench: Bench, program: str) -> None:
+    ended = bench.run(program, "-r", "5000", "--break-trace", "1", before=TRACED)
     assert ended.status == 0
     base = f"{program}_l5000_" + ("tm1000" if program == "oneshot_timer_tests" else "fq1000")
     record = check_outputs(bench.folder, base)
@@ -187,7 +193,42 @@ def test_break_trace_marks_the_kernel_trace(bench: Bench, program: str) -> None:
     ).groups()  # type: ignore[union-attr]
     assert int(index) == record["counts"]["measured"] - 1
     assert int(value_ns) == next(iter(record["summary"].values()))["max_ns"] > 1000
-    assert f"{program}: {value_ns} ns at index {index} above 1000 ns" in ended.err
+    assert record["traces"] == {"above_limit": 1, "files": [f"{base}-trace-{index}.txt"]}
+    text = (bench.folder / f"{base}-trace-{index}.txt").read_text()
+    above = f"{program}: {value_ns} ns at index {index} above 1000 ns"
+    assert text.startswith(f"# {above}, at ")
+    assert f": tracing_mark_write: {above}\n" in text
+
+
+@pytest.mark.parametrize("program", ["oneshot_timer_tests", "cyclic_timer_tests"])
+def test_threshold_keeps_traces_and_goes_on(bench: Bench, program: str) -> None:
+    """Each trace holds what the kernel did when its value came, on the clock of the samples."""
+    period = ("-t", "5000") if program == "oneshot_timer_tests" else ("-f", "200")
+    ended = bench.run(program, "-r", "200", *period, "--trace-threshold", "1", before=TRACED)
+    assert (ended.status, ended.err) == (0, "")
+    base = f"{program}_l200_" + ("tm5000" if program == "oneshot_timer_tests" else "fq200")
+    record = check_outputs(bench.folder, base)
+    assert record["complete"] is True
+    rows = np.load(bench.folder / f"{base}.npy")
+    values = rows[:, 2] if program == "oneshot_timer_tests" else np.diff(rows[:, 0]) - 5_000_000
+    ends = rows[:, 1] if program == "oneshot_timer_tests" else rows[1:, 0]
+    above = [int(index) for index in np.flatnonzero(values > 1000)]
+    assert record["traces"] == {
+        "above_limit": len(above),
+        "files": [f"{base}-trace-{index}.txt" for index in above[:16]],
+    }
+    assert f"\tINFO: Kernel traces: {len(above[:16])} of {len(above)} values above the limit" in ended.lines
+    for index, name in zip(above, record["traces"]["files"], strict=False):
+        text = (bench.folder / name).read_text()
+        at_s = f"{ends[index] // 10**9}.{ends[index] // 1000 % 10**6:06d}"
+        assert text.startswith(
+            f"# {program}: {values[index]} ns at index {index} above 1000 ns, at {at_s} s of CLOCK_MONOTONIC_RAW\n"
+        )
+        if elsewhere := re.search(r"^# in (.*)$", text, re.M):
+            text = (bench.folder / elsewhere[1]).read_text()
+        events = [(float(stamp), event) for stamp, event in EVENT.findall(text)]
+        assert {"sched_switch", "sched_waking"} <= {event for _, event in events}
+        assert events[0][0] < float(at_s) < events[-1][0]
 
 
 def test_full_disk(bench: Bench) -> None:
@@ -209,3 +250,40 @@ def test_what_was_requested_is_what_suites_yml_says(bench: Bench) -> None:
         requested = check_outputs(bench.folder, base)["requested"]
         keys = known["suites"][program]["programs"][program]
         assert requested == {key: known["options"][key]["default"] for key in keys} | {"repetitions": 5}
+
+
+def test_blocks_survive_a_kill(bench: Bench) -> None:
+    """What a power cut leaves of a long run, but for what the disk itself would lose: the part, and nothing else."""
+    process = bench.start("cyclic_timer_tests", "-s", "FIFO", "-r", "100000")
+    base = "cyclic_timer_tests_l100000_fq1000-tnRTFIFO"
+    part = bench.folder / f"{base}.npy.part"
+    until(lambda: part.exists() and part.stat().st_size > 128, process)
+    process.kill()
+    process.communicate()
+    assert bench.files() == [part.name]
+    header, rows = part.read_bytes()[:128], np.frombuffer(part.read_bytes()[128:], dtype="<i8")
+    assert b"'shape': (100001, 1)" in header
+    # Not one row of zeros, none out of place.
+    assert 0 < len(rows) < 100001
+    assert (np.diff(rows) > 0).all()
+    assert rows[-1] - rows[0] < 60e9
+
+
+@pytest.mark.parametrize("program", ["oneshot_timer_tests", "cyclic_timer_tests"])
+def test_a_long_run_leaves_no_part(bench: Bench, program: str) -> None:
+    """The writer is there, of normal priority, and says what it could not write; the results are as ever."""
+    base = f"{program}_l600_" + ("tm10000" if program == "oneshot_timer_tests" else "fq100") + "-tnRTRR"
+    (bench.folder / f"{base}.npy.part").symlink_to("/dev/full")
+    period = ("-t", "10000") if program == "oneshot_timer_tests" else ("-f", "100")
+    ended = bench.run(program, "-s", "RR", "-r", "600", *period)
+    assert ended.status == 0
+    assert ended.err == (
+        f"\tWARNING: cannot write {base}.npy.part: No space left on device; "
+        "a power cut would have cost all behind row 0\n"
+    )
+    record = check_outputs(bench.folder, base)
+    assert record["complete"] is True
+    assert not any(name.endswith(".part") for name in bench.files())
+    policies = {thread["name"]: thread["policy"] for thread in record["in_effect"]["threads"]}
+    assert policies.pop("rt_blocks") == "OTHER"
+    assert set(policies.values()) == {"RR"}

@@ -6,7 +6,18 @@ import pytest
 
 from .conftest import UNIT_SOURCE, say
 
-PROGRAMS = ("options", "summary", "log", "output", "oneshot", "cyclic", "communication", "allocations")
+PROGRAMS = (
+    "options",
+    "summary",
+    "log",
+    "output",
+    "oneshot",
+    "cyclic",
+    "communication",
+    "allocations",
+    "blocks",
+    "trace",
+)
 
 
 def test_every_program_is_run() -> None:

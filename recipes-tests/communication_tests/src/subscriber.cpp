@@ -4,6 +4,7 @@
 #include <ros/ros.h>
 
 #include "receptions.h"
+#include "rt_tests_support/blocks.h"
 #include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
 #include "rt_tests_support/report.h"
@@ -19,7 +20,7 @@ const rt_tests::Program program = {
     "communication_tests_subscriber",
     "Measures the latency of the messages of communication_tests_publisher.",
     {"policy", "repetitions", "prefix", "frequency_hz", "payload_bytes", "start_delay_s", "priority", "cpu", "clock",
-     "out_dir", "rt_scope", "break_trace_us", "idle_timeout_s"}};
+     "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us", "idle_timeout_s"}};
 
 // Whether to wait on for a publisher that sends nothing; asked only when nothing came for a while.
 class Silence {
@@ -57,7 +58,7 @@ class Silence {
 };
 
 // Receives until the last message; returns what ended it before, if anything did.
-std::string receive(const rt_tests::Options& options, Receptions& receptions, rt_tests::BreakTrace& break_trace,
+std::string receive(const rt_tests::Options& options, Receptions& receptions, rt_tests::OutlierTrace& outliers,
                     rt_tests::Surroundings& surroundings) {
   const clockid_t clock = surroundings.clock;
   bool broke = false;
@@ -71,7 +72,7 @@ std::string receive(const rt_tests::Options& options, Receptions& receptions, rt
         const int64_t publication_ns = int64_t{message->sec} * rt_tests::ns_per_s + message->nsec;
         ++received;
         receptions.receive(publication_ns, reception_ns, message->seq, message->last_msg);
-        broke = break_trace.exceeded(reception_ns - publication_ns, message->seq);
+        broke = outliers.exceeded(reception_ns - publication_ns, message->seq, reception_ns);
       };
   ros::Subscriber subscriber = node.subscribe<communication_tests::timestamp_msg>("communication_tests", 1000, callback);
 
@@ -107,16 +108,19 @@ int run(int argc, char* argv[]) {
   const auto destination = rt_tests::destination(
       options, "ct_gnuplot_l" + asked + "_fq" + std::to_string(options.number("frequency_hz")) + "_pl" + payload +
                    rt_tests::policy_suffix(options));
-  rt_tests::BreakTrace break_trace(options, program.name);
   rt_tests::set_up_process(options);
+  rt_tests::OutlierTrace outliers(options, program.name, destination.path(""));
   rt_tests::require_memory(options.number("repetitions") * int64_t{sizeof(Receptions::Samples::Row)});
   Receptions receptions(options.number("repetitions"));
+  rt_tests::Blocks blocks(destination.path(".npy"), receptions.samples(),
+                          options.number("repetitions") * rt_tests::ns_per_s / options.number("frequency_hz"));
   rt_tests::Report report(program, options);
   rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));
 
   ros::init(argc, argv, program.name, ros::init_options::NoSigintHandler);
-  const std::string ended_by = receive(options, receptions, break_trace, surroundings);
+  const std::string ended_by = receive(options, receptions, outliers, surroundings);
   rt_tests::give_up_realtime();
+  outliers.finish();
   ros::shutdown();
 
   rt_tests::Series latency("latency");
@@ -130,7 +134,8 @@ int run(int argc, char* argv[]) {
   report.missing = receptions.missing();
   report.duplicate = receptions.duplicate;
   report.out_of_order = receptions.out_of_order;
-  report.incomplete_reason = break_trace.reason();
+  report.incomplete_reason = outliers.reason();
+  report.traces = &outliers;
   if (report.incomplete_reason.empty()) report.incomplete_reason = receptions.incomplete_reason(ended_by);
   report.series = {&latency};
   report.plot = rt_tests::Plot::communication;
@@ -146,6 +151,7 @@ int run(int argc, char* argv[]) {
   list_events(report.missing, "missing", "Missing", report.lines);
   list_events(report.duplicate, "duplicate", "Duplicate", report.lines);
   rt_tests::write_report(report, surroundings, destination, samples.data(), samples.size(), 3);
+  blocks.discard();
   return 0;
 }
 

@@ -3,6 +3,7 @@
 #include <ros/ros.h>
 
 #include "jitter.h"
+#include "rt_tests_support/blocks.h"
 #include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
 #include "rt_tests_support/report.h"
@@ -15,9 +16,9 @@ const rt_tests::Program program = {"cyclic_timer_tests",
                                    "cyclic_timer_tests",
                                    "Measures the jitter of the ROS cyclic timer.",
                                    {"policy", "repetitions", "prefix", "frequency_hz", "priority", "cpu", "clock",
-                                    "out_dir", "rt_scope", "break_trace_us"}};
+                                    "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us"}};
 
-void measure(const rt_tests::Options& options, cyclic::Samples& samples, rt_tests::BreakTrace& break_trace,
+void measure(const rt_tests::Options& options, cyclic::Samples& samples, rt_tests::OutlierTrace& outliers,
              rt_tests::Surroundings& surroundings) {
   const clockid_t clock = surroundings.clock;
   const int64_t period_ns = cyclic::grid_ns(1, options.number("frequency_hz"));
@@ -31,7 +32,7 @@ void measure(const rt_tests::Options& options, cyclic::Samples& samples, rt_test
     const int64_t now_ns = rt_tests::now_ns(clock);
     if (broke || !samples.append({now_ns})) return;
     const auto rows = static_cast<int64_t>(samples.size());
-    broke = rows > 1 && break_trace.exceeded(now_ns - last_ns - period_ns, rows - 2);
+    broke = rows > 1 && outliers.exceeded(now_ns - last_ns - period_ns, rows - 2, now_ns);
     last_ns = now_ns;
   };
   ros::Timer timer = node.createTimer(period, callback);
@@ -52,24 +53,28 @@ int run(int argc, char* argv[]) {
   const std::string frequency = std::to_string(options.number("frequency_hz"));
   const auto destination = rt_tests::destination(
       options, "cyclic_timer_tests_l" + repetitions + "_fq" + frequency + rt_tests::policy_suffix(options));
-  rt_tests::BreakTrace break_trace(options, program.name);
   rt_tests::set_up_process(options);
+  rt_tests::OutlierTrace outliers(options, program.name, destination.path(""));
   rt_tests::require_memory(options.number("repetitions") * int64_t{sizeof(cyclic::Samples::Row)});
   cyclic::Samples samples(static_cast<std::size_t>(options.number("repetitions")) + 1);
+  rt_tests::Blocks blocks(destination.path(".npy"), samples,
+                          cyclic::grid_ns(options.number("repetitions"), options.number("frequency_hz")));
   rt_tests::Report report(program, options);
   rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));
 
   ros::init(argc, argv, program.name, ros::init_options::NoSigintHandler);
   rt_tests::info("Performing latency measurements...");
-  measure(options, samples, break_trace, surroundings);
+  measure(options, samples, outliers, surroundings);
   rt_tests::give_up_realtime();
+  outliers.finish();
   ros::shutdown();
 
   rt_tests::Series jitter("jitter"), grid("grid");
   cyclic::analyse(samples, options.number("frequency_hz"), jitter, grid);
   report.asked = options.number("repetitions");
   report.measured = jitter.n();
-  report.incomplete_reason = break_trace.reason();
+  report.incomplete_reason = outliers.reason();
+  report.traces = &outliers;
   if (report.incomplete_reason.empty() && !samples.full()) report.incomplete_reason = rt_tests::stop_reason();
   report.series = {&jitter, &grid};
   report.plot = rt_tests::Plot::cyclic;
@@ -82,6 +87,7 @@ int run(int argc, char* argv[]) {
                   "Jitter:\t" + rt_tests::extremes(jitter, "", "\t")};
   for (const auto& line : rt_tests::boundary_lines(jitter)) report.lines.push_back(line);
   rt_tests::write_report(report, surroundings, destination, samples.data(), samples.size(), 1);
+  blocks.discard();
   return 0;
 }
 

@@ -4,6 +4,7 @@
 
 #include <thread>
 
+#include "rt_tests_support/blocks.h"
 #include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
 #include "rt_tests_support/report.h"
@@ -16,7 +17,7 @@ const rt_tests::Program program = {
     "oneshot_timer_tests",
     "Measures the latency of the ROS one-shot timer.",
     {"policy", "repetitions", "prefix", "timeout_us", "busy_mode", "priority", "cpu", "clock", "out_dir", "rt_scope",
-     "break_trace_us"}};
+     "break_trace_us", "trace_threshold_us"}};
 
 constexpr int64_t patience_ns = 5 * rt_tests::ns_per_s;  // a timer later than this did not fire
 
@@ -34,7 +35,7 @@ void fire_once(const bool& fired) {
 }
 
 void measure(const rt_tests::Options& options, oneshot::Samples& samples, rt_tests::Noted& not_fired,
-             rt_tests::BreakTrace& break_trace, rt_tests::Surroundings& surroundings) {
+             rt_tests::OutlierTrace& outliers, rt_tests::Surroundings& surroundings) {
   const clockid_t clock = surroundings.clock;
   const int64_t timeout_ns = options.number("timeout_us") * rt_tests::ns_per_us;
   const ros::Duration timeout(static_cast<int32_t>(timeout_ns / rt_tests::ns_per_s),
@@ -70,7 +71,7 @@ void measure(const rt_tests::Options& options, oneshot::Samples& samples, rt_tes
       }
       return true;
     };
-    oneshot::measure(clock, timeout_ns, box, samples, not_fired, break_trace, trigger, cancel, wait);
+    oneshot::measure(clock, timeout_ns, box, samples, not_fired, outliers, trigger, cancel, wait);
     surroundings.finish();
     return;
   }
@@ -83,7 +84,7 @@ void measure(const rt_tests::Options& options, oneshot::Samples& samples, rt_tes
     }
     if (!ros::ok()) rt_tests::request_stop();
   });
-  oneshot::measure(clock, timeout_ns, box, samples, not_fired, break_trace, trigger, cancel, [&] { return box.wait(); });
+  oneshot::measure(clock, timeout_ns, box, samples, not_fired, outliers, trigger, cancel, [&] { return box.wait(); });
   surroundings.finish();
   ended = true;
   spinner.join();
@@ -103,18 +104,21 @@ int run(int argc, char* argv[]) {
   const auto destination = rt_tests::destination(
       options, "oneshot_timer_tests_l" + std::to_string(options.number("repetitions")) + "_tm" +
                    std::to_string(options.number("timeout_us")) + rt_tests::policy_suffix(options) + (busy ? "-bm" : ""));
-  rt_tests::BreakTrace break_trace(options, program.name);
   rt_tests::set_up_process(options);
+  rt_tests::OutlierTrace outliers(options, program.name, destination.path(""));
   rt_tests::require_memory(options.number("repetitions") * int64_t{sizeof(oneshot::Samples::Row)});
   oneshot::Samples samples(static_cast<std::size_t>(options.number("repetitions")));
+  rt_tests::Blocks blocks(destination.path(".npy"), samples,
+                          options.number("repetitions") * options.number("timeout_us") * rt_tests::ns_per_us);
   rt_tests::Report report(program, options);
   rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));
 
   ros::init(argc, argv, program.name, ros::init_options::NoSigintHandler);
   rt_tests::info("Performing ROS Timer latency measurements...");
   rt_tests::info(busy ? "Running in busy mode" : "Running in default mode");
-  measure(options, samples, report.not_fired, break_trace, surroundings);
+  measure(options, samples, report.not_fired, outliers, surroundings);
   rt_tests::give_up_realtime();
+  outliers.finish();
   ros::shutdown();
 
   rt_tests::Series measured("measured"), reported("reported"), difference("difference");
@@ -128,7 +132,8 @@ int run(int argc, char* argv[]) {
   }
   report.asked = options.number("repetitions");
   report.measured = measured.n();
-  report.incomplete_reason = break_trace.reason();
+  report.incomplete_reason = outliers.reason();
+  report.traces = &outliers;
   if (report.incomplete_reason.empty() && !samples.full()) report.incomplete_reason = rt_tests::stop_reason();
   report.series = {&measured, &reported, &difference};
   report.plot = rt_tests::Plot::oneshot;
@@ -144,6 +149,7 @@ int run(int argc, char* argv[]) {
   }
   for (const auto& line : rt_tests::boundary_lines(measured)) report.lines.push_back(line);
   rt_tests::write_report(report, surroundings, destination, samples.data(), samples.size(), 4);
+  blocks.discard();
   return 0;
 }
 

@@ -92,7 +92,7 @@ using Samples = rt_tests::Samples<4>;  // start, end, measured, reported
 //   wait()     returns when the box is settled; false on a stop
 template <class Trigger, class Cancel, class Wait>
 void measure(clockid_t clock, int64_t timeout_ns, ShotBox& box, Samples& samples, rt_tests::Noted& not_fired,
-             rt_tests::BreakTrace& break_trace, Trigger trigger, Cancel cancel, Wait wait) {
+             rt_tests::OutlierTrace& outliers, Trigger trigger, Cancel cancel, Wait wait) {
   while (!samples.full()) {
     const auto index = static_cast<int64_t>(samples.size());
     const int64_t start_ns = rt_tests::now_ns(clock);
@@ -107,7 +107,7 @@ void measure(clockid_t clock, int64_t timeout_ns, ShotBox& box, Samples& samples
     }
     const int64_t measured_ns = box.end_ns() - timeout_ns - start_ns;
     samples.append({start_ns, box.end_ns(), measured_ns, box.reported_ns()});
-    if (break_trace.exceeded(measured_ns, index)) return;
+    if (outliers.exceeded(measured_ns, index, box.end_ns())) return;
   }
 }
 

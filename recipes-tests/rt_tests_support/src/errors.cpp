@@ -8,6 +8,8 @@ namespace rt_tests {
 
 void info(const std::string& line) { std::cout << "\tINFO: " << line << std::endl; }
 
+void warning(const std::string& line) { std::cerr << "\tWARNING: " << line << std::endl; }
+
 void error(const std::string& line) { std::cerr << "\tERROR: " << line << std::endl; }
 
 int guarded(const std::function<int()>& body) {

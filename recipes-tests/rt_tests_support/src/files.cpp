@@ -12,17 +12,17 @@
 #include "rt_tests_support/errors.h"
 
 namespace rt_tests {
-namespace {
 
-bool write_all(int file, const Bytes& piece) {
+bool write_all(int file, const Bytes& piece, std::size_t offset) noexcept {
   auto at = static_cast<const char*>(piece.first);
   std::size_t left = piece.second;
   while (left > 0) {
-    const ssize_t written = write(file, at, std::min<std::size_t>(left, 1 << 24));
+    const ssize_t written = pwrite(file, at, std::min<std::size_t>(left, 1 << 24), static_cast<off_t>(offset));
     if (written < 0 && errno == EINTR) continue;
     if (written <= 0) return false;
     at += written;
     left -= static_cast<std::size_t>(written);
+    offset += static_cast<std::size_t>(written);
   }
   return true;
 }
@@ -33,8 +33,6 @@ void sync_folder(const std::string& folder) {
   fsync(handle);
   close(handle);
 }
-
-}  // namespace
 
 std::string folder_of(const std::string& path) {
   const std::size_t slash = path.rfind('/');
@@ -58,7 +56,11 @@ void write_file(const std::string& path, const std::vector<Bytes>& pieces) {
   const std::string temporary = folder_of(path) + "/." + std::to_string(getpid()) + "-" + name_of(path);
   const int file = open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
   bool good = file >= 0;
-  for (const auto& piece : pieces) good = good && write_all(file, piece);
+  std::size_t offset = 0;
+  for (const auto& piece : pieces) {
+    good = good && write_all(file, piece, offset);
+    offset += piece.second;
+  }
   good = good && fsync(file) == 0;
   int reason = errno;
   if (file >= 0 && close(file) != 0 && good) {
@@ -76,7 +78,7 @@ void write_file(const std::string& path, const std::vector<Bytes>& pieces) {
   sync_folder(folder_of(path));
 }
 
-void write_npy(const std::string& path, const int64_t* data, std::size_t rows, std::size_t columns) {
+std::string npy_header(std::size_t rows, std::size_t columns) {
 #if __BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__
   const std::string type = "<i8";
 #else
@@ -91,7 +93,11 @@ void write_npy(const std::string& path, const int64_t* data, std::size_t rows, s
   std::string header("\x93NUMPY\x01\x00", 8);
   header += static_cast<char>(dictionary.size() & 0xff);
   header += static_cast<char>(dictionary.size() >> 8);
-  header += dictionary;
+  return header + dictionary;
+}
+
+void write_npy(const std::string& path, const int64_t* data, std::size_t rows, std::size_t columns) {
+  const std::string header = npy_header(rows, columns);
   write_file(path, {{header.data(), header.size()}, {data, rows * columns * sizeof *data}});
 }
 

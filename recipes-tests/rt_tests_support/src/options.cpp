@@ -29,7 +29,9 @@ const std::vector<Option> all_options = {
     {"rt_scope", "--rt-scope", Kind::choice, 0, 0, {"process", "measuring-thread"}, "process",
      "which threads get policy and priority"},
     {"break_trace_us", "--break-trace", Kind::integer, 1, 60000000, {}, nullptr,
-     "stop at the first value above it in microseconds, and mark the kernel trace"},
+     "stop at the first value above it in microseconds, and keep the kernel trace"},
+    {"trace_threshold_us", "--trace-threshold", Kind::integer, 1, 60000000, {}, nullptr,
+     "keep the kernel trace around values above it in microseconds, and go on"},
     {"idle_timeout_s", "--idle-timeout", Kind::integer, 1, 86400, {}, "10",
      "subscriber: end when nothing arrives for so many seconds"},
 };

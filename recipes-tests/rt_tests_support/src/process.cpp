@@ -21,6 +21,9 @@ namespace {
 constexpr std::size_t thread_stack_bytes = 1024 * 1024;  // 8 MiB each, the default, would all be locked
 constexpr std::size_t touched_stack_bytes = 256 * 1024;
 
+cpu_set_t cpus_before;  // --cpu; valid once cpus_are_chosen
+bool cpus_are_chosen = false;
+
 std::string limit_of(__rlimit_resource resource) {
   rlimit limit{};
   getrlimit(resource, &limit);
@@ -63,6 +66,7 @@ void set_affinity(const std::string& list) {
   cpu_set_t set;
   CPU_ZERO(&set);
   for (int cpu : parse_cpus(list, static_cast<int>(sysconf(_SC_NPROCESSORS_CONF)))) CPU_SET(cpu, &set);
+  cpus_are_chosen = sched_getaffinity(0, sizeof cpus_before, &cpus_before) == 0;
   if (sched_setaffinity(0, sizeof set, &set) != 0) {
     throw Failure("cannot run on the CPUs '" + list + "': " + std::strerror(errno));
   }
@@ -101,6 +105,17 @@ void set_up_process(const Options& options) {
 
 void set_up_measuring_thread(const Options& options) {
   if (is_realtime(options) && options.text("rt_scope") != "process") set_policy(options);
+}
+
+cpu_set_t spare_cpus() {
+  cpu_set_t chosen;
+  CPU_ZERO(&chosen);
+  sched_getaffinity(0, sizeof chosen, &chosen);
+  if (!cpus_are_chosen) return chosen;
+  cpu_set_t spare;
+  CPU_XOR(&spare, &cpus_before, &chosen);  // those before and not now, or now and not before
+  CPU_AND(&spare, &spare, &cpus_before);
+  return CPU_COUNT(&spare) > 0 ? spare : chosen;
 }
 
 void give_up_realtime() {

@@ -110,6 +110,8 @@ std::string json_of(const Report& report, const Surroundings& surroundings, cons
   json.close().key("files").open('{').key("logs").open('[');
   for (const auto& log : report.logs) json.value(name_of(destination.path(log.ending)));
   json.close().field("npy", name_of(destination.path(".npy"))).close();
+  json.key("traces").open('{').field("above_limit", report.traces ? report.traces->above() : 0);
+  json.field("files", report.traces ? report.traces->files() : std::vector<std::string>{}).close();
   return json.close().text();
 }
 
@@ -118,6 +120,10 @@ void write_report(Report& report, const Surroundings& surroundings, const Destin
   if (!report.incomplete_reason.empty()) {
     report.lines.push_back("Incomplete: " + std::to_string(report.measured) + " of " + std::to_string(report.asked) +
                            " measured, " + report.incomplete_reason);
+  }
+  if (report.traces && report.traces->above() > 0) {
+    info("Kernel traces: " + std::to_string(report.traces->files().size()) + " of " +
+         std::to_string(report.traces->above()) + " values above the limit");
   }
   for (const auto& line : report.heading) info(line);
   for (const auto& line : report.lines) info(line);

@@ -1,53 +1,202 @@
 #include "rt_tests_support/trace.h"
 
 #include <fcntl.h>
+#include <sys/file.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cinttypes>
+#include <climits>
 #include <cstdio>
 #include <cstring>
 #include <limits>
 
 #include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
+#include "rt_tests_support/files.h"
 
 namespace rt_tests {
+namespace {
 
-const std::vector<std::string> trace_folders = {"/sys/kernel/tracing", "/sys/kernel/debug/tracing"};
+constexpr std::size_t buffer_bytes = 64 * 1024;
 
-BreakTrace::BreakTrace(const Options& options, const char* program, const std::vector<std::string>& folders)
-    : program_(program), limit_ns_(std::numeric_limits<int64_t>::max()) {
-  if (!options.given("break_trace_us")) return;
-  limit_ns_ = options.number("break_trace_us") * ns_per_us;
+int64_t limit_of(const Options& options, const char* key) {
+  return options.has(key) && options.given(key) ? options.number(key) * ns_per_us : std::numeric_limits<int64_t>::max();
+}
+
+}  // namespace
+
+const std::vector<std::string> trace_folders = {"/sys/kernel/tracing/instances/rtrun", "/sys/kernel/tracing",
+                                                "/sys/kernel/debug/tracing"};
+
+OutlierTrace::OutlierTrace(const Options& options, const char* program, const std::string& output,
+                           const std::vector<std::string>& folders)
+    : program_(program),
+      output_(output),
+      clock_(clock_of(options.text("clock"))),
+      threshold_ns_(limit_of(options, "trace_threshold_us")),
+      break_ns_(limit_of(options, "break_trace_us")),
+      lowest_limit_ns_(std::min(threshold_ns_, break_ns_)) {
+  if (lowest_limit_ns_ == std::numeric_limits<int64_t>::max()) return;
   std::string problems;
   for (const auto& folder : folders) {
     const std::string path = folder + "/trace_marker";
     marker_ = open(path.c_str(), O_WRONLY | O_CLOEXEC);
-    if (marker_ >= 0) return;
+    if (marker_ >= 0) {
+      folder_ = open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+      break;
+    }
     problems += (problems.empty() ? "" : ", ") + path + ": " + std::strerror(errno);
   }
-  throw Failure("--break-trace needs tracefs mounted and the right to write to it: " + problems);
+  if (marker_ < 0) {
+    throw Failure("--break-trace and --trace-threshold need tracefs mounted and the right to write to it: " + problems);
+  }
+  lock_path_ = folder_of(output) + "/.rt_tests-trace";
+  lock_ = open(lock_path_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
+  buffer_.resize(buffer_bytes);
+  if (threshold_ns_ != std::numeric_limits<int64_t>::max()) {
+    copier_.emplace("rt_traces", period_ms, [this] { take(true); });
+  }
 }
 
-BreakTrace::~BreakTrace() {
-  if (marker_ >= 0) close(marker_);
+OutlierTrace::~OutlierTrace() {
+  copier_.reset();
+  for (const int file : {marker_, folder_, lock_}) {
+    if (file >= 0) close(file);
+  }
+  if (lock_ >= 0) unlink(lock_path_.c_str());
 }
 
-void BreakTrace::mark(int64_t value_ns, int64_t index) noexcept {
-  if (index_ >= 0) return;
+bool OutlierTrace::note(int64_t value_ns, int64_t index, int64_t at_ns) noexcept {
+  if (broke_.index >= 0) return true;
+  const Outlier outlier{value_ns, index, at_ns};
+  const std::size_t above = above_.load(std::memory_order_relaxed);
+  if (above < outliers_.size()) outliers_[above] = outlier;
+  above_.store(above + 1, std::memory_order_release);
+  if (value_ns <= break_ns_) return false;
+  mark(outlier);
+  broke_ = outlier;
+  return true;
+}
+
+void OutlierTrace::mark(const Outlier& outlier) noexcept {
   char text[160];
   const int length = std::snprintf(text, sizeof text, "%s: %" PRId64 " ns at index %" PRId64 " above %" PRId64 " ns\n",
-                                   program_, value_ns, index, limit_ns_);
+                                   program_, outlier.value_ns, outlier.index, break_ns_);
   // A trace that cannot be written to is no reason to lose the measurement.
   [[maybe_unused]] const ssize_t written = write(marker_, text, static_cast<std::size_t>(length));
-  value_ns_ = value_ns;
-  index_ = index;
 }
 
-std::string BreakTrace::reason() const {
-  if (index_ < 0) return "";
-  return "ended by --break-trace: " + std::to_string(value_ns_) + " ns at index " + std::to_string(index_);
+bool OutlierTrace::write_at(const char* file, const char* text) noexcept {
+  const int handle = openat(folder_, file, O_WRONLY | O_CLOEXEC);
+  if (handle < 0) return false;
+  const bool good = write(handle, text, std::strlen(text)) >= 0;
+  const int reason = errno;
+  close(handle);
+  errno = reason;
+  return good;
+}
+
+bool OutlierTrace::is_recording() const noexcept {
+  const int handle = openat(folder_, "tracing_on", O_RDONLY | O_CLOEXEC);
+  if (handle < 0) return false;
+  char state = '0';
+  const bool good = read(handle, &state, 1) == 1;
+  close(handle);
+  return good && state == '1';
+}
+
+// Values that one copy of the trace holds share it, and so do programs that share a trace: subscribers that all see the
+// same late message. Whoever comes later finds in the lock file when the last copy was taken, and where it is.
+void OutlierTrace::take(bool going_on) noexcept {
+  const std::size_t noted = std::min(above_.load(std::memory_order_acquire), outliers_.size());
+  if (noted == taken_) return;
+  while (flock(lock_, LOCK_EX) != 0 && errno == EINTR) {
+  }
+  Copy last{};
+  const bool known = pread(lock_, &last, sizeof last, 0) == static_cast<ssize_t>(sizeof last);
+  // A time to come is one of another boot.
+  if (!known || last.at_ns > now_ns(clock_)) last.at_ns = std::numeric_limits<int64_t>::min();
+  for (; taken_ < noted; ++taken_) {
+    const Outlier& outlier = outliers_[taken_];
+    if (outlier.at_ns <= last.at_ns) {
+      write_trace(-1, outlier, last.file);
+      continue;
+    }
+    const int64_t at_ns = now_ns(clock_);
+    // At the end the trace is left as it is, for whoever set it up: nothing is to come for which it must go on.
+    const bool snapshot = going_on && write_at("snapshot", "2") && write_at("snapshot", "1");
+    const bool frozen = !snapshot && is_recording() && write_at("tracing_on", "0");
+    const int source = openat(folder_, snapshot ? "snapshot" : "trace", O_RDONLY | O_CLOEXEC);
+    if (source < 0) problem_ = errno;
+    if (source >= 0 && write_trace(source, outlier, "")) {
+      last.at_ns = at_ns;
+      char path[PATH_MAX];
+      name(path, sizeof path, outlier.index);
+      const char* slash = std::strrchr(path, '/');
+      const char* file = slash ? slash + 1 : path;
+      const std::size_t length = std::min(std::strlen(file), sizeof last.file - 1);
+      std::memcpy(last.file, file, length);
+      last.file[length] = '\0';
+      write_all(lock_, {&last, sizeof last}, 0);
+    }
+    if (source >= 0) close(source);
+    if (frozen) write_at("tracing_on", "1");
+  }
+  flock(lock_, LOCK_UN);
+}
+
+void OutlierTrace::name(char* path, std::size_t size, int64_t index) const noexcept {
+  std::snprintf(path, size, "%s-trace-%" PRId64 ".txt", output_.c_str(), index);
+}
+
+// What `source` gives, or, without one, where that is.
+bool OutlierTrace::write_trace(int source, const Outlier& outlier, const char* elsewhere) noexcept {
+  char path[PATH_MAX];
+  name(path, sizeof path, outlier.index);
+  const int64_t us = outlier.at_ns / ns_per_us;
+  int head = std::snprintf(buffer_.data(), buffer_.size(),
+                           "# %s: %" PRId64 " ns at index %" PRId64 " above %" PRId64 " ns, at %" PRId64
+                           ".%06d s of %s\n",
+                           program_, outlier.value_ns, outlier.index, lowest_limit_ns_, us / 1000000,
+                           static_cast<int>(us % 1000000), clock_name(clock_));
+  if (source < 0) {
+    head += std::snprintf(buffer_.data() + head, buffer_.size() - static_cast<std::size_t>(head), "# in %s\n", elsewhere);
+  }
+  const int file = open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
+  bool good = file >= 0;
+  ssize_t length = head;
+  for (std::size_t offset = 0; good && length > 0;) {
+    good = write_all(file, {buffer_.data(), static_cast<std::size_t>(length)}, offset);
+    offset += static_cast<std::size_t>(length);
+    if (good) length = source < 0 ? 0 : read(source, buffer_.data(), buffer_.size());
+  }
+  good = good && length == 0;
+  if (!good) problem_ = errno;
+  if (file >= 0) close(file);
+  if (file >= 0 && !good) unlink(path);
+  return good;
+}
+
+void OutlierTrace::finish() {
+  copier_.reset();
+  if (marker_ < 0) return;
+  take(false);
+  for (std::size_t i = 0; i < taken_; ++i) {
+    char path[PATH_MAX];
+    name(path, sizeof path, outliers_[i].index);
+    if (access(path, F_OK) == 0) files_.push_back(name_of(path));
+  }
+  if (problem_ != 0) {
+    warning(std::to_string(taken_ - files_.size()) + " of " + std::to_string(taken_) + " traces " + output_ +
+            "-trace-*.txt could not be copied: " + std::strerror(problem_));
+  }
+}
+
+std::string OutlierTrace::reason() const {
+  if (broke_.index < 0) return "";
+  return "ended by --break-trace: " + std::to_string(broke_.value_ns) + " ns at index " + std::to_string(broke_.index);
 }
 
 }  // namespace rt_tests

@@ -21,4 +21,6 @@ if mkdir -p "$1/objects" "$1/suites" "$1/runs" "$1/master" && [ -w "$1" ]; then
 else
     echo "readonly $1"
 fi
+# Left by a runner that was killed: it would slow down whatever is measured next. One whose run goes on is busy.
+rmdir /sys/kernel/tracing/instances/rtrun 2>/dev/null
 exit 0

@@ -13,6 +13,7 @@ from rtrun.report.claims import Examined, is_rt, select, us
 from rtrun.report.digest import Digest
 from rtrun.report.reference import oneshot_rows, published
 from rtrun.report.study import Group, Study, environment, told
+from rtrun.samples import BESIDE
 from rtrun.table import banner_of
 
 
@@ -301,9 +302,10 @@ def _environment(study: Study) -> Table:
     for one in study.digests:
         effect = one.in_effect
         if effect:
-            threads = {f"{t['policy']} {t['priority']}": None for t in effect.get("threads", [])}
+            threads = [thread for thread in effect.get("threads", []) if thread["name"] not in BESIDE]
+            policies = {f"{thread['policy']} {thread['priority']}": None for thread in threads}
             asked = str(one.parameters.get("policy", "0"))
-            seen.setdefault(f"threads in effect, policy {asked} asked for", {}).update(threads)
+            seen.setdefault(f"threads in effect, policy {asked} asked for", {}).update(policies)
             for key in ("clock", "clock_step_ns", "mlockall"):
                 seen.setdefault(key.replace("_", " "), {})[str(effect.get(key))] = None
     rows += [(key, "; ".join(sorted(values))) for key, values in seen.items()]

@@ -178,7 +178,8 @@ def _write_output(
                     "policy": {"0": "OTHER"}.get(parameters["policy"], parameters["policy"]),
                     "priority": 0 if parameters["policy"] == "0" else 95,
                     "cpus": [0, 1],
-                }
+                },
+                {"tid": 8, "name": "rt_blocks", "policy": "OTHER", "priority": 0, "cpus": [0, 1]},
             ],
             "clock": "CLOCK_MONOTONIC_RAW",
             "clock_resolution_ns": 1,

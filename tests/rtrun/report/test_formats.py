@@ -52,6 +52,11 @@ def test_json_holds_everything(capsysbinary, campaign):
             assert (bound["level_ns"] is None) == (bound["refused"] is not None)
 
 
+def test_threads_beside_the_measurement_are_not_what_was_in_effect(capsysbinary, campaign):
+    text = write(capsysbinary, campaign, "markdown").decode()
+    assert re.search(r"threads in effect, policy RR asked for \|? *\|? *RR 95 *\|", text)
+
+
 def test_tables_agree_between_csv_and_parquet(capsysbinary, campaign):
     rows = list(csv.DictReader(io.StringIO(write(capsysbinary, campaign, "csv").decode())))
     table = pyarrow.parquet.read_table(io.BytesIO(write(capsysbinary, campaign, "parquet"))).to_pylist()

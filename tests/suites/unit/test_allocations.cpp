@@ -4,11 +4,16 @@
 // does not: roscpp around them is not in here, and allocates (its timer thread makes a callback object for each shot).
 #include <gtest/gtest.h>
 #include <malloc.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
 
+#include <cstdlib>
 #include <thread>
 
 #include "jitter.h"
 #include "receptions.h"
+#include "rt_tests_support/blocks.h"
 #include "shots.h"
 
 extern "C" {
@@ -45,7 +50,7 @@ int allocations_in(Body body) {
 }
 
 rt_tests::Options no_options() {
-  static const rt_tests::Program program = {"", "", "", {"break_trace_us"}};
+  static const rt_tests::Program program = {"", "", "", {"clock", "break_trace_us", "trace_threshold_us"}};
   return rt_tests::Options(program);
 }
 
@@ -59,7 +64,7 @@ TEST(Allocations, AreSeen) {
 
 TEST(Allocations, NoneInTheOneshotLoop) {
   constexpr clockid_t clock_used = CLOCK_MONOTONIC_RAW;
-  rt_tests::BreakTrace trace(no_options(), "", {});
+  rt_tests::OutlierTrace trace(no_options(), "", "", {});
   oneshot::ShotBox box(clock_used, 1000000);
   oneshot::Samples samples(3000);
   rt_tests::Noted not_fired;
@@ -101,16 +106,53 @@ TEST(Allocations, NoneInTheSubscribersBookkeeping) {
   EXPECT_GT(receptions.out_of_order.count(), 1000);
 }
 
-TEST(Allocations, NoneInTheTraceMark) {
-  const rt_tests::Program program = {"", "", "", {"break_trace_us"}};
+TEST(Allocations, NoneInTheWriterOfBlocks) {
+  char folder[] = "/tmp/rt_tests_XXXXXX";
+  const std::string npy = mkdtemp(folder) + std::string("/a.npy");
+  const std::string part = npy + ".part";
+  cyclic::Samples samples(200);
+  rt_tests::Blocks blocks(npy, samples, INT64_C(1000000000), 1);
+  struct stat state {};
+  EXPECT_EQ(allocations_in([&] {
+              for (int64_t i = 0; i < 200; ++i) {
+                samples.append({i});
+                timespec pause{0, 1000000};
+                nanosleep(&pause, nullptr);
+              }
+              for (int i = 0; i < 3000 && (stat(part.c_str(), &state) != 0 || state.st_size < 200 * 8); ++i) {
+                timespec pause{0, 10000000};
+                nanosleep(&pause, nullptr);
+              }
+            }),
+            0);
+  EXPECT_GT(state.st_size, 200 * 8);  // it did write meanwhile
+  blocks.discard();
+  rmdir(folder);
+}
+
+TEST(Allocations, NoneInTheTraces) {
+  const rt_tests::Program program = {"", "", "", {"clock", "break_trace_us", "trace_threshold_us"}};
   rt_tests::Options options(program);
-  options.assign("--break-trace", "1");
+  options.assign("--break-trace", "5");
+  options.assign("--trace-threshold", "1");
   char folder[] = "/tmp/rt_tests_XXXXXX";
   const std::string path = mkdtemp(folder);
-  fclose(fopen((path + "/trace_marker").c_str(), "w"));
-  rt_tests::BreakTrace trace(options, "program", {path});
-  EXPECT_EQ(allocations_in([&] { trace.exceeded(2000, 1); }), 0);
-  EXPECT_NE(trace.reason(), "");
-  remove((path + "/trace_marker").c_str());
-  remove(path.c_str());
+  for (const char* file : {"trace_marker", "trace", "tracing_on"}) fclose(fopen((path + "/" + file).c_str(), "w"));
+  rt_tests::OutlierTrace trace(options, "program", path + "/a", {path});
+  struct stat state {};
+  EXPECT_EQ(allocations_in([&] {
+              trace.exceeded(2000, 1, 2000);
+              char copied[100];
+              std::snprintf(copied, sizeof copied, "%s/a-trace-1.txt", path.c_str());
+              for (int i = 0; i < 3000 && stat(copied, &state) != 0; ++i) {
+                timespec pause{0, 10000000};
+                nanosleep(&pause, nullptr);
+              }
+              trace.exceeded(6000, 2, 3000);
+            }),
+            0);
+  EXPECT_EQ(stat((path + "/a-trace-1.txt").c_str(), &state), 0);
+  trace.finish();
+  EXPECT_EQ(trace.files(), (std::vector<std::string>{"a-trace-1.txt", "a-trace-2.txt"}));
+  [[maybe_unused]] const int done = std::system(("rm -r " + path).c_str());
 }

@@ -62,9 +62,9 @@ struct FakeTimer {
 };
 
 void measure(const std::vector<Fate>& plan, oneshot::Samples& samples, rt_tests::Noted& not_fired, int& cancelled) {
-  const rt_tests::Program program = {"", "", "", {"break_trace_us"}};
+  const rt_tests::Program program = {"", "", "", {"clock", "break_trace_us"}};
   const rt_tests::Options options(program);
-  rt_tests::BreakTrace trace(options, "", {});
+  rt_tests::OutlierTrace trace(options, "", "", {});
   ShotBox box(clock_used, 20 * 1000000);
   FakeTimer timer(box, plan);
   oneshot::measure(
@@ -124,9 +124,9 @@ TEST(Oneshot, ShotsThatDoNotFireAreCountedAndLateCallbacksAreNobodyElses) {
 TEST(Oneshot, StopLeavesOnlyWholeRows) {
   oneshot::Samples samples(3);
   rt_tests::Noted not_fired;
-  const rt_tests::Program program = {"", "", "", {"break_trace_us"}};
+  const rt_tests::Program program = {"", "", "", {"clock", "break_trace_us"}};
   const rt_tests::Options options(program);
-  rt_tests::BreakTrace trace(options, "", {});
+  rt_tests::OutlierTrace trace(options, "", "", {});
   ShotBox box(clock_used, INT64_C(1000000000000));
   rt_tests::catch_stop_signals(box.semaphore());
   int shots = 0;

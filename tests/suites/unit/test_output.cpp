@@ -15,7 +15,6 @@
 #include "rt_tests_support/files.h"
 #include "rt_tests_support/json.h"
 #include "rt_tests_support/process.h"
-#include "rt_tests_support/trace.h"
 
 using namespace rt_tests;
 
@@ -108,29 +107,6 @@ TEST(Files, FolderIsLookedAtBefore) {
   EXPECT_NO_THROW(require_writable_folder(folder_of("name")));
   EXPECT_THROW(require_writable_folder(folder_of("/no/such/name")), UsageError);
   EXPECT_THROW(require_writable_folder(folder_of("/etc/passwd/name")), UsageError);
-}
-
-TEST(Trace, MarksTheFirstValueAboveTheLimit) {
-  Folder folder;
-  { std::ofstream(folder.path + "/trace_marker"); }
-  const Program program = {"s", "program", "", {"break_trace_us"}};
-  Options options(program);
-  options.assign("--break-trace", "5");
-  BreakTrace trace(options, "program", {folder.path + "/no", folder.path});
-  EXPECT_FALSE(trace.exceeded(5000, 1));
-  EXPECT_EQ(trace.reason(), "");
-  EXPECT_TRUE(trace.exceeded(5001, 2));
-  EXPECT_TRUE(trace.exceeded(9000, 3));
-  EXPECT_EQ(content(folder.path + "/trace_marker"), "program: 5001 ns at index 2 above 5000 ns\n");
-  EXPECT_EQ(trace.reason(), "ended by --break-trace: 5001 ns at index 2");
-  EXPECT_THROW(BreakTrace(options, "program", {folder.path + "/no"}), Failure);
-}
-
-TEST(Trace, NotAskedForNeverStops) {
-  const Program program = {"s", "program", "", {"break_trace_us"}};
-  const Options options(program);
-  BreakTrace trace(options, "program", {});
-  EXPECT_FALSE(trace.exceeded(INT64_C(9000000000000000000), 0));
 }
 
 TEST(Process, ThreadsAreReadBackFromTheKernel) {

@@ -18,6 +18,7 @@ struct Failure : std::runtime_error {
 };
 
 void info(const std::string& line);   // "\tINFO: ..." on standard output
+void warning(const std::string& line);  // "\tWARNING: ..." on standard error
 void error(const std::string& line);  // "\tERROR: ..." on standard error
 
 // Runs the body of a program and turns what it throws into one line and an exit status.

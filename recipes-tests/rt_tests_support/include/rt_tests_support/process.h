@@ -1,6 +1,8 @@
 // The real-time set-up of a process (thesis, section 2.3.3) and what the kernel says became of it.
 #pragma once
 
+#include <sched.h>
+
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -26,6 +28,9 @@ void set_up_process(const Options& options);
 // On a thread that measures, once the threads of ROS run: policy and priority if --rt-scope measuring-thread. Threads
 // it starts afterwards inherit them.
 void set_up_measuring_thread(const Options& options);
+
+// CPUs for what is not to disturb the measurement: those that --cpu leaves; all this process has, if it leaves none.
+cpu_set_t spare_cpus();
 
 // After the last measurement: every thread back to normal scheduling. A node that stays above the ROS master's
 // priority can lock up a single CPU in ros::shutdown (thesis, section 4.4).

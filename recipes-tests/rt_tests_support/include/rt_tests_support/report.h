@@ -11,6 +11,7 @@
 #include "rt_tests_support/process.h"
 #include "rt_tests_support/samples.h"
 #include "rt_tests_support/summary.h"
+#include "rt_tests_support/trace.h"
 
 namespace rt_tests {
 
@@ -53,6 +54,7 @@ struct Report {
   int64_t asked = 0;
   int64_t measured = 0;
   Noted not_fired, missing, duplicate, out_of_order;
+  const OutlierTrace* traces = nullptr;
   std::vector<const Series*> series;
   std::string title;
   std::vector<std::string> heading;  // lines for standard output only

@@ -28,6 +28,7 @@ class Samples {
   }
 
   std::size_t size() const noexcept { return size_.load(std::memory_order_acquire); }
+  std::size_t capacity() const noexcept { return rows_.size(); }
   bool full() const noexcept { return size() == rows_.size(); }
   const Row& operator[](std::size_t index) const noexcept { return rows_[index]; }
   const int64_t* data() const noexcept { return rows_.data()->data(); }

@@ -1,0 +1,52 @@
+#!/bin/sh
+# The kernel trace that the suites copy from around an outlier: an instance of its own, so that nobody else's is touched.
+#
+#   trace.sh up CLOCK    set up, unless it is there already; CLOCK as in trace_clock: mono_raw, mono
+#   trace.sh down        take down; one that a suite still uses stays
+set -u
+tracing=/sys/kernel/tracing
+instance=$tracing/instances/rtrun
+osnoise=$tracing/osnoise/options
+
+down() {
+    [ -d $instance ] || return 0
+    rmdir $instance 2>/dev/null || return 0
+    if grep -q NO_OSNOISE_WORKLOAD $osnoise 2>/dev/null; then echo OSNOISE_WORKLOAD >$osnoise; fi
+}
+
+fail() {
+    down
+    echo "$1" >&2
+    exit 1
+}
+
+up() {
+    [ -d $tracing/instances ] || mount -t tracefs tracefs $tracing 2>/dev/null ||
+        fail "no kernel trace: it needs CONFIG_FTRACE, tracefs on $tracing, and root"
+    if [ -d $instance ]; then
+        # A run that is picked up again finds its trace as it was.
+        grep -q "\[$1\]" $instance/trace_clock && return
+        down
+    fi
+    mkdir -p $instance || fail "no kernel trace: $instance cannot be made"
+    echo "$1" >$instance/trace_clock || fail "no kernel trace: the kernel has no trace clock $1"
+    # For each CPU: some tenths of a second of a busy one.
+    echo 512 >$instance/buffer_size_kb
+    # Where osnoise can do without its workload, which would keep every CPU busy: its events.
+    if grep -q OSNOISE_WORKLOAD $osnoise 2>/dev/null; then
+        echo NO_OSNOISE_WORKLOAD >$osnoise && echo osnoise >$instance/current_tracer
+    fi
+    for group in sched irq timer osnoise; do
+        if [ -e $instance/events/$group/enable ]; then echo 1 >$instance/events/$group/enable; fi
+    done
+    # Memory for snapshots is taken now rather than at the first outlier.
+    if [ -e $instance/snapshot ]; then
+        echo 1 >$instance/snapshot && echo 2 >$instance/snapshot
+    fi
+    echo 1 >$instance/tracing_on
+}
+
+case $1 in
+    up) up "$2" ;;
+    down) down ;;
+esac

@@ -1,0 +1,37 @@
+"""The kernel trace of a run that asks for one: set up before it, taken down after it."""
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from pathlib import PurePosixPath
+
+from rtrun.errors import ConnectionLost, TargetError, TargetGone
+from rtrun.link import Link, TargetRebooted
+from rtrun.suites import Value
+
+OPTIONS = ("break_trace_us", "trace_threshold_us")
+# So that the timestamps of a trace are those of the samples.
+CLOCKS = {"raw": "mono_raw", "monotonic": "mono"}
+
+
+@contextlib.contextmanager
+def tracing(link: Link, scripts: PurePosixPath, parameters: Mapping[str, Value]) -> Iterator[None]:
+    """Keep the kernel trace that the suites copy from recording while the context lasts, if the parameters ask for one.
+
+    Raises TargetError when the target cannot trace. While the target is out of reach its trace stays, as the run does:
+    whoever picks that up takes it down, and so does the next campaign.
+    """
+    if all(parameters.get(option) is None for option in OPTIONS):
+        yield
+        return
+    script = str(scripts / "trace.sh")
+    clock = CLOCKS[str(parameters["clock"])]
+    link.do(lambda connection: connection.check([script, "up", clock]))
+    try:
+        yield
+    except (TargetRebooted, TargetGone, ConnectionLost):
+        raise
+    except BaseException:
+        with contextlib.suppress(TargetError):
+            link.do(lambda connection: connection.run([script, "down"]))
+        raise
+    link.do(lambda connection: connection.run([script, "down"]))

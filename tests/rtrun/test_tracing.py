@@ -1,0 +1,120 @@
+"""The kernel trace around outliers, over a real sshd and this machine's tracefs: set up, pulled, taken down."""
+
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from faulty import write_faulty_suites
+from test_execute import Watching, measure, record, runs_of
+
+from rtrun import execute, launch
+from rtrun.errors import TargetError
+
+pytestmark = [pytest.mark.sshd, pytest.mark.ros]
+
+INSTANCE = Path("/sys/kernel/tracing/instances/rtrun")
+SCRIPT = Path(execute.__file__).parent / "on_target" / "trace.sh"
+
+
+@pytest.fixture
+def watching():
+    return Watching()
+
+
+@pytest.fixture
+def wishes(tmp_path):
+    return write_faulty_suites(tmp_path / "suites")
+
+
+@pytest.fixture
+def target(loopback, tmp_path, wishes, ros_master):
+    return replace(loopback, suites=tmp_path / "suites", ros_master_port=ros_master)
+
+
+@pytest.mark.parametrize(("clock", "kernels"), [("raw", "mono_raw"), ("monotonic", "mono")])
+def test_traces_come_with_the_run(target, tmp_path, watching, wishes, clock, kernels):
+    wishes.will("traced 3 8")
+    (run,) = runs = runs_of(1, trace_threshold_us=50, clock=clock)
+    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
+    traces = sorted(name for name in record(tmp_path / "results", run)["files"] if "trace" in name)
+    assert traces == ["cyclic_timer_tests_l10_fq100-trace-3.txt", "cyclic_timer_tests_l10_fq100-trace-8.txt"]
+    # The instance was there while the suite ran, on the clock of the samples.
+    assert f"[{kernels}]" in (tmp_path / "results" / run.name / traces[0]).read_text()
+    assert not INSTANCE.exists()
+
+
+def test_more_traces_than_a_suite_takes_are_not_pulled(target, tmp_path, watching, wishes):
+    wishes.will("traced " + " ".join(map(str, range(40))))
+    (run,) = runs = runs_of(1, break_trace_us=50)
+    measure(target, runs, tmp_path / "results", watching)
+    assert len([name for name in record(tmp_path / "results", run)["files"] if "trace" in name]) == 16
+
+
+@pytest.mark.parametrize("wish", ["fail", "killed"])
+def test_a_suite_that_fails_leaves_no_trace_set_up(target, tmp_path, watching, wishes, wish):
+    wishes.will(wish)
+    assert list(measure(target, runs_of(1, trace_threshold_us=50), tmp_path / "results", watching).values()) == [
+        "failed"
+    ]
+    assert not INSTANCE.exists()
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, TargetError("no space left")])
+def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watching, monkeypatch, error):
+    seen = []
+
+    def wait(*args, **kwargs):
+        seen.append(INSTANCE.exists())
+        raise error
+
+    monkeypatch.setattr(launch, "wait", wait)
+    with pytest.raises(type(error) if isinstance(error, Exception) else error):
+        measure(target, runs_of(1, trace_threshold_us=50), tmp_path / "results", watching)
+    assert seen == [True]
+    assert not INSTANCE.exists()
+
+
+def test_what_a_killed_runner_left_is_gone_with_the_next_campaign(target, tmp_path, watching, wishes):
+    subprocess.run([SCRIPT, "up", "mono"], check=True)
+    measure(target, runs_of(1), tmp_path / "results", watching)
+    assert not INSTANCE.exists()
+
+
+def test_a_trace_in_use_stays(target):
+    subprocess.run([SCRIPT, "up", "mono"], check=True)
+    try:
+        with (INSTANCE / "trace_marker").open("w") as marker:
+            marker.write("of the run that goes on\n")
+            marker.flush()
+            subprocess.run([SCRIPT, "down"], check=True)
+            subprocess.run([SCRIPT, "up", "mono"], check=True)
+            assert "of the run that goes on" in (INSTANCE / "trace").read_text()
+    finally:
+        subprocess.run([SCRIPT, "down"], check=True)
+    assert not INSTANCE.exists()
+
+
+def test_every_group_of_events_is_recorded():
+    subprocess.run([SCRIPT, "up", "mono_raw"], check=True)
+    try:
+        for group in ("sched", "irq", "timer"):
+            assert (INSTANCE / "events" / group / "enable").read_text().strip() == "1"
+        assert (INSTANCE / "tracing_on").read_text().strip() == "1"
+    finally:
+        subprocess.run([SCRIPT, "down"], check=True)
+
+
+def test_a_target_that_cannot_trace_says_so(target, tmp_path, watching, monkeypatch):
+    script = (tmp_path / "trace.sh").absolute()
+    script.write_text(SCRIPT.read_text().replace("/sys/kernel/tracing", str(tmp_path / "none")))
+    done = subprocess.run(["sh", script, "up", "mono"], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith("no kernel trace: it needs CONFIG_FTRACE, tracefs on ")
+
+
+def test_a_part_of_a_suite_that_was_killed_comes_as_samples(target, tmp_path, watching, wishes):
+    wishes.will("part")
+    (run,) = runs = runs_of(1)
+    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["failed"]
+    assert "cyclic_timer_tests_l10_fq100.npy" in record(tmp_path / "results", run)["files"]
