@@ -197,7 +197,7 @@ def test_tree_of_an_unknown_version(copy, capsys):
     makefile = copy / "Makefile"
     makefile.write_text(makefile.read_text().replace("PATCHLEVEL = 1\n", "PATCHLEVEL = 2\n", 1))
     assert main(["kconfig", "verify", "--source", str(copy)]) == 2
-    assert "kernel 6.2 is unknown, known: 3.4, 6.1" in capsys.readouterr().err
+    assert "kernel 6.2 is unknown, known: 3.4, 5.15, 6.1" in capsys.readouterr().err
 
 
 def test_a_tree_is_not_written_to(copy, data):
