@@ -1,8 +1,12 @@
 """What a baseline said of its run, from its standard output."""
 
 import re
+from pathlib import Path
 
+from rtfiles import atomic
 from rtrun.campaign import Run
+from rtrun.importers import cyclictest
+from rtrun.importers.histogram_file import ENDING, histogram_text
 
 _TOTAL = re.compile(r"^# Total:((?: [0-9]{1,18})+)\s*$", re.MULTILINE | re.ASCII)
 _OVERFLOWS = re.compile(r"^# Histogram Overflows:((?: [0-9]{1,18})+)\s*$", re.MULTILINE | re.ASCII)
@@ -30,3 +34,18 @@ def contradiction(run: Run, said: str) -> str | None:
         for thread, count in enumerate(counts.split()[:threads]):
             sums[thread] += int(count)
     return f"the bins add up to {sums}, the totals say {binned}" if sums != binned else None
+
+
+def keep_histograms(folder: Path, run: Run, output: str) -> list[str]:
+    """Write what a baseline printed as files that reports read, one a thread of cyclictest; return their outputs.
+
+    hwlatdetect measures no series: it has none.
+    """
+    if run.suite != "cyclictest":
+        return []
+    printed = folder / f"{run.suite}.stdout"
+    found = cyclictest.read_text(printed, printed.read_text(encoding="utf-8"))
+    outputs = [f"{output}-t{thread}" for thread in range(len(found))]
+    for name, histogram in zip(outputs, found, strict=True):
+        atomic.write_text(folder / f"{name}{ENDING}", histogram_text(histogram))
+    return outputs

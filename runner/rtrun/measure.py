@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
-from rtrun import clock, collect, conditions, in_effect, launch, master, probe, rundir, suites
+from rtrun import baseline, clock, collect, conditions, in_effect, launch, master, probe, rundir, suites
 from rtrun.campaign import Run
 from rtrun.errors import ConnectionLost, TargetError, TargetGone
 from rtrun.judge import judge
@@ -136,6 +136,8 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
         if not master.answers(link):
             reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
             verdict = replace(verdict, status="failed", reason=reason)
+        if suites.suite(run.suite).always is not None and verdict.status == "ok":
+            outputs = baseline.keep_histograms(partial, run, suites.output_name(run.suite, run.parameters))
         record = {
             "run": run.name,
             "campaign": campaign,

@@ -224,6 +224,24 @@ def answer_junk(server):
         link.close()
 
 
+def test_a_master_that_dies_in_the_middle_of_a_run(bare_target, tmp_path, watching, wishes):
+    wishes.will("ok", "sleep 3")
+    runs = runs_of(3)
+
+    def kill_the_master(number):
+        if number == 1:
+            (pid,) = Path(bare_target.work_dir).glob("master/*/rosmaster.pid")
+            threading.Timer(1.0, os.killpg, (int(pid.read_text()), signal.SIGKILL)).start()
+
+    watching.at_start = kill_the_master
+    with pytest.raises(TargetError, match="the ROS master died"):
+        measure(bare_target, runs, tmp_path / "results", watching)
+    assert record(tmp_path / "results", runs[0])["status"] == "ok"
+    assert record(tmp_path / "results", runs[1])["reason"].startswith("the ROS master died during the run")
+    watching.at_start = lambda number: None
+    assert list(measure(bare_target, runs, tmp_path / "results", watching).values()) == ["ok", "ok", "ok"]
+
+
 def test_no_ros_on_the_target(bare_target, tmp_path, watching, wishes, monkeypatch):
     real = prepare.probe.find
     monkeypatch.setattr(prepare.probe, "find", lambda *words: replace(real(*words), master=None))
