@@ -207,7 +207,8 @@ def test_a_master_that_is_there_is_used_and_left_alone(target, tmp_path, watchin
         assert master.answers(link)
 
 
-def test_a_port_that_is_no_master(bare_target, tmp_path, watching, wishes):
+def test_a_port_that_is_no_master(bare_target, tmp_path, watching, wishes, monkeypatch):
+    monkeypatch.setattr(master, "START_S", 3.0)
     with socket.create_server(("127.0.0.1", bare_target.ros_master_port)) as server:
         threading.Thread(target=answer_junk, args=(server,), daemon=True).start()
         with pytest.raises(TargetError, match="the ROS master did not start"):

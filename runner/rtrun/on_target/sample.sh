@@ -69,8 +69,10 @@ while :; do
     read -r uptime _ </proc/uptime
     read -r load _ </proc/loadavg
     read -r busy </proc/stat
-    echo "at $uptime $load $(joined /sys/class/thermal/thermal_zone[0-9]*/temp)" \
-        "$(joined /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_cur_freq) $busy"
+    # Not within the line: TERM ends what is in $( ) at once, the shell only after the command it is at.
+    temperature=$(joined /sys/class/thermal/thermal_zone[0-9]*/temp)
+    frequency=$(joined /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_cur_freq)
+    echo "at $uptime $load $temperature $frequency $busy"
     found=$(threads)
     # One process of each load tells for all: what it was started with is inherited.
     paths=$(echo "$found" | awk '$1 == "thread" { print $6 "/status" } $1 == "process" && !seen[$2]++ { print $3 "/status" }')

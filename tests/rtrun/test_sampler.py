@@ -1,0 +1,30 @@
+"""The sampler that runs on the target, ended at any moment."""
+
+import os
+import signal
+import subprocess
+import time
+
+from rtrun.deploy import ON_TARGET
+
+SAMPLERS = 40
+
+
+def test_ended_at_any_moment_it_leaves_whole_lines(tmp_path):
+    argv = ["sh", str(ON_TARGET / "sample.sh"), str(tmp_path), "95", ""]
+    samplers = [
+        subprocess.Popen(
+            argv, stdout=(tmp_path / f"{number}.out").open("wb"), stderr=subprocess.DEVNULL, process_group=0
+        )
+        for number in range(SAMPLERS)
+    ]
+    time.sleep(0.8)
+    for sampler in samplers:
+        os.killpg(sampler.pid, signal.SIGTERM)
+        time.sleep(0.03)
+    for sampler in samplers:
+        sampler.wait(60)
+    lines = [line for number in range(SAMPLERS) for line in (tmp_path / f"{number}.out").read_text().splitlines()]
+    looks = [line.split() for line in lines if line.startswith("at ")]
+    assert looks, "some of them had time for a look"
+    assert [words for words in looks if len(words) < 14 or words[5] != "cpu"] == []
