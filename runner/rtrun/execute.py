@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Protocol
 
-from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.errors import UsageError
 from rtrun import journal, measure, prepare, rundir
 from rtrun.campaign import Run
 from rtrun.link import Link, TargetRebooted
@@ -50,10 +50,7 @@ def run_campaign(
     Raises UsageError when the folder holds another campaign, TargetError when the target cannot go on. What was
     finished before is kept in either case, and another call goes on behind it.
     """
-    try:
-        results.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InfrastructureError(f"{results}: cannot keep the results: {error.strerror}") from error
+    rundir.make_results(results)
     digest = hashlib.sha256(json.dumps([asdict(run) for run in runs], sort_keys=True).encode()).hexdigest()
     with _alone(results), contextlib.closing(journal.open_journal(results, name, digest, target.name)) as log:
         if (log.plan, log.target) != (digest, target.name):

@@ -16,6 +16,14 @@ RECORD = "run.json"
 SCHEMA = 1
 
 
+def make_results(folder: Path) -> None:
+    """Make the folder for the runs of a campaign, unless it is there. Raises InfrastructureError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InfrastructureError(f"{folder}: cannot keep the results: {error.strerror}") from error
+
+
 @contextlib.contextmanager
 def filling(folder: Path) -> Iterator[Path]:
     """Yield an empty folder beside `folder` to fill; nothing of it stays when the context is left by an exception.

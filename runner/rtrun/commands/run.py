@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from rtfiles.errors import InfrastructureError
-    from rtrun import execute, progress, table
+    from rtrun import execute, progress, rundir, table
     from rtrun.campaign import read_campaign
     from rtrun.results import read_runs
     from rtrun.target import read_target, switch_on
@@ -34,10 +34,7 @@ def run(args: argparse.Namespace) -> int:
         results = _fresh(results)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _interrupt)
-    try:
-        results.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InfrastructureError(f"{results}: cannot keep the results: {error.strerror}") from error
+    rundir.make_results(results)
     console = Console()
     statuses: dict[str, str] = {}
     try:
