@@ -41,12 +41,15 @@ def read_text(path: Path, text: str) -> tuple[Imported, ...]:
     totals, line_of_totals = summary["Total"]
     # With -H the last column sums up the others.
     threads = len(summary["Max Latencies"][0]) if "Max Latencies" in summary else len(totals)
-    if not 0 < threads <= len(columns):
-        raise UsageError(f"{path}:{line_of_totals}: {threads} threads in the summary, {len(columns)} columns of bins")
+    if not 0 < threads <= min(len(columns), len(totals)):
+        raise UsageError(
+            f"{path}:{line_of_totals}: {threads} threads in the summary, {len(columns)} columns of bins, "
+            f"{len(totals)} totals"
+        )
     found_threads = []
     for k in range(threads):
         seen = sum(columns[k].values())
-        if k < len(totals) and totals[k] != seen:
+        if totals[k] != seen:
             raise UsageError(f"{path}:{line_of_totals}: thread {k}: a total of {totals[k]}, but the bins hold {seen}")
         overflow, most = _at(summary, "Histogram Overflows", k) or 0, _at(summary, "Max Latencies", k)
         left_out = [NO_ORDER, "the interval, and whether -N changed the unit: microseconds are assumed"]
