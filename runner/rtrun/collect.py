@@ -34,7 +34,7 @@ def expected_files(suite: str, programs: Sequence[str], outputs: Sequence[str], 
 
 
 def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[str, int]) -> dict[str, str]:
-    """Copy the files of a run that are there and expected; return those that were left there, name to reason.
+    """Copy the files of a run that are there and expected; return those that were not taken, name to reason.
 
     Raises TargetError when a file arrives with another SHA-256 than it has on the target.
     """
@@ -42,7 +42,7 @@ def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[s
     limits = {**limits, **_traces(present, limits)}
     sizes = {name: size for name, size in present.items() if name in limits}
     refused = {
-        name: f"{name} has {size} bytes, at most {limits[name]} were expected: it was left there"
+        name: f"{name} has {size} bytes, at most {limits[name]} were expected: it was not taken"
         for name, size in sizes.items()
         if size > limits[name]
     }

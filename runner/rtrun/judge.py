@@ -85,16 +85,16 @@ def _of_outputs(
         return ("invalid", wrong) if wrong else None
     for output in outputs:
         names = (f"{output}.json", f"{output}.npy")
-        if found := [refused[name] for name in names if name in refused]:
+        if found := [why for name, why in refused.items() if name in names or _is_log(name, output)]:
             return "failed", found[0]
         missing = [name for name in names if not (folder / name).exists()]
-        log_names = [path for path in sorted(folder.glob("*.log")) if path.name.startswith(output)]
+        log_paths = [path for path in sorted(folder.glob("*.log")) if _is_log(path.name, output)]
         # The programs of 2014 write logs and nothing else.
-        if missing and not (len(missing) == 2 and log_names):
+        if missing and not (len(missing) == 2 and log_paths):
             return "failed", f"{missing[0]} is missing though its program ended with exit status 0"
         status = "failed"
         try:
-            logs = [read_log(path) for path in log_names]
+            logs = [read_log(path) for path in log_paths]
             if missing:
                 continue
             records[output] = read_json(folder / names[0], Record)
@@ -107,6 +107,10 @@ def _of_outputs(
         if not record.complete:
             return "incomplete", f"{output}: {record.incomplete_reason or 'ended before all was measured'}"
     return None
+
+
+def _is_log(name: str, output: str) -> bool:
+    return name.startswith(output) and name.endswith(".log")
 
 
 def _text(path: Path) -> str:

@@ -159,6 +159,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
                 for program, exit_ in zip([*others, *waiting], exits, strict=True)
             ],
             "outputs": outputs,
+            "refused": refused,
             "target": {
                 "name": link.target.name,
                 "address": str(link.target.address),

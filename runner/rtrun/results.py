@@ -63,6 +63,7 @@ class Record(Config):
     seed: int | None = None
     requested: dict[str, Any] = Field(default_factory=dict)
     in_effect: dict[str, Any] = Field(default_factory=dict)
+    refused: dict[str, str] = Field(default_factory=dict)
     files: dict[Name, File]
 
     @property

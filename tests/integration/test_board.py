@@ -95,7 +95,7 @@ def test_the_three_suites_on_the_board(tmp_path, monkeypatch, capsys):
 CONDITIONS = """
 common: {repetitions: 60, frequency_hz: 10}
 runs:
-  - {suite: cyclic_timer_tests, policy: RR, cpu: "1", condition: [cpu80, nodes], nodes_hz: 20}
+  - {suite: cyclic_timer_tests, policy: RR, cpu: "1", irq_cpu: "0", condition: [cpu80, nodes], nodes_hz: 20}
 """
 
 
@@ -112,7 +112,9 @@ def test_conditions_on_the_board_and_what_was_in_effect(tmp_path, monkeypatch, c
         assert found["looks"] >= 2 and found["sched_rt_runtime_us"] == [950000]
         assert "rosmaster" in {rival["name"] for rival in found["rivals"]}, "at the priority above the suite's"
         assert found["loads"].keys() == record["requested"]["loads"].keys()
-        assert found["loads"].keys() == ({"stress"} if run.condition == "cpu80" else {"listener0", "talker0"})
+        loads = {"stress"} if run.condition == "cpu80" else {"listener0", "talker0"}
+        # The kernel let interrupts be moved, and nobody moved them back: else it had ended, and the run were invalid.
+        assert found["loads"].keys() == loads | {"hold-irq_cpu"}
 
 
 class Observer:

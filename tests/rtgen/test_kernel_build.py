@@ -24,6 +24,7 @@ schema: 1
 name: built
 runs:
   - {suite: cyclic_timer_tests, policy: RR, frequency_hz: 100, repetitions: 50}
+  - {suite: hwlatdetect, duration_s: 3}
 """
 
 
@@ -110,8 +111,12 @@ def test_it_boots_proves_itself_and_measures(built, machine, clockevent, tmp_pat
 
     (tmp_path / "built.yml").write_text(CAMPAIGN)
     assert rtrun.cli.main(["run", "built.yml", "--target", str(target)]) == 0
-    (record,) = [json.loads(path.read_text()) for path in (tmp_path / "results/built").glob("*/run.json")]
+    folders = sorted(path.parent for path in (tmp_path / "results/built").glob("*/run.json"))
+    record, hwlat = [json.loads((folder / "run.json").read_text()) for folder in folders]
     assert (record["status"], record["emulated"], record["target"]["preempt_rt"]) == ("ok", True, True)
+    # The fragment has the tracer that Debian's kernel has not.
+    assert (hwlat["suite"], hwlat["status"]) == ("hwlatdetect", "ok")
+    assert "test duration 3 seconds" in (folders[1] / "hwlatdetect.stdout").read_text()
     assert record["target"]["kernel_release"] == release
     assert record["target"]["clock"]["source"] == record["target"]["clocksource"]
     assert 0 < record["target"]["clock"]["step_ns"] < 1_000_000

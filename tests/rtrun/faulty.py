@@ -57,6 +57,10 @@ if wish == "truncated":
 if wish == "huge json":
     with path.open("r+b") as stream:
         stream.truncate(1 << 30)
+for kind in (".log", "-trace-1.txt"):
+    if wish == "huge" + kind:
+        with open(output + kind, "w") as stream:
+            stream.truncate(1 << 27)
 if wish == "link":
     path.unlink()
     path.symlink_to("/etc/passwd")

@@ -125,7 +125,8 @@ def test_finished_runs_are_not_measured_again(target, tmp_path, watching, wishes
         ("incomplete", "incomplete", "the publisher ended"),
         ("junk json", "failed", "cyclic_timer_tests_l10_fq100.json"),
         ("link", "failed", "cyclic_timer_tests_l10_fq100.json is missing"),
-        ("huge json", "failed", "fq100.json has 1073741824 bytes, at most 16777216 were expected: it was left there"),
+        ("huge json", "failed", "fq100.json has 1073741824 bytes, at most 16777216 were expected: it was not taken"),
+        ("huge.log", "failed", "fq100.log has 134217728 bytes, at most 67108864 were expected: it was not taken"),
         ("truncated", "invalid", "cyclic_timer_tests_l10_fq100.npy"),
     ],
 )
@@ -136,6 +137,18 @@ def test_a_run_that_goes_wrong_is_closed_with_the_reason(target, tmp_path, watch
     assert list(statuses.values()) == [status, "ok"], "the campaign goes on"
     assert record(tmp_path / "results", runs[0])["status"] == status
     assert reason in record(tmp_path / "results", runs[0])["reason"]
+
+
+def test_a_trace_that_is_too_large_is_named_and_costs_the_run_nothing(target, tmp_path, watching, wishes):
+    wishes.will("huge-trace-1.txt")
+    (run,) = runs = runs_of(1)
+    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
+    written = record(tmp_path / "results", run)
+    name = "cyclic_timer_tests_l10_fq100-trace-1.txt"
+    assert name not in written["files"]
+    assert written["refused"] == {
+        name: f"{name} has 134217728 bytes, at most 67108864 were expected: it was not taken"
+    }
 
 
 def test_programs_of_2014_write_logs_only(target, tmp_path, watching, wishes):
