@@ -93,7 +93,9 @@ def test_overhead(sshd, ros_master, tmp_path, monkeypatch):
     runs = plan(Campaign(schema=1, name="long", runs=[entry]), "long")
     execute.run_campaign(target, "long", runs, tmp_path / "long", clock)
     share = LONG_RUNS * LONG_RUN_S / (time.monotonic() - start)
-    print(f"measuring: {share:.1%} of the wall time of a campaign of {LONG_RUNS} runs of {LONG_RUN_S} s, set-up included")
+    print(
+        f"measuring: {share:.1%} of the wall time of a campaign of {LONG_RUNS} runs of {LONG_RUN_S} s, set-up included"
+    )
     if overhead_s > LIMIT_S:
         pytest.fail(f"the runner adds {overhead_s:.2f} s a run, at most {LIMIT_S} s were promised")
     if share < MEASURING_SHARE:

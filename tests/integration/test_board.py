@@ -21,6 +21,7 @@ from rtrun.campaign import read_campaign
 from rtrun.errors import TargetError, TargetGone
 from rtrun.results import read_run
 from rtrun.ssh import Connection
+from watching import Watching
 
 pytestmark = [pytest.mark.qemu, pytest.mark.ros]
 TOP = Path(__file__).parents[2]
@@ -117,23 +118,6 @@ def test_conditions_on_the_board_and_what_was_in_effect(tmp_path, monkeypatch, c
         assert found["loads"].keys() == loads | {"hold-irq_cpu"}
 
 
-class Observer:
-    """Remembers, and does something when a run begins."""
-
-    def __init__(self, act):
-        self.act = act
-        self.notes = []
-
-    def began(self, number, run):
-        self.act(number)
-
-    def ended(self, number, run, status, reason):
-        pass
-
-    def note(self, text):
-        self.notes.append(text)
-
-
 def measure(tmp_path, act, results):
     """Run a campaign of three runs on a booted board; `act(machine, number)` is called when a run begins."""
     campaign = write_campaign(
@@ -147,7 +131,7 @@ def measure(tmp_path, act, results):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(target.qemu, "boot", lambda *words: Remembering(real(*words), machines))
-        observer = Observer(lambda number: act(machines[0], number))
+        observer = Watching(lambda number: act(machines[0], number))
         with target.switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
             try:
                 return runs, observer, execute.run_campaign(switched_on, "test", runs, results, observer)
@@ -269,7 +253,7 @@ def test_traces_of_outliers_and_the_blocks_of_a_run_cut_off(tmp_path, monkeypatc
 
     config = target.read_target(TOP / "targets" / "qemu.yml")
     with target.switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
-        statuses = execute.run_campaign(switched_on, "test", runs, results, Observer(act))
+        statuses = execute.run_campaign(switched_on, "test", runs, results, Watching(act))
         connection = Connection(switched_on.address)
         instances = connection.check(["ls", "/sys/kernel/tracing/instances"]).split()
         connection.close()

@@ -27,6 +27,28 @@ runs:
   - {suite: hwlatdetect, duration_s: 3}
 """
 
+GOVERNOR = """\
+schema: 1
+name: governor
+runs:
+  - {suite: cyclic_timer_tests, policy: RR, frequency_hz: 100, repetitions: 300, governor: userspace}
+"""
+
+# QEMU's boards have one frequency; this is that one in the terms of cpufreq-dt, so that there are governors to choose.
+ONE_FREQUENCY = """
+/ {
+    cpu_clock: cpu-clock { compatible = "fixed-clock"; #clock-cells = <0>; clock-frequency = <400000000>; };
+    cpu_opps: opp-table {
+        compatible = "operating-points-v2"; opp-shared;
+        opp-400000000 { opp-hz = /bits/ 64 <400000000>; };
+    };
+    cpus {
+        cpu@0 { clocks = <&cpu_clock>; operating-points-v2 = <&cpu_opps>; };
+        cpu@1 { clocks = <&cpu_clock>; operating-points-v2 = <&cpu_opps>; };
+    };
+};
+"""
+
 
 @pytest.fixture(scope="module")
 def built():
@@ -122,3 +144,30 @@ def test_it_boots_proves_itself_and_measures(built, machine, clockevent, tmp_pat
     assert 0 < record["target"]["clock"]["step_ns"] < 1_000_000
     packed = next((tmp_path / "results/built").glob("*/kernel.config.gz"))
     assert main(["kconfig", "verify", "--machine", "qemu-armv7", "--config", str(packed)]) == 0
+
+
+@pytest.mark.qemu
+def test_a_governor_is_held_where_the_kernel_has_them(built, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["board", "build", "--machine", "vexpress-a9", "--kernel", "built"]) == 0
+    assert main(["suites", "build", "--machine", "qemu-armv7"]) == 0
+    board = tmp_path / "board"
+    board.mkdir()
+    for path in (tmp_path / "build" / "board" / "vexpress-a9").iterdir():
+        (board / path.name).symlink_to(path.resolve())
+    dtb = board / json.loads((board / "board.json").read_text())["dtb"]
+    dtc = ["dtc", "-q", "-@"]
+    source = subprocess.run([*dtc, "-I", "dtb", "-O", "dts", dtb], check=True, capture_output=True, text=True).stdout
+    dtb.unlink()
+    subprocess.run([*dtc, "-I", "dts", "-O", "dtb", "-o", dtb], input=source + ONE_FREQUENCY, check=True, text=True)
+    target = tmp_path / "target.yml"
+    target.write_text("schema: 1\nname: panda\nkind: qemu\nboard: board\nsuites: build/suites/qemu-armv7\n")
+    (tmp_path / "governor.yml").write_text(GOVERNOR)
+    assert rtrun.cli.main(["run", "governor.yml", "--target", str(target)]) == 0
+    (folder,) = [path.parent for path in (tmp_path / "results/governor").glob("*/run.json")]
+    record = json.loads((folder / "run.json").read_text())
+    assert (record["status"], record["requested"]["governor"]) == ("ok", "userspace")
+    assert record["in_effect"]["governor"] == ["userspace"]
+    assert record["in_effect"]["frequency_khz"] == [400000, 400000]
+    states = json.loads((folder / "target.json").read_text())
+    assert states["before"]["governor"] == states["after"]["governor"] == "performance", "put back what was there"

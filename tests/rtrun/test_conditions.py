@@ -17,24 +17,9 @@ from rtrun import execute, prepare
 from rtrun.campaign import Campaign, plan
 from rtrun.errors import TargetError
 from rtrun.results import read_run
+from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
-
-
-class Watching:
-    """An observer that acts when the run begins."""
-
-    def __init__(self, act=lambda: None):
-        self.act = act
-
-    def began(self, number, run):
-        self.act()
-
-    def ended(self, number, run, status, reason):
-        pass
-
-    def note(self, text):
-        pass
 
 
 @pytest.fixture
@@ -51,7 +36,7 @@ def measure(target, tmp_path, act=lambda: None, **values):
     """Run a campaign of one run and return its run.json."""
     entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": 10} | values
     (run,) = runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
-    execute.run_campaign(target, "test", runs, tmp_path / "results", Watching(act))
+    execute.run_campaign(target, "test", runs, tmp_path / "results", Watching(lambda number: act()))
     return json.loads((tmp_path / "results" / run.name / "run.json").read_text())
 
 

@@ -23,26 +23,9 @@ from rtrun.cli import main
 from rtrun.errors import TargetError, TargetGone
 from rtrun.link import Link
 from rtrun.results import read_run
+from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
-
-
-class Watching:
-    """An observer that remembers."""
-
-    def __init__(self):
-        self.ends = []
-        self.notes = []
-        self.at_start = lambda number: None
-
-    def began(self, number, run):
-        self.at_start(number)
-
-    def ended(self, number, run, status, reason):
-        self.ends.append((status, reason))
-
-    def note(self, text):
-        self.notes.append(text)
 
 
 @pytest.fixture
@@ -146,9 +129,7 @@ def test_a_trace_that_is_too_large_is_named_and_costs_the_run_nothing(target, tm
     written = record(tmp_path / "results", run)
     name = "cyclic_timer_tests_l10_fq100-trace-1.txt"
     assert name not in written["files"]
-    assert written["refused"] == {
-        name: f"{name} has 134217728 bytes, at most 67108864 were expected: it was not taken"
-    }
+    assert written["refused"] == {name: f"{name} has 134217728 bytes, at most 67108864 were expected: it was not taken"}
 
 
 def test_programs_of_2014_write_logs_only(target, tmp_path, watching, wishes):

@@ -21,6 +21,7 @@ from rtrun import execute, rundir
 from rtrun import measure as measurement
 from rtrun.campaign import Campaign, plan
 from rtrun.errors import ConnectionLost
+from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
 KILLS = 20
@@ -84,23 +85,6 @@ def test_a_runner_killed_at_twenty_random_moments(sshd, ros_master, tmp_path, wi
             record = json.loads((folder / "run.json").read_text())
             for name, file in record["files"].items():
                 assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == file["sha256"]
-
-
-class Watching:
-    """An observer that remembers."""
-
-    def __init__(self):
-        self.notes = []
-        self.at_start = lambda number: None
-
-    def began(self, number, run):
-        self.at_start(number)
-
-    def ended(self, number, run, status, reason):
-        pass
-
-    def note(self, text):
-        self.notes.append(text)
 
 
 def runs_of(count):
