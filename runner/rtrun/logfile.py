@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.figures import LISTED, Figures, Int64s, Ranked, figures_of_bins
+from rtrun.analysis.describe import LISTED
+from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.figures import Figures, Ranked, figures_of_histogram
 from rtrun.logtext import COUNTS, SUITES, Printed, Text, read_text
 from rtrun.suites import LogName, Value, read_log_name
 
@@ -47,9 +49,8 @@ class Log:
 
     def figures(self) -> Figures:
         """Figures of the bins."""
-        return figures_of_bins(
-            self.value_us,
-            self.count,
+        return figures_of_histogram(
+            Histogram(values_ns=self.value_us * 1000, counts=self.count),
             top=self.top,
             lowest=self.lowest,
             missing=self.missing,

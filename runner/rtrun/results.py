@@ -13,7 +13,7 @@ from pydantic import Field
 
 from rtfiles.config import Config
 from rtfiles.errors import UsageError
-from rtrun.figures import Figures, figures_of_bins
+from rtrun.figures import Figures, figures_of_histogram
 from rtrun.importers.histogram_file import ENDING, read_histogram
 from rtrun.logfile import read_log
 from rtrun.samples import Count, read_json, read_samples
@@ -186,14 +186,13 @@ def _results_of_output(folder: Path, record: Record, output: str) -> list[Result
     if f"{output}{ENDING}" in record.files:
         check_file(folder, record, output + ENDING)
         imported = read_histogram(folder / f"{output}{ENDING}")
-        bins = imported.histogram
         return [
             Result(
                 suite=record.suite,
                 output=output,
                 series="latency",
                 parameters=record.circumstances,
-                figures=figures_of_bins(bins.values_ns // 1000, bins.counts),
+                figures=figures_of_histogram(imported.histogram),
                 remarks=tuple(f"not known: {text}" for text in imported.left_out),
             )
         ]

@@ -8,7 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtrun.figures import Ranked, figures, figures_of_bins
+from rtrun.analysis.histogram import Histogram
+from rtrun.figures import Ranked, figures, figures_of_histogram
 
 NS = st.integers(-(2**50), 2**50)
 
@@ -38,7 +39,8 @@ def test_figures_of_samples(values: list[int]) -> None:
 def test_bins_give_the_figures_of_the_values_in_them(values_us: list[int]) -> None:
     of_samples = figures(np.array(values_us, dtype=np.int64) * 1000)
     value_us, count = np.unique(np.array(values_us, dtype=np.int64), return_counts=True)
-    of_bins = figures_of_bins(value_us, count, top=of_samples.top, lowest=of_samples.lowest)
+    histogram = Histogram(values_ns=value_us * 1000, counts=count)
+    of_bins = figures_of_histogram(histogram, top=of_samples.top, lowest=of_samples.lowest)
     expected = of_samples.as_json() | {"resolution_ns": 1000}
     assert math.isclose(of_bins.as_json().pop("mean_us"), expected.pop("mean_us"), rel_tol=1e-9, abs_tol=1e-9)
     assert {key: value for key, value in of_bins.as_json().items() if key != "mean_us"} == expected
@@ -57,3 +59,18 @@ def test_nothing_measured_gives_no_number_and_valid_json() -> None:
     assert data["missing"] == 7
     assert data["min_us"] is data["mean_us"] is data["p999_us"] is None
     assert data["top"] == data["lowest"] == []
+
+
+def test_what_lies_in_the_overflow_is_counted_and_not_known() -> None:
+    histogram = Histogram(
+        values_ns=np.array([80_000, 9_823_000]),
+        counts=np.array([970, 3]),
+        overflow=27,
+        overflow_from_ns=10_000_000,
+        max_ns=14_310_000,
+    )
+    found = figures_of_histogram(histogram)
+    assert (found.n, found.min_us, found.max_us) == (1000, 80.0, 14310.0)
+    assert (found.p50_us, found.p90_us) == (80.0, 80.0)
+    assert found.mean_us is found.p99_us is found.p999_us is None
+    assert found.top == ()
