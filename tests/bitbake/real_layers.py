@@ -41,6 +41,8 @@ HOSTTOOLS += "{tools}"
 TARGET_PREFIX:forcevariable = "arm-linux-gnueabihf-"
 PYTHON:forcevariable = "{python}"
 RECIPE_SYSROOT:forcevariable = "{sysroot}"
+# Has options that came after Debian's compiler.
+DEBUG_PREFIX_MAP:forcevariable = ""
 # Debian's ROS has a ROS_DISTRO of its own, and its genmsg looks for files under CMake's root paths only.
 ROS_DISTRO[unexport] = "1"
 OECMAKE_EXTRA_ROOT_PATH = "/"
