@@ -80,6 +80,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
     for feature in ("dropbear", "rm-work"):
         add(f"{layer}/kas/{feature}.yml", f"kas/{feature}.yml")
     add(f"{layer}/README.md", "layer.README.md")
+    add(f"{layer}/SECURITY.md", "layer.SECURITY.md")
     add(f"{layer}/conf/layer.conf", "conf/layer.conf")
     add(f"{layer}/classes/rt_tests_ssh.bbclass", "classes/rt_tests_ssh.bbclass")
     add(f"{layer}/recipes-core/images/{profile.image.name}.bb", "recipes-core/image.bb")
