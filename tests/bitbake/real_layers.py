@@ -3,7 +3,7 @@
 Not part of `make test`: `make test-yocto LAYERS=DIR` runs it, DIR holding checkouts of a profile's repositories at the
 profile's commits, each in a folder of the repository's name. Which profile it is, the commits say. A first run parses
 every recipe (minutes), later ones take it from DIR/build. dora needs Python 2.7: python2.7 in the PATH, or its path in
-RT_TESTS_PYTHON2. RT_TESTS_CHECK_LAYER=1 adds yocto-check-layer (about half an hour on two cores).
+RT_TESTS_PYTHON2. RT_TESTS_CHECK_LAYER=1 adds yocto-check-layer (forty minutes on two cores).
 """
 
 import hashlib
