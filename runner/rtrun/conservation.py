@@ -26,6 +26,6 @@ def contradiction(record: Record, logs: Iterable[Log] = ()) -> str | None:
         if any(not 0 <= index < counts.asked for index in indices):
             return f"an index {kind.replace('_', ' ')} lies outside 0 to {counts.asked - 1}"
     for log in logs:
-        if (n := log.figures().n) != counts.measured:
+        if (n := int(log.count.sum())) != counts.measured:
             return f"{counts.measured} measured, but {n} in the log {log.path.name}"
     return None

@@ -57,10 +57,9 @@ if wish == "truncated":
 if wish == "huge json":
     with path.open("r+b") as stream:
         stream.truncate(1 << 30)
-for kind in (".log", "-trace-1.txt"):
-    if wish == "huge" + kind:
-        with open(output + kind, "w") as stream:
-            stream.truncate(1 << 27)
+if wish in ("huge.log", "huge-trace-1.txt"):
+    with open(output + wish.removeprefix("huge"), "w") as stream:
+        stream.truncate(1 << 27)
 if wish == "link":
     path.unlink()
     path.symlink_to("/etc/passwd")
