@@ -46,7 +46,7 @@ DEBUG_PREFIX_MAP:forcevariable = ""
 # Debian's ROS has a ROS_DISTRO of its own, and its genmsg looks for files under CMake's root paths only.
 ROS_DISTRO[unexport] = "1"
 OECMAKE_EXTRA_ROOT_PATH = "/"
-export ROS_LANG_DISABLE = "genlisp:genpy"
+export ROS_LANG_DISABLE = "{languages}"
 """
 
 
@@ -268,7 +268,8 @@ def test_suites_are_patched_configured_and_compiled(yocto):
     stage = build / "sysroot"
     shutil.copytree(sysroot.build(), stage, symlinks=True)
     with (build / "conf" / "local.conf").open("a") as conf:
-        conf.write(DEBIAN.format(tools=TOOLS, python=rtgen.suites.SYSTEM_PYTHON, sysroot=stage))
+        python, languages = rtgen.suites.SYSTEM_PYTHON, rtgen.suites.ROS_LANG_DISABLE
+        conf.write(DEBIAN.format(tools=TOOLS, python=python, sysroot=stage, languages=languages))
     for suite in suite_recipes(yocto.profile):
         (recipe,) = yocto.layer.glob(f"recipes-tests/*/{suite['package']}_*.bb")
         yocto.run("bitbake", "-b", str(recipe), "-c", "compile", build=build)

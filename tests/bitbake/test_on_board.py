@@ -29,7 +29,8 @@ def test_programs_of_the_recipes_measure_on_the_board(make_build, tmp_path, monk
     toolchain = Path(rtgen.suites.__file__).with_name("armhf.cmake")
     local = (
         f'SYSROOT = "{sysroot.build()}"\nTOOLCHAIN_FILE = "{toolchain}"\n'
-        f'BUILD_PYTHON = "{rtgen.suites.SYSTEM_PYTHON}"\nexport ROS_LANG_DISABLE = "genlisp:genpy"\n'
+        f'BUILD_PYTHON = "{rtgen.suites.SYSTEM_PYTHON}"\n'
+        f'export ROS_LANG_DISABLE = "{rtgen.suites.ROS_LANG_DISABLE}"\n'
     )
     build = make_build(DEFAULT_PROFILE, "qemuarm", local=local)
     recipes = [suite["package"] for suite in suite_recipes(load_profile(DEFAULT_PROFILE)[0])]

@@ -26,8 +26,7 @@ def tools() -> str:
     return (
         f'SYSROOT = "{sysroot.build()}"\nTOOLCHAIN_FILE = "{TOOLCHAIN}"\n'
         f'BUILD_PYTHON = "{rtgen.suites.SYSTEM_PYTHON}"\n'
-        # Only C++ messages: generators of other languages would have to be on the target, too.
-        'export ROS_LANG_DISABLE = "genlisp:genpy"\n'
+        f'export ROS_LANG_DISABLE = "{rtgen.suites.ROS_LANG_DISABLE}"\n'
     )
 
 

@@ -25,6 +25,8 @@ SUPPORT = "rt_tests_support"
 HOST_PACKAGES = ("catkin", "libroscpp-dev", "python3-gencpp", "ros-message-generation")
 # The Python that Debian's catkin and genmsg belong to, whatever Python runs us.
 SYSTEM_PYTHON = "/usr/bin/python3"
+# Only C++ messages are needed; a generator of another language is one the target would have to have, too.
+ROS_LANG_DISABLE = "genlisp:genpy"
 
 
 @dataclass(frozen=True)
@@ -121,11 +123,10 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
         options["CMAKE_CXX_COMPILER_LAUNCHER"] = "ccache"
     definitions = [f"-D{name}={value}" for name, value in options.items()]
     # Paths below the temporary folder are told apart by nothing else than its name: ccache may look past it.
-    # Only C++ messages are needed; a generator of another language is one the target would have to have, too.
     environment = {
         "CCACHE_BASEDIR": str(temporary),
         "CCACHE_NOHASHDIR": "1",
-        "ROS_LANG_DISABLE": "genlisp:genpy",
+        "ROS_LANG_DISABLE": ROS_LANG_DISABLE,
     }
     say(["cmake", "-G", "Ninja", "-S", str(source), "-B", str(work), *definitions], environment)
     say(["ninja", "-C", str(work), "install"], environment)
