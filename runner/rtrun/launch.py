@@ -34,17 +34,21 @@ exit 0
 """
 _MARK = "== ended"
 # Ended before one of the suite's programs did: newer than all of their exits is only what outlived the suite.
+# Written down once, before we end anything: whoever asks again, after a lost link or for a runner that was killed,
+# must not take for dead what we ended. Of two that ask at once the first is right.
 _DIED = """
 cd "$1" || exit 1
 suite=$2
 shift 2
-for name; do
+found=$(for name; do
     flock -n -s "$name.lock" true || continue
     for program in $suite; do
         [ "$name.exit" -nt "$program.exit" ] || { echo "$name $(cat "$name.exit" 2>/dev/null)"; break; }
     done
-done
-exit 0
+done)
+echo "$found" >"died.$$" && ln "died.$$" died
+# On a full disk what we found must do: the suite's own word on it shall not be lost.
+cat died || echo "$found"
 """
 
 
@@ -118,10 +122,9 @@ def end_beside(
     """
     died = ["sh", "-c", _DIED, "sh", str(folder), " ".join(programs), *names]
     commands = [died, ["echo", _MARK], _end(folder, names), then]
-    said, _, rest = link.do(lambda connection: connection.check(in_turn(commands), deadline_s=END_BESIDE_S)).partition(
-        f"{_MARK}\n"
-    )
-    return {name: status for name, _, status in (line.partition(" ") for line in said.splitlines())}, rest
+    said = link.do(lambda connection: connection.check(in_turn(commands), deadline_s=END_BESIDE_S))
+    deaths, _, rest = said.partition(f"{_MARK}\n")
+    return {name: status for name, _, status in (line.partition(" ") for line in deaths.split("\n") if line)}, rest
 
 
 def tail(link: Link, path: PurePosixPath) -> str:

@@ -166,6 +166,27 @@ def test_two_runners_do_not_mix(proxied, tmp_path, wishes):
     assert "another rtrun is at work there" in refused[0]
 
 
+def test_a_runner_that_stopped_after_it_had_ended_the_sampler(
+    loopback, suites_folder, ros_master, tmp_path, wishes, monkeypatch
+):
+    """What we ended ourselves is not taken for dead by whoever picks the run up."""
+    target = replace(loopback, suites=suites_folder, ros_master_port=ros_master)
+    (run,) = runs = runs_of(1)
+
+    class Stop(Exception):
+        pass
+
+    def stop(*_):
+        raise Stop
+
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.collect, "pull", stop)
+        with pytest.raises(Stop):
+            execute.run_campaign(target, "test", runs, tmp_path / "results", Watching())
+    assert execute.run_campaign(target, "test", runs, tmp_path / "results", Watching()) == {run.name: "ok"}
+    assert len(wishes.calls()) == 1
+
+
 def test_a_reboot_while_nobody_looked(loopback, suites_folder, ros_master, tmp_path, wishes):
     """A run folder that another boot left is kept as incomplete, and the run is repeated."""
     target = replace(loopback, suites=suites_folder, ros_master_port=ros_master)

@@ -15,6 +15,8 @@ if [ "${RTRUN_INSIDE:-}" != 1 ]; then
     [ -e "$name.boot_id" ] && exit 0
     exec 9>"$name.lock"
     flock -n 9 || exit 0
+    # Whoever held the lock until now may have run and ended meanwhile.
+    [ -e "$name.boot_id" ] && exit 0
     cat /proc/sys/kernel/random/boot_id >"$name.boot_id.new" && mv "$name.boot_id.new" "$name.boot_id" || exit 1
     # After a power cut the runner must see that this run was cut off.
     sync "$name.boot_id" .
