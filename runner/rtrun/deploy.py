@@ -24,6 +24,8 @@ while read -r digest path; do
     case $path in */*) mkdir -p "${path%/*}";; esac
     ln "$2/$digest" "$path"
 done
+# The listing ends early when the link does: what is not whole gets no name.
+[ "$(find . -type f | wc -l)" -eq "$4" ]
 cd ..; mv "$1.$3" "$1"
 """
 
@@ -42,8 +44,9 @@ def deploy(link: Link, folder: Path, kind: str) -> PurePosixPath:
     by_digest = {digest: files[name] for name, digest in digests.items()}
     link.do(lambda connection: _send(connection, link.target.work_dir / "objects", by_digest))
     objects = str(link.target.work_dir / "objects")
-    command = ["sh", "-c", _LINK, "sh", str(tree), objects, secrets.token_hex(4)]
-    link.do(lambda connection: connection.check(command, stdin=listing))
+    command = ["sh", "-c", _LINK, "sh", str(tree), objects]
+    # Drawn anew at each attempt: a lost link may have left half of one.
+    link.do(lambda connection: connection.check([*command, secrets.token_hex(4), str(len(files))], stdin=listing))
     return tree
 
 

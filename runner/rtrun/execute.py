@@ -2,6 +2,7 @@
 
 import contextlib
 import fcntl
+import functools
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -67,32 +68,41 @@ def run_campaign(
         with contextlib.ExitStack() as stack:
             link = stack.enter_context(Link(target, observer.note))
             preparation = stack.enter_context(contextlib.ExitStack())
-            prepared = preparation.enter_context(prepare.prepared(link, log.uid, [run for _, run in todo]))
+            everything = functools.partial(prepare.prepared, link, log.uid, [run for _, run in todo])
+            prepared: prepare.Prepared | None = preparation.enter_context(everything())
             for number, run in todo:
                 observer.began(number, run)
+                folder = results / run.name
                 for attempt in range(1, ATTEMPTS + 1):
+                    closed = rundir.entry(folder, "attempt")
                     log.note(now().isoformat(), run.name, "began")
                     try:
+                        if prepared is None:
+                            prepared = preparation.enter_context(everything())
                         with tracing(link, prepared.scripts, run.parameters):
-                            status, reason = measure.measure(prepared, log.uid, name, run, results / run.name, now)
+                            status, reason = measure.measure(prepared, log.uid, name, run, folder, now)
                     except TargetRebooted as error:
-                        log.note(now().isoformat(), run.name, "cut off", str(error))
-                        observer.note(f"{run.name}: {error}")
-                        if attempt == ATTEMPTS:
-                            raise
                         preparation.close()
-                        prepared = preparation.enter_context(prepare.prepared(link, log.uid, [run for _, run in todo]))
+                        prepared = None
+                        observer.note(f"{run.name}: {error}")
+                        if rundir.entry(folder, "attempt") == closed:
+                            log.note(now().isoformat(), run.name, "cut off", str(error))
+                            if attempt == ATTEMPTS:
+                                raise
+                            continue
+                        # It was closed already: the restart has cut nothing off.
+                        status, reason = rundir.status(folder) or "", rundir.entry(folder, "reason")
                     except BaseException as error:
                         log.note(now().isoformat(), run.name, "stopped", str(error) or type(error).__name__)
                         raise
-                    else:
-                        log.note(now().isoformat(), run.name, status, reason)
-                        statuses[run.name] = status
-                        observer.ended(number, run, status, reason)
-                        break
+                    log.note(now().isoformat(), run.name, status, reason)
+                    statuses[run.name] = status
+                    observer.ended(number, run, status, reason)
+                    break
             # A runner that was killed may have left something of runs it had closed.
             leftovers = str(target.work_dir / "runs" / log.uid)
-            link.do(lambda connection: connection.check(["rm", "-rf", leftovers]))
+            with contextlib.suppress(TargetRebooted):
+                link.do(lambda connection: connection.check(["rm", "-rf", leftovers]))
         return statuses
 
 

@@ -19,6 +19,7 @@ from rtrun.samples import BESIDE, Record
 STARTING_S = 10.0
 # Looks are this far apart: a program may have begun so much earlier than it was first seen.
 APART_S = 2.0
+_TOO_SHORT = "the sampler's first look comes 1 s after its start; measure longer"
 REPORTED_RIVALS = 32
 
 State = tuple[str, int, frozenset[int]]
@@ -199,6 +200,13 @@ def mismatch(
         if not right(threads):
             return f"{program}: asked for {_told(asked)}, after {after_s:.0f} s in effect was {_seen(threads)}"
     seen = [look for look in looks if look.threads]
+    threads_seen = [threads for look in seen for threads in look.threads.values()]
+    if (asked["loads"] or asked["governor"]) and not seen:
+        return f"nobody saw condition {run.condition} in effect: {_TOO_SHORT}"
+    real_time = asked["policy"] not in (None, "OTHER")
+    # What writes no json itself must have been seen.
+    if (real_time or asked["cpus"]) and not records and not any(map(right, threads_seen)):
+        return f"nobody saw {_told(asked)} in effect: {_TOO_SHORT}"
     for name, processes in asked["loads"].items():
         for look in seen:
             there, cpus = look.loads.get(name, (0, frozenset()))

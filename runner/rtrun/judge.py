@@ -102,10 +102,19 @@ def _of_outputs(
             record = read_samples(folder / names[0]).record
         except UsageError as error:
             return status, str(error).replace(f"{folder}/", "")
-        if wrong := contradiction(record, logs):
+        if wrong := _asked_otherwise(run, record) or contradiction(record, logs):
             return "invalid", f"{output}: {wrong}"
         if not record.complete:
             return "incomplete", f"{output}: {record.incomplete_reason or 'ended before all was measured'}"
+    return None
+
+
+def _asked_otherwise(run: Run, record: Record) -> str | None:
+    """Say where a suite understood something else than the run asks for, or None."""
+    understood = record.requested | {"repetitions": record.counts.asked}
+    for name, asked in run.parameters.items():
+        if name in understood and understood[name] != asked:
+            return f"asked for {name} {asked}, the suite measured {name} {understood[name]}"
     return None
 
 

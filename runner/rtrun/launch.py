@@ -11,39 +11,60 @@ from rtrun.ssh import in_turn
 
 # One wait lasts at most this long, so that a board that died is noticed while we wait.
 WAIT_S = 15.0
+# And not less: to open a channel takes its time on a slow link.
+SLICE_S = 2.0
 POLL_S = 0.1
 # Loads that will not end by themselves are killed one after the other, two seconds each.
 END_BESIDE_S = 120.0
 
 _WAIT = 'flock -s "$1.lock" true; cat "$1.exit" 2>/dev/null; [ -e "$1.expired" ] && echo expired; exit 0'
+_ENDED = 'cd "$1" && shift && for name; do if flock -n -s "$name.lock" true; then echo "$name"; fi; done'
 _END = """
 cd "$1" 2>/dev/null && shift || exit 0
 boot_id=$(cat /proc/sys/kernel/random/boot_id)
 running=
 for name; do
+    # Its lock is held from before its start: a pid that is not there yet will come.
+    for _ in 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20; do
+        [ -s "$name.pid" ] && break
+        flock -n "$name.lock" true && continue 2
+        sleep 0.2
+    done
     # A pid of another boot is some other process now.
     [ "$(cat "$name.boot_id" 2>/dev/null)" = "$boot_id" ] || continue
-    for _ in 1 2 3 4 5; do [ -s "$name.pid" ] || sleep 0.1; done
     [ -s "$name.pid" ] && kill -TERM "-$(cat "$name.pid")" 2>/dev/null && running="$running $name"
 done
 for name in $running; do
     for pause in 0.05 0.05 0.1 0.2 0.2 0.2 0.4 0.4 0.4; do flock -n "$name.lock" true && continue 2; sleep $pause; done
     kill -KILL "-$(cat "$name.pid")" 2>/dev/null
+    for _ in 1 2 3 4 5 6 7 8 9 10; do flock -n "$name.lock" true && break; sleep 0.1; done
 done
 exit 0
 """
+# supervise.sh starts nothing in a folder that was given up: a start that is still under way comes too late.
+_GIVE_UP = '[ ! -d "$1" ] || : >"$1/given_up"; exit 0'
 _MARK = "== ended"
-# Ended before one of the suite's programs did: newer than all of their exits is only what outlived the suite.
+# Ended before one of the suite's programs did: after all of their ends is only what outlived the suite.
 # Written down once, before we end anything: whoever asks again, after a lost link or for a runner that was killed,
 # must not take for dead what we ended. Of two that ask at once the first is right.
 _DIED = """
 cd "$1" || exit 1
 suite=$2
 shift 2
+# In hundredths of a second since the boot: the clock on the wall may have been set meanwhile.
+end_of() {
+    uptime=0.00
+    [ ! -e "$1.exit" ] || read -r _ uptime <"$1.exit"
+    echo "${uptime%.*}${uptime#*.}"
+}
 found=$(for name; do
     flock -n -s "$name.lock" true || continue
     for program in $suite; do
-        [ "$name.exit" -nt "$program.exit" ] || { echo "$name $(cat "$name.exit" 2>/dev/null)"; break; }
+        [ "$(end_of "$name")" -ge "$(end_of "$program")" ] && continue
+        status=
+        [ ! -e "$name.exit" ] || read -r status _ <"$name.exit"
+        echo "$name $status"
+        break
     done
 done)
 echo "$found" >"died.$$" && ln "died.$$" died
@@ -73,8 +94,8 @@ class Exit:
 def start(
     link: Link, scripts: PurePosixPath, folder: PurePosixPath, *programs: Program, setup: str | None = None
 ) -> None:
-    """Start programs in a folder of the target, made if need be, in this order; one started there already is not."""
-    commands = [["mkdir", "-p", str(folder)]]
+    """Start programs in a folder that is on the target, in this order; one started there already is not."""
+    commands = []
     for program in programs:
         env = ["env", *(f"{name}={value}" for name, value in program.environment)] if program.environment else []
         deadline = str(max(1, round(program.deadline_s)))
@@ -91,7 +112,7 @@ def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> 
     deadline = time.monotonic() + deadline_s
     command = ["sh", "-c", _WAIT, "sh", str(folder / name)]
     while True:
-        slice_s = min(WAIT_S, max(0.1, deadline - time.monotonic()))
+        slice_s = min(WAIT_S, max(SLICE_S, deadline - time.monotonic()))
         try:
             said = link.do(lambda connection: connection.check(command, deadline_s=slice_s)).split()  # noqa: B023
         except DeadlineExpired:
@@ -106,7 +127,13 @@ def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> 
 
 def end(link: Link, folder: PurePosixPath, *names: str) -> None:
     """End programs of a folder and everything they started, as far as they still run."""
-    link.do(lambda connection: connection.run(_end(folder, names)))
+    link.do(lambda connection: connection.run(_end(folder, names), deadline_s=END_BESIDE_S))
+
+
+def give_up(link: Link, folder: PurePosixPath, names: Sequence[str]) -> None:
+    """End programs of a folder, or those about to start there, and remove it; cut short, it may be called again."""
+    commands = [["sh", "-c", _GIVE_UP, "sh", str(folder)], _end(folder, names), ["rm", "-rf", str(folder)]]
+    link.do(lambda connection: connection.check(in_turn(commands), deadline_s=END_BESIDE_S))
 
 
 def _end(folder: PurePosixPath, names: Sequence[str]) -> list[str]:
@@ -133,10 +160,10 @@ def tail(link: Link, path: PurePosixPath) -> str:
     return result.stdout.strip()[:500]
 
 
-def ended(link: Link, folder: PurePosixPath, name: str) -> bool:
-    """Say whether a program that was started has ended."""
-    command = ["flock", "-n", "-s", str(folder / f"{name}.lock"), "true"]
-    return link.do(lambda connection: connection.run(command)).status == 0
+def ended(link: Link, folder: PurePosixPath, names: Sequence[str]) -> list[str]:
+    """Return those of the programs, all started, that have ended."""
+    command = ["sh", "-c", _ENDED, "sh", str(folder), *names]
+    return link.do(lambda connection: connection.check(command)).split()
 
 
 def until(condition: Callable[[], bool], *, deadline_s: float, what: str) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self, TypeVar
 
-from rtrun.errors import ConnectionLost, TargetError
+from rtrun.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.ssh import Connection
 from rtrun.target import Target
 
@@ -58,7 +58,6 @@ class Link:
         while True:
             if self._connection is None:
                 self._connection = self._reconnect()
-                self._check_boot_id(self._connection)
             try:
                 return action(self._connection)
             except ConnectionLost as error:
@@ -73,6 +72,8 @@ class Link:
             raise self._given_up
         try:
             return self._connect()
+        except TargetRebooted:
+            raise
         except TargetError as error:
             self._given_up = error
             raise
@@ -83,7 +84,9 @@ class Link:
         deadline = time.monotonic() + patience_s
         while True:
             try:
-                return Connection(self.target.address, timeout_s=CONNECT_BOOTING_S if self.target.boot_s else CONNECT_S)
+                return self._checked(
+                    Connection(self.target.address, timeout_s=CONNECT_BOOTING_S if self.target.boot_s else CONNECT_S)
+                )
             except ConnectionLost as error:
                 if failure := self.target.failure():
                     raise failure from error
@@ -92,11 +95,21 @@ class Link:
                     raise ConnectionLost(f"{error}{waited}{self._last_words()}") from error
                 time.sleep(RETRY_S)
 
-    def _check_boot_id(self, connection: Connection) -> None:
-        boot_id = connection.check(["cat", "/proc/sys/kernel/random/boot_id"]).strip()
+    def _checked(self, connection: Connection) -> Connection:
+        """Return a new connection if it leads to the boot we know: nothing may be done on any other."""
+        try:
+            boot_id = connection.check(["cat", "/proc/sys/kernel/random/boot_id"]).strip()
+        except DeadlineExpired as error:
+            connection.close()
+            raise ConnectionLost(f"{self.target.address}: logs in but does not answer: {error}") from error
+        except BaseException:
+            connection.close()
+            raise
         before, self.boot_id = self.boot_id, boot_id
         if before and before != boot_id:
+            self._connection = connection
             raise TargetRebooted(f"{self.target.address}: the target was restarted (another boot id)")
+        return connection
 
     def _last_words(self) -> str:
         console = self.target.console

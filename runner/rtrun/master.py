@@ -41,34 +41,39 @@ class _Tunnel(xmlrpc.client.Transport):
 def call(connection: Connection, port: int, method: str, *arguments: Any) -> Any:
     """Call the master's API and return the value of its answer.
 
-    Raises ConnectionRefusedError when no master answers on the port, TargetError when it answers with a failure.
+    Raises ConnectionRefusedError when no master answers on the port, TargetError when it answers with a failure,
+    ConnectionLost when the link broke.
     """
     proxy = xmlrpc.client.ServerProxy(f"http://127.0.0.1:{port}", transport=_Tunnel(connection, port))
     try:
         code, message, value = getattr(proxy, method)(CALLER, *arguments)
     except (ConnectionLost, ConnectionRefusedError):
         raise
-    except (xmlrpc.client.Error, http.client.HTTPException, OSError, ValueError, TypeError) as error:
+    except (xmlrpc.client.Error, http.client.HTTPException, OSError, EOFError, ValueError, TypeError) as error:
+        # Which of the two is it? A link that broke meanwhile must not pass for a master that died.
+        connection.check(["true"], deadline_s=ANSWER_S)
         raise ConnectionRefusedError(f"port {port} does not answer as a ROS master: {error}") from error
     if code != 1:
         raise TargetError(f"{connection.address}: the ROS master refused {method}: {message}")
     return value
 
 
-def answers(link: Link) -> bool:
-    """Say whether a ROS master answers on the target's port."""
+def pid(link: Link) -> int | None:
+    """Return the process id of the ROS master that answers on the target's port, by its own word; None without one."""
     port = link.target.ros_master_port
     try:
-        link.do(lambda connection: call(connection, port, "getPid"))
-    except ConnectionRefusedError:
-        return False
-    return True
+        return int(link.do(lambda connection: call(connection, port, "getPid")))
+    except (ConnectionRefusedError, ValueError, TypeError):
+        return None
 
 
 def subscribers(link: Link, topic: str) -> int:
-    """Return how many nodes have subscribed to a topic."""
+    """Return how many nodes have subscribed to a topic. Raises TargetError when no master answers."""
     port = link.target.ros_master_port
-    _, subscribed, _ = link.do(lambda connection: call(connection, port, "getSystemState"))
+    try:
+        _, subscribed, _ = link.do(lambda connection: call(connection, port, "getSystemState"))
+    except ConnectionRefusedError as error:
+        raise TargetError(f"{link.target.address}: the ROS master died: {error}") from error
     return sum(len(nodes) for name, nodes in subscribed if name == topic)
 
 
@@ -85,7 +90,7 @@ def running(
     target = link.target
     folder = target.work_dir / "master" / owner
     ours = _is_held(link, folder)
-    if not answers(link):
+    if pid(link) is None:
         if equipment.master is None:
             raise TargetError(
                 f"{target.address}: no ROS on the target: neither /opt/ros/*/bin/rosmaster "
@@ -123,7 +128,7 @@ def _is_held(link: Link, folder: PurePosixPath) -> bool:
 
 def _wait_ready(link: Link, folder: PurePosixPath) -> None:
     deadline = time.monotonic() + START_S
-    while not answers(link):
+    while pid(link) is None:
         if not _is_held(link, folder) or time.monotonic() >= deadline:
             said = launch.tail(link, folder / f"{NAME}.stderr") or "it said nothing"
             raise TargetError(f"{link.target.address}: the ROS master did not start: {said}")

@@ -9,7 +9,8 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
-from rtrun import baseline, clock, collect, conditions, in_effect, launch, master, probe, rundir, suites
+from rtrun import attempt, baseline, clock, collect, conditions, in_effect, launch, master, probe, rundir, suites
+from rtrun.attempt import NOTHING_LEFT, Attempt, Left
 from rtrun.campaign import Run
 from rtrun.errors import ConnectionLost, TargetError, TargetGone
 from rtrun.judge import judge
@@ -102,15 +103,15 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     names = [program.name for program in (*others, *waiting)]
     helpers = [*(load.name for load in loads), SAMPLER]
     limits = collect.expected_files(run.suite, [*names, *helpers], outputs, int(run.parameters.get("repetitions") or 0))
-    _clear_of_other_boots(link, remote, folder, limits)
-    if not master.answers(link):
-        raise TargetError(f"{link.target.address}: the ROS master died")
-    start_time = now()
-    before = probe.state(link, prepared.scripts / "state.sh")
+    measuring = False
     try:
-        if loads:
+        left = _left_to_pick_up(link, remote, folder, [*names, *helpers], limits)
+        begun = left.attempt or _begin(prepared, remote, [*others, *waiting], now)
+        measuring = any(name in left.started for name in names)
+        if loads and not measuring:
             _load(prepared, remote, run, loads)
-        _start(prepared, remote, [sampler, *waiting], others)
+        _start(prepared, remote, [sampler, *waiting], others, waited=any(each.name in left.started for each in others))
+        measuring = True
         exits = [
             launch.wait(link, remote, program.name, deadline_s=program.deadline_s + 60.0)
             for program in (*others, *waiting)
@@ -118,8 +119,11 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     except (TargetRebooted, TargetGone, ConnectionLost):
         # Out of reach: what still runs there is picked up, or kept as incomplete, by the next call.
         raise
-    except (KeyboardInterrupt, InfrastructureError):
-        _give_up(link, remote, [*names, *helpers])
+    except (KeyboardInterrupt, InfrastructureError) as error:
+        # What measures goes on, whatever our trouble is: only the user gives it up.
+        if isinstance(error, KeyboardInterrupt) or not measuring:
+            with contextlib.suppress(TargetError):
+                launch.give_up(link, remote, [*names, *helpers])
         raise
     state = ["sh", str(prepared.scripts / "state.sh")]
     died, said = launch.end_beside(link, remote, names, helpers, state)
@@ -128,12 +132,12 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
         refused = collect.pull(link, remote, partial, limits)
         if prepared.kernel_config:
             (partial / "kernel.config.gz").write_bytes(prepared.kernel_config)
-        states = {"schema": 1, "before": before, "after": after, "own_ros_master": prepared.own_master}
+        states = {"schema": 1, "before": begun.before, "after": after, "own_ros_master": begun.own_master}
         (partial / "target.json").write_text(json.dumps(states, indent=2) + "\n", encoding="utf-8")
         if link.target.console is not None and link.target.console.exists():
             (partial / "console.log").write_bytes(link.target.console.read_bytes())
         verdict = judge(partial, run, [*others, *waiting], exits, outputs, refused=refused, beside=beside, died=died)
-        if not master.answers(link):
+        if master.pid(link) != begun.master_pid:
             reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
             verdict = replace(verdict, status="failed", reason=reason)
         if suites.suite(run.suite).always is not None and verdict.status == "ok":
@@ -141,6 +145,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
         record = {
             "run": run.name,
             "campaign": campaign,
+            "attempt": begun.uid,
             "suite": run.suite,
             "parameters": dict(run.parameters),
             "condition": run.condition,
@@ -152,10 +157,10 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
             "reason": verdict.reason,
             "requested": in_effect.requested(run, beside),
             "in_effect": verdict.in_effect,
-            "start_time": start_time.isoformat(),
+            "start_time": begun.start_time,
             "end_time": now().isoformat(),
             "programs": [
-                {"name": program.name, "argv": list(program.argv), "exit_status": exit_.status}
+                {"name": program.name, "argv": begun.argv[program.name], "exit_status": exit_.status}
                 for program, exit_ in zip([*others, *waiting], exits, strict=True)
             ],
             "outputs": outputs,
@@ -163,11 +168,11 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
             "target": {
                 "name": link.target.name,
                 "address": str(link.target.address),
-                "preempt_rt": probe.is_preempt_rt(before),
+                "preempt_rt": probe.is_preempt_rt(begun.before),
                 "cpus": prepared.equipment.cpus,
-                **{key: before.get(key) for key in ("kernel_release", "kernel_version", "machine", "boot_id")},
-                **{key: before.get(key) for key in ("clocksource", "governor", "roscpp_version")},
-                "clock": clock.record(before, clock.steps_seen(partial, outputs)),
+                **{key: begun.before.get(key) for key in ("kernel_release", "kernel_version", "machine", "boot_id")},
+                **{key: begun.before.get(key) for key in ("clocksource", "governor", "roscpp_version")},
+                "clock": clock.record(begun.before, clock.steps_seen(partial, outputs)),
             },
         }
         rundir.close(partial, folder, record)
@@ -175,50 +180,80 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     return verdict.status, verdict.reason
 
 
+def _begin(prepared: Prepared, remote: PurePosixPath, programs: Sequence[launch.Program], now: Clock) -> Attempt:
+    """Write down what the run begins with. Raises TargetError when nothing can be measured."""
+    link = prepared.link
+    start_time = now()
+    master_pid = master.pid(link)
+    if master_pid is None:
+        raise TargetError(f"{link.target.address}: the ROS master died")
+    return attempt.begin(
+        link,
+        remote,
+        start_time=start_time.isoformat(),
+        master_pid=master_pid,
+        own_master=prepared.own_master,
+        argv={program.name: program.argv for program in programs},
+        before=probe.state(link, prepared.scripts / "state.sh"),
+    )
+
+
 def _load(prepared: Prepared, remote: PurePosixPath, run: Run, loads: Sequence[launch.Program]) -> None:
     """Make the condition so. Raises TargetError when a load does not stay."""
     link = prepared.link
     launch.start(link, prepared.scripts, remote, *loads, setup=prepared.equipment.setup)
     time.sleep(LOADED_S)
-    for load in loads:
-        if launch.ended(link, remote, load.name):
-            said = launch.tail(link, remote / f"{load.name}.stderr") or "it said nothing"
-            raise TargetError(f"{link.target.address}: condition {run.condition}: {load.name} does not run: {said}")
+    for name in launch.ended(link, remote, [load.name for load in loads]):
+        said = launch.tail(link, remote / f"{name}.stderr") or "it said nothing"
+        raise TargetError(f"{link.target.address}: condition {run.condition}: {name} does not run: {said}")
 
 
 def _start(
-    prepared: Prepared, remote: PurePosixPath, first: Sequence[launch.Program], others: Sequence[launch.Program]
+    prepared: Prepared,
+    remote: PurePosixPath,
+    first: Sequence[launch.Program],
+    others: Sequence[launch.Program],
+    *,
+    waited: bool,
 ) -> None:
-    """Start the sampler and the programs that wait for messages, `first`, and, when these do wait, the others."""
+    """Start the sampler and the programs that wait for messages, `first`, and, when these do wait, the others.
+
+    `waited`: an earlier call has seen them wait, and has started the others.
+    """
     link, setup = prepared.link, prepared.equipment.setup
-    waiting = first[1:]
+    waiting = [program.name for program in first[1:]]
     if not waiting:
         launch.start(link, prepared.scripts, remote, *first, *others, setup=setup)
         return
     launch.start(link, prepared.scripts, remote, *first, setup=setup)
-    launch.until(
-        lambda: master.subscribers(link, TOPIC) >= len(waiting) or launch.ended(link, remote, waiting[0].name),
-        deadline_s=SUBSCRIBED_S,
-        what=f"{link.target.address}: {len(waiting)} subscribers to register with the ROS master",
-    )
+    if not waited:
+        launch.until(
+            lambda: master.subscribers(link, TOPIC) >= len(waiting) or bool(launch.ended(link, remote, waiting)),
+            deadline_s=SUBSCRIBED_S,
+            what=f"{link.target.address}: {len(waiting)} subscribers to register with the ROS master",
+        )
     launch.start(link, prepared.scripts, remote, *others, setup=setup)
 
 
-def _give_up(link: Link, remote: PurePosixPath, names: Sequence[str]) -> None:
-    """End what runs and leave nothing of it."""
-    with contextlib.suppress(TargetError):
-        launch.end(link, remote, *names)
-        link.do(lambda connection: connection.run(["rm", "-rf", str(remote)]))
+def _left_to_pick_up(
+    link: Link, remote: PurePosixPath, folder: Path, names: Sequence[str], limits: dict[str, int]
+) -> Left:
+    """Return what an earlier call left that goes on, or has ended and waits for us; everything else makes room.
 
-
-def _clear_of_other_boots(link: Link, remote: PurePosixPath, folder: Path, limits: dict[str, int]) -> None:
-    """Keep what a run left that a reboot cut off, as incomplete, and make room for its repetition."""
-    script = 'cat "$1"/*.boot_id 2>/dev/null; exit 0'
-    boots = set(link.do(lambda connection: connection.check(["sh", "-c", script, "sh", str(remote)])).split())
-    if boots <= {link.boot_id}:
-        return
-    kept = rundir.unused(folder, "incomplete")
-    with rundir.filling(kept) as partial:
-        collect.pull(link, remote, partial, limits)
-        rundir.rename(partial, kept)
-    link.do(lambda connection: connection.check(["rm", "-rf", str(remote)]))
+    What a reboot cut off is kept as incomplete; what was given up, or is closed and only to be repeated, is removed.
+    """
+    left = attempt.left(link, remote)
+    if left == NOTHING_LEFT:
+        return left
+    boots = {*left.started.values(), *([left.attempt.boot_id] if left.attempt else [])}
+    of_this_boot = boots <= {link.boot_id}
+    closed = rundir.entry(folder, "attempt")
+    if of_this_boot and left.attempt and not left.given_up and left.attempt.uid != closed:
+        return left
+    if left.started and not of_this_boot:
+        kept = rundir.unused(folder, "incomplete")
+        with rundir.filling(kept) as partial:
+            collect.pull(link, remote, partial, limits)
+            rundir.rename(partial, kept)
+    launch.give_up(link, remote, names)
+    return NOTHING_LEFT

@@ -57,6 +57,7 @@ class Record(Config):
     programs: list[Program]
     outputs: list[Name]
     target: dict[str, Any]
+    attempt: str = ""
     condition: str = "idle"
     settings: dict[str, Value] = Field(default_factory=dict)
     repeat: int = 1

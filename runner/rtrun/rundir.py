@@ -75,9 +75,14 @@ def unused(folder: Path, kind: str) -> Path:
 
 def status(folder: Path) -> str | None:
     """Return the status in a closed run directory, or None when it is not closed."""
+    return entry(folder, "status")
+
+
+def entry(folder: Path, key: str) -> str | None:
+    """Return a text of run.json, or None when there is none or the run directory is not closed."""
     try:
         record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    found = record.get("status") if isinstance(record, dict) else None
+    found = record.get(key) if isinstance(record, dict) else None
     return found if isinstance(found, str) else None

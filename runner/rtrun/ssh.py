@@ -93,8 +93,8 @@ class Connection:
             output = _read_until(channel, deadline)
             pid, _, text = output[0].decode("utf-8", "replace").partition("\n")
             if not channel.exit_status_ready():
-                self._kill(pid)
-                raise DeadlineExpired(f"{self.address}: {argv[0]} took longer than {deadline_s:g} s and was ended")
+                fate = "was ended" if self._kill(pid) else "may go on: the target has not said what it started"
+                raise DeadlineExpired(f"{self.address}: {argv[0]} took longer than {deadline_s:g} s and {fate}")
             status = channel.recv_exit_status()
             if status == -1 and not self._transport.is_active():
                 raise ConnectionLost(f"{self.address}: the connection broke while {argv[0]} was running")
@@ -172,13 +172,14 @@ class Connection:
         except (paramiko.SSHException, OSError, EOFError) as error:
             raise ConnectionLost(f"{self.address}: the connection broke: {error or type(error).__name__}") from error
 
-    def _kill(self, pid: str) -> None:
+    def _kill(self, pid: str) -> bool:
         if not pid.isdigit():
-            return
+            return False
         channel = self._open("session", KILL_GRACE_S)
         try:
             channel.exec_command(f"kill -KILL -{pid} || kill -KILL {pid}")
             _read_until(channel, time.monotonic() + KILL_GRACE_S)
+            return True
         finally:
             channel.close()
 

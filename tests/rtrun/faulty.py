@@ -1,7 +1,11 @@
 """A stand-in for cyclic_timer_tests that goes wrong on request: what no real suite would do when a test needs it."""
 
+import json
 import sys
 from pathlib import Path
+from typing import Any
+
+from rtrun.campaign import Campaign, Run, plan
 
 PROGRAM = """#!{python}
 import json, os, sys, time
@@ -40,11 +44,12 @@ if wish == "killed":
     os.kill(os.getpid(), 9)
 rows = [(1_000_000 * n,) for n in range(count + 1)]
 path = write_output(Path("."), output, "cyclic_timer_tests", rows, requested={{"repetitions": count,
-    "frequency_hz": frequency}}, asked=count, measured=count)
+    "frequency_hz": frequency, "policy": words.get("-s", "0")}}, asked=count, measured=count)
 data = json.loads(path.read_text())
 policy = "0" if wish == "no policy" else words.get("-s", "0")
 data["in_effect"]["threads"][0].update(policy="OTHER" if policy == "0" else policy, priority=95 * (policy != "0"))
-data["counts"]["asked"] += wish == "miscounted"
+data["counts"]["missing"] += wish == "miscounted"
+data["counts"]["asked"] += wish == "misheard"
 path.write_text(json.dumps(data))
 print("\\tINFO: done")
 if wish == "incomplete":
@@ -109,3 +114,14 @@ class Wishes:
     def calls(self) -> list[str]:
         """Every call so far: repetitions, frequency, what it did."""
         return self.journal.read_text().splitlines() if self.journal.exists() else []
+
+
+def runs_of(count: int, **parameters: Any) -> list[Run]:
+    """So many short runs of cyclic_timer_tests, of frequencies from 100 Hz on."""
+    entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": [100 + n for n in range(count)]}
+    return plan(Campaign(schema=1, name="test", runs=[entry | parameters]), "test")
+
+
+def record(results: Path, run: Run) -> dict[str, Any]:
+    """The run.json of a run."""
+    return json.loads((results / run.name / "run.json").read_text())

@@ -70,7 +70,7 @@ def when(condition, then):
 
 
 def test_a_load_runs_with_the_suite_and_ends_with_it(target, tmp_path, wishes):
-    wishes.will("sleep 6")
+    wishes.will("sleep 8")
     record = measure(target, tmp_path, condition="cpu80")
     assert (record["status"], record["reason"]) == ("ok", None)
     assert record["condition"] == "cpu80"
@@ -167,11 +167,18 @@ def test_a_policy_that_is_not_in_effect_makes_the_run_invalid(target, tmp_path, 
     assert (record["requested"]["policy"], record["in_effect"]["policy"]) == ("RR", ["OTHER"])
 
 
+def test_a_suite_that_was_asked_for_something_else_makes_the_run_invalid(target, tmp_path, wishes):
+    wishes.will("misheard")
+    record = measure(target, tmp_path)
+    assert record["status"] == "invalid"
+    assert "asked for repetitions 10, the suite measured repetitions 11" in record["reason"]
+
+
 def test_numbers_that_do_not_add_up_make_the_run_invalid(target, tmp_path, wishes):
     wishes.will("miscounted")
     record = measure(target, tmp_path)
     assert record["status"] == "invalid"
-    assert "11 asked for, but 10 measured + not fired + missing" in record["reason"]
+    assert "10 asked for, but 11 measured + not fired + missing" in record["reason"]
 
 
 def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
@@ -179,7 +186,7 @@ def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
         Campaign(
             schema=1,
             name="test",
-            runs=[{"suite": "cyclictest", "policy": "RR", "priority": 80, "repetitions": 2000, "threads": 2}],
+            runs=[{"suite": "cyclictest", "policy": "RR", "priority": 80, "repetitions": 4000, "threads": 2}],
         ),
         "test",
     )
@@ -206,7 +213,7 @@ def test_hwlatdetect_where_the_kernel_has_no_such_tracer(target, tmp_path, monke
 
 def test_every_other_load_keeps_its_workers(target, tmp_path, wishes):
     loads = ["memory", "io", "network", "irq"]
-    wishes.will(*["sleep 2"] * len(loads))
+    wishes.will(*["sleep 4"] * len(loads))
     entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": 10, "condition": loads}
     runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
     execute.run_campaign(target, "test", runs, tmp_path / "results", Watching())

@@ -6,6 +6,7 @@ import pytest
 
 from rtfiles.errors import UsageError
 from rtrun import deploy
+from rtrun.errors import TargetError
 from rtrun.ssh import Connection
 
 pytestmark = pytest.mark.sshd
@@ -50,6 +51,22 @@ def test_what_is_there_is_not_sent_again(link, tree, uploads):
     second = deploy.deploy(link, tree, "suites")
     assert uploads == ["program"] and second != first
     assert (Path(second) / "data").samefile(Path(first) / "data")
+
+
+def test_a_tree_of_which_half_the_listing_arrived_is_never_adopted(link, tree, target, monkeypatch):
+    real = Connection.check
+
+    def truncating(self, argv, **more):
+        if more.get("stdin"):
+            more["stdin"] = more["stdin"].splitlines(keepends=True)[0]
+        return real(self, argv, **more)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Connection, "check", truncating)
+        with pytest.raises(TargetError):
+            deploy.deploy(link, tree, "suites")
+    there = Path(deploy.deploy(link, tree, "suites"))
+    assert (there / "data").exists() and (there / "lib/deep/program").exists()
 
 
 def test_a_half_sent_object_is_never_adopted(link, tree, target, monkeypatch):

@@ -60,11 +60,20 @@ def test_a_policy_or_priority_that_was_lost_in_the_middle(other):
     assert wrong(run_of(), look(100, thread()), look(102, thread(), other)) is not None, "every thread"
 
 
-def test_a_policy_that_never_was():
-    assert wrong(run_of(), look(100, thread(0, 0)), look(102)) is None, "a program that starts"
+def test_a_policy_that_never_was(tmp_path):
+    looks = read_looks(look(100, thread(0, 0)) + look(102))
+    record = read_json(write_cyclic(tmp_path), Record)
+    assert mismatch(run_of(), [], looks, {"x": record}) is None, "a program that starts, and says itself what it had"
+    assert wrong(run_of(), look(100, thread(0, 0)), look(102)).startswith("nobody saw RR 95 in effect")
     assert wrong(run_of(), look(100, thread(0, 0)), look(112)) == (
         "cyclic_timer_tests: asked for RR 95, after 12 s in effect was OTHER 0 on CPUs 0,1"
     )
+
+
+def test_what_nobody_saw_is_not_taken_for_good():
+    assert wrong(run_of(policy=0)) is None, "nothing was asked for"
+    assert wrong(run_of(policy=0, cpu="1")).startswith("nobody saw OTHER 0 on CPUs 1 in effect")
+    assert wrong(run_of(policy=0, condition="cpu80")).startswith("nobody saw condition cpu80 in effect")
 
 
 def test_a_program_gives_its_priority_up_when_it_has_measured():

@@ -78,7 +78,7 @@ def test_it_survives_a_lost_link_and_is_found_again(link, scripts, folder, remar
 
 
 def test_the_target_ends_what_takes_too_long(link, scripts, folder):
-    program = sh(f"echo $$ >{folder}/child; exec sleep 300", deadline_s=1)
+    program = sh(f"echo $$ >{folder}/child; exec sleep 300", deadline_s=5)
     ended = start_and_wait(link, scripts, folder, program)
     assert ended.expired
     assert ended.status == 128 + signal.SIGTERM
@@ -126,7 +126,34 @@ def test_killed_supervisor_leaves_no_status(link, scripts, folder):
     assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=20) == launch.Exit(status=None, expired=False)
 
 
-def test_a_folder_that_cannot_be(link, scripts, tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(TargetError, match=r"failed with exit status 1: .*Not a directory"):
-        launch.start(link, scripts, PurePosixPath(tmp_path / "file" / "folder"), sh("true"))
+def test_a_folder_that_is_not_there(link, scripts, tmp_path):
+    with pytest.raises(TargetError, match=r"failed with exit status \d+: .*can't cd to .*gone"):
+        launch.start(link, scripts, PurePosixPath(tmp_path / "gone"), sh("true"))
+
+
+def test_what_was_given_up_is_not_started_any_more(link, scripts, folder, monkeypatch):
+    """A start under way goes on when its connection is closed: its second program must not be left running."""
+    stubborn = launch.Program(
+        name="stubborn", argv=("sh", "-c", f"trap '' TERM; echo $$ >{folder}.first; sleep 60; sleep 60")
+    )
+    late = launch.Program(name="late", argv=("sh", "-c", f"echo $$ >{folder}.second; sleep 60"))
+    with monkeypatch.context() as patch:
+        real = launch.in_turn
+        patch.setattr(launch, "in_turn", lambda commands: real([*commands[:1], ["sleep", "1"], *commands[1:]]))
+        starting = threading.Thread(target=launch.start, args=(link, scripts, PurePosixPath(folder), stubborn, late))
+        starting.start()
+    while not Path(f"{folder}.first").exists():
+        time.sleep(0.02)
+    launch.give_up(link, PurePosixPath(folder), ["stubborn", "late"])
+    starting.join()
+    assert not folder.exists()
+    time.sleep(0.5)
+    assert not Path(f"{folder}.second").exists()
+
+
+def test_the_clock_on_the_wall_does_not_tell_who_died(link, folder):
+    for name, uptime in (("sampler", "100.07"), ("suite", "100.08"), ("load", "100.10")):
+        (folder / f"{name}.exit").write_text(f"0 {uptime}\n")
+        os.utime(folder / f"{name}.exit", (1e9, 1e9 - float(uptime)))
+    died, _ = launch.end_beside(link, PurePosixPath(folder), ["suite"], ["sampler", "load"], ["true"])
+    assert died == {"sampler": "0"}

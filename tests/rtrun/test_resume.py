@@ -12,14 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faulty import write_faulty_suites
+from faulty import runs_of, write_faulty_suites
 from proxy import proxy_to
 from written import write_npy
 
 from rtfiles.errors import UsageError
 from rtrun import execute, rundir
 from rtrun import measure as measurement
-from rtrun.campaign import Campaign, plan
 from rtrun.errors import ConnectionLost
 from watching import Watching
 
@@ -85,11 +84,6 @@ def test_a_runner_killed_at_twenty_random_moments(sshd, ros_master, tmp_path, wi
             record = json.loads((folder / "run.json").read_text())
             for name, file in record["files"].items():
                 assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == file["sha256"]
-
-
-def runs_of(count):
-    entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": [100 + n for n in range(count)]}
-    return plan(Campaign(schema=1, name="test", runs=[entry]), "test")
 
 
 @pytest.fixture
@@ -164,27 +158,6 @@ def test_two_runners_do_not_mix(proxied, tmp_path, wishes):
     watching.at_start = act
     execute.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
     assert "another rtrun is at work there" in refused[0]
-
-
-def test_a_runner_that_stopped_after_it_had_ended_the_sampler(
-    loopback, suites_folder, ros_master, tmp_path, wishes, monkeypatch
-):
-    """What we ended ourselves is not taken for dead by whoever picks the run up."""
-    target = replace(loopback, suites=suites_folder, ros_master_port=ros_master)
-    (run,) = runs = runs_of(1)
-
-    class Stop(Exception):
-        pass
-
-    def stop(*_):
-        raise Stop
-
-    with monkeypatch.context() as patch:
-        patch.setattr(measurement.collect, "pull", stop)
-        with pytest.raises(Stop):
-            execute.run_campaign(target, "test", runs, tmp_path / "results", Watching())
-    assert execute.run_campaign(target, "test", runs, tmp_path / "results", Watching()) == {run.name: "ok"}
-    assert len(wishes.calls()) == 1
 
 
 def test_a_reboot_while_nobody_looked(loopback, suites_folder, ros_master, tmp_path, wishes):

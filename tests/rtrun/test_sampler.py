@@ -18,7 +18,10 @@ def test_ended_at_any_moment_it_leaves_whole_lines(tmp_path):
         )
         for number in range(SAMPLERS)
     ]
-    time.sleep(0.8)
+    deadline = time.monotonic() + 60
+    while not any("at " in (tmp_path / f"{number}.out").read_text() for number in range(SAMPLERS)):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
     for sampler in samplers:
         os.killpg(sampler.pid, signal.SIGTERM)
         time.sleep(0.03)

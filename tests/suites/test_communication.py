@@ -48,17 +48,17 @@ def test_in_real_time_with_payload(bench: Bench) -> None:
 
 
 def test_publisher_killed(bench: Bench) -> None:
-    receiver = bench.start("communication_tests_subscriber", "-r", "100000", "--idle-timeout", "2")
+    receiver = bench.start("communication_tests_subscriber", "-r", "100000", "--idle-timeout", "10")
     until(lambda: bench.subscribers() == 1, receiver)
     sender = bench.start("communication_tests_publisher", "-r", "100000", "-d", "1")
     until(lambda: is_measuring(sender), sender)
     with pytest.raises(subprocess.TimeoutExpired):
         sender.wait(2)
     sender.kill()
-    assert end(receiver, timeout=20).status == 0
+    assert end(receiver, timeout=60).status == 0
     record = check_outputs(bench.folder, "ct_gnuplot_l100000_fq1000_pl0")
     assert record["complete"] is False
-    assert record["incomplete_reason"].startswith("nothing came for 2 s, last message seen: ")
+    assert record["incomplete_reason"].startswith("nothing came for 10 s, last message seen: ")
     last = int(record["incomplete_reason"].rsplit(" ", 1)[1])
     assert record["counts"]["measured"] + record["counts"]["missing"] == last + 1 < 100000
 

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     ):
         found = probe.find(link, (deploy.ON_TARGET / "find.sh").read_text(encoding="utf-8"))
         state = probe.state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
-        answers = master.answers(link)
+        answers = master.pid(link) is not None
     if args.json:
         print(json.dumps({"equipment": asdict(found), "ros_master_answers": answers, "state": state}, indent=2))
         return 0

@@ -4,7 +4,8 @@
 #   supervise.sh FOLDER NAME DEADLINE_S SETUP PROGRAM [ARGUMENT...]
 #
 # SETUP is a shell file to read first, or empty. In FOLDER stand afterwards NAME.boot_id, NAME.pid (also the process
-# group), NAME.stdout, NAME.stderr, NAME.expired when the deadline ended it, and last NAME.exit with the exit status.
+# group), NAME.stdout, NAME.stderr, NAME.expired when the deadline ended it, and last NAME.exit with the exit status
+# and the time since the boot in seconds.
 # NAME.lock is held as long as a process of it lives: waiting for the lock costs the target nothing.
 # A program that was started already is not started again, so the caller may repeat the call after a lost link.
 set -u
@@ -15,8 +16,8 @@ if [ "${RTRUN_INSIDE:-}" != 1 ]; then
     [ -e "$name.boot_id" ] && exit 0
     exec 9>"$name.lock"
     flock -n 9 || exit 0
-    # Whoever held the lock until now may have run and ended meanwhile.
-    [ -e "$name.boot_id" ] && exit 0
+    # Whoever held the lock until now may have run and ended meanwhile; what was given up is not started any more.
+    { [ -e "$name.boot_id" ] || [ -e given_up ]; } && exit 0
     cat /proc/sys/kernel/random/boot_id >"$name.boot_id.new" && mv "$name.boot_id.new" "$name.boot_id" || exit 1
     # After a power cut the runner must see that this run was cut off.
     sync "$name.boot_id" .
@@ -54,4 +55,5 @@ watchdog=$!
 wait $program
 status=$?
 kill $watchdog
-echo $status >"$name.exit.new" && mv "$name.exit.new" "$name.exit"
+read -r uptime _ </proc/uptime
+echo "$status $uptime" >"$name.exit.new" && mv "$name.exit.new" "$name.exit"

@@ -1,0 +1,257 @@
+"""Every gap between two steps of a run in which the runner or the link may stop: what is found there afterwards."""
+
+import os
+import shutil
+import signal
+import socket
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from faulty import record, runs_of, write_faulty_suites
+
+from ports import free_port
+from rtrun import execute, launch, master, rundir, ssh
+from rtrun import measure as measurement
+from rtrun.errors import ConnectionLost, DeadlineExpired, TargetError
+from rtrun.link import Link, TargetRebooted
+from watching import Watching
+
+pytestmark = [pytest.mark.sshd, pytest.mark.ros]
+
+
+class Stop(Exception):
+    """The runner ends here, as kill -9 would end it."""
+
+
+def stop(*_, **__):
+    raise Stop
+
+
+@pytest.fixture
+def suites_folder(tmp_path):
+    return tmp_path / "suites"
+
+
+@pytest.fixture
+def wishes(suites_folder):
+    return write_faulty_suites(suites_folder)
+
+
+@pytest.fixture
+def masterless(loopback, suites_folder, wishes):
+    return replace(loopback, suites=suites_folder, ros_master_port=free_port())
+
+
+@pytest.fixture
+def target(masterless, ros_master):
+    return replace(masterless, ros_master_port=ros_master)
+
+
+@pytest.fixture
+def measure(tmp_path):
+    def measure(target, runs, watching=None):
+        return list(execute.run_campaign(target, "test", runs, tmp_path / "results", watching or Watching()).values())
+
+    return measure
+
+
+def out_of_reach(wishes):
+    """Stands in for the waiting: the link is lost for good once the suite runs."""
+
+    def wait(link, *_, **__):
+        while not wishes.calls():
+            time.sleep(0.05)
+        link._given_up = ConnectionLost("gone")
+        link.drop()
+        raise link._given_up
+
+    return wait
+
+
+def test_after_the_sampler_was_ended(target, tmp_path, wishes, monkeypatch, measure):
+    """What we ended ourselves is not taken for dead."""
+    runs = runs_of(1)
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.collect, "pull", stop)
+        with pytest.raises(Stop):
+            measure(target, runs)
+    assert measure(target, runs) == ["ok"]
+    assert len(wishes.calls()) == 1
+
+
+def test_a_load_that_ended_while_nobody_looked(target, tmp_path, wishes, monkeypatch, measure):
+    """It outlived the suite: the run is whole."""
+    monkeypatch.setattr(measurement, "DEADLINE_EXTRA_S", 4.0)
+    monkeypatch.setattr(measurement.conditions, "OUTLIVE_S", 1.0)
+    wishes.will("sleep 2.5")
+    runs = runs_of(1, condition="memory")
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.launch, "wait", stop)
+        with pytest.raises(Stop):
+            measure(target, runs)
+    while not list(Path(target.work_dir).rglob("memory.exit")) + list(Path(target.work_dir).rglob("*.expired")):
+        time.sleep(0.1)
+    assert measure(target, runs) == ["ok"]
+    assert len(wishes.calls()) == 1
+
+
+@pytest.mark.parametrize("call", [1, 2, 3])
+def test_a_link_lost_in_a_call_of_the_master(target, monkeypatch, measure, call):
+    """It is not taken for a master that died."""
+    calls = []
+    real = master._Tunnel.make_connection
+
+    def breaking(self, host):
+        made = real(self, host)
+        calls.append(host)
+        if len(calls) == call:
+            self._ssh._transport.sock.shutdown(socket.SHUT_RDWR)
+        return made
+
+    monkeypatch.setattr(master._Tunnel, "make_connection", breaking)
+    watching = Watching()
+    assert measure(target, runs_of(1), watching) == ["ok"]
+    assert any("connecting again" in note for note in watching.notes)
+
+
+def test_a_run_of_another_campaign_is_not_disturbed(target, tmp_path, wishes, measure):
+    wishes.will("sleep 3")
+    refused = []
+
+    def act(number):
+        def other():
+            while not wishes.calls():
+                time.sleep(0.05)
+            try:
+                execute.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching())
+            except TargetError as error:
+                refused.append(str(error))
+
+        threading.Thread(target=other).start()
+
+    watching = Watching()
+    watching.at_start = act
+    assert measure(target, runs_of(1), watching) == ["ok"]
+    while not refused:
+        time.sleep(0.05)
+    assert "a run of another campaign is still going on" in refused[0] and "cyclic_timer_tests" in refused[0]
+    assert execute.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching())
+    assert len(wishes.calls()) == 2
+
+
+@pytest.mark.parametrize("who", ["killed", "interrupted"])
+def test_another_master_than_the_run_began_with(masterless, tmp_path, wishes, monkeypatch, measure, who):
+    wishes.will("sleep 6")
+    runs = runs_of(1)
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.launch, "wait", out_of_reach(wishes))
+        with pytest.raises(ConnectionLost):
+            measure(masterless, runs)
+    if who == "killed":
+        (pid,) = Path(masterless.work_dir).glob("master/*/rosmaster.pid")
+        os.killpg(int(pid.read_text()), signal.SIGKILL)
+        assert measure(masterless, runs) == ["failed"]
+        assert record(tmp_path / "results", runs[0])["reason"].startswith("the ROS master died during the run")
+        return
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.launch, "wait", lambda *_, **__: os.kill(os.getpid(), signal.SIGINT))
+        with pytest.raises(KeyboardInterrupt):
+            measure(masterless, runs)
+    assert not list(Path(masterless.work_dir).glob("runs/*/*")), "given up with its master"
+
+
+@pytest.mark.parametrize("wish", ["sleep 60", "ok"])
+def test_a_run_whose_giving_up_was_cut_short_is_begun_anew(target, tmp_path, wishes, monkeypatch, measure, wish):
+    wishes.will(wish)
+    runs = runs_of(1)
+    real = launch.wait
+
+    def interrupted(*args, **more):
+        while not wishes.calls():
+            time.sleep(0.05)
+        if wish == "ok":
+            real(*args, **more)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.launch, "wait", interrupted)
+        # The last of its steps, the removal, does not happen.
+        real_turn = launch.in_turn
+        patch.setattr(launch, "in_turn", lambda commands: real_turn([each for each in commands if each[0] != "rm"]))
+        with pytest.raises(KeyboardInterrupt):
+            measure(target, runs)
+    assert list(Path(target.work_dir).rglob("given_up"))
+    assert measure(target, runs) == ["ok"]
+    assert len(wishes.calls()) == 2
+    assert not list((tmp_path / "results").glob("*.old-*"))
+
+
+def test_a_failed_run_that_was_closed_is_repeated_and_not_read_again(target, tmp_path, wishes, monkeypatch, measure):
+    wishes.will("fail")
+    runs = runs_of(1)
+    real = rundir.close
+
+    def close(*args):
+        real(*args)
+        raise Stop
+
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.rundir, "close", close)
+        with pytest.raises(Stop):
+            measure(target, runs)
+    assert measure(target, runs) == ["ok"]
+    assert len(wishes.calls()) == 2
+
+
+def test_a_reboot_after_a_run_was_closed_costs_nothing(target, tmp_path, wishes, monkeypatch, measure):
+    links = []
+    real_enter, real_close = Link.__enter__, rundir.close
+    monkeypatch.setattr(Link, "__enter__", lambda self: (links.append(self), real_enter(self))[1])
+
+    def close(*args):
+        real_close(*args)
+        if len(wishes.calls()) == 1:
+            links[0].boot_id = "the boot before"
+            links[0].drop()
+
+    monkeypatch.setattr(measurement.rundir, "close", close)
+    assert measure(target, runs_of(2)) == ["ok", "ok"]
+    assert len(wishes.calls()) == 2
+    assert not list((tmp_path / "results").glob("*.old-*"))
+
+
+@pytest.mark.parametrize("error", [ConnectionLost, DeadlineExpired])
+def test_nothing_is_done_on_a_boot_that_is_not_known(target, monkeypatch, error):
+    with Link(target, lambda _: None) as link:
+        link.boot_id = "another boot"
+        link.drop()
+        real, failed = ssh.Connection.check, []
+
+        def check(self, argv, **more):
+            if "boot_id" in argv[-1] and not failed:
+                failed.append(error)
+                raise error("x")
+            return real(self, argv, **more)
+
+        monkeypatch.setattr(ssh.Connection, "check", check)
+        with pytest.raises(TargetRebooted):
+            link.do(lambda connection: connection.check(["true"]))
+
+
+def test_the_record_is_of_what_ran_and_not_of_what_is_there_now(
+    target, tmp_path, suites_folder, wishes, monkeypatch, measure
+):
+    wishes.will("sleep 2")
+    runs = runs_of(1)
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.launch, "wait", out_of_reach(wishes))
+        with pytest.raises(ConnectionLost):
+            measure(target, runs)
+    (before,) = Path(target.work_dir).glob("suites/*")
+    shutil.copy(suites_folder / "build.json", suites_folder / "of_a_newer_build.json")
+    assert measure(target, runs) == ["ok"]
+    assert len(list(Path(target.work_dir).glob("suites/*"))) == 2
+    assert record(tmp_path / "results", runs[0])["programs"][0]["argv"][0].startswith(str(before))
