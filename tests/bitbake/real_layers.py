@@ -224,12 +224,15 @@ def test_kernel_and_image_resolve(yocto):
     if yocto.machine == "pandaboard-es":
         assert found["KBUILD_DEFCONFIG"] == "omap2plus_defconfig"
         assert "omap4-panda-es-rt.dtb" in found["KERNEL_DEVICETREE"]
-    image = yocto.variables(yocto.profile.image.name, "IMAGE_INSTALL", "IMAGE_FEATURES", "ROOTFS_POSTPROCESS_COMMAND")
+    looked_at = ("IMAGE_INSTALL", "IMAGE_FEATURES", "ROOTFS_POSTPROCESS_COMMAND", "WKS_FULL_PATH")
+    image = yocto.variables(yocto.profile.image.name, *looked_at)
     assert {"packagegroup-rt-tests", "openssh-sftp-server", *yocto.profile.image.packages} <= set(
         image["IMAGE_INSTALL"].split()
     )
     assert f"ssh-server-{yocto.profile.ssh.server}" in image["IMAGE_FEATURES"].split()
     assert "rt_tests_ssh_policy" in image["ROOTFS_POSTPROCESS_COMMAND"]
+    if yocto.machine == "pandaboard-es":
+        assert Path(image["WKS_FULL_PATH"]).is_relative_to(yocto.layer)
     for open_door in ("debug-tweaks", "empty-root-password", "allow-root-login", "allow-empty-password"):
         assert open_door not in image["IMAGE_FEATURES"].split()
 

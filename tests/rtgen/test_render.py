@@ -129,12 +129,13 @@ def test_old_and_new_syntax():
 
 def test_what_follows_the_release():
     kirkstone, scarthgap, wrynose = (tree_of(f"{name}-noetic") for name in ("kirkstone", "scarthgap", "wrynose"))
-    machine, wks = "meta-rt-tests/conf/machine/pandaboard-es.conf", "meta-rt-tests/wic/pandaboard-es.wks"
+    machine, wks = "meta-rt-tests/conf/machine/pandaboard-es.conf", "wic/pandaboard-es.wks"
     # Linux 6.5 moved OMAP's device trees.
     assert '"omap4-panda-es-rt.dtb omap4-panda-es.dtb"' in text(kirkstone, machine)
     assert '"ti/omap/omap4-panda-es-rt.dtb ti/omap/omap4-panda-es.dtb"' in text(scarthgap, machine)
-    assert "--source bootimg-partition " in text(scarthgap, wks)
-    assert "--source bootimg_partition " in text(wrynose, wks)
+    assert "--source bootimg-partition " in text(scarthgap, f"meta-rt-tests/{wks}")
+    # Where wic looks, and the name of its plugin, changed with wrynose.
+    assert "--source bootimg_partition " in text(wrynose, f"meta-rt-tests/files/{wks}")
     recipe = next(path for path in wrynose if path.name.startswith("cyclic-timer-tests_"))
     assert 'S = "${UNPACKDIR}/${ROS_BPN}"' in text(wrynose, recipe)
     assert 'S = "${WORKDIR}/${ROS_BPN}"' in text(scarthgap, recipe)

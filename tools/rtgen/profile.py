@@ -50,6 +50,7 @@ class Release(Config):
     layers: Strings
     layer_depends: Strings
     wic_boot_plugin: str | None
+    wks_folder: str | None
     own_u_boot: bool
     sshd_config_folder: bool
 

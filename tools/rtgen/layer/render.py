@@ -117,7 +117,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
             dtb_folder=folder,
         )
         if machine.sd_card:
-            add(f"{layer}/wic/pandaboard-es.wks", "wic/pandaboard-es.wks", machine=machine)
+            add(f"{layer}/{release.wks_folder}/pandaboard-es.wks", "wic/pandaboard-es.wks", machine=machine)
         device_tree = "devicetree/omap4-panda-es-rt.dts"
         tree[PurePosixPath(f"{kernels}/files/omap4-panda-es-rt.dts")] = _marked(
             ".dts", _kconfig(device_tree), f"kconfig/{device_tree}"
