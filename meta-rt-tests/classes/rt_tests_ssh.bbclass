@@ -28,7 +28,9 @@ END_OF_KEYS
         # sshd takes the first value it reads.
         sed -i -e '1i PermitRootLogin without-password\nPasswordAuthentication no\nChallengeResponseAuthentication no' $config
     fi
-    if [ -e ${IMAGE_ROOTFS}${sysconfdir}/init.d/dropbear ]; then
+    # With systemd it has no init script, and the program may be a link that leads nowhere outside of the image.
+    dropbear=${IMAGE_ROOTFS}${sbindir}/dropbear
+    if [ -e $dropbear ] || [ -h $dropbear ]; then
         install -d ${IMAGE_ROOTFS}${sysconfdir}/default
         echo 'DROPBEAR_EXTRA_ARGS="-s"' > ${IMAGE_ROOTFS}${sysconfdir}/default/dropbear
     fi

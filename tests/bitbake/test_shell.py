@@ -17,8 +17,6 @@ def image(make_build, keys: str, features: str = "") -> tuple[Path, object]:
     root = build.folder / "tmp/work/rt-tests-image/1.0/rootfs"
     (root / "etc/ssh").mkdir(parents=True)
     (root / "etc/ssh/sshd_config").write_text("Include /etc/ssh/sshd_config.d/*.conf\nPermitRootLogin yes\n")
-    (root / "etc/init.d").mkdir()
-    (root / "etc/init.d/dropbear").touch()
     return root, build
 
 
@@ -36,6 +34,20 @@ def test_keys_and_no_password(make_build):
     assert keys.parent.stat().st_mode & 0o777 == 0o700
     config = (root / "etc/ssh/sshd_config").read_text().splitlines()
     assert config[:2] == ["PermitRootLogin without-password", "PasswordAuthentication no"]
+    assert not (root / "etc/default").exists()
+
+
+@pytest.mark.parametrize("program", [None, "/usr/sbin/dropbearmulti"])
+def test_dropbear_takes_no_password(make_build, program):
+    """Its own default is -w (no root), under systemd without an init script; a link to what is on the target counts."""
+    root, build = image(make_build, KEY)
+    (root / "usr/sbin").mkdir(parents=True)
+    dropbear = root / "usr/sbin/dropbear"
+    if program:
+        dropbear.symlink_to(program)
+    else:
+        dropbear.touch()
+    assert policy(build).returncode == 0
     assert (root / "etc/default/dropbear").read_text() == 'DROPBEAR_EXTRA_ARGS="-s"\n'
 
 
