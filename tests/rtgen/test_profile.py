@@ -1,5 +1,6 @@
 """Profiles: what is read, and what is refused with file and key path."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -84,6 +85,34 @@ def test_what_does_not_exist_is_refused(tmp_path, changes, message):
         load_profile(str(file))
     assert message in str(caught.value)
     assert all(line.startswith(f"{file}: ") for line in str(caught.value).splitlines())
+
+
+SOURCE = {
+    "url": "git://localhost/linux.git",
+    "branch": "main",
+    "commit": "b" * 40,
+    "rt_patch": "https://localhost/rt.patch",
+}
+SUITES = {"url": "https://localhost/suites", "branch": "main", "commit": "c" * 40, "version": "0.1.2"}
+
+
+@pytest.mark.parametrize(
+    ("base", "changes", "message"),
+    [
+        ("thesis-2014", [("machines/pandaboard/kernel/rt", "branch"), ("machines/pandaboard/kernel/source", None)],
+         "machines.pandaboard.kernel.rt: 'branch' does not exist in dora, allowed: patch"),
+        (DEFAULT_PROFILE, [("machines/qemuarm/kernel/rt", "patch"), ("machines/qemuarm/kernel/source", SOURCE)],
+         "machines.qemuarm.kernel.rt: 'patch' does not exist in scarthgap, allowed: branch"),
+        ("kirkstone-noetic", [("machines/qemuarm/kernel/version", "5.10")],
+         "machines.qemuarm.kernel.version: '5.10' does not exist in kirkstone, allowed: 5.15"),
+        ("wrynose-noetic", [("suites", SUITES)], "suites: those of this repository are built in wrynose, leave it out"),
+        ("thesis-2014", [("suites", None)], "suites: those of this repository do not build in dora, give others"),
+        (DEFAULT_PROFILE, [("repositories/bitbake", None)], "repositories: BitBake is missing, a repository is to be"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_the_release_is_refused(tmp_path, base, changes, message):
+    with pytest.raises(UsageError, match=re.escape(message)):
+        load_profile(str(changed(tmp_path, *changes, base=base)))
 
 
 def test_a_card_on_a_release_without_wic(tmp_path):

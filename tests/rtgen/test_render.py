@@ -1,5 +1,6 @@
 """The rendering: what it holds, that it does not drift, and that it touches nothing of others."""
 
+import itertools
 import re
 import shutil
 import subprocess
@@ -14,7 +15,7 @@ from rtgen.cli import main
 from rtgen.layer import output
 from rtgen.layer import render as layer
 from rtgen.layer.render import Link, is_ours
-from rtgen.profile import load_profile, profile_names
+from rtgen.profile import load_profile, load_releases, profile_names
 
 SUITES = PurePosixPath("meta-rt-tests/recipes-tests/suites")
 
@@ -163,8 +164,17 @@ def test_fragments_are_those_of_kconfig():
 
 def test_a_fragment_that_is_missing(monkeypatch, tmp_path):
     monkeypatch.setattr(layer, "KCONFIG", tmp_path)
-    with pytest.raises(UsageError, match=r"fragments/pandaboard-es-6\.6\.cfg: No such file .* `rtgen kconfig render`"):
+    with pytest.raises(
+        UsageError, match=r"fragments/pandaboard-es-6\.6\.cfg: No such file .* `rtgen kconfig render` writes"
+    ):
         tree_of("scarthgap-noetic")
+
+
+def test_every_kernel_of_a_release_has_a_fragment():
+    for release in load_releases().values():
+        for recipe in release.kernels.values():
+            for machine, version in itertools.product(release.machines, recipe.versions):
+                assert (layer.KCONFIG / f"fragments/{layer.KCONFIG_MACHINES[machine]}-{version}.cfg").is_file()
 
 
 def test_a_name_that_no_template_defines_is_an_error(monkeypatch, tmp_path):

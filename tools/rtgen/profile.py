@@ -39,13 +39,21 @@ PublicKey = Annotated[
 ]
 
 
+class KernelRecipe(Config):
+    """A kernel recipe that a release's layers have: its series, and how PREEMPT_RT gets into it (see `Kernel`)."""
+
+    versions: Strings
+    rt: Literal["branch", "patch"]
+
+
 class Release(Config):
     """What a Yocto release expects of a layer."""
 
     separator: Literal[":", "_"]
     unpack_folder: str
     ros_distros: Strings
-    kernels: dict[str, Strings]
+    kernels: dict[str, KernelRecipe]
+    own_suites: bool
     machines: Strings
     layers: Strings
     layer_depends: Strings
@@ -215,11 +223,18 @@ def _misfits(profile: Profile, release: Release) -> list[str]:
     for name, machine in profile.machines.items():
         check(f"machines.{name}", name, release.machines)
         check(f"machines.{name}.kernel.recipe", machine.kernel.recipe, tuple(release.kernels))
-        versions = release.kernels.get(machine.kernel.recipe)
-        if versions:
-            check(f"machines.{name}.kernel.version", machine.kernel.version, versions)
+        recipe = release.kernels.get(machine.kernel.recipe)
+        if recipe:
+            check(f"machines.{name}.kernel.version", machine.kernel.version, recipe.versions)
+            check(f"machines.{name}.kernel.rt", machine.kernel.rt, (recipe.rt,))
         if machine.sd_card and not release.wic_boot_plugin:
             problems.append(f"machines.{name}.sd_card: {profile.release} has no image type wic, leave it out")
+    if release.own_suites and profile.suites:
+        problems.append(f"suites: those of this repository are built in {profile.release}, leave it out")
+    if not release.own_suites and not profile.suites:
+        problems.append(f"suites: those of this repository do not build in {profile.release}, give others")
+    if not {"bitbake", "poky"} & set(profile.repositories):
+        problems.append("repositories: BitBake is missing, a repository is to be named bitbake, or poky, which has it")
     given = {
         name if layer == "." else layer.rpartition("/")[2]
         for name, repository in profile.repositories.items()

@@ -120,7 +120,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
             add(f"{layer}/{release.wks_folder}/pandaboard-es.wks", "wic/pandaboard-es.wks", machine=machine)
         device_tree = "devicetree/omap4-panda-es-rt.dts"
         tree[PurePosixPath(f"{kernels}/files/omap4-panda-es-rt.dts")] = _marked(
-            ".dts", _kconfig(device_tree), f"kconfig/{device_tree}"
+            ".dts", _kconfig(device_tree, "rtgen needs a checkout of its repository"), f"kconfig/{device_tree}"
         )
         if release.own_u_boot:
             add(f"{layer}/recipes-bsp/u-boot/u-boot-panda_2024.01.bb", "recipes-bsp/u-boot-panda.bb")
@@ -205,14 +205,15 @@ def _git_url(profile: Profile) -> str:
 def _fragment(name: str, machine: Machine) -> tuple[str, str]:
     """The kernel fragment of a machine: its path in the repository and its text."""
     path = f"fragments/{KCONFIG_MACHINES[name]}-{machine.kernel.version}.cfg"
-    return f"kconfig/{path}", _kconfig(path)
+    remedy = "`rtgen kconfig render` writes one for each kernel of kconfig/kernels.yml"
+    return f"kconfig/{path}", _kconfig(path, remedy)
 
 
-def _kconfig(path: str) -> str:
+def _kconfig(path: str, remedy: str) -> str:
     try:
         return (KCONFIG / path).read_text(encoding="utf-8")
     except OSError as error:
-        raise UsageError(f"{KCONFIG / path}: {error.strerror}, render it with `rtgen kconfig render`") from error
+        raise UsageError(f"{KCONFIG / path}: {error.strerror}, {remedy}") from error
 
 
 def _marked(path: str, text: str, source: str) -> str:
