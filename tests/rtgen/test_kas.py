@@ -5,7 +5,7 @@ import os
 import subprocess
 import sys
 from importlib import resources
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import jsonschema
 import pytest
@@ -40,6 +40,20 @@ def test_every_repository_is_pinned(tmp_path, name):
     for repository, pinned in profile.repositories.items():
         assert repositories[repository]["commit"] == pinned.commit
         assert repositories[repository]["url"] == pinned.url
+
+
+def test_what_yaml_would_take_for_something_else(tmp_path):
+    profile, release = load_profile("scarthgap-noetic")
+    bitbake = profile.repositories["bitbake"].model_copy(update={"commit": "1" * 40, "branch": "null"})
+    repositories = {**profile.repositories, "bitbake": bitbake, "1.5": bitbake.model_copy(update={"layers": ("on",)})}
+    image = profile.image.model_copy(update={"name": "true"})
+    profile = profile.model_copy(update={"distro": "null", "image": image, "repositories": repositories})
+    tree = render("mine", profile, release, prefix=f"my: own #2/{'long ' * 30}/")
+    read = yaml.safe_load(tree[PurePosixPath("kas.yml")])
+    assert (read["distro"], read["target"]) == ("null", "true")
+    assert (read["repos"]["bitbake"]["commit"], read["repos"]["bitbake"]["branch"]) == ("1" * 40, "null")
+    assert read["repos"]["1.5"]["layers"] == {"on": None}
+    assert read["repos"]["meta-rt-tests"]["layers"] == {f"my: own #2/{'long ' * 30}/meta-rt-tests": None}
 
 
 @pytest.fixture

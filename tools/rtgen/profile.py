@@ -16,13 +16,14 @@ from rtfiles.errors import UsageError
 PROFILES = Path(__file__).with_name("profiles")
 RELEASES_FILE = Path(__file__).parent / "layer" / "releases.yml"
 DEFAULT_PROFILE = "scarthgap-noetic"
+LAYER = "meta-rt-tests"  # the folder that is rendered
 
 Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
 
 
 def _matches(pattern: str, allowed: str) -> AfterValidator:
     def check(value: str) -> str:
-        if not re.fullmatch(pattern, value):
+        if not re.fullmatch(pattern, value, re.ASCII):
             raise ValueError(f"{value!r} is not {allowed}")
         return value
 
@@ -33,6 +34,10 @@ def _matches(pattern: str, allowed: str) -> AfterValidator:
 Commit = Annotated[str, _matches(r"[0-9a-f]{40}", "a commit of 40 lower-case hex digits")]
 Url = Annotated[str, _matches(r"(https?|git)://[\w.~:/@%+-]+", "an http(s) or git address")]
 Name = Annotated[str, _matches(r"[a-z0-9][a-z0-9.+_-]*", "a name of lower-case letters, digits and . + _ -")]
+# BitBake takes what follows an underscore for the version.
+RecipeName = Annotated[str, _matches(r"[a-z0-9][a-z0-9.+-]*", "a name of lower-case letters, digits and . + -")]
+Branch = Annotated[str, _matches(r"\w[\w.+/-]*", "a branch of letters, digits and . + / _ -")]
+LayerPath = Annotated[str, _matches(r"\.|\w[\w.+-]*(/\w[\w.+-]*)*", "a folder in the repository, or . for its top")]
 Argument = Annotated[str, _matches(r"[\w.,:/=+-]+", "one boot argument without blanks or quotes")]
 PublicKey = Annotated[
     str, _matches(r"(ssh-ed25519|ssh-rsa|ecdsa-sha2-[\w-]+) [\w+/=]+( [\w.@ -]+)?", "an OpenSSH public key")
@@ -75,15 +80,15 @@ class Repository(Config):
 
     url: Url
     commit: Commit
-    branch: str | None = None
-    layers: Strings = ()
+    branch: Branch | None = None
+    layers: Annotated[tuple[LayerPath, ...], Field(strict=False)] = ()
 
 
 class KernelSource(Config):
     """A kernel tree and patch other than those of the recipe."""
 
     url: Url
-    branch: str
+    branch: Branch
     commit: Commit
     rt_patch: Url
     rt_patch_sha256: Annotated[str, _matches(r"[0-9a-f]{64}", "64 lower-case hex digits")] | None = None
@@ -139,7 +144,7 @@ class SuiteSource(Config):
     """Where the suites come from when not from this repository."""
 
     url: Url
-    branch: str
+    branch: Branch
     commit: Commit
     version: Annotated[str, _matches(r"\d+(\.\d+)+", "a version such as 0.1.2")]
 
@@ -147,7 +152,7 @@ class SuiteSource(Config):
 class Image(Config):
     """The image and what is put into it beside the suites and the SSH server."""
 
-    name: Name
+    name: RecipeName
     packages: Annotated[tuple[Name, ...], Field(strict=False)]
 
 
@@ -233,6 +238,8 @@ def _misfits(profile: Profile, release: Release) -> list[str]:
         problems.append(f"suites: those of this repository are built in {profile.release}, leave it out")
     if not release.own_suites and not profile.suites:
         problems.append(f"suites: those of this repository do not build in {profile.release}, give others")
+    if LAYER in profile.repositories:
+        problems.append(f"repositories.{LAYER}: the name of the rendered layer, choose another")
     if not {"bitbake", "poky"} & set(profile.repositories):
         problems.append("repositories: BitBake is missing, a repository is to be named bitbake, or poky, which has it")
     given = {

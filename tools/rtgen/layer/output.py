@@ -7,8 +7,9 @@ from pathlib import Path, PurePosixPath
 from rtfiles import atomic
 from rtfiles.errors import UsageError
 from rtgen.layer.render import Link, Tree, is_ours
+from rtgen.profile import LAYER
 
-OWNED = ("meta-rt-tests",)  # folders that hold nothing but the rendering
+OWNED = (LAYER,)  # folders that hold nothing but the rendering
 
 
 def prefix_in_git(out: Path) -> str:

@@ -4,6 +4,7 @@ Every file begins with a line that says it is generated and from what; `is_ours`
 """
 
 import importlib.metadata
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -14,7 +15,7 @@ import yaml
 
 from rtfiles.config import read_yaml
 from rtfiles.errors import UsageError
-from rtgen.profile import Machine, Profile, Release
+from rtgen.profile import LAYER, Machine, Profile, Release
 
 KAS_VERSION = 14  # of kas 4.0, the first with `commit`; kas 5 reads it
 TEMPLATES = Path(__file__).parents[1] / "templates"
@@ -58,12 +59,12 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    environment.filters["scalar"] = _scalar
     shared: dict[str, Any] = {
         "name": name,
         "profile": profile,
         "release": release,
         "o": release.separator,
-        "prefix": prefix,
         "kas_version": KAS_VERSION,
         "native_catkin": bool(release.layer_depends),
         "layers": layer_names(profile),
@@ -75,8 +76,8 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         text = environment.get_template(f"{template}.j2").render(**shared, **more)
         tree[PurePosixPath(path)] = _marked(path, text, source)
 
-    add("kas.yml", "kas/kas.yml")
-    layer = "meta-rt-tests"
+    layer = LAYER
+    add("kas.yml", "kas/kas.yml", our_layer=f"{prefix}{layer}")
     for feature in ("dropbear", "rm-work"):
         add(f"{layer}/kas/{feature}.yml", f"kas/{feature}.yml")
     add(f"{layer}/README.md", "layer.README.md")
@@ -187,6 +188,11 @@ def resolve(name: str, profile: Profile, release: Release) -> str:
     data["fragments"] = {machine: _fragment(machine, profile.machines[machine])[0] for machine in profile.machines}
     data["files"] = [str(path) for path in sorted(render(name, profile, release))]
     return yaml.safe_dump(data, sort_keys=False, width=120, allow_unicode=True)
+
+
+def _scalar(value: str) -> str:
+    """A text as YAML takes it for one: quoted only where it would be something else."""
+    return yaml.safe_dump(value, width=sys.maxsize, allow_unicode=True).removesuffix("...\n").rstrip("\n")
 
 
 def _dashed(package: str) -> str:
