@@ -142,6 +142,12 @@ def test_an_unknown_name():
         load_profile("dora")
 
 
+@pytest.mark.parametrize("file", ["/proc/mine.yml", f"{'x' * 256}.yml"])
+def test_a_profile_that_cannot_be_written(file, capsys):
+    assert main(["new-profile", file]) == 3
+    assert capsys.readouterr().err.startswith(f"rtgen: {file}: ")
+
+
 def test_list_derive_and_show(tmp_path, capsys):
     assert main(["profiles"]) == 0
     out = capsys.readouterr().out.splitlines()

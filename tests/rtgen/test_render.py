@@ -94,10 +94,32 @@ def test_files_of_others_stay(tmp_path, capsys, theirs):
     assert file.read_text() == "mine\n"
 
 
-def test_output_is_a_file(tmp_path, capsys):
-    (tmp_path / "out").write_text("")
+@pytest.mark.parametrize(
+    ("path", "make", "message"),
+    [
+        (".", Path.touch, "not a folder, move it away"),
+        ("meta-rt-tests", Path.touch, "not a folder, move it away"),
+        ("meta-rt-tests", lambda path: path.symlink_to("nowhere"), "not a folder, move it away"),
+        ("meta-rt-tests/conf", lambda path: path.write_text(f"# {layer.MARK}x"), "not a folder, move it away"),
+        ("meta-rt-tests/conf/layer.conf", Path.mkdir, "a folder, a file is to be there, move it away"),
+        (f"{SUITES}/files", Path.mkdir, "a folder, a file is to be there, move it away"),
+    ],
+)
+def test_what_is_in_the_way(tmp_path, capsys, path, make, message):
+    obstacle = tmp_path / "out" / path
+    obstacle.parent.mkdir(parents=True, exist_ok=True)
+    make(obstacle)
     assert main(["render", "--out", str(tmp_path / "out")]) == 2
-    assert "not a folder" in capsys.readouterr().err
+    assert capsys.readouterr().err == f"rtgen: {obstacle}: {message}\n"
+    assert not (tmp_path / "out/kas.yml").exists()
+
+
+@pytest.mark.parametrize(
+    ("out", "status", "message"), [("/proc/no", 3, "/proc/no: No such file"), ("/dev/null/x", 2, "/dev/null: not a")]
+)
+def test_a_folder_that_cannot_be(capsys, out, status, message):
+    assert main(["render", "--out", out]) == status
+    assert message in capsys.readouterr().err
 
 
 def test_another_profile_replaces_the_first(tmp_path):

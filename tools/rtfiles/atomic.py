@@ -10,7 +10,11 @@ def write_bytes(path: Path, data: bytes, mode: int = 0o644) -> None:
 
     The folder must exist. Raises OSError, and leaves no temporary file behind then.
     """
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        error.filename = str(path)  # nobody has heard of the temporary one
+        raise
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)

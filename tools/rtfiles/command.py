@@ -37,3 +37,7 @@ def dispatch(prog: str, description: str, commands: Sequence[ModuleType], argv: 
         # The reader (head, less) went away: nothing more to say, and nothing to say it to.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"{prog}: {where}{error.strerror or error}", file=sys.stderr)
+        return InfrastructureError.exit_status

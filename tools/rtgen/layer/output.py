@@ -36,14 +36,12 @@ def differences(tree: Tree, out: Path) -> str:
 def write(tree: Tree, out: Path) -> tuple[int, int]:
     """Make the folder hold the rendering, and return how many files were written and how many removed.
 
-    What is there must be a rendering: raises UsageError naming every file that is not, before anything is written.
+    What is there must be a rendering: raises UsageError naming all that is not, before anything is written.
     """
+    obstacles = _obstacles(tree, out)
+    if obstacles:
+        raise UsageError("\n".join(f"{path}: {what}, move it away" for path, what in sorted(obstacles.items())))
     present = _present(out)
-    foreign = [path for path in present if not _replaceable(out / path)]
-    if out.exists() and not out.is_dir():
-        raise UsageError(f"{out}: not a folder")
-    if foreign:
-        raise UsageError("\n".join(f"{out / path}: not rendered by rtgen, move it away" for path in foreign))
     written = removed = 0
     for path, content in tree.items():
         target = out / path
@@ -64,6 +62,18 @@ def write(tree: Tree, out: Path) -> tuple[int, int]:
             removed += 1
             _remove_empty(out / path, out)
     return written, removed
+
+
+def _obstacles(tree: Tree, out: Path) -> dict[Path, str]:
+    """What keeps the rendering from being written, and why."""
+    targets = [out / path for path in tree]
+    obstacles = {out / path: "not rendered by rtgen" for path in _present(out) if not _replaceable(out / path)}
+    obstacles |= {
+        path: "a folder, a file is to be there" for path in targets if path.is_dir() and not path.is_symlink()
+    }
+    parents = {parent for path in targets for parent in path.parents}
+    obstacles |= {path: "not a folder" for path in parents if os.path.lexists(path) and not path.is_dir()}
+    return obstacles
 
 
 def _present(out: Path) -> list[PurePosixPath]:
