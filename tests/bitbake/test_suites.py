@@ -62,6 +62,7 @@ def test_layer_works_outside_the_repository(make_build):
     """Only meta-rt-tests/ and recipes-tests/ side by side, as another kas project would have them."""
     build = make_build("scarthgap-noetic", "qemuarm", local=tools())
     shutil.rmtree(build.layer)
+    (build.layer.parent / "recipes-tests").unlink()
     shutil.copytree(REPOSITORY / "meta-rt-tests", build.layer, symlinks=True)
     shutil.copytree(REPOSITORY / "recipes-tests", build.layer.parent / "recipes-tests")
     answer = build.bitbake(tasks=tasks("rt-tests-support")[:2])

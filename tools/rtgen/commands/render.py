@@ -34,6 +34,8 @@ def run(args: argparse.Namespace) -> int:
             return 1
         print(f"{out}: {len(tree)} files, as profile {args.profile} renders them")
         return 0
-    written, removed = output.write(tree, out)
-    print(f"{out}: {len(tree)} files of profile {args.profile}, {written} written, {removed} removed")
+    done = output.write(tree, out)
+    print(f"{out}: {len(tree)} files of profile {args.profile}, {done.written} written, {done.removed} removed")
+    for path in done.linked:
+        print(f"{path}: now a link to {path.readlink()}; replace it by a copy or a submodule before the folder moves")
     return 0

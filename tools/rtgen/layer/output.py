@@ -2,14 +2,24 @@
 
 import difflib
 import os
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
-from rtgen.layer.render import Link, Tree, is_ours
+from rtgen.layer.render import REPOSITORY, Link, Tree, is_ours
 from rtgen.profile import LAYER
 
 OWNED = (LAYER,)  # folders that hold nothing but the rendering
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Outcome:
+    """What writing a rendering did; `linked`: folders the rendering links to, which were not there."""
+
+    written: int
+    removed: int
+    linked: tuple[Path, ...]
 
 
 def prefix_in_git(out: Path) -> str:
@@ -26,15 +36,15 @@ def differences(tree: Tree, out: Path) -> str:
     lines: list[str] = []
     for path in sorted({*tree, *_present(out)}):
         name = path.as_posix()
-        have, want = _read(out / path), _content(tree, path, out)
+        have, want = _read(out / path), _content(tree, path)
         if have != want:
             before, after = have.splitlines(keepends=True), want.splitlines(keepends=True)
             lines += difflib.unified_diff(before, after, f"{name} (present)", f"{name} (rendered)")
     return "".join(line if line.endswith("\n") else f"{line}\n" for line in lines)
 
 
-def write(tree: Tree, out: Path) -> tuple[int, int]:
-    """Make the folder hold the rendering, and return how many files were written and how many removed.
+def write(tree: Tree, out: Path) -> Outcome:
+    """Make the folder hold the rendering. A folder that it links to and that is not there becomes a link to ours.
 
     What is there must be a rendering: raises UsageError naming all that is not, before anything is written.
     """
@@ -48,7 +58,7 @@ def write(tree: Tree, out: Path) -> tuple[int, int]:
         target.parent.mkdir(parents=True, exist_ok=True)
         # An unchanged file keeps its time, so that BitBake parses it no second time.
         if isinstance(content, Link):
-            link = _relative(content, target)
+            link = _relative(content, path)
             if not target.is_symlink() or str(target.readlink()) != link:
                 target.unlink(missing_ok=True)
                 target.symlink_to(link)
@@ -61,7 +71,10 @@ def write(tree: Tree, out: Path) -> tuple[int, int]:
             (out / path).unlink()
             removed += 1
             _remove_empty(out / path, out)
-    return written, removed
+    linked = [link.target for link in tree.values() if isinstance(link, Link) and not (out / link.target).exists()]
+    for path in linked:
+        (out / path).symlink_to((REPOSITORY / path).resolve())
+    return Outcome(written=written, removed=removed, linked=tuple(out / path for path in linked))
 
 
 def _obstacles(tree: Tree, out: Path) -> dict[Path, str]:
@@ -72,7 +85,10 @@ def _obstacles(tree: Tree, out: Path) -> dict[Path, str]:
         path: "a folder, a file is to be there" for path in targets if path.is_dir() and not path.is_symlink()
     }
     parents = {parent for path in targets for parent in path.parents}
-    obstacles |= {path: "not a folder" for path in parents if os.path.lexists(path) and not path.is_dir()}
+    links = {out / content.target for content in tree.values() if isinstance(content, Link)}
+    for path in parents | links:
+        if os.path.lexists(path) and not path.is_dir():
+            obstacles[path] = "not a folder" if path.exists() else "a link that leads nowhere"
     return obstacles
 
 
@@ -92,9 +108,9 @@ def _replaceable(path: Path) -> bool:
     return is_ours(_read(path))
 
 
-def _content(tree: Tree, path: PurePosixPath, out: Path) -> str:
+def _content(tree: Tree, path: PurePosixPath) -> str:
     content = tree.get(path, "")
-    return f"link to {_relative(content, out / path)}\n" if isinstance(content, Link) else content
+    return f"link to {_relative(content, path)}\n" if isinstance(content, Link) else content
 
 
 def _read(path: Path) -> str:
@@ -104,8 +120,8 @@ def _read(path: Path) -> str:
     return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
 
-def _relative(link: Link, at: Path) -> str:
-    return os.path.relpath(link.target.resolve(), at.parent.resolve())
+def _relative(link: Link, at: PurePosixPath) -> str:
+    return os.path.relpath(link.target, at.parent)
 
 
 def _remove_empty(path: Path, out: Path) -> None:
