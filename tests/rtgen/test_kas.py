@@ -56,6 +56,25 @@ def test_what_yaml_would_take_for_something_else(tmp_path):
     assert read["repos"]["meta-rt-tests"]["layers"] == {f"my: own #2/{'long ' * 30}/meta-rt-tests": None}
 
 
+def test_settings_of_a_machine_that_is_not_ours():
+    """They are the machine's, first or not, with a card on the other or not; joined, kas takes them once."""
+    profile, release = load_profile("scarthgap-noetic")
+    qemu = profile.machines["qemuarm"].model_copy(update={"boot_arguments": ("quiet", "nohz=off")})
+    panda = profile.machines["pandaboard-es"].model_copy(update={"sd_card": None})
+    profile = profile.model_copy(update={"machines": {"qemuarm": qemu, "pandaboard-es": panda}})
+    tree = render("mine", profile, release)
+    files = ("kas.yml", "meta-rt-tests/kas/qemuarm.yml", "meta-rt-tests/kas/pandaboard-es.yml")
+    headers = [yaml.safe_load(tree[PurePosixPath(file)]).get("local_conf_header", {}) for file in files]
+    settings = [header.get("rt-tests-qemuarm") for header in headers]
+    assert settings[0] == settings[1] and settings[2] is None
+    assert settings[0].splitlines() == [
+        'MACHINE_FEATURES:append:qemuarm = " preempt-rt"',
+        'SERIAL_CONSOLES:qemuarm = "115200;ttyAMA0"',
+        'QB_KERNEL_CMDLINE_APPEND:append:qemuarm = " quiet nohz=off"',
+    ]
+    assert headers[2] == {}
+
+
 @pytest.fixture
 def project(tmp_path, monkeypatch):
     """The default rendering, its repositories replaced by local ones: commits differ, everything else is as it is."""

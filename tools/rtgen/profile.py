@@ -132,7 +132,7 @@ class SdCard(Config):
 
 
 class Machine(Config):
-    """A machine the layer builds for; `sd_card` none: the machine's own image types."""
+    """A machine the layer builds for. `sd_card`: of the PandaBoard ES only, others have image types of their own."""
 
     kernel: Kernel
     serial_console: Console
@@ -234,6 +234,8 @@ def _misfits(profile: Profile, release: Release) -> list[str]:
             check(f"machines.{name}.kernel.rt", machine.kernel.rt, (recipe.rt,))
         if machine.sd_card and not release.wic_boot_plugin:
             problems.append(f"machines.{name}.sd_card: {profile.release} has no image type wic, leave it out")
+        elif machine.sd_card and name != "pandaboard-es":
+            problems.append(f"machines.{name}.sd_card: only pandaboard-es boots from the card we make, leave it out")
     if release.own_suites and profile.suites:
         problems.append(f"suites: those of this repository are built in {profile.release}, leave it out")
     if not release.own_suites and not profile.suites:
