@@ -3,6 +3,7 @@
 # Host keys are made by the target at its first boot and kept: they stay the same for the life of a card.
 
 # Public keys, one a line, from the environment; in local.conf, where a value has one line only, with \n between them.
+# Lines that begin with # are left out.
 RT_TESTS_AUTHORIZED_KEYS ?= ""
 
 rt_tests_ssh_policy() {
@@ -15,13 +16,16 @@ rt_tests_ssh_policy() {
 ${RT_TESTS_AUTHORIZED_KEYS}
 END_OF_KEYS
     chmod 0600 $keys
-    sed -i -e 's/\\n/\n/g' $keys
-    sed -i -e '/^[[:space:]]*$/d' $keys
-    if grep -q -v -E '^(ssh-ed25519|ssh-rsa|ecdsa-sha2-[a-z0-9-]+) [A-Za-z0-9+/]+=*( .*)?$' $keys; then
-        bbfatal "RT_TESTS_AUTHORIZED_KEYS holds a line that is no OpenSSH public key"
+    # A \n in a comment stays: only one before the next key ends a line.
+    sed -i -E -e 's/(\\n[[:blank:]]*)+((ssh|ecdsa|sk)-[a-z0-9@.-]+ )/\n\2/g' $keys
+    sed -i -E -e 's/^[[:space:]]+//' -e 's/([[:space:]]|\\n)+$//' -e '/^(#|$)/d' $keys
+    kinds="ssh-ed25519, ecdsa-sha2-nistp256, ecdsa-sha2-nistp384, ecdsa-sha2-nistp521, ssh-rsa"
+    where="RT_TESTS_AUTHORIZED_KEYS comes from local.conf, or from the environment if kas.yml has it under env: (without kas: if BB_ENV_PASSTHROUGH_ADDITIONS names it)"
+    if grep -q -v -E '^(ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAI[A-Za-z0-9+/]{43}|ecdsa-sha2-nistp256 AAAAE2VjZHNhLXNoYTItbmlzdHAyNTY[A-Za-z0-9+/]{108}=|ecdsa-sha2-nistp384 AAAAE2VjZHNhLXNoYTItbmlzdHAzODQ[A-Za-z0-9+/]{151}==|ecdsa-sha2-nistp521 AAAAE2VjZHNhLXNoYTItbmlzdHA1MjE[A-Za-z0-9+/]{199}==|ssh-rsa AAAAB3NzaC1yc2EA([A-Za-z0-9+/]{4}){45,}([A-Za-z0-9+/]{4}|[A-Za-z0-9+/]{3}=|[A-Za-z0-9+/]{2}==))([[:blank:]]|$)' $keys; then
+        bbfatal "RT_TESTS_AUTHORIZED_KEYS has a line that is not a public key of the kinds $kinds, or not a whole one. $where"
     fi
     if [ ! -s $keys ]; then
-        bbfatal "no key could log in: put a public key into RT_TESTS_AUTHORIZED_KEYS or into ssh.authorized_keys of the profile"
+        bbfatal "no key could log in: put one of the kinds $kinds into RT_TESTS_AUTHORIZED_KEYS or ssh.authorized_keys of the profile. $where"
     fi
     config=${IMAGE_ROOTFS}${sysconfdir}/ssh/sshd_config
     if [ -e $config ]; then

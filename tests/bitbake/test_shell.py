@@ -6,9 +6,9 @@ import pytest
 
 pytestmark = pytest.mark.bitbake
 
-KEY = "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIKq0 somebody@host"
-OTHER = "ssh-rsa AAAAB3NzaC1yc2EAAAADAQABAAABgQC="
-CALL = [["rt-tests-image", "do_rootfs"]], [["rt-tests-image", "rt_tests_ssh_policy"]]
+KEY = f"ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAI{'Kq0x' * 11}"[:-1] + " somebody@host"
+OTHER = f"ssh-rsa AAAAB3NzaC1yc2EAAAADAQABAAABgQC{'x' * 180}="
+NO_KEY = "RT_TESTS_AUTHORIZED_KEYS has a line that is not a public key of the kinds ssh-ed25519, ecdsa-"
 
 
 def image(make_build, keys: str, features: str = "") -> tuple[Path, object]:
@@ -22,6 +22,11 @@ def image(make_build, keys: str, features: str = "") -> tuple[Path, object]:
 
 def policy(build):
     return build.try_bitbake(functions=[["rt-tests-image", "rt_tests_ssh_policy"]])
+
+
+def said(build, done):
+    logs = build.folder.glob("tmp/work/rt-tests-image/*/temp/log.*")
+    return done.stdout + done.stderr + "".join(log.read_text() for log in logs)
 
 
 def test_keys_and_no_password(make_build):
@@ -51,22 +56,44 @@ def test_dropbear_takes_no_password(make_build, program):
     assert (root / "etc/default/dropbear").read_text() == 'DROPBEAR_EXTRA_ARGS="-s"\n'
 
 
-def test_keys_come_from_the_environment(make_build, monkeypatch):
-    monkeypatch.setenv("RT_TESTS_AUTHORIZED_KEYS", f"{KEY}\n{OTHER}")
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        (f"{KEY}\n{OTHER}", [KEY, OTHER]),
+        (f"# laptop\r\n \t{KEY} \r\n\r\n#{KEY}\r\n{OTHER}\r\n", [KEY, OTHER]),
+        (f'{KEY} it\'s (a) + b: `c` "d" \\new <e>\n{OTHER}', [f'{KEY} it\'s (a) + b: `c` "d" \\new <e>', OTHER]),
+        (f"\\n{KEY}\\n\\n {OTHER}\\n", [KEY, OTHER]),
+    ],
+)
+def test_keys_come_from_the_environment(make_build, monkeypatch, given, kept):
+    monkeypatch.setenv("RT_TESTS_AUTHORIZED_KEYS", given)
     monkeypatch.setenv("BB_ENV_PASSTHROUGH_ADDITIONS", "RT_TESTS_AUTHORIZED_KEYS")
     build = make_build("scarthgap-noetic", "qemuarm")
     done = policy(build)
     assert done.returncode == 0, done.stderr
     keys = build.folder / "tmp/work/rt-tests-image/1.0/rootfs/home/root/.ssh/authorized_keys"
-    assert keys.read_text() == f"{KEY}\n{OTHER}\n"
+    assert keys.read_text().splitlines() == kept
+
+
+@pytest.mark.parametrize(("keys", "message"), [(OTHER, ""), (KEY, "not a public key of the kinds ssh-rsa, or not")])
+def test_servers_of_2014_know_rsa_only(make_build, keys, message):
+    build = make_build("thesis-2014", "pandaboard", f'RT_TESTS_AUTHORIZED_KEYS = "{keys}"\n', separator=":")
+    done = policy(build)
+    assert (done.returncode == 0) == (not message)
+    assert message in said(build, done)
 
 
 @pytest.mark.parametrize(
     ("keys", "features", "message"),
     [
-        ("", "", "no key could log in"),
-        ("-----BEGIN OPENSSH PRIVATE KEY-----", "", "no OpenSSH public key"),
-        ("ssh-ed25519 AAAA; rm -rf $(HOME)", "", "no OpenSSH public key"),
+        ("", "", "no key could log in: put one of the kinds ssh-ed25519, ecdsa-"),
+        ("", "", "(without kas: if BB_ENV_PASSTHROUGH_ADDITIONS names it)"),
+        ("-----BEGIN OPENSSH PRIVATE KEY-----", "", NO_KEY),
+        ("ssh-ed25519 AAAA; rm -rf $(HOME)", "", NO_KEY),
+        (f"{KEY}\\nssh-ed25519 x", "", NO_KEY),
+        (KEY.replace(" somebody", "x somebody"), "", NO_KEY),
+        (OTHER[:-2], "", NO_KEY),
+        (f"{KEY}\\nsk-ssh-ed25519@openssh.com AAAA", "", NO_KEY),
         (KEY, 'IMAGE_FEATURES += "read-only-rootfs"\n', "host keys would change"),
     ],
 )
@@ -74,9 +101,7 @@ def test_an_image_nobody_should_have_is_not_built(make_build, keys, features, me
     _, build = image(make_build, keys, features)
     done = policy(build)
     assert done.returncode != 0
-    assert message in done.stdout + done.stderr + "".join(
-        log.read_text() for log in build.folder.glob("tmp/work/rt-tests-image/*/temp/log.*")
-    )
+    assert message in said(build, done)
 
 
 def kernel(make_build, config: str):

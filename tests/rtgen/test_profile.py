@@ -1,6 +1,7 @@
 """Profiles: what is read, and what is refused with file and key path."""
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ import yaml
 from rtfiles.errors import UsageError
 from rtgen.cli import main
 from rtgen.profile import DEFAULT_PROFILE, load_profile, profile_names, profile_path
+
+ED25519 = f"ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAI{'x' * 43}"
 
 
 def changed(tmp_path: Path, *changes: tuple[str, object], base: str = DEFAULT_PROFILE) -> Path:
@@ -75,7 +78,11 @@ def test_thesis_profile_has_every_version_of_table_3_2_1():
         ([("image/packages", ["htop; rm -rf /"])], "image.packages.0: 'htop; rm -rf /' is not a name"),
         ([("machines/pandaboard-es/serial_console/baud", "115200")], "machines.pandaboard-es.serial_console.baud: "),
         ([("machines/pandaboard-es/boot_arguments", ['a" b'])], "is not one boot argument"),
-        ([("ssh/authorized_keys", ["-----BEGIN OPENSSH PRIVATE KEY-----"])], "is not an OpenSSH public key"),
+        ([("ssh/authorized_keys", ["-----BEGIN OPENSSH PRIVATE KEY-----"])],
+         "ssh.authorized_keys.0: not a public key of the kinds ssh-ed25519, ecdsa-sha2-nistp256, ecdsa-"),
+        ([("ssh/authorized_keys", ["ssh-ed25519 x"])], "ssh.authorized_keys.0: not a public key of the kinds"),
+        ([("ssh/authorized_keys", [f"{ED25519} ${{HOME}}"])], "is not one line of printable text without $"),
+        ([("ssh/authorized_keys", [f"{ED25519}\nx"])], "is not one line of printable text"),
         ([("repositories/meta-ros/branch", "a;b")], "repositories.meta-ros.branch: 'a;b' is not a branch of letters"),
         ([("repositories/meta-ros/layers", ["../x"])], "meta-ros.layers.0: '../x' is not a folder in the repository"),
         ([("repositories/meta-ros/layers", ["a: b"])], "meta-ros.layers.0: 'a: b' is not a folder in the repository"),
@@ -117,6 +124,7 @@ SUITES = {"url": "https://localhost/suites", "branch": "main", "commit": "c" * 4
         ("thesis-2014", [("suites", {**SUITES, "branch": "a b"})], "suites.branch: 'a b' is not a branch of letters"),
         ("thesis-2014", [("machines/pandaboard/kernel/source/branch", 'a"b')], "source.branch: 'a\"b' is not a branch"),
         ("wrynose-noetic", [("suites", SUITES)], "suites: those of this repository are built in wrynose, leave it out"),
+        ("thesis-2014", [("ssh/authorized_keys", [ED25519])], "keys.0: not a public key of the kinds ssh-rsa, or"),
         ("thesis-2014", [("suites", None)], "suites: those of this repository do not build in dora, give others"),
         (DEFAULT_PROFILE, [("repositories/bitbake", None)], "repositories: BitBake is missing, a repository is to be"),
     ],
@@ -142,6 +150,30 @@ def test_a_key_given_twice(tmp_path):
 def test_an_unknown_name():
     with pytest.raises(UsageError, match="profile 'dora' is unknown: give one of kirkstone-noetic,"):
         load_profile("dora")
+
+
+KEYS = [
+    ("ed25519", 256),
+    *(("ecdsa", bits) for bits in (256, 384, 521)),
+    *(("rsa", bits) for bits in (1024, 1040, 3072)),
+]
+
+
+@pytest.mark.parametrize(("kind", "bits"), KEYS)
+def test_keys_that_ssh_keygen_makes(tmp_path, kind, bits):
+    """A whole one is taken, with any comment; one that was cut off is not (RSA's: three of four)."""
+    comment = "it's (mine): a+b \u00fc"
+    argv = ["ssh-keygen", "-q", "-t", kind, "-b", str(bits), "-N", "", "-C", comment, "-f", tmp_path / "key"]
+    subprocess.run(argv, check=True)
+    key = (tmp_path / "key.pub").read_text().strip()
+    assert key.endswith(f" {comment}")
+    whole = " ".join(key.split()[:2])
+    profile, _ = load_profile(str(changed(tmp_path, ("ssh/authorized_keys", [key, whole]))))
+    assert profile.ssh.authorized_keys == (key, whole)
+    for cut in (1, 2, 3):
+        cut_off = whole[:-cut]
+        with pytest.raises(UsageError, match=r"ssh\.authorized_keys\.0: not a public key"):
+            load_profile(str(changed(tmp_path, ("ssh/authorized_keys", [cut_off]))))
 
 
 @pytest.mark.parametrize("file", ["/proc/mine.yml", f"{'x' * 256}.yml"])

@@ -5,6 +5,7 @@ file and key path for anything that is unknown or does not fit together.
 """
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -39,9 +40,28 @@ RecipeName = Annotated[str, _matches(r"[a-z0-9][a-z0-9.+-]*", "a name of lower-c
 Branch = Annotated[str, _matches(r"\w[\w.+/-]*", "a branch of letters, digits and . + / _ -")]
 LayerPath = Annotated[str, _matches(r"\.|\w[\w.+-]*(/\w[\w.+-]*)*", "a folder in the repository, or . for its top")]
 Argument = Annotated[str, _matches(r"[\w.,:/=+-]+", "one boot argument without blanks or quotes")]
-PublicKey = Annotated[
-    str, _matches(r"(ssh-ed25519|ssh-rsa|ecdsa-sha2-[\w-]+) [\w+/=]+( [\w.@ -]+)?", "an OpenSSH public key")
+Line = Annotated[
+    str, _matches(r"[^$\\\x00-\x1f\x7f-\x9f\u2028\u2029]+", "one line of printable text without $ and backslash")
 ]
+
+# Kinds of public keys, and the base64 that follows the kind: what it begins with and how long it is, so that a key that
+# was cut off is seen (of RSA's, at least 1024 bits: three of four). For Python's re and for grep -E.
+_BASE64 = "[A-Za-z0-9+/]"
+KEY_TYPES = {
+    "ssh-ed25519": f"AAAAC3NzaC1lZDI1NTE5AAAAI{_BASE64}{{43}}",
+    "ecdsa-sha2-nistp256": f"AAAAE2VjZHNhLXNoYTItbmlzdHAyNTY{_BASE64}{{108}}=",
+    "ecdsa-sha2-nistp384": f"AAAAE2VjZHNhLXNoYTItbmlzdHAzODQ{_BASE64}{{151}}==",
+    "ecdsa-sha2-nistp521": f"AAAAE2VjZHNhLXNoYTItbmlzdHA1MjE{_BASE64}{{199}}==",
+    "ssh-rsa": f"AAAAB3NzaC1yc2EA({_BASE64}{{4}}){{45,}}({_BASE64}{{4}}|{_BASE64}{{3}}=|{_BASE64}{{2}}==)",
+}
+
+
+def key_pattern(kinds: Iterable[str]) -> str:
+    """Public keys of these kinds without their comments, for Python's re and for grep -E."""
+    return "|".join(f"{kind} {KEY_TYPES[kind]}" for kind in kinds)
+
+
+KeyType = Annotated[str, _matches("|".join(KEY_TYPES), f"one of {', '.join(KEY_TYPES)}")]
 
 
 class KernelRecipe(Config):
@@ -66,6 +86,7 @@ class Release(Config):
     wks_folder: str | None
     own_u_boot: bool
     sshd_config_folder: bool
+    key_types: Annotated[tuple[KeyType, ...], Field(strict=False, min_length=1)]
 
 
 class Releases(Config):
@@ -160,7 +181,7 @@ class Ssh(Config):
     """SSH server, and the public keys that may log in as root beside those of RT_TESTS_AUTHORIZED_KEYS."""
 
     server: Literal["openssh", "dropbear"]
-    authorized_keys: Annotated[tuple[PublicKey, ...], Field(strict=False)] = ()
+    authorized_keys: Annotated[tuple[Line, ...], Field(strict=False)] = ()
 
 
 class Profile(Config):
@@ -240,6 +261,10 @@ def _misfits(profile: Profile, release: Release) -> list[str]:
         problems.append(f"suites: those of this repository are built in {profile.release}, leave it out")
     if not release.own_suites and not profile.suites:
         problems.append(f"suites: those of this repository do not build in {profile.release}, give others")
+    for number, key in enumerate(profile.ssh.authorized_keys):
+        if not re.fullmatch(f"({key_pattern(release.key_types)})( .*)?", key):
+            kinds = ", ".join(release.key_types)
+            problems.append(f"ssh.authorized_keys.{number}: not a public key of the kinds {kinds}, or not a whole one")
     if LAYER in profile.repositories:
         problems.append(f"repositories.{LAYER}: the name of the rendered layer, choose another")
     if not {"bitbake", "poky"} & set(profile.repositories):

@@ -15,7 +15,7 @@ import yaml
 
 from rtfiles.config import read_yaml
 from rtfiles.errors import UsageError
-from rtgen.profile import LAYER, Machine, Profile, Release
+from rtgen.profile import LAYER, Machine, Profile, Release, key_pattern
 
 KAS_VERSION = 14  # of kas 4.0, the first with `commit`; kas 5 reads it
 TEMPLATES = Path(__file__).parents[1] / "templates"
@@ -67,6 +67,8 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         "release": release,
         "o": release.separator,
         "kas_version": KAS_VERSION,
+        # BitBake takes nothing else from the environment; the variable was renamed in 2022.
+        "env_names": "BB_ENV_PASSTHROUGH_ADDITIONS" if release.layer_depends else "BB_ENV_EXTRAWHITE",
         "native_catkin": bool(release.layer_depends),
         "layers": layer_names(profile),
         "in_layer": IN_LAYER,
@@ -85,7 +87,8 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
     add(f"{layer}/README.md", "layer.README.md")
     add(f"{layer}/SECURITY.md", "layer.SECURITY.md")
     add(f"{layer}/conf/layer.conf", "conf/layer.conf")
-    add(f"{layer}/classes/rt_tests_ssh.bbclass", "classes/rt_tests_ssh.bbclass")
+    keys = key_pattern(release.key_types)
+    add(f"{layer}/classes/rt_tests_ssh.bbclass", "classes/rt_tests_ssh.bbclass", key_pattern=keys)
     add(f"{layer}/recipes-core/images/{profile.image.name}.bb", "recipes-core/image.bb")
 
     suites = list(suite_recipes(profile))
