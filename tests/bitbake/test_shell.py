@@ -1,5 +1,6 @@
 """The layer's own shell code, run by the real BitBake: who may log in, and whether the kernel options took effect."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -102,6 +103,21 @@ def test_an_image_nobody_should_have_is_not_built(make_build, keys, features, me
     done = policy(build)
     assert done.returncode != 0
     assert message in said(build, done)
+
+
+def test_command_line_of_2014_reaches_the_kernel(make_build):
+    """meta-ti's defconfig leaves it to the boot loader; Kconfig takes the last line."""
+    build = make_build("thesis-2014", "pandaboard", separator=":")
+    folder = build.folder / "tmp/work/linux-omap4/3.4"
+    folder.mkdir(parents=True)
+    (folder / "defconfig").write_text("# CONFIG_CMDLINE_EXTEND is not set\nCONFIG_CMDLINE_FROM_BOOTLOADER=y\n")
+    (folder / "rt-tests-pandaboard.cfg").write_text("CONFIG_HZ=1000\n")
+    done = build.try_bitbake(tasks=[["linux-omap4", "do_configure"]])
+    assert done.returncode == 0, done.stderr
+    last = {re.sub(r"# | is not set|=.*", "", line): line for line in (folder / "defconfig").read_text().splitlines()}
+    assert last["CONFIG_CMDLINE_EXTEND"] == "CONFIG_CMDLINE_EXTEND=y"
+    assert last["CONFIG_CMDLINE_FROM_BOOTLOADER"] == "# CONFIG_CMDLINE_FROM_BOOTLOADER is not set"
+    assert last["CONFIG_HZ"] == "CONFIG_HZ=1000"
 
 
 def kernel(make_build, config: str):

@@ -187,6 +187,22 @@ def test_what_follows_the_release():
     assert '?= "u-boot-panda"' in text(wrynose, machine)
 
 
+def test_what_the_thesis_took_from_meta_ti():
+    """The kernel's two patches for newer compilers stay, and any address will do; poky's licence is that of 2014."""
+    profile, release = load_profile("thesis-2014")
+    panda = profile.machines["pandaboard"]
+    assert panda.kernel.source is not None
+    source = panda.kernel.source.model_copy(update={"url": "https://localhost/linux.git"})
+    kernel = panda.kernel.model_copy(update={"source": source})
+    profile = profile.model_copy(update={"machines": {"pandaboard": panda.model_copy(update={"kernel": kernel})}})
+    tree = layer.render("mine", profile, release)
+    append = text(tree, "meta-rt-tests/recipes-kernel/linux/linux-omap4_3.4.bbappend")
+    assert 'SRC_URI = "git://localhost/linux.git;protocol=https;branch=ti-ubuntu-3.4-1485 ' in append
+    assert re.findall(r"file://(000.-ARM-7\d*)", append) == ["0003-ARM-7668", "0004-ARM-7670"]
+    group = text(tree, "meta-rt-tests/recipes-core/packagegroups/packagegroup-rt-tests.bb")
+    assert "${COREBASE}/LICENSE;md5=3f40d7994397109285ec7b81fdeb3b58" in group
+
+
 def test_card_boots_with_console_and_turbo_mode_off():
     machine = text(tree_of("scarthgap-noetic"), "meta-rt-tests/conf/machine/pandaboard-es.conf")
     assert 'UBOOT_EXTLINUX_CONSOLE = "console=ttyS2,115200n8"' in machine

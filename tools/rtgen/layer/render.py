@@ -60,7 +60,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["scalar"] = _scalar
+    environment.filters |= {"scalar": _scalar, "git_url": _git_url}
     shared: dict[str, Any] = {
         "name": name,
         "profile": profile,
@@ -96,7 +96,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         version = profile.suites.version
     for suite in suites:
         path = f"{layer}/recipes-tests/suites/{suite['package']}_{version}.bb"
-        add(path, "recipes-tests/suite.bb", **suite, git_url=_git_url(profile))
+        add(path, "recipes-tests/suite.bb", **suite)
     add(
         f"{layer}/recipes-core/packagegroups/packagegroup-rt-tests.bb",
         "recipes-core/packagegroup-rt-tests.bb",
@@ -205,11 +205,9 @@ def _dashed(package: str) -> str:
     return package.replace("_", "-")
 
 
-def _git_url(profile: Profile) -> str:
-    """The suites' repository as BitBake writes it: git:// with the protocol beside it."""
-    if not profile.suites:
-        return ""
-    protocol, _, rest = profile.suites.url.partition("://")
+def _git_url(url: str) -> str:
+    """A repository as BitBake writes it: git:// with the protocol beside it."""
+    protocol, _, rest = url.partition("://")
     return f"git://{rest};protocol={protocol}"
 
 
