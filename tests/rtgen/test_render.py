@@ -94,6 +94,28 @@ def test_files_of_others_stay(tmp_path, capsys, theirs):
     assert file.read_text() == "mine\n"
 
 
+@pytest.mark.parametrize("theirs", ["recipes-mine/files", "recipes-core/files", "recipes-tests/suites/sources"])
+def test_links_of_others_stay(tmp_path, capsys, theirs):
+    main(["render", "--out", str(tmp_path)])
+    link = tmp_path / "meta-rt-tests" / theirs
+    link.parent.mkdir(exist_ok=True)
+    link.symlink_to(tmp_path)
+    assert main(["render", "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == f"rtgen: {link}: not rendered by rtgen, move it away\n"
+    assert link.is_symlink()
+
+
+def test_what_is_removed_is_named(tmp_path, capsys):
+    """A copy that kept its first line looks like a rendering of before."""
+    main(["render", "--out", str(tmp_path)])
+    copy = tmp_path / SUITES / "mine_1.0.bb"
+    copy.write_text(f"# {layer.MARK}profile x\n")
+    capsys.readouterr()
+    assert main(["render", "--out", str(tmp_path)]) == 0
+    assert f"0 written, 1 removed\n{copy}: removed\n" in capsys.readouterr().out
+    assert not copy.exists()
+
+
 @pytest.mark.parametrize(
     ("path", "make", "message"),
     [

@@ -35,7 +35,9 @@ def run(args: argparse.Namespace) -> int:
         print(f"{out}: {len(tree)} files, as profile {args.profile} renders them")
         return 0
     done = output.write(tree, out)
-    print(f"{out}: {len(tree)} files of profile {args.profile}, {done.written} written, {done.removed} removed")
+    print(f"{out}: {len(tree)} files of profile {args.profile}, {done.written} written, {len(done.removed)} removed")
+    for path in done.removed:
+        print(f"{path}: removed")
     for path in done.linked:
         print(f"{path}: now a link to {path.readlink()}; replace it by a copy or a submodule before the folder moves")
     return 0

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
-from rtgen.layer.render import REPOSITORY, Link, Tree, is_ours
+from rtgen.layer.render import REPOSITORY, SOURCES_LINK, Link, Tree, is_ours
 from rtgen.profile import LAYER
 
 OWNED = (LAYER,)  # folders that hold nothing but the rendering
@@ -15,10 +15,10 @@ OWNED = (LAYER,)  # folders that hold nothing but the rendering
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outcome:
-    """What writing a rendering did; `linked`: folders the rendering links to, which were not there."""
+    """What writing a rendering did. `linked`: folders the rendering links to, which were not there."""
 
     written: int
-    removed: int
+    removed: tuple[Path, ...]
     linked: tuple[Path, ...]
 
 
@@ -52,7 +52,7 @@ def write(tree: Tree, out: Path) -> Outcome:
     if obstacles:
         raise UsageError("\n".join(f"{path}: {what}, move it away" for path, what in sorted(obstacles.items())))
     present = _present(out)
-    written = removed = 0
+    written = 0
     for path, content in tree.items():
         target = out / path
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -66,21 +66,20 @@ def write(tree: Tree, out: Path) -> Outcome:
         elif target.is_symlink() or _read(target) != content:
             atomic.write_text(target, content)
             written += 1
-    for path in present:
-        if path not in tree:
-            (out / path).unlink()
-            removed += 1
-            _remove_empty(out / path, out)
+    removed = [out / path for path in present if path not in tree]
+    for file in removed:
+        file.unlink()
+        _remove_empty(file, out)
     linked = [link.target for link in tree.values() if isinstance(link, Link) and not (out / link.target).exists()]
     for path in linked:
         (out / path).symlink_to((REPOSITORY / path).resolve())
-    return Outcome(written=written, removed=removed, linked=tuple(out / path for path in linked))
+    return Outcome(written=written, removed=tuple(removed), linked=tuple(out / path for path in linked))
 
 
 def _obstacles(tree: Tree, out: Path) -> dict[Path, str]:
     """What keeps the rendering from being written, and why."""
     targets = [out / path for path in tree]
-    obstacles = {out / path: "not rendered by rtgen" for path in _present(out) if not _replaceable(out / path)}
+    obstacles = {out / path: "not rendered by rtgen" for path in _present(out) if not _replaceable(path, out)}
     obstacles |= {
         path: "a folder, a file is to be there" for path in targets if path.is_dir() and not path.is_symlink()
     }
@@ -102,10 +101,8 @@ def _present(out: Path) -> list[PurePosixPath]:
     return sorted(found)
 
 
-def _replaceable(path: Path) -> bool:
-    if path.is_symlink():
-        return path.name == "files"
-    return is_ours(_read(path))
+def _replaceable(path: PurePosixPath, out: Path) -> bool:
+    return path == SOURCES_LINK if (out / path).is_symlink() else is_ours(_read(out / path))
 
 
 def _content(tree: Tree, path: PurePosixPath) -> str:
