@@ -1,0 +1,25 @@
+"""YAML at the edge: whatever a file holds, what is wrong with it is a UsageError with file and line."""
+
+import pytest
+
+from rtfiles.config import read_yaml
+from rtfiles.errors import UsageError
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: 1\nb: 2024-02-30\n", ":2: no valid timestamp: day is out of range for month; a text is to be in quotes"),
+        ("a: !!int x\n", ":1: no valid int: invalid literal for int() with base 10: 'x'"),
+        ("a: !!bool x\n", ":1: no valid bool: "),
+        ("a: !!timestamp x\n", ":1: no valid timestamp: "),
+        (f"a: {'1' * 5000}\n", ":1: no valid int: Exceeds the limit"),
+        ("[" * 5000, ": nested too deeply"),
+    ],
+)
+def test_what_python_cannot_take(tmp_path, text, message):
+    file = tmp_path / "a.yml"
+    file.write_text(text)
+    with pytest.raises(UsageError) as caught:
+        read_yaml(file)
+    assert str(caught.value).startswith(f"{file}{message}")
