@@ -1,8 +1,11 @@
 """YAML at the edge: whatever a file holds, what is wrong with it is a UsageError with file and line."""
 
-import pytest
+from typing import Literal
 
-from rtfiles.config import read_yaml
+import pytest
+from pydantic import Field
+
+from rtfiles.config import Config, load, read_yaml
 from rtfiles.errors import UsageError
 
 
@@ -23,3 +26,24 @@ def test_what_python_cannot_take(tmp_path, text, message):
     with pytest.raises(UsageError) as caught:
         read_yaml(file)
     assert str(caught.value).startswith(f"{file}{message}")
+
+
+class Example(Config):
+    schema_: Literal[1] = Field(alias="schema")
+    name: str
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected a mapping with the keys schema, name"),
+        ("[1]", "expected a mapping with the keys schema, name"),
+        ("schema_: 1", "unknown key 'schema_', allowed: schema, name"),
+    ],
+)
+def test_keys_are_named_as_they_stand_in_a_file(tmp_path, text, message):
+    file = tmp_path / "a.yml"
+    file.write_text(text)
+    with pytest.raises(UsageError) as caught:
+        load(file, Example)
+    assert str(caught.value) == f"{file}: {message}"

@@ -169,15 +169,17 @@ def test_what_is_no_device(image, capsys):
     assert "No such file" in capsys.readouterr().err
 
 
-def test_needs_somebody_to_ask(image, attach, capsys, monkeypatch):
+@pytest.mark.parametrize("stdin", [None, "/dev/null"])
+def test_needs_somebody_to_ask(image, attach, capsys, monkeypatch, stdin):
+    """Standard input is None where it was closed."""
     device, backing = attach(16 * MIB)
-    monkeypatch.setattr("sys.stdin", Path("/dev/null").open())  # noqa: SIM115
+    monkeypatch.setattr("sys.stdin", stdin and Path(stdin).open())  # noqa: SIM115
     assert flash_it(image, device) == 2
     assert "give --yes" in capsys.readouterr().err
     assert backing.read_bytes() == bytes(16 * MIB)
 
 
-@pytest.mark.parametrize(("answer", "status"), [("yes\n", 1), ("loop\n", 1), (None, 0)])
+@pytest.mark.parametrize(("answer", "status"), [("yes\n", 1), ("loop\n", 1), ("\4", 1), (None, 0)])  # \4: Ctrl-D
 def test_confirmation(image, attach, answer, status):
     device, backing = attach(16 * MIB)
     master, terminal = pty.openpty()
@@ -192,6 +194,18 @@ def test_confirmation(image, attach, answer, status):
     assert process.returncode == status, out
     assert ("Nothing was written" in out) == bool(status)
     assert (backing.read_bytes() == bytes(16 * MIB)) == bool(status)
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"), [("/proc/self/mem", "Input/output error"), ("/no.wic", "No such file or directory")]
+)
+def test_an_image_that_fails_is_not_the_cards_fault(attach, source, reason):
+    """It may go between the check and the writing: somebody is asked there."""
+    device, backing = attach(16 * MIB)
+    card = flash.Card(path=device, name=device.name, model="loop", size_bytes=16 * MIB)
+    with pytest.raises(InfrastructureError, match=f"^{source}: {reason}$"):
+        flash.write(Path(source), card, lambda *_: None)
+    assert backing.read_bytes() == bytes(16 * MIB)
 
 
 def test_a_card_that_keeps_something_else(image, attach, monkeypatch):

@@ -192,6 +192,8 @@ def test_list_derive_and_show(tmp_path, capsys):
     assert main(["new-profile", str(mine), "--from", "kirkstone-noetic"]) == 0
     assert load_profile(str(mine))[0] == load_profile("kirkstone-noetic")[0]
     assert main(["new-profile", str(mine)]) == 2
+    (tmp_path / "link.yml").symlink_to("nowhere")
+    assert main(["new-profile", str(tmp_path / "link.yml")]) == 2
     assert main(["new-profile", str(tmp_path / "mine.yaml")]) == 2
     capsys.readouterr()
 

@@ -20,11 +20,16 @@ class Config(BaseModel):
     def _refuse_unknown_keys(cls, data: Any) -> Any:
         # pydantic's own message does not say what is allowed.
         if isinstance(data, dict):
-            names = [field.alias or name for name, field in cls.model_fields.items()]
+            names = key_names(cls)
             unknown = [str(key) for key in data if key not in names]
             if unknown:
                 raise ValueError(f"unknown key {', '.join(map(repr, unknown))}, allowed: {', '.join(names)}")
         return data
+
+
+def key_names(model: type[Config]) -> list[str]:
+    """The keys of a Config as they stand in a file."""
+    return [field.alias or name for name, field in model.model_fields.items()]
 
 
 ConfigT = TypeVar("ConfigT", bound=Config)
@@ -85,7 +90,7 @@ def parse(data: Any, model: type[ConfigT], origin: str) -> ConfigT:
     A line reads ``origin: path.to.key: what is wrong, what is allowed``.
     """
     if not isinstance(data, dict):
-        raise UsageError(f"{origin}: expected a mapping with the keys {', '.join(model.model_fields)}")
+        raise UsageError(f"{origin}: expected a mapping with the keys {', '.join(key_names(model))}")
     try:
         return model.model_validate(data)
     except ValidationError as error:

@@ -9,11 +9,10 @@ import fcntl
 import hashlib
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
 
 from rtfiles.errors import InfrastructureError, UsageError
 
@@ -90,16 +89,17 @@ def check_device(device: Path, image_bytes: int, sys: Path = Path("/sys"), proc:
 def write(image: Path, card: Card, progress: Progress) -> str:
     """Write an image to a card, read it back, return its SHA-256. `progress` gets what is done and the bytes so far.
 
-    Raises InfrastructureError when the card fails, is taken by someone else meanwhile, or holds something else then.
+    Raises InfrastructureError when the card fails, is taken by someone else meanwhile, or holds something else then,
+    and when the image cannot be read.
     """
     try:
         # O_EXCL on a block device: the kernel refuses while it is mounted, and nobody can mount it now.
         handle = os.open(card.path, os.O_RDWR | os.O_EXCL)
     except OSError as error:
         raise InfrastructureError(f"{card.path}: {error.strerror}") from error
-    with FileIO(handle, "r+b") as device, image.open("rb") as source:
+    with FileIO(handle, "r+b") as device:
         try:
-            written = _copy(source, device, progress)
+            written = _copy(image, device, progress)
             os.fsync(device)
             fcntl.ioctl(device, BLKFLSBUF)
             _compare(image, device, card, progress)
@@ -111,10 +111,20 @@ def write(image: Path, card: Card, progress: Progress) -> str:
     return written
 
 
-def _copy(source: BinaryIO, device: FileIO, progress: Progress) -> str:
+def _chunks(image: Path) -> Iterator[bytes]:
+    """The image piece by piece: what goes wrong in here is not the card's fault."""
+    try:
+        with image.open("rb") as source:
+            while chunk := source.read(CHUNK):
+                yield chunk
+    except OSError as error:
+        raise InfrastructureError(f"{image}: {error.strerror}") from error
+
+
+def _copy(image: Path, device: FileIO, progress: Progress) -> str:
     total = hashlib.sha256()
     done = 0
-    while chunk := source.read(CHUNK):
+    for chunk in _chunks(image):
         total.update(chunk)
         view = memoryview(chunk)
         while view:
@@ -127,19 +137,18 @@ def _copy(source: BinaryIO, device: FileIO, progress: Progress) -> str:
 def _compare(image: Path, device: FileIO, card: Card, progress: Progress) -> None:
     device.seek(0)
     done = 0
-    with image.open("rb") as source:
-        while chunk := source.read(CHUNK):
-            have = b""
-            while len(have) < len(chunk):
-                more = device.read(len(chunk) - len(have))
-                if not more:
-                    break
-                have += more
-            if have != chunk:
-                at = next((i for i, (a, b) in enumerate(zip(have, chunk, strict=False)) if a != b), len(have))
-                raise InfrastructureError(f"{card.path}: byte {done + at} reads back wrong, the card is broken")
-            done += len(chunk)
-            progress("verified", done)
+    for chunk in _chunks(image):
+        have = b""
+        while len(have) < len(chunk):
+            more = device.read(len(chunk) - len(have))
+            if not more:
+                break
+            have += more
+        if have != chunk:
+            at = next((i for i, (a, b) in enumerate(zip(have, chunk, strict=False)) if a != b), len(have))
+            raise InfrastructureError(f"{card.path}: byte {done + at} reads back wrong, the card is broken")
+        done += len(chunk)
+        progress("verified", done)
 
 
 def _users(node: Path, proc: Path) -> list[str]:

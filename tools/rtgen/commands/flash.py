@@ -24,9 +24,15 @@ def run(args: argparse.Namespace) -> int:
     card = flash.check_device(args.device, size)
     print(f"{args.image} ({size} bytes) -> {card.path}: {card.model}, {card.size_bytes} bytes. All on it will be lost.")
     if not args.yes:
-        if not sys.stdin.isatty():
+        # A closed standard input is None.
+        if not sys.stdin or not sys.stdin.isatty():
             raise UsageError("nobody to ask for confirmation: give --yes")
-        if input(f"Type {card.name} to go on: ").strip() != card.name:
+        try:
+            answer = input(f"Type {card.name} to go on: ")
+        except EOFError:
+            answer = ""
+            print()
+        if answer.strip() != card.name:
             print("Nothing was written.")
             return 1
 

@@ -1,6 +1,7 @@
 """rtgen new-profile: start a profile of one's own from another."""
 
 import argparse
+import os
 from pathlib import Path
 
 from rtgen.profile import DEFAULT_PROFILE
@@ -23,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.file.suffix != ".yml":
         raise UsageError(f"{args.file}: the name of a profile's file ends in .yml")
-    if args.file.exists():
+    if os.path.lexists(args.file):
         raise UsageError(f"{args.file}: exists, choose another name")
     if not args.file.parent.is_dir():
         raise UsageError(f"{args.file.parent}: no such folder")
