@@ -15,7 +15,7 @@ from rtgen.cli import main
 from rtgen.layer import output
 from rtgen.layer import render as layer
 from rtgen.layer.render import Link, is_ours
-from rtgen.profile import load_profile, load_releases, profile_names
+from rtgen.profile import Release, load_profile, load_releases, profile_names
 
 SUITES = PurePosixPath("meta-rt-tests/recipes-tests/suites")
 
@@ -248,6 +248,12 @@ def test_a_fragment_that_is_missing(monkeypatch, tmp_path):
         UsageError, match=r"fragments/pandaboard-es-6\.6\.cfg: No such file .* `rtgen kconfig render` writes"
     ):
         tree_of("scarthgap-noetic")
+
+
+def test_every_fact_of_a_release_is_used():
+    sources = [*layer.TEMPLATES.rglob("*.j2"), Path(layer.__file__), Path(sys.modules[Release.__module__].__file__)]
+    used = {name for file in sources for name in re.findall(r"\brelease\.(\w+)", file.read_text())}
+    assert set(Release.model_fields) <= used
 
 
 def test_every_kernel_of_a_release_has_a_fragment():

@@ -85,7 +85,6 @@ class Release(Config):
     wic_boot_plugin: str | None
     wks_folder: str | None
     own_u_boot: bool
-    sshd_config_folder: bool
     key_types: Annotated[tuple[KeyType, ...], Field(strict=False, min_length=1)]
 
 
