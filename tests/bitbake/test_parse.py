@@ -55,6 +55,26 @@ def test_kernel_of_others_stays_as_it_is(make_build):
     assert recipe["variables"]["SRC_URI"].strip() == ""
 
 
+@pytest.mark.parametrize(
+    ("more", "fragment"),
+    [
+        ("", None),
+        ('MACHINEOVERRIDES = "pandaboard-es:third"\n', "rt-tests-pandaboard-es.cfg"),
+        ('RT_TESTS_FRAGMENT = "mine.cfg"\n', "mine.cfg"),
+    ],
+)
+def test_kernel_of_a_machine_that_is_not_in_the_profile(make_build, more, fragment):
+    build = make_build("scarthgap-noetic", "third")
+    (build.folder / "conf/machine").mkdir()
+    (build.folder / "conf/machine/third.conf").write_text('MACHINE_FEATURES = "preempt-rt"\n' + more)
+    kernel = build.bitbake(variables=["SRC_URI"])["recipes"]["linux-yocto-rt"]
+    if fragment:
+        assert not kernel["skipped"]
+        assert f"file://{fragment}" in kernel["variables"]["SRC_URI"].split()
+    else:
+        assert "no kernel options for third: take preempt-rt out of its MACHINE_FEATURES, or name" in kernel["skipped"]
+
+
 def test_a_recipe_with_an_unknown_class_is_an_error(make_build):
     build = make_build("scarthgap-noetic", "qemuarm")
     recipe = next(build.layer.glob("recipes-tests/suites/oneshot-*.bb"))
