@@ -92,9 +92,12 @@ def _obstacles(tree: Tree, out: Path) -> dict[Path, str]:
 
 
 def _present(out: Path) -> list[PurePosixPath]:
-    """Every file and link below the folders we own, and kas.yml."""
+    """Every file and link below the folders we own, kas.yml, and a link where such a folder is to be."""
     found = [PurePosixPath("kas.yml")] if os.path.lexists(out / "kas.yml") else []
     for owned in OWNED:
+        if (out / owned).is_symlink():
+            found.append(PurePosixPath(owned))
+            continue
         for folder, folders, files in os.walk(out / owned):
             links = [name for name in folders if (Path(folder) / name).is_symlink()]
             found += [PurePosixPath((Path(folder) / name).relative_to(out).as_posix()) for name in [*files, *links]]
