@@ -89,7 +89,7 @@ def test_thesis_profile_has_every_version_of_table_3_2_1():
         ([("repositories/meta-rt-tests", {"url": "https://localhost/a", "commit": "a" * 40})],
          "repositories.meta-rt-tests: the name of the rendered layer, choose another"),
         ([("image/name", "rt_tests")], "image.name: 'rt_tests' is not a name of lower-case letters, digits and . + -"),
-        ([("image/packages", ["bücher"])], "image.packages.0: 'bücher' is not a name of"),
+        ([("repositories/meta-ros/url", "https://localhost/ü")], "/ü' is not an http(s) or git address"),
         ([("machines/qemuarm/sd_card", {"boot_size_mib": 64, "root_extra_mib": 0})],
          "machines.qemuarm.sd_card: only pandaboard-es boots from the card we make, leave it out"),
         ([("ssh/server", "telnet")], "ssh.server: "),
