@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from faulty import write_faulty_suites
-from test_execute import Watching, measure, record, runs_of
+from faulty import record, runs_of, write_faulty_suites
+from test_execute import Watching, measure
 
 from rtrun import execute, launch
 from rtrun.errors import TargetError
@@ -61,18 +61,23 @@ def test_a_suite_that_fails_leaves_no_trace_set_up(target, tmp_path, watching, w
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, TargetError("no space left")])
-def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watching, monkeypatch, error):
+def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watching, wishes, monkeypatch, error):
     seen = []
 
     def wait(*args, **kwargs):
         seen.append(INSTANCE.exists())
         raise error
 
-    monkeypatch.setattr(launch, "wait", wait)
-    with pytest.raises(type(error) if isinstance(error, Exception) else error):
-        measure(target, runs_of(1, trace_threshold_us=50), tmp_path / "results", watching)
+    runs = runs_of(1, trace_threshold_us=50)
+    with monkeypatch.context() as patch:
+        patch.setattr(launch, "wait", wait)
+        with pytest.raises(type(error) if isinstance(error, Exception) else error):
+            measure(target, runs, tmp_path / "results", watching)
     assert seen == [True]
     assert not INSTANCE.exists()
+    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
+    if error is not KeyboardInterrupt:
+        assert len(wishes.calls()) == 1, "an error of ours is no reason to give up what measures"
 
 
 def test_what_a_killed_runner_left_is_gone_with_the_next_campaign(target, tmp_path, watching, wishes):
