@@ -13,11 +13,13 @@ from typing import Any, Literal
 from pydantic import Field
 
 from rtfiles.config import Config, parse
+from rtfiles.errors import UsageError
 from rtrun.errors import TargetError
 from rtrun.link import Link
 
 FILE = "attempt.json"
 LIMIT_BYTES = 16 * 1024 * 1024
+# Not head -c: the busybox of a Yocto image need not have it.
 _LEFT = """
 cd "$1" 2>/dev/null || exit 0
 [ -e given_up ] && echo given_up
@@ -25,10 +27,10 @@ for file in *.boot_id; do
     [ -e "$file" ] && echo "started ${file%.boot_id} $(cat "$file")"
 done
 echo attempt
-head -c "$2" attempt.json 2>/dev/null
+[ -e attempt.json ] && [ "$(wc -c <attempt.json)" -le "$2" ] && cat attempt.json
 exit 0
 """
-# Of all other campaigns: a lock is held as long as something of a run lives.
+# Of all other runs: a lock is held as long as something of a run lives.
 _BUSY = """
 for lock in "$1"/*/*/*.lock; do
     case $lock in "$2"/*) continue;; esac
@@ -37,7 +39,17 @@ for lock in "$1"/*/*/*.lock; do
 done
 exit 0
 """
-_KEEP = 'mkdir -p "$1" && cat >"$1/attempt.new" && sync "$1/attempt.new" && mv "$1/attempt.new" "$1/attempt.json"'
+# What comes in ends early when the link does: half of it gets no name.
+_KEEP = """
+mkdir -p "$1" && cd "$1" && cat >attempt.new && [ "$(wc -c <attempt.new)" -eq "$2" ] || exit 1
+sync attempt.new && mv attempt.new attempt.json
+"""
+# Of two that write at once the first is right; on a full disk what we found must do.
+_ONCE = """
+cd "$1" || exit 1
+[ -e "$2" ] || { echo "$3" >"$2.$$" && ln "$2.$$" "$2"; }
+cat "$2" || echo "$3"
+"""
 
 
 class Attempt(Config):
@@ -62,17 +74,16 @@ class Left:
     given_up: bool
 
 
-NOTHING_LEFT = Left(attempt=None, started={}, given_up=False)
-
-
 def left(link: Link, remote: PurePosixPath) -> Left:
     """Look at what an earlier call left of a run."""
     command = ["sh", "-c", _LEFT, "sh", str(remote), str(LIMIT_BYTES)]
     said, _, text = link.do(lambda connection: connection.check(command)).partition("attempt\n")
     words = [line.split() for line in said.splitlines()]
+    started = {word[1]: word[2] for word in words if len(word) == 3}
+    here = set(started.values()) == {link.boot_id}
     return Left(
-        attempt=_read(link, remote, text) if text else None,
-        started={word[1]: word[2] for word in words if len(word) == 3},
+        attempt=_read(link, remote, text) if here and text else None,
+        started=started,
         given_up=["given_up"] in words,
     )
 
@@ -81,8 +92,22 @@ def _read(link: Link, remote: PurePosixPath, text: str) -> Attempt:
     origin = f"{link.target.address}: {remote / FILE}"
     try:
         return parse(json.loads(text), Attempt, origin)
-    except ValueError as error:
-        raise TargetError(f"{origin}: not what rtrun wrote there; remove the folder: {error}") from error
+    except (ValueError, UsageError) as error:
+        raise TargetError(
+            f"{origin}: not what rtrun wrote there; end what runs and remove the folder: {error}"
+        ) from error
+
+
+def folders(link: Link, runs: PurePosixPath) -> list[str]:
+    """Return the names of the runs of a campaign that an earlier call has left something of."""
+    command = ["sh", "-c", 'ls "$1" 2>/dev/null; exit 0', "sh", str(runs)]
+    return link.do(lambda connection: connection.check(command)).splitlines()
+
+
+def once(link: Link, remote: PurePosixPath, name: str, word: str) -> str:
+    """Write a word down in a run's folder unless one stands there, and return the one that does."""
+    command = ["sh", "-c", _ONCE, "sh", str(remote), name, word]
+    return link.do(lambda connection: connection.check(command)).strip()
 
 
 def begin(
@@ -97,13 +122,13 @@ def begin(
 ) -> Attempt:
     """Make the folder of a run, and write down what it begins with.
 
-    Raises TargetError when something of another campaign still runs on the target: both would be disturbed.
+    Raises TargetError when something of another run still lives on the target: both would be disturbed.
     """
-    command = ["sh", "-c", _BUSY, "sh", str(remote.parent.parent), str(remote.parent)]
+    command = ["sh", "-c", _BUSY, "sh", str(remote.parent.parent), str(remote)]
     if busy := link.do(lambda connection: connection.check(command)).strip():
         raise TargetError(
-            f"{link.target.address}: a run of another campaign is still going on: {busy}; "
-            f"take that campaign up again, or end it there: kill -- -$(cat {busy}.pid)"
+            f"{link.target.address}: another run is still going on: {busy}; "
+            f"take its campaign up again, or end it there: kill -- -$(cat {busy}.pid)"
         )
     data = {
         "schema": 1,
@@ -115,6 +140,7 @@ def begin(
         "argv": {name: list(words) for name, words in argv.items()},
         "before": before,
     }
-    keep = ["sh", "-c", _KEEP, "sh", str(remote)]
-    link.do(lambda connection: connection.check(keep, stdin=json.dumps(data)))
+    text = json.dumps(data)
+    keep = ["sh", "-c", _KEEP, "sh", str(remote), str(len(text.encode()))]
+    link.do(lambda connection: connection.check(keep, stdin=text))
     return parse(data, Attempt, FILE)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from rtfiles.errors import UsageError
-from rtrun import journal, measure, prepare, rundir
+from rtrun import attempt, journal, measure, prepare, rundir
 from rtrun.campaign import Run
 from rtrun.link import Link, TargetRebooted
 from rtrun.target import Target
@@ -70,10 +70,13 @@ def run_campaign(
             preparation = stack.enter_context(contextlib.ExitStack())
             everything = functools.partial(prepare.prepared, link, log.uid, [run for _, run in todo])
             prepared: prepare.Prepared | None = preparation.enter_context(everything())
+            # First what an earlier call left going on: two runs at once would disturb each other.
+            there = attempt.folders(link, target.work_dir / "runs" / log.uid)
+            todo.sort(key=lambda each: each[1].name not in there)
             for number, run in todo:
                 observer.began(number, run)
                 folder = results / run.name
-                for attempt in range(1, ATTEMPTS + 1):
+                for time in range(1, ATTEMPTS + 1):
                     closed = rundir.entry(folder, "attempt")
                     log.note(now().isoformat(), run.name, "began")
                     try:
@@ -87,7 +90,7 @@ def run_campaign(
                         observer.note(f"{run.name}: {error}")
                         if rundir.entry(folder, "attempt") == closed:
                             log.note(now().isoformat(), run.name, "cut off", str(error))
-                            if attempt == ATTEMPTS:
+                            if time == ATTEMPTS:
                                 raise
                             continue
                         # It was closed already: the restart has cut nothing off.

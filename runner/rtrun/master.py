@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from rtrun import launch
-from rtrun.errors import ConnectionLost, TargetError
+from rtrun.errors import ConnectionLost, DeadlineExpired, StillMeasuring, TargetError
 from rtrun.link import Link
 from rtrun.probe import Equipment
 from rtrun.ssh import Connection
@@ -51,7 +51,10 @@ def call(connection: Connection, port: int, method: str, *arguments: Any) -> Any
         raise
     except (xmlrpc.client.Error, http.client.HTTPException, OSError, EOFError, ValueError, TypeError) as error:
         # Which of the two is it? A link that broke meanwhile must not pass for a master that died.
-        connection.check(["true"], deadline_s=ANSWER_S)
+        try:
+            connection.check(["true"], deadline_s=ANSWER_S)
+        except DeadlineExpired as late:
+            raise ConnectionLost(f"{connection.address}: does not answer any more: {late}") from late
         raise ConnectionRefusedError(f"port {port} does not answer as a ROS master: {error}") from error
     if code != 1:
         raise TargetError(f"{connection.address}: the ROS master refused {method}: {message}")
@@ -67,14 +70,14 @@ def pid(link: Link) -> int | None:
         return None
 
 
-def subscribers(link: Link, topic: str) -> int:
-    """Return how many nodes have subscribed to a topic. Raises TargetError when no master answers."""
+def subscribers(link: Link, topic: str, token: str) -> int:
+    """Return how many nodes with a token in their names have subscribed. Raises TargetError when no master answers."""
     port = link.target.ros_master_port
     try:
         _, subscribed, _ = link.do(lambda connection: call(connection, port, "getSystemState"))
     except ConnectionRefusedError as error:
         raise TargetError(f"{link.target.address}: the ROS master died: {error}") from error
-    return sum(len(nodes) for name, nodes in subscribed if name == topic)
+    return sum(token in node for name, nodes in subscribed if name == topic for node in nodes)
 
 
 @contextlib.contextmanager
@@ -113,6 +116,9 @@ def running(
         if ours:
             _wait_ready(link, folder)
         yield ours
+    except StillMeasuring:
+        ours = False  # the run's: it would hang in ros::shutdown without
+        raise
     finally:
         if ours:
             with contextlib.suppress(TargetError):

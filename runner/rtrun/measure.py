@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import secrets
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -10,14 +11,15 @@ from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
 from rtrun import attempt, baseline, clock, collect, conditions, in_effect, launch, master, probe, rundir, suites
-from rtrun.attempt import NOTHING_LEFT, Attempt, Left
+from rtrun.attempt import Attempt
 from rtrun.campaign import Run
-from rtrun.errors import ConnectionLost, TargetError, TargetGone
+from rtrun.errors import ConnectionLost, DeadlineExpired, StillMeasuring, TargetError, TargetGone
 from rtrun.judge import judge
 from rtrun.link import Link, TargetRebooted
 from rtrun.prepare import Prepared
 
 TOPIC = "/communication_tests"
+SUBSCRIBER = "ct_subscriber"
 # A suite that needs longer than this for the time it should take hangs.
 DEADLINE_FACTOR = 5
 DEADLINE_EXTRA_S = 120.0
@@ -29,8 +31,13 @@ SAMPLER = "sampler"
 Clock = Callable[[], datetime]
 
 
-def programs_of(prepared: Prepared, run: Run) -> tuple[list[launch.Program], list[launch.Program], list[str]]:
-    """Return the programs that wait for messages, those that start after them, and the outputs they write."""
+def programs_of(
+    prepared: Prepared, run: Run, token: str
+) -> tuple[list[launch.Program], list[launch.Program], list[str]]:
+    """Return the programs that wait for messages, those that start after them, and the outputs they write.
+
+    `token` makes the names of their nodes those of one attempt: a master remembers nodes that were killed.
+    """
     suite = suites.suite(run.suite)
     deadline_s = DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S
     environment = _environment(prepared)
@@ -46,7 +53,7 @@ def programs_of(prepared: Prepared, run: Run) -> tuple[list[launch.Program], lis
             name = f"{executable}-{number}" if prefix else executable
             argv = suites.argv(run.suite, executable, parameters)
             # Several nodes of one name would throw each other out of the ROS graph.
-            node = (f"__name:=ct_subscriber{number}",) if repeated else ()
+            node = (f"__name:={SUBSCRIBER}{number}_{token}",) if repeated else ()
             program = launch.Program(
                 name=name,
                 argv=(prepared.programs[executable], *argv[1:], *node),
@@ -96,35 +103,43 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     """
     link = prepared.link
     remote = link.target.work_dir / "runs" / uid / run.name
-    waiting, others, outputs = programs_of(prepared, run)
+    token = secrets.token_hex(4)
+    waiting, others, outputs = programs_of(prepared, run, token)
     beside = _beside(prepared, run)
     loads = [each.program for each in beside]
     sampler = _sampler(prepared, run, remote, [load.name for load in loads])
     names = [program.name for program in (*others, *waiting)]
     helpers = [*(load.name for load in loads), SAMPLER]
     limits = collect.expected_files(run.suite, [*names, *helpers], outputs, int(run.parameters.get("repetitions") or 0))
-    measuring = False
+    everything = [*names, *helpers]
+    begun = _left_to_pick_up(link, remote, folder, [program.name for program in others], everything, limits)
+    if begun is None:
+        try:
+            begun = _begin(prepared, remote, [*others, *waiting], now)
+            if loads:
+                _load(prepared, remote, run, loads)
+            _start(prepared, remote, [sampler, *waiting], others, token)
+        except (TargetRebooted, TargetGone, ConnectionLost):
+            # Out of reach: what runs there is picked up, or kept as incomplete, by the next call.
+            raise
+        except (KeyboardInterrupt, InfrastructureError):
+            _give_up(link, remote, everything)
+            raise
     try:
-        left = _left_to_pick_up(link, remote, folder, [*names, *helpers], limits)
-        begun = left.attempt or _begin(prepared, remote, [*others, *waiting], now)
-        measuring = any(name in left.started for name in names)
-        if loads and not measuring:
-            _load(prepared, remote, run, loads)
-        _start(prepared, remote, [sampler, *waiting], others, waited=any(each.name in left.started for each in others))
-        measuring = True
         exits = [
             launch.wait(link, remote, program.name, deadline_s=program.deadline_s + 60.0)
             for program in (*others, *waiting)
         ]
+        # Asked before anything is ended, our own master with the rest, and told to whoever reads the run later.
+        master_pid = attempt.once(link, remote, "master_pid", str(master.pid(link)))
     except (TargetRebooted, TargetGone, ConnectionLost):
-        # Out of reach: what still runs there is picked up, or kept as incomplete, by the next call.
         raise
-    except (KeyboardInterrupt, InfrastructureError) as error:
-        # What measures goes on, whatever our trouble is: only the user gives it up.
-        if isinstance(error, KeyboardInterrupt) or not measuring:
-            with contextlib.suppress(TargetError):
-                launch.give_up(link, remote, [*names, *helpers])
+    except (KeyboardInterrupt, DeadlineExpired):
+        # The target should have ended it long ago: nothing good can come of it any more.
+        _give_up(link, remote, everything)
         raise
+    except InfrastructureError as error:
+        raise StillMeasuring(f"{error}; the run goes on and is picked up by the next call") from error
     state = ["sh", str(prepared.scripts / "state.sh")]
     died, said = launch.end_beside(link, remote, names, helpers, state)
     after = probe.parse_state(said)
@@ -137,7 +152,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
         if link.target.console is not None and link.target.console.exists():
             (partial / "console.log").write_bytes(link.target.console.read_bytes())
         verdict = judge(partial, run, [*others, *waiting], exits, outputs, refused=refused, beside=beside, died=died)
-        if master.pid(link) != begun.master_pid:
+        if master_pid != str(begun.master_pid):
             reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
             verdict = replace(verdict, status="failed", reason=reason)
         if suites.suite(run.suite).always is not None and verdict.status == "ok":
@@ -213,47 +228,51 @@ def _start(
     remote: PurePosixPath,
     first: Sequence[launch.Program],
     others: Sequence[launch.Program],
-    *,
-    waited: bool,
+    token: str,
 ) -> None:
-    """Start the sampler and the programs that wait for messages, `first`, and, when these do wait, the others.
-
-    `waited`: an earlier call has seen them wait, and has started the others.
-    """
+    """Start the sampler and the programs that wait for messages, `first`, and, when these do wait, the others."""
     link, setup = prepared.link, prepared.equipment.setup
     waiting = [program.name for program in first[1:]]
     if not waiting:
         launch.start(link, prepared.scripts, remote, *first, *others, setup=setup)
         return
     launch.start(link, prepared.scripts, remote, *first, setup=setup)
-    if not waited:
-        launch.until(
-            lambda: master.subscribers(link, TOPIC) >= len(waiting) or bool(launch.ended(link, remote, waiting)),
-            deadline_s=SUBSCRIBED_S,
-            what=f"{link.target.address}: {len(waiting)} subscribers to register with the ROS master",
-        )
+    launch.until(
+        lambda: master.subscribers(link, TOPIC, token) >= len(waiting) or bool(launch.ended(link, remote, waiting)),
+        deadline_s=SUBSCRIBED_S,
+        what=f"{link.target.address}: {len(waiting)} subscribers to register with the ROS master",
+    )
     launch.start(link, prepared.scripts, remote, *others, setup=setup)
 
 
-def _left_to_pick_up(
-    link: Link, remote: PurePosixPath, folder: Path, names: Sequence[str], limits: dict[str, int]
-) -> Left:
-    """Return what an earlier call left that goes on, or has ended and waits for us; everything else makes room.
+def _give_up(link: Link, remote: PurePosixPath, names: Sequence[str]) -> None:
+    with contextlib.suppress(TargetError):
+        launch.give_up(link, remote, names)
 
-    What a reboot cut off is kept as incomplete; what was given up, or is closed and only to be repeated, is removed.
+
+def _left_to_pick_up(
+    link: Link,
+    remote: PurePosixPath,
+    folder: Path,
+    last: Sequence[str],
+    names: Sequence[str],
+    limits: dict[str, int],
+) -> Attempt | None:
+    """Return the attempt of an earlier call that goes on, or has ended and waits for us; all else makes room.
+
+    `last` are the programs that are started last: before them nothing is measured. What a reboot cut off is kept as
+    incomplete; what was given up, or is closed and only to be repeated, is removed.
     """
     left = attempt.left(link, remote)
-    if left == NOTHING_LEFT:
-        return left
-    boots = {*left.started.values(), *([left.attempt.boot_id] if left.attempt else [])}
-    of_this_boot = boots <= {link.boot_id}
+    of_this_boot = set(left.started.values()) <= {link.boot_id}
+    measuring = any(name in left.started for name in last) and not left.given_up
     closed = rundir.entry(folder, "attempt")
-    if of_this_boot and left.attempt and not left.given_up and left.attempt.uid != closed:
-        return left
-    if left.started and not of_this_boot:
+    if left.attempt and of_this_boot and measuring and left.attempt.uid != closed:
+        return left.attempt
+    if not of_this_boot:
         kept = rundir.unused(folder, "incomplete")
         with rundir.filling(kept) as partial:
             collect.pull(link, remote, partial, limits)
             rundir.rename(partial, kept)
     launch.give_up(link, remote, names)
-    return NOTHING_LEFT
+    return None

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 
-from rtrun.errors import ConnectionLost, TargetError, TargetGone
+from rtrun.errors import ConnectionLost, StillMeasuring, TargetError, TargetGone
 from rtrun.link import Link, TargetRebooted
 from rtrun.suites import Value
 
@@ -28,7 +28,7 @@ def tracing(link: Link, scripts: PurePosixPath, parameters: Mapping[str, Value])
     link.do(lambda connection: connection.check([script, "up", clock]))
     try:
         yield
-    except (TargetRebooted, TargetGone, ConnectionLost):
+    except (TargetRebooted, TargetGone, ConnectionLost, StillMeasuring):
         raise
     except BaseException:
         with contextlib.suppress(TargetError):

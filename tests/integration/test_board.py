@@ -249,8 +249,8 @@ runs:
 """
 
 
-# Rows of a run stand on the board's disk.
-FIRST_BLOCK = "find /var/lib/rt-tests/runs -name '*.npy.part' -size +256c"
+# Rows of a run stand on the board's disk: of two blocks, so that the first is there for good.
+FIRST_BLOCK = "find /var/lib/rt-tests/runs -name '*.npy.part' -size +600c"
 
 
 def test_traces_of_outliers_and_the_blocks_of_a_run_cut_off(tmp_path, monkeypatch):

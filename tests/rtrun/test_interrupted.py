@@ -1,10 +1,10 @@
 """Every gap between two steps of a run in which the runner or the link may stop: what is found there afterwards."""
 
+import json
 import os
 import shutil
 import signal
 import socket
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -53,6 +53,7 @@ def target(masterless, ros_master):
 @pytest.fixture
 def measure(tmp_path):
     def measure(target, runs, watching=None):
+        measure.results = tmp_path / "results"
         return list(execute.run_campaign(target, "test", runs, tmp_path / "results", watching or Watching()).values())
 
     return measure
@@ -71,28 +72,102 @@ def out_of_reach(wishes):
     return wait
 
 
-def test_after_the_sampler_was_ended(target, tmp_path, wishes, monkeypatch, measure):
-    """What we ended ourselves is not taken for dead."""
+@pytest.mark.parametrize("end", [Stop, KeyboardInterrupt])
+def test_after_the_sampler_was_ended(masterless, wishes, monkeypatch, measure, end):
+    """What we ended ourselves, sampler and ROS master, is not taken for dead."""
     runs = runs_of(1)
+
+    def pull(*_, **__):
+        raise end
+
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.collect, "pull", stop)
-        with pytest.raises(Stop):
-            measure(target, runs)
-    assert measure(target, runs) == ["ok"]
+        patch.setattr(measurement.collect, "pull", pull)
+        with pytest.raises(end):
+            measure(masterless, runs)
+    assert measure(masterless, runs) == ["ok"]
     assert len(wishes.calls()) == 1
 
 
-def test_a_load_that_ended_while_nobody_looked(target, tmp_path, wishes, monkeypatch, measure):
+def test_an_error_of_ours_leaves_the_run_and_its_master_alone(masterless, wishes, monkeypatch, measure):
+    wishes.will("sleep 2")
+    runs = runs_of(1)
+
+    def wait(*_, **__):
+        while not wishes.calls():
+            time.sleep(0.05)
+        raise TargetError("sh: cannot fork")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.launch, "wait", wait)
+        with pytest.raises(TargetError, match="cannot fork; the run goes on and is picked up by the next call"):
+            measure(masterless, runs)
+    assert measure(masterless, runs) == ["ok"]
+    assert len(wishes.calls()) == 1
+
+
+def test_what_the_target_should_have_ended_is_given_up(target, wishes, monkeypatch, measure):
+    wishes.will("sleep 60")
+    runs = runs_of(1)
+
+    def wait(*_, **__):
+        while not wishes.calls():
+            time.sleep(0.05)
+        raise DeadlineExpired("took longer")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.launch, "wait", wait)
+        with pytest.raises(DeadlineExpired):
+            measure(target, runs)
+    assert not list(Path(target.work_dir).glob("runs/*/*"))
+
+
+def test_before_the_suite_was_started(target, wishes, monkeypatch, measure):
+    """Nothing measured yet: it begins anew, with the state of the target that it then finds."""
+    runs = runs_of(1)
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement, "_start", stop)
+        with pytest.raises(Stop):
+            measure(target, runs)
+    (left,) = Path(target.work_dir).glob("runs/*/*/attempt.json")
+    uid = json.loads(left.read_text())["uid"]
+    assert measure(target, runs) == ["ok"]
+    assert record(measure.results, runs[0])["attempt"] != uid
+
+
+def test_what_goes_on_comes_first(target, wishes, monkeypatch, measure):
+    """A failed run is repeated after the one that an earlier call left, not beside it."""
+    wishes.will("fail", "sleep 4")
+    runs = runs_of(2)
+    real = launch.wait
+
+    def wait(link, folder, name, **more):
+        if "fq101" not in folder.name:
+            return real(link, folder, name, **more)
+        while len(wishes.calls()) < 2:
+            time.sleep(0.05)
+        return out_of_reach(wishes)(link)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.launch, "wait", wait)
+        with pytest.raises(ConnectionLost):
+            measure(target, runs)
+    assert measure(target, runs) == ["ok", "ok"]
+    ends = [record(measure.results, run) for run in runs]
+    assert ends[1]["end_time"] < ends[0]["start_time"]
+    assert len(wishes.calls()) == 3
+
+
+def test_a_load_that_ended_while_nobody_looked(target, wishes, monkeypatch, measure):
     """It outlived the suite: the run is whole."""
-    monkeypatch.setattr(measurement, "DEADLINE_EXTRA_S", 4.0)
+    monkeypatch.setattr(measurement, "DEADLINE_EXTRA_S", 8.0)
     monkeypatch.setattr(measurement.conditions, "OUTLIVE_S", 1.0)
-    wishes.will("sleep 2.5")
-    runs = runs_of(1, condition="memory")
+    wishes.will("sleep 3")
+    runs = runs_of(1, condition="io")
     with monkeypatch.context() as patch:
         patch.setattr(measurement.launch, "wait", stop)
         with pytest.raises(Stop):
             measure(target, runs)
-    while not list(Path(target.work_dir).rglob("memory.exit")) + list(Path(target.work_dir).rglob("*.expired")):
+    while not list(Path(target.work_dir).rglob("stress.exit")):
         time.sleep(0.1)
     assert measure(target, runs) == ["ok"]
     assert len(wishes.calls()) == 1
@@ -117,29 +192,19 @@ def test_a_link_lost_in_a_call_of_the_master(target, monkeypatch, measure, call)
     assert any("connecting again" in note for note in watching.notes)
 
 
-def test_a_run_of_another_campaign_is_not_disturbed(target, tmp_path, wishes, measure):
-    wishes.will("sleep 3")
-    refused = []
-
-    def act(number):
-        def other():
-            while not wishes.calls():
-                time.sleep(0.05)
-            try:
-                execute.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching())
-            except TargetError as error:
-                refused.append(str(error))
-
-        threading.Thread(target=other).start()
-
-    watching = Watching()
-    watching.at_start = act
-    assert measure(target, runs_of(1), watching) == ["ok"]
-    while not refused:
-        time.sleep(0.05)
-    assert "a run of another campaign is still going on" in refused[0] and "cyclic_timer_tests" in refused[0]
-    assert execute.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching())
-    assert len(wishes.calls()) == 2
+def test_a_run_of_another_campaign_is_not_disturbed(target, tmp_path, wishes, monkeypatch, measure):
+    wishes.will("sleep 60")
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement.launch, "wait", out_of_reach(wishes))
+        with pytest.raises(ConnectionLost):
+            measure(target, runs_of(1))
+    with pytest.raises(TargetError, match=r"another run is still going on: .*cyclic_timer_tests"):
+        execute.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching())
+    assert len(wishes.calls()) == 1
+    (pid,) = Path(target.work_dir).rglob("cyclic_timer_tests.pid")
+    for file in pid.parent.glob("*.pid"):
+        os.killpg(int(file.read_text()), signal.SIGKILL)
+    assert list(execute.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching()).values()) == ["ok"]
 
 
 @pytest.mark.parametrize("who", ["killed", "interrupted"])

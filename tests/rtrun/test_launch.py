@@ -139,11 +139,11 @@ def test_what_was_given_up_is_not_started_any_more(link, scripts, folder, monkey
     late = launch.Program(name="late", argv=("sh", "-c", f"echo $$ >{folder}.second; sleep 60"))
     with monkeypatch.context() as patch:
         real = launch.in_turn
-        patch.setattr(launch, "in_turn", lambda commands: real([*commands[:1], ["sleep", "1"], *commands[1:]]))
+        patch.setattr(launch, "in_turn", lambda commands: real([*commands[:1], ["sleep", "0.5"], *commands[1:]]))
         starting = threading.Thread(target=launch.start, args=(link, scripts, PurePosixPath(folder), stubborn, late))
         starting.start()
-    while not Path(f"{folder}.first").exists():
-        time.sleep(0.02)
+        while not Path(f"{folder}.first").exists():
+            time.sleep(0.02)
     launch.give_up(link, PurePosixPath(folder), ["stubborn", "late"])
     starting.join()
     assert not folder.exists()

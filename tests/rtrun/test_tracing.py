@@ -74,8 +74,9 @@ def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watchin
         with pytest.raises(type(error) if isinstance(error, Exception) else error):
             measure(target, runs, tmp_path / "results", watching)
     assert seen == [True]
-    assert not INSTANCE.exists()
+    assert INSTANCE.exists() is (error is not KeyboardInterrupt), "what goes on goes on with its trace"
     assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
+    assert not INSTANCE.exists()
     if error is not KeyboardInterrupt:
         assert len(wishes.calls()) == 1, "an error of ours is no reason to give up what measures"
 

@@ -15,7 +15,12 @@ name=$2
 if [ "${RTRUN_INSIDE:-}" != 1 ]; then
     [ -e "$name.boot_id" ] && exit 0
     exec 9>"$name.lock"
-    flock -n 9 || exit 0
+    # Whoever only asks whether it lives holds the lock for a moment.
+    for pause in 0 0.1 0.2 0.4 held; do
+        flock -n 9 && break
+        [ $pause != held ] || exit 0
+        sleep $pause
+    done
     # Whoever held the lock until now may have run and ended meanwhile; what was given up is not started any more.
     { [ -e "$name.boot_id" ] || [ -e given_up ]; } && exit 0
     cat /proc/sys/kernel/random/boot_id >"$name.boot_id.new" && mv "$name.boot_id.new" "$name.boot_id" || exit 1
@@ -25,6 +30,8 @@ if [ "${RTRUN_INSIDE:-}" != 1 ]; then
     exit 0
 fi
 
+# Its folder may have been given up, and made anew, since it was started.
+{ [ -e "$name.boot_id" ] && [ ! -e given_up ]; } || exit 1
 deadline_s=$3 setup=$4
 shift 4
 unset RTRUN_INSIDE

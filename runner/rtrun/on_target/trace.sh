@@ -27,6 +27,7 @@ up() {
         # A run that is picked up again finds its trace as it was.
         grep -q "\[$1\]" $instance/trace_clock && return
         down
+        [ ! -d $instance ] || { echo "the kernel trace is in use by another run" >&2; exit 1; }
     fi
     mkdir -p $instance || fail "no kernel trace: $instance cannot be made"
     echo "$1" >$instance/trace_clock || fail "no kernel trace: the kernel has no trace clock $1"
