@@ -275,6 +275,7 @@ def test_traces_of_outliers_and_the_blocks_of_a_run_cut_off(tmp_path, monkeypatc
     assert list(statuses.values()) == ["ok", "ok"]
     assert instances == [], "what was set up to trace is taken down"
 
+    covered = []
     for output in json.loads((results / runs[0].name / "run.json").read_text())["outputs"]:
         record = json.loads((results / runs[0].name / f"{output}.json").read_text())
         assert record["traces"]["above_limit"] == 60
@@ -287,8 +288,10 @@ def test_traces_of_outliers_and_the_blocks_of_a_run_cut_off(tmp_path, monkeypatc
             if elsewhere := re.search(r"^# in (.*)$", text, re.M):
                 text = (results / runs[0].name / elsewhere[1]).read_text()
             stamps = [float(stamp) for stamp in re.findall(r" (\d+\.\d{6}): sched_switch: ", text)]
-            # Values that come while an emulated CPU copies the trace of the one before may be older than their own.
-            assert at_s < max(stamps) and (index > 0 or min(stamps) < at_s)
+            assert at_s < max(stamps)
+            covered.append(min(stamps) < at_s)
+    # A starved emulated CPU may copy a trace so late that what it is about is overwritten, but not each time.
+    assert any(covered)
 
     resets[0].join()
     (kept,) = results.glob("*.incomplete-1")
