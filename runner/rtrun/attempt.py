@@ -44,20 +44,13 @@ _KEEP = """
 mkdir -p "$1" && cd "$1" && cat >attempt.new && [ "$(wc -c <attempt.new)" -eq "$2" ] || exit 1
 sync attempt.new && mv attempt.new attempt.json
 """
-# Of two that write at once the first is right; on a full disk what we found must do.
-_ONCE = """
-cd "$1" || exit 1
-[ -e "$2" ] || { echo "$3" >"$2.$$" && ln "$2.$$" "$2"; }
-cat "$2" || echo "$3"
-"""
 
 
 class Attempt(Config):
-    """How a run began: when, on which boot, with which ROS master, the target's state, each program's command line."""
+    """How a run began: when, with which ROS master, the target's state, each program's command line."""
 
     schema_number: Literal[1] = Field(alias="schema")
     uid: str
-    boot_id: str
     start_time: str
     master_pid: int
     own_master: bool
@@ -67,10 +60,14 @@ class Attempt(Config):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Left:
-    """What an earlier call left in a run's folder: `started` is program to the boot it was started in."""
+    """What an earlier call left in a run's folder: the programs it started, `cut_off` if that was before a restart.
+
+    `attempt` is known of what was started since.
+    """
 
     attempt: Attempt | None
-    started: Mapping[str, str]
+    started: frozenset[str]
+    cut_off: bool
     given_up: bool
 
 
@@ -79,11 +76,12 @@ def left(link: Link, remote: PurePosixPath) -> Left:
     command = ["sh", "-c", _LEFT, "sh", str(remote), str(LIMIT_BYTES)]
     said, _, text = link.do(lambda connection: connection.check(command)).partition("attempt\n")
     words = [line.split() for line in said.splitlines()]
-    started = {word[1]: word[2] for word in words if len(word) == 3}
-    here = set(started.values()) == {link.boot_id}
+    boots = {word[1]: word[2] for word in words if len(word) == 3}
+    cut_off = not set(boots.values()) <= {link.boot_id}
     return Left(
-        attempt=_read(link, remote, text) if here and text else None,
-        started=started,
+        attempt=_read(link, remote, text) if boots and text and not cut_off else None,
+        started=frozenset(boots),
+        cut_off=cut_off,
         given_up=["given_up"] in words,
     )
 
@@ -102,12 +100,6 @@ def folders(link: Link, runs: PurePosixPath) -> list[str]:
     """Return the names of the runs of a campaign that an earlier call has left something of."""
     command = ["sh", "-c", 'ls "$1" 2>/dev/null; exit 0', "sh", str(runs)]
     return link.do(lambda connection: connection.check(command)).splitlines()
-
-
-def once(link: Link, remote: PurePosixPath, name: str, word: str) -> str:
-    """Write a word down in a run's folder unless one stands there, and return the one that does."""
-    command = ["sh", "-c", _ONCE, "sh", str(remote), name, word]
-    return link.do(lambda connection: connection.check(command)).strip()
 
 
 def begin(
@@ -133,7 +125,6 @@ def begin(
     data = {
         "schema": 1,
         "uid": secrets.token_hex(8),
-        "boot_id": link.boot_id,
         "start_time": start_time,
         "master_pid": master_pid,
         "own_master": own_master,

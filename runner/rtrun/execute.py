@@ -68,20 +68,20 @@ def run_campaign(
         with contextlib.ExitStack() as stack:
             link = stack.enter_context(Link(target, observer.note))
             preparation = stack.enter_context(contextlib.ExitStack())
-            everything = functools.partial(prepare.prepared, link, log.uid, [run for _, run in todo])
-            prepared: prepare.Prepared | None = preparation.enter_context(everything())
+            preparing = functools.partial(prepare.prepared, link, log.uid, [run for _, run in todo])
+            prepared: prepare.Prepared | None = preparation.enter_context(preparing())
             # First what an earlier call left going on: two runs at once would disturb each other.
             there = attempt.folders(link, target.work_dir / "runs" / log.uid)
             todo.sort(key=lambda each: each[1].name not in there)
             for number, run in todo:
                 observer.began(number, run)
                 folder = results / run.name
-                for time in range(1, ATTEMPTS + 1):
+                for trial in range(1, ATTEMPTS + 1):
                     closed = rundir.entry(folder, "attempt")
                     log.note(now().isoformat(), run.name, "began")
                     try:
                         if prepared is None:
-                            prepared = preparation.enter_context(everything())
+                            prepared = preparation.enter_context(preparing())
                         with tracing(link, prepared.scripts, run.parameters):
                             status, reason = measure.measure(prepared, log.uid, name, run, folder, now)
                     except TargetRebooted as error:
@@ -90,7 +90,7 @@ def run_campaign(
                         observer.note(f"{run.name}: {error}")
                         if rundir.entry(folder, "attempt") == closed:
                             log.note(now().isoformat(), run.name, "cut off", str(error))
-                            if time == ATTEMPTS:
+                            if trial == ATTEMPTS:
                                 raise
                             continue
                         # It was closed already: the restart has cut nothing off.

@@ -44,12 +44,20 @@ exit 0
 # supervise.sh starts nothing in a folder that was given up: a start that is still under way comes too late.
 _GIVE_UP = '[ ! -d "$1" ] || : >"$1/given_up"; exit 0'
 _MARK = "== ended"
+# Of two that write at once the first is right; on a full disk what we found must do.
+_ONCE = """
+cd "$1" || exit 1
+once() {
+    [ -e "$1" ] || { echo "$2" >"$1.$$" && ln "$1.$$" "$1"; }
+    cat "$1" || echo "$2"
+}
+"""
 # Ended before one of the suite's programs did: after all of their ends is only what outlived the suite.
 # Written down once, before we end anything: whoever asks again, after a lost link or for a runner that was killed,
-# must not take for dead what we ended. Of two that ask at once the first is right.
-_DIED = """
-cd "$1" || exit 1
-suite=$2
+# must not take for dead what we ended.
+_DIED = (
+    _ONCE
+    + """suite=$2
 shift 2
 # In hundredths of a second since the boot: the clock on the wall may have been set meanwhile.
 end_of() {
@@ -67,10 +75,9 @@ found=$(for name; do
         break
     done
 done)
-echo "$found" >"died.$$" && ln "died.$$" died
-# On a full disk what we found must do: the suite's own word on it shall not be lost.
-cat died || echo "$found"
+once died "$found"
 """
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,6 +159,12 @@ def end_beside(
     said = link.do(lambda connection: connection.check(in_turn(commands), deadline_s=END_BESIDE_S))
     deaths, _, rest = said.partition(f"{_MARK}\n")
     return {name: status for name, _, status in (line.partition(" ") for line in deaths.split("\n") if line)}, rest
+
+
+def once(link: Link, folder: PurePosixPath, name: str, word: str) -> str:
+    """Write a word down in a folder unless one stands there, and return the one that does."""
+    command = ["sh", "-c", f'{_ONCE}once "$2" "$3"', "sh", str(folder), name, word]
+    return link.do(lambda connection: connection.check(command)).strip()
 
 
 def tail(link: Link, path: PurePosixPath) -> str:

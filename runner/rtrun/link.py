@@ -5,7 +5,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self, TypeVar
 
-from rtrun.errors import ConnectionLost, DeadlineExpired, TargetError
+from rtrun.errors import ConnectionLost, TargetError, TargetGone
 from rtrun.ssh import Connection
 from rtrun.target import Target
 
@@ -19,6 +19,10 @@ T = TypeVar("T")
 
 class TargetRebooted(TargetError):
     """The target came back with another boot id: nothing that was running there goes on."""
+
+
+# Nothing can be done on the target now: what runs there is left as it is.
+OUT_OF_REACH = (ConnectionLost, TargetGone, TargetRebooted)
 
 
 class Link:
@@ -98,10 +102,7 @@ class Link:
     def _checked(self, connection: Connection) -> Connection:
         """Return a new connection if it leads to the boot we know: nothing may be done on any other."""
         try:
-            boot_id = connection.check(["cat", "/proc/sys/kernel/random/boot_id"]).strip()
-        except DeadlineExpired as error:
-            connection.close()
-            raise ConnectionLost(f"{self.target.address}: logs in but does not answer: {error}") from error
+            boot_id = connection.answer(["cat", "/proc/sys/kernel/random/boot_id"]).strip()
         except BaseException:
             connection.close()
             raise

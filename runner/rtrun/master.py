@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from rtrun import launch
-from rtrun.errors import ConnectionLost, DeadlineExpired, StillMeasuring, TargetError
+from rtrun.errors import ConnectionLost, StillMeasuring, TargetError
 from rtrun.link import Link
 from rtrun.probe import Equipment
 from rtrun.ssh import Connection
@@ -51,10 +51,7 @@ def call(connection: Connection, port: int, method: str, *arguments: Any) -> Any
         raise
     except (xmlrpc.client.Error, http.client.HTTPException, OSError, EOFError, ValueError, TypeError) as error:
         # Which of the two is it? A link that broke meanwhile must not pass for a master that died.
-        try:
-            connection.check(["true"], deadline_s=ANSWER_S)
-        except DeadlineExpired as late:
-            raise ConnectionLost(f"{connection.address}: does not answer any more: {late}") from late
+        connection.answer(["true"], deadline_s=ANSWER_S)
         raise ConnectionRefusedError(f"port {port} does not answer as a ROS master: {error}") from error
     if code != 1:
         raise TargetError(f"{connection.address}: the ROS master refused {method}: {message}")

@@ -13,9 +13,9 @@ from rtfiles.errors import InfrastructureError
 from rtrun import attempt, baseline, clock, collect, conditions, in_effect, launch, master, probe, rundir, suites
 from rtrun.attempt import Attempt
 from rtrun.campaign import Run
-from rtrun.errors import ConnectionLost, DeadlineExpired, StillMeasuring, TargetError, TargetGone
+from rtrun.errors import DeadlineExpired, StillMeasuring, TargetError
 from rtrun.judge import judge
-from rtrun.link import Link, TargetRebooted
+from rtrun.link import OUT_OF_REACH, Link
 from rtrun.prepare import Prepared
 
 TOPIC = "/communication_tests"
@@ -119,7 +119,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
             if loads:
                 _load(prepared, remote, run, loads)
             _start(prepared, remote, [sampler, *waiting], others, token)
-        except (TargetRebooted, TargetGone, ConnectionLost):
+        except OUT_OF_REACH:
             # Out of reach: what runs there is picked up, or kept as incomplete, by the next call.
             raise
         except (KeyboardInterrupt, InfrastructureError):
@@ -131,8 +131,8 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
             for program in (*others, *waiting)
         ]
         # Asked before anything is ended, our own master with the rest, and told to whoever reads the run later.
-        master_pid = attempt.once(link, remote, "master_pid", str(master.pid(link)))
-    except (TargetRebooted, TargetGone, ConnectionLost):
+        master_pid = launch.once(link, remote, "master_pid", str(master.pid(link)))
+    except OUT_OF_REACH:
         raise
     except (KeyboardInterrupt, DeadlineExpired):
         # The target should have ended it long ago: nothing good can come of it any more.
@@ -264,12 +264,10 @@ def _left_to_pick_up(
     incomplete; what was given up, or is closed and only to be repeated, is removed.
     """
     left = attempt.left(link, remote)
-    of_this_boot = set(left.started.values()) <= {link.boot_id}
-    measuring = any(name in left.started for name in last) and not left.given_up
-    closed = rundir.entry(folder, "attempt")
-    if left.attempt and of_this_boot and measuring and left.attempt.uid != closed:
+    measuring = not left.started.isdisjoint(last) and not left.given_up
+    if left.attempt and measuring and left.attempt.uid != rundir.entry(folder, "attempt"):
         return left.attempt
-    if not of_this_boot:
+    if left.cut_off:
         kept = rundir.unused(folder, "incomplete")
         with rundir.filling(kept) as partial:
             collect.pull(link, remote, partial, limits)

@@ -112,6 +112,13 @@ class Connection:
             raise TargetError(f"{self.address}: {argv[0]} failed with exit status {result.status}: {said}")
         return result.stdout
 
+    def answer(self, argv: Sequence[str], *, deadline_s: float = 30.0) -> str:
+        """`check` of a command that any target answers at once: no answer in time is a ConnectionLost."""
+        try:
+            return self.check(argv, deadline_s=deadline_s)
+        except DeadlineExpired as error:
+            raise ConnectionLost(f"{self.address}: does not answer: {error}") from error
+
     def upload(self, source: Path, destination: PurePosixPath) -> None:
         """Copy a local file to the target. Raises TargetError when the target cannot hold it, ConnectionLost."""
         try:

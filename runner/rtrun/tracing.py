@@ -4,8 +4,8 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 
-from rtrun.errors import ConnectionLost, StillMeasuring, TargetError, TargetGone
-from rtrun.link import Link, TargetRebooted
+from rtrun.errors import StillMeasuring, TargetError
+from rtrun.link import OUT_OF_REACH, Link
 from rtrun.suites import Value
 
 OPTIONS = ("break_trace_us", "trace_threshold_us")
@@ -28,7 +28,7 @@ def tracing(link: Link, scripts: PurePosixPath, parameters: Mapping[str, Value])
     link.do(lambda connection: connection.check([script, "up", clock]))
     try:
         yield
-    except (TargetRebooted, TargetGone, ConnectionLost, StillMeasuring):
+    except (*OUT_OF_REACH, StillMeasuring):
         raise
     except BaseException:
         with contextlib.suppress(TargetError):
