@@ -1,9 +1,12 @@
 """A target behind the real sshd, for everything that needs no board."""
 
+from dataclasses import replace
 from pathlib import PurePosixPath
 
 import pytest
+from faulty import write_faulty_suites
 
+from ports import free_port
 from rtrun.link import Link
 from rtrun.target import Target
 
@@ -23,6 +26,29 @@ def loopback(sshd, tmp_path):
         console=None,
         failure=lambda: None,
     )
+
+
+@pytest.fixture
+def suites_folder(tmp_path):
+    return tmp_path / "suites"
+
+
+@pytest.fixture
+def wishes(suites_folder):
+    """What the stand-in for a suite in `suites_folder` shall do."""
+    return write_faulty_suites(suites_folder)
+
+
+@pytest.fixture
+def bare_target(loopback, suites_folder, wishes):
+    """A target with the stand-in, on which no ROS master runs."""
+    return replace(loopback, suites=suites_folder, ros_master_port=free_port())
+
+
+@pytest.fixture
+def ready_target(bare_target, ros_master):
+    """A target with the stand-in, on which a ROS master runs."""
+    return replace(bare_target, ros_master_port=ros_master)
 
 
 @pytest.fixture

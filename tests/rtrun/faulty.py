@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +115,11 @@ class Wishes:
     def calls(self) -> list[str]:
         """Every call so far: repetitions, frequency, what it did."""
         return self.journal.read_text().splitlines() if self.journal.exists() else []
+
+    def await_calls(self, count: int = 1) -> None:
+        """Wait until so many calls have been made."""
+        while len(self.calls()) < count:
+            time.sleep(0.05)
 
 
 def runs_of(count: int, **parameters: Any) -> list[Run]:

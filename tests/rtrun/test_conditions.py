@@ -7,11 +7,9 @@ import re
 import signal
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from faulty import write_faulty_suites
 
 from rtrun import execute, prepare
 from rtrun.campaign import Campaign, plan
@@ -23,13 +21,8 @@ pytestmark = [pytest.mark.sshd, pytest.mark.ros]
 
 
 @pytest.fixture
-def wishes(tmp_path):
-    return write_faulty_suites(tmp_path / "suites")
-
-
-@pytest.fixture
-def target(loopback, tmp_path, wishes, ros_master):
-    return replace(loopback, suites=tmp_path / "suites", ros_master_port=ros_master)
+def target(ready_target):
+    return ready_target
 
 
 def measure(target, tmp_path, act=lambda: None, **values):

@@ -12,9 +12,8 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import pytest
-from faulty import record, runs_of, write_faulty_suites
+from faulty import record, runs_of
 
-from ports import free_port
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun import execute, master, prepare
 from rtrun import measure as measurement
@@ -33,24 +32,8 @@ def watching():
 
 
 @pytest.fixture
-def suites_folder(tmp_path):
-    return tmp_path / "suites"
-
-
-@pytest.fixture
-def wishes(suites_folder):
-    return write_faulty_suites(suites_folder)
-
-
-@pytest.fixture
-def bare_target(loopback, suites_folder, wishes):
-    """A target on which no ROS master runs."""
-    return replace(loopback, suites=suites_folder, ros_master_port=free_port())
-
-
-@pytest.fixture
-def target(bare_target, ros_master):
-    return replace(bare_target, ros_master_port=ros_master)
+def target(ready_target):
+    return ready_target
 
 
 def measure(target, runs, results, watching):
@@ -221,8 +204,7 @@ def test_a_master_that_dies_in_the_middle_of_a_run(bare_target, tmp_path, watchi
             threading.Thread(target=kill_it, args=(int(pid.read_text()),)).start()
 
     def kill_it(pid):
-        while len(wishes.calls()) < 2:
-            time.sleep(0.05)
+        wishes.await_calls(2)
         os.killpg(pid, signal.SIGKILL)
 
     watching.at_start = kill_the_master

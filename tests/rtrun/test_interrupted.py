@@ -6,13 +6,11 @@ import shutil
 import signal
 import socket
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from faulty import record, runs_of, write_faulty_suites
+from faulty import record, runs_of
 
-from ports import free_port
 from rtrun import execute, launch, master, rundir, ssh
 from rtrun import measure as measurement
 from rtrun.errors import ConnectionLost, DeadlineExpired, TargetError
@@ -31,49 +29,37 @@ def stop(*_, **__):
 
 
 @pytest.fixture
-def suites_folder(tmp_path):
-    return tmp_path / "suites"
-
-
-@pytest.fixture
-def wishes(suites_folder):
-    return write_faulty_suites(suites_folder)
-
-
-@pytest.fixture
-def masterless(loopback, suites_folder, wishes):
-    return replace(loopback, suites=suites_folder, ros_master_port=free_port())
-
-
-@pytest.fixture
-def target(masterless, ros_master):
-    return replace(masterless, ros_master_port=ros_master)
+def target(ready_target):
+    return ready_target
 
 
 @pytest.fixture
 def measure(tmp_path):
     def measure(target, runs, watching=None):
-        measure.results = tmp_path / "results"
         return list(execute.run_campaign(target, "test", runs, tmp_path / "results", watching or Watching()).values())
 
     return measure
 
 
-def out_of_reach(wishes):
-    """Stands in for the waiting: the link is lost for good once the suite runs."""
+def failing(wishes, error):
+    """Stands in for the waiting: an error once the suite runs; a lost link stays lost."""
 
     def wait(link, *_, **__):
-        while not wishes.calls():
-            time.sleep(0.05)
-        link._given_up = ConnectionLost("gone")
-        link.drop()
-        raise link._given_up
+        wishes.await_calls()
+        if isinstance(error, ConnectionLost):
+            link._given_up = error
+            link.drop()
+        raise error
 
     return wait
 
 
+def out_of_reach(wishes):
+    return failing(wishes, ConnectionLost("gone"))
+
+
 @pytest.mark.parametrize("end", [Stop, KeyboardInterrupt])
-def test_after_the_sampler_was_ended(masterless, wishes, monkeypatch, measure, end):
+def test_after_the_sampler_was_ended(bare_target, wishes, monkeypatch, measure, end):
     """What we ended ourselves, sampler and ROS master, is not taken for dead."""
     runs = runs_of(1)
 
@@ -83,45 +69,33 @@ def test_after_the_sampler_was_ended(masterless, wishes, monkeypatch, measure, e
     with monkeypatch.context() as patch:
         patch.setattr(measurement.collect, "pull", pull)
         with pytest.raises(end):
-            measure(masterless, runs)
-    assert measure(masterless, runs) == ["ok"]
+            measure(bare_target, runs)
+    assert measure(bare_target, runs) == ["ok"]
     assert len(wishes.calls()) == 1
 
 
-def test_an_error_of_ours_leaves_the_run_and_its_master_alone(masterless, wishes, monkeypatch, measure):
+def test_an_error_of_ours_leaves_the_run_and_its_master_alone(bare_target, wishes, monkeypatch, measure):
     wishes.will("sleep 2")
     runs = runs_of(1)
-
-    def wait(*_, **__):
-        while not wishes.calls():
-            time.sleep(0.05)
-        raise TargetError("sh: cannot fork")
-
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.launch, "wait", wait)
+        patch.setattr(measurement.launch, "wait", failing(wishes, TargetError("sh: cannot fork")))
         with pytest.raises(TargetError, match="cannot fork; the run goes on and is picked up by the next call"):
-            measure(masterless, runs)
-    assert measure(masterless, runs) == ["ok"]
+            measure(bare_target, runs)
+    assert measure(bare_target, runs) == ["ok"]
     assert len(wishes.calls()) == 1
 
 
 def test_what_the_target_should_have_ended_is_given_up(target, wishes, monkeypatch, measure):
     wishes.will("sleep 60")
     runs = runs_of(1)
-
-    def wait(*_, **__):
-        while not wishes.calls():
-            time.sleep(0.05)
-        raise DeadlineExpired("took longer")
-
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.launch, "wait", wait)
+        patch.setattr(measurement.launch, "wait", failing(wishes, DeadlineExpired("took longer")))
         with pytest.raises(DeadlineExpired):
             measure(target, runs)
     assert not list(Path(target.work_dir).glob("runs/*/*"))
 
 
-def test_before_the_suite_was_started(target, wishes, monkeypatch, measure):
+def test_before_the_suite_was_started(target, tmp_path, wishes, monkeypatch, measure):
     """Nothing measured yet: it begins anew, with the state of the target that it then finds."""
     runs = runs_of(1)
     with monkeypatch.context() as patch:
@@ -131,10 +105,10 @@ def test_before_the_suite_was_started(target, wishes, monkeypatch, measure):
     (left,) = Path(target.work_dir).glob("runs/*/*/attempt.json")
     uid = json.loads(left.read_text())["uid"]
     assert measure(target, runs) == ["ok"]
-    assert record(measure.results, runs[0])["attempt"] != uid
+    assert record(tmp_path / "results", runs[0])["attempt"] != uid
 
 
-def test_what_goes_on_comes_first(target, wishes, monkeypatch, measure):
+def test_what_goes_on_comes_first(target, tmp_path, wishes, monkeypatch, measure):
     """A failed run is repeated after the one that an earlier call left, not beside it."""
     wishes.will("fail", "sleep 4")
     runs = runs_of(2)
@@ -143,8 +117,7 @@ def test_what_goes_on_comes_first(target, wishes, monkeypatch, measure):
     def wait(link, folder, name, **more):
         if "fq101" not in folder.name:
             return real(link, folder, name, **more)
-        while len(wishes.calls()) < 2:
-            time.sleep(0.05)
+        wishes.await_calls(2)
         return out_of_reach(wishes)(link)
 
     with monkeypatch.context() as patch:
@@ -152,7 +125,7 @@ def test_what_goes_on_comes_first(target, wishes, monkeypatch, measure):
         with pytest.raises(ConnectionLost):
             measure(target, runs)
     assert measure(target, runs) == ["ok", "ok"]
-    ends = [record(measure.results, run) for run in runs]
+    ends = [record(tmp_path / "results", run) for run in runs]
     assert ends[1]["end_time"] < ends[0]["start_time"]
     assert len(wishes.calls()) == 3
 
@@ -208,24 +181,24 @@ def test_a_run_of_another_campaign_is_not_disturbed(target, tmp_path, wishes, mo
 
 
 @pytest.mark.parametrize("who", ["killed", "interrupted"])
-def test_another_master_than_the_run_began_with(masterless, tmp_path, wishes, monkeypatch, measure, who):
+def test_another_master_than_the_run_began_with(bare_target, tmp_path, wishes, monkeypatch, measure, who):
     wishes.will("sleep 6")
     runs = runs_of(1)
     with monkeypatch.context() as patch:
         patch.setattr(measurement.launch, "wait", out_of_reach(wishes))
         with pytest.raises(ConnectionLost):
-            measure(masterless, runs)
+            measure(bare_target, runs)
     if who == "killed":
-        (pid,) = Path(masterless.work_dir).glob("master/*/rosmaster.pid")
+        (pid,) = Path(bare_target.work_dir).glob("master/*/rosmaster.pid")
         os.killpg(int(pid.read_text()), signal.SIGKILL)
-        assert measure(masterless, runs) == ["failed"]
+        assert measure(bare_target, runs) == ["failed"]
         assert record(tmp_path / "results", runs[0])["reason"].startswith("the ROS master died during the run")
         return
     with monkeypatch.context() as patch:
         patch.setattr(measurement.launch, "wait", lambda *_, **__: os.kill(os.getpid(), signal.SIGINT))
         with pytest.raises(KeyboardInterrupt):
-            measure(masterless, runs)
-    assert not list(Path(masterless.work_dir).glob("runs/*/*")), "given up with its master"
+            measure(bare_target, runs)
+    assert not list(Path(bare_target.work_dir).glob("runs/*/*")), "given up with its master"
 
 
 @pytest.mark.parametrize("wish", ["sleep 60", "ok"])
@@ -235,8 +208,7 @@ def test_a_run_whose_giving_up_was_cut_short_is_begun_anew(target, tmp_path, wis
     real = launch.wait
 
     def interrupted(*args, **more):
-        while not wishes.calls():
-            time.sleep(0.05)
+        wishes.await_calls()
         if wish == "ok":
             real(*args, **more)
         raise KeyboardInterrupt

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faulty import runs_of, write_faulty_suites
+from faulty import runs_of
 from proxy import proxy_to
 from written import write_npy
 
@@ -24,16 +24,6 @@ from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
 KILLS = 20
-
-
-@pytest.fixture
-def suites_folder(tmp_path):
-    return tmp_path / "suites"
-
-
-@pytest.fixture
-def wishes(suites_folder):
-    return write_faulty_suites(suites_folder)
 
 
 def write_files(folder, sshd, ros_master, work_dir, count):

@@ -1,11 +1,10 @@
 """The kernel trace around outliers, over a real sshd and this machine's tracefs: set up, pulled, taken down."""
 
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from faulty import record, runs_of, write_faulty_suites
+from faulty import record, runs_of
 from test_execute import Watching, measure
 
 from rtrun import execute, launch
@@ -23,13 +22,8 @@ def watching():
 
 
 @pytest.fixture
-def wishes(tmp_path):
-    return write_faulty_suites(tmp_path / "suites")
-
-
-@pytest.fixture
-def target(loopback, tmp_path, wishes, ros_master):
-    return replace(loopback, suites=tmp_path / "suites", ros_master_port=ros_master)
+def target(ready_target):
+    return ready_target
 
 
 @pytest.mark.parametrize(("clock", "kernels"), [("raw", "mono_raw"), ("monotonic", "mono")])
