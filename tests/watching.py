@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from rtrun.campaign import Run
+from rtrun.plan.campaign import Run
 
 
 class Watching:

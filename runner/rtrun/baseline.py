@@ -4,9 +4,9 @@ from pathlib import Path
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
-from rtrun.campaign import Run
 from rtrun.importers import cyclictest
 from rtrun.importers.histogram_file import ENDING, histogram_text
+from rtrun.plan.campaign import Run
 
 
 def contradiction(run: Run, said: str) -> str | None:

@@ -4,9 +4,10 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
-from rtrun import salvage, suites
+from rtrun import salvage
 from rtrun.errors import TargetError
 from rtrun.link import Link
+from rtrun.plan import suites
 from rtrun.ssh import Connection
 
 MIB = 1024 * 1024

@@ -13,8 +13,8 @@ from typing import Protocol
 
 from rtfiles.errors import UsageError
 from rtrun import attempt, journal, measure, prepare, rundir
-from rtrun.campaign import Run
 from rtrun.link import Link, TargetRebooted
+from rtrun.plan.campaign import Run
 from rtrun.target import Target
 from rtrun.tracing import tracing
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rtfiles.errors import UsageError
-from rtrun import conditions, suites
-from rtrun.campaign import Run
-from rtrun.conditions import Background, cpu_set
+from rtrun.plan import conditions, suites
+from rtrun.plan.campaign import Run
+from rtrun.plan.conditions import Background, cpu_set
 from rtrun.probe import POLICIES
 from rtrun.samples import BESIDE, Record
 

@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from rtfiles.errors import UsageError
-from rtrun import baseline, in_effect, launch, suites
-from rtrun.campaign import Run
-from rtrun.conditions import Background
+from rtrun import baseline, in_effect
 from rtrun.conservation import contradiction
 from rtrun.logfile import read_log
+from rtrun.plan import suites
+from rtrun.plan.campaign import Run
+from rtrun.plan.conditions import Background
+from rtrun.plan.program import Exit, Program
 from rtrun.samples import Record, read_json, read_samples
 
 
@@ -29,8 +31,8 @@ class Verdict:
 def judge(
     folder: Path,
     run: Run,
-    programs: Sequence[launch.Program],
-    exits: Sequence[launch.Exit],
+    programs: Sequence[Program],
+    exits: Sequence[Exit],
     outputs: Sequence[str],
     *,
     refused: Mapping[str, str],
@@ -63,9 +65,7 @@ def judge(
     return Verdict(status=status, reason=reason, in_effect=in_effect.observed(run, looks, records))
 
 
-def _of_programs(
-    folder: Path, programs: Sequence[launch.Program], exits: Sequence[launch.Exit]
-) -> tuple[str, str] | None:
+def _of_programs(folder: Path, programs: Sequence[Program], exits: Sequence[Exit]) -> tuple[str, str] | None:
     for program, exit_ in zip(programs, exits, strict=True):
         if exit_.expired:
             return "failed", f"{program.name} did not end within {program.deadline_s:.0f} s and was ended"

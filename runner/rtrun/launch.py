@@ -2,11 +2,11 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 from rtrun.errors import DeadlineExpired, TargetError
 from rtrun.link import Link
+from rtrun.plan.program import Exit, Program
 from rtrun.ssh import in_turn
 
 # One wait lasts at most this long, so that a board that died is noticed while we wait.
@@ -78,24 +78,6 @@ done)
 once died "$found"
 """
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Program:
-    """A program of a run: `argv` with its whole path, `environment` on top of the login's."""
-
-    name: str
-    argv: tuple[str, ...]
-    environment: tuple[tuple[str, str], ...] = ()
-    deadline_s: float = 3600.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Exit:
-    """How a program ended: its status, or None when something else than the program ended it."""
-
-    status: int | None
-    expired: bool
 
 
 def start(

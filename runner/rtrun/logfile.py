@@ -16,7 +16,7 @@ from rtrun.analysis.describe import LISTED
 from rtrun.analysis.histogram import Histogram, Int64s
 from rtrun.figures import Figures, Ranked, figures_of_histogram
 from rtrun.logtext import COUNTS, SUITES, Printed, Text, read_text
-from rtrun.suites import LogName, Value, read_log_name
+from rtrun.plan.suites import LogName, Value, read_log_name
 
 MAX_TOTAL = 10**12  # measurements in one log
 TOLERANCE_US = 1  # between a printed number, however it was rounded, and the bins

@@ -11,6 +11,7 @@ from typing import Any
 from rtrun import launch
 from rtrun.errors import ConnectionLost, StillMeasuring, TargetError
 from rtrun.link import Link
+from rtrun.plan.program import Program
 from rtrun.probe import Equipment
 from rtrun.ssh import Connection
 
@@ -101,7 +102,7 @@ def running(
         argv = [equipment.master, "--core", "-p", str(target.ros_master_port)]
         if priority is not None:
             argv = ["chrt", "-f", str(priority), *argv]
-        program = launch.Program(
+        program = Program(
             name=NAME,
             argv=tuple(argv),
             environment=(("ROS_IP", "127.0.0.1"), ("ROS_LOG_DIR", str(folder)), ("PYTHONDONTWRITEBYTECODE", "1")),

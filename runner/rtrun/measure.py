@@ -10,12 +10,14 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
-from rtrun import attempt, baseline, clock, collect, conditions, in_effect, launch, master, probe, rundir, suites
+from rtrun import attempt, baseline, clock, collect, in_effect, launch, master, probe, rundir
 from rtrun.attempt import Attempt
-from rtrun.campaign import Run
 from rtrun.errors import DeadlineExpired, StillMeasuring, TargetError
 from rtrun.judge import judge
 from rtrun.link import OUT_OF_REACH, Link
+from rtrun.plan import conditions, suites
+from rtrun.plan.campaign import Run
+from rtrun.plan.program import Program
 from rtrun.prepare import Prepared
 
 TOPIC = "/communication_tests"
@@ -31,9 +33,7 @@ SAMPLER = "sampler"
 Clock = Callable[[], datetime]
 
 
-def programs_of(
-    prepared: Prepared, run: Run, token: str
-) -> tuple[list[launch.Program], list[launch.Program], list[str]]:
+def programs_of(prepared: Prepared, run: Run, token: str) -> tuple[list[Program], list[Program], list[str]]:
     """Return the programs that wait for messages, those that start after them, and the outputs they write.
 
     `token` makes the names of their nodes those of one attempt: a master remembers nodes that were killed.
@@ -42,8 +42,8 @@ def programs_of(
     deadline_s = DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S
     environment = _environment(prepared)
     count = int(run.parameters.get("subscribers") or 1)
-    waiting: list[launch.Program] = []
-    others: list[launch.Program] = []
+    waiting: list[Program] = []
+    others: list[Program] = []
     outputs: list[str] = []
     for executable in suite.programs:
         repeated = executable == suite.repeated
@@ -54,7 +54,7 @@ def programs_of(
             argv = suites.argv(run.suite, executable, parameters)
             # Several nodes of one name would throw each other out of the ROS graph.
             node = (f"__name:={SUBSCRIBER}{number}_{token}",) if repeated else ()
-            program = launch.Program(
+            program = Program(
                 name=name,
                 argv=(prepared.programs[executable], *argv[1:], *node),
                 environment=environment,
@@ -85,10 +85,10 @@ def _beside(prepared: Prepared, run: Run) -> list[conditions.Background]:
     )
 
 
-def _sampler(prepared: Prepared, run: Run, remote: PurePosixPath, beside: Sequence[str]) -> launch.Program:
+def _sampler(prepared: Prepared, run: Run, remote: PurePosixPath, beside: Sequence[str]) -> Program:
     script = str(prepared.scripts / "sample.sh")
     priority = str(run.parameters.get("priority") or 1)
-    return launch.Program(
+    return Program(
         name=SAMPLER,
         argv=(script, str(remote), priority, " ".join(beside)),
         deadline_s=DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S + conditions.OUTLIVE_S,
@@ -195,7 +195,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     return verdict.status, verdict.reason
 
 
-def _begin(prepared: Prepared, remote: PurePosixPath, programs: Sequence[launch.Program], now: Clock) -> Attempt:
+def _begin(prepared: Prepared, remote: PurePosixPath, programs: Sequence[Program], now: Clock) -> Attempt:
     """Write down what the run begins with. Raises TargetError when nothing can be measured."""
     link = prepared.link
     start_time = now()
@@ -213,7 +213,7 @@ def _begin(prepared: Prepared, remote: PurePosixPath, programs: Sequence[launch.
     )
 
 
-def _load(prepared: Prepared, remote: PurePosixPath, run: Run, loads: Sequence[launch.Program]) -> None:
+def _load(prepared: Prepared, remote: PurePosixPath, run: Run, loads: Sequence[Program]) -> None:
     """Make the condition so. Raises TargetError when a load does not stay."""
     link = prepared.link
     launch.start(link, prepared.scripts, remote, *loads, setup=prepared.equipment.setup)
@@ -226,8 +226,8 @@ def _load(prepared: Prepared, remote: PurePosixPath, run: Run, loads: Sequence[l
 def _start(
     prepared: Prepared,
     remote: PurePosixPath,
-    first: Sequence[launch.Program],
-    others: Sequence[launch.Program],
+    first: Sequence[Program],
+    others: Sequence[Program],
     token: str,
 ) -> None:
     """Start the sampler and the programs that wait for messages, `first`, and, when these do wait, the others."""

@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from rtrun import conditions, deploy, master, probe, suites
-from rtrun.campaign import Run
+from rtrun import deploy, master, probe
 from rtrun.errors import TargetError
 from rtrun.link import Link
+from rtrun.plan import conditions, suites
+from rtrun.plan.campaign import Run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from rtrun.campaign import Run
+from rtrun.plan.campaign import Run
 
 REFRESH_S = 0.5
 # Before a run was seen to its end: copying, starting and stopping takes about this long beside the measuring.

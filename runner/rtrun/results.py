@@ -16,8 +16,8 @@ from rtfiles.errors import UsageError
 from rtrun.figures import Figures, figures_of_histogram
 from rtrun.importers.histogram_file import ENDING, read_histogram
 from rtrun.logfile import read_log
+from rtrun.plan.suites import Value, suite
 from rtrun.samples import Count, read_json, read_samples
-from rtrun.suites import Value, suite
 
 RECORD = "run.json"
 MAIN_SERIES = ("measured", "jitter", "latency")  # what a suite is about; the others are seen from another side

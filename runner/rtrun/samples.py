@@ -16,7 +16,7 @@ from rtfiles.config import Config, ConfigT, parse
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
 from rtrun.figures import Figures, figures
-from rtrun.suites import Suite, Value, suite
+from rtrun.plan.suites import Suite, Value, suite
 
 MAX_JSON_BYTES = 16 << 20
 MAX_NPY_BYTES = 4 << 30

@@ -8,8 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from rtrun.figures import Figures
+from rtrun.plan.suites import Value, output_name, suite, suites
 from rtrun.results import MAIN_SERIES, RECORD, Result, Run, Runs
-from rtrun.suites import Value, output_name, suite, suites
 
 EMULATED = "EMULATED: not a real-time statement"
 NO_PREEMPT_RT = "NO PREEMPT_RT: this kernel promises no deadline"

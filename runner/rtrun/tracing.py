@@ -6,7 +6,7 @@ from pathlib import PurePosixPath
 
 from rtrun.errors import StillMeasuring, TargetError
 from rtrun.link import OUT_OF_REACH, Link
-from rtrun.suites import Value
+from rtrun.plan.suites import Value
 
 OPTIONS = ("break_trace_us", "trace_threshold_us")
 # So that the timestamps of a trace are those of the samples.

@@ -13,7 +13,7 @@ import pytest
 
 import rtgen.cli
 from rtrun import execute
-from rtrun.campaign import Campaign, plan
+from rtrun.plan.campaign import Campaign, plan
 from rtrun.ssh import Connection
 from rtrun.target import Target
 

@@ -17,8 +17,8 @@ import pytest
 import rtgen.cli
 import rtrun.cli
 from rtrun import execute, qmp, rundir, target
-from rtrun.campaign import read_campaign
 from rtrun.errors import TargetError, TargetGone
+from rtrun.plan.campaign import read_campaign
 from rtrun.results import read_run
 from rtrun.ssh import Connection
 from watching import Watching

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rtrun.campaign import Campaign, Run, plan
+from rtrun.plan.campaign import Campaign, Run, plan
 
 PROGRAM = """#!{python}
 import json, os, sys, time

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from rtrun.baseline import contradiction
-from rtrun.campaign import Campaign, plan
+from rtrun.plan.campaign import Campaign, plan
 
 SAID = """# /dev/cpu_dma_latency set to 0us
 # Histogram

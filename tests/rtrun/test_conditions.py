@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from rtrun import execute, prepare
-from rtrun.campaign import Campaign, plan
 from rtrun.errors import TargetError
+from rtrun.plan.campaign import Campaign, plan
 from rtrun.results import read_run
 from watching import Watching
 

@@ -6,9 +6,9 @@ import pytest
 from written import write_cyclic
 
 from rtfiles.errors import UsageError
-from rtrun import conditions
-from rtrun.campaign import Campaign, plan
 from rtrun.in_effect import mismatch, observed, read_looks, requested
+from rtrun.plan import conditions
+from rtrun.plan.campaign import Campaign, plan
 from rtrun.samples import Record, read_json
 
 STAT = "cpu {busy} 0 0 {idle} 0 0 0 0 0 0"

@@ -11,6 +11,7 @@ import pytest
 
 from rtrun import deploy, launch
 from rtrun.errors import DeadlineExpired, TargetError
+from rtrun.plan.program import Exit, Program
 
 pytestmark = pytest.mark.sshd
 
@@ -30,7 +31,7 @@ def folder(tmp_path):
 
 
 def sh(text, **more):
-    return launch.Program(name="p", argv=("sh", "-c", text), **more)
+    return Program(name="p", argv=("sh", "-c", text), **more)
 
 
 def start_and_wait(link, scripts, folder, program):
@@ -40,7 +41,7 @@ def start_and_wait(link, scripts, folder, program):
 
 def test_status_streams_and_environment(link, scripts, folder):
     program = sh('echo "out $GREETING"; echo err >&2; exit 3', environment=(("GREETING", "it's $me"),))
-    assert start_and_wait(link, scripts, folder, program) == launch.Exit(status=3, expired=False)
+    assert start_and_wait(link, scripts, folder, program) == Exit(status=3, expired=False)
     assert (folder / "p.stdout").read_text() == "out it's $me\n"
     assert (folder / "p.stderr").read_text() == "err\n"
     assert (folder / "p.boot_id").read_text() == Path("/proc/sys/kernel/random/boot_id").read_text()
@@ -123,7 +124,7 @@ def test_killed_supervisor_leaves_no_status(link, scripts, folder):
     while not (folder / "p.pid").exists() or not (folder / "p.pid").read_text().strip():
         assert time.monotonic() < deadline
     os.killpg(int((folder / "p.pid").read_text()), signal.SIGKILL)
-    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=20) == launch.Exit(status=None, expired=False)
+    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=20) == Exit(status=None, expired=False)
 
 
 def test_a_folder_that_is_not_there(link, scripts, tmp_path):
@@ -133,10 +134,8 @@ def test_a_folder_that_is_not_there(link, scripts, tmp_path):
 
 def test_what_was_given_up_is_not_started_any_more(link, scripts, folder, monkeypatch):
     """A start under way goes on when its connection is closed: its second program must not be left running."""
-    stubborn = launch.Program(
-        name="stubborn", argv=("sh", "-c", f"trap '' TERM; echo $$ >{folder}.first; sleep 60; sleep 60")
-    )
-    late = launch.Program(name="late", argv=("sh", "-c", f"echo $$ >{folder}.second; sleep 60"))
+    stubborn = Program(name="stubborn", argv=("sh", "-c", f"trap '' TERM; echo $$ >{folder}.first; sleep 60; sleep 60"))
+    late = Program(name="late", argv=("sh", "-c", f"echo $$ >{folder}.second; sleep 60"))
     with monkeypatch.context() as patch:
         real = launch.in_turn
         patch.setattr(launch, "in_turn", lambda commands: real([*commands[:1], ["sleep", "0.5"], *commands[1:]]))

@@ -1,7 +1,7 @@
 """The time left, as the bar tells it."""
 
 from rtrun import progress
-from rtrun.campaign import Campaign, plan
+from rtrun.plan.campaign import Campaign, plan
 
 RUNS = plan(
     Campaign(

@@ -7,8 +7,8 @@ import pytest
 from rich.console import Console
 
 from rtrun.figures import Figures, figures
+from rtrun.plan.suites import Value
 from rtrun.results import Result
-from rtrun.suites import Value
 from rtrun.table import EMULATED, NO_PREEMPT_RT, answer, table
 
 

@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the plan."""
-    from rtrun.campaign import read_campaign
+    from rtrun.plan.campaign import read_campaign
 
     _, runs = read_campaign(args.campaign)
     for each in runs:

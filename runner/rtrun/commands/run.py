@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.errors import InfrastructureError
     from rtrun import execute, progress, rundir, table
-    from rtrun.campaign import read_campaign
+    from rtrun.plan.campaign import read_campaign
     from rtrun.results import read_runs
     from rtrun.target import read_target, switch_on
 

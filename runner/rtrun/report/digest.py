@@ -11,8 +11,8 @@ from rtrun.analysis.deadline import Trials, hold, hold_histogram
 from rtrun.analysis.describe import Description, describe, describe_histogram
 from rtrun.analysis.extreme import Tail, tail_of
 from rtrun.analysis.histogram import Histogram, Int64s, from_samples
+from rtrun.plan.suites import Value
 from rtrun.report.load import Measured
-from rtrun.suites import Value
 
 _COLUMNS = 240
 # Half of the 1 ms by which the thesis found the negative cluster set off (section 4.2.2).

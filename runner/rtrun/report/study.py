@@ -11,10 +11,10 @@ from rtrun.analysis.blocks import Blocks, gather
 from rtrun.analysis.deadline import Verdict, judge
 from rtrun.analysis.extreme import Bound, worst_case
 from rtrun.analysis.histogram import Histogram, merge
+from rtrun.plan.suites import Value, suites
 from rtrun.report.digest import Digest, digest
 from rtrun.report.load import Source, find, measured
 from rtrun.results import Record
-from rtrun.suites import Value, suites
 
 DEADLINE_NS = 400_000  # of the thesis, section 4.1.2
 PROBABILITY = 1e-6

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtfiles.errors import UsageError
-from rtrun.suites import argv, check, log_names, output_name, read_log_name, suite, suites
+from rtrun.plan.suites import argv, check, log_names, output_name, read_log_name, suite, suites
 
 
 def test_every_default_is_a_value_its_option_takes() -> None:

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from rtfiles.config import Config, parse, read_yaml
 from rtfiles.errors import UsageError
-from rtrun import conditions, suites
+from rtrun.plan import conditions, suites
 
 SUBSCRIBERS_MAX = 64
 # The ROS master needs the priority above the suites' (thesis 4.4), and 99 belongs to the kernel.

@@ -10,8 +10,8 @@ from pydantic import Field
 
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
-from rtrun import launch
-from rtrun.suites import Option, Strings, Value
+from rtrun.plan.program import Program
+from rtrun.plan.suites import Option, Strings, Value
 
 FILE = Path(__file__).with_name("conditions.yml")
 IDLE = "idle"
@@ -55,7 +55,7 @@ class Conditions(Config):
 class Background:
     """A program beside the suite, and how many processes it must have, itself included."""
 
-    program: launch.Program
+    program: Program
     processes: int
 
 
@@ -129,7 +129,7 @@ def background(
         filled = [word.format_map(words | {"name": program, "number": number}) for word in argv]
         found.append(
             Background(
-                program=launch.Program(
+                program=Program(
                     name=program,
                     argv=tuple(filled),
                     environment=environment,

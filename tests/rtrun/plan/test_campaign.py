@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from rtfiles.errors import UsageError
-from rtrun.campaign import read_campaign
 from rtrun.cli import main
+from rtrun.plan.campaign import read_campaign
 
-CAMPAIGNS = Path(__file__).parents[2] / "campaigns"
+CAMPAIGNS = Path(__file__).parents[3] / "campaigns"
 
 
 def write(folder, text):
