@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from ports import free_port
-from rtrun.ssh import Address
+from rtrun.target.ssh import Address
 
 # A shell that starts us in the background lets us, and all we start, ignore Ctrl-C; the tests send it.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -14,8 +14,8 @@ from pydantic import Field
 
 from rtfiles.config import Config, parse
 from rtfiles.errors import UsageError
-from rtrun.errors import TargetError
-from rtrun.link import Link
+from rtrun.target.errors import TargetError
+from rtrun.target.link import Link
 
 FILE = "attempt.json"
 LIMIT_BYTES = 16 * 1024 * 1024

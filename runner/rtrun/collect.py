@@ -5,10 +5,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from rtrun import salvage
-from rtrun.errors import TargetError
-from rtrun.link import Link
 from rtrun.plan import suites
-from rtrun.ssh import Connection
+from rtrun.target.errors import TargetError
+from rtrun.target.link import Link
+from rtrun.target.ssh import Connection
 
 MIB = 1024 * 1024
 STREAM_LIMIT_BYTES = 16 * MIB

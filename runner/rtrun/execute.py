@@ -13,10 +13,10 @@ from typing import Protocol
 
 from rtfiles.errors import UsageError
 from rtrun import attempt, journal, measure, prepare, rundir
-from rtrun.link import Link, TargetRebooted
 from rtrun.plan.campaign import Run
-from rtrun.target import Target
-from rtrun.tracing import tracing
+from rtrun.target.config import Target
+from rtrun.target.kernel_trace import tracing
+from rtrun.target.link import Link, TargetRebooted
 
 # A board that restarts under every attempt will not carry this run.
 ATTEMPTS = 3

@@ -10,15 +10,16 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
-from rtrun import attempt, baseline, clock, collect, in_effect, launch, master, probe, rundir
+from rtrun import attempt, baseline, clock, collect, in_effect, rundir
 from rtrun.attempt import Attempt
-from rtrun.errors import DeadlineExpired, StillMeasuring, TargetError
 from rtrun.judge import judge
-from rtrun.link import OUT_OF_REACH, Link
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Run
 from rtrun.plan.program import Program
 from rtrun.prepare import Prepared
+from rtrun.target import inspection, processes, ros_master
+from rtrun.target.errors import DeadlineExpired, StillMeasuring, TargetError
+from rtrun.target.link import OUT_OF_REACH, Link
 
 TOPIC = "/communication_tests"
 SUBSCRIBER = "ct_subscriber"
@@ -127,11 +128,11 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
             raise
     try:
         exits = [
-            launch.wait(link, remote, program.name, deadline_s=program.deadline_s + 60.0)
+            processes.wait(link, remote, program.name, deadline_s=program.deadline_s + 60.0)
             for program in (*others, *waiting)
         ]
         # Asked before anything is ended, our own master with the rest, and told to whoever reads the run later.
-        master_pid = launch.once(link, remote, "master_pid", str(master.pid(link)))
+        master_pid = processes.once(link, remote, "master_pid", str(ros_master.pid(link)))
     except OUT_OF_REACH:
         raise
     except (KeyboardInterrupt, DeadlineExpired):
@@ -141,8 +142,8 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     except InfrastructureError as error:
         raise StillMeasuring(f"{error}; the run goes on and is picked up by the next call") from error
     state = ["sh", str(prepared.scripts / "state.sh")]
-    died, said = launch.end_beside(link, remote, names, helpers, state)
-    after = probe.parse_state(said)
+    died, said = processes.end_beside(link, remote, names, helpers, state)
+    after = inspection.parse_state(said)
     with rundir.filling(folder) as partial:
         refused = collect.pull(link, remote, partial, limits)
         if prepared.kernel_config:
@@ -183,7 +184,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
             "target": {
                 "name": link.target.name,
                 "address": str(link.target.address),
-                "preempt_rt": probe.is_preempt_rt(begun.before),
+                "preempt_rt": inspection.is_preempt_rt(begun.before),
                 "cpus": prepared.equipment.cpus,
                 **{key: begun.before.get(key) for key in ("kernel_release", "kernel_version", "machine", "boot_id")},
                 **{key: begun.before.get(key) for key in ("clocksource", "governor", "roscpp_version")},
@@ -199,7 +200,7 @@ def _begin(prepared: Prepared, remote: PurePosixPath, programs: Sequence[Program
     """Write down what the run begins with. Raises TargetError when nothing can be measured."""
     link = prepared.link
     start_time = now()
-    master_pid = master.pid(link)
+    master_pid = ros_master.pid(link)
     if master_pid is None:
         raise TargetError(f"{link.target.address}: the ROS master died")
     return attempt.begin(
@@ -209,17 +210,17 @@ def _begin(prepared: Prepared, remote: PurePosixPath, programs: Sequence[Program
         master_pid=master_pid,
         own_master=prepared.own_master,
         argv={program.name: program.argv for program in programs},
-        before=probe.state(link, prepared.scripts / "state.sh"),
+        before=inspection.state(link, prepared.scripts / "state.sh"),
     )
 
 
 def _load(prepared: Prepared, remote: PurePosixPath, run: Run, loads: Sequence[Program]) -> None:
     """Make the condition so. Raises TargetError when a load does not stay."""
     link = prepared.link
-    launch.start(link, prepared.scripts, remote, *loads, setup=prepared.equipment.setup)
+    processes.start(link, prepared.scripts, remote, *loads, setup=prepared.equipment.setup)
     time.sleep(LOADED_S)
-    for name in launch.ended(link, remote, [load.name for load in loads]):
-        said = launch.tail(link, remote / f"{name}.stderr") or "it said nothing"
+    for name in processes.ended(link, remote, [load.name for load in loads]):
+        said = processes.tail(link, remote / f"{name}.stderr") or "it said nothing"
         raise TargetError(f"{link.target.address}: condition {run.condition}: {name} does not run: {said}")
 
 
@@ -234,20 +235,22 @@ def _start(
     link, setup = prepared.link, prepared.equipment.setup
     waiting = [program.name for program in first[1:]]
     if not waiting:
-        launch.start(link, prepared.scripts, remote, *first, *others, setup=setup)
+        processes.start(link, prepared.scripts, remote, *first, *others, setup=setup)
         return
-    launch.start(link, prepared.scripts, remote, *first, setup=setup)
-    launch.until(
-        lambda: master.subscribers(link, TOPIC, token) >= len(waiting) or bool(launch.ended(link, remote, waiting)),
+    processes.start(link, prepared.scripts, remote, *first, setup=setup)
+    processes.until(
+        lambda: (
+            ros_master.subscribers(link, TOPIC, token) >= len(waiting) or bool(processes.ended(link, remote, waiting))
+        ),
         deadline_s=SUBSCRIBED_S,
         what=f"{link.target.address}: {len(waiting)} subscribers to register with the ROS master",
     )
-    launch.start(link, prepared.scripts, remote, *others, setup=setup)
+    processes.start(link, prepared.scripts, remote, *others, setup=setup)
 
 
 def _give_up(link: Link, remote: PurePosixPath, names: Sequence[str]) -> None:
     with contextlib.suppress(TargetError):
-        launch.give_up(link, remote, names)
+        processes.give_up(link, remote, names)
 
 
 def _left_to_pick_up(
@@ -272,5 +275,5 @@ def _left_to_pick_up(
         with rundir.filling(kept) as partial:
             collect.pull(link, remote, partial, limits)
             rundir.rename(partial, kept)
-    launch.give_up(link, remote, names)
+    processes.give_up(link, remote, names)
     return None

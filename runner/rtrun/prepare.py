@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from rtrun import deploy, master, probe
-from rtrun.errors import TargetError
-from rtrun.link import Link
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Run
+from rtrun.target import deploy, inspection, ros_master
+from rtrun.target.errors import TargetError
+from rtrun.target.link import Link
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,7 +18,7 @@ class Prepared:
     """A target with everything in place for runs."""
 
     link: Link
-    equipment: probe.Equipment
+    equipment: inspection.Equipment
     scripts: PurePosixPath
     programs: dict[str, str]
     kernel_config: bytes
@@ -29,7 +29,7 @@ class Prepared:
 def prepared(link: Link, owner: str, runs: Sequence[Run]) -> Iterator[Prepared]:
     """Put scripts and suites on the target and see to it that a ROS master answers while the context lasts."""
     target = link.target
-    equipment = probe.find(link, (deploy.ON_TARGET / "find.sh").read_text(encoding="utf-8"))
+    equipment = inspection.find(link, (deploy.ON_TARGET / "find.sh").read_text(encoding="utf-8"))
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     programs = equipment.programs
     if target.suites is not None:
@@ -39,7 +39,7 @@ def prepared(link: Link, owner: str, runs: Sequence[Run]) -> Iterator[Prepared]:
             for suite, described in suites.suites().suites.items()
             for program in described.programs
         }
-    kernel_config = probe.kernel_config(link)
+    kernel_config = inspection.kernel_config(link)
     programs = programs | _tools(link, scripts, runs, kernel_config)
     for run in runs:
         for program in (*suites.suite(run.suite).programs, *conditions.suites_programs(run.condition)):
@@ -49,7 +49,7 @@ def prepared(link: Link, owner: str, runs: Sequence[Run]) -> Iterator[Prepared]:
                     "name a folder of `rtgen suites build` as suites in the target file"
                 )
     priorities = [int(run.parameters["priority"] or 0) for run in runs if run.parameters.get("policy", "0") != "0"]
-    with master.running(link, scripts, equipment, owner, max(priorities) + 1 if priorities else None) as own_master:
+    with ros_master.running(link, scripts, equipment, owner, max(priorities) + 1 if priorities else None) as own_master:
         yield Prepared(
             link=link,
             equipment=equipment,

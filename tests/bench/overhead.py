@@ -14,8 +14,8 @@ import pytest
 import rtgen.cli
 from rtrun import execute
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.ssh import Connection
-from rtrun.target import Target
+from rtrun.target.config import Target
+from rtrun.target.ssh import Connection
 
 TOP = Path(__file__).parents[2]
 RUNS = 8

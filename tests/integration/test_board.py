@@ -16,11 +16,13 @@ import pytest
 
 import rtgen.cli
 import rtrun.cli
-from rtrun import execute, qmp, rundir, target
-from rtrun.errors import TargetError, TargetGone
+from rtrun import execute, rundir
 from rtrun.plan.campaign import read_campaign
 from rtrun.results import read_run
-from rtrun.ssh import Connection
+from rtrun.target import qemu, qmp
+from rtrun.target.config import read_target, switch_on
+from rtrun.target.errors import TargetError, TargetGone
+from rtrun.target.ssh import Connection
 from watching import Watching
 
 # The time limit counts for the fixture too: a cold board and the suites for it take some minutes.
@@ -126,14 +128,14 @@ def measure(tmp_path, act, results):
         "runs: [{suite: cyclic_timer_tests, frequency_hz: 10, repetitions: [10, 100, 11], policy: RR}]\n",
     )
     _, runs = read_campaign(campaign)
-    config = target.read_target(TOP / "targets" / "qemu.yml")
+    config = read_target(TOP / "targets" / "qemu.yml")
     machines = []
-    real = target.qemu.boot
+    real = qemu.boot
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(target.qemu, "boot", lambda *words: Remembering(real(*words), machines))
+        patch.setattr(qemu, "boot", lambda *words: Remembering(real(*words), machines))
         observer = Watching(lambda number: act(machines[0], number))
-        with target.switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
+        with switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
             try:
                 return runs, observer, execute.run_campaign(switched_on, "test", runs, results, observer)
             except TargetGone as error:
@@ -258,16 +260,16 @@ def test_traces_of_outliers_and_the_blocks_of_a_run_cut_off(tmp_path, monkeypatc
     _, runs = read_campaign(campaign)
     results = tmp_path / "results"
     machines, resets = [], []
-    real = target.qemu.boot
-    monkeypatch.setattr(target.qemu, "boot", lambda *words: Remembering(real(*words), machines))
+    real = qemu.boot
+    monkeypatch.setattr(qemu, "boot", lambda *words: Remembering(real(*words), machines))
 
     def act(number):
         if number == 1 and not resets:
             machine = machines[0]
             resets.append(when(machine, FIRST_BLOCK, lambda: qmp.execute(machine.monitor, "system_reset")))
 
-    config = target.read_target(TOP / "targets" / "qemu.yml")
-    with target.switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
+    config = read_target(TOP / "targets" / "qemu.yml")
+    with switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
         statuses = execute.run_campaign(switched_on, "test", runs, results, Watching(act))
         connection = Connection(switched_on.address)
         instances = connection.check(["ls", "/sys/kernel/tracing/instances"]).split()

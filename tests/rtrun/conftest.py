@@ -7,8 +7,8 @@ import pytest
 from faulty import write_faulty_suites
 
 from ports import free_port
-from rtrun.link import Link
-from rtrun.target import Target
+from rtrun.target.config import Target
+from rtrun.target.link import Link
 
 
 @pytest.fixture

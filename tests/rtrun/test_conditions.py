@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from rtrun import execute, prepare
-from rtrun.errors import TargetError
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results import read_run
+from rtrun.target.errors import TargetError
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]

@@ -15,12 +15,13 @@ import pytest
 from faulty import record, runs_of
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtrun import execute, master, prepare
+from rtrun import execute, prepare
 from rtrun import measure as measurement
 from rtrun.cli import main
-from rtrun.errors import TargetError, TargetGone
-from rtrun.link import Link
 from rtrun.results import read_run
+from rtrun.target import ros_master
+from rtrun.target.errors import TargetError, TargetGone
+from rtrun.target.link import Link
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
@@ -173,11 +174,11 @@ def test_a_master_that_is_there_is_used_and_left_alone(target, tmp_path, watchin
     state = json.loads((tmp_path / "results" / runs[0].name / "target.json").read_text())
     assert state["own_ros_master"] is False
     with Link(target, watching.notes.append) as link:
-        assert master.pid(link) is not None
+        assert ros_master.pid(link) is not None
 
 
 def test_a_port_that_is_no_master(bare_target, tmp_path, watching, wishes, monkeypatch):
-    monkeypatch.setattr(master, "START_S", 3.0)
+    monkeypatch.setattr(ros_master, "START_S", 3.0)
     with socket.create_server(("127.0.0.1", bare_target.ros_master_port)) as server:
         threading.Thread(target=answer_junk, args=(server,), daemon=True).start()
         with pytest.raises(TargetError, match="the ROS master did not start"):

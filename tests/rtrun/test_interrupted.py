@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 from faulty import record, runs_of
 
-from rtrun import execute, launch, master, rundir, ssh
+from rtrun import execute, rundir
 from rtrun import measure as measurement
-from rtrun.errors import ConnectionLost, DeadlineExpired, TargetError
-from rtrun.link import Link, TargetRebooted
+from rtrun.target import processes, ros_master, ssh
+from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
+from rtrun.target.link import Link, TargetRebooted
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
@@ -112,7 +113,7 @@ def test_what_goes_on_comes_first(target, tmp_path, wishes, monkeypatch, measure
     """A failed run is repeated after the one that an earlier call left, not beside it."""
     wishes.will("fail", "sleep 4")
     runs = runs_of(2)
-    real = launch.wait
+    real = processes.wait
 
     def wait(link, folder, name, **more):
         if "fq101" not in folder.name:
@@ -150,7 +151,7 @@ def test_a_load_that_ended_while_nobody_looked(target, wishes, monkeypatch, meas
 def test_a_link_lost_in_a_call_of_the_master(target, monkeypatch, measure, call):
     """It is not taken for a master that died."""
     calls = []
-    real = master._Tunnel.make_connection
+    real = ros_master._Tunnel.make_connection
 
     def breaking(self, host):
         made = real(self, host)
@@ -159,7 +160,7 @@ def test_a_link_lost_in_a_call_of_the_master(target, monkeypatch, measure, call)
             self._ssh._transport.sock.shutdown(socket.SHUT_RDWR)
         return made
 
-    monkeypatch.setattr(master._Tunnel, "make_connection", breaking)
+    monkeypatch.setattr(ros_master._Tunnel, "make_connection", breaking)
     watching = Watching()
     assert measure(target, runs_of(1), watching) == ["ok"]
     assert any("connecting again" in note for note in watching.notes)
@@ -205,7 +206,7 @@ def test_another_master_than_the_run_began_with(bare_target, tmp_path, wishes, m
 def test_a_run_whose_giving_up_was_cut_short_is_begun_anew(target, tmp_path, wishes, monkeypatch, measure, wish):
     wishes.will(wish)
     runs = runs_of(1)
-    real = launch.wait
+    real = processes.wait
 
     def interrupted(*args, **more):
         wishes.await_calls()
@@ -216,8 +217,8 @@ def test_a_run_whose_giving_up_was_cut_short_is_begun_anew(target, tmp_path, wis
     with monkeypatch.context() as patch:
         patch.setattr(measurement.launch, "wait", interrupted)
         # The last of its steps, the removal, does not happen.
-        real_turn = launch.in_turn
-        patch.setattr(launch, "in_turn", lambda commands: real_turn([each for each in commands if each[0] != "rm"]))
+        real_turn = processes.in_turn
+        patch.setattr(processes, "in_turn", lambda commands: real_turn([each for each in commands if each[0] != "rm"]))
         with pytest.raises(KeyboardInterrupt):
             measure(target, runs)
     assert list(Path(target.work_dir).rglob("given_up"))

@@ -19,7 +19,7 @@ from written import write_npy
 from rtfiles.errors import UsageError
 from rtrun import execute, rundir
 from rtrun import measure as measurement
-from rtrun.errors import ConnectionLost
+from rtrun.target.errors import ConnectionLost
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]

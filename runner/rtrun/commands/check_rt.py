@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtrun.check_rt import Finding
-    from rtrun.link import Link
+    from rtrun.target.link import Link
+    from rtrun.target.rt_readiness import Finding
 
 NAME = "check-rt"
 HELP = "list what stands in the way of real time on a running target, why, and the remedy"
@@ -27,13 +27,13 @@ def run(args: argparse.Namespace) -> int:
     import sys
     import tempfile
 
-    from rtrun import check_rt
-    from rtrun.link import Link
-    from rtrun.target import read_target, switch_on
+    from rtrun.target import rt_readiness
+    from rtrun.target.config import read_target, switch_on
+    from rtrun.target.link import Link
 
     config = read_target(args.target)
-    checks = check_rt.read_checks()
-    script = check_rt.SCRIPT.read_text(encoding="utf-8")
+    checks = rt_readiness.read_checks()
+    script = rt_readiness.SCRIPT.read_text(encoding="utf-8")
 
     def note(text: str) -> None:
         print(f"rtrun: {text}", file=sys.stderr)
@@ -43,11 +43,11 @@ def run(args: argparse.Namespace) -> int:
         switch_on(config, args.target.parent, Path(work) / "console.log") as target,
         Link(target, note) as link,
     ):
-        facts = check_rt.parse(link.do(lambda connection: connection.check(["sh", "-s"], stdin=script)))
+        facts = rt_readiness.parse(link.do(lambda connection: connection.check(["sh", "-s"], stdin=script)))
         if args.save_config:
             _save_config(link, args.save_config)
-    findings = check_rt.judge(checks, facts)
-    ready = check_rt.is_ready(findings)
+    findings = rt_readiness.judge(checks, facts)
+    ready = rt_readiness.is_ready(findings)
     if args.json:
         kernel = " ".join([*facts.get("kernel", []), *facts.get("kernel_version", [])])
         head = {"schema": 1, "target": target.name, "emulated": target.emulated, "kernel": kernel, "ready": ready}
@@ -61,10 +61,10 @@ def run(args: argparse.Namespace) -> int:
 def _save_config(link: "Link", path: Path) -> None:
     from rtfiles import atomic
     from rtfiles.errors import UsageError
-    from rtrun import probe
-    from rtrun.errors import TargetError
+    from rtrun.target import inspection
+    from rtrun.target.errors import TargetError
 
-    packed = probe.kernel_config(link)
+    packed = inspection.kernel_config(link)
     if not packed:
         raise TargetError(
             f"{link.target.address}: the kernel keeps no configuration, neither /proc/config.gz nor /boot"
@@ -88,7 +88,7 @@ def _as_json(finding: "Finding") -> dict[str, Any]:
 
 
 def _print(target: str, emulated: bool, findings: "list[Finding]") -> None:
-    from rtrun.check_rt import SEVERITIES, SHOWN_LINES
+    from rtrun.target.rt_readiness import SEVERITIES, SHOWN_LINES
 
     faults = [each for each in findings if each.status == "fault"]
     unknown = [each for each in findings if each.status == "unknown"]

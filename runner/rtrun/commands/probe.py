@@ -20,9 +20,9 @@ def run(args: argparse.Namespace) -> int:
     import tempfile
     from dataclasses import asdict
 
-    from rtrun import deploy, master, probe
-    from rtrun.link import Link
-    from rtrun.target import read_target, switch_on
+    from rtrun.target import deploy, inspection, ros_master
+    from rtrun.target.config import read_target, switch_on
+    from rtrun.target.link import Link
 
     config = read_target(args.target)
 
@@ -34,9 +34,9 @@ def run(args: argparse.Namespace) -> int:
         switch_on(config, args.target.parent, Path(work) / "console.log") as target,
         Link(target, note) as link,
     ):
-        found = probe.find(link, (deploy.ON_TARGET / "find.sh").read_text(encoding="utf-8"))
-        state = probe.state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
-        answers = master.pid(link) is not None
+        found = inspection.find(link, (deploy.ON_TARGET / "find.sh").read_text(encoding="utf-8"))
+        state = inspection.state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
+        answers = ros_master.pid(link) is not None
     if args.json:
         print(json.dumps({"equipment": asdict(found), "ros_master_answers": answers, "state": state}, indent=2))
         return 0
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     lines = {
         "target": f"{target.name} ({target.address}){banner}",
         "kernel": f"{state['kernel_release']} {state['kernel_version']}",
-        "PREEMPT_RT": "yes" if probe.is_preempt_rt(state) else "no",
+        "PREEMPT_RT": "yes" if inspection.is_preempt_rt(state) else "no",
         "CPUs": f"{found.cpus} x {state['machine']}",
         "clocksource": state["clocksource"] or "unknown",
         "governor": state["governor"] or "none",

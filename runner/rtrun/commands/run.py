@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun import execute, progress, rundir, table
     from rtrun.plan.campaign import read_campaign
     from rtrun.results import read_runs
-    from rtrun.target import read_target, switch_on
+    from rtrun.target.config import read_target, switch_on
 
     campaign, runs = read_campaign(args.campaign)
     config = read_target(args.target)

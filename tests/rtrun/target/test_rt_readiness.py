@@ -11,8 +11,8 @@ import pytest
 
 from rtfiles.config import parse as parse_config
 from rtfiles.errors import UsageError
-from rtrun import check_rt
 from rtrun.cli import main
+from rtrun.target import rt_readiness
 
 # A PandaBoard ES as omap2plus_defconfig leaves it, with everything wrong that can be.
 BAD = """\
@@ -121,14 +121,14 @@ nop
 
 
 def findings(text):
-    return check_rt.judge(check_rt.read_checks(), check_rt.parse(text))
+    return rt_readiness.judge(rt_readiness.read_checks(), rt_readiness.parse(text))
 
 
 def test_every_check_finds_its_fault_on_a_bad_system():
     found = findings(BAD)
     assert {each.check.name for each in found if each.status != "fault"} == set()
-    assert not check_rt.is_ready(found)
-    severities = [check_rt.SEVERITIES.index(each.check.severity) for each in found]
+    assert not rt_readiness.is_ready(found)
+    severities = [rt_readiness.SEVERITIES.index(each.check.severity) for each in found]
     assert severities == sorted(severities)
     shown = {each.check.name: each.found for each in found}
     assert shown["idle states"] == ("768 us to leave C2 (cpu0/cpuidle/state1)",)
@@ -139,18 +139,18 @@ def test_every_check_finds_its_fault_on_a_bad_system():
 def test_no_check_finds_fault_on_a_good_system():
     found = findings(GOOD)
     assert [(each.check.name, each.found) for each in found if each.status != "ok"] == []
-    assert check_rt.is_ready(found)
+    assert rt_readiness.is_ready(found)
 
 
 @pytest.mark.parametrize("version", ["#1 SMP PREEMPT_RT Debian 6.1.176-1", "#1 SMP PREEMPT RT Thu Apr 24 2014"])
 def test_both_ways_a_kernel_says_rt(version):
-    facts = check_rt.parse(GOOD) | {"kernel_version": [version]}
-    assert check_rt.is_ready(check_rt.judge(check_rt.read_checks(), facts))
+    facts = rt_readiness.parse(GOOD) | {"kernel_version": [version]}
+    assert rt_readiness.is_ready(rt_readiness.judge(rt_readiness.read_checks(), facts))
 
 
 def test_preempt_dynamic_is_not_rt():
-    facts = check_rt.parse(GOOD) | {"kernel_version": ["#1 SMP PREEMPT_DYNAMIC"]}
-    found = check_rt.judge(check_rt.read_checks(), facts)
+    facts = rt_readiness.parse(GOOD) | {"kernel_version": ["#1 SMP PREEMPT_DYNAMIC"]}
+    found = rt_readiness.judge(rt_readiness.read_checks(), facts)
     assert (found[0].check.name, found[0].status) == ("PREEMPT_RT", "fault")
 
 
@@ -160,10 +160,10 @@ def test_a_target_that_tells_nothing_is_unknown_and_not_praised():
 
 
 def test_what_a_target_says_cannot_drive_a_terminal():
-    facts = check_rt.parse(BAD) | {"turbo_mode": ["Y\x1b[2J" + "x" * 500]}
-    found = {each.check.name: each.found for each in check_rt.judge(check_rt.read_checks(), facts)}
+    facts = rt_readiness.parse(BAD) | {"turbo_mode": ["Y\x1b[2J" + "x" * 500]}
+    found = {each.check.name: each.found for each in rt_readiness.judge(rt_readiness.read_checks(), facts)}
     (line,) = found["smsc95xx turbo_mode"]
-    assert line.startswith("Y?[2J") and len(line) == check_rt.SHOWN_CHARACTERS
+    assert line.startswith("Y?[2J") and len(line) == rt_readiness.SHOWN_CHARACTERS
 
 
 def test_a_check_with_two_expressions_is_refused():
@@ -178,7 +178,7 @@ def test_a_check_with_two_expressions_is_refused():
         "remedy": "r",
     }
     with pytest.raises(UsageError, match="give one of none and some"):
-        parse_config({"schema": 1, "checks": [check]}, check_rt.Checks, "here")
+        parse_config({"schema": 1, "checks": [check]}, rt_readiness.Checks, "here")
 
 
 @pytest.mark.parametrize("shell", ["dash", "bash --posix"])
@@ -186,12 +186,12 @@ def test_the_script_needs_nothing_but_a_shell(shell):
     """Without a single program in PATH, and with: the same facts; and every fact that a check looks at is there."""
     path = {"PATH": "/nonexistent"}
     bare = subprocess.run(
-        [f"/bin/{shell.split()[0]}", *shell.split()[1:], check_rt.SCRIPT],
+        [f"/bin/{shell.split()[0]}", *shell.split()[1:], rt_readiness.SCRIPT],
         env=path, capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert bare.stderr == ""
-    facts = check_rt.parse(bare.stdout)
-    assert {check.fact for check in check_rt.read_checks()} <= facts.keys()
+    facts = rt_readiness.parse(bare.stdout)
+    assert {check.fact for check in rt_readiness.read_checks()} <= facts.keys()
     kernel = subprocess.run(["uname", "-r", "-v"], capture_output=True, text=True, check=True).stdout.strip()
     assert " ".join(facts["kernel"] + facts["kernel_version"]) == kernel
     assert {line.split(" ", 2)[2] for line in facts["threads"]} >= {name for name in rt_threads() if name}
@@ -218,7 +218,7 @@ def test_command_over_ssh(sshd, tmp_path, capsys):
     status = main(["check-rt", str(path), "--json"])
     told = json.loads(capsys.readouterr().out)
     assert status == (0 if told["ready"] else 1)
-    assert len(told["checks"]) == len(check_rt.read_checks()) and told["emulated"] is False
+    assert len(told["checks"]) == len(rt_readiness.read_checks()) and told["emulated"] is False
     assert all({"name", "severity", "status", "found", "why", "remedy"} == each.keys() for each in told["checks"])
     rt = next(each for each in told["checks"] if each["name"] == "PREEMPT_RT")
     uname = subprocess.run(["uname", "-v"], capture_output=True, text=True, check=True).stdout
@@ -232,12 +232,12 @@ def test_command_over_ssh(sshd, tmp_path, capsys):
 
 @pytest.mark.sshd
 def test_save_config(sshd, tmp_path, capsys):
-    from rtrun import probe
+    from rtrun.target import inspection
 
     saved = tmp_path / "config.gz"
     main(["check-rt", str(target_file(sshd, tmp_path)), "--save-config", str(saved)])
     capsys.readouterr()
-    text = subprocess.run(["sh", "-c", probe._KERNEL_CONFIG], capture_output=True, text=True, check=True).stdout
+    text = subprocess.run(["sh", "-c", inspection._KERNEL_CONFIG], capture_output=True, text=True, check=True).stdout
     if text:
         assert gzip.decompress(saved.read_bytes()).decode() == text
     else:

@@ -1,4 +1,4 @@
-"""What stands in the way of real time on a running target: facts from a shell script, held against check_rt.yml."""
+"""What stands in the way of real time on a running target: facts from a shell script, held against rt_readiness.yml."""
 
 import re
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from rtfiles.config import Config, load
 
 DATA = Path(__file__).with_suffix(".yml")
-SCRIPT = Path(__file__).parent / "on_target" / "check_rt.sh"
+SCRIPT = Path(__file__).parents[1] / "on_target" / "check_rt.sh"
 
 Severity = Literal["fatal", "high", "medium", "info"]
 SEVERITIES: tuple[Severity, ...] = ("fatal", "high", "medium", "info")
@@ -42,7 +42,7 @@ class Check(Config):
 
 
 class Checks(Config):
-    """check_rt.yml."""
+    """rt_readiness.yml."""
 
     schema_: Literal[1] = Field(alias="schema")
     checks: list[Check]
@@ -58,7 +58,7 @@ class Finding:
 
 
 def read_checks() -> list[Check]:
-    """Read check_rt.yml."""
+    """Read rt_readiness.yml."""
     return load(DATA, Checks).checks
 
 

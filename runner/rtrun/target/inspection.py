@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 
-from rtrun.errors import TargetError
-from rtrun.link import Link
+from rtrun.target.errors import TargetError
+from rtrun.target.link import Link
 
 _KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -r) 2>/dev/null; exit 0"
 # Numbers of sched_setscheduler(2), as in field 41 of /proc/<pid>/stat (proc(5)).

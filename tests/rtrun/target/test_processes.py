@@ -9,9 +9,9 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
-from rtrun import deploy, launch
-from rtrun.errors import DeadlineExpired, TargetError
 from rtrun.plan.program import Exit, Program
+from rtrun.target import deploy, processes
+from rtrun.target.errors import DeadlineExpired, TargetError
 
 pytestmark = pytest.mark.sshd
 
@@ -35,8 +35,8 @@ def sh(text, **more):
 
 
 def start_and_wait(link, scripts, folder, program):
-    launch.start(link, scripts, PurePosixPath(folder), program)
-    return launch.wait(link, PurePosixPath(folder), program.name, deadline_s=60)
+    processes.start(link, scripts, PurePosixPath(folder), program)
+    return processes.wait(link, PurePosixPath(folder), program.name, deadline_s=60)
 
 
 def test_status_streams_and_environment(link, scripts, folder):
@@ -49,8 +49,8 @@ def test_status_streams_and_environment(link, scripts, folder):
 
 def test_setup_file_is_read_first(link, scripts, folder):
     (folder / "setup.sh").write_text("export GREETING=$NOT_SET_ANYWHERE-hello\n")
-    launch.start(link, scripts, PurePosixPath(folder), sh("echo $GREETING"), setup=str(folder / "setup.sh"))
-    launch.wait(link, PurePosixPath(folder), "p", deadline_s=60)
+    processes.start(link, scripts, PurePosixPath(folder), sh("echo $GREETING"), setup=str(folder / "setup.sh"))
+    processes.wait(link, PurePosixPath(folder), "p", deadline_s=60)
     assert (folder / "p.stdout").read_text() == "-hello\n"
 
 
@@ -62,19 +62,19 @@ def test_it_is_in_a_session_of_its_own(link, scripts, folder):
 
 def test_starting_again_starts_nothing(link, scripts, folder):
     program = sh(f"echo once >>{folder}/count; sleep 0.3")
-    launch.start(link, scripts, PurePosixPath(folder), program)
-    launch.start(link, scripts, PurePosixPath(folder), program)
-    launch.wait(link, PurePosixPath(folder), "p", deadline_s=60)
-    launch.start(link, scripts, PurePosixPath(folder), program)
-    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=60).status == 0
+    processes.start(link, scripts, PurePosixPath(folder), program)
+    processes.start(link, scripts, PurePosixPath(folder), program)
+    processes.wait(link, PurePosixPath(folder), "p", deadline_s=60)
+    processes.start(link, scripts, PurePosixPath(folder), program)
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=60).status == 0
     assert (folder / "count").read_text() == "once\n"
 
 
 def test_it_survives_a_lost_link_and_is_found_again(link, scripts, folder, remarks):
-    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 1.5; exit 5"))
+    processes.start(link, scripts, PurePosixPath(folder), sh("sleep 1.5; exit 5"))
     cut = threading.Timer(0.4, lambda: link._connection._transport.sock.shutdown(socket.SHUT_RDWR))
     cut.start()
-    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=60).status == 5
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=60).status == 5
     assert any("connection broke" in remark for remark in remarks)
 
 
@@ -87,19 +87,19 @@ def test_the_target_ends_what_takes_too_long(link, scripts, folder):
 
 
 def test_waiting_has_a_deadline_of_its_own(link, scripts, folder):
-    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
+    processes.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
     with pytest.raises(DeadlineExpired):
-        launch.wait(link, PurePosixPath(folder), "p", deadline_s=0.5)
-    launch.end(link, PurePosixPath(folder), "p")
-    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=20).status is None
+        processes.wait(link, PurePosixPath(folder), "p", deadline_s=0.5)
+    processes.end(link, PurePosixPath(folder), "p")
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=20).status is None
 
 
 def test_end_takes_the_whole_group_even_the_stubborn(link, scripts, folder):
     text = f"trap '' TERM; (trap '' TERM; echo $$ >{folder}/child; sleep 300; sleep 300) & wait; sleep 300"
-    launch.start(link, scripts, PurePosixPath(folder), sh(text))
+    processes.start(link, scripts, PurePosixPath(folder), sh(text))
     while not (folder / "child").exists():
         time.sleep(0.02)
-    launch.end(link, PurePosixPath(folder), "p")
+    processes.end(link, PurePosixPath(folder), "p")
     group = int((folder / "p.pid").read_text())
     deadline = time.monotonic() + 20
     while True:
@@ -112,24 +112,24 @@ def test_end_takes_the_whole_group_even_the_stubborn(link, scripts, folder):
 
 
 def test_end_leaves_a_pid_of_another_boot_alone(link, scripts, folder):
-    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 1; exit 4"))
+    processes.start(link, scripts, PurePosixPath(folder), sh("sleep 1; exit 4"))
     (folder / "p.boot_id").write_text("00000000-0000-0000-0000-000000000000\n")
-    launch.end(link, PurePosixPath(folder), "p")
-    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=20).status == 4
+    processes.end(link, PurePosixPath(folder), "p")
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=20).status == 4
 
 
 def test_killed_supervisor_leaves_no_status(link, scripts, folder):
-    launch.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
+    processes.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
     deadline = time.monotonic() + 20
     while not (folder / "p.pid").exists() or not (folder / "p.pid").read_text().strip():
         assert time.monotonic() < deadline
     os.killpg(int((folder / "p.pid").read_text()), signal.SIGKILL)
-    assert launch.wait(link, PurePosixPath(folder), "p", deadline_s=20) == Exit(status=None, expired=False)
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=20) == Exit(status=None, expired=False)
 
 
 def test_a_folder_that_is_not_there(link, scripts, tmp_path):
     with pytest.raises(TargetError, match=r"failed with exit status \d+: .*can't cd to .*gone"):
-        launch.start(link, scripts, PurePosixPath(tmp_path / "gone"), sh("true"))
+        processes.start(link, scripts, PurePosixPath(tmp_path / "gone"), sh("true"))
 
 
 def test_what_was_given_up_is_not_started_any_more(link, scripts, folder, monkeypatch):
@@ -137,13 +137,13 @@ def test_what_was_given_up_is_not_started_any_more(link, scripts, folder, monkey
     stubborn = Program(name="stubborn", argv=("sh", "-c", f"trap '' TERM; echo $$ >{folder}.first; sleep 60; sleep 60"))
     late = Program(name="late", argv=("sh", "-c", f"echo $$ >{folder}.second; sleep 60"))
     with monkeypatch.context() as patch:
-        real = launch.in_turn
-        patch.setattr(launch, "in_turn", lambda commands: real([*commands[:1], ["sleep", "0.5"], *commands[1:]]))
-        starting = threading.Thread(target=launch.start, args=(link, scripts, PurePosixPath(folder), stubborn, late))
+        real = processes.in_turn
+        patch.setattr(processes, "in_turn", lambda commands: real([*commands[:1], ["sleep", "0.5"], *commands[1:]]))
+        starting = threading.Thread(target=processes.start, args=(link, scripts, PurePosixPath(folder), stubborn, late))
         starting.start()
         while not Path(f"{folder}.first").exists():
             time.sleep(0.02)
-    launch.give_up(link, PurePosixPath(folder), ["stubborn", "late"])
+    processes.give_up(link, PurePosixPath(folder), ["stubborn", "late"])
     starting.join()
     assert not folder.exists()
     time.sleep(0.5)
@@ -154,5 +154,5 @@ def test_the_clock_on_the_wall_does_not_tell_who_died(link, folder):
     for name, uptime in (("sampler", "100.07"), ("suite", "100.08"), ("load", "100.10")):
         (folder / f"{name}.exit").write_text(f"0 {uptime}\n")
         os.utime(folder / f"{name}.exit", (1e9, 1e9 - float(uptime)))
-    died, _ = launch.end_beside(link, PurePosixPath(folder), ["suite"], ["sampler", "load"], ["true"])
+    died, _ = processes.end_beside(link, PurePosixPath(folder), ["suite"], ["sampler", "load"], ["true"])
     assert died == {"sampler": "0"}

@@ -5,7 +5,7 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from rtrun.errors import TargetGone
+from rtrun.target.errors import TargetGone
 
 
 def execute(path: Path, command: str, arguments: dict[str, Any] | None = None, *, timeout_s: float = 10.0) -> Any:

@@ -4,9 +4,9 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 
-from rtrun.errors import StillMeasuring, TargetError
-from rtrun.link import OUT_OF_REACH, Link
 from rtrun.plan.suites import Value
+from rtrun.target.errors import StillMeasuring, TargetError
+from rtrun.target.link import OUT_OF_REACH, Link
 
 OPTIONS = ("break_trace_us", "trace_threshold_us")
 # So that the timestamps of a trace are those of the samples.

@@ -4,10 +4,10 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import PurePosixPath
 
-from rtrun.errors import DeadlineExpired, TargetError
-from rtrun.link import Link
 from rtrun.plan.program import Exit, Program
-from rtrun.ssh import in_turn
+from rtrun.target.errors import DeadlineExpired, TargetError
+from rtrun.target.link import Link
+from rtrun.target.ssh import in_turn
 
 # One wait lasts at most this long, so that a board that died is noticed while we wait.
 WAIT_S = 15.0

@@ -18,7 +18,7 @@ from typing import IO
 
 import paramiko
 
-from rtrun.errors import ConnectionLost, DeadlineExpired, TargetError
+from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
 
 # Enough to see a silent link die within about 20 s, rare enough not to disturb a measurement.
 KEEPALIVE_S = 10

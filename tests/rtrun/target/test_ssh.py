@@ -10,8 +10,8 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
-from rtrun.errors import ConnectionLost, DeadlineExpired, TargetError
-from rtrun.ssh import Address, Connection
+from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
+from rtrun.target.ssh import Address, Connection
 
 pytestmark = pytest.mark.sshd
 

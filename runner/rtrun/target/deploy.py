@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import UsageError
-from rtrun.errors import TargetError
-from rtrun.link import Link
-from rtrun.ssh import Connection
+from rtrun.target.errors import TargetError
+from rtrun.target.link import Link
+from rtrun.target.ssh import Connection
 
-ON_TARGET = Path(__file__).with_name("on_target")
+ON_TARGET = Path(__file__).parents[1] / "on_target"
 UPLOAD_DEADLINE_S = 120.0
 
 _MISSING = 'cd "$1" && shift && for object; do [ -e "$object" ] || echo "$object"; done'

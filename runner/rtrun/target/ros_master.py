@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from pathlib import PurePosixPath
 from typing import Any
 
-from rtrun import launch
-from rtrun.errors import ConnectionLost, StillMeasuring, TargetError
-from rtrun.link import Link
 from rtrun.plan.program import Program
-from rtrun.probe import Equipment
-from rtrun.ssh import Connection
+from rtrun.target import processes
+from rtrun.target.errors import ConnectionLost, StillMeasuring, TargetError
+from rtrun.target.inspection import Equipment
+from rtrun.target.link import Link
+from rtrun.target.ssh import Connection
 
 NAME = "rosmaster"
 START_S = 60.0
@@ -97,7 +97,7 @@ def running(
                 f"{target.address}: no ROS on the target: neither /opt/ros/*/bin/rosmaster "
                 "nor /usr/bin/rosmaster is there, install ROS with rosmaster"
             )
-        launch.end(link, folder, NAME)
+        processes.end(link, folder, NAME)
         link.do(lambda connection: connection.check(["sh", "-c", 'rm -rf "$1" && mkdir -p "$1"', "sh", str(folder)]))
         argv = [equipment.master, "--core", "-p", str(target.ros_master_port)]
         if priority is not None:
@@ -109,7 +109,7 @@ def running(
             deadline_s=LIFE_S,
         )
         ours = True
-        launch.start(link, scripts, folder, program, setup=equipment.setup)
+        processes.start(link, scripts, folder, program, setup=equipment.setup)
     try:
         if ours:
             _wait_ready(link, folder)
@@ -120,7 +120,7 @@ def running(
     finally:
         if ours:
             with contextlib.suppress(TargetError):
-                launch.end(link, folder, NAME)
+                processes.end(link, folder, NAME)
                 link.do(lambda connection: connection.run(["rm", "-rf", str(folder)]))
 
 
@@ -134,6 +134,6 @@ def _wait_ready(link: Link, folder: PurePosixPath) -> None:
     deadline = time.monotonic() + START_S
     while pid(link) is None:
         if not _is_held(link, folder) or time.monotonic() >= deadline:
-            said = launch.tail(link, folder / f"{NAME}.stderr") or "it said nothing"
+            said = processes.tail(link, folder / f"{NAME}.stderr") or "it said nothing"
             raise TargetError(f"{link.target.address}: the ROS master did not start: {said}")
         time.sleep(0.1)

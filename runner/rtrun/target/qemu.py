@@ -14,9 +14,9 @@ from pydantic import Field
 
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
-from rtrun import qmp
-from rtrun.errors import TargetError, TargetGone
-from rtrun.ssh import Address
+from rtrun.target import qmp
+from rtrun.target.errors import TargetError, TargetGone
+from rtrun.target.ssh import Address
 
 STOP_S = 5.0
 

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self, TypeVar
 
-from rtrun.errors import ConnectionLost, TargetError, TargetGone
-from rtrun.ssh import Connection
-from rtrun.target import Target
+from rtrun.target.config import Target
+from rtrun.target.errors import ConnectionLost, TargetError, TargetGone
+from rtrun.target.ssh import Connection
 
 RETRY_S = 0.5
 CONNECT_S = 10.0

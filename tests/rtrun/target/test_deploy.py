@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from rtfiles.errors import UsageError
-from rtrun import deploy
-from rtrun.errors import TargetError
-from rtrun.ssh import Connection
+from rtrun.target import deploy
+from rtrun.target.errors import TargetError
+from rtrun.target.ssh import Connection
 
 pytestmark = pytest.mark.sshd
 

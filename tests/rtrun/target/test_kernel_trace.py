@@ -5,15 +5,17 @@ from pathlib import Path
 
 import pytest
 from faulty import record, runs_of
-from test_execute import Watching, measure
 
-from rtrun import execute, launch
-from rtrun.errors import TargetError
+from rtrun import execute
+from rtrun.target import processes
+from rtrun.target.deploy import ON_TARGET
+from rtrun.target.errors import TargetError
+from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
 
 INSTANCE = Path("/sys/kernel/tracing/instances/rtrun")
-SCRIPT = Path(execute.__file__).parent / "on_target" / "trace.sh"
+SCRIPT = ON_TARGET / "trace.sh"
 
 
 @pytest.fixture
@@ -30,7 +32,7 @@ def target(ready_target):
 def test_traces_come_with_the_run(target, tmp_path, watching, wishes, clock, kernels):
     wishes.will("traced 3 8")
     (run,) = runs = runs_of(1, trace_threshold_us=50, clock=clock)
-    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
+    assert list(execute.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == ["ok"]
     traces = sorted(name for name in record(tmp_path / "results", run)["files"] if "trace" in name)
     assert traces == ["cyclic_timer_tests_l10_fq100-trace-3.txt", "cyclic_timer_tests_l10_fq100-trace-8.txt"]
     # The instance was there while the suite ran, on the clock of the samples.
@@ -41,16 +43,16 @@ def test_traces_come_with_the_run(target, tmp_path, watching, wishes, clock, ker
 def test_more_traces_than_a_suite_takes_are_not_pulled(target, tmp_path, watching, wishes):
     wishes.will("traced " + " ".join(map(str, range(40))))
     (run,) = runs = runs_of(1, break_trace_us=50)
-    measure(target, runs, tmp_path / "results", watching)
+    execute.run_campaign(target, "test", runs, tmp_path / "results", watching)
     assert len([name for name in record(tmp_path / "results", run)["files"] if "trace" in name]) == 16
 
 
 @pytest.mark.parametrize("wish", ["fail", "killed"])
 def test_a_suite_that_fails_leaves_no_trace_set_up(target, tmp_path, watching, wishes, wish):
     wishes.will(wish)
-    assert list(measure(target, runs_of(1, trace_threshold_us=50), tmp_path / "results", watching).values()) == [
-        "failed"
-    ]
+    assert list(
+        execute.run_campaign(target, "test", runs_of(1, trace_threshold_us=50), tmp_path / "results", watching).values()
+    ) == ["failed"]
     assert not INSTANCE.exists()
 
 
@@ -64,12 +66,12 @@ def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watchin
 
     runs = runs_of(1, trace_threshold_us=50)
     with monkeypatch.context() as patch:
-        patch.setattr(launch, "wait", wait)
+        patch.setattr(processes, "wait", wait)
         with pytest.raises(type(error) if isinstance(error, Exception) else error):
-            measure(target, runs, tmp_path / "results", watching)
+            execute.run_campaign(target, "test", runs, tmp_path / "results", watching)
     assert seen == [True]
     assert INSTANCE.exists() is (error is not KeyboardInterrupt), "what goes on goes on with its trace"
-    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
+    assert list(execute.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == ["ok"]
     assert not INSTANCE.exists()
     if error is not KeyboardInterrupt:
         assert len(wishes.calls()) == 1, "an error of ours is no reason to give up what measures"
@@ -77,7 +79,7 @@ def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watchin
 
 def test_what_a_killed_runner_left_is_gone_with_the_next_campaign(target, tmp_path, watching, wishes):
     subprocess.run([SCRIPT, "up", "mono"], check=True)
-    measure(target, runs_of(1), tmp_path / "results", watching)
+    execute.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
     assert not INSTANCE.exists()
 
 
@@ -116,5 +118,5 @@ def test_a_target_that_cannot_trace_says_so(target, tmp_path, watching, monkeypa
 def test_a_part_of_a_suite_that_was_killed_comes_as_samples(target, tmp_path, watching, wishes):
     wishes.will("part")
     (run,) = runs = runs_of(1)
-    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["failed"]
+    assert list(execute.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == ["failed"]
     assert "cyclic_timer_tests_l10_fq100.npy" in record(tmp_path / "results", run)["files"]

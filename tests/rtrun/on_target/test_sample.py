@@ -5,7 +5,7 @@ import signal
 import subprocess
 import time
 
-from rtrun.deploy import ON_TARGET
+from rtrun.target.deploy import ON_TARGET
 
 SAMPLERS = 40
 

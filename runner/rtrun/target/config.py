@@ -10,9 +10,9 @@ from pydantic import Field
 
 from rtfiles.config import Config, parse, read_yaml
 from rtfiles.errors import UsageError
-from rtrun import qemu
-from rtrun.errors import TargetGone
-from rtrun.ssh import Address
+from rtrun.target import qemu
+from rtrun.target.errors import TargetGone
+from rtrun.target.ssh import Address
 
 
 class _Common(Config):
