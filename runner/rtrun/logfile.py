@@ -13,8 +13,8 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.describe import LISTED
+from rtrun.analysis.figures import Figures, Ranked, figures_of_histogram
 from rtrun.analysis.histogram import Histogram, Int64s
-from rtrun.figures import Figures, Ranked, figures_of_histogram
 from rtrun.logtext import COUNTS, SUITES, Printed, Text, read_text
 from rtrun.plan.suites import LogName, Value, read_log_name
 

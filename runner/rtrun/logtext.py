@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO, NoReturn
 
 from rtfiles.errors import UsageError
-from rtrun.figures import Ranked
+from rtrun.analysis.figures import Ranked
 
 MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
 MAX_LINE_BYTES = 1 << 20

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from rtfiles.config import Config
 from rtfiles.errors import UsageError
-from rtrun.figures import Figures, figures_of_histogram
+from rtrun.analysis.figures import Figures, figures_of_histogram
 from rtrun.importers.histogram_file import ENDING, read_histogram
 from rtrun.logfile import read_log
 from rtrun.plan.suites import Value, suite

@@ -14,8 +14,8 @@ from pydantic import Field
 
 from rtfiles.config import Config, ConfigT, parse
 from rtfiles.errors import UsageError
+from rtrun.analysis.figures import Figures, figures
 from rtrun.analysis.histogram import Int64s
-from rtrun.figures import Figures, figures
 from rtrun.plan.suites import Suite, Value, suite
 
 MAX_JSON_BYTES = 16 << 20

@@ -7,7 +7,7 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from rtrun.figures import Figures
+from rtrun.analysis.figures import Figures
 from rtrun.plan.suites import Value, output_name, suite, suites
 from rtrun.results import MAIN_SERIES, RECORD, Result, Run, Runs
 

@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtrun.analysis.figures import Ranked, figures, figures_of_histogram
 from rtrun.analysis.histogram import Histogram
-from rtrun.figures import Ranked, figures, figures_of_histogram
 
 NS = st.integers(-(2**50), 2**50)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from rtrun.figures import Figures, figures
+from rtrun.analysis.figures import Figures, figures
 from rtrun.plan.suites import Value
 from rtrun.results import Result
 from rtrun.table import EMULATED, NO_PREEMPT_RT, answer, table
