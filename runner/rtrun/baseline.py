@@ -4,9 +4,9 @@ from pathlib import Path
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
-from rtrun.importers import cyclictest
-from rtrun.importers.histogram_file import ENDING, histogram_text
 from rtrun.plan.campaign import Run
+from rtrun.results.importers import cyclictest
+from rtrun.results.importers.histogram_file import ENDING, histogram_text
 
 
 def contradiction(run: Run, said: str) -> str | None:

@@ -4,8 +4,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
-from rtrun import salvage
 from rtrun.plan import suites
+from rtrun.results import partial_samples
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
 from rtrun.target.ssh import Connection
@@ -29,7 +29,7 @@ def expected_files(suite: str, programs: Sequence[str], outputs: Sequence[str], 
         limits |= dict.fromkeys(logs, LOG_LIMIT_BYTES)
         # Duplicated messages may come on top of the rows asked for.
         limits[f"{output}.npy"] = 2 * rows * 8 * len(suites.suite(suite).columns) + NPY_HEADER_BYTES
-        limits[f"{output}{salvage.ENDING}"] = limits[f"{output}.npy"]
+        limits[f"{output}{partial_samples.ENDING}"] = limits[f"{output}.npy"]
         limits[f"{output}.json"] = JSON_LIMIT_BYTES
     return limits
 
@@ -51,8 +51,8 @@ def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[s
     if wanted:
         link.do(lambda connection: _copy(connection, source, destination, wanted))
     for name in wanted:
-        if name.endswith(salvage.ENDING):
-            salvage.salvage(destination / name)
+        if name.endswith(partial_samples.ENDING):
+            partial_samples.salvage(destination / name)
     return refused
 
 

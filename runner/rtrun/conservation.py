@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable
 
-from rtrun.logfile import Log
-from rtrun.samples import Record
+from rtrun.results.gnuplot_log import Log
+from rtrun.results.samples import Record
 
 LISTED_MAX = 1000  # indices that an output lists of each kind
 

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Protocol
 
 from rtfiles.errors import UsageError
-from rtrun import attempt, journal, measure, prepare, rundir
+from rtrun import attempt, journal, measure, prepare
 from rtrun.plan.campaign import Run
+from rtrun.results import run_directory
 from rtrun.target.config import Target
 from rtrun.target.kernel_trace import tracing
 from rtrun.target.link import Link, TargetRebooted
@@ -51,7 +52,7 @@ def run_campaign(
     Raises UsageError when the folder holds another campaign, TargetError when the target cannot go on. What was
     finished before is kept in either case, and another call goes on behind it.
     """
-    rundir.make_results(results)
+    run_directory.make_results(results)
     digest = hashlib.sha256(json.dumps([asdict(run) for run in runs], sort_keys=True).encode()).hexdigest()
     with _alone(results), contextlib.closing(journal.open_journal(results, name, digest, target.name)) as log:
         if (log.plan, log.target) != (digest, target.name):
@@ -59,7 +60,7 @@ def run_campaign(
                 f"{results}: holds another campaign (its file or target has changed since): "
                 "give another folder with --results, or --fresh"
             )
-        statuses = {run.name: found for run in runs if (found := rundir.status(results / run.name)) == "ok"}
+        statuses = {run.name: found for run in runs if (found := run_directory.status(results / run.name)) == "ok"}
         todo = [(number, run) for number, run in enumerate(runs) if run.name not in statuses]
         if statuses and todo:
             observer.note(f"going on in {results}: {len(statuses)} of {len(runs)} runs are finished")
@@ -77,7 +78,7 @@ def run_campaign(
                 observer.began(number, run)
                 folder = results / run.name
                 for trial in range(1, ATTEMPTS + 1):
-                    closed = rundir.entry(folder, "attempt")
+                    closed = run_directory.entry(folder, "attempt")
                     log.note(now().isoformat(), run.name, "began")
                     try:
                         if prepared is None:
@@ -88,13 +89,13 @@ def run_campaign(
                         preparation.close()
                         prepared = None
                         observer.note(f"{run.name}: {error}")
-                        if rundir.entry(folder, "attempt") == closed:
+                        if run_directory.entry(folder, "attempt") == closed:
                             log.note(now().isoformat(), run.name, "cut off", str(error))
                             if trial == ATTEMPTS:
                                 raise
                             continue
                         # It was closed already: the restart has cut nothing off.
-                        status, reason = rundir.status(folder) or "", rundir.entry(folder, "reason")
+                        status, reason = run_directory.status(folder) or "", run_directory.entry(folder, "reason")
                     except BaseException as error:
                         log.note(now().isoformat(), run.name, "stopped", str(error) or type(error).__name__)
                         raise
@@ -122,4 +123,4 @@ def _alone(results: Path) -> Iterator[None]:
 
 def finished(results: Path, runs: Sequence[Run]) -> int:
     """Return how many runs of a plan are finished in a results folder."""
-    return sum(rundir.status(results / run.name) == "ok" for run in runs)
+    return sum(run_directory.status(results / run.name) == "ok" for run in runs)

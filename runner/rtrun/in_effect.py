@@ -12,7 +12,7 @@ from rtfiles.errors import UsageError
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Run
 from rtrun.plan.conditions import Background, cpu_set
-from rtrun.samples import BESIDE, Record
+from rtrun.results.samples import BESIDE, Record
 from rtrun.target.inspection import POLICIES
 
 # A program may take this long to get its policy; before, it is only told, not held against it.

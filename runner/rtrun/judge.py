@@ -8,12 +8,12 @@ from typing import Any
 from rtfiles.errors import UsageError
 from rtrun import baseline, in_effect
 from rtrun.conservation import contradiction
-from rtrun.logfile import read_log
 from rtrun.plan import suites
 from rtrun.plan.campaign import Run
 from rtrun.plan.conditions import Background
 from rtrun.plan.program import Exit, Program
-from rtrun.samples import Record, read_json, read_samples
+from rtrun.results.gnuplot_log import read_log
+from rtrun.results.samples import Record, read_json, read_samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

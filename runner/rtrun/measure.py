@@ -10,13 +10,14 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
-from rtrun import attempt, baseline, clock, collect, in_effect, rundir
+from rtrun import attempt, baseline, clock, collect, in_effect
 from rtrun.attempt import Attempt
 from rtrun.judge import judge
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Run
 from rtrun.plan.program import Program
 from rtrun.prepare import Prepared
+from rtrun.results import run_directory
 from rtrun.target import inspection, processes, ros_master
 from rtrun.target.errors import DeadlineExpired, StillMeasuring, TargetError
 from rtrun.target.link import OUT_OF_REACH, Link
@@ -144,7 +145,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     state = ["sh", str(prepared.scripts / "state.sh")]
     died, said = processes.end_beside(link, remote, names, helpers, state)
     after = inspection.parse_state(said)
-    with rundir.filling(folder) as partial:
+    with run_directory.filling(folder) as partial:
         refused = collect.pull(link, remote, partial, limits)
         if prepared.kernel_config:
             (partial / "kernel.config.gz").write_bytes(prepared.kernel_config)
@@ -191,7 +192,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
                 "clock": clock.record(begun.before, clock.steps_seen(partial, outputs)),
             },
         }
-        rundir.close(partial, folder, record)
+        run_directory.close(partial, folder, record)
     link.do(lambda connection: connection.check(["rm", "-rf", str(remote)]))
     return verdict.status, verdict.reason
 
@@ -268,12 +269,12 @@ def _left_to_pick_up(
     """
     left = attempt.left(link, remote)
     measuring = not left.started.isdisjoint(last) and not left.given_up
-    if left.attempt and measuring and left.attempt.uid != rundir.entry(folder, "attempt"):
+    if left.attempt and measuring and left.attempt.uid != run_directory.entry(folder, "attempt"):
         return left.attempt
     if left.cut_off:
-        kept = rundir.unused(folder, "incomplete")
-        with rundir.filling(kept) as partial:
+        kept = run_directory.unused(folder, "incomplete")
+        with run_directory.filling(kept) as partial:
             collect.pull(link, remote, partial, limits)
-            rundir.rename(partial, kept)
+            run_directory.rename(partial, kept)
     processes.give_up(link, remote, names)
     return None

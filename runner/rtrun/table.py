@@ -9,7 +9,7 @@ from rich.text import Text
 
 from rtrun.analysis.figures import Figures
 from rtrun.plan.suites import Value, output_name, suite, suites
-from rtrun.results import MAIN_SERIES, RECORD, Result, Run, Runs
+from rtrun.results.reading import MAIN_SERIES, RECORD, Result, Run, Runs
 
 EMULATED = "EMULATED: not a real-time statement"
 NO_PREEMPT_RT = "NO PREEMPT_RT: this kernel promises no deadline"

@@ -16,9 +16,10 @@ import pytest
 
 import rtgen.cli
 import rtrun.cli
-from rtrun import execute, rundir
+from rtrun import execute
 from rtrun.plan.campaign import read_campaign
-from rtrun.results import read_run
+from rtrun.results import run_directory
+from rtrun.results.reading import read_run
 from rtrun.target import qemu, qmp
 from rtrun.target.config import read_target, switch_on
 from rtrun.target.errors import TargetError, TargetGone
@@ -206,9 +207,9 @@ def test_a_reset_and_then_a_power_cut_in_the_middle_of_a_run(tmp_path):
     (first,) = read_run(results / runs[0].name).results[:1]
     assert first.figures.n == 10 and abs(first.figures.max_us) < 60e6
     assert any("the target was restarted" in note for note in observer.notes)
-    assert rundir.status(results / runs[1].name) == "ok"
+    assert run_directory.status(results / runs[1].name) == "ok"
     kept = results / f"{runs[1].name}.incomplete-1"
-    assert kept.is_dir() and rundir.status(kept) is None
+    assert kept.is_dir() and run_directory.status(kept) is None
 
     def quit_in_the_second(machine, number):
         if number == 1:

@@ -3,7 +3,7 @@
 from written import write_oneshot, write_record
 
 from rtrun.cli import main
-from rtrun.results import read_run
+from rtrun.results.reading import read_run
 
 OUTPUT = "oneshot_timer_tests_l4_tm1000-tnRTRR"
 

@@ -13,7 +13,7 @@ import pytest
 
 from rtrun import execute, prepare
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.results import read_run
+from rtrun.results.reading import read_run
 from rtrun.target.errors import TargetError
 from watching import Watching
 

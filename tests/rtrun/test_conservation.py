@@ -6,8 +6,8 @@ import pytest
 from written import write_communication, write_oneshot
 
 from rtrun.conservation import contradiction
-from rtrun.logfile import read_log
-from rtrun.samples import Record, read_json
+from rtrun.results.gnuplot_log import read_log
+from rtrun.results.samples import Record, read_json
 
 
 @pytest.fixture

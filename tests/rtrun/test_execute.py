@@ -18,7 +18,7 @@ from rtfiles.errors import InfrastructureError, UsageError
 from rtrun import execute, prepare
 from rtrun import measure as measurement
 from rtrun.cli import main
-from rtrun.results import read_run
+from rtrun.results.reading import read_run
 from rtrun.target import ros_master
 from rtrun.target.errors import TargetError, TargetGone
 from rtrun.target.link import Link

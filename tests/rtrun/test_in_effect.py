@@ -9,7 +9,7 @@ from rtfiles.errors import UsageError
 from rtrun.in_effect import mismatch, observed, read_looks, requested
 from rtrun.plan import conditions
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.samples import Record, read_json
+from rtrun.results.samples import Record, read_json
 
 STAT = "cpu {busy} 0 0 {idle} 0 0 0 0 0 0"
 

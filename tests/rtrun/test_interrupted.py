@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 from faulty import record, runs_of
 
-from rtrun import execute, rundir
+from rtrun import execute
 from rtrun import measure as measurement
+from rtrun.results import run_directory
 from rtrun.target import processes, ros_master, ssh
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.target.link import Link, TargetRebooted
@@ -230,7 +231,7 @@ def test_a_run_whose_giving_up_was_cut_short_is_begun_anew(target, tmp_path, wis
 def test_a_failed_run_that_was_closed_is_repeated_and_not_read_again(target, tmp_path, wishes, monkeypatch, measure):
     wishes.will("fail")
     runs = runs_of(1)
-    real = rundir.close
+    real = run_directory.close
 
     def close(*args):
         real(*args)
@@ -246,7 +247,7 @@ def test_a_failed_run_that_was_closed_is_repeated_and_not_read_again(target, tmp
 
 def test_a_reboot_after_a_run_was_closed_costs_nothing(target, tmp_path, wishes, monkeypatch, measure):
     links = []
-    real_enter, real_close = Link.__enter__, rundir.close
+    real_enter, real_close = Link.__enter__, run_directory.close
     monkeypatch.setattr(Link, "__enter__", lambda self: (links.append(self), real_enter(self))[1])
 
     def close(*args):

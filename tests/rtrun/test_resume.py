@@ -17,8 +17,9 @@ from proxy import proxy_to
 from written import write_npy
 
 from rtfiles.errors import UsageError
-from rtrun import execute, rundir
+from rtrun import execute
 from rtrun import measure as measurement
+from rtrun.results import run_directory
 from rtrun.target.errors import ConnectionLost
 from watching import Watching
 
@@ -44,7 +45,7 @@ def finished(results):
     return {
         folder.name: {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob("*.npy")}
         for folder in sorted(results.iterdir())
-        if rundir.status(folder) == "ok" and ".old-" not in folder.name
+        if run_directory.status(folder) == "ok" and ".old-" not in folder.name
     }
 
 

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from rtrun.analysis.figures import Figures, figures
 from rtrun.plan.suites import Value
-from rtrun.results import Result
+from rtrun.results.reading import Result
 from rtrun.table import EMULATED, NO_PREEMPT_RT, answer, table
 
 

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Import every file; one that cannot be read does not stop the others. Raises UsageError naming those."""
     from rtfiles.errors import UsageError
-    from rtrun.importers.adopt import adopt
+    from rtrun.results.importers.adopt import adopt
 
     refused = []
     for path in args.files:

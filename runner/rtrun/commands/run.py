@@ -22,9 +22,10 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from rtfiles.errors import InfrastructureError
-    from rtrun import execute, progress, rundir, table
+    from rtrun import execute, progress, table
     from rtrun.plan.campaign import read_campaign
-    from rtrun.results import read_runs
+    from rtrun.results import run_directory
+    from rtrun.results.reading import read_runs
     from rtrun.target.config import read_target, switch_on
 
     campaign, runs = read_campaign(args.campaign)
@@ -34,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         results = _fresh(results)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _interrupt)
-    rundir.make_results(results)
+    run_directory.make_results(results)
     console = Console()
     statuses: dict[str, str] = {}
     try:

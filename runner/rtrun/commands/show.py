@@ -37,13 +37,14 @@ def run(args: argparse.Namespace) -> int:
 def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
     """What is there as plain data, as an answer to print, and what was refused."""
     from rtfiles.errors import UsageError
-    from rtrun import results, table
+    from rtrun import table
+    from rtrun.results import reading
 
     if path.is_dir():
-        if results.is_closed(path) or not any(child.is_dir() for child in path.iterdir()):
-            one = results.read_run(path)
+        if reading.is_closed(path) or not any(child.is_dir() for child in path.iterdir()):
+            one = reading.read_run(path)
             return {"schema": 1, **_run_data(one)}, table.answer_of_run(one), ()
-        found = results.read_runs(path)
+        found = reading.read_runs(path)
         data = {
             "schema": 1,
             "emulated": any(one.record.emulated for one in found.runs),
@@ -54,10 +55,10 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
     if not path.is_file():
         raise UsageError(f"{path}: no such file or directory")
     if path.suffix == ".log":
-        log = results.result_of_log(path)
+        log = reading.result_of_log(path)
         return {"schema": 1, **log.as_json()}, table.answer([log], emulated=False), ()
     if path.suffix in (".npy", ".json"):
-        samples = results.results_of_samples(path)
+        samples = reading.results_of_samples(path)
         data = {"schema": 1, "results": [result.as_json() for result in samples]}
         return data, table.answer(samples, emulated=False), ()
     raise UsageError(f"{path}: not a run directory, a folder of runs, or a .log, .npy or .json of a suite")

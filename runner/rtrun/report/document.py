@@ -13,7 +13,7 @@ from rtrun.report.claims import Examined, is_rt, select, us
 from rtrun.report.digest import Digest
 from rtrun.report.reference import oneshot_rows, published
 from rtrun.report.study import Group, Study, environment, told
-from rtrun.samples import BESIDE
+from rtrun.results.samples import BESIDE
 from rtrun.table import banner_of
 
 

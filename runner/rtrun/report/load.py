@@ -10,11 +10,11 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Histogram, Int64s
-from rtrun.importers.histogram_file import ENDING, read_histogram
-from rtrun.logfile import Log, read_log
 from rtrun.plan.suites import Value
-from rtrun.results import MAIN_SERIES, Record, check_file, find_runs, is_closed, log_names, read_record
-from rtrun.samples import Samples, read_samples
+from rtrun.results.gnuplot_log import Log, read_log
+from rtrun.results.importers.histogram_file import ENDING, read_histogram
+from rtrun.results.reading import MAIN_SERIES, Record, check_file, find_runs, is_closed, log_names, read_record
+from rtrun.results.samples import Samples, read_samples
 
 # Loops at the start of a run that stand apart, as in the thesis: the first message, the first two periods.
 STARTUP = {"latency": 1, "jitter": 2, "grid": 2}

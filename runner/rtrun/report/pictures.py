@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtrun.logfile import Log, read_log
+from rtrun.results.gnuplot_log import Log, read_log
 
 _TIMEOUT_S = 60
 

@@ -14,7 +14,7 @@ from rtrun.analysis.histogram import Histogram, merge
 from rtrun.plan.suites import Value, suites
 from rtrun.report.digest import Digest, digest
 from rtrun.report.load import Source, find, measured
-from rtrun.results import Record
+from rtrun.results.reading import Record
 
 DEADLINE_NS = 400_000  # of the thesis, section 4.1.2
 PROBABILITY = 1e-6
@@ -153,7 +153,7 @@ def study(
 
 def _records(source: Source) -> Iterable[Record]:
     from rtfiles.errors import UsageError
-    from rtrun.results import read_record
+    from rtrun.results.reading import read_record
 
     for folder in source.folders:
         try:

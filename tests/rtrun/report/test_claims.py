@@ -11,10 +11,10 @@ from report.campaigns import (
     write_run,
 )
 
-from rtrun.importers.adopt import adopt
 from rtrun.report.claims import Finding, examine_claims
 from rtrun.report.reference import published
 from rtrun.report.study import study
+from rtrun.results.importers.adopt import adopt
 
 CONFIRMED, REFUTED, UNDECIDED = Finding.CONFIRMED, Finding.REFUTED, Finding.UNDECIDED
 IDS = [claim["id"] for claim in published()["claims"]]

@@ -15,8 +15,8 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.describe import LISTED
 from rtrun.analysis.figures import Figures, Ranked, figures_of_histogram
 from rtrun.analysis.histogram import Histogram, Int64s
-from rtrun.logtext import COUNTS, SUITES, Printed, Text, read_text
 from rtrun.plan.suites import LogName, Value, read_log_name
+from rtrun.results.gnuplot_lines import COUNTS, SUITES, Printed, Text, read_text
 
 MAX_TOTAL = 10**12  # measurements in one log
 TOLERANCE_US = 1  # between a printed number, however it was rounded, and the bins

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from rtfiles.errors import UsageError
-from rtrun.importers.counts import NO_ORDER, bins_of, histogram, load, whole
-from rtrun.importers.histogram_file import Imported
+from rtrun.results.importers.counts import NO_ORDER, bins_of, histogram, load, whole
+from rtrun.results.importers.histogram_file import Imported
 
 _BINS = 1000  # its histogram ends there
 

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from rtfiles.errors import UsageError
 from rtrun.cli import main
-from rtrun.importers.adopt import adopt
-from rtrun.importers.detect import read
-from rtrun.importers.histogram_file import ENDING, read_histogram
 from rtrun.report.study import study
+from rtrun.results.importers.adopt import adopt
+from rtrun.results.importers.detect import read
+from rtrun.results.importers.histogram_file import ENDING, read_histogram
 
-LOGS_2014 = Path(__file__).parents[2] / "data" / "2014"
+LOGS_2014 = Path(__file__).parents[3] / "data" / "2014"
 
 # As in the manual page rtla-timerlat-hist(1), cut to two CPUs, with user threads and the totals newer versions add.
 TIMERLAT = """# RTLA timerlat histogram

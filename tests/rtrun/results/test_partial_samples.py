@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from written import write_npy
 
-from rtrun.salvage import salvage
+from rtrun.results.partial_samples import salvage
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from rtfiles.errors import UsageError
-from rtrun.importers.counts import NO_ORDER, bins_of, histogram, load, whole
-from rtrun.importers.histogram_file import Imported
+from rtrun.results.importers.counts import NO_ORDER, bins_of, histogram, load, whole
+from rtrun.results.importers.histogram_file import Imported
 
 _ROW = re.compile(r"([0-9]{1,15})[ \t]+([0-9]{1,15}(?:[ \t]+[0-9]{1,15})*)[ \t]*", re.ASCII)
 _SUMMARY = re.compile(r"# (Total|Min Latencies|Avg Latencies|Max Latencies|Histogram Overflows):([ \t0-9]*)", re.ASCII)

@@ -6,8 +6,8 @@ from functools import reduce
 from pathlib import Path
 
 from rtfiles.errors import UsageError
-from rtrun.importers.counts import NO_ORDER, histogram
-from rtrun.importers.histogram_file import Imported
+from rtrun.results.importers.counts import NO_ORDER, histogram
+from rtrun.results.importers.histogram_file import Imported
 
 _COLUMN = re.compile(r"(IRQ|Thr|Usr)-[0-9]{3,5}", re.ASCII)
 _CONTEXTS = {"IRQ": "interrupt", "Thr": "thread", "Usr": "user"}

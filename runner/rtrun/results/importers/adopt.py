@@ -8,10 +8,10 @@ from typing import Any
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
-from rtrun import rundir
-from rtrun.importers.detect import read
-from rtrun.importers.histogram_file import ENDING, Imported, histogram_text
-from rtrun.logfile import read_log
+from rtrun.results import run_directory
+from rtrun.results.gnuplot_log import read_log
+from rtrun.results.importers.detect import read
+from rtrun.results.importers.histogram_file import ENDING, Imported, histogram_text
 
 
 def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tuple[str, ...]]]:
@@ -28,9 +28,9 @@ def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tupl
         )
         record = _record(name, results, log.suite, dict(log.parameters), [output], emulated)
         folder = _new(results, name)
-        with rundir.filling(folder) as partial:
+        with run_directory.filling(folder) as partial:
             shutil.copyfile(path, partial / path.name)
-            rundir.close(partial, folder, record)
+            run_directory.close(partial, folder, record)
         return [(folder, ("the samples, and their order but for the listed extremes", *log.remarks))]
     found = read(path)
     made = []
@@ -42,11 +42,11 @@ def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tupl
         folder = _new(results, run)
         first = members[0]
         record = _record(run, results, first.source, first.parameters, [one.name for one in members], emulated)
-        with rundir.filling(folder) as partial:
+        with run_directory.filling(folder) as partial:
             shutil.copyfile(path, partial / f"original{path.suffix}")
             for one in members:
                 atomic.write_text(partial / f"{one.name}{ENDING}", histogram_text(one))
-            rundir.close(partial, folder, record)
+            run_directory.close(partial, folder, record)
         made.append((folder, tuple(dict.fromkeys(text for one in members for text in one.left_out))))
     return made
 

@@ -11,11 +11,11 @@ from written import write_communication, write_cyclic, write_oneshot, write_reco
 
 from rtfiles.errors import UsageError
 from rtrun.cli import main
-from rtrun.logfile import read_log
-from rtrun.results import read_run
-from rtrun.samples import read_samples
+from rtrun.results.gnuplot_log import read_log
+from rtrun.results.reading import read_run
+from rtrun.results.samples import read_samples
 
-DATA = Path(__file__).parents[1] / "data"
+DATA = Path(__file__).parents[2] / "data"
 SUITES = DATA / "suites"
 COMMUNICATION = {"policy": "RR", "repetitions": 100, "frequency_hz": 1000, "payload_bytes": 0}
 

@@ -8,10 +8,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rtfiles.errors import UsageError
-from rtrun import logtext
-from rtrun.logfile import Log, read_log
+from rtrun.results import gnuplot_lines
+from rtrun.results.gnuplot_log import Log, read_log
 
-DATA = Path(__file__).parents[1] / "data" / "2014"
+DATA = Path(__file__).parents[2] / "data" / "2014"
 ONESHOT = "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log"
 LATE = "late_ct_gnuplot_l300_fq100_pl0.log"
 
@@ -255,7 +255,7 @@ def test_huge_values_take_no_memory_for_the_range(tmp_path: Path) -> None:
 
 
 def test_a_file_too_large_is_refused_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(logtext, "MAX_SIZE_BYTES", 4000)
+    monkeypatch.setattr(gnuplot_lines, "MAX_SIZE_BYTES", 4000)
     with pytest.raises(UsageError, match="4985 bytes, a log has at most 4000"):
         read_log(DATA / ONESHOT)
     endless = tmp_path / "x.log"

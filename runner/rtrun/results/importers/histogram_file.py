@@ -11,7 +11,7 @@ from pydantic import Field
 from rtfiles.config import Config
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Histogram
-from rtrun.samples import read_json
+from rtrun.results.samples import read_json
 
 ENDING = ".histogram.json"
 MAX_BINS = 10_000_000

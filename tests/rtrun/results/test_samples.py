@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from written import write_communication, write_cyclic, write_oneshot
 
 from rtfiles.errors import UsageError
-from rtrun import samples
-from rtrun.samples import Series, read_samples
+from rtrun.results import samples
+from rtrun.results.samples import Series, read_samples
 
 
 def as_pairs(series: Series) -> list[tuple[int, int]]:

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from rtfiles.errors import UsageError
-from rtrun.importers import cyclictest, jitterdebugger, timerlat
-from rtrun.importers.histogram_file import Imported
+from rtrun.results.importers import cyclictest, jitterdebugger, timerlat
+from rtrun.results.importers.histogram_file import Imported
 
 MAX_BYTES = 128 << 20
 READS = "a log of 2014 or of a suite, cyclictest -h or --json, jitterdebugger's results.json, rtla timerlat hist"
