@@ -10,9 +10,8 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
-from rtrun import attempt, baseline, clock, collect, in_effect
+from rtrun import attempt, clock, collect
 from rtrun.attempt import Attempt
-from rtrun.judge import judge
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Run
 from rtrun.plan.program import Program
@@ -21,6 +20,8 @@ from rtrun.results import run_directory
 from rtrun.target import inspection, processes, ros_master
 from rtrun.target.errors import DeadlineExpired, StillMeasuring, TargetError
 from rtrun.target.link import OUT_OF_REACH, Link
+from rtrun.validity import baselines, in_effect
+from rtrun.validity.outcome import judge
 
 TOPIC = "/communication_tests"
 SUBSCRIBER = "ct_subscriber"
@@ -158,7 +159,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
             reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
             verdict = replace(verdict, status="failed", reason=reason)
         if suites.suite(run.suite).always is not None and verdict.status == "ok":
-            outputs = baseline.keep_histograms(partial, run, suites.output_name(run.suite, run.parameters))
+            outputs = baselines.keep_histograms(partial, run, suites.output_name(run.suite, run.parameters))
         record = {
             "run": run.name,
             "campaign": campaign,

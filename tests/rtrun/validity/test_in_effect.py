@@ -6,10 +6,10 @@ import pytest
 from written import write_cyclic
 
 from rtfiles.errors import UsageError
-from rtrun.in_effect import mismatch, observed, read_looks, requested
 from rtrun.plan import conditions
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.samples import Record, read_json
+from rtrun.validity.in_effect import mismatch, observed, read_looks, requested
 
 STAT = "cpu {busy} 0 0 {idle} 0 0 0 0 0 0"
 

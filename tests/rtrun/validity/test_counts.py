@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from written import write_communication, write_oneshot
 
-from rtrun.conservation import contradiction
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.samples import Record, read_json
+from rtrun.validity.counts import contradiction
 
 
 @pytest.fixture
@@ -55,5 +55,5 @@ def test_indices_and_counts(oneshot, communication):
 
 
 def test_a_log_of_another_number(oneshot, tmp_path):
-    log = read_log(Path(__file__).parents[1] / "data" / "2014" / "cyclic_timer_tests_l300_fq1000-tnRTRR.log")
+    log = read_log(Path(__file__).parents[2] / "data" / "2014" / "cyclic_timer_tests_l300_fq1000-tnRTRR.log")
     assert contradiction(oneshot, [log]) == f"3 measured, but 300 in the log {log.path.name}"

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from rtfiles.errors import UsageError
-from rtrun import baseline, in_effect
-from rtrun.conservation import contradiction
 from rtrun.plan import suites
 from rtrun.plan.campaign import Run
 from rtrun.plan.conditions import Background
 from rtrun.plan.program import Exit, Program
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.samples import Record, read_json, read_samples
+from rtrun.validity import baselines, in_effect
+from rtrun.validity.counts import contradiction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +81,7 @@ def _of_outputs(
 ) -> tuple[str, str] | None:
     """Say what is wrong with the outputs, and put what is known of them into `records`."""
     if suites.suite(run.suite).always is not None:
-        wrong = baseline.contradiction(run, _text(folder / f"{run.suite}.stdout"))
+        wrong = baselines.contradiction(run, _text(folder / f"{run.suite}.stdout"))
         return ("invalid", wrong) if wrong else None
     for output in outputs:
         names = (f"{output}.json", f"{output}.npy")

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from rtrun.baseline import contradiction
 from rtrun.plan.campaign import Campaign, plan
+from rtrun.validity.baselines import contradiction
 
 SAID = """# /dev/cpu_dma_latency set to 0us
 # Histogram
