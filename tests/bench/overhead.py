@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 import rtgen.cli
-from rtrun import execute
+from rtrun.execution import campaign_runner
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.target.config import Target
 from rtrun.target.ssh import Connection
@@ -69,7 +69,7 @@ def test_overhead(sshd, ros_master, tmp_path, monkeypatch):
     monkeypatch.setattr(Connection, "run", counted)
     entry = {"suite": "cyclic_timer_tests", "frequency_hz": 100, "repetitions": 200}
     runs = plan(Campaign(schema=1, name="bench", runs=[entry | {"repeats": RUNS + 1}]), "bench")
-    execute.run_campaign(target, "bench", runs, tmp_path / "results", clock)
+    campaign_runner.run_campaign(target, "bench", runs, tmp_path / "results", clock)
     with_runner_s = clock.elapsed_s[1:]  # the first one deploys
 
     program = suites / "lib" / "cyclic_timer_tests" / "cyclic_timer_tests"
@@ -91,7 +91,7 @@ def test_overhead(sshd, ros_master, tmp_path, monkeypatch):
     entry |= {"repetitions": 100 * LONG_RUN_S, "repeats": LONG_RUNS}
     start = time.monotonic()
     runs = plan(Campaign(schema=1, name="long", runs=[entry]), "long")
-    execute.run_campaign(target, "long", runs, tmp_path / "long", clock)
+    campaign_runner.run_campaign(target, "long", runs, tmp_path / "long", clock)
     share = LONG_RUNS * LONG_RUN_S / (time.monotonic() - start)
     print(
         f"measuring: {share:.1%} of the wall time of a campaign of {LONG_RUNS} runs of {LONG_RUN_S} s, set-up included"

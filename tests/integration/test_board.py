@@ -16,7 +16,7 @@ import pytest
 
 import rtgen.cli
 import rtrun.cli
-from rtrun import execute
+from rtrun.execution import campaign_runner
 from rtrun.plan.campaign import read_campaign
 from rtrun.results import run_directory
 from rtrun.results.reading import read_run
@@ -138,7 +138,7 @@ def measure(tmp_path, act, results):
         observer = Watching(lambda number: act(machines[0], number))
         with switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
             try:
-                return runs, observer, execute.run_campaign(switched_on, "test", runs, results, observer)
+                return runs, observer, campaign_runner.run_campaign(switched_on, "test", runs, results, observer)
             except TargetGone as error:
                 return runs, observer, error
 
@@ -218,7 +218,7 @@ def test_a_reset_and_then_a_power_cut_in_the_middle_of_a_run(tmp_path):
     runs, observer, error = measure(tmp_path, quit_in_the_second, tmp_path / "other")
     assert isinstance(error, TargetGone)
     assert "the emulated board was switched off: QEMU ended (exit status 0)" in str(error)
-    assert execute.finished(tmp_path / "other", runs) == 1, "what was finished is kept"
+    assert campaign_runner.finished(tmp_path / "other", runs) == 1, "what was finished is kept"
 
 
 def qemus_of(console):
@@ -271,7 +271,7 @@ def test_traces_of_outliers_and_the_blocks_of_a_run_cut_off(tmp_path, monkeypatc
 
     config = read_target(TOP / "targets" / "qemu.yml")
     with switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
-        statuses = execute.run_campaign(switched_on, "test", runs, results, Watching(act))
+        statuses = campaign_runner.run_campaign(switched_on, "test", runs, results, Watching(act))
         connection = Connection(switched_on.address)
         instances = connection.check(["ls", "/sys/kernel/tracing/instances"]).split()
         connection.close()

@@ -22,7 +22,8 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from rtfiles.errors import InfrastructureError
-    from rtrun import execute, progress, table
+    from rtrun import table
+    from rtrun.execution import campaign_runner, progress
     from rtrun.plan.campaign import read_campaign
     from rtrun.results import run_directory
     from rtrun.results.reading import read_runs
@@ -40,14 +41,14 @@ def run(args: argparse.Namespace) -> int:
     statuses: dict[str, str] = {}
     try:
         with progress.showing(runs, console) as shown:
-            if execute.finished(results, runs) == len(runs):
+            if campaign_runner.finished(results, runs) == len(runs):
                 shown.note(f"all {len(runs)} runs are finished in {results}; --fresh measures again beside them")
                 statuses = {each.name: "ok" for each in runs}
             else:
                 with switch_on(config, args.target.parent, results / "console.log") as target:
-                    statuses = execute.run_campaign(target, campaign.name, runs, results, shown)
+                    statuses = campaign_runner.run_campaign(target, campaign.name, runs, results, shown)
     except (KeyboardInterrupt, InfrastructureError):
-        done = execute.finished(results, runs)
+        done = campaign_runner.finished(results, runs)
         kept = f"{done} of {len(runs)} runs are finished and kept in {results}; the same command goes on there"
         console.print(kept, highlight=False, markup=False, soft_wrap=True)
         raise

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from faulty import record, runs_of
 
-from rtrun import execute
+from rtrun.execution import campaign_runner
 from rtrun.target import processes
 from rtrun.target.deploy import ON_TARGET
 from rtrun.target.errors import TargetError
@@ -32,7 +32,7 @@ def target(ready_target):
 def test_traces_come_with_the_run(target, tmp_path, watching, wishes, clock, kernels):
     wishes.will("traced 3 8")
     (run,) = runs = runs_of(1, trace_threshold_us=50, clock=clock)
-    assert list(execute.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == ["ok"]
+    assert list(campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == ["ok"]
     traces = sorted(name for name in record(tmp_path / "results", run)["files"] if "trace" in name)
     assert traces == ["cyclic_timer_tests_l10_fq100-trace-3.txt", "cyclic_timer_tests_l10_fq100-trace-8.txt"]
     # The instance was there while the suite ran, on the clock of the samples.
@@ -43,7 +43,7 @@ def test_traces_come_with_the_run(target, tmp_path, watching, wishes, clock, ker
 def test_more_traces_than_a_suite_takes_are_not_pulled(target, tmp_path, watching, wishes):
     wishes.will("traced " + " ".join(map(str, range(40))))
     (run,) = runs = runs_of(1, break_trace_us=50)
-    execute.run_campaign(target, "test", runs, tmp_path / "results", watching)
+    campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)
     assert len([name for name in record(tmp_path / "results", run)["files"] if "trace" in name]) == 16
 
 
@@ -51,7 +51,9 @@ def test_more_traces_than_a_suite_takes_are_not_pulled(target, tmp_path, watchin
 def test_a_suite_that_fails_leaves_no_trace_set_up(target, tmp_path, watching, wishes, wish):
     wishes.will(wish)
     assert list(
-        execute.run_campaign(target, "test", runs_of(1, trace_threshold_us=50), tmp_path / "results", watching).values()
+        campaign_runner.run_campaign(
+            target, "test", runs_of(1, trace_threshold_us=50), tmp_path / "results", watching
+        ).values()
     ) == ["failed"]
     assert not INSTANCE.exists()
 
@@ -68,10 +70,10 @@ def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watchin
     with monkeypatch.context() as patch:
         patch.setattr(processes, "wait", wait)
         with pytest.raises(type(error) if isinstance(error, Exception) else error):
-            execute.run_campaign(target, "test", runs, tmp_path / "results", watching)
+            campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)
     assert seen == [True]
     assert INSTANCE.exists() is (error is not KeyboardInterrupt), "what goes on goes on with its trace"
-    assert list(execute.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == ["ok"]
+    assert list(campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == ["ok"]
     assert not INSTANCE.exists()
     if error is not KeyboardInterrupt:
         assert len(wishes.calls()) == 1, "an error of ours is no reason to give up what measures"
@@ -79,7 +81,7 @@ def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watchin
 
 def test_what_a_killed_runner_left_is_gone_with_the_next_campaign(target, tmp_path, watching, wishes):
     subprocess.run([SCRIPT, "up", "mono"], check=True)
-    execute.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
+    campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
     assert not INSTANCE.exists()
 
 
@@ -118,5 +120,7 @@ def test_a_target_that_cannot_trace_says_so(target, tmp_path, watching, monkeypa
 def test_a_part_of_a_suite_that_was_killed_comes_as_samples(target, tmp_path, watching, wishes):
     wishes.will("part")
     (run,) = runs = runs_of(1)
-    assert list(execute.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == ["failed"]
+    assert list(campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == [
+        "failed"
+    ]
     assert "cyclic_timer_tests_l10_fq100.npy" in record(tmp_path / "results", run)["files"]

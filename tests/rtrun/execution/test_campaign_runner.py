@@ -15,9 +15,9 @@ import pytest
 from faulty import record, runs_of
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtrun import execute, prepare
-from rtrun import measure as measurement
 from rtrun.cli import main
+from rtrun.execution import campaign_runner, preparation
+from rtrun.execution import run_execution as measurement
 from rtrun.results.reading import read_run
 from rtrun.target import ros_master
 from rtrun.target.errors import TargetError, TargetGone
@@ -38,7 +38,7 @@ def target(ready_target):
 
 
 def measure(target, runs, results, watching):
-    return execute.run_campaign(target, "test", runs, results, watching)
+    return campaign_runner.run_campaign(target, "test", runs, results, watching)
 
 
 def master_is_gone(target):
@@ -159,7 +159,7 @@ def test_a_target_that_stays_away_is_an_error_and_finished_runs_stay(target, tmp
     watching.at_start = switch_off
     with pytest.raises(TargetGone, match="switched off"):
         measure(target, runs, tmp_path / "results", watching)
-    assert execute.finished(tmp_path / "results", runs) == 1
+    assert campaign_runner.finished(tmp_path / "results", runs) == 1
 
 
 def test_a_changed_campaign_is_not_mixed_with_the_old_one(target, tmp_path, watching, wishes):
@@ -218,8 +218,8 @@ def test_a_master_that_dies_in_the_middle_of_a_run(bare_target, tmp_path, watchi
 
 
 def test_no_ros_on_the_target(bare_target, tmp_path, watching, wishes, monkeypatch):
-    real = prepare.probe.find
-    monkeypatch.setattr(prepare.probe, "find", lambda *words: replace(real(*words), master=None))
+    real = preparation.probe.find
+    monkeypatch.setattr(preparation.probe, "find", lambda *words: replace(real(*words), master=None))
     with pytest.raises(TargetError, match="no ROS on the target"):
         measure(bare_target, runs_of(1), tmp_path / "results", watching)
 
@@ -256,7 +256,7 @@ def test_a_full_disk_here(target, tmp_path, watching, wishes, small_disk):
     watching.at_start = fill
     with pytest.raises(InfrastructureError, match=r"cannot keep the results: No space left on device|disk is full"):
         measure(target, runs, small_disk / "results", watching)
-    assert execute.finished(small_disk / "results", runs) == 1
+    assert campaign_runner.finished(small_disk / "results", runs) == 1
 
 
 def write_files(tmp_path, sshd, target, count):

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from faulty import record, runs_of
 
-from rtrun import execute
-from rtrun import measure as measurement
+from rtrun.execution import campaign_runner
+from rtrun.execution import run_execution as measurement
 from rtrun.results import run_directory
 from rtrun.target import processes, ros_master, ssh
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
@@ -38,7 +38,9 @@ def target(ready_target):
 @pytest.fixture
 def measure(tmp_path):
     def measure(target, runs, watching=None):
-        return list(execute.run_campaign(target, "test", runs, tmp_path / "results", watching or Watching()).values())
+        return list(
+            campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching or Watching()).values()
+        )
 
     return measure
 
@@ -174,12 +176,14 @@ def test_a_run_of_another_campaign_is_not_disturbed(target, tmp_path, wishes, mo
         with pytest.raises(ConnectionLost):
             measure(target, runs_of(1))
     with pytest.raises(TargetError, match=r"another run is still going on: .*cyclic_timer_tests"):
-        execute.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching())
+        campaign_runner.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching())
     assert len(wishes.calls()) == 1
     (pid,) = Path(target.work_dir).rglob("cyclic_timer_tests.pid")
     for file in pid.parent.glob("*.pid"):
         os.killpg(int(file.read_text()), signal.SIGKILL)
-    assert list(execute.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching()).values()) == ["ok"]
+    assert list(campaign_runner.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching()).values()) == [
+        "ok"
+    ]
 
 
 @pytest.mark.parametrize("who", ["killed", "interrupted"])

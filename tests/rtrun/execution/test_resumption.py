@@ -17,8 +17,8 @@ from proxy import proxy_to
 from written import write_npy
 
 from rtfiles.errors import UsageError
-from rtrun import execute
-from rtrun import measure as measurement
+from rtrun.execution import campaign_runner
+from rtrun.execution import run_execution as measurement
 from rtrun.results import run_directory
 from rtrun.target.errors import ConnectionLost
 from watching import Watching
@@ -95,7 +95,7 @@ def test_a_cut_link_that_comes_back(proxied, tmp_path, wishes):
             threading.Timer(4.0, proxy.mend).start()
 
     watching.at_start = act
-    statuses = execute.run_campaign(target, "test", runs_of(2), tmp_path / "results", watching)
+    statuses = campaign_runner.run_campaign(target, "test", runs_of(2), tmp_path / "results", watching)
     assert list(statuses.values()) == ["ok", "ok"]
     assert len(wishes.calls()) == 2
     assert any("connecting again" in note for note in watching.notes)
@@ -113,7 +113,7 @@ def test_a_frozen_link_is_noticed_and_left(proxied, tmp_path, wishes, monkeypatc
             threading.Timer(10.0, proxy.mend).start()
 
     watching.at_start = act
-    statuses = execute.run_campaign(target, "test", runs_of(2), tmp_path / "results", watching)
+    statuses = campaign_runner.run_campaign(target, "test", runs_of(2), tmp_path / "results", watching)
     assert list(statuses.values()) == ["ok", "ok"]
     assert len(wishes.calls()) == 2
 
@@ -126,11 +126,11 @@ def test_a_link_that_stays_cut_is_an_error_and_the_run_is_picked_up_later(proxie
     watching.at_start = lambda number: threading.Timer(1.0, proxy.cut).start() if number == 1 else None
     runs = runs_of(3)
     with pytest.raises(ConnectionLost, match="tried for 1 s"):
-        execute.run_campaign(target, "test", runs, tmp_path / "results", watching)
-    assert execute.finished(tmp_path / "results", runs) == 1
+        campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)
+    assert campaign_runner.finished(tmp_path / "results", runs) == 1
     proxy.mend()
     watching.at_start = lambda number: None
-    statuses = execute.run_campaign(target, "test", runs, tmp_path / "results", watching)
+    statuses = campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)
     assert list(statuses.values()) == ["ok", "ok", "ok"]
     assert len(wishes.calls()) == 3, "the run went on without us and is not measured again"
 
@@ -142,12 +142,12 @@ def test_two_runners_do_not_mix(proxied, tmp_path, wishes):
 
     def act(number):
         try:
-            execute.run_campaign(target, "test", runs_of(1), tmp_path / "results", Watching())
+            campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", Watching())
         except UsageError as error:
             refused.append(str(error))
 
     watching.at_start = act
-    execute.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
+    campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
     assert "another rtrun is at work there" in refused[0]
 
 
@@ -166,8 +166,8 @@ def test_a_reboot_while_nobody_looked(loopback, suites_folder, ros_master, tmp_p
     watching = Watching()
     watching.at_start = stop
     with pytest.raises(Stop):
-        execute.run_campaign(target, "test", runs, results, watching)
-    log = execute.journal.open_journal(results, "test", "", "")
+        campaign_runner.run_campaign(target, "test", runs, results, watching)
+    log = campaign_runner.journal.open_journal(results, "test", "", "")
     left = Path(target.work_dir) / "runs" / log.uid / run.name
     log.close()
     left.mkdir(parents=True)
@@ -175,7 +175,7 @@ def test_a_reboot_while_nobody_looked(loopback, suites_folder, ros_master, tmp_p
     (left / "cyclic_timer_tests.stdout").write_text("\tINFO: as far as it came\n")
     write_npy(left / "cyclic_timer_tests_l10_fq100.npy.part", [(n,) for n in range(1, 7)], announced=11)
     watching.at_start = lambda number: None
-    assert execute.run_campaign(target, "test", runs, results, watching) == {run.name: "ok"}
+    assert campaign_runner.run_campaign(target, "test", runs, results, watching) == {run.name: "ok"}
     kept = results / f"{run.name}.incomplete-1"
     assert np.load(kept / "cyclic_timer_tests_l10_fq100.npy").tolist() == [[n] for n in range(1, 7)]
     assert (kept / "cyclic_timer_tests.stdout").read_text() == "\tINFO: as far as it came\n"

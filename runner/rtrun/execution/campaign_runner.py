@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from rtfiles.errors import UsageError
-from rtrun import attempt, journal, measure, prepare
+from rtrun.execution import journal, preparation, resumption, run_execution
 from rtrun.plan.campaign import Run
 from rtrun.results import run_directory
 from rtrun.target.config import Target
@@ -68,11 +68,11 @@ def run_campaign(
             return statuses
         with contextlib.ExitStack() as stack:
             link = stack.enter_context(Link(target, observer.note))
-            preparation = stack.enter_context(contextlib.ExitStack())
-            preparing = functools.partial(prepare.prepared, link, log.uid, [run for _, run in todo])
-            prepared: prepare.Prepared | None = preparation.enter_context(preparing())
+            prepared_stack = stack.enter_context(contextlib.ExitStack())
+            preparing = functools.partial(preparation.prepared, link, log.uid, [run for _, run in todo])
+            prepared: preparation.Prepared | None = prepared_stack.enter_context(preparing())
             # First what an earlier call left going on: two runs at once would disturb each other.
-            there = attempt.folders(link, target.work_dir / "runs" / log.uid)
+            there = resumption.folders(link, target.work_dir / "runs" / log.uid)
             todo.sort(key=lambda each: each[1].name not in there)
             for number, run in todo:
                 observer.began(number, run)
@@ -82,11 +82,11 @@ def run_campaign(
                     log.note(now().isoformat(), run.name, "began")
                     try:
                         if prepared is None:
-                            prepared = preparation.enter_context(preparing())
+                            prepared = prepared_stack.enter_context(preparing())
                         with tracing(link, prepared.scripts, run.parameters):
-                            status, reason = measure.measure(prepared, log.uid, name, run, folder, now)
+                            status, reason = run_execution.measure(prepared, log.uid, name, run, folder, now)
                     except TargetRebooted as error:
-                        preparation.close()
+                        prepared_stack.close()
                         prepared = None
                         observer.note(f"{run.name}: {error}")
                         if run_directory.entry(folder, "attempt") == closed:

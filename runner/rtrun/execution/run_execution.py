@@ -10,12 +10,12 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
-from rtrun import attempt, clock, collect
-from rtrun.attempt import Attempt
+from rtrun.execution import clock_record, download, resumption
+from rtrun.execution.preparation import Prepared
+from rtrun.execution.resumption import Attempt
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Run
 from rtrun.plan.program import Program
-from rtrun.prepare import Prepared
 from rtrun.results import run_directory
 from rtrun.target import inspection, processes, ros_master
 from rtrun.target.errors import DeadlineExpired, StillMeasuring, TargetError
@@ -113,7 +113,9 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     sampler = _sampler(prepared, run, remote, [load.name for load in loads])
     names = [program.name for program in (*others, *waiting)]
     helpers = [*(load.name for load in loads), SAMPLER]
-    limits = collect.expected_files(run.suite, [*names, *helpers], outputs, int(run.parameters.get("repetitions") or 0))
+    limits = download.expected_files(
+        run.suite, [*names, *helpers], outputs, int(run.parameters.get("repetitions") or 0)
+    )
     everything = [*names, *helpers]
     begun = _left_to_pick_up(link, remote, folder, [program.name for program in others], everything, limits)
     if begun is None:
@@ -147,7 +149,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     died, said = processes.end_beside(link, remote, names, helpers, state)
     after = inspection.parse_state(said)
     with run_directory.filling(folder) as partial:
-        refused = collect.pull(link, remote, partial, limits)
+        refused = download.pull(link, remote, partial, limits)
         if prepared.kernel_config:
             (partial / "kernel.config.gz").write_bytes(prepared.kernel_config)
         states = {"schema": 1, "before": begun.before, "after": after, "own_ros_master": begun.own_master}
@@ -190,7 +192,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
                 "cpus": prepared.equipment.cpus,
                 **{key: begun.before.get(key) for key in ("kernel_release", "kernel_version", "machine", "boot_id")},
                 **{key: begun.before.get(key) for key in ("clocksource", "governor", "roscpp_version")},
-                "clock": clock.record(begun.before, clock.steps_seen(partial, outputs)),
+                "clock": clock_record.record(begun.before, clock_record.steps_seen(partial, outputs)),
             },
         }
         run_directory.close(partial, folder, record)
@@ -205,7 +207,7 @@ def _begin(prepared: Prepared, remote: PurePosixPath, programs: Sequence[Program
     master_pid = ros_master.pid(link)
     if master_pid is None:
         raise TargetError(f"{link.target.address}: the ROS master died")
-    return attempt.begin(
+    return resumption.begin(
         link,
         remote,
         start_time=start_time.isoformat(),
@@ -268,14 +270,14 @@ def _left_to_pick_up(
     `last` are the programs that are started last: before them nothing is measured. What a reboot cut off is kept as
     incomplete; what was given up, or is closed and only to be repeated, is removed.
     """
-    left = attempt.left(link, remote)
+    left = resumption.left(link, remote)
     measuring = not left.started.isdisjoint(last) and not left.given_up
     if left.attempt and measuring and left.attempt.uid != run_directory.entry(folder, "attempt"):
         return left.attempt
     if left.cut_off:
         kept = run_directory.unused(folder, "incomplete")
         with run_directory.filling(kept) as partial:
-            collect.pull(link, remote, partial, limits)
+            download.pull(link, remote, partial, limits)
             run_directory.rename(partial, kept)
     processes.give_up(link, remote, names)
     return None

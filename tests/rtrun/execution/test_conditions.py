@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rtrun import execute, prepare
+from rtrun.execution import campaign_runner, preparation
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.reading import read_run
 from rtrun.target.errors import TargetError
@@ -29,7 +29,7 @@ def measure(target, tmp_path, act=lambda: None, **values):
     """Run a campaign of one run and return its run.json."""
     entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": 10} | values
     (run,) = runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
-    execute.run_campaign(target, "test", runs, tmp_path / "results", Watching(lambda number: act()))
+    campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching(lambda number: act()))
     return json.loads((tmp_path / "results" / run.name / "run.json").read_text())
 
 
@@ -140,7 +140,7 @@ def test_affinity_of_the_load(target, tmp_path, wishes):
 
 
 def test_what_the_target_lacks_is_said_before_anything_is_measured(target, tmp_path, wishes, monkeypatch):
-    monkeypatch.setattr(prepare.conditions, "needs", lambda *_: {"no-such-tool", "governor=warp", "sh"})
+    monkeypatch.setattr(preparation.conditions, "needs", lambda *_: {"no-such-tool", "governor=warp", "sh"})
     with pytest.raises(TargetError, match="the target lacks the cpufreq governor warp, no-such-tool, which this"):
         measure(target, tmp_path, condition="cpu80")
     assert wishes.calls() == []
@@ -183,7 +183,7 @@ def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
         ),
         "test",
     )
-    execute.run_campaign(target, "test", runs, tmp_path / "results", Watching())
+    campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching())
     record = json.loads((tmp_path / "results" / run.name / "run.json").read_text())
     assert (record["status"], record["reason"]) == ("ok", None)
     assert "--interval=1000" in record["programs"][0]["argv"] and "--policy=rr" in record["programs"][0]["argv"]
@@ -197,11 +197,11 @@ def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
 
 
 def test_hwlatdetect_where_the_kernel_has_no_such_tracer(target, tmp_path, monkeypatch):
-    monkeypatch.setattr(prepare.probe, "kernel_config", lambda _: gzip.compress(b"CONFIG_FTRACE=y\n"))
+    monkeypatch.setattr(preparation.probe, "kernel_config", lambda _: gzip.compress(b"CONFIG_FTRACE=y\n"))
     (run,) = runs = plan(Campaign(schema=1, name="test", runs=[{"suite": "hwlatdetect", "duration_s": 3}]), "test")
     assert run.expected_s == 3
     with pytest.raises(TargetError, match="the target lacks CONFIG_HWLAT_TRACER in its kernel"):
-        execute.run_campaign(target, "test", runs, tmp_path / "results", Watching())
+        campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching())
 
 
 def test_every_other_load_keeps_its_workers(target, tmp_path, wishes):
@@ -209,7 +209,7 @@ def test_every_other_load_keeps_its_workers(target, tmp_path, wishes):
     wishes.will(*["sleep 4"] * len(loads))
     entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": 10, "condition": loads}
     runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
-    execute.run_campaign(target, "test", runs, tmp_path / "results", Watching())
+    campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching())
     for run in runs:
         record = json.loads((tmp_path / "results" / run.name / "run.json").read_text())
         assert (record["status"], record["reason"]) == ("ok", None)

@@ -1,6 +1,6 @@
 """The time left, as the bar tells it."""
 
-from rtrun import progress
+from rtrun.execution import progress
 from rtrun.plan.campaign import Campaign, plan
 
 RUNS = plan(
