@@ -47,7 +47,7 @@ def add_confidence(parser: argparse.ArgumentParser) -> None:
 
 def say(text: str) -> None:
     """Print a line that may hold text from a target, without what would command the terminal."""
-    from rtrun.table import printable
+    from rtrun.report.terminal import printable
 
     print(printable(text))
 

@@ -21,9 +21,9 @@ def run(args: argparse.Namespace) -> int:
     import dataclasses
     import json
 
-    from rtrun.report.claims import examine_claims
+    from rtrun.report.claims.examination import examine_claims
     from rtrun.report.study import study
-    from rtrun.table import EMULATED
+    from rtrun.report.terminal import EMULATED
 
     found = study(args.results, confidence=args.confidence, bounds=False)
     examined = examine_claims(found)

@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtrun.report.formats import junit
     from rtrun.report.gate import gate
-    from rtrun.table import EMULATED
+    from rtrun.report.terminal import EMULATED
 
     found = ask(args, bounds=False)
     judged = gate(found)

@@ -27,12 +27,14 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles import atomic
     from rtfiles.errors import UsageError
-    from rtrun.report import claims, document, formats, gate, page, pictures
+    from rtrun.report import document, formats, gate, page
+    from rtrun.report.claims import examination
+    from rtrun.report.plots import pictures
 
     # The other formats hold neither worst cases nor claims.
     whole = args.format in ("html", "markdown", "json")
     found = ask(args, bounds=whole)
-    examined = claims.examine_claims(found) if whole else ()
+    examined = examination.examine_claims(found) if whole else ()
     said = document.document(found, examined)
     writers = {
         "html": lambda: page.html(found, said).encode(),

@@ -22,9 +22,9 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from rtfiles.errors import InfrastructureError
-    from rtrun import table
     from rtrun.execution import campaign_runner, progress
     from rtrun.plan.campaign import read_campaign
+    from rtrun.report import terminal
     from rtrun.results import run_directory
     from rtrun.results.reading import read_runs
     from rtrun.target.config import read_target, switch_on
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         console.print(kept, highlight=False, markup=False, soft_wrap=True)
         raise
     found = read_runs(results)
-    table.show(table.answer_of_runs(found))
+    terminal.show(terminal.answer_of_runs(found))
     bad = [f"{name}: {status}" for name, status in statuses.items() if status != "ok"]
     for line in bad:
         console.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from rtfiles.errors import UsageError
-    from rtrun.table import show
+    from rtrun.report.terminal import show
 
     data, answer, refused = _read(args.path)
     if args.json:
@@ -37,13 +37,13 @@ def run(args: argparse.Namespace) -> int:
 def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
     """What is there as plain data, as an answer to print, and what was refused."""
     from rtfiles.errors import UsageError
-    from rtrun import table
+    from rtrun.report import terminal
     from rtrun.results import reading
 
     if path.is_dir():
         if reading.is_closed(path) or not any(child.is_dir() for child in path.iterdir()):
             one = reading.read_run(path)
-            return {"schema": 1, **_run_data(one)}, table.answer_of_run(one), ()
+            return {"schema": 1, **_run_data(one)}, terminal.answer_of_run(one), ()
         found = reading.read_runs(path)
         data = {
             "schema": 1,
@@ -51,16 +51,16 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
             "runs": [_run_data(one) for one in found.runs],
             "incomplete": list(found.incomplete),
         }
-        return data, table.answer_of_runs(found), found.refused
+        return data, terminal.answer_of_runs(found), found.refused
     if not path.is_file():
         raise UsageError(f"{path}: no such file or directory")
     if path.suffix == ".log":
         log = reading.result_of_log(path)
-        return {"schema": 1, **log.as_json()}, table.answer([log], emulated=False), ()
+        return {"schema": 1, **log.as_json()}, terminal.answer([log], emulated=False), ()
     if path.suffix in (".npy", ".json"):
         samples = reading.results_of_samples(path)
         data = {"schema": 1, "results": [result.as_json() for result in samples]}
-        return data, table.answer(samples, emulated=False), ()
+        return data, terminal.answer(samples, emulated=False), ()
     raise UsageError(f"{path}: not a run directory, a folder of runs, or a .log, .npy or .json of a suite")
 
 

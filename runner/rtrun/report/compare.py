@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from rtrun.analysis.comparison import Change, Comparison, Ratio, compare, ratio_of_misses
-from rtrun.report.claims import us
+from rtrun.report.claims.examination import us
 from rtrun.report.study import Group, study
-from rtrun.table import EMULATED
+from rtrun.report.terminal import EMULATED
 
 
 @dataclass(frozen=True, kw_only=True)

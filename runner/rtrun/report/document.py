@@ -9,12 +9,12 @@ from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.analysis.describe import PERCENTILES, Description
 from rtrun.analysis.extreme import Bound
 from rtrun.analysis.layers import attribute
-from rtrun.report.claims import Examined, is_rt, select, us
+from rtrun.report.claims.examination import Examined, is_rt, select, us
+from rtrun.report.claims.reference import oneshot_rows, published
 from rtrun.report.digest import Digest
-from rtrun.report.reference import oneshot_rows, published
 from rtrun.report.study import Group, Study, environment, told
+from rtrun.report.terminal import banner_of
 from rtrun.results.samples import BESIDE
-from rtrun.table import banner_of
 
 
 @dataclass(frozen=True, kw_only=True)

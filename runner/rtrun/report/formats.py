@@ -11,7 +11,7 @@ from xml.sax.saxutils import escape, quoteattr
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.describe import PERCENTILES
-from rtrun.report.claims import Examined
+from rtrun.report.claims.examination import Examined
 from rtrun.report.digest import Digest
 from rtrun.report.document import Document, Table, fingerprint
 from rtrun.report.gate import Gate

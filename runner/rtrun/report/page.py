@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from rtrun.report.document import Document
-from rtrun.report.plots import long_term, long_term_still, plots
+from rtrun.report.plots.charts import long_term, long_term_still, plots
 from rtrun.report.study import Study
 
 _FOLDER = Path(__file__).parent

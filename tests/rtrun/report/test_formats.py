@@ -11,7 +11,7 @@ import pytest
 from report.campaigns import latencies, oneshot_rows, write_run
 
 from rtrun.cli import main
-from rtrun.table import EMULATED
+from rtrun.report.terminal import EMULATED
 
 
 def write(capsysbinary, results, form):

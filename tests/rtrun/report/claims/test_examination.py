@@ -11,8 +11,8 @@ from report.campaigns import (
     write_run,
 )
 
-from rtrun.report.claims import Finding, examine_claims
-from rtrun.report.reference import published
+from rtrun.report.claims.examination import Finding, examine_claims
+from rtrun.report.claims.reference import published
 from rtrun.report.study import study
 from rtrun.results.importers.adopt import adopt
 

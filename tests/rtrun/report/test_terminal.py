@@ -8,8 +8,8 @@ from rich.console import Console
 
 from rtrun.analysis.figures import Figures, figures
 from rtrun.plan.suites import Value
+from rtrun.report.terminal import EMULATED, NO_PREEMPT_RT, answer, table
 from rtrun.results.reading import Result
-from rtrun.table import EMULATED, NO_PREEMPT_RT, answer, table
 
 
 def result(found: Figures, remarks: tuple[str, ...] = (), **parameters: Value) -> Result:

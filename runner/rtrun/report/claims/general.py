@@ -2,7 +2,7 @@
 
 from rtrun.analysis.comparison import Change
 from rtrun.analysis.deadline import clopper_pearson
-from rtrun.report.claims import (
+from rtrun.report.claims.examination import (
     Finding,
     Result,
     compared,

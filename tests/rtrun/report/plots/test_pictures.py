@@ -6,7 +6,7 @@ import pytest
 from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_log, write_run
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtrun.report import pictures
+from rtrun.report.plots import pictures
 
 JPEG = b"\xff\xd8\xff"
 

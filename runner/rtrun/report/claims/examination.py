@@ -9,7 +9,7 @@ from enum import StrEnum
 
 from rtrun.analysis.blocks import Blocks
 from rtrun.analysis.comparison import Change, Comparison, Shift, compare
-from rtrun.report.reference import published
+from rtrun.report.claims.reference import published
 from rtrun.report.study import Group, Study, told
 
 
@@ -67,7 +67,7 @@ def examines(
 def examine_claims(study: Study) -> tuple[Examined, ...]:
     """Examine every claim, in the order of the thesis. Timing claims are never decided by emulated runs."""
     # Importing the modules registers their examiners.
-    from rtrun.report import claims_general, claims_timers  # noqa: F401
+    from rtrun.report.claims import general, timers  # noqa: F401
 
     examined = []
     for claim in published()["claims"]:

@@ -9,8 +9,8 @@ import numpy as np
 from rtrun.analysis.extreme import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.report.digest import Digest
+from rtrun.report.plots.svg import COLOURS, DASHES, FAINT, INK, Axis, Mark, Point, chart
 from rtrun.report.study import Group, Study, slowest
-from rtrun.report.svg import COLOURS, DASHES, FAINT, INK, Axis, Mark, Point, chart
 
 _BINS = 240
 _OVERLAID = len(COLOURS)

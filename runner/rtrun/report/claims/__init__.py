@@ -1,0 +1,1 @@
+"""The claims of the thesis, each examined on the samples at hand."""

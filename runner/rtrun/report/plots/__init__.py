@@ -1,0 +1,1 @@
+"""Pictures: charts of the report, and the logs drawn without gnuplot."""
