@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         switch_on(config, args.target.parent, Path(work) / "console.log") as target,
         Link(target, note) as link,
     ):
-        facts = rt_readiness.parse(link.do(lambda connection: connection.check(["sh", "-s"], stdin=script)))
+        facts = rt_readiness.parse(link.check(["sh", "-s"], stdin=script))
         if args.save_config:
             _save_config(link, args.save_config)
     findings = rt_readiness.judge(checks, facts)

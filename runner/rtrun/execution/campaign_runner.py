@@ -106,7 +106,7 @@ def run_campaign(
             # A runner that was killed may have left something of runs it had closed.
             leftovers = str(target.work_dir / "runs" / log.uid)
             with contextlib.suppress(TargetRebooted):
-                link.do(lambda connection: connection.check(["rm", "-rf", leftovers]))
+                link.check(["rm", "-rf", leftovers])
         return statuses
 
 

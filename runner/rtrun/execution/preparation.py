@@ -70,7 +70,7 @@ def _tools(link: Link, scripts: PurePosixPath, runs: Sequence[Run], kernel_confi
     lacks = []
     if needs:
         command = ["sh", str(scripts / "lacks.sh"), *sorted(needs)]
-        lacks = link.do(lambda connection: connection.check(command)).splitlines()
+        lacks = link.check(command).splitlines()
     config = gzip.decompress(kernel_config).decode(errors="replace") if kernel_config else ""
     for suite in baselines.values():
         if suite.kernel and config and f"{suite.kernel}=" not in config:

@@ -74,7 +74,7 @@ class Left:
 def left(link: Link, remote: PurePosixPath) -> Left:
     """Look at what an earlier call left of a run."""
     command = ["sh", "-c", _LEFT, "sh", str(remote), str(LIMIT_BYTES)]
-    said, _, text = link.do(lambda connection: connection.check(command)).partition("attempt\n")
+    said, _, text = link.check(command).partition("attempt\n")
     words = [line.split() for line in said.splitlines()]
     boots = {word[1]: word[2] for word in words if len(word) == 3}
     cut_off = not set(boots.values()) <= {link.boot_id}
@@ -99,7 +99,7 @@ def _read(link: Link, remote: PurePosixPath, text: str) -> Attempt:
 def folders(link: Link, runs: PurePosixPath) -> list[str]:
     """Return the names of the runs of a campaign that an earlier call has left something of."""
     command = ["sh", "-c", 'ls "$1" 2>/dev/null; exit 0', "sh", str(runs)]
-    return link.do(lambda connection: connection.check(command)).splitlines()
+    return link.check(command).splitlines()
 
 
 def begin(
@@ -117,7 +117,7 @@ def begin(
     Raises TargetError when something of another run still lives on the target: both would be disturbed.
     """
     command = ["sh", "-c", _BUSY, "sh", str(remote.parent.parent), str(remote)]
-    if busy := link.do(lambda connection: connection.check(command)).strip():
+    if busy := link.check(command).strip():
         raise TargetError(
             f"{link.target.address}: another run is still going on: {busy}; "
             f"take its campaign up again, or end it there: kill -- -$(cat {busy}.pid)"
@@ -133,5 +133,5 @@ def begin(
     }
     text = json.dumps(data)
     keep = ["sh", "-c", _KEEP, "sh", str(remote), str(len(text.encode()))]
-    link.do(lambda connection: connection.check(keep, stdin=text))
+    link.check(keep, stdin=text)
     return parse(data, Attempt, FILE)

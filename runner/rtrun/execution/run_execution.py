@@ -196,7 +196,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
             },
         }
         run_directory.close(partial, folder, record)
-    link.do(lambda connection: connection.check(["rm", "-rf", str(remote)]))
+    link.check(["rm", "-rf", str(remote)])
     return verdict.status, verdict.reason
 
 

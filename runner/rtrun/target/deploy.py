@@ -46,7 +46,7 @@ def deploy(link: Link, folder: Path, kind: str) -> PurePosixPath:
     objects = str(link.target.work_dir / "objects")
     command = ["sh", "-c", _LINK, "sh", str(tree), objects]
     # Drawn anew at each attempt: a lost link may have left half of one.
-    link.do(lambda connection: connection.check([*command, secrets.token_hex(4), str(len(files))], stdin=listing))
+    link.check([*command, secrets.token_hex(4), str(len(files))], stdin=listing)
     return tree
 
 

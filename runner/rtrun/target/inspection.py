@@ -34,7 +34,7 @@ def find(link: Link, script: str) -> Equipment:
     `script` is the text of find.sh: it runs before anything can be deployed.
     """
     target = link.target
-    said = link.do(lambda connection: connection.check(["sh", "-s", str(target.work_dir)], stdin=script))
+    said = link.check(["sh", "-s", str(target.work_dir)], stdin=script)
     facts: dict[str, list[str]] = {}
     for line in said.splitlines():
         name, _, value = line.partition(" ")
@@ -64,7 +64,7 @@ def find(link: Link, script: str) -> Equipment:
 
 def state(link: Link, script: PurePosixPath) -> dict[str, Any]:
     """Return the state of the target now, as stored in target.json. Real-time threads are listed, others counted."""
-    return parse_state(link.do(lambda connection: connection.check(["sh", str(script)])))
+    return parse_state(link.check(["sh", str(script)]))
 
 
 def parse_state(text: str) -> dict[str, Any]:
@@ -106,5 +106,5 @@ def is_preempt_rt(state: dict[str, Any]) -> bool:
 
 def kernel_config(link: Link) -> bytes:
     """Return the running kernel's configuration, gzipped, or nothing where the target does not keep it."""
-    text = link.do(lambda connection: connection.check(["sh", "-c", _KERNEL_CONFIG]))
+    text = link.check(["sh", "-c", _KERNEL_CONFIG])
     return gzip.compress(text.encode(), mtime=0) if text.strip() else b""

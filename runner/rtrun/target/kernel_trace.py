@@ -25,13 +25,13 @@ def tracing(link: Link, scripts: PurePosixPath, parameters: Mapping[str, Value])
         return
     script = str(scripts / "trace.sh")
     clock = CLOCKS[str(parameters["clock"])]
-    link.do(lambda connection: connection.check([script, "up", clock]))
+    link.check([script, "up", clock])
     try:
         yield
     except (*OUT_OF_REACH, StillMeasuring):
         raise
     except BaseException:
         with contextlib.suppress(TargetError):
-            link.do(lambda connection: connection.run([script, "down"]))
+            link.run([script, "down"])
         raise
-    link.do(lambda connection: connection.run([script, "down"]))
+    link.run([script, "down"])

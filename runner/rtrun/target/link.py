@@ -1,13 +1,13 @@
 """The link to a target that may break and come back, or come back as a target that was switched off meanwhile."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self, TypeVar
 
 from rtrun.target.config import Target
 from rtrun.target.errors import ConnectionLost, TargetError, TargetGone
-from rtrun.target.ssh import Connection
+from rtrun.target.ssh import COMMAND_S, Completed, Connection
 
 RETRY_S = 0.5
 CONNECT_S = 10.0
@@ -69,6 +69,14 @@ class Link:
                 if failure := self.target.failure():
                     raise failure from error
                 self._tell(f"{error}; connecting again")
+
+    def run(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> Completed:
+        """`Connection.run` with a live connection. Raises as that and `do` do."""
+        return self.do(lambda connection: connection.run(argv, deadline_s=deadline_s, stdin=stdin))
+
+    def check(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> str:
+        """`Connection.check` with a live connection. Raises as that and `do` do."""
+        return self.do(lambda connection: connection.check(argv, deadline_s=deadline_s, stdin=stdin))
 
     def _reconnect(self) -> Connection:
         if self._given_up is not None:

@@ -90,7 +90,7 @@ def start(
         deadline = str(max(1, round(program.deadline_s)))
         supervise = str(scripts / "supervise.sh")
         commands.append([supervise, str(folder), program.name, deadline, setup or "", *env, *program.argv])
-    link.do(lambda connection: connection.check(in_turn(commands)))
+    link.check(in_turn(commands))
 
 
 def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> Exit:
@@ -103,7 +103,7 @@ def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> 
     while True:
         slice_s = min(WAIT_S, max(SLICE_S, deadline - time.monotonic()))
         try:
-            said = link.do(lambda connection: connection.check(command, deadline_s=slice_s)).split()  # noqa: B023
+            said = link.check(command, deadline_s=slice_s).split()
         except DeadlineExpired:
             if failure := link.target.failure():
                 raise failure from None
@@ -116,13 +116,13 @@ def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> 
 
 def end(link: Link, folder: PurePosixPath, *names: str) -> None:
     """End programs of a folder and everything they started, as far as they still run."""
-    link.do(lambda connection: connection.run(_end(folder, names), deadline_s=END_BESIDE_S))
+    link.run(_end(folder, names), deadline_s=END_BESIDE_S)
 
 
 def give_up(link: Link, folder: PurePosixPath, names: Sequence[str]) -> None:
     """End programs of a folder, or those about to start there, and remove it; cut short, it may be called again."""
     commands = [["sh", "-c", _GIVE_UP, "sh", str(folder)], _end(folder, names), ["rm", "-rf", str(folder)]]
-    link.do(lambda connection: connection.check(in_turn(commands), deadline_s=END_BESIDE_S))
+    link.check(in_turn(commands), deadline_s=END_BESIDE_S)
 
 
 def _end(folder: PurePosixPath, names: Sequence[str]) -> list[str]:
@@ -138,7 +138,7 @@ def end_beside(
     """
     died = ["sh", "-c", _DIED, "sh", str(folder), " ".join(programs), *names]
     commands = [died, ["echo", _MARK], _end(folder, names), then]
-    said = link.do(lambda connection: connection.check(in_turn(commands), deadline_s=END_BESIDE_S))
+    said = link.check(in_turn(commands), deadline_s=END_BESIDE_S)
     deaths, _, rest = said.partition(f"{_MARK}\n")
     return {name: status for name, _, status in (line.partition(" ") for line in deaths.split("\n") if line)}, rest
 
@@ -146,19 +146,19 @@ def end_beside(
 def once(link: Link, folder: PurePosixPath, name: str, word: str) -> str:
     """Write a word down in a folder unless one stands there, and return the one that does."""
     command = ["sh", "-c", f'{_ONCE}once "$2" "$3"', "sh", str(folder), name, word]
-    return link.do(lambda connection: connection.check(command)).strip()
+    return link.check(command).strip()
 
 
 def tail(link: Link, path: PurePosixPath) -> str:
     """Return the last line of a file on the target, for a message; empty when there is none."""
-    result = link.do(lambda connection: connection.run(["tail", "-n", "1", str(path)]))
+    result = link.run(["tail", "-n", "1", str(path)])
     return result.stdout.strip()[:500]
 
 
 def ended(link: Link, folder: PurePosixPath, names: Sequence[str]) -> list[str]:
     """Return those of the programs, all started, that have ended."""
     command = ["sh", "-c", _ENDED, "sh", str(folder), *names]
-    return link.do(lambda connection: connection.check(command)).split()
+    return link.check(command).split()
 
 
 def until(condition: Callable[[], bool], *, deadline_s: float, what: str) -> None:

@@ -98,7 +98,7 @@ def running(
                 "nor /usr/bin/rosmaster is there, install ROS with rosmaster"
             )
         processes.end(link, folder, NAME)
-        link.do(lambda connection: connection.check(["sh", "-c", 'rm -rf "$1" && mkdir -p "$1"', "sh", str(folder)]))
+        link.check(["sh", "-c", 'rm -rf "$1" && mkdir -p "$1"', "sh", str(folder)])
         argv = [equipment.master, "--core", "-p", str(target.ros_master_port)]
         if priority is not None:
             argv = ["chrt", "-f", str(priority), *argv]
@@ -121,13 +121,13 @@ def running(
         if ours:
             with contextlib.suppress(TargetError):
                 processes.end(link, folder, NAME)
-                link.do(lambda connection: connection.run(["rm", "-rf", str(folder)]))
+                link.run(["rm", "-rf", str(folder)])
 
 
 def _is_held(link: Link, folder: PurePosixPath) -> bool:
     lock = str(folder / f"{NAME}.lock")
     command = ["sh", "-c", '[ -e "$1" ] && ! flock -n "$1" true', "sh", lock]
-    return link.do(lambda connection: connection.run(command)).status == 0
+    return link.run(command).status == 0
 
 
 def _wait_ready(link: Link, folder: PurePosixPath) -> None:

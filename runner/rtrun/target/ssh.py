@@ -25,6 +25,8 @@ KEEPALIVE_S = 10
 USER_TIMEOUT_MS = 20_000
 # AES-GCM needs one pass where CTR with a MAC needs two; ciphers out of date are not offered at all.
 CIPHERS = ("aes128-gcm@openssh.com", "aes256-gcm@openssh.com", "aes128-ctr", "aes192-ctr", "aes256-ctr")
+# What a command on the target may take unless its caller says otherwise.
+COMMAND_S = 30.0
 KILL_GRACE_S = 5.0
 CHUNK_BYTES = 32768
 
@@ -77,7 +79,7 @@ class Connection:
         """Close the connection; what runs detached on the target goes on."""
         self._transport.close()
 
-    def run(self, argv: Sequence[str], *, deadline_s: float = 30.0, stdin: str = "") -> Completed:
+    def run(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> Completed:
         """Run a command and wait for its end.
 
         Raises DeadlineExpired after `deadline_s` seconds, once what was started has been killed, and ConnectionLost.
@@ -104,7 +106,7 @@ class Connection:
         finally:
             channel.close()
 
-    def check(self, argv: Sequence[str], *, deadline_s: float = 30.0, stdin: str = "") -> str:
+    def check(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> str:
         """`run`, and return what it printed; a nonzero exit status is a TargetError with the last line it said."""
         result = self.run(argv, deadline_s=deadline_s, stdin=stdin)
         if result.status != 0:
@@ -112,7 +114,7 @@ class Connection:
             raise TargetError(f"{self.address}: {argv[0]} failed with exit status {result.status}: {said}")
         return result.stdout
 
-    def answer(self, argv: Sequence[str], *, deadline_s: float = 30.0) -> str:
+    def answer(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S) -> str:
         """`check` of a command that any target answers at once: no answer in time is a ConnectionLost."""
         try:
             return self.check(argv, deadline_s=deadline_s)

@@ -16,8 +16,7 @@ from faulty import record, runs_of
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.cli import main
-from rtrun.execution import campaign_runner, preparation
-from rtrun.execution import run_execution as measurement
+from rtrun.execution import campaign_runner, preparation, run_execution
 from rtrun.results.reading import read_run
 from rtrun.target import ros_master
 from rtrun.target.errors import TargetError, TargetGone
@@ -120,7 +119,7 @@ def test_programs_of_2014_write_logs_only(target, tmp_path, watching, wishes):
 
 
 def test_a_suite_that_hangs_is_ended_by_the_target(target, tmp_path, watching, wishes, monkeypatch):
-    monkeypatch.setattr(measurement, "DEADLINE_EXTRA_S", 8.0)
+    monkeypatch.setattr(run_execution, "DEADLINE_EXTRA_S", 8.0)
     wishes.will("sleep 300")
     statuses = measure(target, runs_of(2), tmp_path / "results", watching)
     assert list(statuses.values()) == ["failed", "ok"]
@@ -218,8 +217,8 @@ def test_a_master_that_dies_in_the_middle_of_a_run(bare_target, tmp_path, watchi
 
 
 def test_no_ros_on_the_target(bare_target, tmp_path, watching, wishes, monkeypatch):
-    real = preparation.probe.find
-    monkeypatch.setattr(preparation.probe, "find", lambda *words: replace(real(*words), master=None))
+    real = preparation.inspection.find
+    monkeypatch.setattr(preparation.inspection, "find", lambda *words: replace(real(*words), master=None))
     with pytest.raises(TargetError, match="no ROS on the target"):
         measure(bare_target, runs_of(1), tmp_path / "results", watching)
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from faulty import record, runs_of
 
-from rtrun.execution import campaign_runner
-from rtrun.execution import run_execution as measurement
+from rtrun.execution import campaign_runner, run_execution
 from rtrun.results import run_directory
 from rtrun.target import processes, ros_master, ssh
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
@@ -71,7 +70,7 @@ def test_after_the_sampler_was_ended(bare_target, wishes, monkeypatch, measure, 
         raise end
 
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.collect, "pull", pull)
+        patch.setattr(run_execution.download, "pull", pull)
         with pytest.raises(end):
             measure(bare_target, runs)
     assert measure(bare_target, runs) == ["ok"]
@@ -82,7 +81,7 @@ def test_an_error_of_ours_leaves_the_run_and_its_master_alone(bare_target, wishe
     wishes.will("sleep 2")
     runs = runs_of(1)
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.launch, "wait", failing(wishes, TargetError("sh: cannot fork")))
+        patch.setattr(run_execution.processes, "wait", failing(wishes, TargetError("sh: cannot fork")))
         with pytest.raises(TargetError, match="cannot fork; the run goes on and is picked up by the next call"):
             measure(bare_target, runs)
     assert measure(bare_target, runs) == ["ok"]
@@ -93,7 +92,7 @@ def test_what_the_target_should_have_ended_is_given_up(target, wishes, monkeypat
     wishes.will("sleep 60")
     runs = runs_of(1)
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.launch, "wait", failing(wishes, DeadlineExpired("took longer")))
+        patch.setattr(run_execution.processes, "wait", failing(wishes, DeadlineExpired("took longer")))
         with pytest.raises(DeadlineExpired):
             measure(target, runs)
     assert not list(Path(target.work_dir).glob("runs/*/*"))
@@ -103,7 +102,7 @@ def test_before_the_suite_was_started(target, tmp_path, wishes, monkeypatch, mea
     """Nothing measured yet: it begins anew, with the state of the target that it then finds."""
     runs = runs_of(1)
     with monkeypatch.context() as patch:
-        patch.setattr(measurement, "_start", stop)
+        patch.setattr(run_execution, "_start", stop)
         with pytest.raises(Stop):
             measure(target, runs)
     (left,) = Path(target.work_dir).glob("runs/*/*/attempt.json")
@@ -125,7 +124,7 @@ def test_what_goes_on_comes_first(target, tmp_path, wishes, monkeypatch, measure
         return out_of_reach(wishes)(link)
 
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.launch, "wait", wait)
+        patch.setattr(run_execution.processes, "wait", wait)
         with pytest.raises(ConnectionLost):
             measure(target, runs)
     assert measure(target, runs) == ["ok", "ok"]
@@ -136,12 +135,12 @@ def test_what_goes_on_comes_first(target, tmp_path, wishes, monkeypatch, measure
 
 def test_a_load_that_ended_while_nobody_looked(target, wishes, monkeypatch, measure):
     """It outlived the suite: the run is whole."""
-    monkeypatch.setattr(measurement, "DEADLINE_EXTRA_S", 8.0)
-    monkeypatch.setattr(measurement.conditions, "OUTLIVE_S", 1.0)
+    monkeypatch.setattr(run_execution, "DEADLINE_EXTRA_S", 8.0)
+    monkeypatch.setattr(run_execution.conditions, "OUTLIVE_S", 1.0)
     wishes.will("sleep 3")
     runs = runs_of(1, condition="io")
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.launch, "wait", stop)
+        patch.setattr(run_execution.processes, "wait", stop)
         with pytest.raises(Stop):
             measure(target, runs)
     while not list(Path(target.work_dir).rglob("stress.exit")):
@@ -172,7 +171,7 @@ def test_a_link_lost_in_a_call_of_the_master(target, monkeypatch, measure, call)
 def test_a_run_of_another_campaign_is_not_disturbed(target, tmp_path, wishes, monkeypatch, measure):
     wishes.will("sleep 60")
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.launch, "wait", out_of_reach(wishes))
+        patch.setattr(run_execution.processes, "wait", out_of_reach(wishes))
         with pytest.raises(ConnectionLost):
             measure(target, runs_of(1))
     with pytest.raises(TargetError, match=r"another run is still going on: .*cyclic_timer_tests"):
@@ -191,7 +190,7 @@ def test_another_master_than_the_run_began_with(bare_target, tmp_path, wishes, m
     wishes.will("sleep 6")
     runs = runs_of(1)
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.launch, "wait", out_of_reach(wishes))
+        patch.setattr(run_execution.processes, "wait", out_of_reach(wishes))
         with pytest.raises(ConnectionLost):
             measure(bare_target, runs)
     if who == "killed":
@@ -201,7 +200,7 @@ def test_another_master_than_the_run_began_with(bare_target, tmp_path, wishes, m
         assert record(tmp_path / "results", runs[0])["reason"].startswith("the ROS master died during the run")
         return
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.launch, "wait", lambda *_, **__: os.kill(os.getpid(), signal.SIGINT))
+        patch.setattr(run_execution.processes, "wait", lambda *_, **__: os.kill(os.getpid(), signal.SIGINT))
         with pytest.raises(KeyboardInterrupt):
             measure(bare_target, runs)
     assert not list(Path(bare_target.work_dir).glob("runs/*/*")), "given up with its master"
@@ -220,7 +219,7 @@ def test_a_run_whose_giving_up_was_cut_short_is_begun_anew(target, tmp_path, wis
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.launch, "wait", interrupted)
+        patch.setattr(run_execution.processes, "wait", interrupted)
         # The last of its steps, the removal, does not happen.
         real_turn = processes.in_turn
         patch.setattr(processes, "in_turn", lambda commands: real_turn([each for each in commands if each[0] != "rm"]))
@@ -242,7 +241,7 @@ def test_a_failed_run_that_was_closed_is_repeated_and_not_read_again(target, tmp
         raise Stop
 
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.rundir, "close", close)
+        patch.setattr(run_execution.run_directory, "close", close)
         with pytest.raises(Stop):
             measure(target, runs)
     assert measure(target, runs) == ["ok"]
@@ -260,7 +259,7 @@ def test_a_reboot_after_a_run_was_closed_costs_nothing(target, tmp_path, wishes,
             links[0].boot_id = "the boot before"
             links[0].drop()
 
-    monkeypatch.setattr(measurement.rundir, "close", close)
+    monkeypatch.setattr(run_execution.run_directory, "close", close)
     assert measure(target, runs_of(2)) == ["ok", "ok"]
     assert len(wishes.calls()) == 2
     assert not list((tmp_path / "results").glob("*.old-*"))
@@ -281,7 +280,7 @@ def test_nothing_is_done_on_a_boot_that_is_not_known(target, monkeypatch, error)
 
         monkeypatch.setattr(ssh.Connection, "check", check)
         with pytest.raises(TargetRebooted):
-            link.do(lambda connection: connection.check(["true"]))
+            link.check(["true"])
 
 
 def test_the_record_is_of_what_ran_and_not_of_what_is_there_now(
@@ -290,7 +289,7 @@ def test_the_record_is_of_what_ran_and_not_of_what_is_there_now(
     wishes.will("sleep 2")
     runs = runs_of(1)
     with monkeypatch.context() as patch:
-        patch.setattr(measurement.launch, "wait", out_of_reach(wishes))
+        patch.setattr(run_execution.processes, "wait", out_of_reach(wishes))
         with pytest.raises(ConnectionLost):
             measure(target, runs)
     (before,) = Path(target.work_dir).glob("suites/*")

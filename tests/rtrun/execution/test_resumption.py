@@ -17,8 +17,7 @@ from proxy import proxy_to
 from written import write_npy
 
 from rtfiles.errors import UsageError
-from rtrun.execution import campaign_runner
-from rtrun.execution import run_execution as measurement
+from rtrun.execution import campaign_runner, run_execution
 from rtrun.results import run_directory
 from rtrun.target.errors import ConnectionLost
 from watching import Watching
@@ -102,7 +101,7 @@ def test_a_cut_link_that_comes_back(proxied, tmp_path, wishes):
 
 
 def test_a_frozen_link_is_noticed_and_left(proxied, tmp_path, wishes, monkeypatch):
-    monkeypatch.setattr(measurement.launch, "WAIT_S", 2.0)
+    monkeypatch.setattr(run_execution.processes, "WAIT_S", 2.0)
     proxy, target = proxied
     watching = Watching()
     wishes.will("sleep 4")

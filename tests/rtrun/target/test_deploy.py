@@ -38,7 +38,7 @@ def uploads(monkeypatch):
 def test_the_tree_stands_there_and_runs(link, tree):
     there = Path(deploy.deploy(link, tree, "suites"))
     assert (there / "data").read_bytes() == (tree / "data").read_bytes()
-    assert link.do(lambda connection: connection.check([str(there / "lib/deep/program")])) == "hello\n"
+    assert link.check([str(there / "lib/deep/program")]) == "hello\n"
 
 
 def test_what_is_there_is_not_sent_again(link, tree, uploads):
