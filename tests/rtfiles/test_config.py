@@ -16,8 +16,19 @@ from rtfiles.errors import UsageError
         ("a: !!int x\n", ":1: no valid int: invalid literal for int() with base 10: 'x'"),
         ("a: !!bool x\n", ":1: no valid bool: "),
         ("a: !!timestamp x\n", ":1: no valid timestamp: "),
-        (f"a: {'1' * 5000}\n", ":1: no valid int: Exceeds the limit"),
+        (f"a: {'1' * 5000}\n", ":1: no valid int: a number has at most 40 characters"),
         ("[" * 5000, ": nested too deeply"),
+        (f"a: {'1:' * 500_000}1\n", ":1: no valid int: a number has at most 40 characters"),
+        ("#" * (1 << 20) + "\n", ": larger than 1048576 bytes"),
+        ("a: &a [*a]\n", ":1: an alias within what it names"),
+        (
+            "a0: &a0 [x, x]\n" + "".join(f"a{n + 1}: &a{n + 1} [*a{n}, *a{n}]\n" for n in range(30)),
+            ":17: its aliases stand for more than 200000 values",
+        ),
+        (
+            "a0: &a0 {x: 1}\n" + "".join(f"a{n + 1}: &a{n + 1} {{<<: [*a{n}, *a{n}]}}\n" for n in range(30)),
+            ":17: its aliases stand for more than 200000 values",
+        ),
     ],
 )
 def test_what_python_cannot_take(tmp_path, text, message):
@@ -47,3 +58,11 @@ def test_keys_are_named_as_they_stand_in_a_file(tmp_path, text, message):
     with pytest.raises(UsageError) as caught:
         load(file, Example)
     assert str(caught.value) == f"{file}: {message}"
+
+
+def test_what_an_error_shows_is_limited(tmp_path):
+    file = tmp_path / "a.yml"
+    file.write_text(f"schema: {'x' * 5000}\nname: 5\n" + "".join(f"{'k' * 1000}{n}: 1\n" for n in range(900)))
+    with pytest.raises(UsageError) as caught:
+        load(file, Example)
+    assert len(str(caught.value)) < 4000

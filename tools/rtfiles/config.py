@@ -1,4 +1,4 @@
-"""YAML files parsed once, at the edge, into frozen typed objects."""
+"""YAML and JSON files parsed once, at the edge, into frozen typed objects."""
 
 from collections.abc import Hashable
 from pathlib import Path
@@ -8,10 +8,15 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from rtfiles.errors import UsageError
+from rtfiles.untrusted import JSON_BYTES_MAX, JSON_ITEMS_MAX, parse_json, read_text
+
+# Of data that is wrong, which somebody else may have written.
+SHOWN_ERRORS = 20
+SHOWN_CHARACTERS = 80
 
 
 class Config(BaseModel):
-    """Base of every type that is read from YAML: frozen, strict about types, unknown keys refused."""
+    """Base of every type that is read from a file: frozen, strict about types, unknown keys refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -23,7 +28,8 @@ class Config(BaseModel):
             names = key_names(cls)
             unknown = [str(key) for key in data if key not in names]
             if unknown:
-                raise ValueError(f"unknown key {', '.join(map(repr, unknown))}, allowed: {', '.join(names)}")
+                shown = ", ".join(repr(key[:SHOWN_CHARACTERS]) for key in unknown[:SHOWN_ERRORS])
+                raise ValueError(f"unknown key {shown}, allowed: {', '.join(names)}")
         return data
 
 
@@ -34,12 +40,25 @@ def key_names(model: type[Config]) -> list[str]:
 
 ConfigT = TypeVar("ConfigT", bound=Config)
 
+YAML_BYTES_MAX = 1 << 20
+# With every alias written out: a few hundred bytes of nested aliases stand for more than memory holds.
+YAML_NODES_MAX = 200_000
+YAML_NUMBER_MAX = 40
+
 
 class _StrictLoader(yaml.SafeLoader):
     """SafeLoader that refuses a key given twice, where YAML would silently keep the last."""
 
+    def get_single_node(self) -> Any:
+        node = super().get_single_node()
+        if node is not None:
+            _count_nodes(node, {})
+        return node
+
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
+            if node.tag in _NUMBERS and len(node.value) > YAML_NUMBER_MAX:
+                raise ValueError(f"a number has at most {YAML_NUMBER_MAX} characters")
             return super().construct_object(node, deep)
         except (ArithmeticError, AttributeError, LookupError, ValueError) as error:
             # PyYAML lets through what Python says of 2024-02-30, !!int x and the like.
@@ -63,16 +82,36 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+
+
+def _count_nodes(node: yaml.Node, known: dict[yaml.Node, int]) -> int:
+    """Return how many nodes a node stands for, aliases written out; `known` are those counted, 0 while under way."""
+    if node in known:
+        if not known[node]:
+            raise yaml.constructor.ConstructorError(None, None, "an alias within what it names", node.start_mark)
+        return known[node]
+    known[node] = 0
+    parts: list[yaml.Node] = []
+    if isinstance(node, yaml.MappingNode):
+        parts = [each for pair in node.value for each in pair]
+    elif isinstance(node, yaml.SequenceNode):
+        parts = node.value
+    known[node] = 1 + sum(_count_nodes(each, known) for each in parts)
+    if known[node] > YAML_NODES_MAX:
+        raise yaml.constructor.ConstructorError(
+            None, None, f"its aliases stand for more than {YAML_NODES_MAX} values", node.start_mark
+        )
+    return known[node]
+
+
 def read_yaml(path: Path) -> Any:
     """Return the plain data in a YAML file.
 
-    Raises UsageError naming file and line when it cannot be read, is not YAML, or gives a key twice.
+    Raises UsageError naming file and line when it cannot be read, is not YAML, gives a key twice, or stands for more
+    than any file of ours does.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise UsageError(f"{path}: {reason}") from error
+    text = read_text(path, max_bytes=YAML_BYTES_MAX)
     try:
         return yaml.load(text, Loader=_StrictLoader)
     except yaml.MarkedYAMLError as error:
@@ -85,7 +124,7 @@ def read_yaml(path: Path) -> Any:
 
 
 def parse(data: Any, model: type[ConfigT], origin: str) -> ConfigT:
-    """Turn plain data into a Config; every error found is in the UsageError, one line each.
+    """Turn plain data into a Config; the errors found are in the UsageError, one line each.
 
     A line reads ``origin: path.to.key: what is wrong, what is allowed``.
     """
@@ -95,16 +134,26 @@ def parse(data: Any, model: type[ConfigT], origin: str) -> ConfigT:
         return model.model_validate(data)
     except ValidationError as error:
         lines = []
-        for item in error.errors():
-            where = ".".join(str(part) for part in item["loc"])
+        for item in error.errors()[:SHOWN_ERRORS]:
+            where = ".".join(str(part)[:SHOWN_CHARACTERS] for part in item["loc"])
             message = item["msg"].removeprefix("Value error, ")
             got = item["input"]
             if isinstance(got, str | int | float | bool) and item["type"] not in ("missing", "value_error"):
-                message += f", got {got!r}"
+                message += f", got {repr(got)[:SHOWN_CHARACTERS]}"
             lines.append(f"{origin}: {where + ': ' if where else ''}{message}")
+        if error.error_count() > SHOWN_ERRORS:
+            lines.append(f"{origin}: and {error.error_count() - SHOWN_ERRORS} more errors")
         raise UsageError("\n".join(lines)) from error
 
 
 def load(path: Path, model: type[ConfigT]) -> ConfigT:
     """Read a YAML file into a Config. Raises UsageError as `read_yaml` and `parse` do."""
     return parse(read_yaml(path), model, str(path))
+
+
+def read_json(
+    path: Path, model: type[ConfigT], *, max_bytes: int = JSON_BYTES_MAX, max_items: int = JSON_ITEMS_MAX
+) -> ConfigT:
+    """Read a JSON file into a Config. Raises UsageError that names the file and what is wrong in it."""
+    text = read_text(path, max_bytes=max_bytes)
+    return parse(parse_json(text, str(path), max_bytes=max_bytes, max_items=max_items), model, str(path))

@@ -11,13 +11,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from rtfiles.config import Config
+from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import Figures, figures_of_histogram
 from rtrun.plan.suites import Value, suite
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
-from rtrun.results.samples import Count, read_json, read_samples
+from rtrun.results.samples import Count, read_samples
 
 RECORD = "run.json"
 MAIN_SERIES = ("measured", "jitter", "latency")  # what a suite is about; the others are seen from another side

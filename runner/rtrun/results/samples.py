@@ -3,7 +3,6 @@
 Both are untrusted: their sizes are limited, the npy is never unpickled, and rows and counts must tell the same.
 """
 
-import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +11,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from rtfiles.config import Config, ConfigT, parse
+from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import Figures, figures
 from rtrun.analysis.histogram import Int64s
 from rtrun.plan.suites import Suite, Value, suite
 
-MAX_JSON_BYTES = 16 << 20
 MAX_NPY_BYTES = 4 << 30
 NOT_FIRED_NS = -(2**63)
 # Threads of a suite that have no part in the measurement: of normal scheduling, on spare CPUs, whatever was asked for.
@@ -173,26 +171,6 @@ class Samples:
             )
             for name, series in self.series.items()
         }
-
-
-def read_json(path: Path, model: type[ConfigT]) -> ConfigT:
-    """Read a JSON file into a Config. Raises UsageError that names the file and what is wrong in it."""
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(MAX_JSON_BYTES + 1)
-    except OSError as error:
-        raise UsageError(f"{path}: {error.strerror}") from error
-    if len(data) > MAX_JSON_BYTES:
-        raise UsageError(f"{path}: larger than {MAX_JSON_BYTES} bytes")
-    try:
-        content = json.loads(data.decode("utf-8"), parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"{path}: not JSON: {error}") from error
-    return parse(content, model, str(path))
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is not JSON")
 
 
 def read_samples(path: Path) -> Samples:

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rtfiles.config import read_json
 from rtfiles.errors import UsageError
 from rtrun.plan import suites
 from rtrun.plan.campaign import Run
 from rtrun.plan.conditions import Background
 from rtrun.plan.program import Exit, Program
 from rtrun.results.gnuplot_log import read_log
-from rtrun.results.samples import Record, read_json, read_samples
+from rtrun.results.samples import Record, read_samples
 from rtrun.validity import baselines, in_effect
 from rtrun.validity.counts import contradiction
 

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from written import write_communication, write_cyclic, write_oneshot
 
 from rtfiles.errors import UsageError
-from rtrun.results import samples
 from rtrun.results.samples import Series, read_samples
 
 
@@ -187,10 +186,12 @@ def test_what_is_no_json_is_refused(tmp_path: Path, data: bytes) -> None:
     assert str(error.value).startswith(f"{path}: ")
 
 
-def test_a_json_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(samples, "MAX_JSON_BYTES", 100)
-    with pytest.raises(UsageError, match="larger than 100 bytes"):
-        read_samples(write_cyclic(tmp_path))
+def test_a_json_too_large_is_refused(tmp_path: Path) -> None:
+    path = write_cyclic(tmp_path)
+    with path.open("r+b") as stream:
+        stream.truncate((16 << 20) + 1)
+    with pytest.raises(UsageError, match="larger than 16777216 bytes"):
+        read_samples(path)
 
 
 @pytest.mark.parametrize("ending", [".json", ".npy"])

@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 from written import write_communication, write_oneshot
 
+from rtfiles.config import read_json
 from rtrun.results.gnuplot_log import read_log
-from rtrun.results.samples import Record, read_json
+from rtrun.results.samples import Record
 from rtrun.validity.counts import contradiction
 
 

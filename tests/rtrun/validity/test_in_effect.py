@@ -5,10 +5,11 @@ from pathlib import PurePosixPath
 import pytest
 from written import write_cyclic
 
+from rtfiles.config import read_json
 from rtfiles.errors import UsageError
 from rtrun.plan import conditions
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.results.samples import Record, read_json
+from rtrun.results.samples import Record
 from rtrun.validity.in_effect import mismatch, observed, read_looks, requested
 
 STAT = "cpu {busy} 0 0 {idle} 0 0 0 0 0 0"

@@ -8,10 +8,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from rtfiles.config import Config
+from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Histogram
-from rtrun.results.samples import read_json
 
 ENDING = ".histogram.json"
 MAX_BINS = 10_000_000

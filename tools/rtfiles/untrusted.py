@@ -1,0 +1,109 @@
+"""The one reader of what comes from a file or a target: everything has a limit, and what breaks one is an error.
+
+Files and texts that are wrong raise UsageError ``origin: what is wrong``; single numbers and words raise ValueError,
+for the caller to add the place. Nothing here ends in any other exception, whatever it is given.
+"""
+
+import json
+import math
+import os
+import re
+import stat
+from pathlib import Path
+from typing import Any
+
+from rtfiles.errors import UsageError
+
+MIB = 1 << 20
+JSON_BYTES_MAX = 16 * MIB
+# An empty list takes 3 bytes of JSON and 64 of memory: the size of the text alone does not limit the memory.
+JSON_ITEMS_MAX = 500_000
+JSON_DEPTH_MAX = 32
+# Python refuses longer numbers only above 4300 digits, and those that it takes cost quadratic time.
+DIGITS_MAX = 20
+INT64_MAX = 2**63 - 1
+
+
+def read_bytes(path: Path, *, max_bytes: int) -> bytes:
+    """Return the content of a regular file. Raises UsageError; a pipe or a device is refused, it never blocks."""
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(handle, "rb") as stream:
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise UsageError(f"{path}: not a regular file")
+            data = stream.read(max_bytes + 1)
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror or error}") from error
+    except ValueError as error:  # a NUL in the path
+        raise UsageError(f"{str(path)!r}: {error}") from error
+    if len(data) > max_bytes:
+        raise UsageError(f"{path}: larger than {max_bytes} bytes")
+    return data
+
+
+def read_text(path: Path, *, max_bytes: int) -> str:
+    """Return the content of a regular file of UTF-8 text. Raises UsageError."""
+    try:
+        return read_bytes(path, max_bytes=max_bytes).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: not UTF-8 text") from error
+
+
+def parse_json(text: str, origin: str, *, max_bytes: int = JSON_BYTES_MAX, max_items: int = JSON_ITEMS_MAX) -> Any:
+    """Return the plain data in a JSON text; its numbers are finite and its texts can be encoded. Raises UsageError."""
+    # A character takes a byte at least.
+    if len(text) > max_bytes:
+        raise UsageError(f"{origin}: larger than {max_bytes} bytes")
+    if text.count(",") + text.count("[") + text.count("{") > max_items:
+        raise UsageError(f"{origin}: more than {max_items} values")
+    try:
+        data = json.loads(text, parse_int=whole_number, parse_float=real_number, parse_constant=real_number)
+        _check(data)
+    except (ValueError, RecursionError) as error:
+        reason = "nested too deeply" if isinstance(error, RecursionError) else error
+        raise UsageError(f"{origin}: not JSON that is read here: {reason}") from error
+    return data
+
+
+def _check(data: Any) -> None:
+    """Refuse plain data that cannot be written again: nested too deeply, or a text with half of a character."""
+    waiting = [(data, 1)]
+    while waiting:
+        value, depth = waiting.pop()
+        if depth > JSON_DEPTH_MAX:
+            raise ValueError(f"nested more than {JSON_DEPTH_MAX} deep")
+        if isinstance(value, str):
+            text(value)
+        elif isinstance(value, dict):
+            waiting += [(each, depth + 1) for pair in value.items() for each in pair]
+        elif isinstance(value, list):
+            waiting += [(each, depth + 1) for each in value]
+
+
+def text(word: str) -> str:
+    """Return a text that can be encoded as UTF-8. Raises ValueError for one that holds a lone surrogate."""
+    try:
+        word.encode("utf-8")
+    except UnicodeEncodeError:
+        raise ValueError("a text with half of a character (a lone surrogate)") from None
+    return word
+
+
+def whole_number(word: str, *, lowest: int = -INT64_MAX - 1, highest: int = INT64_MAX) -> int:
+    """Return the number in a text of ASCII digits. Raises ValueError for any other text and outside of the limits."""
+    if not re.fullmatch(rf"-?[0-9]{{1,{DIGITS_MAX}}}", word, re.ASCII):
+        raise ValueError(f"expected a whole number of at most {DIGITS_MAX} digits, got {word[:40]!r}")
+    number = int(word)
+    if not lowest <= number <= highest:
+        raise ValueError(f"expected a whole number from {lowest} to {highest}, got {number}")
+    return number
+
+
+def real_number(word: str) -> float:
+    """Return the finite number in a text as C and JSON write it. Raises ValueError."""
+    if not re.fullmatch(r"-?[0-9]{1,400}(\.[0-9]{1,400})?([eE][+-]?[0-9]{1,4})?", word, re.ASCII):
+        raise ValueError(f"expected a number, got {word[:40]!r}")
+    number = float(word)
+    if not math.isfinite(number):
+        raise ValueError(f"expected a finite number, got {word[:40]!r}")
+    return number
