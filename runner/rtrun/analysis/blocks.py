@@ -17,12 +17,12 @@ _SEED = 20140715
 class Blocks:
     """Counts of 1 us bins in each block of a run: ``counts`` (b, m) for bins from ``values_ns`` (m,), ascending.
 
-    ``sums_ns`` (b,) are exact sums of each block. ``ordered`` is False where a histogram had to be dealt out by lot,
-    which takes its measurements for independent. ``values_ns`` beyond a few thousand bins are coarser.
+    ``sums_ns`` (b,) are exact sums of each block. ``ordered`` is False where a histogram was split at random, which
+    takes its measurements for independent. ``values_ns`` beyond a few thousand bins are coarser.
     """
 
     values_ns: Int64s
-    counts: NDArray[np.int32]
+    counts: Int64s
     sums_ns: NDArray[np.float64]
     ordered: bool = True
 
@@ -44,30 +44,30 @@ def cut(values_ns: Int64s, blocks: int = BLOCKS) -> Blocks:
     n = values_ns.size
     blocks = max(1, min(blocks, n))
     starts = np.arange(blocks) * (n // blocks)
-    counts = np.zeros((blocks, columns.size), np.int32)
+    counts = np.zeros((blocks, columns.size), np.int64)
     sums = np.zeros(blocks)
     for row, (start, stop) in enumerate(zip(starts, [*starts[1:], n], strict=True)):
         part = values_ns[start:stop]
-        found = from_samples(part)
-        np.add.at(counts[row], np.searchsorted(columns, found.values_ns, side="right") - 1, found.counts)
+        bins = from_samples(part)
+        np.add.at(counts[row], np.searchsorted(columns, bins.values_ns, side="right") - 1, bins.counts)
         sums[row] = float(part.sum())
     return Blocks(values_ns=columns, counts=counts, sums_ns=sums)
 
 
-def deal(histogram: Histogram, blocks: int = BLOCKS) -> Blocks:
-    """Deal a histogram without order into blocks by lot (fixed seed)."""
+def split_randomly(histogram: Histogram, blocks: int = BLOCKS) -> Blocks:
+    """Split a histogram without order into blocks at random (fixed seed), as if its values were independent."""
     columns = _columns(histogram)
     counts = np.zeros(columns.size, np.int64)
     at = np.searchsorted(columns, histogram.values_ns, side="right") - 1
     np.add.at(counts, at, histogram.counts)
-    lot = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(_SEED)
     rows = []
-    left = counts
+    remainder = counts
     for remaining in range(blocks, 0, -1):
-        take = lot.binomial(left, 1 / remaining) if remaining > 1 else left
+        take = rng.binomial(remainder, 1 / remaining) if remaining > 1 else remainder
         rows.append(take)
-        left = left - take
-    table = np.array(rows, dtype=np.int32)
+        remainder = remainder - take
+    table = np.array(rows, dtype=np.int64)
     centre = columns + histogram.bin_ns / 2 if histogram.bin_ns > 1 else columns.astype(np.float64)
     return Blocks(values_ns=columns, counts=table, sums_ns=table @ centre, ordered=False)
 
@@ -78,7 +78,7 @@ def _columns(histogram: Histogram) -> Int64s:
     return values[:: -(-values.size // _COLUMNS)] if values.size else values
 
 
-def align(sets: Sequence[Sequence[Blocks]]) -> tuple[Int64s, list[list[NDArray[np.int32]]]]:
+def align(sets: Sequence[Sequence[Blocks]]) -> tuple[Int64s, list[list[Int64s]]]:
     """Bring runs of several sets to the same columns and to about the same block length.
 
     Returns the columns (m,) and, for each set and run, counts (b, m).
@@ -96,20 +96,20 @@ def align(sets: Sequence[Sequence[Blocks]]) -> tuple[Int64s, list[list[NDArray[n
             at = np.searchsorted(columns, run.values_ns, side="right") - 1
             starts = np.arange(groups) * factor
             merged = np.add.reduceat(run.counts, starts, axis=0)
-            table = np.zeros((groups, columns.size), np.int32)
+            table = np.zeros((groups, columns.size), np.int64)
             np.add.at(table.T, np.maximum(at, 0), merged.T)
             rows.append(table)
         aligned.append(rows)
     return columns, aligned
 
 
-def gather(outputs: Sequence[Blocks]) -> Blocks:
+def add_outputs(outputs: Sequence[Blocks]) -> Blocks:
     """Add outputs that measured the same moments (the subscribers of one run), block by block."""
     if len(outputs) == 1:
         return outputs[0]
     columns = np.unique(np.concatenate([one.values_ns for one in outputs]))
     rows = min(len(one.sums_ns) for one in outputs)
-    counts = np.zeros((rows, columns.size), np.int32)
+    counts = np.zeros((rows, columns.size), np.int64)
     sums = np.zeros(rows)
     for one in outputs:
         at = np.searchsorted(columns, one.values_ns)

@@ -109,8 +109,8 @@ def compare(
             f"runs alike: with {len(a)} and {len(b)} runs the difference between boots is not in the intervals"
         )
     units = (sum(len(rows) for rows in rows_a), sum(len(rows) for rows in rows_b))
-    lot = np.random.default_rng(SEED)
-    boot_a, boot_b = _resample(rows_a, lot), _resample(rows_b, lot)
+    rng = np.random.default_rng(SEED)
+    boot_a, boot_b = _resample(rows_a, rng), _resample(rows_b, rng)
     tail = 100 * (1 - confidence) / 2
     shifts = []
     total_a, total_b = sum(run.n for run in a), sum(run.n for run in b)
@@ -133,7 +133,7 @@ def compare(
         shifts.append(
             Shift(figure=name, a_ns=at_a, b_ns=at_b, low_ns=float(low), high_ns=float(high), margin_ns=margin)
         )
-    distance, p_value = _permutation_test(np.concatenate(rows_a), np.concatenate(rows_b), lot)
+    distance, p_value = _permutation_test(np.concatenate(rows_a), np.concatenate(rows_b), rng)
     if min(units) < _LEAST_UNITS:
         answer = Change.UNDECIDED
     elif p_value < 1 - confidence:
@@ -177,11 +177,11 @@ def _few_units(units: int, confidence: float) -> float:
     return float(stdtrit(units - 1, middle) / ndtri(middle)) * math.sqrt(units / (units - 1))
 
 
-def _resample(strata: Sequence[NDArray[np.int32]], lot: np.random.Generator) -> NDArray[np.float64]:
+def _resample(strata: Sequence[Int64s], rng: np.random.Generator) -> NDArray[np.float64]:
     """Counts (ROUNDS, m) of sets drawn with replacement, each stratum (run) as often as it has units."""
     total = np.zeros((ROUNDS, strata[0].shape[1]))
     for rows in strata:
-        weights = lot.multinomial(len(rows), np.full(len(rows), 1 / len(rows)), size=ROUNDS)
+        weights = rng.multinomial(len(rows), np.full(len(rows), 1 / len(rows)), size=ROUNDS)
         total += weights.astype(np.float64) @ rows.astype(np.float64)
     return total
 
@@ -197,9 +197,7 @@ def _quantiles(counts: NDArray[np.generic], columns: Int64s, q: float) -> NDArra
     return np.asarray(found, dtype=np.float64)
 
 
-def _permutation_test(
-    rows_a: NDArray[np.int32], rows_b: NDArray[np.int32], lot: np.random.Generator
-) -> tuple[float, float]:
+def _permutation_test(rows_a: Int64s, rows_b: Int64s, rng: np.random.Generator) -> tuple[float, float]:
     rows = np.concatenate((rows_a, rows_b)).astype(np.float64)
     total = rows.sum(axis=0)
 
@@ -213,7 +211,7 @@ def _permutation_test(
     truth = np.zeros((1, len(rows)))
     truth[0, : len(rows_a)] = 1
     seen = float(distances(truth)[0])
-    shuffled = lot.permuted(np.repeat(truth, ROUNDS, axis=0), axis=1)
+    shuffled = rng.permuted(np.repeat(truth, ROUNDS, axis=0), axis=1)
     reached = 0
     for part in np.array_split(shuffled, max(1, ROUNDS * rows.shape[1] // 2_000_000)):
         reached += int((distances(part) >= seen - 1e-12).sum())

@@ -11,7 +11,7 @@ from rtrun.analysis.dependence import Events, design_effect, locate, pool
 from rtrun.analysis.histogram import Histogram, Int64s
 
 # Beyond this a number of measurements is no plan: at 1 kHz it is 30 000 years.
-_NEVER = 10**15
+_UNATTAINABLE = 10**15
 # With this many misses their own bursts tell the design effect; with fewer a lower level has to help.
 _ENOUGH_MISSES = 20
 _LEVEL_EVENTS = 200
@@ -30,7 +30,7 @@ class Answer(StrEnum):
 class Trials:
     """What one run says about one deadline: how many came late or never, and where.
 
-    ``late`` measurements exceeded the deadline, ``never`` were not fired or went missing: they met no deadline
+    ``late`` measurements exceeded the deadline, ``absent`` were not fired or went missing: they met no deadline
     either. ``misses`` holds both by position; None where a log kept no order. ``level`` holds where the run passed a
     lower level often enough (about 200 times) to show whether its high values come in bursts. ``worst_ns`` is the
     highest value seen.
@@ -38,7 +38,7 @@ class Trials:
 
     n: int
     late: int
-    never: int
+    absent: int
     misses: Events | None
     level: Events | None
     worst_ns: int | None
@@ -48,7 +48,7 @@ class Trials:
 class Verdict:
     """The answer to one deadline. ``lower`` and ``upper`` bound P(miss) at ``confidence`` (two-sided).
 
-    ``further`` measurements without any further miss would give PROVEN (0: given, None: never);
+    ``further`` measurements without any further miss would give PROVEN (0: it is given, None: no number would);
     ``further_at_rate`` gives (answer, measurements) if misses go on at the rate seen, None when that decides nothing.
     """
 
@@ -58,7 +58,7 @@ class Verdict:
     confidence: float
     n: int
     late: int
-    never: int
+    absent: int
     worst_ns: int | None
     p_miss: float
     lower: float
@@ -74,7 +74,7 @@ class Verdict:
     @property
     def misses(self) -> int:
         """Measurements that did not meet the deadline."""
-        return self.late + self.never
+        return self.late + self.absent
 
     def hours(self, measurements: int) -> float | None:
         """How long so many measurements take; None when the period is not known."""
@@ -100,17 +100,18 @@ def clopper_pearson(k: float, n: float, confidence: float) -> tuple[float, float
     return lower, upper
 
 
-def hold(values_ns: Int64s, deadline_ns: int, never: Int64s | None = None) -> Trials:
-    """Hold one run's int64 samples, shape (n,) in loop order, against a deadline; late is above it.
+def count_misses(values_ns: Int64s, deadline_ns: int, absent: Int64s | None = None) -> Trials:
+    """Count what missed the deadline in one run's int64 samples, shape (n,) in loop order; late is above it.
 
-    `never` gives the ascending loop positions of what was not fired or went missing; the samples fill the others.
+    `absent` gives the ascending loop positions of what was not fired or went missing; the samples fill the others.
     """
-    gone = np.empty(0, np.int64) if never is None else never
-    loops = values_ns.size + gone.size
+    if absent is None:
+        absent = np.empty(0, np.int64)
+    loops = values_ns.size + absent.size
     late = np.flatnonzero(values_ns > deadline_ns).astype(np.int64)
     late_count = late.size
-    if gone.size:
-        late = np.sort(np.concatenate((_loop_positions(late, gone), gone)))
+    if absent.size:
+        late = np.sort(np.concatenate((_loop_positions(late, absent), absent)))
     level = None
     wanted = min(_LEVEL_EVENTS, values_ns.size // 20)
     if wanted >= 10:
@@ -119,24 +120,24 @@ def hold(values_ns: Int64s, deadline_ns: int, never: Int64s | None = None) -> Tr
     return Trials(
         n=loops,
         late=late_count,
-        never=gone.size,
+        absent=absent.size,
         misses=locate(late, loops),
         level=level,
         worst_ns=int(values_ns.max()) if values_ns.size else None,
     )
 
 
-def _loop_positions(of_samples: Int64s, gone: Int64s) -> Int64s:
+def _loop_positions(of_samples: Int64s, absent: Int64s) -> Int64s:
     """Loop positions of samples given by their rank among those that came."""
-    came_before = gone - np.arange(gone.size)
+    came_before = absent - np.arange(absent.size)
     return of_samples + np.searchsorted(came_before, of_samples, side="right")
 
 
-def hold_histogram(histogram: Histogram, deadline_ns: int, never: int = 0) -> Trials:
-    """Hold a histogram against a deadline. Raises ValueError when the deadline lies in the overflow."""
+def count_misses_in_histogram(histogram: Histogram, deadline_ns: int, absent: int = 0) -> Trials:
+    """Count what missed the deadline in a histogram. Raises ValueError when the deadline lies in the overflow."""
     top = int(histogram.values_ns[-1]) if histogram.values_ns.size and not histogram.overflow else histogram.max_ns
     late = histogram.above(deadline_ns)
-    return Trials(n=histogram.n + never, late=late, never=never, misses=None, level=None, worst_ns=top)
+    return Trials(n=histogram.n + absent, late=late, absent=absent, misses=None, level=None, worst_ns=top)
 
 
 def judge(
@@ -148,22 +149,22 @@ def judge(
     period_ns: float | None = None,
     clock_step_ns: int | None = None,
     emulated: bool = False,
-    together: int = 1,
+    measurements_per_event: int = 1,
 ) -> Verdict:
     """Answer for runs of one set of parameters: is P(miss) below `probability`, at this confidence?
 
     PROVEN: the interval's upper end is below it. REFUTED: the lower end is above it. Else NEEDS MORE, with how many.
-    `together` measurements of one moment (the subscribers of one message) count as one, the worst they can be worth.
+    `measurements_per_event` measurements of one event (the subscribers of one message) count as one measurement.
     Numbers from an emulated board, or for a deadline below two clock steps, are no real-time statement.
     Raises ValueError when probability or confidence is not between 0 and 1.
     """
     if not 0 < probability < 1 or not 0 < confidence < 1:
         raise ValueError("probability and confidence must lie between 0 and 1, both ends excluded")
     n = sum(run.n for run in runs)
-    late, never = sum(run.late for run in runs), sum(run.never for run in runs)
-    misses = late + never
+    late, absent = sum(run.late for run in runs), sum(run.absent for run in runs)
+    misses = late + absent
     effect, assumes = _effect_of(runs, misses, confidence)
-    effect *= together
+    effect *= measurements_per_event
     lower, upper = clopper_pearson(misses / effect, n / effect, confidence)
     refused = None
     if emulated:
@@ -197,7 +198,7 @@ def judge(
         confidence=confidence,
         n=n,
         late=late,
-        never=never,
+        absent=absent,
         worst_ns=max((run.worst_ns for run in runs if run.worst_ns is not None), default=None),
         p_miss=rate,
         lower=lower,
@@ -249,7 +250,7 @@ def _smallest(holds: Callable[[int], bool], start: int) -> int | None:
     low, high = start, max(1, start)
     while not holds(high):
         low, high = high, 2 * high
-        if high > _NEVER:
+        if high > _UNATTAINABLE:
             return None
     while high - low > 1:
         middle = (low + high) // 2

@@ -24,10 +24,12 @@ _EXCLUDED = 1e200
 
 @dataclass(frozen=True, kw_only=True)
 class Family:
-    """A distribution of excesses or maxima. ``log_cdf`` and ``log_sf`` take x and (shape, scale, ...) parameters.
+    """A distribution of excesses or maxima; parameters are (shape, scale) for GPD, (shape, scale, location) for GEV.
 
-    ``location(level, chance, shape, scale)`` solves for what puts a level where it is exceeded with `chance`: the
-    scale of GPD (shape only is given), the location of GEV.
+    ``log_interval(x, step, parameters)`` is log P(x <= X < x + step), ``cdf(x, parameters)`` is P(X <= x),
+    ``level(chance, parameters)`` is exceeded with `chance`. ``with_level(level, chance, free)`` completes the
+    parameters so that this level is exceeded with `chance`: `free` is (shape,) for GPD, (shape, log scale) for GEV.
+    ``start(x, counts)`` gives parameters to begin the search with, from moments.
     """
 
     name: str

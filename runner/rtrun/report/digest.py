@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.blocks import Blocks, cut, deal
-from rtrun.analysis.deadline import Trials, hold, hold_histogram
+from rtrun.analysis.blocks import Blocks, cut, split_randomly
+from rtrun.analysis.deadline import Trials, count_misses, count_misses_in_histogram
 from rtrun.analysis.describe import Description, describe, describe_histogram
 from rtrun.analysis.extreme import Tail, tail_of
 from rtrun.analysis.histogram import Histogram, Int64s, from_samples
@@ -89,7 +89,7 @@ def digest(one: Measured, deadline_ns: int) -> Digest:
         figures = describe(values, one.index)
         histogram = from_samples(values)
         if one.main:
-            trials = hold(values, deadline_ns, one.never)
+            trials = count_misses(values, deadline_ns, one.never)
         if one.main and values.size:
             tail, blocks, course = tail_of(values), cut(values), _course(values)
     else:
@@ -98,10 +98,10 @@ def digest(one: Measured, deadline_ns: int) -> Digest:
         figures = describe_histogram(histogram)
         if one.main:
             try:
-                trials = hold_histogram(histogram, deadline_ns, one.never_count)
+                trials = count_misses_in_histogram(histogram, deadline_ns, one.never_count)
             except ValueError as error:
                 undecidable = str(error)
-            blocks = deal(histogram) if histogram.values_ns.size else None
+            blocks = split_randomly(histogram) if histogram.values_ns.size else None
     magnitude = np.abs(histogram.values_ns) if one.series == "difference" and histogram.n else None
     return Digest(
         run=one.run,

@@ -84,8 +84,8 @@ def verdict_line(group: Group) -> Line:
 
 def _numbers(verdict: Verdict, group: Group) -> str:
     parts = [f"{verdict.late:,} of {verdict.n:,} late".replace(",", " ")]
-    if verdict.never:
-        parts[0] += f" and {verdict.never} never came"
+    if verdict.absent:
+        parts[0] += f" and {verdict.absent} never came"
     parts.append(f"P(miss) {_between(verdict)}")
     if verdict.worst_ns is not None:
         parts.append(f"worst {us(verdict.worst_ns)} us")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rtrun.analysis.blocks import Blocks, gather
+from rtrun.analysis.blocks import Blocks, add_outputs
 from rtrun.analysis.deadline import Verdict, judge
 from rtrun.analysis.extreme import Bound, worst_case
 from rtrun.analysis.histogram import Histogram, merge
@@ -67,7 +67,7 @@ class Group:
         for one in self.digests:
             if one.blocks is not None:
                 by_run.setdefault(one.run, []).append(one.blocks)
-        return tuple(gather(outputs) for outputs in by_run.values())
+        return tuple(add_outputs(outputs) for outputs in by_run.values())
 
     @functools.cached_property
     def histogram(self) -> Histogram | None:
@@ -185,7 +185,7 @@ def _group(alike: Sequence[Digest], deadline_ns: int, probability: float, confid
             period_ns=sum(periods) / len(periods) / side_by_side if periods else None,
             clock_step_ns=max(steps, default=None),
             emulated=first.emulated,
-            together=round(side_by_side) if "subscribers" in first.parameters else 1,
+            measurements_per_event=round(side_by_side) if "subscribers" in first.parameters else 1,
         )
     found, no_bound = _bounds(alike, probability, confidence, max(steps, default=1)) if bounds else ((), None)
     return Group(

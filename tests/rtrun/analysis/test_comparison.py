@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from rtrun.analysis.blocks import Blocks, cut, deal, gather
+from rtrun.analysis.blocks import Blocks, add_outputs, cut, split_randomly
 from rtrun.analysis.comparison import Change, compare, ratio_of_misses
-from rtrun.analysis.deadline import hold, judge
+from rtrun.analysis.deadline import count_misses, judge
 from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.layers import attribute
 
 
-def process(n: int, lot: np.random.Generator, mean_ns: float = 60_000, memory: float = 0.95) -> np.ndarray:
-    noise = lot.normal(size=n + 500) * math.sqrt(1 - memory**2)
+def process(n: int, rng: np.random.Generator, mean_ns: float = 60_000, memory: float = 0.95) -> np.ndarray:
+    noise = rng.normal(size=n + 500) * math.sqrt(1 - memory**2)
     return (mean_ns + 8000 * lfilter([1], [1, -memory], noise)[500:]).astype(np.int64)
 
 
 def test_alike_is_rarely_called_different() -> None:
-    lot = np.random.default_rng(2)
-    answers = [compare([cut(process(20_000, lot))], [cut(process(20_000, lot))]).answer for _ in range(60)]
+    rng = np.random.default_rng(2)
+    answers = [compare([cut(process(20_000, rng))], [cut(process(20_000, rng))]).answer for _ in range(60)]
     assert answers.count(Change.DIFFERENT) <= 8  # 3 expected
 
 
@@ -28,31 +28,31 @@ def test_a_test_for_independent_data_would_call_them_different() -> None:
     """What the blocks are for: single measurements resampled make differences of chance."""
     from scipy.stats import ks_2samp
 
-    lot = np.random.default_rng(2)
-    wrong = sum(ks_2samp(process(5000, lot), process(5000, lot)).pvalue < 0.05 for _ in range(40))
+    rng = np.random.default_rng(2)
+    wrong = sum(ks_2samp(process(5000, rng), process(5000, rng)).pvalue < 0.05 for _ in range(40))
     assert wrong >= 20
 
 
 def test_a_shift_is_seen_and_its_interval_holds_it() -> None:
-    lot = np.random.default_rng(3)
-    found = [compare([cut(process(20_000, lot))], [cut(process(20_000, lot, 63_000))]) for _ in range(40)]
+    rng = np.random.default_rng(3)
+    found = [compare([cut(process(20_000, rng))], [cut(process(20_000, rng, 63_000))]) for _ in range(40)]
     assert sum(c.answer == Change.DIFFERENT for c in found) >= 38
     assert sum(c.shifts[0].low_ns <= 3000 <= c.shifts[0].high_ns for c in found) >= 34
 
 
 def test_none_seen_is_not_none() -> None:
-    lot = np.random.default_rng(14)
-    small = compare([cut(process(3000, lot))], [cut(process(3000, lot))], margin_ns=500)
+    rng = np.random.default_rng(14)
+    small = compare([cut(process(3000, rng))], [cut(process(3000, rng))], margin_ns=500)
     assert small.answer == Change.NOT_SEEN and not small.shifts[0].within_margin
-    large = compare([cut(process(200_000, lot))], [cut(process(200_000, lot))], margin_ns=20_000)
+    large = compare([cut(process(200_000, rng))], [cut(process(200_000, rng))], margin_ns=20_000)
     assert large.answer == Change.SAME and all(shift.within_margin for shift in large.shifts)
 
 
 def test_five_runs_a_side_put_the_difference_between_boots_into_the_interval() -> None:
-    lot = np.random.default_rng(5)
+    rng = np.random.default_rng(5)
 
     def boots() -> list[Blocks]:
-        return [cut(process(4000, lot, 60_000 + 1500 * lot.normal())) for _ in range(6)]
+        return [cut(process(4000, rng, 60_000 + 1500 * rng.normal())) for _ in range(6)]
 
     found = [compare(boots(), boots()) for _ in range(40)]
     assert all(c.units == "runs" and c.unit_counts == (6, 6) for c in found)
@@ -62,9 +62,9 @@ def test_five_runs_a_side_put_the_difference_between_boots_into_the_interval() -
 
 
 def test_a_heavier_tail_is_seen_where_it_is() -> None:
-    lot = np.random.default_rng(6)
-    a, b = process(100_000, lot, memory=0.1), process(100_000, lot, memory=0.1)
-    b = np.where(lot.random(b.size) < 0.005, b + 200_000, b)
+    rng = np.random.default_rng(6)
+    a, b = process(100_000, rng, memory=0.1), process(100_000, rng, memory=0.1)
+    b = np.where(rng.random(b.size) < 0.005, b + 200_000, b)
     shifts = {shift.figure: shift for shift in compare([cut(a)], [cut(b)]).shifts}
     assert shifts["p99.9"].low_ns > 100_000 and not shifts["p50"].seen
 
@@ -78,8 +78,8 @@ def test_a_few_values_are_too_few() -> None:
 
 
 def test_the_same_sets_give_the_same_answer() -> None:
-    lot = np.random.default_rng(7)
-    a, b = cut(process(5000, lot)), cut(process(5000, lot))
+    rng = np.random.default_rng(7)
+    a, b = cut(process(5000, rng)), cut(process(5000, rng))
     assert compare([a], [b]) == compare([a], [b])
 
 
@@ -88,9 +88,9 @@ def test_blocks_lose_nothing(n: int) -> None:
     values = process(n, np.random.default_rng(8))
     found = cut(values)
     assert found.n == n and found.sums_ns.sum() == pytest.approx(values.sum())
-    dealt = deal(from_samples(values))
-    assert dealt.n == n and not dealt.ordered
-    assert gather([found, found]).n == 2 * n
+    parts = split_randomly(from_samples(values))
+    assert parts.n == n and not parts.ordered
+    assert add_outputs([found, found]).n == 2 * n
 
 
 def test_wide_values_are_put_into_fewer_columns() -> None:
@@ -102,7 +102,7 @@ def test_the_ratio_of_misses_is_exact() -> None:
     def verdict(n: int, k: int):
         values = np.full(n, 100)
         values[np.linspace(0, n - 1, k).astype(int)] = 1000
-        return judge([hold(values, 500)], deadline_ns=500, probability=0.5, confidence=0.95)
+        return judge([count_misses(values, 500)], deadline_ns=500, probability=0.5, confidence=0.95)
 
     same = ratio_of_misses(verdict(10_000, 20), verdict(10_000, 20))
     assert same.value == 1.0 and same.low < 1 < same.high
@@ -115,12 +115,12 @@ def test_the_ratio_of_misses_is_exact() -> None:
 
 
 def test_what_a_layer_adds_is_found_through_a_drift() -> None:
-    lot = np.random.default_rng(10)
+    rng = np.random.default_rng(10)
     inside = 0
     for _ in range(60):
-        drift = np.cumsum(lot.normal(size=5)) * 10_000
-        lower = [cut(process(2000, lot, 20_000 + d)) for d in drift]
-        upper = [cut(process(2000, lot, 55_000 + d)) for d in drift]
+        drift = np.cumsum(rng.normal(size=5)) * 10_000
+        lower = [cut(process(2000, rng, 20_000 + d)) for d in drift]
+        upper = [cut(process(2000, rng, 55_000 + d)) for d in drift]
         mean, p99 = attribute(lower, upper)
         assert (mean.figure, p99.figure) == ("mean", "p99") and "5 interleaved pairs" in mean.method
         inside += mean.low_ns <= 35_000 <= mean.high_ns
@@ -129,6 +129,6 @@ def test_what_a_layer_adds_is_found_through_a_drift() -> None:
 
 
 def test_runs_not_interleaved_are_compared_by_blocks() -> None:
-    lot = np.random.default_rng(11)
-    (mean, _) = attribute([cut(process(5000, lot))], [cut(process(5000, lot, 90_000)), cut(process(5000, lot, 90_000))])
+    rng = np.random.default_rng(11)
+    (mean, _) = attribute([cut(process(5000, rng))], [cut(process(5000, rng, 90_000)), cut(process(5000, rng, 90_000))])
     assert mean.added_ns == pytest.approx(30_000, abs=2500) and "not interleaved" in mean.method

@@ -7,7 +7,15 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 from scipy.stats import beta
 
-from rtrun.analysis.deadline import Answer, Trials, Verdict, clopper_pearson, hold, hold_histogram, judge
+from rtrun.analysis.deadline import (
+    Answer,
+    Trials,
+    Verdict,
+    clopper_pearson,
+    count_misses,
+    count_misses_in_histogram,
+    judge,
+)
 from rtrun.analysis.dependence import design_effect, extremal_index, locate, pool
 from rtrun.analysis.histogram import from_samples
 
@@ -42,14 +50,14 @@ def test_no_trial_tells_nothing() -> None:
 
 
 def test_three_answers() -> None:
-    assert verdict(hold(with_misses(5000), DEADLINE)).answer == Answer.PROVEN
-    assert verdict(hold(with_misses(3000), DEADLINE)).answer == Answer.NEEDS_MORE
+    assert verdict(count_misses(with_misses(5000), DEADLINE)).answer == Answer.PROVEN
+    assert verdict(count_misses(with_misses(3000), DEADLINE)).answer == Answer.NEEDS_MORE
     spread = with_misses(5000, *range(0, 5000, 250))
-    assert verdict(hold(spread, DEADLINE)).answer == Answer.REFUTED
+    assert verdict(count_misses(spread, DEADLINE)).answer == Answer.REFUTED
 
 
 def test_the_number_still_needed_is_exact() -> None:
-    found = verdict(hold(with_misses(1000), DEADLINE), period_ns=1e6)
+    found = verdict(count_misses(with_misses(1000), DEADLINE), period_ns=1e6)
     assert found.further is not None
     enough = 1000 + found.further
     assert clopper_pearson(0, enough, 0.95)[1] < 1e-3 <= clopper_pearson(0, enough - 1, 0.95)[1]
@@ -57,20 +65,20 @@ def test_the_number_still_needed_is_exact() -> None:
 
 
 def test_a_rate_that_goes_on_decides_one_way_or_the_other() -> None:
-    often = verdict(hold(with_misses(1000, 17, 500), DEADLINE))
+    often = verdict(count_misses(with_misses(1000, 17, 500), DEADLINE))
     assert often.answer == Answer.NEEDS_MORE
     assert often.further_at_rate is not None and often.further_at_rate[0] == Answer.REFUTED
-    seldom = verdict(hold(with_misses(3000, 17), DEADLINE))
+    seldom = verdict(count_misses(with_misses(3000, 17), DEADLINE))
     assert seldom.further_at_rate is not None and seldom.further_at_rate[0] == Answer.PROVEN
 
 
 def test_late_is_above_the_deadline_not_on_it() -> None:
-    assert hold(np.array([DEADLINE, DEADLINE + 1]), DEADLINE).late == 1
+    assert count_misses(np.array([DEADLINE, DEADLINE + 1]), DEADLINE).late == 1
 
 
 def test_what_never_came_met_no_deadline() -> None:
-    found = hold(with_misses(8, 2), DEADLINE, never=np.array([0, 5]))
-    assert (found.n, found.late, found.never) == (10, 1, 2)
+    found = count_misses(with_misses(8, 2), DEADLINE, absent=np.array([0, 5]))
+    assert (found.n, found.late, found.absent) == (10, 1, 2)
     assert found.misses is not None and found.misses.count == 3
     # The third sample to come is loop 3: misses at 0, 3 and 5, each in a pair of its own, two in the first four.
     assert found.misses.blocks[0] == (5, 3, 3)
@@ -78,24 +86,24 @@ def test_what_never_came_met_no_deadline() -> None:
 
 
 def test_emulated_numbers_are_no_statement() -> None:
-    found = verdict(hold(with_misses(9000), DEADLINE), emulated=True)
+    found = verdict(count_misses(with_misses(9000), DEADLINE), emulated=True)
     assert found.answer == Answer.NO_STATEMENT and found.refused == "measured on an emulated board"
 
 
 def test_a_deadline_finer_than_the_clock_is_refused() -> None:
-    assert verdict(hold(with_misses(9000), DEADLINE), clock_step_ns=250_000).answer == Answer.NO_STATEMENT
-    assert verdict(hold(with_misses(9000), DEADLINE), clock_step_ns=30_518).answer == Answer.PROVEN
+    assert verdict(count_misses(with_misses(9000), DEADLINE), clock_step_ns=250_000).answer == Answer.NO_STATEMENT
+    assert verdict(count_misses(with_misses(9000), DEADLINE), clock_step_ns=30_518).answer == Answer.PROVEN
 
 
 def test_a_histogram_says_what_it_assumes() -> None:
-    found = verdict(hold_histogram(from_samples(with_misses(5000)), DEADLINE))
+    found = verdict(count_misses_in_histogram(from_samples(with_misses(5000)), DEADLINE))
     assert found.answer == Answer.PROVEN and "independent" in found.assumes[0]
 
 
 def test_subscribers_of_one_message_count_once() -> None:
-    runs = [hold(with_misses(1000 + k), DEADLINE) for k in range(5)]
+    runs = [count_misses(with_misses(1000 + k), DEADLINE) for k in range(5)]
     assert verdict(*runs).answer == Answer.PROVEN
-    assert verdict(*runs, together=5).answer == Answer.NEEDS_MORE
+    assert verdict(*runs, measurements_per_event=5).answer == Answer.NEEDS_MORE
 
 
 @pytest.mark.parametrize("wrong", [0.0, 1.0, -1.0, float("nan")])
@@ -122,14 +130,14 @@ def test_no_block_spans_two_runs() -> None:
 
 
 def test_the_design_effect_of_bursts_is_what_theory_says() -> None:
-    lot = np.random.default_rng(3)
-    sizes = lot.geometric(1 / 10, 400)
-    starts = np.sort(lot.choice(200_000 // 100, 400, replace=False)) * 100
+    rng = np.random.default_rng(3)
+    sizes = rng.geometric(1 / 10, 400)
+    starts = np.sort(rng.choice(200_000 // 100, 400, replace=False)) * 100
     places = np.unique(np.concatenate([s + np.arange(size) for s, size in zip(starts, sizes, strict=True)]))
     expected = float((sizes**2).mean() / sizes.mean())
     assert design_effect(locate(places, 200_000)) == pytest.approx(expected, rel=0.2)
     assert extremal_index(places) == pytest.approx(1 / sizes.mean(), rel=0.25)
-    scattered = np.sort(lot.choice(200_000, 2000, replace=False))
+    scattered = np.sort(rng.choice(200_000, 2000, replace=False))
     assert design_effect(locate(scattered, 200_000)) < 1.2
     assert extremal_index(scattered) > 0.9
 
@@ -141,39 +149,42 @@ def test_runs_that_differ_are_not_one_sample() -> None:
     assert design_effect(pool(parts)) > 10
 
 
-def autoregressive(n: int, lot: np.random.Generator) -> np.ndarray:
-    noise = lot.normal(size=n + 500) * np.sqrt(1 - 0.95**2)
+def autoregressive(n: int, rng: np.random.Generator) -> np.ndarray:
+    noise = rng.normal(size=n + 500) * np.sqrt(1 - 0.95**2)
     return (100_000 + 20_000 * lfilter([1], [1, -0.95], noise)[500:]).astype(np.int64)
 
 
-def loaded_now_and_then(n: int, lot: np.random.Generator) -> np.ndarray:
-    state = np.cumsum(lot.random(n) < 1 / 50) % 2
-    return (50_000 + lot.exponential(5_000, n) * np.where(state, 3, 1)).astype(np.int64)
+def loaded_now_and_then(n: int, rng: np.random.Generator) -> np.ndarray:
+    state = np.cumsum(rng.random(n) < 1 / 50) % 2
+    return (50_000 + rng.exponential(5_000, n) * np.where(state, 3, 1)).astype(np.int64)
 
 
-def stalls(n: int, lot: np.random.Generator) -> np.ndarray:
-    values = 50_000 + lot.exponential(5_000, n)
-    for start in np.flatnonzero(lot.random(n) < 0.01 / 5):
-        values[start : start + lot.geometric(1 / 5)] += 400_000
+def stalls(n: int, rng: np.random.Generator) -> np.ndarray:
+    values = 50_000 + rng.exponential(5_000, n)
+    for start in np.flatnonzero(rng.random(n) < 0.01 / 5):
+        values[start : start + rng.geometric(1 / 5)] += 400_000
     return values.astype(np.int64)
 
 
-def independent(n: int, lot: np.random.Generator) -> np.ndarray:
-    return (50_000 + lot.exponential(5_000, n)).astype(np.int64)
+def independent(n: int, rng: np.random.Generator) -> np.ndarray:
+    return (50_000 + rng.exponential(5_000, n)).astype(np.int64)
 
 
 @pytest.mark.parametrize("process", [independent, autoregressive, loaded_now_and_then, stalls])
 @pytest.mark.parametrize("rate", [0.01, 0.001])
 def test_the_interval_covers_the_truth_as_often_as_it_says(process, rate: float) -> None:
     """A run of 20 000 misses a deadline with the rate of the long run: 95 % of the intervals hold that rate."""
-    lot = np.random.default_rng(20140715)
-    long = np.concatenate([process(100_000, lot) for _ in range(30)])
+    rng = np.random.default_rng(20140715)
+    long = np.concatenate([process(100_000, rng) for _ in range(30)])
     deadline = int(np.quantile(long, 1 - rate))
     truth = float((long > deadline).mean())
     rounds, inside, wrongly_proven = 250, 0, 0
     for _ in range(rounds):
         found = judge(
-            [hold(process(20_000, lot), deadline)], deadline_ns=deadline, probability=truth * 0.999, confidence=0.95
+            [count_misses(process(20_000, rng), deadline)],
+            deadline_ns=deadline,
+            probability=truth * 0.999,
+            confidence=0.95,
         )
         inside += found.lower <= truth <= found.upper
         wrongly_proven += found.answer == Answer.PROVEN
@@ -184,10 +195,10 @@ def test_the_interval_covers_the_truth_as_often_as_it_says(process, rate: float)
 
 def test_plain_binomial_intervals_would_not_cover_bursts() -> None:
     """The test above can fail: without the design effect it does."""
-    lot = np.random.default_rng(1)
+    rng = np.random.default_rng(1)
     inside = 0
     for _ in range(200):
-        late = int((stalls(20_000, lot) > 400_000).sum())
+        late = int((stalls(20_000, rng) > 400_000).sum())
         low, high = clopper_pearson(late, 20_000, 0.95)
         inside += low <= 0.01 <= high
     assert inside / 200 < 0.8

@@ -11,12 +11,12 @@ from rtrun.analysis.tails import GEV, GPD, fit, sample_of
 N = 200_000
 
 
-def lot(seed: int = 5) -> np.random.Generator:
+def rng(seed: int = 5) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
 def exponential(n: int = N, seed: int = 5, scale: float = 5000.0) -> np.ndarray:
-    return (50_000 + lot(seed).exponential(scale, n)).astype(np.int64)
+    return (50_000 + rng(seed).exponential(scale, n)).astype(np.int64)
 
 
 def bounds(values: np.ndarray, probability: float = 1e-6, quantum_ns: int = 1) -> tuple[Bound, Bound]:
@@ -26,10 +26,10 @@ def bounds(values: np.ndarray, probability: float = 1e-6, quantum_ns: int = 1) -
 @pytest.mark.parametrize("step", [1, 1000])
 @pytest.mark.parametrize("shape", [-0.2, 0.0, 0.2])
 def test_fits_find_the_parameters_whatever_the_resolution(shape: float, step: int) -> None:
-    values = genpareto.rvs(shape, scale=5000, size=20_000, random_state=lot()).astype(np.int64) // step * step
+    values = genpareto.rvs(shape, scale=5000, size=20_000, random_state=rng()).astype(np.int64) // step * step
     (found_shape, scale), _ = fit(GPD, sample_of(values, step))
     assert found_shape == pytest.approx(shape, abs=0.04) and scale == pytest.approx(5000, rel=0.05)
-    maxima = genextreme.rvs(-shape, 100_000, 5000, size=20_000, random_state=lot()).astype(np.int64) // step * step
+    maxima = genextreme.rvs(-shape, 100_000, 5000, size=20_000, random_state=rng()).astype(np.int64) // step * step
     (found_shape, scale, location), _ = fit(GEV, sample_of(maxima, step))
     assert found_shape == pytest.approx(shape, abs=0.04) and scale == pytest.approx(5000, rel=0.05)
     assert location == pytest.approx(100_000, rel=0.01)
@@ -57,7 +57,7 @@ def refused_for(values: np.ndarray, *reasons: str, **more: float) -> None:
 
 
 def test_a_trend_is_refused() -> None:
-    refused_for((50_000 + lot().exponential(5000, N) * np.linspace(1, 2, N)).astype(np.int64), "stationarity")
+    refused_for((50_000 + rng().exponential(5000, N) * np.linspace(1, 2, N)).astype(np.int64), "stationarity")
 
 
 def test_a_step_in_the_middle_is_refused() -> None:
@@ -74,8 +74,8 @@ def test_constant_values_are_refused() -> None:
 
 
 def test_two_kinds_of_values_are_refused() -> None:
-    values = lot().integers(50_000, 51_000, N)
-    values[lot(9).random(N) < 1e-3] = 900_000
+    values = rng().integers(50_000, 51_000, N)
+    values[rng(9).random(N) < 1e-3] = 900_000
     for bound in bounds(values):
         assert bound.refused is not None and bound.level_ns is None
 
@@ -89,14 +89,14 @@ def test_a_surprise_in_the_second_half_is_refused() -> None:
 
 def test_slow_waves_are_refused_or_covered() -> None:
     """Dependence over the length of blocks shows between the peaks."""
-    wave = np.repeat(lot().normal(size=N // 2000), 2000) * 15_000
-    values = (100_000 + wave + lot(6).exponential(3000, N)).astype(np.int64)
+    wave = np.repeat(rng().normal(size=N // 2000), 2000) * 15_000
+    values = (100_000 + wave + rng(6).exponential(3000, N)).astype(np.int64)
     peaks, _ = bounds(values)
     assert peaks.refused is not None
 
 
 def test_short_memory_is_declustered() -> None:
-    noise = lot().normal(size=N) * np.sqrt(1 - 0.9**2)
+    noise = rng().normal(size=N) * np.sqrt(1 - 0.9**2)
     values = (100_000 + 10_000 * lfilter([1], [1, -0.9], noise)).astype(np.int64)
     peaks, _ = bounds(values)
     bursts = next(check for check in peaks.checks if "extremal index" in check.seen)

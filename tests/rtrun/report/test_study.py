@@ -60,7 +60,7 @@ def test_a_timer_that_never_fired_missed_its_deadline(tmp_path):
     values[[3, 77]] = -(2**63)
     write_oneshot(tmp_path, "a", values, logs=False)
     group = only(tmp_path)
-    assert group.verdict is not None and (group.verdict.n, group.verdict.late, group.verdict.never) == (2000, 0, 2)
+    assert group.verdict is not None and (group.verdict.n, group.verdict.late, group.verdict.absent) == (2000, 0, 2)
     assert "2 never came" in verdict_line(group).text
     assert group.digests[0].figures.n == 1998
 
@@ -74,7 +74,7 @@ def test_the_first_message_stands_apart_and_lost_ones_count(tmp_path):
     group = only(tmp_path)
     (one,) = group.digests
     assert one.startup == ((900_000, 0),) and one.n == 996 and one.missing == 3
-    assert group.verdict is not None and (group.verdict.n, group.verdict.late, group.verdict.never) == (999, 0, 3)
+    assert group.verdict is not None and (group.verdict.n, group.verdict.late, group.verdict.absent) == (999, 0, 3)
     assert "start-up apart: 1 late, worst 900.0 us" in verdict_line(group).text
     assert one.figures.top[0].index is not None and one.figures.top[0].index > 0
 
@@ -151,7 +151,7 @@ def test_odd_series_are_reported_like_others(tmp_path, values):
 def test_all_missing_is_a_miss_each_time(tmp_path):
     write_oneshot(tmp_path, "a", np.full(100, -(2**63)), logs=False)
     group = only(tmp_path)
-    assert group.n == 0 and group.verdict is not None and group.verdict.never == 100
+    assert group.n == 0 and group.verdict is not None and group.verdict.absent == 100
     assert verdict_line(group).answer == Answer.REFUTED
 
 
