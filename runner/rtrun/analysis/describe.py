@@ -83,7 +83,7 @@ def describe(values_ns: Int64s, indices: NDArray[np.int64] | None = None) -> Des
     return Description(
         n=n,
         min_ns=low,
-        mean_ns=low + total / n,
+        mean_ns=(low * n + total) / n,  # in whole numbers: nothing cancels
         max_ns=high,
         std_ns=math.sqrt(variance),
         percentiles_ns={p: low + order.at(rank(n, p)) for p in PERCENTILES},
