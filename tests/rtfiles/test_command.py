@@ -26,3 +26,25 @@ def test_an_error_is_a_line(capsys, error, status, line):
     command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
     assert dispatch("prog", "A program.", [command], ["do"]) == status
     assert capsys.readouterr().err == f"prog: {line}\n"
+
+
+@pytest.mark.parametrize("error", [ValueError("bad\x1b[2Jvalue"), RecursionError(), MemoryError(), AssertionError()])
+def test_what_nobody_expected_is_a_defect_with_a_traceback(capsys, error):
+    def run(_args):
+        raise error
+
+    command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
+    assert dispatch("prog", "A program.", [command], ["do"]) == 70
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "Traceback (most recent call last):" and "raise error" in " ".join(lines)
+    assert not any("\x1b" in line for line in lines)
+    assert lines[-1] == "prog: a defect of prog; please report it with the lines above"
+
+
+def test_a_pipe_that_breaks_elsewhere_is_no_success(capsys):
+    def run(_args):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
+    assert dispatch("prog", "A program.", [command], ["do"]) == 3
+    assert capsys.readouterr().err == "prog: Broken pipe\n"

@@ -1,12 +1,13 @@
 """One way for both programs to parse, dispatch and turn an error into an exit status."""
 
 import argparse
-import os
-import sys
+import errno
+import traceback
 from collections.abc import Sequence
 from types import ModuleType
 
-from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.errors import DEFECT_STATUS, INTERRUPTED_STATUS, InfrastructureError, UsageError
+from rtfiles.output import print_note, surviving_output
 
 
 def dispatch(prog: str, description: str, commands: Sequence[ModuleType], argv: Sequence[str] | None) -> int:
@@ -14,30 +15,47 @@ def dispatch(prog: str, description: str, commands: Sequence[ModuleType], argv: 
 
     A command is a module with ``NAME``, ``HELP``, ``add_arguments(parser)`` and ``run(args) -> int``. It imports
     what is slow to import inside ``run``, so that ``--help`` answers at once.
+
+    A reader of standard output that goes away changes nothing. Output that cannot be written for another reason, as on
+    a full disk, is an error of infrastructure, unless the command itself failed: then its own status stands.
     """
+    with surviving_output() as losses:
+        try:
+            args = _parse(prog, description, commands, argv)
+            status = args if isinstance(args, int) else int(args.run(args))
+        except (UsageError, InfrastructureError) as error:
+            status = error.exit_status
+            for line in str(error).splitlines():
+                print_note(f"{prog}: {line}")
+        except KeyboardInterrupt:
+            status = INTERRUPTED_STATUS
+            print_note(f"{prog}: interrupted")
+        except OSError as error:
+            status = InfrastructureError.exit_status
+            where = f"{error.filename}: " if error.filename else ""
+            print_note(f"{prog}: {where}{error.strerror or error}")
+        except Exception:
+            status = DEFECT_STATUS
+            for line in traceback.format_exc().splitlines():
+                print_note(line)
+            print_note(f"{prog}: a defect of {prog}; please report it with the lines above")
+        if losses.stdout and losses.stdout.errno != errno.EPIPE:
+            print_note(f"{prog}: standard output: {losses.stdout.strerror}")
+            status = status or InfrastructureError.exit_status
+        return status
+
+
+def _parse(
+    prog: str, description: str, commands: Sequence[ModuleType], argv: Sequence[str] | None
+) -> argparse.Namespace | int:
+    """The arguments; or an exit status, when the help or what is wrong with the arguments has been printed instead."""
     parser = argparse.ArgumentParser(prog=prog, description=description)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for command in commands:
         subparser = subparsers.add_parser(command.NAME, help=command.HELP, description=command.HELP)
         command.add_arguments(subparser)
         subparser.set_defaults(run=command.run)
-    args = parser.parse_args(argv)
     try:
-        status: int = args.run(args)
-        sys.stdout.flush()
-        return status
-    except (UsageError, InfrastructureError) as error:
-        for line in str(error).splitlines():
-            print(f"{prog}: {line}", file=sys.stderr)
-        return error.exit_status
-    except KeyboardInterrupt:
-        print(f"{prog}: interrupted", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        # The reader (head, less) went away: nothing more to say, and nothing to say it to.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        print(f"{prog}: {where}{error.strerror or error}", file=sys.stderr)
-        return InfrastructureError.exit_status
+        return parser.parse_args(argv)
+    except SystemExit as end:
+        return int(end.code or 0)

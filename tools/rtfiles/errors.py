@@ -1,4 +1,7 @@
-"""The errors that end a command, each with its exit status (0 done and 1 gate failed are results, not errors)."""
+"""The errors that end a command, and the exit status of each (0 done and 1 gate failed are results, not errors)."""
+
+DEFECT_STATUS = 70  # a defect of the program itself: EX_SOFTWARE of sysexits.h
+INTERRUPTED_STATUS = 130  # as a shell reports Ctrl-C
 
 
 class UsageError(Exception):

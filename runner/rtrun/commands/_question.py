@@ -45,13 +45,6 @@ def add_confidence(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--confidence", type=share, default=0.95, metavar="C", help="of every interval [0.95]")
 
 
-def say(text: str) -> None:
-    """Print a line that may hold text from a target, without what would command the terminal."""
-    from rtrun.report.terminal import printable
-
-    print(printable(text))
-
-
 def ask(args: argparse.Namespace, *, bounds: bool = True) -> "Study":
     """Examine what the arguments name."""
     from rtrun.report.study import study

@@ -24,9 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the findings. 0: nothing fatal or high, 1: something, 3: the target cannot be reached."""
     import json
-    import sys
     import tempfile
 
+    from rtfiles.output import print_note, print_text
     from rtrun.target import rt_readiness
     from rtrun.target.config import read_target, switch_on
     from rtrun.target.link import Link
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     script = rt_readiness.SCRIPT.read_text(encoding="utf-8")
 
     def note(text: str) -> None:
-        print(f"rtrun: {text}", file=sys.stderr)
+        print_note(f"rtrun: {text}")
 
     with (
         tempfile.TemporaryDirectory(prefix="rtrun-check-rt-") as work,
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         kernel = " ".join([*facts.get("kernel", []), *facts.get("kernel_version", [])])
         head = {"schema": 1, "target": target.name, "emulated": target.emulated, "kernel": kernel, "ready": ready}
         clock = {name: facts.get(name, []) for name in ("clocksource", "clockevent")}
-        print(json.dumps({**head, **clock, "checks": [_as_json(each) for each in findings]}, indent=2))
+        print_text(json.dumps({**head, **clock, "checks": [_as_json(each) for each in findings]}, indent=2))
     else:
         _print(f"{target.name} ({target.address})", target.emulated, findings)
     return 0 if ready else 1
@@ -88,6 +88,7 @@ def _as_json(finding: "Finding") -> dict[str, Any]:
 
 
 def _print(target: str, emulated: bool, findings: "list[Finding]") -> None:
+    from rtfiles.output import print_line
     from rtrun.target.rt_readiness import SEVERITIES, SHOWN_LINES
 
     faults = [each for each in findings if each.status == "fault"]
@@ -96,16 +97,18 @@ def _print(target: str, emulated: bool, findings: "list[Finding]") -> None:
     told = ", ".join(f"{count} {name}" for count, name in counts if count)
     banner = " EMULATED: not a real-time statement." if emulated else ""
     if faults:
-        print(f"{target}: {len(faults)} of {len(findings)} checks find fault: {told}.{banner}")
+        print_line(f"{target}: {len(faults)} of {len(findings)} checks find fault: {told}.{banner}")
     else:
-        print(f"{target}: nothing found in the way of real time, {len(findings)} checks.{banner}")
+        print_line(f"{target}: nothing found in the way of real time, {len(findings)} checks.{banner}")
     for each in faults:
-        print(f"\n{each.check.severity}: {each.check.name}")
+        print_line()
+        print_line(f"{each.check.severity}: {each.check.name}")
         for line in each.found[:SHOWN_LINES]:
-            print(f"  found   {line}")
+            print_line(f"  found   {line}")
         if len(each.found) > SHOWN_LINES:
-            print(f"          and {len(each.found) - SHOWN_LINES} more like it")
-        print(f"  why     {each.check.why}")
-        print(f"  remedy  {each.check.remedy}")
+            print_line(f"          and {len(each.found) - SHOWN_LINES} more like it")
+        print_line(f"  why     {each.check.why}")
+        print_line(f"  remedy  {each.check.remedy}")
     if unknown:
-        print(f"\nnot to be seen: {', '.join(f'{each.check.name} ({each.found[0]})' for each in unknown)}")
+        print_line()
+        print_line(f"not to be seen: {', '.join(f'{each.check.name} ({each.found[0]})' for each in unknown)}")

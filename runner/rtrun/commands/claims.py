@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._question import add_confidence, say
+from rtrun.commands._question import add_confidence
 
 NAME = "claims"
 HELP = "re-examine the 19 claims of the thesis on a campaign"
@@ -21,6 +21,7 @@ def run(args: argparse.Namespace) -> int:
     import dataclasses
     import json
 
+    from rtfiles.output import print_line, print_text
     from rtrun.report.claims.examination import examine_claims
     from rtrun.report.study import study
     from rtrun.report.terminal import EMULATED
@@ -29,17 +30,17 @@ def run(args: argparse.Namespace) -> int:
     examined = examine_claims(found)
     if args.json:
         data = {"schema": 1, "emulated": found.emulated, "claims": [dataclasses.asdict(claim) for claim in examined]}
-        print(json.dumps(data, indent=1, allow_nan=False))
+        print_text(json.dumps(data, indent=1, allow_nan=False))
         return 0
     if found.emulated:
-        print(EMULATED)
+        print_line(EMULATED)
     for claim in examined:
         result = claim.result
-        print(f"{result.finding:9}  {claim.id} ({claim.section}): {claim.text}")
-        say(f"           {result.numbers}")
+        print_line(f"{result.finding:9}  {claim.id} ({claim.section}): {claim.text}")
+        print_line(f"           {result.numbers}")
         if result.runs:
             shown = ", ".join(result.runs[:4]) + (f" and {len(result.runs) - 4} more" if len(result.runs) > 4 else "")
-            say(f"           test: {result.test}; runs: {shown}")
+            print_line(f"           test: {result.test}; runs: {shown}")
     for text in found.left_out:
-        say(f"not analysed: {text}")
+        print_line(f"not analysed: {text}")
     return 0

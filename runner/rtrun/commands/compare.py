@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._question import add_question, say, time_ns
+from rtrun.commands._question import add_question, time_ns
 
 NAME = "compare"
 HELP = "compare two folders of runs: what shifted, and how sure that is"
@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the answer for every group that both sets have. Raises UsageError when there is none."""
     from rtfiles.errors import UsageError
+    from rtfiles.output import print_text
     from rtrun.report import compare
 
     found = compare.compare_sets(
@@ -36,8 +37,7 @@ def run(args: argparse.Namespace) -> int:
     if not found.changes:
         raise UsageError(f"{args.a} and {args.b} have no suite with the same parameters in common")
     if args.json:
-        print(compare.as_json(found), end="")
+        print_text(compare.as_json(found))
     else:
-        for line in compare.as_text(found).splitlines():
-            say(line)
+        print_text(compare.as_text(found))
     return 0

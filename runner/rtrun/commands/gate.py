@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._question import add_question, ask, say
+from rtrun.commands._question import add_question, ask
 
 NAME = "gate"
 HELP = "pass (exit 0) only if every group of runs proves the deadline, else fail (exit 1)"
@@ -20,6 +20,7 @@ def run(args: argparse.Namespace) -> int:
     """Print one line a case. Raises UsageError when there is nothing to judge."""
     from rtfiles import atomic
     from rtfiles.errors import UsageError
+    from rtfiles.output import print_line
     from rtrun.report.formats import junit
     from rtrun.report.gate import gate
     from rtrun.report.terminal import EMULATED
@@ -27,10 +28,10 @@ def run(args: argparse.Namespace) -> int:
     found = ask(args, bounds=False)
     judged = gate(found)
     if found.emulated:
-        print(EMULATED)
-    print("passed" if judged.passed else "failed")
+        print_line(EMULATED)
+    print_line("passed" if judged.passed else "failed")
     for case in judged.cases:
-        say(f"{'pass' if case.passed else 'FAIL'}  {case.answer}  {case.about}: {case.text}")
+        print_line(f"{'pass' if case.passed else 'FAIL'}  {case.answer}  {case.about}: {case.text}")
     if args.junit:
         try:
             atomic.write_text(args.junit, junit(judged))

@@ -17,15 +17,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Import every file; one that cannot be read does not stop the others. Raises UsageError naming those."""
     from rtfiles.errors import UsageError
+    from rtfiles.output import print_line
     from rtrun.results.importers.adopt import adopt
 
     refused = []
     for path in args.files:
         try:
             for folder, left_out in adopt(path, args.out, emulated=args.emulated):
-                print(folder)
+                print_line(str(folder))
                 for text in left_out:
-                    print(f"    not known: {text}")
+                    print_line(f"    not known: {text}")
         except UsageError as error:
             refused.append(str(error))
     if refused:

@@ -14,11 +14,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the plan."""
+    from rtfiles.output import print_line
     from rtrun.plan.campaign import read_campaign
 
     _, runs = read_campaign(args.campaign)
     for each in runs:
-        print(f"{each.name}  {each.expected_s:.1f} s")
+        print_line(f"{each.name}  {each.expected_s:.1f} s")
     total_s = sum(each.expected_s for each in runs)
-    print(f"{len(runs)} runs, {total_s:.0f} s of measuring ({total_s / 3600:.1f} h)")
+    print_line(f"{len(runs)} runs, {total_s:.0f} s of measuring ({total_s / 3600:.1f} h)")
     return 0

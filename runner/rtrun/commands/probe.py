@@ -16,10 +16,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print what was found. 0: ready, 3: the target cannot be reached or lacks something."""
     import json
-    import sys
     import tempfile
     from dataclasses import asdict
 
+    from rtfiles.output import print_line, print_note, print_text
     from rtrun.target import deploy, inspection, ros_master
     from rtrun.target.config import read_target, switch_on
     from rtrun.target.link import Link
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     config = read_target(args.target)
 
     def note(text: str) -> None:
-        print(f"rtrun: {text}", file=sys.stderr)
+        print_note(f"rtrun: {text}")
 
     with (
         tempfile.TemporaryDirectory(prefix="rtrun-probe-") as work,
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         state = inspection.state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
         answers = ros_master.pid(link) is not None
     if args.json:
-        print(json.dumps({"equipment": asdict(found), "ros_master_answers": answers, "state": state}, indent=2))
+        print_text(json.dumps({"equipment": asdict(found), "ros_master_answers": answers, "state": state}, indent=2))
         return 0
     suites = target.suites or ", ".join(sorted(found.programs)) or "none installed"
     banner = ", EMULATED: not a real-time statement" if target.emulated else ""
@@ -57,5 +57,5 @@ def run(args: argparse.Namespace) -> int:
     }
     width = max(map(len, lines))
     for name, value in lines.items():
-        print(f"{name:{width}}  {value}")
+        print_line(f"{name:{width}}  {value}")
     return 0

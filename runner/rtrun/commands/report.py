@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._question import add_question, ask, say
+from rtrun.commands._question import add_question, ask
 
 NAME = "report"
 HELP = "write what was found as one file: verdict, figures, claims, plots"
@@ -23,10 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the report, and say the verdicts. Raises UsageError when there is nothing to report on."""
-    import sys
-
     from rtfiles import atomic
     from rtfiles.errors import UsageError
+    from rtfiles.output import print_bytes, print_line, print_note
     from rtrun.report import document, formats, gate, page
     from rtrun.report.claims import examination
     from rtrun.report.plots import pictures
@@ -46,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     }
     content = writers[args.format]()
     if args.output == Path("-"):
-        sys.stdout.buffer.write(content)
+        print_bytes(content)
         return 0
     ending = _ENDINGS[args.format]
     folder = args.results if args.results.is_dir() else args.results.parent
@@ -58,13 +57,13 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{output}: {error.strerror}") from error
     logs = [log for place in found.source.folders for log in sorted(place.glob("*.log")) if log.name != "console.log"]
     for trouble in pictures.draw_all(logs or ([args.results] if args.results.suffix == ".log" else [])):
-        print(f"not drawn: {trouble}", file=sys.stderr)
+        print_note(f"not drawn: {trouble}")
     if said.banner:
-        print(said.banner)
-    print(said.summary)
+        print_line(said.banner)
+    print_line(said.summary)
     for line in said.lines:
-        say(f"{line.answer}  {line.about}: {line.text}")
+        print_line(f"{line.answer}  {line.about}: {line.text}")
     for text in said.left_out:
-        say(f"not analysed: {text}")
-    print(output)
+        print_line(f"not analysed: {text}")
+    print_line(str(output))
     return 0

@@ -19,9 +19,8 @@ def run(args: argparse.Namespace) -> int:
     """Measure, then print the table. 0: every run is ok, 3: some run failed or the target did."""
     import signal
 
-    from rich.console import Console
-
     from rtfiles.errors import InfrastructureError
+    from rtfiles.output import console, print_line
     from rtrun.execution import campaign_runner, progress
     from rtrun.plan.campaign import read_campaign
     from rtrun.report import terminal
@@ -37,10 +36,9 @@ def run(args: argparse.Namespace) -> int:
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _interrupt)
     run_directory.make_results(results)
-    console = Console()
     statuses: dict[str, str] = {}
     try:
-        with progress.showing(runs, console) as shown:
+        with progress.showing(runs, console()) as shown:
             if campaign_runner.finished(results, runs) == len(runs):
                 shown.note(f"all {len(runs)} runs are finished in {results}; --fresh measures again beside them")
                 statuses = {each.name: "ok" for each in runs}
@@ -50,13 +48,13 @@ def run(args: argparse.Namespace) -> int:
     except (KeyboardInterrupt, InfrastructureError):
         done = campaign_runner.finished(results, runs)
         kept = f"{done} of {len(runs)} runs are finished and kept in {results}; the same command goes on there"
-        console.print(kept, highlight=False, markup=False, soft_wrap=True)
+        print_line(kept)
         raise
     found = read_runs(results)
-    terminal.show(terminal.answer_of_runs(found))
+    console().print(terminal.answer_of_runs(found), crop=False)
     bad = [f"{name}: {status}" for name, status in statuses.items() if status != "ok"]
     for line in bad:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        print_line(line)
     return InfrastructureError.exit_status if bad else 0
 
 

@@ -22,13 +22,13 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from rtfiles.errors import UsageError
-    from rtrun.report.terminal import show
+    from rtfiles.output import console, print_text
 
     data, answer, refused = _read(args.path)
     if args.json:
-        print(json.dumps(data, indent=2, allow_nan=False))
+        print_text(json.dumps(data, indent=2, allow_nan=False))
     else:
-        show(answer)
+        console().print(answer, crop=False)
     if refused:
         raise UsageError("\n".join(refused))
     return 0

@@ -1,7 +1,6 @@
 """How far a campaign is, on a terminal as a bar with the time left, elsewhere as a line for each run."""
 
 import contextlib
-import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -9,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from rtfiles.output import print_line, print_note
 from rtrun.plan.campaign import Run
 
 REFRESH_S = 0.5
@@ -58,11 +58,11 @@ class PlainProgress:
         elapsed_s = self._estimate.ended()
         tail = f": {reason}" if reason else ""
         width = len(str(self._total))
-        print(f"[{number + 1:{width}}/{self._total}] {status:10} {run.name}  {elapsed_s:.1f} s{tail}", flush=True)
+        print_line(f"[{number + 1:{width}}/{self._total}] {status:10} {run.name}  {elapsed_s:.1f} s{tail}")
 
     def note(self, text: str) -> None:
         """Print a remark."""
-        print(f"rtrun: {text}", file=sys.stderr, flush=True)
+        print_note(f"rtrun: {text}")
 
 
 class BarProgress(PlainProgress):

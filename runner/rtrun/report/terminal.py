@@ -3,17 +3,17 @@
 from collections.abc import Iterable
 
 from rich import box
-from rich.console import Console, Group
+from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from rtfiles.output import printable
 from rtrun.analysis.figures import Figures
 from rtrun.plan.suites import Value, output_name, suite, suites
 from rtrun.results.reading import MAIN_SERIES, RECORD, Result, Run, Runs
 
 EMULATED = "EMULATED: not a real-time statement"
 NO_PREEMPT_RT = "NO PREEMPT_RT: this kernel promises no deadline"
-PLAIN_WIDTH = 100  # columns, where the output is no terminal
 COARSE_US = 10_000  # from here on a tenth of a microsecond is not worth its column
 
 _UNITS = {"timeout_us": "us", "frequency_hz": "Hz", "payload_bytes": "B", "subscribers": "sub"}
@@ -31,7 +31,7 @@ def table(results: Iterable[Result]) -> Table:
     for result in results:
         figures = result.figures
         found.add_row(
-            Text(_name(result)),
+            Text(printable(_name(result))),
             Text(printable(_parameters(result))),
             str(figures.n),
             *(
@@ -99,11 +99,6 @@ def answer(results: Iterable[Result], *, emulated: bool, preempt_rt: bool = True
     )
 
 
-def printable(text: str) -> str:
-    """Without what would command the terminal: names and reasons come from a target."""
-    return "".join(character if character.isprintable() else "?" for character in text)
-
-
 def answer_of_run(run: Run) -> Group:
     """The answer of one run: every series of every output."""
     return answer(run.results, emulated=run.record.emulated, preempt_rt=run.record.preempt_rt, notes=_notes(run))
@@ -125,11 +120,3 @@ def answer_of_runs(found: Runs) -> Group:
 def _notes(run: Run) -> list[str]:
     record = run.record
     return [] if record.status == "ok" else [f"{record.run}: {record.status}: {record.reason or 'no reason given'}"]
-
-
-def show(answer: Group) -> None:
-    """Print an answer: as wide as the terminal, or as plain text of 100 columns where there is none."""
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=PLAIN_WIDTH)
-    console.print(answer, crop=False)

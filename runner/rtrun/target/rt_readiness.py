@@ -91,9 +91,4 @@ def _judge(check: Check, lines: list[str]) -> Finding:
         bad = [] if good else lines
     else:
         bad = [line for line in lines if re.search(str(check.none), line)]
-    return Finding(check=check, status="fault" if bad else "ok", found=tuple(_printable(line) for line in bad))
-
-
-def _printable(line: str) -> str:
-    """A line that came from the target, fit for a terminal."""
-    return "".join(char if char.isprintable() else "?" for char in line)[:SHOWN_CHARACTERS]
+    return Finding(check=check, status="fault" if bad else "ok", found=tuple(line[:SHOWN_CHARACTERS] for line in bad))

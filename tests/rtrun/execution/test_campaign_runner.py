@@ -315,6 +315,15 @@ def test_a_killed_runner_finds_its_run_again(sshd, bare_target, tmp_path, wishes
     assert master_is_gone(bare_target)
 
 
+def test_a_campaign_goes_on_without_a_reader(sshd, bare_target, tmp_path, wishes):
+    words = write_files(tmp_path, sshd, bare_target, 3)
+    runner = rtrun(tmp_path, words)
+    assert runner.stdout.readline()
+    runner.stdout.close()
+    assert runner.wait(timeout=240) == 0
+    assert len(wishes.calls()) == 3
+
+
 def test_exit_status_of_failed_runs_and_of_a_finished_campaign(sshd, target, tmp_path, wishes, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = write_files(tmp_path, sshd, target, 1)

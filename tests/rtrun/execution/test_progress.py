@@ -25,6 +25,15 @@ def test_a_run_that_takes_longer_leaves_the_others_their_time(monkeypatch):
     assert estimate.left_s() == 20 + 30 + 2 * 15, "each of the rest is expected to cost what the first did"
 
 
+def test_the_reason_of_a_target_stays_one_line(capsys):
+    plain = progress.PlainProgress(RUNS)
+    plain.began(0, RUNS[0])
+    plain.ended(0, RUNS[0], "failed", "no\x1b[2J\n[2/3] ok         forged")
+    plain.note("no\x1b[2J\nrtrun: forged")
+    seen = capsys.readouterr()
+    assert seen.out.count("\n") == seen.err.count("\n") == 1 and "\x1b" not in seen.out + seen.err
+
+
 def test_lines_where_there_is_no_terminal(capsys):
     plain = progress.PlainProgress(RUNS)
     plain.began(1, RUNS[1])

@@ -12,6 +12,7 @@ import pytest
 from rtfiles.config import parse as parse_config
 from rtfiles.errors import UsageError
 from rtrun.cli import main
+from rtrun.commands import check_rt
 from rtrun.target import rt_readiness
 
 # A PandaBoard ES as omap2plus_defconfig leaves it, with everything wrong that can be.
@@ -159,11 +160,14 @@ def test_a_target_that_tells_nothing_is_unknown_and_not_praised():
     assert {"PREEMPT_RT", "clocksource", "RT_GROUP_SCHED"} <= unknown
 
 
-def test_what_a_target_says_cannot_drive_a_terminal():
+def test_what_a_target_says_cannot_drive_a_terminal(capsys):
     facts = rt_readiness.parse(BAD) | {"turbo_mode": ["Y\x1b[2J" + "x" * 500]}
-    found = {each.check.name: each.found for each in rt_readiness.judge(rt_readiness.read_checks(), facts)}
-    (line,) = found["smsc95xx turbo_mode"]
-    assert line.startswith("Y?[2J") and len(line) == rt_readiness.SHOWN_CHARACTERS
+    findings = rt_readiness.judge(rt_readiness.read_checks(), facts)
+    (line,) = {each.check.name: each.found for each in findings}["smsc95xx turbo_mode"]
+    assert len(line) == rt_readiness.SHOWN_CHARACTERS
+    check_rt._print("board", False, findings)
+    output = capsys.readouterr().out
+    assert "  found   Y?[2Jx" in output and "\x1b" not in output
 
 
 def test_a_check_with_two_expressions_is_refused():

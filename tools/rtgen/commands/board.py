@@ -24,8 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Build the board and say where it is."""
+    from rtfiles.output import print_line
     from rtgen.board.build import build
     from rtgen.board.machine import machines
 
-    print(build(args.machine or machines().default, PLACE, built=args.kernel == "built"))
+    print_line(str(build(args.machine or machines().default, PLACE, built=args.kernel == "built")))
     return 0

@@ -1,7 +1,6 @@
 """rtgen explain: what a profile resolves to."""
 
 import argparse
-import sys
 
 from rtgen.profile import DEFAULT_PROFILE
 
@@ -14,9 +13,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    from rtfiles.output import print_text
     from rtgen.layer.render import resolve
     from rtgen.profile import load_profile, profile_path
 
     profile, release = load_profile(args.profile)
-    sys.stdout.write(resolve(profile_path(args.profile).stem, profile, release))
+    print_text(resolve(profile_path(args.profile).stem, profile, release))
     return 0

@@ -18,11 +18,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
+    from rtfiles.output import print_line, print_status
     from rtgen import flash
 
     size = flash.check_image(args.image)
     card = flash.check_device(args.device, size)
-    print(f"{args.image} ({size} bytes) -> {card.path}: {card.model}, {card.size_bytes} bytes. All on it will be lost.")
+    print_line(f"{args.image} ({size} bytes) -> {card.path}: {card.model}, {card.size_bytes} bytes.")
+    print_line(f"Everything on {card.path} will be lost.")
     if not args.yes:
         # A closed standard input is None.
         if not sys.stdin or not sys.stdin.isatty():
@@ -31,17 +33,15 @@ def run(args: argparse.Namespace) -> int:
             answer = input(f"Type {card.name} to go on: ")
         except EOFError:
             answer = ""
-            print()
+            print_line()
         if answer.strip() != card.name:
-            print("Nothing was written.")
+            print_line("Nothing was written.")
             return 1
 
     def show(what: str, done: int) -> None:
-        if sys.stderr.isatty():
-            print(f"\r{what} {done * 100 // size} %   ", end="", file=sys.stderr, flush=True)
+        print_status(f"{what} {done * 100 // size} %")
 
     digest = flash.write(args.image, card, show)
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
-    print(f"{card.path}: {size} bytes written and verified, sha256 {digest}")
+    print_status("")
+    print_line(f"{card.path}: {size} bytes written and verified, sha256 {digest}")
     return 0

@@ -1,12 +1,12 @@
 """``rtgen kconfig``: kernel fragments, rendered and proved."""
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
+from rtfiles.output import print_line, print_text
 
 if TYPE_CHECKING:
     from rtgen.kconfig.data import Data
@@ -63,16 +63,15 @@ def _render(args: argparse.Namespace) -> int:
             if not args.check:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 atomic.write_text(path, text)
-                print(f"{name}: {'unchanged' if before == text else 'written'}")
+                print_line(f"{name}: {'unchanged' if before == text else 'written'}")
             elif before != text:
                 drifted = True
-                sys.stdout.writelines(
-                    difflib.unified_diff(
-                        before.splitlines(keepends=True), text.splitlines(keepends=True), name, f"{name} (rendered)"
-                    )
+                diff = difflib.unified_diff(
+                    before.splitlines(keepends=True), text.splitlines(keepends=True), name, f"{name} (rendered)"
                 )
+                print_text("".join(diff))
     if args.check and not drifted:
-        print(f"{len(machines) * len(kernels)} fragments are as rendered")
+        print_line(f"{len(machines) * len(kernels)} fragments are as rendered")
     return int(drifted)
 
 
@@ -118,9 +117,9 @@ def report(verdict: "Verdict") -> bool:
     """Print a verdict; whether it is a failure."""
     count = len(verdict.mismatches)
     if not count:
-        print(f"{verdict.subject}: all {verdict.checked} options hold")
+        print_line(f"{verdict.subject}: all {verdict.checked} options hold")
         return False
-    print(f"{verdict.subject}: {count} of {verdict.checked} options do not hold")
+    print_line(f"{verdict.subject}: {count} of {verdict.checked} options do not hold")
     for item in verdict.mismatches:
-        print(f"  {item.symbol}: wanted {item.want}, is {item.got}: {item.reason}")
+        print_line(f"  {item.symbol}: wanted {item.want}, is {item.got}: {item.reason}")
     return True

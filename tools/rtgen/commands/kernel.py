@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when the kernel is there, 1 when its options do not hold."""
+    from rtfiles.output import print_line
     from rtgen import kernel
     from rtgen.commands.kconfig import report
     from rtgen.kconfig import data as kconfig
@@ -26,10 +27,10 @@ def run(args: argparse.Namespace) -> int:
     if report(verdict):
         return 1
     folder = kernel.build(data, machine, verdict)
-    print(f"{folder}:")
+    print_line(f"{folder}:")
     for file in sorted(folder.rglob("*")):
         if file.is_file() and file.relative_to(folder).parts[0] != "modules":
-            print(f"  {file.relative_to(folder)}  {file.stat().st_size / 1024:.0f} KiB")
+            print_line(f"  {file.relative_to(folder)}  {file.stat().st_size / 1024:.0f} KiB")
     modules = list((folder / "modules").rglob("*.ko"))
-    print(f"  modules  {len(modules)} of them" if modules else "  no modules: everything is built in")
+    print_line(f"  modules  {len(modules)} of them" if modules else "  no modules: everything is built in")
     return 0

@@ -20,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from rtfiles import atomic
     from rtfiles.errors import UsageError
+    from rtfiles.output import print_line
     from rtgen.profile import load_profile, profile_path
 
     if args.file.suffix != ".yml":
@@ -31,5 +32,5 @@ def run(args: argparse.Namespace) -> int:
     load_profile(args.origin)  # what is wrong already is not worth a copy
     text = profile_path(args.origin).read_text(encoding="utf-8")
     atomic.write_text(args.file, f"# Derived from {args.origin}.\n{text}")
-    print(f"{args.file}: a copy of {args.origin}; edit it, then: rtgen render --profile {args.file} --out DIR")
+    print_line(f"{args.file}: a copy of {args.origin}; edit it, then: rtgen render --profile {args.file} --out DIR")
     return 0

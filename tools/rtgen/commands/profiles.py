@@ -11,11 +11,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    from rtfiles.output import print_line
     from rtgen.profile import DEFAULT_PROFILE, load_profile, profile_names
 
     del args
     width = max(len(name) for name in profile_names())
     for name in profile_names():
         profile, _ = load_profile(name)
-        print(f"{name:{width}}  {profile.summary}{' (default)' if name == DEFAULT_PROFILE else ''}")
+        print_line(f"{name:{width}}  {profile.summary}{' (default)' if name == DEFAULT_PROFILE else ''}")
     return 0

@@ -1,7 +1,6 @@
 """rtgen render: write the layer and kas.yml of a profile, or check that they are what it renders."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from rtgen.profile import DEFAULT_PROFILE
@@ -19,6 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    from rtfiles.output import print_line, print_note, print_text
     from rtgen.layer import output
     from rtgen.layer.render import REPOSITORY, render
     from rtgen.profile import load_profile, profile_path
@@ -29,15 +29,19 @@ def run(args: argparse.Namespace) -> int:
     if args.check:
         difference = output.differences(tree, out)
         if difference:
-            sys.stdout.write(difference)
-            print(f"rtgen: {out} is not what profile {args.profile} renders", file=sys.stderr)
+            print_text(difference)
+            print_note(f"rtgen: {out} is not what profile {args.profile} renders")
             return 1
-        print(f"{out}: {len(tree)} files, as profile {args.profile} renders them")
+        print_line(f"{out}: {len(tree)} files, as profile {args.profile} renders them")
         return 0
     done = output.write(tree, out)
-    print(f"{out}: {len(tree)} files of profile {args.profile}, {done.written} written, {len(done.removed)} removed")
+    print_line(
+        f"{out}: {len(tree)} files of profile {args.profile}, {done.written} written, {len(done.removed)} removed"
+    )
     for path in done.removed:
-        print(f"{path}: removed")
+        print_line(f"{path}: removed")
     for path in done.linked:
-        print(f"{path}: now a link to {path.readlink()}; replace it by a copy or a submodule before the folder moves")
+        print_line(
+            f"{path}: now a link to {path.readlink()}; replace it by a copy or a submodule before the folder moves"
+        )
     return 0

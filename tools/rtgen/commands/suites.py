@@ -18,7 +18,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Build the suites and say where they are."""
+    from rtfiles.output import print_line
     from rtgen.suites import build
 
-    print(build(args.machine, PLACE))
+    print_line(str(build(args.machine, PLACE)))
     return 0

@@ -1,0 +1,129 @@
+"""The one writer for everything that the programs print.
+
+What is printed may come from a target, so no text may send commands to the terminal or add lines of its own:
+`printable` removes what would. The reader may go away and the disk may be full: `surviving_output` lets the program
+go on without output, so that a campaign keeps measuring and the exit status stays that of the answer.
+"""
+
+import contextlib
+import io
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TextIO
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+PLAIN_WIDTH = 100  # columns of a table, where the output is no terminal
+
+
+def printable(text: str) -> str:
+    """One line of text, in which every control character and line break has become a question mark."""
+    return "".join(character if character.isprintable() or character == "\t" else "?" for character in text)
+
+
+def print_line(text: str = "") -> None:
+    """Print one line of the answer to standard output."""
+    print(printable(text), flush=True)
+
+
+def print_text(text: str) -> None:
+    """Print text of several lines, a file's or JSON, to standard output."""
+    print("\n".join(printable(line) for line in text.removesuffix("\n").split("\n")), flush=True)
+
+
+def print_bytes(content: bytes) -> None:
+    """Print a file as it is to standard output, for a program to read."""
+    sys.stdout.flush()
+    sys.stdout.buffer.write(content)
+    sys.stdout.buffer.flush()
+
+
+def print_note(text: str) -> None:
+    """Print one line beside the answer, a remark or an error, to standard error."""
+    print(printable(text), file=sys.stderr, flush=True)
+
+
+def print_status(text: str) -> None:
+    """Show a line that the next one overwrites. Only on a terminal; an empty text removes the line."""
+    if sys.stderr.isatty():
+        print(f"\r\x1b[K{printable(text)}", end="", file=sys.stderr, flush=True)
+
+
+def console() -> "Console":
+    """A console for tables and bars: as wide as the terminal, or plain text where there is none.
+
+    It takes text as it is: what may come from a target has to pass `printable` before.
+    """
+    from rich.console import Console
+
+    return Console(
+        highlight=False, markup=False, emoji=False, soft_wrap=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH
+    )
+
+
+@dataclass(kw_only=True, slots=True)
+class Losses:
+    """What kept standard output or standard error from being written, None while all is well."""
+
+    stdout: OSError | None = None
+    stderr: OSError | None = None
+
+
+class _Survivor(io.RawIOBase):
+    """A stream that drops what it is given from the first failure on, and remembers that failure."""
+
+    def __init__(self, stream: Any, losses: Losses, name: str) -> None:
+        self._stream, self._losses, self._name = stream, losses, name
+
+    def writable(self) -> bool:
+        return True
+
+    def isatty(self) -> bool:
+        return bool(self._stream.isatty())
+
+    def fileno(self) -> int:
+        return int(self._stream.fileno())
+
+    def write(self, data: Any) -> int:
+        if getattr(self._losses, self._name) is None:
+            try:
+                self._stream.write(data)
+                self._stream.flush()
+            except OSError as error:
+                setattr(self._losses, self._name, error)
+                # What the stream still holds goes nowhere, or Python fails on it at its end, with a status of its own.
+                with open(os.devnull, "wb") as nowhere:  # noqa: PTH123
+                    os.dup2(nowhere.fileno(), self._stream.fileno())
+        return len(data)
+
+
+@contextlib.contextmanager
+def surviving_output() -> Iterator[Losses]:
+    """Let nothing that happens to standard output or standard error end the program; yields what happened to them."""
+    # A file or connection of ours that got the number of a closed stream would receive what C code prints there.
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    losses = Losses()
+    original = sys.stdout, sys.stderr
+    sys.stdout = _wrapped(sys.stdout, losses, "stdout")
+    sys.stderr = _wrapped(sys.stderr, losses, "stderr")
+    try:
+        yield losses
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        sys.stdout, sys.stderr = original
+
+
+def _wrapped(stream: TextIO | None, losses: Losses, name: str) -> TextIO:
+    # Python's name for a stream that was closed when the program began is None.
+    inner = stream.buffer if stream else io.BytesIO()
+    encoding = stream.encoding if stream else "utf-8"
+    # A terminal of another language shows what it can.
+    return io.TextIOWrapper(
+        io.BufferedWriter(_Survivor(inner, losses, name)), encoding, errors="replace", line_buffering=True
+    )
