@@ -21,7 +21,7 @@ from rtrun.plan.campaign import read_campaign
 from rtrun.results import run_directory
 from rtrun.results.reading import read_run
 from rtrun.target import qemu, qmp
-from rtrun.target.config import read_target, switch_on
+from rtrun.target.config import connect, read_target
 from rtrun.target.errors import TargetError, TargetGone
 from rtrun.target.ssh import Connection
 from watching import Watching
@@ -136,7 +136,7 @@ def measure(tmp_path, act, results):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(qemu, "boot", lambda *words: Remembering(real(*words), machines))
         observer = Watching(lambda number: act(machines[0], number))
-        with switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
+        with connect(config, TOP / "targets", tmp_path / "console.log") as switched_on:
             try:
                 return runs, observer, campaign_runner.run_campaign(switched_on, "test", runs, results, observer)
             except TargetGone as error:
@@ -270,7 +270,7 @@ def test_traces_of_outliers_and_the_blocks_of_a_run_cut_off(tmp_path, monkeypatc
             resets.append(when(machine, FIRST_BLOCK, lambda: qmp.execute(machine.monitor, "system_reset")))
 
     config = read_target(TOP / "targets" / "qemu.yml")
-    with switch_on(config, TOP / "targets", tmp_path / "console.log") as switched_on:
+    with connect(config, TOP / "targets", tmp_path / "console.log") as switched_on:
         statuses = campaign_runner.run_campaign(switched_on, "test", runs, results, Watching(act))
         connection = Connection(switched_on.address)
         instances = connection.check(["ls", "/sys/kernel/tracing/instances"]).split()

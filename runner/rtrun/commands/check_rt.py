@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import print_note, print_text
     from rtrun.target import rt_readiness
-    from rtrun.target.config import read_target, switch_on
+    from rtrun.target.config import connect, read_target
     from rtrun.target.link import Link
 
     config = read_target(args.target)
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
     with (
         tempfile.TemporaryDirectory(prefix="rtrun-check-rt-") as work,
-        switch_on(config, args.target.parent, Path(work) / "console.log") as target,
+        connect(config, args.target.parent, Path(work) / "console.log") as target,
         Link(target, note) as link,
     ):
         facts = rt_readiness.parse(link.check(["sh", "-s"], stdin=script))
@@ -64,7 +64,7 @@ def _save_config(link: "Link", path: Path) -> None:
     from rtrun.target import inspection
     from rtrun.target.errors import TargetError
 
-    packed = inspection.kernel_config(link)
+    packed = inspection.read_kernel_config(link)
     if not packed:
         raise TargetError(
             f"{link.target.address}: the kernel keeps no configuration, neither /proc/config.gz nor /boot"
@@ -94,10 +94,10 @@ def _print(target: str, emulated: bool, findings: "list[Finding]") -> None:
     faults = [each for each in findings if each.status == "fault"]
     unknown = [each for each in findings if each.status == "unknown"]
     counts = [(len([each for each in faults if each.check.severity == name]), name) for name in SEVERITIES]
-    told = ", ".join(f"{count} {name}" for count, name in counts if count)
+    summary = ", ".join(f"{count} {name}" for count, name in counts if count)
     banner = " EMULATED: not a real-time statement." if emulated else ""
     if faults:
-        print_line(f"{target}: {len(faults)} of {len(findings)} checks find fault: {told}.{banner}")
+        print_line(f"{target}: {len(faults)} of {len(findings)} checks find fault: {summary}.{banner}")
     else:
         print_line(f"{target}: nothing found in the way of real time, {len(findings)} checks.{banner}")
     for each in faults:

@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import print_line, print_note, print_text
     from rtrun.target import deploy, inspection, ros_master
-    from rtrun.target.config import read_target, switch_on
+    from rtrun.target.config import connect, read_target
     from rtrun.target.link import Link
 
     config = read_target(args.target)
@@ -31,27 +31,29 @@ def run(args: argparse.Namespace) -> int:
 
     with (
         tempfile.TemporaryDirectory(prefix="rtrun-probe-") as work,
-        switch_on(config, args.target.parent, Path(work) / "console.log") as target,
+        connect(config, args.target.parent, Path(work) / "console.log") as target,
         Link(target, note) as link,
     ):
-        found = inspection.find(link, (deploy.ON_TARGET / "find.sh").read_text(encoding="utf-8"))
-        state = inspection.state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
-        answers = ros_master.pid(link) is not None
+        equipment = inspection.inspect(link)
+        state = inspection.read_state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
+        answers = ros_master.ask_pid(link) is not None
     if args.json:
-        print_text(json.dumps({"equipment": asdict(found), "ros_master_answers": answers, "state": state}, indent=2))
+        print_text(
+            json.dumps({"equipment": asdict(equipment), "ros_master_answers": answers, "state": state}, indent=2)
+        )
         return 0
-    suites = target.suites or ", ".join(sorted(found.programs)) or "none installed"
+    suites = target.suites or ", ".join(sorted(equipment.programs)) or "none installed"
     banner = ", EMULATED: not a real-time statement" if target.emulated else ""
     lines = {
         "target": f"{target.name} ({target.address}){banner}",
         "kernel": f"{state['kernel_release']} {state['kernel_version']}",
         "PREEMPT_RT": "yes" if inspection.is_preempt_rt(state) else "no",
-        "CPUs": f"{found.cpus} x {state['machine']}",
+        "CPUs": f"{equipment.cpus} x {state['machine']}",
         "clocksource": state["clocksource"] or "unknown",
         "governor": state["governor"] or "none",
         "real-time threads": f"{len(state['rt_threads'])} of {state['threads']}",
-        "free on disk": f"{found.free_bytes // 2**20} MiB in {target.work_dir}",
-        "ROS": f"roscpp {state['roscpp_version']}" if found.master else "not found",
+        "free on disk": f"{equipment.free_bytes // 2**20} MiB in {target.work_dir}",
+        "ROS": f"roscpp {state['roscpp_version']}" if equipment.master else "not found",
         "ROS master": "answers" if answers else "does not answer, a campaign starts one",
         "suites": suites,
     }

@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report import terminal
     from rtrun.results import run_directory
     from rtrun.results.reading import read_runs
-    from rtrun.target.config import read_target, switch_on
+    from rtrun.target.config import connect, read_target
 
     campaign, runs = read_campaign(args.campaign)
     config = read_target(args.target)
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
                 shown.note(f"all {len(runs)} runs are finished in {results}; --fresh measures again beside them")
                 statuses = {each.name: "ok" for each in runs}
             else:
-                with switch_on(config, args.target.parent, results / "console.log") as target:
+                with connect(config, args.target.parent, results / "console.log") as target:
                     statuses = campaign_runner.run_campaign(target, campaign.name, runs, results, shown)
     except (KeyboardInterrupt, InfrastructureError):
         done = campaign_runner.finished(results, runs)

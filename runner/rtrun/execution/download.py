@@ -39,7 +39,7 @@ def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[s
 
     Raises TargetError when a file arrives with another SHA-256 than it has on the target.
     """
-    present = link.do(lambda connection: connection.listing(source))
+    present = link.do(lambda connection: connection.list_files(source))
     limits = {**limits, **_traces(present, limits)}
     sizes = {name: size for name, size in present.items() if name in limits}
     refused = {

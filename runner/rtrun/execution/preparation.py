@@ -29,7 +29,7 @@ class Prepared:
 def prepared(link: Link, owner: str, runs: Sequence[Run]) -> Iterator[Prepared]:
     """Put scripts and suites on the target and see to it that a ROS master answers while the context lasts."""
     target = link.target
-    equipment = inspection.find(link, (deploy.ON_TARGET / "find.sh").read_text(encoding="utf-8"))
+    equipment = inspection.inspect(link)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     programs = equipment.programs
     if target.suites is not None:
@@ -39,7 +39,7 @@ def prepared(link: Link, owner: str, runs: Sequence[Run]) -> Iterator[Prepared]:
             for suite, described in suites.suites().suites.items()
             for program in described.programs
         }
-    kernel_config = inspection.kernel_config(link)
+    kernel_config = inspection.read_kernel_config(link)
     programs = programs | _tools(link, scripts, runs, kernel_config)
     for run in runs:
         for program in (*suites.suite(run.suite).programs, *conditions.suites_programs(run.condition)):
@@ -69,7 +69,7 @@ def _tools(link: Link, scripts: PurePosixPath, runs: Sequence[Run], kernel_confi
         needs |= conditions.needs(run.condition, run.settings)
     lacks = []
     if needs:
-        command = ["sh", str(scripts / "lacks.sh"), *sorted(needs)]
+        command = ["sh", str(scripts / "missing.sh"), *sorted(needs)]
         lacks = link.check(command).splitlines()
     config = gzip.decompress(kernel_config).decode(errors="replace") if kernel_config else ""
     for suite in baselines.values():

@@ -136,7 +136,7 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
             for program in (*others, *waiting)
         ]
         # Asked before anything is ended, our own master with the rest, and told to whoever reads the run later.
-        master_pid = processes.once(link, remote, "master_pid", str(ros_master.pid(link)))
+        master_pid = processes.write_if_absent(link, remote, "master_pid", str(ros_master.ask_pid(link)))
     except OUT_OF_REACH:
         raise
     except (KeyboardInterrupt, DeadlineExpired):
@@ -146,8 +146,8 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
     except InfrastructureError as error:
         raise StillMeasuring(f"{error}; the run goes on and is picked up by the next call") from error
     state = ["sh", str(prepared.scripts / "state.sh")]
-    died, said = processes.end_beside(link, remote, names, helpers, state)
-    after = inspection.parse_state(said)
+    ended_early, output = processes.end_background(link, remote, names, helpers, state)
+    after = inspection.parse_state(output)
     with run_directory.filling(folder) as partial:
         refused = download.pull(link, remote, partial, limits)
         if prepared.kernel_config:
@@ -156,7 +156,9 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
         (partial / "target.json").write_text(json.dumps(states, indent=2) + "\n", encoding="utf-8")
         if link.target.console is not None and link.target.console.exists():
             (partial / "console.log").write_bytes(link.target.console.read_bytes())
-        verdict = judge(partial, run, [*others, *waiting], exits, outputs, refused=refused, beside=beside, died=died)
+        verdict = judge(
+            partial, run, [*others, *waiting], exits, outputs, refused=refused, beside=beside, ended_early=ended_early
+        )
         if master_pid != str(begun.master_pid):
             reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
             verdict = replace(verdict, status="failed", reason=reason)
@@ -204,7 +206,7 @@ def _begin(prepared: Prepared, remote: PurePosixPath, programs: Sequence[Program
     """Write down what the run begins with. Raises TargetError when nothing can be measured."""
     link = prepared.link
     start_time = now()
-    master_pid = ros_master.pid(link)
+    master_pid = ros_master.ask_pid(link)
     if master_pid is None:
         raise TargetError(f"{link.target.address}: the ROS master died")
     return resumption.begin(
@@ -214,7 +216,7 @@ def _begin(prepared: Prepared, remote: PurePosixPath, programs: Sequence[Program
         master_pid=master_pid,
         own_master=prepared.own_master,
         argv={program.name: program.argv for program in programs},
-        before=inspection.state(link, prepared.scripts / "state.sh"),
+        before=inspection.read_state(link, prepared.scripts / "state.sh"),
     )
 
 
@@ -223,8 +225,8 @@ def _load(prepared: Prepared, remote: PurePosixPath, run: Run, loads: Sequence[P
     link = prepared.link
     processes.start(link, prepared.scripts, remote, *loads, setup=prepared.equipment.setup)
     time.sleep(LOADED_S)
-    for name in processes.ended(link, remote, [load.name for load in loads]):
-        said = processes.tail(link, remote / f"{name}.stderr") or "it said nothing"
+    for name in processes.list_ended(link, remote, [load.name for load in loads]):
+        said = processes.read_last_line(link, remote / f"{name}.stderr") or "it said nothing"
         raise TargetError(f"{link.target.address}: condition {run.condition}: {name} does not run: {said}")
 
 
@@ -242,9 +244,10 @@ def _start(
         processes.start(link, prepared.scripts, remote, *first, *others, setup=setup)
         return
     processes.start(link, prepared.scripts, remote, *first, setup=setup)
-    processes.until(
+    processes.wait_until(
         lambda: (
-            ros_master.subscribers(link, TOPIC, token) >= len(waiting) or bool(processes.ended(link, remote, waiting))
+            ros_master.count_subscribers(link, TOPIC, token) >= len(waiting)
+            or bool(processes.list_ended(link, remote, waiting))
         ),
         deadline_s=SUBSCRIBED_S,
         what=f"{link.target.address}: {len(waiting)} subscribers to register with the ROS master",

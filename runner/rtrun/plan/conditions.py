@@ -87,7 +87,7 @@ def check(key: str, value: object, where: str) -> Value:
 
 
 def needs(name: str, settings: Mapping[str, Value]) -> set[str]:
-    """What the target must have for a condition, as lacks.sh takes it: tools, and what is to be held, ``key=value``."""
+    """What the target must have for a condition, as missing.sh takes it: tools, and settings as ``key=value``."""
     loads = conditions().conditions[name].loads.values()
     found = {each.argv[0] for each in loads if not each.argv[0].startswith("{")}
     found |= {"taskset"} if loads and settings.get("load_cpu") else set()

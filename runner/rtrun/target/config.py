@@ -1,4 +1,4 @@
-"""Targets: where to measure. A board over SSH and an emulated board look the same from here on."""
+"""Target files. A board over SSH and an emulated board become the same `Target`."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -57,7 +57,7 @@ _KINDS: dict[str, type[SshConfig] | type[QemuConfig]] = {"ssh": SshConfig, "qemu
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """A target that is switched on, as everything after this module sees it."""
+    """A target that is switched on."""
 
     name: str
     emulated: bool
@@ -71,7 +71,7 @@ class Target:
     """How long it may take until SSH answers for the first time, in seconds."""
     console: Path | None
     failure: Callable[[], TargetGone | None]
-    """Why the target is gone for good, as far as one can tell without asking it."""
+    """Why the target is gone for good, as far as can be known without a connection to it; None while it may answer."""
 
 
 def read_target(path: Path) -> TargetConfig:
@@ -83,7 +83,7 @@ def read_target(path: Path) -> TargetConfig:
 
 
 @contextlib.contextmanager
-def switch_on(config: TargetConfig, folder: Path, console: Path) -> Iterator[Target]:
+def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Target]:
     """Yield the target; an emulated board is booted, and ended when the context is left.
 
     Relative paths of the config are relative to `folder`. The serial console of an emulated board goes to `console`.
@@ -96,7 +96,7 @@ def switch_on(config: TargetConfig, folder: Path, console: Path) -> Iterator[Tar
             board = folder / Path(config.board).expanduser()
             machine = stack.enter_context(qemu.boot(board, console))
             emulated = machine.emulated
-            address, failure, seen_console = machine.address, machine.failure, machine.console
+            address, failure, console_log = machine.address, machine.failure, machine.console
             boot_s = 180.0
         else:
             emulated = config.emulated
@@ -108,7 +108,7 @@ def switch_on(config: TargetConfig, folder: Path, console: Path) -> Iterator[Tar
                 host_key=config.host_key,
                 known_hosts=folder / Path(config.known_hosts).expanduser(),
             )
-            failure, seen_console, boot_s = _never, None, 0.0
+            failure, console_log, boot_s = _no_failure, None, 0.0
         yield Target(
             name=config.name,
             emulated=emulated,
@@ -119,7 +119,7 @@ def switch_on(config: TargetConfig, folder: Path, console: Path) -> Iterator[Tar
             ros_master_port=config.ros_master_port,
             reconnect_s=config.reconnect_s,
             boot_s=boot_s,
-            console=seen_console,
+            console=console_log,
             failure=failure,
         )
 
@@ -128,5 +128,5 @@ def _resolve(folder: Path, path: str | None) -> Path | None:
     return None if path is None else folder / Path(path).expanduser()
 
 
-def _never() -> None:
+def _no_failure() -> None:
     return None

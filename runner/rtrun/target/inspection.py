@@ -1,4 +1,4 @@
-"""What a target is and what it has: asked once before a campaign, and its state before and after every run."""
+"""What a target has, asked before a campaign, and its state before and after every run."""
 
 import gzip
 import re
@@ -6,19 +6,21 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 
+from rtrun.target.deploy import ON_TARGET
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
 
+SCRIPT = ON_TARGET / "inspect.sh"
 _KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -r) 2>/dev/null; exit 0"
 # Numbers of sched_setscheduler(2), as in field 41 of /proc/<pid>/stat (proc(5)).
 POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
-# Whole texts, kept as they are; every other section is one value, or a list where it has several lines.
+# Sections kept as one text. Every other section is one value, or a list when it has several lines.
 _TEXTS = ("cpuinfo", "memory", "os_release")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Equipment:
-    """What the runner found on a target."""
+    """What a target has installed and how much room it has."""
 
     setup: str | None
     master: str | None
@@ -28,20 +30,18 @@ class Equipment:
     free_bytes: int
 
 
-def find(link: Link, script: str) -> Equipment:
-    """Look for tools, ROS and installed suites. Raises TargetError naming what is missing and the remedy.
-
-    `script` is the text of find.sh: it runs before anything can be deployed.
-    """
+def inspect(link: Link) -> Equipment:
+    """Look for tools, ROS and installed suites. Raises TargetError naming what is missing and the remedy."""
     target = link.target
-    said = link.check(["sh", "-s", str(target.work_dir)], stdin=script)
+    # Through standard input: nothing can be deployed before the tools for it are known to be there.
+    output = link.check(["sh", "-s", str(target.work_dir)], stdin=SCRIPT.read_text(encoding="utf-8"))
     facts: dict[str, list[str]] = {}
-    for line in said.splitlines():
+    for line in output.splitlines():
         name, _, value = line.partition(" ")
         facts.setdefault(name, []).append(value)
-    if "lacks" in facts:
+    if "missing" in facts:
         raise TargetError(
-            f"{target.address}: the target lacks {', '.join(facts['lacks'])}: install util-linux, coreutils"
+            f"{target.address}: the target lacks {', '.join(facts['missing'])}: install util-linux, coreutils"
         )
     if "readonly" in facts:
         raise TargetError(
@@ -49,7 +49,9 @@ def find(link: Link, script: str) -> Equipment:
         )
     setups = facts.get("setup", [])
     if target.ros_setup is None and len(setups) > 1:
-        raise TargetError(f"{target.address}: several ROS there ({', '.join(setups)}): name one as ros_setup")
+        raise TargetError(
+            f"{target.address}: several ROS ({', '.join(setups)}): put one into the target file as ros_setup"
+        )
     setup = target.ros_setup or (setups[0] if setups else None)
     masters = facts.get("master", [])
     root = str(PurePosixPath(setup).parent) + "/" if setup else ""
@@ -62,13 +64,13 @@ def find(link: Link, script: str) -> Equipment:
     )
 
 
-def state(link: Link, script: PurePosixPath) -> dict[str, Any]:
-    """Return the state of the target now, as stored in target.json. Real-time threads are listed, others counted."""
+def read_state(link: Link, script: PurePosixPath) -> dict[str, Any]:
+    """Return the present state of the target, as stored in target.json."""
     return parse_state(link.check(["sh", str(script)]))
 
 
 def parse_state(text: str) -> dict[str, Any]:
-    """Turn what state.sh printed into plain data; what the target does not have is None."""
+    """Read the output of state.sh. Real-time threads are listed, all threads counted; an empty section is None."""
     state: dict[str, Any] = {}
     sections = re.split(r"^== (\w+)$", text, flags=re.MULTILINE)
     for name, body in zip(sections[1::2], sections[2::2], strict=True):
@@ -86,25 +88,25 @@ def parse_state(text: str) -> dict[str, Any]:
 
 def _thread(line: str) -> dict[str, Any] | None:
     """Read a line of /proc/<pid>/task/<tid>/stat; the name may hold blanks and brackets."""
-    found = re.match(r"(\d+) \((.*)\) (.+)$", line)
-    fields = found.group(3).split() if found else []
+    match = re.match(r"(\d+) \((.*)\) (.+)$", line)
+    fields = match.group(3).split() if match else []
     # proc(5) counts from 1 with pid and name before these: rt_priority is field 40, policy 41.
-    if found is None or len(fields) < 39:
+    if match is None or len(fields) < 39:
         return None
     return {
-        "tid": int(found.group(1)),
-        "name": found.group(2),
+        "tid": int(match.group(1)),
+        "name": match.group(2),
         "policy": POLICIES.get(int(fields[38]), fields[38]),
         "priority": int(fields[37]),
     }
 
 
 def is_preempt_rt(state: dict[str, Any]) -> bool:
-    """Say whether the kernel is PREEMPT_RT by its own word; /sys/kernel/realtime exists with the patch only."""
+    """Whether the kernel calls itself PREEMPT_RT. Only kernels with the out-of-tree patch have /sys/kernel/realtime."""
     return bool(re.search(r"\bPREEMPT[_ ]RT\b", str(state.get("kernel_version")))) or state.get("realtime") == "1"
 
 
-def kernel_config(link: Link) -> bytes:
-    """Return the running kernel's configuration, gzipped, or nothing where the target does not keep it."""
+def read_kernel_config(link: Link) -> bytes:
+    """Return the running kernel's configuration, gzipped, or nothing where the target does not have it."""
     text = link.check(["sh", "-c", _KERNEL_CONFIG])
     return gzip.compress(text.encode(), mtime=0) if text.strip() else b""

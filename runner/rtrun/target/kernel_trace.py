@@ -1,4 +1,4 @@
-"""The kernel trace of a run that asks for one: set up before it, taken down after it."""
+"""The kernel trace of a run that asks for one: set up before the run, removed after it."""
 
 import contextlib
 from collections.abc import Iterator, Mapping
@@ -9,16 +9,16 @@ from rtrun.target.errors import StillMeasuring, TargetError
 from rtrun.target.link import OUT_OF_REACH, Link
 
 OPTIONS = ("break_trace_us", "trace_threshold_us")
-# So that the timestamps of a trace are those of the samples.
+# The trace uses the clock of the samples, so that their timestamps can be compared.
 CLOCKS = {"raw": "mono_raw", "monotonic": "mono"}
 
 
 @contextlib.contextmanager
 def tracing(link: Link, scripts: PurePosixPath, parameters: Mapping[str, Value]) -> Iterator[None]:
-    """Keep the kernel trace that the suites copy from recording while the context lasts, if the parameters ask for one.
+    """Record the kernel trace that the suites copy from while the context lasts, if the parameters ask for one.
 
-    Raises TargetError when the target cannot trace. While the target is out of reach its trace stays, as the run does:
-    whoever picks that up takes it down, and so does the next campaign.
+    Raises TargetError when the target cannot trace. When the target is out of reach its trace stays, as the run does;
+    the call that picks up the run removes it, and so does the next campaign.
     """
     if all(parameters.get(option) is None for option in OPTIONS):
         yield

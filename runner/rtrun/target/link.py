@@ -1,4 +1,4 @@
-"""The link to a target that may break and come back, or come back as a target that was switched off meanwhile."""
+"""The link to a target: reconnects when the connection breaks and notices when the target was restarted."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -11,30 +11,30 @@ from rtrun.target.ssh import COMMAND_S, Completed, Connection
 
 RETRY_S = 0.5
 CONNECT_S = 10.0
-# A booting emulated board accepts the connection long before it answers: ask again soon.
+# A booting emulated board accepts TCP connections long before its SSH server answers: give up early, try again.
 CONNECT_BOOTING_S = 3.0
 
 T = TypeVar("T")
 
 
 class TargetRebooted(TargetError):
-    """The target came back with another boot id: nothing that was running there goes on."""
+    """The target came back with another boot id: what was running there has ended."""
 
 
-# Nothing can be done on the target now: what runs there is left as it is.
+# The target cannot be reached now; what runs there is left as it is.
 OUT_OF_REACH = (ConnectionLost, TargetGone, TargetRebooted)
 
 
 class Link:
-    """Calls actions with a live `Connection`, made anew when it was lost.
+    """Calls actions with a live `Connection`, and connects again when it is lost.
 
-    An action may run again from its beginning, so it must bear to be repeated.
+    An action may run again from its beginning, so it must be repeatable.
     """
 
-    def __init__(self, target: Target, tell: Callable[[str], None]) -> None:
+    def __init__(self, target: Target, notify: Callable[[str], None]) -> None:
         self.target = target
         self.boot_id = ""
-        self._tell = tell
+        self._notify = notify
         self._connection: Connection | None = None
         self._given_up: TargetError | None = None
 
@@ -68,7 +68,7 @@ class Link:
                 self.drop()
                 if failure := self.target.failure():
                     raise failure from error
-                self._tell(f"{error}; connecting again")
+                self._notify(f"{error}; connecting again")
 
     def run(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> Completed:
         """`Connection.run` with a live connection. Raises as that and `do` do."""
@@ -80,7 +80,7 @@ class Link:
 
     def _reconnect(self) -> Connection:
         if self._given_up is not None:
-            # Cleaning up must not wait all over again.
+            # Cleaning up after a failure must not wait a second time.
             raise self._given_up
         try:
             return self._connect()
@@ -104,13 +104,13 @@ class Link:
                     raise failure from error
                 if time.monotonic() >= deadline:
                     waited = f", tried for {patience_s:g} s" if patience_s else ""
-                    raise ConnectionLost(f"{error}{waited}{self._last_words()}") from error
+                    raise ConnectionLost(f"{error}{waited}{self._describe_console()}") from error
                 time.sleep(RETRY_S)
 
     def _checked(self, connection: Connection) -> Connection:
-        """Return a new connection if it leads to the boot we know: nothing may be done on any other."""
+        """Return a new connection if the target is still in the same boot; raise TargetRebooted otherwise."""
         try:
-            boot_id = connection.answer(["cat", "/proc/sys/kernel/random/boot_id"]).strip()
+            boot_id = connection.check_promptly(["cat", "/proc/sys/kernel/random/boot_id"]).strip()
         except BaseException:
             connection.close()
             raise
@@ -120,7 +120,7 @@ class Link:
             raise TargetRebooted(f"{self.target.address}: the target was restarted (another boot id)")
         return connection
 
-    def _last_words(self) -> str:
+    def _describe_console(self) -> str:
         console = self.target.console
         if console is None or not console.exists():
             return ""

@@ -1,4 +1,4 @@
-"""One program on the target, detached: started once, waited for, ended, whatever happens to the connection."""
+"""Programs on the target, detached from the connection: started once, waited for, ended."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -7,30 +7,30 @@ from pathlib import PurePosixPath
 from rtrun.plan.program import Exit, Program
 from rtrun.target.errors import DeadlineExpired, TargetError
 from rtrun.target.link import Link
-from rtrun.target.ssh import in_turn
+from rtrun.target.ssh import join_commands
 
-# One wait lasts at most this long, so that a board that died is noticed while we wait.
+# The longest single wait: between two waits the runner looks whether the target still exists.
 WAIT_S = 15.0
-# And not less: to open a channel takes its time on a slow link.
+# The shortest single wait: opening a channel takes time on a slow link.
 SLICE_S = 2.0
 POLL_S = 0.1
-# Loads that will not end by themselves are killed one after the other, two seconds each.
-END_BESIDE_S = 120.0
+# Programs that ignore SIGTERM are killed one after the other, two seconds each.
+END_BACKGROUND_S = 120.0
 
 _WAIT = 'flock -s "$1.lock" true; cat "$1.exit" 2>/dev/null; [ -e "$1.expired" ] && echo expired; exit 0'
-_ENDED = 'cd "$1" && shift && for name; do if flock -n -s "$name.lock" true; then echo "$name"; fi; done'
+_LIST_ENDED = 'cd "$1" && shift && for name; do if flock -n -s "$name.lock" true; then echo "$name"; fi; done'
 _END = """
 cd "$1" 2>/dev/null && shift || exit 0
 boot_id=$(cat /proc/sys/kernel/random/boot_id)
 running=
 for name; do
-    # Its lock is held from before its start: a pid that is not there yet will come.
+    # The lock is taken before the program starts: while it is taken, the pid file is still to come.
     for _ in 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20; do
         [ -s "$name.pid" ] && break
         flock -n "$name.lock" true && continue 2
         sleep 0.2
     done
-    # A pid of another boot is some other process now.
+    # After a reboot the pid belongs to another process.
     [ "$(cat "$name.boot_id" 2>/dev/null)" = "$boot_id" ] || continue
     [ -s "$name.pid" ] && kill -TERM "-$(cat "$name.pid")" 2>/dev/null && running="$running $name"
 done
@@ -41,31 +41,31 @@ for name in $running; do
 done
 exit 0
 """
-# supervise.sh starts nothing in a folder that was given up: a start that is still under way comes too late.
+# supervise.sh starts nothing in a folder with this mark, not even when it was called before the mark was made.
 _GIVE_UP = '[ ! -d "$1" ] || : >"$1/given_up"; exit 0'
 _MARK = "== ended"
-# Of two that write at once the first is right; on a full disk what we found must do.
-_ONCE = """
+# Of two callers that write at the same time the first wins. On a full disk the new word is used, and not kept.
+_WRITE_IF_ABSENT = """
 cd "$1" || exit 1
-once() {
+write_if_absent() {
     [ -e "$1" ] || { echo "$2" >"$1.$$" && ln "$1.$$" "$1"; }
     cat "$1" || echo "$2"
 }
 """
-# Ended before one of the suite's programs did: after all of their ends is only what outlived the suite.
-# Written down once, before we end anything: whoever asks again, after a lost link or for a runner that was killed,
-# must not take for dead what we ended.
-_DIED = (
-    _ONCE
+# A background program ended early when it ended before the last of the suite's programs. The answer is kept in the
+# folder before anything is ended, because the caller may ask again after a lost link, or after the runner was killed:
+# then it must not count the programs that the runner itself has ended.
+_ENDED_EARLY = (
+    _WRITE_IF_ABSENT
     + """suite=$2
 shift 2
-# In hundredths of a second since the boot: the clock on the wall may have been set meanwhile.
+# In hundredths of a second since the boot: the wall clock may have been set meanwhile.
 end_of() {
     uptime=0.00
     [ ! -e "$1.exit" ] || read -r _ uptime <"$1.exit"
     echo "${uptime%.*}${uptime#*.}"
 }
-found=$(for name; do
+early=$(for name; do
     flock -n -s "$name.lock" true || continue
     for program in $suite; do
         [ "$(end_of "$name")" -ge "$(end_of "$program")" ] && continue
@@ -75,7 +75,7 @@ found=$(for name; do
         break
     done
 done)
-once died "$found"
+write_if_absent ended_early "$early"
 """
 )
 
@@ -83,18 +83,18 @@ once died "$found"
 def start(
     link: Link, scripts: PurePosixPath, folder: PurePosixPath, *programs: Program, setup: str | None = None
 ) -> None:
-    """Start programs in a folder that is on the target, in this order; one started there already is not."""
+    """Start programs in this order in an existing folder of the target; a program is started there only once."""
     commands = []
     for program in programs:
         env = ["env", *(f"{name}={value}" for name, value in program.environment)] if program.environment else []
         deadline = str(max(1, round(program.deadline_s)))
         supervise = str(scripts / "supervise.sh")
         commands.append([supervise, str(folder), program.name, deadline, setup or "", *env, *program.argv])
-    link.check(in_turn(commands))
+    link.check(join_commands(commands))
 
 
 def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> Exit:
-    """Wait for the end of a program; the target spends nothing on it meanwhile.
+    """Wait for the end of a program. The wait blocks on a file lock, so it costs the target no CPU time.
 
     Raises DeadlineExpired when it has not ended in time, TargetGone and TargetRebooted.
     """
@@ -103,66 +103,67 @@ def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> 
     while True:
         slice_s = min(WAIT_S, max(SLICE_S, deadline - time.monotonic()))
         try:
-            said = link.check(command, deadline_s=slice_s).split()
+            words = link.check(command, deadline_s=slice_s).split()
         except DeadlineExpired:
             if failure := link.target.failure():
                 raise failure from None
             if time.monotonic() >= deadline:
                 raise
             continue
-        status = int(said[0]) if said and said[0].isdigit() else None
-        return Exit(status=status, expired="expired" in said)
+        status = int(words[0]) if words and words[0].isdigit() else None
+        return Exit(status=status, expired="expired" in words)
 
 
 def end(link: Link, folder: PurePosixPath, *names: str) -> None:
-    """End programs of a folder and everything they started, as far as they still run."""
-    link.run(_end(folder, names), deadline_s=END_BESIDE_S)
+    """End those programs of a folder that still run, with everything they started."""
+    link.run(_end(folder, names), deadline_s=END_BACKGROUND_S)
 
 
 def give_up(link: Link, folder: PurePosixPath, names: Sequence[str]) -> None:
-    """End programs of a folder, or those about to start there, and remove it; cut short, it may be called again."""
+    """End the programs of a folder, prevent pending starts, and remove the folder. May be repeated after a failure."""
     commands = [["sh", "-c", _GIVE_UP, "sh", str(folder)], _end(folder, names), ["rm", "-rf", str(folder)]]
-    link.check(in_turn(commands), deadline_s=END_BESIDE_S)
+    link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)
 
 
 def _end(folder: PurePosixPath, names: Sequence[str]) -> list[str]:
     return ["sh", "-c", _END, "sh", str(folder), *names]
 
 
-def end_beside(
+def end_background(
     link: Link, folder: PurePosixPath, programs: Sequence[str], names: Sequence[str], then: Sequence[str]
 ) -> tuple[dict[str, str], str]:
-    """End the programs `names` that ran beside `programs`, which have ended, and run the command `then`.
+    """End the background programs `names` of a suite whose `programs` have ended, then run the command `then`.
 
-    Returns those that had ended before the others did, name to exit status or empty, and what the command printed.
+    Returns the background programs that ended before the suite did (name to exit status, empty where it has none) and
+    the output of `then`.
     """
-    died = ["sh", "-c", _DIED, "sh", str(folder), " ".join(programs), *names]
-    commands = [died, ["echo", _MARK], _end(folder, names), then]
-    said = link.check(in_turn(commands), deadline_s=END_BESIDE_S)
-    deaths, _, rest = said.partition(f"{_MARK}\n")
-    return {name: status for name, _, status in (line.partition(" ") for line in deaths.split("\n") if line)}, rest
+    ended_early = ["sh", "-c", _ENDED_EARLY, "sh", str(folder), " ".join(programs), *names]
+    commands = [ended_early, ["echo", _MARK], _end(folder, names), then]
+    output = link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)
+    early, _, rest = output.partition(f"{_MARK}\n")
+    return {name: status for name, _, status in (line.partition(" ") for line in early.split("\n") if line)}, rest
 
 
-def once(link: Link, folder: PurePosixPath, name: str, word: str) -> str:
-    """Write a word down in a folder unless one stands there, and return the one that does."""
-    command = ["sh", "-c", f'{_ONCE}once "$2" "$3"', "sh", str(folder), name, word]
+def write_if_absent(link: Link, folder: PurePosixPath, name: str, word: str) -> str:
+    """Write a word into a file of a folder unless the file exists, and return what the file holds."""
+    command = ["sh", "-c", f'{_WRITE_IF_ABSENT}write_if_absent "$2" "$3"', "sh", str(folder), name, word]
     return link.check(command).strip()
 
 
-def tail(link: Link, path: PurePosixPath) -> str:
-    """Return the last line of a file on the target, for a message; empty when there is none."""
+def read_last_line(link: Link, path: PurePosixPath) -> str:
+    """Return the last line of a file on the target, at most 500 characters; empty without such a file."""
     result = link.run(["tail", "-n", "1", str(path)])
     return result.stdout.strip()[:500]
 
 
-def ended(link: Link, folder: PurePosixPath, names: Sequence[str]) -> list[str]:
-    """Return those of the programs, all started, that have ended."""
-    command = ["sh", "-c", _ENDED, "sh", str(folder), *names]
+def list_ended(link: Link, folder: PurePosixPath, names: Sequence[str]) -> list[str]:
+    """Return which of these started programs have ended."""
+    command = ["sh", "-c", _LIST_ENDED, "sh", str(folder), *names]
     return link.check(command).split()
 
 
-def until(condition: Callable[[], bool], *, deadline_s: float, what: str) -> None:
-    """Ask until a condition holds. Raises TargetError ``waited … s for <what>``."""
+def wait_until(condition: Callable[[], bool], *, deadline_s: float, what: str) -> None:
+    """Poll until a condition is true. Raises TargetError ``waited … s for <what>``."""
     deadline = time.monotonic() + deadline_s
     while not condition():
         if time.monotonic() >= deadline:

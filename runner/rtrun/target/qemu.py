@@ -154,13 +154,13 @@ def _forwarded_port(process: subprocess.Popen[bytes], monitor: Path, log: Path) 
             process.wait(0.02)
         except subprocess.TimeoutExpired:
             continue
-        said = log.read_text(errors="replace").strip().splitlines()
-        raise TargetError(f"QEMU did not start: {said[-1] if said else f'exit status {process.returncode}'}")
+        stderr = log.read_text(errors="replace").strip().splitlines()
+        raise TargetError(f"QEMU did not start: {stderr[-1] if stderr else f'exit status {process.returncode}'}")
     answer = qmp.execute(monitor, "human-monitor-command", {"command-line": "info usernet"})
-    found = re.search(r"HOST_FORWARD\]\s+\d+\s+127\.0\.0\.1\s+(\d+)", str(answer))
-    if found is None:
+    port = re.search(r"HOST_FORWARD\]\s+\d+\s+127\.0\.0\.1\s+(\d+)", str(answer))
+    if port is None:
         raise TargetError("QEMU did not forward a port to the board's SSH server")
-    return int(found.group(1))
+    return int(port.group(1))
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

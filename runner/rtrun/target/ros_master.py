@@ -1,4 +1,4 @@
-"""The ROS master: ours where none answers, at a priority that cannot lock up the board, and ended when we are done."""
+"""The ROS master: started where none answers, at a priority that cannot lock up the board, and ended after use."""
 
 import contextlib
 import http.client
@@ -18,7 +18,7 @@ from rtrun.target.ssh import Connection
 NAME = "rosmaster"
 START_S = 60.0
 ANSWER_S = 10.0
-# A master that the runner could not end (it was killed) ends by itself after a week.
+# A master whose runner was killed ends by itself after a week.
 LIFE_S = 7 * 24 * 3600.0
 CALLER = "/rtrun"
 
@@ -33,9 +33,9 @@ class _Tunnel(xmlrpc.client.Transport):
     def make_connection(self, host: Any) -> http.client.HTTPConnection:
         name = host if isinstance(host, str) else host[0]
         link = http.client.HTTPConnection(name)
-        channel = self._ssh.port(self._port)
+        channel = self._ssh.open_port(self._port)
         channel.settimeout(ANSWER_S)
-        link.sock = channel  # has all of a socket that http.client uses
+        link.sock = channel  # It has every method of a socket that http.client uses.
         return link
 
 
@@ -51,16 +51,16 @@ def call(connection: Connection, port: int, method: str, *arguments: Any) -> Any
     except (ConnectionLost, ConnectionRefusedError):
         raise
     except (xmlrpc.client.Error, http.client.HTTPException, OSError, EOFError, ValueError, TypeError) as error:
-        # Which of the two is it? A link that broke meanwhile must not pass for a master that died.
-        connection.answer(["true"], deadline_s=ANSWER_S)
+        # A broken link must not be reported as a master that ended: ask whether the target still answers.
+        connection.check_promptly(["true"], deadline_s=ANSWER_S)
         raise ConnectionRefusedError(f"port {port} does not answer as a ROS master: {error}") from error
     if code != 1:
         raise TargetError(f"{connection.address}: the ROS master refused {method}: {message}")
     return value
 
 
-def pid(link: Link) -> int | None:
-    """Return the process id of the ROS master that answers on the target's port, by its own word; None without one."""
+def ask_pid(link: Link) -> int | None:
+    """Return the process id that the ROS master on the target's port reports; None when no master answers."""
     port = link.target.ros_master_port
     try:
         return int(link.do(lambda connection: call(connection, port, "getPid")))
@@ -68,7 +68,7 @@ def pid(link: Link) -> int | None:
         return None
 
 
-def subscribers(link: Link, topic: str, token: str) -> int:
+def count_subscribers(link: Link, topic: str, token: str) -> int:
     """Return how many nodes with a token in their names have subscribed. Raises TargetError when no master answers."""
     port = link.target.ros_master_port
     try:
@@ -90,8 +90,8 @@ def running(
     """
     target = link.target
     folder = target.work_dir / "master" / owner
-    ours = _is_held(link, folder)
-    if pid(link) is None:
+    ours = _is_running(link, folder)
+    if ask_pid(link) is None:
         if equipment.master is None:
             raise TargetError(
                 f"{target.address}: no ROS on the target: neither /opt/ros/*/bin/rosmaster "
@@ -115,7 +115,7 @@ def running(
             _wait_ready(link, folder)
         yield ours
     except StillMeasuring:
-        ours = False  # the run's: it would hang in ros::shutdown without
+        ours = False  # The run that goes on needs it: without a master it would hang in ros::shutdown.
         raise
     finally:
         if ours:
@@ -124,7 +124,7 @@ def running(
                 link.run(["rm", "-rf", str(folder)])
 
 
-def _is_held(link: Link, folder: PurePosixPath) -> bool:
+def _is_running(link: Link, folder: PurePosixPath) -> bool:
     lock = str(folder / f"{NAME}.lock")
     command = ["sh", "-c", '[ -e "$1" ] && ! flock -n "$1" true', "sh", lock]
     return link.run(command).status == 0
@@ -132,8 +132,8 @@ def _is_held(link: Link, folder: PurePosixPath) -> bool:
 
 def _wait_ready(link: Link, folder: PurePosixPath) -> None:
     deadline = time.monotonic() + START_S
-    while pid(link) is None:
-        if not _is_held(link, folder) or time.monotonic() >= deadline:
-            said = processes.tail(link, folder / f"{NAME}.stderr") or "it said nothing"
-            raise TargetError(f"{link.target.address}: the ROS master did not start: {said}")
+    while ask_pid(link) is None:
+        if not _is_running(link, folder) or time.monotonic() >= deadline:
+            last_line = processes.read_last_line(link, folder / f"{NAME}.stderr") or "it said nothing"
+            raise TargetError(f"{link.target.address}: the ROS master did not start: {last_line}")
         time.sleep(0.1)

@@ -110,11 +110,11 @@ class Connection:
         """`run`, and return what it printed; a nonzero exit status is a TargetError with the last line it said."""
         result = self.run(argv, deadline_s=deadline_s, stdin=stdin)
         if result.status != 0:
-            said = (result.stderr.strip() or result.stdout.strip() or "it said nothing").splitlines()[-1]
-            raise TargetError(f"{self.address}: {argv[0]} failed with exit status {result.status}: {said}")
+            last_line = (result.stderr.strip() or result.stdout.strip() or "it said nothing").splitlines()[-1]
+            raise TargetError(f"{self.address}: {argv[0]} failed with exit status {result.status}: {last_line}")
         return result.stdout
 
-    def answer(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S) -> str:
+    def check_promptly(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S) -> str:
         """`check` of a command that any target answers at once: no answer in time is a ConnectionLost."""
         try:
             return self.check(argv, deadline_s=deadline_s)
@@ -150,7 +150,7 @@ class Connection:
             raise self._failure(error, f"cannot read {source}") from error
         return digest.hexdigest()
 
-    def listing(self, folder: PurePosixPath) -> dict[str, int]:
+    def list_files(self, folder: PurePosixPath) -> dict[str, int]:
         """Return name and size in bytes of each regular file in a folder of the target; links are not followed."""
         try:
             entries = self._files().listdir_attr(str(folder))
@@ -158,7 +158,7 @@ class Connection:
             raise self._failure(error, f"cannot list {folder}") from error
         return {entry.filename: entry.st_size or 0 for entry in entries if stat.S_ISREG(entry.st_mode or 0)}
 
-    def port(self, port: int, *, timeout_s: float = 10.0) -> paramiko.Channel:
+    def open_port(self, port: int, *, timeout_s: float = 10.0) -> paramiko.Channel:
         """Open a stream to a port of the target's own loopback. Raises ConnectionRefusedError when nobody listens."""
         if not self._transport.is_active():
             raise ConnectionLost(f"{self.address}: the connection broke")
@@ -220,7 +220,7 @@ class Connection:
         return TargetError(f"{self.address}: {what}: {reason}")
 
 
-def in_turn(commands: Iterable[Sequence[str]]) -> list[str]:
+def join_commands(commands: Iterable[Sequence[str]]) -> list[str]:
     """One command that runs these one after the other, up to the first that fails: one round trip, not many."""
     return ["sh", "-c", " && ".join(map(shlex.join, commands))]
 

@@ -38,11 +38,11 @@ def judge(
     *,
     refused: Mapping[str, str],
     beside: Sequence[Background],
-    died: Mapping[str, str],
+    ended_early: Mapping[str, str],
 ) -> Verdict:
     """Say what became of a run from what was pulled back, and why: the first thing that went wrong.
 
-    `refused` are files that were not taken, name to reason; `died` are programs beside the suite that ended before it,
+    `refused` are files that were not taken, name to reason; `ended_early` are background programs that ended before it,
     name to exit status.
     """
     records: dict[str, Record] = {}
@@ -56,7 +56,7 @@ def judge(
     except UsageError as error:
         wrong = str(error)
     if status in ("ok", "incomplete"):
-        for name, exit_status in died.items():
+        for name, exit_status in ended_early.items():
             how = (
                 f"with exit status {exit_status}: {_last_word(folder, name)}" if exit_status else "killed from outside"
             )

@@ -173,7 +173,7 @@ def test_a_master_that_is_there_is_used_and_left_alone(target, tmp_path, watchin
     state = json.loads((tmp_path / "results" / runs[0].name / "target.json").read_text())
     assert state["own_ros_master"] is False
     with Link(target, watching.notes.append) as link:
-        assert ros_master.pid(link) is not None
+        assert ros_master.ask_pid(link) is not None
 
 
 def test_a_port_that_is_no_master(bare_target, tmp_path, watching, wishes, monkeypatch):
@@ -217,8 +217,8 @@ def test_a_master_that_dies_in_the_middle_of_a_run(bare_target, tmp_path, watchi
 
 
 def test_no_ros_on_the_target(bare_target, tmp_path, watching, wishes, monkeypatch):
-    real = preparation.inspection.find
-    monkeypatch.setattr(preparation.inspection, "find", lambda *words: replace(real(*words), master=None))
+    real = preparation.inspection.inspect
+    monkeypatch.setattr(preparation.inspection, "inspect", lambda *words: replace(real(*words), master=None))
     with pytest.raises(TargetError, match="no ROS on the target"):
         measure(bare_target, runs_of(1), tmp_path / "results", watching)
 

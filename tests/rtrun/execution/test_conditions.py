@@ -197,7 +197,7 @@ def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
 
 
 def test_hwlatdetect_where_the_kernel_has_no_such_tracer(target, tmp_path, monkeypatch):
-    monkeypatch.setattr(preparation.inspection, "kernel_config", lambda _: gzip.compress(b"CONFIG_FTRACE=y\n"))
+    monkeypatch.setattr(preparation.inspection, "read_kernel_config", lambda _: gzip.compress(b"CONFIG_FTRACE=y\n"))
     (run,) = runs = plan(Campaign(schema=1, name="test", runs=[{"suite": "hwlatdetect", "duration_s": 3}]), "test")
     assert run.expected_s == 3
     with pytest.raises(TargetError, match="the target lacks CONFIG_HWLAT_TRACER in its kernel"):

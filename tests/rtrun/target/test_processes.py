@@ -137,8 +137,10 @@ def test_what_was_given_up_is_not_started_any_more(link, scripts, folder, monkey
     stubborn = Program(name="stubborn", argv=("sh", "-c", f"trap '' TERM; echo $$ >{folder}.first; sleep 60; sleep 60"))
     late = Program(name="late", argv=("sh", "-c", f"echo $$ >{folder}.second; sleep 60"))
     with monkeypatch.context() as patch:
-        real = processes.in_turn
-        patch.setattr(processes, "in_turn", lambda commands: real([*commands[:1], ["sleep", "0.5"], *commands[1:]]))
+        real = processes.join_commands
+        patch.setattr(
+            processes, "join_commands", lambda commands: real([*commands[:1], ["sleep", "0.5"], *commands[1:]])
+        )
         starting = threading.Thread(target=processes.start, args=(link, scripts, PurePosixPath(folder), stubborn, late))
         starting.start()
         while not Path(f"{folder}.first").exists():
@@ -154,5 +156,5 @@ def test_the_clock_on_the_wall_does_not_tell_who_died(link, folder):
     for name, uptime in (("sampler", "100.07"), ("suite", "100.08"), ("load", "100.10")):
         (folder / f"{name}.exit").write_text(f"0 {uptime}\n")
         os.utime(folder / f"{name}.exit", (1e9, 1e9 - float(uptime)))
-    died, _ = processes.end_beside(link, PurePosixPath(folder), ["suite"], ["sampler", "load"], ["true"])
+    died, _ = processes.end_background(link, PurePosixPath(folder), ["suite"], ["sampler", "load"], ["true"])
     assert died == {"sampler": "0"}

@@ -86,7 +86,7 @@ def test_a_listing_has_regular_files_only(connection, tmp_path):
     (tmp_path / "file").write_bytes(b"12345")
     (tmp_path / "folder").mkdir()
     (tmp_path / "link").symlink_to("/etc/passwd")
-    assert connection.listing(PurePosixPath(tmp_path)) == {"file": 5}
+    assert connection.list_files(PurePosixPath(tmp_path)) == {"file": 5}
 
 
 def test_nobody_listens(sshd):
@@ -180,11 +180,11 @@ def test_a_link_that_breaks_in_the_middle(connection):
 
 def test_port_of_the_target(connection):
     with socket.create_server(("127.0.0.1", 0)) as server:
-        channel = connection.port(server.getsockname()[1])
+        channel = connection.open_port(server.getsockname()[1])
         link, _ = server.accept()
         link.sendall(b"hello")
         assert channel.recv(5) == b"hello"
         port = server.getsockname()[1]
         link.close()
     with pytest.raises(ConnectionRefusedError):
-        connection.port(port)
+        connection.open_port(port)

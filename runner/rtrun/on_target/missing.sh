@@ -1,6 +1,6 @@
 #!/bin/sh
-# Print what a campaign needs and this target has not, a line each.
-#   lacks.sh NEED...      a need is the name of a tool, governor=NAME or irq_cpu=CPUS
+# Print which of the needs this target lacks, one a line.
+#   missing.sh NEED...      NEED is the name of a tool, governor=NAME or irq_cpu=CPUS
 for need; do
     case $need in
     governor=*)

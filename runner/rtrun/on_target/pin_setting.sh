@@ -1,16 +1,16 @@
 #!/bin/sh
-# Set something of the kernel, see to it that it stays so, and put back what was there when told to end (SIGTERM).
+# Set a kernel setting, watch that it stays, and restore the old value on SIGTERM.
 #
-#   hold.sh governor NAME      the frequency governor of every CPU
-#   hold.sh irq CPUS           the CPUs that serve interrupts; those that the kernel does not let move stay
+#   pin_setting.sh governor NAME      the frequency governor of every CPU
+#   pin_setting.sh irq CPUS           the CPUs that serve interrupts; interrupts that the kernel does not let move keep theirs
 #
-# Ends with status 1 and says why when it cannot be set, or somebody else changed it.
+# Ends with status 1 and a reason when the setting cannot be made or somebody else changes it.
 set -u
 wanted=$2
 case $1 in
 governor) set -- /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor ;;
 irq) set -- /proc/irq/[0-9]*/smp_affinity_list ;;
-*) echo "hold.sh: governor or irq, not $1" >&2; exit 2 ;;
+*) echo "pin_setting.sh: governor or irq, not $1" >&2; exit 2 ;;
 esac
 saved=
 for file; do
@@ -26,13 +26,13 @@ restore() {
 }
 trap 'restore; exit 0' TERM
 if [ -z "$saved" ]; then
-    echo "nothing there can be set to $wanted" >&2
+    echo "no such setting of this target can be set to $wanted" >&2
     exit 1
 fi
 while :; do
-    # Two CPUs are 0,1 to one who writes and 0-1 to one who reads: compare with what the kernel made of it.
+    # The kernel may print a value in another form than it was written (0,1 as 0-1): compare with its own form.
     now=$(echo "$saved" | while read -r file _; do [ -z "$file" ] || cat "$file"; done)
-    if [ "$now" != "${held:=$now}" ]; then
+    if [ "$now" != "${pinned:=$now}" ]; then
         restore
         echo "somebody changed what was set to $wanted" >&2
         exit 1

@@ -1,8 +1,8 @@
 #!/bin/sh
-# What the runner needs to know before it can use this target: one line "name value" for each thing.
-#   find.sh WORK_DIR
+# Print what the runner needs to know before it can use this target: one line "name value" for each fact.
+#   inspect.sh WORK_DIR
 for tool in setsid flock sha256sum chrt sed; do
-    command -v $tool >/dev/null || echo "lacks $tool"
+    command -v $tool >/dev/null || echo "missing $tool"
 done
 for setup in /opt/ros/*/setup.sh; do
     [ -e "$setup" ] && echo "setup $setup"
@@ -21,6 +21,6 @@ if mkdir -p "$1/objects" "$1/suites" "$1/runs" "$1/master" && [ -w "$1" ]; then
 else
     echo "readonly $1"
 fi
-# Left by a runner that was killed: it would slow down whatever is measured next. One whose run goes on is busy.
+# A trace left by a runner that was killed would slow down the next measurement. One that is in use stays: rmdir fails.
 rmdir /sys/kernel/tracing/instances/rtrun 2>/dev/null
 exit 0
