@@ -56,7 +56,7 @@ OutlierTrace::OutlierTrace(const Options& options, const char* program, const st
   lock_ = open(lock_path_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
   buffer_.resize(buffer_bytes);
   if (threshold_ns_ != std::numeric_limits<int64_t>::max()) {
-    copier_.emplace("rt_traces", period_ms, [this] { take(true); });
+    copier_.emplace("rt_traces", period_ms, [this] { copy_new(true); });
   }
 }
 
@@ -71,20 +71,24 @@ OutlierTrace::~OutlierTrace() {
 bool OutlierTrace::note(int64_t value_ns, int64_t index, int64_t at_ns) noexcept {
   if (broke_.index >= 0) return true;
   const Outlier outlier{value_ns, index, at_ns};
+  const bool breaks = value_ns > break_ns_;
+  if (breaks) {
+    mark(outlier);
+    stopped_recording_ = stop_recording();
+    broke_ = outlier;
+  }
+  // Last: from here on another thread may copy the trace, which must hold the marker by then.
   const std::size_t above = above_.load(std::memory_order_relaxed);
   if (above < outliers_.size()) outliers_[above] = outlier;
   above_.store(above + 1, std::memory_order_release);
-  if (value_ns <= break_ns_) return false;
-  mark(outlier);
-  broke_ = outlier;
-  return true;
+  return breaks;
 }
 
 void OutlierTrace::mark(const Outlier& outlier) noexcept {
   char text[160];
   const int length = std::snprintf(text, sizeof text, "%s: %" PRId64 " ns at index %" PRId64 " above %" PRId64 " ns\n",
                                    program_, outlier.value_ns, outlier.index, break_ns_);
-  // A trace that cannot be written to is no reason to lose the measurement.
+  // The measurement is kept even if the marker cannot be written.
   [[maybe_unused]] const ssize_t written = write(marker_, text, static_cast<std::size_t>(length));
 }
 
@@ -98,36 +102,37 @@ bool OutlierTrace::write_at(const char* file, const char* text) noexcept {
   return good;
 }
 
-bool OutlierTrace::is_recording() const noexcept {
+// Returns true if the trace was recording, and is no longer.
+bool OutlierTrace::stop_recording() noexcept {
   const int handle = openat(folder_, "tracing_on", O_RDONLY | O_CLOEXEC);
   if (handle < 0) return false;
   char state = '0';
-  const bool good = read(handle, &state, 1) == 1;
+  const bool recording = read(handle, &state, 1) == 1 && state == '1';
   close(handle);
-  return good && state == '1';
+  return recording && write_at("tracing_on", "0");
 }
 
-// Values that one copy of the trace holds share it, and so do programs that share a trace: subscribers that all see the
-// same late message. Whoever comes later finds in the lock file when the last copy was taken, and where it is.
-void OutlierTrace::take(bool going_on) noexcept {
+// Programs that share a trace (several subscribers that see the same late message) also share its copies. The lock
+// file tells each of them when the last copy was taken, and its name.
+void OutlierTrace::copy_new(bool measuring) noexcept {
   const std::size_t noted = std::min(above_.load(std::memory_order_acquire), outliers_.size());
-  if (noted == taken_) return;
+  if (noted == copied_) return;
   while (flock(lock_, LOCK_EX) != 0 && errno == EINTR) {
   }
   Copy last{};
   const bool known = pread(lock_, &last, sizeof last, 0) == static_cast<ssize_t>(sizeof last);
-  // A time to come is one of another boot.
+  // A time in the future was written before the machine restarted.
   if (!known || last.at_ns > now_ns(clock_)) last.at_ns = std::numeric_limits<int64_t>::min();
-  for (; taken_ < noted; ++taken_) {
-    const Outlier& outlier = outliers_[taken_];
+  for (; copied_ < noted; ++copied_) {
+    const Outlier& outlier = outliers_[copied_];
     if (outlier.at_ns <= last.at_ns) {
       write_trace(-1, outlier, last.file);
       continue;
     }
     const int64_t at_ns = now_ns(clock_);
-    // At the end the trace is left as it is, for whoever set it up: nothing is to come for which it must go on.
-    const bool snapshot = going_on && write_at("snapshot", "2") && write_at("snapshot", "1");
-    const bool frozen = !snapshot && is_recording() && write_at("tracing_on", "0");
+    // No snapshot after the measurement: the trace itself then stays as it is, for the person who set it up.
+    const bool snapshot = measuring && write_at("snapshot", "2") && write_at("snapshot", "1");
+    const bool paused = !snapshot && stop_recording();
     const int source = openat(folder_, snapshot ? "snapshot" : "trace", O_RDONLY | O_CLOEXEC);
     if (source < 0) problem_ = errno;
     if (source >= 0 && write_trace(source, outlier, "")) {
@@ -142,7 +147,7 @@ void OutlierTrace::take(bool going_on) noexcept {
       write_all(lock_, {&last, sizeof last}, 0);
     }
     if (source >= 0) close(source);
-    if (frozen) write_at("tracing_on", "1");
+    if (paused) write_at("tracing_on", "1");
   }
   flock(lock_, LOCK_UN);
 }
@@ -151,8 +156,8 @@ void OutlierTrace::name(char* path, std::size_t size, int64_t index) const noexc
   std::snprintf(path, size, "%s-trace-%" PRId64 ".txt", output_.c_str(), index);
 }
 
-// What `source` gives, or, without one, where that is.
-bool OutlierTrace::write_trace(int source, const Outlier& outlier, const char* elsewhere) noexcept {
+// Writes the file of one outlier: the trace read from `source`, or, if that is -1, the name of the file that holds it.
+bool OutlierTrace::write_trace(int source, const Outlier& outlier, const char* shared_file) noexcept {
   char path[PATH_MAX];
   name(path, sizeof path, outlier.index);
   const int64_t us = outlier.at_ns / ns_per_us;
@@ -162,7 +167,8 @@ bool OutlierTrace::write_trace(int source, const Outlier& outlier, const char* e
                            program_, outlier.value_ns, outlier.index, lowest_limit_ns_, us / 1000000,
                            static_cast<int>(us % 1000000), clock_name(clock_));
   if (source < 0) {
-    head += std::snprintf(buffer_.data() + head, buffer_.size() - static_cast<std::size_t>(head), "# in %s\n", elsewhere);
+    const std::size_t room = buffer_.size() - static_cast<std::size_t>(head);
+    head += std::snprintf(buffer_.data() + head, room, "# in %s\n", shared_file);
   }
   const int file = open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
   bool good = file >= 0;
@@ -182,14 +188,15 @@ bool OutlierTrace::write_trace(int source, const Outlier& outlier, const char* e
 void OutlierTrace::finish() {
   copier_.reset();
   if (marker_ < 0) return;
-  take(false);
-  for (std::size_t i = 0; i < taken_; ++i) {
+  copy_new(false);
+  if (stopped_recording_) write_at("tracing_on", "1");
+  for (std::size_t i = 0; i < copied_; ++i) {
     char path[PATH_MAX];
     name(path, sizeof path, outliers_[i].index);
     if (access(path, F_OK) == 0) files_.push_back(name_of(path));
   }
   if (problem_ != 0) {
-    warning(std::to_string(taken_ - files_.size()) + " of " + std::to_string(taken_) + " traces " + output_ +
+    warning(std::to_string(copied_ - files_.size()) + " of " + std::to_string(copied_) + " traces " + output_ +
             "-trace-*.txt could not be copied: " + std::strerror(problem_));
   }
 }

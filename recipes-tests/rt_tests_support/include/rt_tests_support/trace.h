@@ -1,4 +1,4 @@
-// What the kernel was doing around a value above a limit: --break-trace and --trace-threshold.
+// Copies of the kernel's trace around values above a limit: --break-trace and --trace-threshold.
 #pragma once
 
 #include <time.h>
@@ -16,32 +16,35 @@
 
 namespace rt_tests {
 
-// Looked into in this order: an instance made for us first, then the kernel's own trace.
+// The folders of a trace, tried in this order: the instance that the runner makes, then the kernel's own trace.
 extern const std::vector<std::string> trace_folders;
 
-// For the first traced_at_most values above a limit the kernel's trace is copied to `<output>-trace-<index>.txt`, or that
-// file tells which one holds it; the rest is counted. The thread that measures writes down the value, and no more (--break-trace: and marks the trace,
-// its last deed); a thread of low priority takes a snapshot of the trace and copies that, while the kernel goes on
-// recording. A kernel without snapshots (CONFIG_TRACER_SNAPSHOT) does not record while the trace itself is copied.
+// Copies the kernel's trace to `<output>-trace-<index>.txt` for the first `traced_at_most` values above a limit, and
+// counts the others. Values that one copy covers share it: their files name the file that holds it.
+//
+// The measuring thread only stores the value. Above --break-trace it also writes a marker into the trace and stops the
+// recording: the measurement ends there, and later events must not overwrite the marker before it is copied. For
+// --trace-threshold a thread of low priority takes a snapshot and copies that while the kernel goes on recording.
+// Without snapshots (CONFIG_TRACER_SNAPSHOT) recording pauses while the trace itself is copied.
 class OutlierTrace {
  public:
   static constexpr std::size_t traced_at_most = 16;
   static constexpr int period_ms = 50;
 
-  // Opens the trace if one of the options was given. Throws Failure if none of the folders has one to write to.
+  // Opens the trace if one of the options was given. Throws Failure if no folder has a trace that may be written to.
   OutlierTrace(const Options& options, const char* program, const std::string& output,
                const std::vector<std::string>& folders = trace_folders);
   ~OutlierTrace();
   OutlierTrace(const OutlierTrace&) = delete;
   OutlierTrace& operator=(const OutlierTrace&) = delete;
 
-  // On one thread. `at_ns` is when the value was there, on the clock of the timestamps. True when the measurement is
-  // to end: from the first value above --break-trace on. Never allocates.
+  // To be called from one thread only; never allocates. `at_ns` is the time of the value on the clock of the
+  // timestamps. Returns true when the measurement must end: from the first value above --break-trace on.
   bool exceeded(int64_t value_ns, int64_t index, int64_t at_ns) noexcept {
     return value_ns > lowest_limit_ns_ && note(value_ns, index, at_ns);
   }
 
-  // After the last measurement: copies what is left, and warns of what could not be.
+  // After the last measurement: copies the remaining traces, restarts the recording, and warns of failed copies.
   void finish();
 
   std::string reason() const;  // empty when nothing exceeded --break-trace
@@ -54,15 +57,15 @@ class OutlierTrace {
   };
   struct Copy {
     int64_t at_ns;
-    char file[256];  // without folder: programs that share a trace share one
+    char file[256];  // without its folder: programs that share a trace write into the same one
   };
 
   bool note(int64_t value_ns, int64_t index, int64_t at_ns) noexcept;
   void mark(const Outlier& outlier) noexcept;
-  void take(bool going_on) noexcept;
-  bool is_recording() const noexcept;
+  void copy_new(bool measuring) noexcept;
+  bool stop_recording() noexcept;
   bool write_at(const char* file, const char* text) noexcept;
-  bool write_trace(int source, const Outlier& outlier, const char* elsewhere) noexcept;
+  bool write_trace(int source, const Outlier& outlier, const char* shared_file) noexcept;
   void name(char* path, std::size_t size, int64_t index) const noexcept;
 
   const char* program_;
@@ -74,14 +77,15 @@ class OutlierTrace {
   int lock_ = -1;
   std::string lock_path_;
 
-  // Written by the thread that measures; what stands before above_ may be read.
+  // Written by the measuring thread. Other threads may read the outliers before `above_`.
   std::array<Outlier, traced_at_most> outliers_{};
   std::atomic<std::size_t> above_{0};
-  Outlier broke_{0, -1, 0};
+  Outlier broke_{0, -1, 0};           // index -1: no value above --break-trace yet
+  bool stopped_recording_ = false;    // by the marker, to be restarted by finish()
 
-  // Of the thread that copies.
-  std::size_t taken_ = 0;
-  int problem_ = 0;  // errno of the last that went wrong
+  // Used by the copying thread, and by finish() after that thread ended.
+  std::size_t copied_ = 0;
+  int problem_ = 0;  // errno of the last copy that failed
   std::vector<char> buffer_;
   std::vector<std::string> files_;
   std::optional<Background> copier_;
