@@ -23,7 +23,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "rtrun" / "report"))
 from campaigns import communication_rows, latencies, write_run  # type: ignore[import-not-found]
 
-from rtrun.analysis.describe import describe
+from rtrun.analysis.figures import figures_of_samples
 from rtrun.analysis.histogram import from_samples
 
 Check = tuple[str, float, float, str]
@@ -47,11 +47,11 @@ def figures(n: int) -> list[Check]:
     import pandas
 
     values = latencies(n, 1)
-    ours = median_s(lambda: describe(values), 9)
+    ours = median_s(lambda: figures_of_samples(values), 9)
     series = pandas.Series(values)
     theirs = median_s(lambda: (series.describe(), series.value_counts()), 5)
     larger = latencies(4 * n, 2)
-    whole = median_s(lambda: describe(larger), 5)
+    whole = median_s(lambda: figures_of_samples(larger), 5)
     return [
         (f"figures of {n} samples", 1000 * ours, 25.0, "ms"),
         ("figures, share of pandas describe + value_counts", ours / theirs, 0.25, ""),

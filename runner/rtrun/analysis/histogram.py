@@ -14,8 +14,8 @@ class Histogram:
     """Bins of equal width: ``values_ns[i]`` is the lower edge of a bin that holds ``counts[i]`` measurements.
 
     ``values_ns`` is strictly ascending, ``counts`` are positive; both int64. ``overflow`` values lie at or above
-    ``overflow_from_ns`` and are known by number only (cyclictest -h counts them so); ``max_ns`` is the largest of all,
-    where it was told.
+    ``overflow_from_ns`` and are known by number only (cyclictest -h counts them so); ``max_ns`` and ``mean_ns`` are the
+    largest and the mean of all values, overflow with them, where the program that measured printed them.
     """
 
     values_ns: Int64s
@@ -24,6 +24,7 @@ class Histogram:
     overflow: int = 0
     overflow_from_ns: int | None = None
     max_ns: int | None = None
+    mean_ns: float | None = None
 
     @property
     def n(self) -> int:
@@ -58,7 +59,10 @@ def from_samples(values_ns: Int64s, bin_ns: int = 1000) -> Histogram:
 
 
 def merge(parts: Iterable[Histogram]) -> Histogram:
-    """The sum of histograms of one bin width. Raises ValueError when widths or overflow limits differ."""
+    """The sum of histograms of one bin width, without a printed mean.
+
+    Raises ValueError when widths or overflow limits differ.
+    """
     all_parts = list(parts)
     if not all_parts:
         return from_samples(np.empty(0, np.int64))

@@ -5,10 +5,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from rich.console import Group
+
+    from rtrun.analysis.figures import IndexedValue
+    from rtrun.results.reading import Result, Run
 
 NAME = "show"
 HELP = "show the figures of a run, of all runs in a folder, of a log, or of samples"
+_PERCENTILES = {"p50_us": 50.0, "p90_us": 90.0, "p99_us": 99.0, "p999_us": 99.9}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,17 +60,46 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
         return data, terminal.answer_of_runs(found), found.refused
     if not path.is_file():
         raise UsageError(f"{path}: no such file or directory")
-    if path.suffix == ".log":
-        log = reading.result_of_log(path)
-        return {"schema": 1, **log.as_json()}, terminal.answer([log], emulated=False), ()
-    if path.suffix in (".npy", ".json"):
-        samples = reading.results_of_samples(path)
-        data = {"schema": 1, "results": [result.as_json() for result in samples]}
-        return data, terminal.answer(samples, emulated=False), ()
-    raise UsageError(f"{path}: not a run directory, a folder of runs, or a .log, .npy or .json of a suite")
+    results = reading.results_of(reading.read_file(path))
+    data = {"results": [_result_data(one) for one in results]} if path.suffix != ".log" else _result_data(results[0])
+    return {"schema": 1, **data}, terminal.answer(results, emulated=False), ()
 
 
-def _run_data(one: Any) -> dict[str, Any]:
-    record = one.record
-    told = ("run", "campaign", "suite", "parameters", "emulated", "status", "reason", "start_time", "end_time")
-    return {**{key: getattr(record, key) for key in told}, "results": [result.as_json() for result in one.results]}
+def _run_data(run: "Run") -> dict[str, Any]:
+    record = run.record
+    keys = ("run", "campaign", "suite", "parameters", "emulated", "status", "reason", "start_time", "end_time")
+    return {**{key: getattr(record, key) for key in keys}, "results": [_result_data(one) for one in run.results]}
+
+
+def _result_data(result: "Result") -> dict[str, Any]:
+    """What a series is, then its figures in microseconds, as docs/formats.md has it."""
+    from rtrun.analysis.figures import PERCENTILE_METHOD
+    from rtrun.report.terminal import remarks_of
+
+    header, figures = result.header, result.figures
+    return {
+        "suite": header.suite,
+        "output": header.output,
+        "series": header.series,
+        "parameters": header.parameters,
+        "n": figures.n,
+        "min_us": _us(figures.min_ns),
+        "mean_us": _us(figures.mean_ns),
+        "max_us": _us(figures.max_ns),
+        **{key: _us(figures.percentiles_ns.get(percent)) for key, percent in _PERCENTILES.items()},
+        "percentile_method": PERCENTILE_METHOD,
+        "top": _values(figures.top),
+        "lowest": _values(figures.lowest),
+        "startup": _values(header.startup),
+        **{key: getattr(header, key) for key in ("missing", "out_of_order", "duplicate", "not_fired")},
+        "resolution_ns": figures.bin_ns,
+        "remarks": remarks_of(header),
+    }
+
+
+def _values(values: "Iterable[IndexedValue]") -> list[dict[str, float | int | None]]:
+    return [{"value_us": _us(value.value_ns), "index": value.index} for value in values]
+
+
+def _us(value_ns: float | None) -> float | None:
+    return None if value_ns is None else value_ns / 1000

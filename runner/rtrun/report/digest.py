@@ -1,18 +1,16 @@
 """What is kept of one series of one run: small, and enough for every verdict, figure and plot of the report."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtrun.analysis.blocks import Blocks, cut, split_randomly
 from rtrun.analysis.deadline import Trials, count_misses, count_misses_in_histogram
-from rtrun.analysis.describe import Description, describe, describe_histogram
 from rtrun.analysis.extreme import Tail, tail_of
+from rtrun.analysis.figures import Figures
 from rtrun.analysis.histogram import Histogram, Int64s, from_samples
-from rtrun.plan.suites import Value
-from rtrun.report.load import Measured
+from rtrun.results.series import Header, SampleSeries, Series
 
 _COLUMNS = 240
 # Half of the 1 ms by which the thesis found the negative cluster set off (section 4.2.2).
@@ -43,94 +41,70 @@ class Course:
 class Digest:
     """One series of one run. Main series have all fields; the others only figures, cluster and ``mean_abs_ns``."""
 
-    run: str
-    target: str
-    suite: str
-    output: str
-    series: str
-    parameters: dict[str, Value]
-    emulated: bool
-    main: bool
-    figures: Description
+    header: Header
+    figures: Figures
     mean_abs_ns: float | None
     max_abs_ns: int | None
-    startup: tuple[tuple[int, int], ...]
     cluster: Cluster | None
-    missing: int
-    out_of_order: int
-    duplicate: int
-    not_fired: int
-    period_ns: float | None
-    clock_step_ns: int | None
-    in_effect: dict[str, Any]
     histogram: Histogram
     trials: Trials | None
     undecidable: str | None
     tail: Tail | None
     blocks: Blocks | None
     course: Course | None
-    remarks: tuple[str, ...]
+
+    @property
+    def run(self) -> str:
+        """Name of its run."""
+        return self.header.run
 
     @property
     def n(self) -> int:
         """Measurements, the start-up left out."""
         return self.figures.n
 
+    @property
+    def loops(self) -> int:
+        """Measurements asked for, as far as they are known: with the start-up, and those that have no value."""
+        return self.n + len(self.header.startup) + self.header.missing + self.header.not_fired
 
-def digest(one: Measured, deadline_ns: int) -> Digest:
+
+def digest(series: Series, deadline_ns: int) -> Digest:
     """Reduce a series; its deadline verdict is prepared for `deadline_ns`."""
     trials: Trials | None = None
     tail: Tail | None = None
     blocks: Blocks | None = None
     course: Course | None = None
     undecidable = None
-    values = one.values_ns
-    if values is not None:
-        figures = describe(values, one.index)
+    header = series.header
+    if isinstance(series, SampleSeries):
+        values = series.values_ns
         histogram = from_samples(values)
-        if one.main:
-            trials = count_misses(values, deadline_ns, one.never)
-        if one.main and values.size:
+        if header.main:
+            trials = count_misses(values, deadline_ns, series.absent)
+        if header.main and values.size:
             tail, blocks, course = tail_of(values), cut(values), _course(values)
     else:
-        assert one.histogram is not None
-        histogram = one.histogram
-        figures = describe_histogram(histogram)
-        if one.main:
+        histogram = series.histogram
+        if header.main:
             try:
-                trials = count_misses_in_histogram(histogram, deadline_ns, one.never_count)
+                trials = count_misses_in_histogram(histogram, deadline_ns, series.absent_count)
             except ValueError as error:
                 undecidable = str(error)
             blocks = split_randomly(histogram) if histogram.values_ns.size else None
-    magnitude = np.abs(histogram.values_ns) if one.series == "difference" and histogram.n else None
+    magnitude = np.abs(histogram.values_ns) if header.series == "difference" and histogram.n else None
     return Digest(
-        run=one.run,
-        target=one.target,
-        suite=one.suite,
-        output=one.output,
-        series=one.series,
-        parameters=one.parameters,
-        emulated=one.emulated,
-        main=one.main,
-        figures=figures,
+        header=header,
+        figures=series.figures(),
         mean_abs_ns=None if magnitude is None else float(np.average(magnitude, weights=histogram.counts)),
         max_abs_ns=None if magnitude is None else int(magnitude.max()),
-        startup=one.startup,
-        cluster=_cluster(histogram) if one.series in ("jitter", "grid") else None,
-        missing=one.missing,
-        out_of_order=one.out_of_order,
-        duplicate=one.duplicate,
-        not_fired=one.not_fired,
-        period_ns=one.period_ns,
-        clock_step_ns=one.clock_step_ns,
-        in_effect=one.in_effect,
+        cluster=_cluster(histogram) if header.series in ("jitter", "grid") else None,
         histogram=histogram,
         trials=trials,
         undecidable=undecidable,
         tail=tail,
         blocks=blocks,
         course=course,
-        remarks=one.remarks,
     )
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtrun.analysis.deadline import Answer, Verdict
-from rtrun.analysis.describe import PERCENTILES, Description
 from rtrun.analysis.extreme import Bound
+from rtrun.analysis.figures import PERCENTILES, Figures
 from rtrun.analysis.layers import attribute
 from rtrun.report.claims.examination import Examined, is_rt, select, us
 from rtrun.report.claims.reference import oneshot_rows, published
@@ -95,7 +95,8 @@ def _numbers(verdict: Verdict, group: Group) -> str:
         parts.insert(0, verdict.refused)
     elif verdict.answer == Answer.NEEDS_MORE:
         parts += _more(verdict)
-    late_start = [value for one in group.digests for value, _ in one.startup if value > verdict.deadline_ns]
+    startup_ns = [value.value_ns for one in group.digests for value in one.header.startup]
+    late_start = [value_ns for value_ns in startup_ns if value_ns > verdict.deadline_ns]
     if late_start:
         parts.append(f"start-up apart: {len(late_start)} late, worst {us(max(late_start))} us")
     parts += [f"assumes {text}" for text in verdict.assumes]
@@ -135,18 +136,20 @@ def _figures(study: Study) -> Table:
     rows = [_row(one) for one in (*study.digests, *study.others)]
     notes = ["Start-up values (the first message, the first two periods) stand apart, as in the thesis."]
     notes.append("A percentile of fewer values than it needs is their maximum.")
-    notes += [f"{one.output}: {remark}" for one in (*study.digests, *study.others) for remark in one.remarks]
+    notes += [
+        f"{one.header.output}: {remark}" for one in (*study.digests, *study.others) for remark in one.header.remarks
+    ]
     return Table(
         id="figures", title="Figures", columns=columns, rows=rows, numbers=3, notes=tuple(dict.fromkeys(notes))
     )
 
 
 def _row(one: Digest) -> tuple[str, ...]:
-    f: Description = one.figures
-    label = f"{one.suite.removesuffix('_tests')} {told(one.parameters)}"
-    cells = [one.run, one.series, str(f.n), _time(f.min_ns), _time(f.mean_ns), _time(f.std_ns)]
+    f: Figures = one.figures
+    label = f"{one.header.suite.removesuffix('_tests')} {told(one.header.parameters)}"
+    cells = [one.run, one.header.series, str(f.n), _time(f.min_ns), _time(f.mean_ns), _time(f.std_ns)]
     cells += [_time(f.percentiles_ns.get(p)) for p in PERCENTILES]
-    cells += [_time(f.max_ns), str(one.missing), str(one.out_of_order), str(one.not_fired)]
+    cells += [_time(f.max_ns), str(one.header.missing), str(one.header.out_of_order), str(one.header.not_fired)]
     return (label, *cells)
 
 
@@ -156,9 +159,14 @@ def _time(value_ns: float | None) -> str:
 
 def _startup(study: Study) -> list[Table]:
     rows = [
-        (one.run, one.output, one.series, ", ".join(f"{us(value)} (loop {index})" for value, index in one.startup))
+        (
+            one.run,
+            one.header.output,
+            one.header.series,
+            ", ".join(f"{us(value.value_ns)} (loop {value.index})" for value in one.header.startup),
+        )
         for one in (*study.digests, *study.others)
-        if one.startup
+        if one.header.startup
     ]
     return [Table(id="startup", title="Start-up", columns=("run", "output", "series", "us"), rows=rows, numbers=3)]
 
@@ -169,7 +177,9 @@ def _clusters(study: Study) -> list[Table]:
         if one.cluster is not None and one.n:
             c = one.cluster
             place = [_time(value) for value in (c.median_ns, c.low_ns, c.high_ns)]
-            rows.append((one.run, "successive" if one.series == "jitter" else "grid", f"{100 * c.share:.3f}", *place))
+            rows.append(
+                (one.run, "successive" if one.header.series == "jitter" else "grid", f"{100 * c.share:.3f}", *place)
+            )
     columns = ("run", "jitter", "share %", "median us", "lowest us", "highest us")
     return [Table(id="cluster", title="Negative cluster (below -500 us)", columns=columns, rows=rows, numbers=2)]
 
@@ -300,14 +310,15 @@ def _environment(study: Study) -> Table:
     rows = [(key.replace("_", " "), value) for key, value in environment(study.records)]
     seen: dict[str, dict[str, None]] = {}
     for one in study.digests:
-        effect = one.in_effect
+        effect = one.header.in_effect
         if effect:
-            threads = [thread for thread in effect.get("threads", []) if thread["name"] not in BESIDE]
-            policies = {f"{thread['policy']} {thread['priority']}": None for thread in threads}
-            asked = str(one.parameters.get("policy", "0"))
+            policies = {
+                f"{thread.policy} {thread.priority}": None for thread in effect.threads if thread.name not in BESIDE
+            }
+            asked = str(one.header.parameters.get("policy", "0"))
             seen.setdefault(f"threads in effect, policy {asked} asked for", {}).update(policies)
             for key in ("clock", "clock_step_ns", "mlockall"):
-                seen.setdefault(key.replace("_", " "), {})[str(effect.get(key))] = None
+                seen.setdefault(key.replace("_", " "), {})[str(getattr(effect, key))] = None
     rows += [(key, "; ".join(sorted(values))) for key, values in seen.items()]
     return Table(id="environment", title="Environment", columns=("what", "found"), rows=rows, numbers=9)
 

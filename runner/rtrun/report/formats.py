@@ -10,7 +10,7 @@ from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.describe import PERCENTILES
+from rtrun.analysis.figures import PERCENTILES
 from rtrun.report.claims.examination import Examined
 from rtrun.report.digest import Digest
 from rtrun.report.document import Document, Table, fingerprint
@@ -95,19 +95,19 @@ def _data(value: Any) -> Any:
 def _series(one: Digest) -> dict[str, Any]:
     return {
         "run": one.run,
-        "suite": one.suite,
-        "output": one.output,
-        "series": one.series,
-        "parameters": one.parameters,
-        "emulated": one.emulated,
+        "suite": one.header.suite,
+        "output": one.header.output,
+        "series": one.header.series,
+        "parameters": one.header.parameters,
+        "emulated": one.header.emulated,
         "figures": _data(one.figures),
-        "startup": [{"value_ns": value, "index": index} for value, index in one.startup],
+        "startup": _data(one.header.startup),
         "negative_cluster": _data(one.cluster),
-        "missing": one.missing,
-        "out_of_order": one.out_of_order,
-        "duplicate": one.duplicate,
-        "not_fired": one.not_fired,
-        "remarks": list(one.remarks),
+        "missing": one.header.missing,
+        "out_of_order": one.header.out_of_order,
+        "duplicate": one.header.duplicate,
+        "not_fired": one.header.not_fired,
+        "remarks": list(one.header.remarks),
     }
 
 
@@ -141,13 +141,20 @@ def rows(study: Study) -> list[dict[str, Any]]:
 
 def _plain_row(one: Digest) -> dict[str, Any]:
     f = one.figures
-    row: dict[str, Any] = {"run": one.run, "suite": one.suite, "output": one.output, "series": one.series}
-    row |= {key: None if one.parameters.get(key) is None else str(one.parameters[key]) for key in _PARAMETERS}
-    row |= {"emulated": one.emulated, "n": f.n, "min_us": _us(f.min_ns), "mean_us": _us(f.mean_ns)}
+    row: dict[str, Any] = {
+        "run": one.run,
+        "suite": one.header.suite,
+        "output": one.header.output,
+        "series": one.header.series,
+    }
+    row |= {
+        key: None if one.header.parameters.get(key) is None else str(one.header.parameters[key]) for key in _PARAMETERS
+    }
+    row |= {"emulated": one.header.emulated, "n": f.n, "min_us": _us(f.min_ns), "mean_us": _us(f.mean_ns)}
     row |= {"std_us": _us(f.std_ns)}
     row |= {f"p{p:g}_us": _us(f.percentiles_ns.get(p)) for p in PERCENTILES}
-    row |= {"max_us": _us(f.max_ns), "missing": one.missing, "out_of_order": one.out_of_order}
-    return row | {"duplicate": one.duplicate, "not_fired": one.not_fired}
+    row |= {"max_us": _us(f.max_ns), "missing": one.header.missing, "out_of_order": one.header.out_of_order}
+    return row | {"duplicate": one.header.duplicate, "not_fired": one.header.not_fired}
 
 
 def _us(value_ns: float | None) -> float | None:

@@ -2,19 +2,20 @@
 
 import functools
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rtfiles.errors import UsageError
 from rtrun.analysis.blocks import Blocks, add_outputs
 from rtrun.analysis.deadline import Verdict, judge
 from rtrun.analysis.extreme import Bound, worst_case
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.plan.suites import Value, suites
 from rtrun.report.digest import Digest, digest
-from rtrun.report.load import Source, find, measured
-from rtrun.results.reading import Record
+from rtrun.results import reading
+from rtrun.results.reading import Record, Source
 
 DEADLINE_NS = 400_000  # of the thesis, section 4.1.2
 PROBABILITY = 1e-6
@@ -48,7 +49,7 @@ class Group:
     @property
     def emulated(self) -> bool:
         """Whether any of it was measured on an emulated board."""
-        return any(one.emulated for one in self.digests)
+        return any(one.header.emulated for one in self.digests)
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -94,7 +95,7 @@ class Study:
     @property
     def emulated(self) -> bool:
         """Whether any run was made on an emulated board."""
-        return any(one.emulated for one in (*self.digests, *self.others))
+        return any(one.header.emulated for one in (*self.digests, *self.others))
 
     @property
     def digests(self) -> tuple[Digest, ...]:
@@ -131,12 +132,22 @@ def study(
 
     Raises UsageError when there is nothing to examine; a run that is refused is told in ``left_out``.
     """
-    source = find(path)
-    left_out = list(source.left_out)
-    digests = [digest(one, deadline_ns) for one in measured(source, left_out)]
+    source = reading.find_source(path)
+    left_out = [f"{name}: incomplete, it has no run.json: nothing in it is analysed" for name in source.incomplete]
+    digests: list[Digest] = []
+    records: list[Record] = []
+    if not source.folders:
+        digests = [digest(series, deadline_ns) for series in reading.read_file(path)]
+    for folder in source.folders:
+        try:
+            record = reading.read_record(folder)
+            records.append(record)
+            digests += list(_digests_of_run(folder, record, deadline_ns, left_out))
+        except UsageError as error:
+            left_out.append(str(error))
     members: dict[str, list[Digest]] = {}
     for one in digests:
-        if one.main:
+        if one.header.main:
             members.setdefault(_key(one), []).append(one)
     groups = [_group(alike, deadline_ns, probability, confidence, bounds) for alike in members.values()]
     return Study(
@@ -145,34 +156,39 @@ def study(
         probability=probability,
         confidence=confidence,
         groups=tuple(sorted(groups, key=lambda group: (group.suite, group.target))),
-        others=tuple(one for one in digests if not one.main),
-        records=tuple(_records(source)),
+        others=tuple(one for one in digests if not one.header.main),
+        records=tuple(records),
         left_out=tuple(left_out),
     )
 
 
-def _records(source: Source) -> Iterable[Record]:
-    from rtfiles.errors import UsageError
-    from rtrun.results.reading import read_record
-
-    for folder in source.folders:
-        try:
-            yield read_record(folder)
-        except UsageError:
-            continue  # `measured` has told why
+def _digests_of_run(folder: Path, record: Record, deadline_ns: int, left_out: list[str]) -> Iterator[Digest]:
+    """Yield a digest of every complete series of a run; what is left out is told in `left_out`, one line each."""
+    if record.status != "ok":
+        left_out.append(f"{record.run}: {record.status}: {record.reason or 'no reason given'}")
+        return
+    incomplete: dict[str, str] = {}
+    for series in reading.read_series(folder, record):
+        if series.header.incomplete:
+            incomplete[series.header.output] = series.header.incomplete
+        else:
+            yield digest(series, deadline_ns)
+    left_out += [f"{record.run}: {output} is incomplete: {reason}" for output, reason in incomplete.items()]
 
 
 def _key(one: Digest) -> str:
-    telling = {key: value for key, value in one.parameters.items() if key not in _NOT_TELLING}
-    return json.dumps([one.suite, one.series, one.target, one.emulated, one.histogram.bin_ns, sorted(telling.items())])
+    header = one.header
+    telling = {key: value for key, value in header.parameters.items() if key not in _NOT_TELLING}
+    origin = [header.suite, header.series, header.target, header.emulated, one.histogram.bin_ns]
+    return json.dumps([*origin, sorted(telling.items())])
 
 
 def _group(alike: Sequence[Digest], deadline_ns: int, probability: float, confidence: float, bounds: bool) -> Group:
-    first = alike[0]
+    first = alike[0].header
     trials = [one.trials for one in alike if one.trials is not None]
     undecidable = next((one.undecidable for one in alike if one.undecidable), None)
-    periods = [one.period_ns for one in alike if one.period_ns]
-    steps = [one.clock_step_ns for one in alike if one.clock_step_ns]
+    periods = [one.header.period_ns for one in alike if one.header.period_ns]
+    steps = [one.header.clock_step_ns for one in alike if one.header.clock_step_ns]
     # Subscribers of one run receive the same messages; threads of cyclictest only measure at the same time.
     side_by_side = len(alike) / len({one.run for one in alike})
     verdict = None
@@ -204,7 +220,7 @@ def _group(alike: Sequence[Digest], deadline_ns: int, probability: float, confid
 def _bounds(
     alike: Sequence[Digest], probability: float, confidence: float, step_ns: int
 ) -> tuple[tuple[Bound, ...], str | None]:
-    if alike[0].emulated:
+    if alike[0].header.emulated:
         return (), "measured on an emulated board"
     tails = [one.tail for one in slowest(alike)]
     if any(tail is None for tail in tails):

@@ -1,6 +1,8 @@
 """What `rtrun show` prints, and `rtrun run` at its end: banner, table of results, and what has to be said of them."""
 
-from collections.abc import Iterable
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
 
 from rich import box
 from rich.console import Group
@@ -8,65 +10,91 @@ from rich.table import Table
 from rich.text import Text
 
 from rtfiles.output import printable
-from rtrun.analysis.figures import Figures
 from rtrun.plan.suites import Value, output_name, suite, suites
-from rtrun.results.reading import MAIN_SERIES, RECORD, Result, Run, Runs
+from rtrun.results.reading import RECORD, Result, Run, Runs
+from rtrun.results.series import Header
 
 EMULATED = "EMULATED: not a real-time statement"
 NO_PREEMPT_RT = "NO PREEMPT_RT: this kernel promises no deadline"
-COARSE_US = 10_000  # from here on a tenth of a microsecond is not worth its column
+COARSE_NS = 10_000_000  # from here on a tenth of a microsecond is not worth its column
 
 _UNITS = {"timeout_us": "us", "frequency_hz": "Hz", "payload_bytes": "B", "subscribers": "sub"}
 # The number of measurements has its own column; these do not change what is measured.
 _NOT_TOLD = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s")
 
 
-def table(results: Iterable[Result]) -> Table:
+def table(results: Sequence[Result]) -> Table:
     """The table of these results, a row each, times in microseconds; 80 columns are enough for it."""
-    found = Table(box=box.SIMPLE, padding=0, show_edge=False)
-    found.add_column("suite", min_width=len("communication"))
-    found.add_column("parameters", min_width=len("parameters"))
+    made = Table(box=box.SIMPLE, padding=0, show_edge=False)
+    made.add_column("suite", min_width=len("communication"))
+    made.add_column("parameters", min_width=len("parameters"))
     for heading in ("n", "min\nus", "avg\nus", "max\nus", "p99\nus", "p99.9\nus", "missing", "out of\norder"):
-        found.add_column(heading, justify="right", no_wrap=True)
-    for result in results:
-        figures = result.figures
-        found.add_row(
-            Text(printable(_name(result))),
-            Text(printable(_parameters(result))),
+        made.add_column(heading, justify="right", no_wrap=True)
+    labels = _labels([result.header for result in results])
+    for result, (name, parameters) in zip(results, labels, strict=True):
+        header, figures = result.header, result.figures
+        percentiles = figures.percentiles_ns
+        made.add_row(
+            Text(printable(name)),
+            Text(printable(parameters)),
             str(figures.n),
             *(
-                _time(value, figures)
-                for value in (figures.min_us, figures.mean_us, figures.max_us, figures.p99_us, figures.p999_us)
+                _time(value_ns, figures.bin_ns)
+                for value_ns in (
+                    figures.min_ns,
+                    figures.mean_ns,
+                    figures.max_ns,
+                    percentiles.get(99.0),
+                    percentiles.get(99.9),
+                )
             ),
-            str(figures.missing),
-            str(figures.out_of_order),
+            str(header.missing),
+            str(header.out_of_order),
         )
-    return found
+    return made
 
 
-def _name(result: Result) -> str:
+def _labels(headers: Sequence[Header]) -> list[tuple[str, str]]:
+    """Suite and parameters of every row; where they are the same, with the run and the thread that tell them apart."""
+    labels = [(_name(header), _parameters(header)) for header in headers]
+    rows = Counter(labels)
+    rows_of_run = Counter((label, header.run) for label, header in zip(labels, headers, strict=True))
+    told_apart = []
+    for (name, parameters), header in zip(labels, headers, strict=True):
+        words = [parameters] if parameters else []
+        of_run = rows_of_run[(name, parameters), header.run]
+        if rows[name, parameters] > of_run:
+            number = re.match(r"[0-9]+(?=-)", header.run)
+            words.append(f"run={number[0] if number else header.run}")
+        if of_run > 1:
+            words.append(f"#{header.output.rpartition('-')[2]}")
+        told_apart.append((name, " ".join(words)))
+    return told_apart
+
+
+def _name(header: Header) -> str:
     """The suite; the series only where it is not the one the suite is about."""
-    name = result.suite.removesuffix("_tests")
-    return name if result.series in MAIN_SERIES else f"{name} {result.series}"
+    name = header.suite.removesuffix("_tests")
+    return name if header.main else f"{name} {header.series}"
 
 
-def _time(value_us: float | None, figures: Figures) -> str:
-    if value_us is None:
+def _time(value_ns: float | None, bin_ns: int) -> str:
+    if value_ns is None:
         return "-"
-    digits = 0 if figures.resolution_ns >= 1000 or abs(value_us) >= COARSE_US else 1
-    return f"{round(value_us, digits) + 0.0:.{digits}f}"  # + 0.0: no minus in front of a zero
+    digits = 0 if bin_ns >= 1000 or abs(value_ns) >= COARSE_NS else 1
+    return f"{round(value_ns / 1000, digits) + 0.0:.{digits}f}"  # + 0.0: no minus in front of a zero
 
 
-def _parameters(result: Result) -> str:
+def _parameters(header: Header) -> str:
     """The parameters in a few words: the policy, what the output is named after, and whatever is not the default."""
     words: list[str] = []
-    for key, value in result.parameters.items():
+    for key, value in header.parameters.items():
         if key == "policy":
             words.insert(0, "OTHER" if value == "0" else str(value))  # as the kernel calls it
-        elif key not in _NOT_TOLD and value is not None and _is_telling(result.suite, key, value):
+        elif key not in _NOT_TOLD and value is not None and _is_telling(header.suite, key, value):
             words.append(f"{value}{_UNITS[key]}" if key in _UNITS else f"{key}={value}")
-    if result.parameters.get("subscribers", 1) != 1:
-        words.append(f"#{result.output.removesuffix(output_name(result.suite, {**result.parameters, 'prefix': ''}))}")
+    if header.parameters.get("subscribers", 1) != 1:
+        words.append(f"#{header.output.removesuffix(output_name(header.suite, {**header.parameters, 'prefix': ''}))}")
     return " ".join(words)
 
 
@@ -85,10 +113,9 @@ def answer(results: Iterable[Result], *, emulated: bool, preempt_rt: bool = True
     results = list(results)
     lines = list(notes)
     for result in results:
-        found = result.figures
-        told = [f"{found.not_fired} timers did not fire, they are in no figure"] if found.not_fired else []
-        told += [f"{found.duplicate} messages came again, only the first arrival counts"] if found.duplicate else []
-        lines += [f"{result.output}: {remark}" for remark in (*told, *result.remarks)]
+        lines += [
+            f"{result.header.output}: {remark}" for remark in (*_apart(result.header), *remarks_of(result.header))
+        ]
     if any(0 < result.figures.n < 1000 for result in results):
         lines.append("p99.9 of fewer than 1000 values is their maximum.")
     words = banner_of(emulated=emulated, preempt_rt=preempt_rt)
@@ -99,6 +126,29 @@ def answer(results: Iterable[Result], *, emulated: bool, preempt_rt: bool = True
     )
 
 
+def _apart(header: Header) -> list[str]:
+    """Which values are in no figure, in a sentence each."""
+    lines = []
+    if header.startup:
+        values = ", ".join(f"{value.value_ns / 1000:g} us (loop {value.index})" for value in header.startup)
+        lines.append(f"{header.series} start-up apart, in no figure: {values}")
+    if header.not_fired:
+        count = header.not_fired
+        lines.append(
+            "1 timer did not fire, it is in no figure"
+            if count == 1
+            else f"{count} timers did not fire, they are in no figure"
+        )
+    if header.duplicate:
+        lines.append(f"{header.duplicate} messages came again, only the first arrival counts")
+    return lines
+
+
+def remarks_of(header: Header) -> list[str]:
+    """Why fewer were measured than asked for, and what the file does not tell or told wrongly, a sentence each."""
+    return [f"incomplete: {header.incomplete}"] * (header.incomplete is not None) + list(header.remarks)
+
+
 def answer_of_run(run: Run) -> Group:
     """The answer of one run: every series of every output."""
     return answer(run.results, emulated=run.record.emulated, preempt_rt=run.record.preempt_rt, notes=_notes(run))
@@ -106,7 +156,7 @@ def answer_of_run(run: Run) -> Group:
 
 def answer_of_runs(found: Runs) -> Group:
     """The answer of all runs in a folder: a row for every output, and what was not analysed and why."""
-    results = [result for run in found.runs for result in run.results if result.series in MAIN_SERIES]
+    results = [result for run in found.runs for result in run.results if result.header.main]
     notes = [note for run in found.runs for note in _notes(run)]
     notes += [f"{name}: incomplete: it has no {RECORD}, nothing in it is analysed" for name in found.incomplete]
     return answer(

@@ -1,4 +1,4 @@
-"""The lines of a gnuplot log, taken apart: what stands in them, not yet what it means (see logfile).
+"""The lines of a gnuplot log, taken apart: what stands in them, not yet what it means (see gnuplot_log).
 
 The file is untrusted: its size and its lines' are limited, and memory goes by the bins that hold something, not by the
 range of the values. Anything that cannot stand in such a log is refused with ``file:line: what must stand here``.
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO, NoReturn
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.figures import Ranked
+from rtrun.analysis.figures import IndexedValue
 
 MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
 MAX_LINE_BYTES = 1 << 20
@@ -57,7 +57,7 @@ class Text:
     incomplete: tuple[int, str] | None = None  # how many were measured, and why no more
     summaries: dict[str, Printed] = field(default_factory=dict)  # by series, "" for one without a label
     counts: dict[str, tuple[int, int]] = field(default_factory=dict)
-    lists: dict[str, tuple[Ranked, ...]] = field(default_factory=dict)
+    lists: dict[str, tuple[IndexedValue, ...]] = field(default_factory=dict)
     values: "array[int]" = field(default_factory=lambda: array("q"))
     numbers: "array[int]" = field(default_factory=lambda: array("q"))
     last: dict[str, int] = field(default_factory=dict)  # the last bin, by "" and "#"
@@ -153,7 +153,9 @@ def _read_comment(lines: _Lines, text: Text, line: str) -> None:
         if line.startswith(mark):
             # The first piece is the explanation in front of the first bar.
             entries = [_ENTRY.fullmatch(piece) for piece in line.split("|")]
-            text.lists[name] = tuple(Ranked(value_us=float(e[1]), index=int(e[2])) for e in entries if e)
+            text.lists[name] = tuple(
+                IndexedValue(value_ns=round(float(e[1]) * 1000), index=int(e[2])) for e in entries if e
+            )
 
 
 def _read_bin(lines: _Lines, text: Text, line: str) -> None:

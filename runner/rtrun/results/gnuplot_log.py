@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.describe import LISTED
-from rtrun.analysis.figures import Figures, Ranked, figures_of_histogram
-from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.analysis.figures import LISTED, IndexedValue
+from rtrun.analysis.histogram import Int64s
 from rtrun.plan.suites import LogName, Value, read_log_name
 from rtrun.results.gnuplot_lines import COUNTS, SUITES, Printed, Text, read_text
 
@@ -39,25 +38,14 @@ class Log:
     value_us: Int64s
     count: Int64s
     printed: Printed | None
-    top: tuple[Ranked, ...]
-    lowest: tuple[Ranked, ...]
+    top: tuple[IndexedValue, ...]
+    lowest: tuple[IndexedValue, ...]
     missing: int
     out_of_order: int
     duplicate: int
     not_fired: int
+    incomplete: str | None
     remarks: tuple[str, ...]
-
-    def figures(self) -> Figures:
-        """Figures of the bins."""
-        return figures_of_histogram(
-            Histogram(values_ns=self.value_us * 1000, counts=self.count),
-            top=self.top,
-            lowest=self.lowest,
-            missing=self.missing,
-            out_of_order=self.out_of_order,
-            duplicate=self.duplicate,
-            not_fired=self.not_fired,
-        )
 
 
 def read_log(path: Path) -> Log:
@@ -89,13 +77,13 @@ def _interpret(path: Path, text: Text) -> Log:
             line = text.counts["missing"][1]
             raise UsageError(f"{path}:{line}: {number['missing']} missing messages, but {sentinels} in the bin of -1")
         value_us, count = value_us[~is_missing], count[~is_missing]
-        lists = {key: tuple(e for e in entries if e.value_us != SENTINEL_US) for key, entries in lists.items()}
+        lists = {key: tuple(e for e in entries if e.value_ns != SENTINEL_US * 1000) for key, entries in lists.items()}
         remarks.append(
             f"{sentinels} missing messages stand in the log as -1 us, as in 2014: its MIN, AVG and lowest values are"
             " wrong; the figures here are without them"
         )
     elif total == asked and number["not_fired"]:
-        remarks.append(f"{number['not_fired']} timers did not fire and were repeated, as in 2014: no figure shows them")
+        remarks.append("timers that did not fire were repeated, as in 2014")
     elif total != (text.incomplete[0] if text.incomplete else asked - number["missing"] - number["not_fired"]):
         raise UsageError(
             f"{path}:{asked_line}: the summary speaks of {asked} measurements, {number['missing']} missing,"
@@ -103,8 +91,6 @@ def _interpret(path: Path, text: Text) -> Log:
         )
     if sentinels and bool((value_us < SENTINEL_US).any()):
         remarks.append(f"if this log is of 2014, {sentinels} of its values, those of -1 us, are missing messages")
-    if text.incomplete:
-        remarks.append(f"incomplete: {text.incomplete[1]}")
     if series in ("reported", "difference"):
         lists = {}  # these logs print the lists of the measured values
     top = _of_these_bins("top", lists.get("top", ()), value_us[::-1], count[::-1], remarks)
@@ -119,6 +105,7 @@ def _interpret(path: Path, text: Text) -> Log:
         printed=text.summaries.get(series, text.summaries.get("xlabel")),
         top=top,
         lowest=lowest,
+        incomplete=text.incomplete[1] if text.incomplete else None,
         remarks=tuple(remarks),
         **number,
     )
@@ -163,7 +150,7 @@ def _check_summaries(path: Path, text: Text, series: str, value_us: Int64s, coun
                 )
 
 
-def _without_padding(entries: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
+def _without_padding(entries: tuple[IndexedValue, ...]) -> tuple[IndexedValue, ...]:
     """The list without an entry whose index stood in it before.
 
     In 2014 a list that did not fill was padded with the opposite bound and index 0. If index 0 is not in the list
@@ -174,13 +161,15 @@ def _without_padding(entries: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
 
 
 def _of_these_bins(
-    which: str, entries: tuple[Ranked, ...], value_us: Int64s, count: Int64s, remarks: list[str]
-) -> tuple[Ranked, ...]:
-    """The list if it is one of these bins, which come in its order."""
-    values = np.repeat(value_us[:LISTED], np.minimum(count[:LISTED], LISTED))[: len(entries)]
+    which: str, entries: tuple[IndexedValue, ...], value_us: Int64s, count: Int64s, remarks: list[str]
+) -> tuple[IndexedValue, ...]:
+    """The list, with the values of the bins, if it is one of these bins, which come in its order."""
+    values = np.repeat(value_us[:LISTED], np.minimum(count[:LISTED], LISTED))[: len(entries)] * 1000
     if len(values) == len(entries) and all(
-        abs(entry.value_us - int(value)) <= TOLERANCE_US for entry, value in zip(entries, values, strict=True)
+        abs(entry.value_ns - int(value)) <= TOLERANCE_US * 1000 for entry, value in zip(entries, values, strict=True)
     ):
-        return entries
+        return tuple(
+            IndexedValue(value_ns=int(value), index=entry.index) for entry, value in zip(entries, values, strict=True)
+        )
     remarks.append(f"the list of {which} values does not belong to the bins: its indices are left out")
     return ()

@@ -1,12 +1,13 @@
 """What a suite that was cut off left of its samples: ``<output>.npy.part`` (see docs/formats.md) made readable."""
 
-import re
 from pathlib import Path
 
 import numpy as np
 
+from rtrun.results.npy import read_header
+
 ENDING = ".npy.part"
-_HEADER = re.compile(rb"\{'descr': '<i8', 'fortran_order': False, 'shape': \(([0-9]{1,12}), ([0-9]{1,2})\), \} *\n")
+MAX_COLUMNS = 99
 
 
 def salvage(part: Path) -> int | None:
@@ -16,14 +17,17 @@ def salvage(part: Path) -> int | None:
     is kept, and no reader of results takes it for a result.
     """
     npy = part.with_suffix("")
-    with part.open("rb") as stream:
-        lead = stream.read(10)
-        start = 10 + int.from_bytes(lead[8:], "little")
-        found = _HEADER.fullmatch(stream.read(start - 10)) if lead[:8] == b"\x93NUMPY\x01\x00" else None
-    if npy.exists() or not found or int(found[2]) == 0:
+    try:
+        with part.open("rb") as stream:
+            header = read_header(stream)
+    except ValueError:
         return None
-    columns = int(found[2])
-    count = min(int(found[1]), (part.stat().st_size - start) // (8 * columns))
+    plain = header.dtype == "<i8" and not header.fortran_order and len(header.shape) == 2
+    if npy.exists() or not plain or not 0 < header.shape[1] <= MAX_COLUMNS:
+        return None
+    announced, columns = header.shape
+    start = header.start_bytes
+    count = min(announced, (part.stat().st_size - start) // (8 * columns))
     rows = np.zeros((0, columns), dtype="<i8")
     if count > 0:
         rows = np.memmap(part, dtype="<i8", mode="r", offset=start, shape=(count, columns))

@@ -1,11 +1,12 @@
 """Results read back: from a log, from samples, from a run directory, from a folder of runs.
 
-A `Result` is one series of one output, what a row of the table shows.
+Whatever prints or judges results, terminal or report, takes them from here.
 """
 
 import hashlib
 import re
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,14 +14,14 @@ from pydantic import Field
 
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
-from rtrun.analysis.figures import Figures, figures_of_histogram
+from rtrun.analysis.figures import Figures
 from rtrun.plan.suites import Value, suite
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
 from rtrun.results.samples import Count, read_samples
+from rtrun.results.series import Header, Series, period_of, series_of_histogram, series_of_log, series_of_samples
 
 RECORD = "run.json"
-MAIN_SERIES = ("measured", "jitter", "latency")  # what a suite is about; the others are seen from another side
 _PUT_ASIDE = re.compile(r"^\.|\.old-[0-9]+$")
 
 Name = Annotated[str, Field(min_length=1, max_length=255)]
@@ -82,25 +83,10 @@ class Record(Config):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Result:
-    """One series of one output. `parameters` are those known: all of a run's, or what a log's name tells."""
+    """The figures of one series of one output: a row of a table."""
 
-    suite: str
-    output: str
-    series: str
-    parameters: dict[str, Value]
+    header: Header
     figures: Figures
-    remarks: tuple[str, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain data: what it is, then the figures under their own names."""
-        return {
-            "suite": self.suite,
-            "output": self.output,
-            "series": self.series,
-            "parameters": self.parameters,
-            **self.figures.as_json(),
-            "remarks": list(self.remarks),
-        }
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -122,35 +108,21 @@ class Runs:
     refused: tuple[str, ...]
 
 
-def result_of_log(path: Path) -> Result:
-    """The result in one log. Raises UsageError as `read_log` does."""
-    log = read_log(path)
-    return Result(
-        suite=log.suite,
-        output=path.stem,
-        series=log.series,
-        parameters=log.parameters,
-        figures=log.figures(),
-        remarks=log.remarks,
-    )
+def read_file(path: Path) -> tuple[Series, ...]:
+    """Read every series in one log, or in an npy and the json of its name.
+
+    Raises UsageError as `read_log` and `read_samples` do, and for a file that is none of these.
+    """
+    if path.suffix == ".log":
+        return (series_of_log(read_log(path)),)
+    if path.suffix in (".npy", ".json"):
+        return series_of_samples(read_samples(path))
+    raise UsageError(f"{path}: not a run directory, a folder of runs, or a .log, .npy or .json of a suite")
 
 
-def results_of_samples(path: Path) -> tuple[Result, ...]:
-    """The results, one a series, in an npy and the json beside it. Raises UsageError as `read_samples` does."""
-    samples = read_samples(path)
-    record = samples.record
-    remarks = () if record.complete else (f"incomplete: {record.incomplete_reason or 'no reason given'}",)
-    return tuple(
-        Result(
-            suite=record.suite,
-            output=samples.path.stem,
-            series=name,
-            parameters=record.requested,
-            figures=figures,
-            remarks=remarks,
-        )
-        for name, figures in samples.figures().items()
-    )
+def results_of(found: Iterable[Series]) -> tuple[Result, ...]:
+    """The figures of every series."""
+    return tuple(Result(header=one.header, figures=one.figures()) for one in found)
 
 
 def is_closed(folder: Path) -> bool:
@@ -170,58 +142,58 @@ def read_record(folder: Path) -> Record:
 
 
 def read_run(folder: Path) -> Run:
-    """Read a run directory: its record, then its outputs, whose size and checksum must be those of the record.
+    """Read a run directory: its record, then the figures of its outputs. Raises UsageError as `read_series` does."""
+    record = read_record(folder)
+    of_use = record.status not in ("failed", "invalid")
+    return Run(folder=folder, record=record, results=results_of(read_series(folder, record)) if of_use else ())
+
+
+def read_series(folder: Path, record: Record) -> Iterator[Series]:
+    """Yield every series of every output of a run, whose files must be those that the record was closed with.
 
     An output is read from its samples, or, when it has none (the programs of 2014 write none), from its logs. Raises
-    UsageError when the run is not closed, or a file is missing, altered or not what it should be.
+    UsageError when a file is missing, altered or not what it should be.
     """
-    record = read_record(folder)
-    results: list[Result] = []
-    if record.status not in ("failed", "invalid"):
-        for output in dict.fromkeys(record.outputs):
-            results += _results_of_output(folder, record, output)
-    return Run(folder=folder, record=record, results=tuple(results))
+    for output in dict.fromkeys(record.outputs):
+        for series in _series_of_output(folder, record, output):
+            if series.header.suite != record.suite and f"{output}{ENDING}" not in record.files:
+                raise UsageError(f"{folder / output}: of {series.header.suite}, but {RECORD} says {record.suite}")
+            yield replace(
+                series,
+                header=replace(
+                    series.header,
+                    run=record.run,
+                    target=target_of(record),
+                    suite=record.suite,
+                    output=output,
+                    parameters=record.circumstances,
+                    emulated=record.emulated,
+                    period_ns=series.header.period_ns or period_of(record.parameters),
+                ),
+            )
 
 
-def _results_of_output(folder: Path, record: Record, output: str) -> list[Result]:
+def _series_of_output(folder: Path, record: Record, output: str) -> Iterator[Series]:
     if f"{output}{ENDING}" in record.files:
         check_file(folder, record, output + ENDING)
-        imported = read_histogram(folder / f"{output}{ENDING}")
-        return [
-            Result(
-                suite=record.suite,
-                output=output,
-                series="latency",
-                parameters=record.circumstances,
-                figures=figures_of_histogram(imported.histogram),
-                remarks=tuple(f"not known: {text}" for text in imported.left_out),
-            )
-        ]
-    if f"{output}.npy" in record.files:
+        yield series_of_histogram(read_histogram(folder / f"{output}{ENDING}"))
+    elif f"{output}.npy" in record.files:
         for ending in (".npy", ".json"):
             check_file(folder, record, output + ending)
-        found = list(results_of_samples(folder / f"{output}.npy"))
+        yield from series_of_samples(read_samples(folder / f"{output}.npy"))
     else:
         logs = [name for name in log_names(record, output) if name in record.files]
         if not logs:
             raise UsageError(f"{folder / RECORD}: neither samples nor log of the output {output!r} among its files")
         for name in logs:
             check_file(folder, record, name)
-        found = [result_of_log(folder / name) for name in logs]
-    for result in found:
-        if result.suite != record.suite:
-            raise UsageError(f"{folder / output}: of {result.suite}, but {RECORD} says {record.suite}")
-    return [
-        Result(
-            suite=result.suite,
-            output=output,
-            series=result.series,
-            parameters=record.circumstances,
-            figures=result.figures,
-            remarks=result.remarks,
-        )
-        for result in found
-    ]
+            yield series_of_log(read_log(folder / name))
+
+
+def target_of(record: Record) -> str:
+    """The target in a few words: runs on another board or kernel are never pooled with these."""
+    facts = [record.target.get(key) for key in ("name", "kernel_release", "kernel_version")]
+    return ", ".join(word for word in facts if isinstance(word, str) and word)
 
 
 def log_names(record: Record, output: str) -> list[str]:
@@ -246,38 +218,50 @@ def check_file(folder: Path, record: Record, name: str) -> None:
         raise UsageError(f"{path}: altered since the run was closed: size or checksum is not that in {RECORD}")
 
 
-def find_runs(folder: Path) -> tuple[list[Path], list[Path]]:
-    """The run directories in a folder: those that are closed, and those that are not.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Source:
+    """What a path holds: closed runs and the names of others, or one file; then `folders` is empty."""
 
-    What the runner put aside (``.<run>.partial``, ``<run>.old-<n>``) is left out. Raises UsageError when there is no
-    closed run, naming the folders below that hold some.
+    path: Path
+    folders: tuple[Path, ...]
+    incomplete: tuple[str, ...] = ()
+
+
+def find_source(path: Path) -> Source:
+    """Find what is at a path: a file, a run directory, or a folder of runs.
+
+    What the runner put aside (``.<run>.partial``, ``<run>.old-<n>``) is left out. Raises UsageError when there is
+    neither a file nor a closed run, naming the folders below that hold some.
     """
+    if path.is_file():
+        return Source(path=path, folders=())
+    if not path.exists():
+        raise UsageError(f"{path}: no such file or directory")
+    if is_closed(path):
+        return Source(path=path, folders=(path,))
     try:
-        folders = sorted(path for path in folder.iterdir() if path.is_dir() and not _PUT_ASIDE.search(path.name))
+        folders = sorted(child for child in path.iterdir() if child.is_dir() and not _PUT_ASIDE.search(child.name))
     except OSError as error:
-        raise UsageError(f"{folder}: {error.strerror}") from error
-    closed = [path for path in folders if is_closed(path)]
+        raise UsageError(f"{path}: {error.strerror}") from error
+    closed = tuple(folder for folder in folders if is_closed(folder))
     if not closed:
-        below = sorted({str(path.parent.parent) for path in folder.glob(f"*/*/{RECORD}")})
+        below = sorted({str(record.parent.parent) for record in path.glob(f"*/*/{RECORD}")})
         raise UsageError(
-            f"{folder}: no finished run (one with {RECORD}) in it{', give ' if below else ''}{' or '.join(below)}"
+            f"{path}: no finished run (one with {RECORD}) in it{', give ' if below else ''}{' or '.join(below)}"
         )
-    return closed, [path for path in folders if path not in closed]
+    return Source(
+        path=path, folders=closed, incomplete=tuple(folder.name for folder in folders if folder not in closed)
+    )
 
 
 def read_runs(folder: Path) -> Runs:
-    """Read every closed run in a folder. Raises UsageError as `find_runs` does."""
-    closed, incomplete = find_runs(folder)
+    """Read every closed run in a folder. Raises UsageError as `find_source` does."""
+    source = find_source(folder)
     runs: list[Run] = []
     refused: list[str] = []
-    for path in closed:
+    for path in source.folders:
         try:
             runs.append(read_run(path))
         except UsageError as error:
             refused.append(str(error))
-    return Runs(
-        folder=folder,
-        runs=tuple(runs),
-        incomplete=tuple(path.name for path in incomplete),
-        refused=tuple(refused),
-    )
+    return Runs(folder=folder, runs=tuple(runs), incomplete=source.incomplete, refused=tuple(refused))

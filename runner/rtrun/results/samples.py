@@ -3,7 +3,6 @@
 Both are untrusted: their sizes are limited, the npy is never unpickled, and rows and counts must tell the same.
 """
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,22 +12,15 @@ from pydantic import Field
 
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
-from rtrun.analysis.figures import Figures, figures
 from rtrun.analysis.histogram import Int64s
 from rtrun.plan.suites import Suite, Value, suite
+from rtrun.results.npy import read_header
 
 MAX_NPY_BYTES = 4 << 30
 NOT_FIRED_NS = -(2**63)
 # Threads of a suite that have no part in the measurement: of normal scheduling, on spare CPUs, whatever was asked for.
 BESIDE = frozenset({"rt_blocks", "rt_traces"})
 MAX_TIME_NS = 2**61  # 73 years: a difference of two times stays within 64 bits
-
-# Not numpy's own reader: it evaluates the header, and what that raises on junk is not to be foreseen.
-_HEADER = re.compile(
-    r"\{\s*'descr':\s*'(?P<dtype>[^'\\]{1,40})',\s*'fortran_order':\s*(?P<fortran>True|False),"
-    r"\s*'shape':\s*\((?P<shape>(?:[0-9]{1,18}, ?)*[0-9]{0,18})\),?\s*\}\s*",
-    re.ASCII,
-)
 
 Count = Annotated[int, Field(ge=0)]
 
@@ -136,7 +128,7 @@ class Record(Config):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Series:
+class IndexedValues:
     """Values in nanoseconds and the index of each measurement, both of shape (n,)."""
 
     values_ns: Int64s
@@ -155,22 +147,7 @@ class Samples:
     path: Path
     record: Record
     rows: Int64s
-    series: dict[str, Series]
-
-    def figures(self) -> dict[str, Figures]:
-        """Figures of each series."""
-        counts = self.record.counts
-        return {
-            name: figures(
-                series.values_ns,
-                series.index,
-                missing=counts.missing,
-                out_of_order=counts.out_of_order,
-                duplicate=counts.duplicate,
-                not_fired=counts.not_fired,
-            )
-            for name, series in self.series.items()
-        }
+    series: dict[str, IndexedValues]
 
 
 def read_samples(path: Path) -> Samples:
@@ -204,29 +181,24 @@ def _read_rows(path: Path, kind: Suite) -> Int64s:
         if size > MAX_NPY_BYTES:
             raise UsageError(f"{path}: {size} bytes, samples have at most {MAX_NPY_BYTES}")
         with path.open("rb") as stream:
-            lead = stream.read(10)
-            start = 10 + int.from_bytes(lead[8:], "little")
-            header = stream.read(start - 10).decode("latin-1")
+            header = read_header(stream)
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}") from error
-    if lead[:8] != b"\x93NUMPY\x01\x00":
-        raise UsageError(f"{path}: not in NumPy format 1.0, whose first bytes are \\x93NUMPY\\x01\\x00")
-    found = _HEADER.fullmatch(header)
-    if not found:
-        raise UsageError(f"{path}: its header is not that of one plain array: {header[:80]!r}")
-    shape = tuple(int(number) for number in found["shape"].split(",") if number.strip())
-    if found["dtype"] != "<i8":
-        raise UsageError(f"{path}: values of type {found['dtype']}, must be <i8 (int64)")
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from error
+    shape = header.shape
+    if header.dtype != "<i8":
+        raise UsageError(f"{path}: values of type {header.dtype}, must be <i8 (int64)")
     if shape[1:] != (len(kind.columns),) and not (len(shape) == len(kind.columns) == 1):
         raise UsageError(f"{path}: shape {shape}, must be (rows, {len(kind.columns)}) of {', '.join(kind.columns)}")
-    if found["fortran"] == "True":
+    if header.fortran_order:
         raise UsageError(f"{path}: in Fortran order, must be in C order")
-    rows, expected = shape[0], start + 8 * shape[0] * len(kind.columns)
+    rows, expected = shape[0], header.start_bytes + 8 * shape[0] * len(kind.columns)
     if size != expected:
         raise UsageError(f"{path}: {size} bytes, {rows} rows take {expected}: cut off or not of one piece")
     if rows == 0:
         return np.empty((0, len(kind.columns)), dtype=np.int64)
-    return np.memmap(path, dtype="<i8", mode="r", offset=start, shape=(rows, len(kind.columns)))
+    return np.memmap(path, dtype="<i8", mode="r", offset=header.start_bytes, shape=(rows, len(kind.columns)))
 
 
 def _agree(both: str, what: str, rows: int, counts: int) -> None:
@@ -240,7 +212,7 @@ def _times(both: str, *columns: Int64s) -> None:
             raise UsageError(f"{both.split(' and ')[0]}: a time beyond {MAX_TIME_NS} ns cannot be")
 
 
-def _oneshot(columns: dict[str, Int64s], counts: Counts, both: str) -> dict[str, Series]:
+def _oneshot(columns: dict[str, Int64s], counts: Counts, both: str) -> dict[str, IndexedValues]:
     fired = columns["measured_ns"] != NOT_FIRED_NS
     index = np.flatnonzero(fired)
     _agree(both, "measured", len(index), counts.measured)
@@ -248,10 +220,10 @@ def _oneshot(columns: dict[str, Int64s], counts: Counts, both: str) -> dict[str,
     measured, reported = columns["measured_ns"][index], columns["reported_ns"][index]
     _times(both, measured, reported)
     values = {"measured": measured, "reported": reported, "difference": reported - measured}
-    return {name: Series(values_ns=column, index=index) for name, column in values.items()}
+    return {name: IndexedValues(values_ns=column, index=index) for name, column in values.items()}
 
 
-def _cyclic(columns: dict[str, Int64s], counts: Counts, frequency_hz: int, both: str) -> dict[str, Series]:
+def _cyclic(columns: dict[str, Int64s], counts: Counts, frequency_hz: int, both: str) -> dict[str, IndexedValues]:
     """Jitter of each period and lateness against the grid from the first timestamp, both from the second one on."""
     timestamp = np.asarray(columns["timestamp_ns"])
     _times(both, timestamp)
@@ -260,8 +232,8 @@ def _cyclic(columns: dict[str, Int64s], counts: Counts, frequency_hz: int, both:
     passed_ns = timestamp[1:] - timestamp[:1] if len(timestamp) else timestamp
     period_ns = _grid_ns(1, frequency_hz)
     return {
-        "jitter": Series(values_ns=np.diff(timestamp) - period_ns, index=index),
-        "grid": Series(values_ns=passed_ns - _grid_ns(index + 1, frequency_hz), index=index),
+        "jitter": IndexedValues(values_ns=np.diff(timestamp) - period_ns, index=index),
+        "grid": IndexedValues(values_ns=passed_ns - _grid_ns(index + 1, frequency_hz), index=index),
     }
 
 
@@ -277,7 +249,7 @@ def _frequency_hz(record: Record, path: Path) -> int:
     return frequency_hz
 
 
-def _communication(columns: dict[str, Int64s], record: Record, both: str) -> dict[str, Series]:
+def _communication(columns: dict[str, Int64s], record: Record, both: str) -> dict[str, IndexedValues]:
     publication, reception, arrived = columns["publication_ns"], columns["reception_ns"], columns["seq"]
     counts = record.counts
     _times(both, publication, reception)
@@ -295,4 +267,4 @@ def _communication(columns: dict[str, Int64s], record: Record, both: str) -> dic
     if counts.missing not in (missing[-1:] if record.complete else missing):
         _agree(both, "missing", missing[-1], counts.missing)
     _agree(both, "out of order", int(np.count_nonzero(np.diff(arrived) < 0)), counts.out_of_order)
-    return {"latency": Series(values_ns=(reception - publication)[order], index=seq)}
+    return {"latency": IndexedValues(values_ns=(reception - publication)[order], index=seq)}

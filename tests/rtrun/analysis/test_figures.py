@@ -1,76 +1,118 @@
-"""Figures against an independent, slow way to reach them."""
+"""Figures of samples and histograms against slow ways to reach them."""
 
-import json
-import math
-from fractions import Fraction
+import statistics
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtrun.analysis.figures import Ranked, figures, figures_of_histogram
-from rtrun.analysis.histogram import Histogram
+from rtrun.analysis.figures import PERCENTILES, IndexedValue, figures_of_histogram, figures_of_samples, rank
+from rtrun.analysis.histogram import Histogram, from_samples, merge
 
-NS = st.integers(-(2**50), 2**50)
-
-
-def percentile(values: list[int], per_mille: int) -> int:
-    """The smallest value such that at least that share of all is not above it, by trying each."""
-    share = Fraction(per_mille, 1000)
-    return next(v for v in sorted(values) if Fraction(sum(w <= v for w in values), len(values)) >= share)
+NS = st.integers(-(2**50), 2**50) | st.integers(-3, 3) | st.integers(10**5, 10**5 + 300)
 
 
-@given(st.lists(NS | st.integers(-3, 3), min_size=1, max_size=60))
-def test_figures_of_samples(values: list[int]) -> None:
-    found = figures(np.array(values, dtype=np.int64))
-    assert found.n == len(values)
-    assert (found.min_us, found.max_us) == (min(values) / 1000, max(values) / 1000)
-    assert found.mean_us is not None
-    assert math.isclose(found.mean_us, float(Fraction(sum(values), 1000 * len(values))), rel_tol=1e-9, abs_tol=1e-3)
-    for name, per_mille in (("p50_us", 500), ("p90_us", 900), ("p99_us", 990), ("p999_us", 999)):
-        assert getattr(found, name) == percentile(values, per_mille) / 1000
-    falling = sorted((-value, index) for index, value in enumerate(values))[:10]
-    assert [(round(-1000 * entry.value_us), entry.index) for entry in found.top] == falling
-    rising = sorted((value, index) for index, value in enumerate(values))[:10]
-    assert [(round(1000 * entry.value_us), entry.index) for entry in found.lowest] == rising
+@given(st.lists(NS, min_size=1, max_size=80))
+def test_figures_are_those_of_the_sorted_values(values: list[int]) -> None:
+    found = figures_of_samples(np.array(values, dtype=np.int64))
+    rising = sorted(values)
+    assert (found.n, found.min_ns, found.max_ns) == (len(values), rising[0], rising[-1])
+    assert found.mean_ns == pytest.approx(statistics.fmean(values), rel=1e-12, abs=1e-6)
+    spread = statistics.stdev(values) if len(values) > 1 else 0.0
+    assert found.std_ns == pytest.approx(spread, rel=1e-9, abs=1e-6)
+    for percent in PERCENTILES:
+        assert found.percentiles_ns[percent] == rising[rank(len(values), percent) - 1]
+    top = sorted((-value, index) for index, value in enumerate(values))[:10]
+    assert [(-e.value_ns, e.index) for e in found.top] == top
+    lowest = sorted((value, index) for index, value in enumerate(values))[:10]
+    assert [(e.value_ns, e.index) for e in found.lowest] == lowest
 
 
-@given(st.lists(st.integers(-(10**9), 10**9) | st.integers(-3, 3), min_size=1, max_size=60))
-def test_bins_give_the_figures_of_the_values_in_them(values_us: list[int]) -> None:
-    of_samples = figures(np.array(values_us, dtype=np.int64) * 1000)
-    value_us, count = np.unique(np.array(values_us, dtype=np.int64), return_counts=True)
-    histogram = Histogram(values_ns=value_us * 1000, counts=count)
-    of_bins = figures_of_histogram(histogram, top=of_samples.top, lowest=of_samples.lowest)
-    expected = of_samples.as_json() | {"resolution_ns": 1000}
-    assert math.isclose(of_bins.as_json().pop("mean_us"), expected.pop("mean_us"), rel_tol=1e-9, abs_tol=1e-9)
-    assert {key: value for key, value in of_bins.as_json().items() if key != "mean_us"} == expected
+@pytest.mark.parametrize("outlier", [3_600_000_000_000, -3_600_000_000_000, 5_000_000])
+def test_one_value_of_hours_does_not_blur_the_others(outlier: int) -> None:
+    values = np.random.default_rng(1).gamma(9, 11_000, 300_000).astype(np.int64)
+    values[1234] = outlier
+    found = figures_of_samples(values)
+    rising = np.sort(values)
+    assert [found.percentiles_ns[p] for p in PERCENTILES] == [rising[rank(values.size, p) - 1] for p in PERCENTILES]
+    assert found.std_ns == pytest.approx(values.std(ddof=1), rel=1e-9)
+    assert outlier in (found.top[0].value_ns, found.lowest[0].value_ns, found.top[1].value_ns)
 
 
-def test_the_index_of_a_sample_is_the_one_given() -> None:
-    found = figures(np.array([5000, 9000, 1000]), np.array([40, 41, 43]))
-    assert found.top[0] == Ranked(value_us=9.0, index=41)
-    assert found.lowest[0] == Ranked(value_us=1.0, index=43)
+def test_percentiles_are_ranks_without_rounding() -> None:
+    assert rank(100_000, 99.999) == 99_999
+    assert rank(2_000_000, 99.999) == 1_999_980
+    assert rank(7, 99.9) == 7
+    assert rank(1, 50) == 1
 
 
-def test_nothing_measured_gives_no_number_and_valid_json() -> None:
-    found = figures(np.array([], dtype=np.int64), missing=7)
-    data = json.loads(json.dumps(found.as_json(), allow_nan=False))
-    assert data["n"] == 0
-    assert data["missing"] == 7
-    assert data["min_us"] is data["mean_us"] is data["p999_us"] is None
-    assert data["top"] == data["lowest"] == []
+def test_the_index_is_the_loop_not_the_position() -> None:
+    found = figures_of_samples(np.array([5, 9, 7], dtype=np.int64), np.array([0, 4, 9]))
+    assert [(e.value_ns, e.index) for e in found.top] == [(9, 4), (7, 9), (5, 0)]
 
 
-def test_what_lies_in_the_overflow_is_counted_and_not_known() -> None:
-    histogram = Histogram(
-        values_ns=np.array([80_000, 9_823_000]),
-        counts=np.array([970, 3]),
-        overflow=27,
-        overflow_from_ns=10_000_000,
-        max_ns=14_310_000,
+def test_nothing_has_no_figures() -> None:
+    found = figures_of_samples(np.empty(0, np.int64))
+    assert (found.n, found.min_ns, found.mean_ns, found.std_ns, found.percentiles_ns) == (0, None, None, None, {})
+
+
+@pytest.mark.parametrize(
+    "values", [np.array([1.5, np.nan]), np.zeros((2, 2), np.int64), np.array([-(2**63), 1], dtype=np.int64)]
+)
+def test_what_is_no_series_of_times_is_refused(values: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"int64|no measured time"):
+        figures_of_samples(values)
+
+
+@given(st.lists(st.integers(-(10**6), 10**6), min_size=1, max_size=60), st.sampled_from([1, 10, 1000]))
+def test_a_histogram_tells_what_floored_values_tell(values: list[int], width: int) -> None:
+    floored = np.array(values, dtype=np.int64) // width * width
+    bins = from_samples(np.array(values, dtype=np.int64), width)
+    exact, found = figures_of_samples(floored), figures_of_histogram(bins)
+    assert (found.n, found.min_ns, found.max_ns) == (exact.n, exact.min_ns, exact.max_ns)
+    assert found.percentiles_ns == exact.percentiles_ns
+    assert found.mean_ns == pytest.approx(exact.mean_ns, abs=1e-6)
+    assert found.std_ns == pytest.approx(exact.std_ns, abs=1e-3)
+    assert [e.value_ns for e in found.top] == [e.value_ns for e in exact.top]
+    with_indices = figures_of_histogram(bins, top=exact.top, lowest=exact.lowest)
+    assert (with_indices.top, with_indices.lowest) == (exact.top, exact.lowest)
+
+
+def test_a_value_beyond_the_end_of_a_printed_list_has_no_index() -> None:
+    bins = Histogram(values_ns=np.array([1000, 5000]), counts=np.array([1, 2]))
+    found = figures_of_histogram(bins, top=(IndexedValue(value_ns=5000, index=7),))
+    assert [(e.value_ns, e.index) for e in found.top] == [(5000, 7), (5000, None), (1000, None)]
+
+
+@given(st.lists(st.lists(st.integers(-5000, 5000), max_size=20), min_size=1, max_size=4))
+def test_merged_histograms_are_the_histogram_of_all(parts: list[list[int]]) -> None:
+    merged = merge(from_samples(np.array(part, dtype=np.int64), 10) for part in parts)
+    whole = from_samples(np.array([v for part in parts for v in part], dtype=np.int64), 10)
+    assert merged.values_ns.tolist() == whole.values_ns.tolist()
+    assert merged.counts.tolist() == whole.counts.tolist()
+
+
+def test_what_overflowed_is_left_out_of_the_figures() -> None:
+    bins = Histogram(values_ns=np.array([1000, 2000]), counts=np.array([90, 5]), overflow=5, overflow_from_ns=3000)
+    found = figures_of_histogram(bins)
+    assert found.n == 100
+    assert found.mean_ns is None and found.max_ns is None and found.top == ()
+    assert found.percentiles_ns == {50.0: 1000, 90.0: 1000, 95.0: 2000}
+
+
+def test_what_the_measuring_program_printed_is_known_in_spite_of_the_overflow() -> None:
+    bins = Histogram(
+        values_ns=np.array([1000]), counts=np.array([9]), overflow=1, overflow_from_ns=3000, max_ns=9000, mean_ns=1800.0
     )
-    found = figures_of_histogram(histogram)
-    assert (found.n, found.min_us, found.max_us) == (1000, 80.0, 14310.0)
-    assert (found.p50_us, found.p90_us) == (80.0, 80.0)
-    assert found.mean_us is found.p99_us is found.p999_us is None
-    assert found.top == ()
+    found = figures_of_histogram(bins)
+    assert (found.max_ns, found.mean_ns, found.std_ns) == (9000, 1800.0, None)
+
+
+def test_a_deadline_in_the_overflow_is_not_guessed() -> None:
+    bins = Histogram(values_ns=np.array([1000]), counts=np.array([9]), overflow=1, overflow_from_ns=3000)
+    assert bins.above(2500) == 1
+    with pytest.raises(ValueError, match="only counted"):
+        bins.above(5000)
+    known = Histogram(values_ns=np.array([1000]), counts=np.array([9]), overflow=1, overflow_from_ns=3000, max_ns=4000)
+    assert known.above(5000) == 0

@@ -6,14 +6,17 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from written import write_communication, write_cyclic, write_oneshot, write_record
+from written import write_communication, write_cyclic, write_oneshot, write_output, write_record
 
 from rtfiles.errors import UsageError
+from rtrun.analysis.figures import Figures, figures_of_samples
 from rtrun.cli import main
 from rtrun.results.gnuplot_log import read_log
-from rtrun.results.reading import read_run
+from rtrun.results.reading import read_file, read_run
 from rtrun.results.samples import read_samples
+from rtrun.results.series import SampleSeries, Series
 
 DATA = Path(__file__).parents[2] / "data"
 SUITES = DATA / "suites"
@@ -48,22 +51,27 @@ def communication_run(folder: Path, **changed: Any) -> Path:
     return folder
 
 
+def with_startup(series: Series) -> Figures:
+    """Figures of all values, as the suites themselves print them."""
+    assert isinstance(series, SampleSeries)
+    startup = series.header.startup
+    return figures_of_samples(
+        np.array([*(value.value_ns for value in startup), *series.values_ns], dtype=np.int64),
+        np.array([*(value.index for value in startup), *series.index], dtype=np.int64),
+    )
+
+
 def test_the_figures_of_real_samples_are_those_their_program_wrote() -> None:
     paths = sorted(SUITES.glob("*.npy"))
     assert len(paths) == 7
     for path in paths:
-        samples = read_samples(path)
-        for name, figures in samples.figures().items():
-            said = samples.record.summary[name]
-            assert figures.n == said.n
-            for ours, theirs in (
-                (figures.min_us, said.min_ns),
-                (figures.mean_us, said.mean_ns),
-                (figures.max_us, said.max_ns),
-            ):
-                assert ours == (None if theirs is None else pytest.approx(theirs / 1000, abs=0.0006))
-            for list_, said_list in ((figures.top, said.top), (figures.lowest, said.lowest)):
-                assert [(e.value_us, e.index) for e in list_] == [(e.value_ns / 1000, e.index) for e in said_list]
+        summary = read_samples(path).record.summary
+        for series in read_file(path):
+            ours, theirs = with_startup(series), summary[series.header.series]
+            assert (ours.n, ours.min_ns, ours.max_ns) == (theirs.n, theirs.min_ns, theirs.max_ns)
+            assert ours.mean_ns == (None if theirs.mean_ns is None else pytest.approx(theirs.mean_ns, abs=0.6))
+            for list_, their_list in ((ours.top, theirs.top), (ours.lowest, theirs.lowest)):
+                assert [(e.value_ns, e.index) for e in list_] == [(e.value_ns, e.index) for e in their_list]
 
 
 def test_the_logs_of_real_samples_say_the_same_in_whole_microseconds() -> None:
@@ -72,14 +80,46 @@ def test_the_logs_of_real_samples_say_the_same_in_whole_microseconds() -> None:
         name = path.stem
         for ending in ("-measured", "-reported", "-diff"):
             name = name.removesuffix(ending)
-        of_log, of_samples = log.figures(), read_samples(SUITES / f"{name}.npy").figures()[log.series]
-        assert log.remarks == (() if of_samples.n else ("incomplete: nothing came for 1 s, no message came",))
-        assert (of_log.n, of_log.missing) == (of_samples.n, of_samples.missing)
-        for ours, exact in ((of_log.top, of_samples.top), (of_log.lowest, of_samples.lowest)):
-            assert [entry.value_us for entry in ours] == [int(entry.value_us) for entry in exact]
-            assert log.series in ("reported", "difference") or sorted(e.index or 0 for e in ours) == sorted(
-                e.index or 0 for e in exact
-            )
+        samples = SUITES / f"{name}.npy"
+        figures = next(with_startup(one) for one in read_file(samples) if one.header.series == log.series)
+        assert (log.remarks, log.incomplete) == ((), None if figures.n else "nothing came for 1 s, no message came")
+        assert (int(log.count.sum()), log.missing) == (figures.n, read_samples(samples).record.counts.missing)
+        if log.series not in ("reported", "difference"):
+            for ours, exact in ((log.top, figures.top), (log.lowest, figures.lowest)):
+                assert [e.value_ns // 1000 for e in ours] == [int(e.value_ns / 1000) for e in exact]
+                assert sorted(e.index or 0 for e in ours) == sorted(e.index or 0 for e in exact)
+
+
+def test_show_and_report_say_the_same_and_which_values_stand_apart(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    run = tmp_path / "demo" / "001-run"
+    run.mkdir(parents=True)
+    rows = [(1000 * k, 1000 * k + (900_000 if k == 0 else 270_000 - k), k) for k in range(50)]
+    name = "ct_gnuplot_l50_fq100_pl0-tnRTRR"
+    requested = {"repetitions": 50, "frequency_hz": 100, "payload_bytes": 0}
+    write_output(run, name, "communication_tests", rows, requested=requested, asked=50, measured=50)
+    write_record(run, "communication_tests", [name], COMMUNICATION)
+    (shown,) = show_json(capsys, run)["results"]
+    assert (shown["n"], shown["max_us"], shown["startup"]) == (49, 269.999, [{"value_us": 900, "index": 0}])
+    assert "latency start-up apart, in no figure: 900 us (loop 0)" in show(capsys, run)[1]
+    assert main(["report", str(run), "--format", "json", "--output", "-"]) == 0
+    (reported,) = json.loads(capsys.readouterr().out)["series"]
+    assert reported["startup"] == [{"value_ns": 900_000, "index": 0}]
+    for key in ("min", "max", "mean"):
+        assert shown[f"{key}_us"] == pytest.approx(reported["figures"][f"{key}_ns"] / 1000)
+    assert reported["figures"]["percentiles_ns"]["p99"] == 1000 * shown["p99_us"]
+
+
+def test_a_start_up_value_that_a_log_lists_stands_apart_in_its_figures(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = SUITES / "0ct_gnuplot_l100_fq1000_pl0-tnRTRR.log"
+    of_log, of_samples = show_json(capsys, path), show_json(capsys, path.with_suffix(".npy"))["results"][0]
+    assert (of_log["n"], of_samples["n"]) == (99, 99)
+    assert of_log["max_us"] == of_samples["max_us"] // 1
+    assert [value["index"] for value in of_log["startup"]] == [0]
+    assert 0 not in [value["index"] for value in of_log["top"]]
 
 
 def test_a_log_as_json_holds_the_figures_at_the_top(capsys: pytest.CaptureFixture[str]) -> None:
@@ -108,7 +148,7 @@ def test_samples_show_every_series(capsys: pytest.CaptureFixture[str], tmp_path:
     assert status == 0
     assert re.search(r"oneshot_timer +RR 1000us +3 +0\.1 +36\.7 +60\.0 +60\.0 +60\.0 +0 +0", output)
     assert re.search(r"oneshot_timer difference +RR 1000us +3 +-0\.5 +5\.0 +8\.0", output)
-    assert ": 1 timers did not fire, they are in no figure" in output
+    assert ": 1 timer did not fire, it is in no figure" in output
     results = show_json(capsys, path)["results"]
     assert [result["series"] for result in results] == ["measured", "reported", "difference"]
     assert results[0]["not_fired"] == 1
@@ -119,7 +159,7 @@ def test_a_run_has_a_row_for_each_subscriber(capsys: pytest.CaptureFixture[str],
     status, output, _ = show(capsys, run)
     assert status == 0
     rows = [line for line in output.splitlines() if line.startswith("communication")]
-    assert [re.search(r"RR 1000Hz 0B 2sub #[01] +100 ", row) is not None for row in rows] == [True, True]
+    assert [re.search(r"RR 1000Hz 0B 2sub #[01] +99 ", row) is not None for row in rows] == [True, True]
     data = show_json(capsys, run)
     assert data["emulated"] is False
     assert [result["output"][:3] for result in data["results"]] == ["0ct", "1ct"]
@@ -187,7 +227,7 @@ def test_a_run_of_the_programs_of_2014_is_read_from_its_logs(tmp_path: Path) -> 
     shutil.copy(DATA / "2014" / f"{output}-measured.log", tmp_path)
     write_record(tmp_path, "oneshot_timer_tests", [output], {"policy": "RR", "repetitions": 200, "timeout_us": 1000})
     (result,) = read_run(tmp_path).results
-    assert (result.series, result.figures.n, result.output) == ("measured", 200, output)
+    assert (result.header.series, result.figures.n, result.header.output) == ("measured", 200, output)
 
 
 def test_a_run_with_no_output_of_a_program_is_refused(tmp_path: Path) -> None:

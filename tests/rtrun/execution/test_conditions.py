@@ -192,7 +192,7 @@ def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
     # A value above the histogram counts apart: how many there are is up to how busy the machine is.
     totals = [int(word) for word in re.search(r"# Total: (.*)", said)[1].split()]
     results = read_run(tmp_path / "results" / run.name).results
-    assert [(each.suite, each.figures.n) for each in results] == [("cyclictest", total) for total in totals]
+    assert [(each.header.suite, each.figures.n) for each in results] == [("cyclictest", total) for total in totals]
     assert len(totals) == 2 and min(totals) > 1000
 
 

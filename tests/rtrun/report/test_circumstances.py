@@ -19,7 +19,7 @@ def test_the_condition_stands_beside_the_parameters(tmp_path, capsys):
     run_with(tmp_path / "runs" / "001")
     settings = {"load_cpu": "1", "governor": "", "irq_cpu": ""}
     run_with(tmp_path / "runs" / "002", condition="cpu80", settings=settings)
-    idle, loaded = (read_run(tmp_path / "runs" / name).results[0].parameters for name in ("001", "002"))
+    idle, loaded = (read_run(tmp_path / "runs" / name).results[0].header.parameters for name in ("001", "002"))
     assert idle == {"policy": "RR", "timeout_us": 1000}
     assert loaded == {"policy": "RR", "timeout_us": 1000, "condition": "cpu80", "load_cpu": "1"}
     assert main(["show", str(tmp_path / "runs")]) == 0

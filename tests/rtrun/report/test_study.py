@@ -9,6 +9,7 @@ from report.campaigns import bursty, communication_rows, cyclic_rows, latencies,
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.deadline import Answer
+from rtrun.analysis.figures import IndexedValue
 from rtrun.report.document import verdict_line
 from rtrun.report.study import study
 
@@ -73,7 +74,7 @@ def test_the_first_message_stands_apart_and_lost_ones_count(tmp_path):
     write_run(tmp_path, "a", "communication_tests", [rows], parameters, asked=1000, logs=False)
     group = only(tmp_path)
     (one,) = group.digests
-    assert one.startup == ((900_000, 0),) and one.n == 996 and one.missing == 3
+    assert one.header.startup == (IndexedValue(value_ns=900_000, index=0),) and one.n == 996 and one.header.missing == 3
     assert group.verdict is not None and (group.verdict.n, group.verdict.late, group.verdict.absent) == (999, 0, 3)
     assert "start-up apart: 1 late, worst 900.0 us" in verdict_line(group).text
     assert one.figures.top[0].index is not None and one.figures.top[0].index > 0
@@ -86,11 +87,11 @@ def test_the_two_definitions_of_jitter_and_the_cluster(tmp_path):
     write_run(tmp_path, "a", "cyclic_timer_tests", [cyclic_rows(lateness, 100)], parameters, asked=4000, logs=False)
     found = study(tmp_path)
     (jitter,) = found.digests
-    grid = next(one for one in found.others if one.series == "grid")
+    grid = next(one for one in found.others if one.header.series == "grid")
     assert jitter.cluster is not None and jitter.cluster.share == pytest.approx(1 / 8, abs=0.002)
     assert grid.cluster is not None and grid.cluster.share == pytest.approx(1 / 8, abs=0.002)
     assert grid.cluster.median_ns == pytest.approx(-810_000, abs=5000)
-    assert len(jitter.startup) == 2
+    assert len(jitter.header.startup) == 2
 
 
 def test_five_subscribers_are_one_group_whose_messages_count_once(tmp_path):
@@ -160,7 +161,7 @@ def test_nothing_to_examine_is_an_error(tmp_path):
         with pytest.raises(UsageError, match=message):
             study(path)
     (tmp_path / "x.txt").write_text("x")
-    with pytest.raises(UsageError, match="not a folder of runs"):
+    with pytest.raises(UsageError, match="not a run directory, a folder of runs"):
         study(tmp_path / "x.txt")
 
 

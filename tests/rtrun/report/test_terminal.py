@@ -1,19 +1,23 @@
 """The table of results: readable on 80 columns, nothing cut off on 100."""
 
 import io
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from rtrun.analysis.figures import Figures, figures
+from rtrun.analysis.figures import Figures, figures_of_samples
 from rtrun.plan.suites import Value
 from rtrun.report.terminal import EMULATED, NO_PREEMPT_RT, answer, table
 from rtrun.results.reading import Result
+from rtrun.results.series import Header
 
 
-def result(found: Figures, remarks: tuple[str, ...] = (), **parameters: Value) -> Result:
-    return Result(
+def result(found: Figures, remarks: tuple[str, ...] = (), run: str = "001-x", **parameters: Value) -> Result:
+    header = Header(
+        run=run,
         suite="communication_tests",
         output="4ct_gnuplot_l2000000_fq10000_pl10000-tnRTFIFO",
         series="latency",
@@ -21,9 +25,11 @@ def result(found: Figures, remarks: tuple[str, ...] = (), **parameters: Value) -
             "policy": "FIFO", "repetitions": 2_000_000, "frequency_hz": 10000, "payload_bytes": 10000,
             "start_delay_s": 1, "priority": 95, "cpu": "", **parameters,
         },
-        figures=found,
+        missing=123456,
+        out_of_order=1234,
         remarks=remarks,
     )  # fmt: skip
+    return Result(header=header, figures=found)
 
 
 def drawn(what: object, width: int) -> list[str]:
@@ -32,7 +38,7 @@ def drawn(what: object, width: int) -> list[str]:
     return [line.rstrip() for line in stream.getvalue().splitlines()]
 
 
-WIDE = figures(np.array([12_345_600, 99_999_400, 500_000_000]), missing=123456, out_of_order=1234)
+WIDE = figures_of_samples(np.array([12_345_600, 99_999_400, 500_000_000]))
 
 
 @pytest.mark.parametrize("width", [80, 100])
@@ -46,8 +52,20 @@ def test_no_number_is_cut_off(width: int) -> None:
 
 
 def test_numbers_stand_in_microseconds_with_the_digits_they_have() -> None:
-    (row,) = drawn(table([result(figures(np.array([-40, 1_234_560, 50_000_000])))]), 100)[3:]
-    assert row.split()[1:] == ["FIFO", "10000Hz", "10000B", "3", "0.0", "17078", "50000", "50000", "50000", "0", "0"]
+    (row,) = drawn(table([result(figures_of_samples(np.array([-40, 1_234_560, 50_000_000])))]), 100)[3:]
+    assert row.split()[1:] == [
+        "FIFO",
+        "10000Hz",
+        "10000B",
+        "3",
+        "0.0",
+        "17078",
+        "50000",
+        "50000",
+        "50000",
+        "123456",
+        "1234",
+    ]
 
 
 def test_parameters_that_are_the_default_and_make_no_name_are_not_told() -> None:
@@ -58,8 +76,8 @@ def test_parameters_that_are_the_default_and_make_no_name_are_not_told() -> None
 
 
 def test_nothing_measured_is_a_dash_and_no_number() -> None:
-    (row,) = drawn(table([result(figures(np.array([], dtype=np.int64), missing=5))]), 100)[3:]
-    assert row.split()[4:] == ["0", "-", "-", "-", "-", "-", "5", "0"]
+    (row,) = drawn(table([result(figures_of_samples(np.array([], dtype=np.int64)))]), 100)[3:]
+    assert row.split()[4:] == ["0", "-", "-", "-", "-", "-", "123456", "1234"]
 
 
 def test_the_answer_is_banner_table_and_what_has_to_be_said_once() -> None:
@@ -85,3 +103,24 @@ def test_a_target_does_not_command_the_terminal() -> None:
     lines = drawn(answer([result(WIDE, ("\x1b[2Jgone\nnew line",), cpu="\x1b]0;x\x07")], emulated=False), 200)
     assert lines[-2].endswith(": ?[2Jgone?new line")
     assert "cpu=?]0;x?" in lines[3]
+
+
+def test_runs_of_the_same_parameters_are_told_apart_by_their_number() -> None:
+    rows = drawn(table([result(WIDE, run=name) for name in ("003-x-FIFO", "007-x-FIFO", "imported")]), 200)[3:]
+    assert [re.search(r"10000B (run=\S+)", row)[1] for row in rows] == ["run=003", "run=007", "run=imported"]
+    rows = drawn(table([result(WIDE, run="003-x"), result(WIDE, run="007-x", cpu="1")]), 200)[3:]
+    assert not any("run=" in row for row in rows)
+
+
+def test_threads_of_one_run_are_told_apart_by_the_end_of_their_output() -> None:
+    one = result(WIDE)
+    threads = [replace(one, header=replace(one.header, output=f"cyclictest_l10-t{k}")) for k in (0, 1)]
+    assert [row.split()[4] for row in drawn(table(threads), 200)[3:]] == ["#t0", "#t1"]
+
+
+def test_one_timer_is_not_many() -> None:
+    one = result(WIDE)
+    lines = drawn(answer([replace(one, header=replace(one.header, not_fired=1))], emulated=False), 200)
+    assert [line.partition(": ")[2] for line in lines if "timer" in line] == [
+        "1 timer did not fire, it is in no figure"
+    ]

@@ -8,6 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rtfiles.errors import UsageError
+from rtrun.analysis.figures import Figures, IndexedValue, figures_of_histogram
+from rtrun.analysis.histogram import Histogram
 from rtrun.results import gnuplot_lines
 from rtrun.results.gnuplot_log import Log, read_log
 
@@ -69,6 +71,11 @@ def write_log(values: list[int | None], *, suite: str, negative_first: bool, pad
     )
 
 
+def figures_of(log: Log) -> Figures:
+    bins = Histogram(values_ns=log.value_us * 1000, counts=log.count)
+    return figures_of_histogram(bins, top=log.top, lowest=log.lowest)
+
+
 def as_values(log: Log) -> list[int]:
     return [value for value, count in zip(log.value_us.tolist(), log.count.tolist(), strict=True) for _ in range(count)]
 
@@ -81,10 +88,10 @@ def test_cyclic_logs_come_back(tmp_path: Path, values: list[int], old: bool) -> 
     log = read_log(path)
     assert as_values(log) == sorted(values)
     assert (log.suite, log.series) == ("cyclic_timer_tests", "jitter")
-    figures = log.figures()
+    figures = figures_of(log)
     for entry in (*figures.top, *figures.lowest):
-        assert entry.index is None or values[entry.index] == entry.value_us
-    assert [entry.value_us for entry in figures.top] == sorted(values, reverse=True)[:10]
+        assert entry.index is None or 1000 * values[entry.index] == entry.value_ns
+    assert [entry.value_ns // 1000 for entry in figures.top] == sorted(values, reverse=True)[:10]
     assert old or None not in [entry.index for entry in (*figures.top, *figures.lowest)]
 
 
@@ -103,18 +110,19 @@ def test_a_missing_message_is_a_count_and_never_a_number(tmp_path: Path, values:
     assert as_values(log) == sorted(arrived)
     assert log.missing == len(values) - len(arrived)
     assert log.out_of_order == 3
-    assert log.figures().min_us == min(arrived)
-    assert [entry.value_us for entry in log.figures().lowest] == sorted(arrived)[:10]
+    assert figures_of(log).min_ns == 1000 * min(arrived)
+    assert [entry.value_ns // 1000 for entry in figures_of(log).lowest] == sorted(arrived)[:10]
     assert any("stand in the log as -1 us" in remark for remark in log.remarks) == (old and log.missing > 0)
-    for entry in (*log.figures().top, *log.figures().lowest):
-        assert entry.index is None or values[entry.index] == entry.value_us
+    for entry in (*figures_of(log).top, *figures_of(log).lowest):
+        assert entry.index is None or 1000 * values[entry.index] == entry.value_ns
 
 
 def test_a_log_of_2014_with_every_message_missing_has_no_figure(tmp_path: Path) -> None:
     path = tmp_path / "ct_gnuplot_l12_fq50_pl0.log"
     path.write_text(write_log([None] * 12, suite="communication_tests", negative_first=False, padding_2014=True))
-    figures = read_log(path).figures()
-    assert (figures.n, figures.missing, figures.min_us, figures.top, figures.lowest) == (0, 12, None, (), ())
+    log = read_log(path)
+    figures = figures_of(log)
+    assert (figures.n, log.missing, figures.min_ns, figures.top, figures.lowest) == (0, 12, None, (), ())
 
 
 def test_negative_bins_after_the_others_in_comments_are_read(tmp_path: Path) -> None:
@@ -129,12 +137,12 @@ def test_every_real_log_of_2014_is_read() -> None:
     for name, log in found.items():
         assert int(log.count.sum()) + log.missing == log.parameters["repetitions"], name
         assert log.printed is not None
-        assert log.figures().max_us == log.printed.max_us
+        assert figures_of(log).max_ns == 1000 * log.printed.max_us
     log = found[ONESHOT]
     assert log.parameters == {"repetitions": 200, "timeout_us": 1000, "policy": "RR", "busy_mode": 0}
     assert (log.suite, log.series, log.remarks) == ("oneshot_timer_tests", "measured", ())
     assert (log.printed.min_us, log.printed.avg_us, log.printed.max_us) == (14, 42, 273) if log.printed else False
-    assert (log.figures().top[0].index, log.figures().lowest[0].index) == (33, 122)
+    assert (figures_of(log).top[0].index, figures_of(log).lowest[0].index) == (33, 122)
     assert found["oneshot_timer_tests_l50_tm500-tnRTFIFO-bm-measured.log"].parameters["busy_mode"] == 1
 
 
@@ -142,18 +150,18 @@ def test_the_sentinel_of_2014_is_taken_out_and_told() -> None:
     log = read_log(DATA / LATE)
     assert log.printed is not None
     assert log.printed.min_us == -1
-    assert (log.missing, log.figures().n, log.figures().min_us) == (101, 199, 46)
-    assert [entry.value_us for entry in log.figures().lowest[:3]] == [46, 60, 66]
-    assert all(entry.index is None for entry in log.figures().lowest)
-    assert (log.figures().top[0].value_us, log.figures().top[0].index) == (1355, 291)
+    assert (log.missing, figures_of(log).n, figures_of(log).min_ns) == (101, 199, 46_000)
+    assert [entry.value_ns for entry in figures_of(log).lowest[:3]] == [46_000, 60_000, 66_000]
+    assert all(entry.index is None for entry in figures_of(log).lowest)
+    assert figures_of(log).top[0] == IndexedValue(value_ns=1_355_000, index=291)
     assert "101 missing messages stand in the log as -1 us" in log.remarks[0]
 
 
 def test_padded_lists_of_2014_are_cut_and_told() -> None:
-    figures = read_log(DATA / "oneshot_timer_tests_l4_tm5000-tnRTRR-measured.log").figures()
-    assert [(entry.value_us, entry.index) for entry in figures.top] == [(46, 2), (45, 0), (44, 3), (40, None)]
+    figures = figures_of(read_log(DATA / "oneshot_timer_tests_l4_tm5000-tnRTRR-measured.log"))
+    assert [(entry.value_ns // 1000, entry.index) for entry in figures.top] == [(46, 2), (45, 0), (44, 3), (40, None)]
     log = read_log(DATA / "short_cyclic_timer_tests_l5_fq50.log")
-    assert [(entry.value_us, entry.index) for entry in log.figures().top[-2:]] == [(0, 4), (-37, 0)]
+    assert [(entry.value_ns // 1000, entry.index) for entry in figures_of(log).top[-2:]] == [(0, 4), (-37, 0)]
     assert log.remarks == ("11 entries that pad the lists of top and lowest values, as in 2014, are left out",)
 
 
@@ -205,7 +213,7 @@ def test_an_incomplete_log_holds_as_many_as_it_says(tmp_path: Path) -> None:
         read_log(path)
     said = "# Incomplete: 2 of 9 measured, the publisher left, last message seen: 1\n000000"
     path.write_text(text.replace("000000", said, 1))
-    assert read_log(path).remarks == ("incomplete: the publisher left, last message seen: 1",)
+    assert read_log(path).incomplete == "the publisher left, last message seen: 1"
 
 
 def test_a_measured_minus_one_is_no_missing_message(tmp_path: Path) -> None:
@@ -220,8 +228,8 @@ def test_a_measured_minus_one_is_no_missing_message(tmp_path: Path) -> None:
 def test_lists_of_another_series_lend_no_index(tmp_path: Path) -> None:
     log = read_log(altered(tmp_path, ONESHOT, "|273:33|", "|279:33|"))
     assert log.remarks == ("the list of top values does not belong to the bins: its indices are left out",)
-    assert log.figures().top[0].value_us == 273
-    assert log.figures().top[0].index is None
+    assert figures_of(log).top[0].value_ns == 273_000
+    assert figures_of(log).top[0].index is None
 
 
 def test_a_log_cut_off_anywhere_is_refused(tmp_path: Path) -> None:
@@ -251,7 +259,7 @@ def test_huge_values_take_no_memory_for_the_range(tmp_path: Path) -> None:
         "# Measurement results with a total of 2 measurements and a frequency of 50Hz:\n"
         f"000000 \t000001\n{top} \t000001\n\nend\n"
     )
-    assert read_log(path).figures().max_us == top
+    assert figures_of(read_log(path)).max_ns == 1000 * top
 
 
 def test_a_file_too_large_is_refused_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -288,4 +296,4 @@ def test_junk_is_refused_and_nothing_else_happens(tmp_path: Path, data: st.DataO
         assert str(error).startswith(str(path))
     else:
         assert int(log.count.sum()) == 5
-        log.figures()
+        figures_of(log)

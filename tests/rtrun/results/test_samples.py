@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from written import write_communication, write_cyclic, write_oneshot
 
 from rtfiles.errors import UsageError
-from rtrun.results.samples import Series, read_samples
+from rtrun.results.samples import IndexedValues, read_samples
 
 
-def as_pairs(series: Series) -> list[tuple[int, int]]:
+def as_pairs(series: IndexedValues) -> list[tuple[int, int]]:
     return list(zip(series.index.tolist(), series.values_ns.tolist(), strict=True))
 
 
@@ -25,8 +25,6 @@ def test_oneshot_leaves_out_what_did_not_fire_and_keeps_the_indices(tmp_path: Pa
     assert as_pairs(found.series["measured"]) == [(0, 50_000), (1, 60_000), (3, 100)]
     assert as_pairs(found.series["reported"]) == [(0, 58_000), (1, 67_500), (3, -400)]
     assert as_pairs(found.series["difference"]) == [(0, 8000), (1, 7500), (3, -500)]
-    figures = found.figures()["measured"]
-    assert (figures.n, figures.not_fired, figures.max_us, figures.lowest[0].index) == (3, 1, 60.0, 3)
 
 
 def test_cyclic_counts_from_the_exact_period(tmp_path: Path) -> None:
@@ -38,8 +36,8 @@ def test_cyclic_counts_from_the_exact_period(tmp_path: Path) -> None:
 def test_communication_comes_in_sequence_order(tmp_path: Path) -> None:
     found = read_samples(write_communication(tmp_path).with_suffix(".npy"))
     assert as_pairs(found.series["latency"]) == [(0, 200_000), (1, 400_000), (2, 300_000), (3, 100_000)]
-    figures = found.figures()["latency"]
-    assert (figures.n, figures.missing, figures.duplicate, figures.out_of_order) == (4, 1, 1, 1)
+    counts = found.record.counts
+    assert (counts.measured, counts.missing, counts.duplicate, counts.out_of_order) == (4, 1, 1, 1)
 
 
 def change_record(path: Path, **changed: Any) -> None:
@@ -142,7 +140,7 @@ def test_incomplete_samples_miss_what_nobody_knows_of(tmp_path: Path) -> None:
     path = write_communication(tmp_path)
     counts = json.loads(path.read_text())["counts"]
     change_record(path, complete=False, incomplete_reason="the publisher left", counts=counts | {"missing": 0})
-    assert read_samples(path).figures()["latency"].missing == 0
+    assert read_samples(path).record.counts.missing == 0
     change_record(path, counts=counts | {"missing": 2})
     with pytest.raises(UsageError, match="missing: 1 in the rows, 2 in the counts"):
         read_samples(path)

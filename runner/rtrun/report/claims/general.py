@@ -28,8 +28,8 @@ def _random(study: Study) -> Result:
     places, runs = [], []
     for d in study.digests:
         listed = [entry.index for entry in d.figures.top if entry.index is not None]
-        if d.suite in SUITES and d.n >= 1000 and listed:
-            places += [(index + 0.5) / (d.n + len(d.startup) + d.missing + d.not_fired) for index in listed]
+        if d.header.suite in SUITES and d.n >= 1000 and listed:
+            places += [(index + 0.5) / d.loops for index in listed]
             runs.append(d.run)
     if not places:
         return no_runs("run of 1000 measurements or more that lists where its peaks lie")
@@ -80,10 +80,12 @@ def _nanosleep(study: Study) -> Result:
 
 @examines("comm-first-message-worst")
 def _first(study: Study) -> Result:
-    digests = [d for g in select(study, COMMUNICATION) for d in g.digests if d.startup and d.figures.max_ns is not None]
+    digests = [
+        d for g in select(study, COMMUNICATION) for d in g.digests if d.header.startup and d.figures.max_ns is not None
+    ]
     if not digests:
         return no_runs("communication run whose first message came")
-    worst = [d for d in digests if d.figures.max_ns is not None and d.startup[0][0] > d.figures.max_ns]
+    worst = [d for d in digests if d.figures.max_ns is not None and d.header.startup[0].value_ns > d.figures.max_ns]
     low, high = clopper_pearson(len(worst), len(digests), study.confidence)
     finding = Finding.CONFIRMED if low > 0.5 else Finding.REFUTED if high < 0.5 else Finding.UNDECIDED
     return Result(
@@ -140,8 +142,8 @@ def _lost(study: Study) -> Result:
     digests = [d for g in study.groups if g.suite == COMMUNICATION for d in g.digests]
     if not digests:
         return no_runs("communication run")
-    missing, swapped = sum(d.missing for d in digests), sum(d.out_of_order for d in digests)
-    n = sum(d.n + len(d.startup) + d.missing for d in digests)
+    missing, swapped = sum(d.header.missing for d in digests), sum(d.header.out_of_order for d in digests)
+    n = sum(d.loops for d in digests)
     return Result(
         finding=Finding.REFUTED if missing or swapped else Finding.CONFIRMED,
         numbers=f"{missing} missing and {swapped} out of order of {n} messages expected",

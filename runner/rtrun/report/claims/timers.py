@@ -61,8 +61,8 @@ def _ignored(study: Study) -> Result:
     with_rt, without = ([g for g in study.groups if g.suite == ONESHOT and is_rt(g) is rt] for rt in (True, False))
     if not with_rt and not without:
         return no_runs("one-shot run")
-    lost_rt, lost = (sum(d.not_fired for g in side for d in g.digests) for side in (with_rt, without))
-    n_rt, n = (sum(d.n + d.not_fired for g in side for d in g.digests) for side in (with_rt, without))
+    lost_rt, lost = (sum(d.header.not_fired for g in side for d in g.digests) for side in (with_rt, without))
+    n_rt, n = (sum(d.n + d.header.not_fired for g in side for d in g.digests) for side in (with_rt, without))
     upper = clopper_pearson(lost, n, study.confidence)[1]
     if lost_rt:
         finding = Finding.REFUTED
@@ -82,9 +82,9 @@ def _ignored(study: Study) -> Result:
 
 @examines("oneshot-reported-accurate")
 def _reported(study: Study) -> Result:
-    found = [d for d in study.others if d.suite == ONESHOT and d.series == "difference" and d.n]
-    rt = [d for d in found if d.parameters.get("policy", "0") != "0"]
-    without = [d for d in found if d.parameters.get("policy", "0") == "0"]
+    found = [d for d in study.others if d.header.suite == ONESHOT and d.header.series == "difference" and d.n]
+    rt = [d for d in found if d.header.parameters.get("policy", "0") != "0"]
+    without = [d for d in found if d.header.parameters.get("policy", "0") == "0"]
     if not rt:
         return no_runs("one-shot run with real-time priority and reported values")
     mean, peak = max(d.mean_abs_ns or 0.0 for d in rt), max(d.max_abs_ns or 0 for d in rt)
@@ -156,15 +156,15 @@ def _cluster(study: Study) -> Result:
 @examines("cyclic-first-two-negative")
 def _first_two(study: Study) -> Result:
     groups = [g for g in select(study, CYCLIC) if _number(g, "frequency_hz") == 100]
-    digests = [d for g in groups for d in g.digests if d.startup]
+    digests = [d for g in groups for d in g.digests if d.header.startup]
     if not digests:
         return no_runs("cyclic run at 100 Hz that lists its first two periods")
-    hit = [d for d in digests if min(value for value, _ in d.startup) <= -2 * _MS]
+    hit = [d for d in digests if min(value.value_ns for value in d.header.startup) <= -2 * _MS]
     later = [d for d in digests if d.figures.min_ns is not None and d.figures.min_ns <= -2 * _MS]
     finding = Finding.REFUTED if later or not hit else Finding.CONFIRMED
     if not hit and not later and len(digests) < 3:
         finding = Finding.UNDECIDED
-    lowest = min(value for d in digests for value, _ in d.startup)
+    lowest = min(value.value_ns for d in digests for value in d.header.startup)
     return Result(
         finding=finding,
         numbers=f"{len(hit)} of {len(digests)} runs have a jitter below -2 ms in the first two periods (lowest "
@@ -182,8 +182,8 @@ def _kept(study: Study) -> Result:
         period = 1e9 / _number(group, "frequency_hz")
         for d in group.digests:
             if d.figures.mean_ns is not None:
-                drift = d.figures.mean_ns * d.n + sum(value for value, _ in d.startup)
-                found.append((d, drift, abs(drift) <= max(period, _MS), drift / (d.n + len(d.startup))))
+                drift = d.figures.mean_ns * d.n + sum(value.value_ns for value in d.header.startup)
+                found.append((d, drift, abs(drift) <= max(period, _MS), drift / (d.n + len(d.header.startup))))
     if not found:
         return no_runs("cyclic run")
     kept = [fits for _, _, fits, _ in found]

@@ -93,7 +93,7 @@ def _histograms(group: Group, what: str, deadline_ns: int) -> str:
 
 
 def _name(one: Digest) -> str:
-    return one.run if one.output in one.run else f"{one.run} {one.output}"
+    return one.run if one.header.output in one.run else f"{one.run} {one.header.output}"
 
 
 def _quantiles(group: Group, what: str) -> str:
@@ -138,7 +138,7 @@ def _course(one: Digest, what: str) -> str:
     for k, (low, high) in enumerate(zip(course.low_ns, course.high_ns, strict=True)):
         middle = (k + 0.5) * course.width
         points += [(middle, low / 1000), (middle, high / 1000)]
-    skipped = len(one.startup)
+    skipped = len(one.header.startup)
     listed = [e for e in one.figures.top if e.index is not None]
     dots = [((e.index or 0) - skipped, e.value_ns / 1000) for e in listed]
     marks = [

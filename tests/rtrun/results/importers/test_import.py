@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rtfiles.errors import UsageError
 from rtrun.cli import main
 from rtrun.report.study import study
+from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.adopt import adopt
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
@@ -100,7 +101,7 @@ def test_logs_of_2014_become_runs(tmp_path, log, capsys):
     said = capsys.readouterr().out
     assert "not known: the samples" in said
     (group,) = study(tmp_path / "out").groups
-    assert group.n + sum(len(one.startup) for one in group.digests) > 0
+    assert group.n + sum(len(one.header.startup) for one in group.digests) == int(read_log(log).count.sum())
 
 
 def test_what_was_emulated_stays_so(tmp_path):

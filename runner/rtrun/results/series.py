@@ -1,0 +1,217 @@
+"""One series of one output, from samples, a log or an imported histogram: every figure and verdict begins here.
+
+The start-up values are set apart here, so that they stand apart in all that is said of the series.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtfiles.errors import UsageError
+from rtrun.analysis.figures import Figures, IndexedValue, figures_of_histogram, figures_of_samples
+from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.plan.suites import Value
+from rtrun.results.gnuplot_log import Log
+from rtrun.results.importers.histogram_file import Imported
+from rtrun.results.samples import InEffect, Samples
+
+MAIN_SERIES = ("measured", "jitter", "latency")  # what a suite is about; the others show the same from another side
+# Loops at the start of a run that stand apart, as in the thesis: the first message, the first two periods.
+STARTUP_LOOPS = {"latency": 1, "jitter": 2, "grid": 2}
+# Loops without a value that fit into memory; no suite can be asked for more (repetitions in suites.yml).
+MAX_ABSENT = 100_000_000
+_NONE = np.empty(0, np.int64)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Header:
+    """All that is known of a series but its values.
+
+    A file on its own has the file's name for `run`, no `target`, and the `parameters` that it tells. `startup` are the
+    values of the first loops, which are in no figure. `missing`, `out_of_order`, `duplicate` and `not_fired` count what
+    is no value. `incomplete` says why fewer were measured than asked for. `remarks` are sentences on what the file
+    does not tell, or told wrongly and was corrected.
+    """
+
+    run: str
+    target: str = ""
+    suite: str
+    output: str
+    series: str
+    parameters: dict[str, Value]
+    emulated: bool = False
+    startup: tuple[IndexedValue, ...] = ()
+    missing: int = 0
+    out_of_order: int = 0
+    duplicate: int = 0
+    not_fired: int = 0
+    period_ns: float | None = None
+    clock_step_ns: int | None = None
+    in_effect: InEffect | None = None
+    incomplete: str | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def main(self) -> bool:
+        """Whether this is the series that the suite is about."""
+        return self.series in MAIN_SERIES
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SampleSeries:
+    """Values in the order of their loops, shape (n,), without the start-up; `index`, shape (n,), is the loop of each.
+
+    `absent` are the loops that did not fire or whose message is missing, counted from the end of the start-up.
+    """
+
+    header: Header
+    values_ns: Int64s
+    index: Int64s
+    absent: Int64s
+
+    def figures(self) -> Figures:
+        """Figures of the values."""
+        return figures_of_samples(self.values_ns, self.index)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class HistogramSeries:
+    """Counts of values, whose order is not known, without the start-up as far as the file tells which values it were.
+
+    `top` and `lowest` are the values that the file lists with their loop, best first. `absent_count` is the number of
+    loops without a value.
+    """
+
+    header: Header
+    histogram: Histogram
+    top: tuple[IndexedValue, ...]
+    lowest: tuple[IndexedValue, ...]
+    absent_count: int
+
+    def figures(self) -> Figures:
+        """Figures of the counts."""
+        return figures_of_histogram(self.histogram, top=self.top, lowest=self.lowest)
+
+
+Series = SampleSeries | HistogramSeries
+
+
+def series_of_samples(samples: Samples) -> tuple[SampleSeries, ...]:
+    """Every series in samples, the one that the suite is about first.
+
+    Raises UsageError when more loops are without a value than any run can have.
+    """
+    record = samples.record
+    counts = record.counts
+    first = samples.rows[:, 0]
+    period_ns = float(int(first[-1]) - int(first[0])) / (first.size - 1) if first.size > 1 else 0.0
+    found = []
+    for name, values in samples.series.items():
+        apart = STARTUP_LOOPS.get(name, 0)
+        head = int(np.searchsorted(values.index, apart))
+        absent = _NONE
+        if counts.not_fired + counts.missing:
+            if counts.asked - len(values.index) > MAX_ABSENT:
+                raise UsageError(f"{samples.path}: {counts.asked} were asked for, a run has at most {MAX_ABSENT}")
+            absent = _absent(values.index, counts.asked)
+        found.append(
+            SampleSeries(
+                header=Header(
+                    run=samples.path.stem,
+                    suite=record.suite,
+                    output=samples.path.stem,
+                    series=name,
+                    parameters=record.requested,
+                    startup=tuple(
+                        IndexedValue(value_ns=int(value), index=int(index))
+                        for value, index in zip(values.values_ns[:head], values.index[:head], strict=True)
+                    ),
+                    missing=counts.missing,
+                    out_of_order=counts.out_of_order,
+                    duplicate=counts.duplicate,
+                    not_fired=counts.not_fired,
+                    period_ns=period_ns if period_ns > 0 else period_of(record.requested),
+                    clock_step_ns=record.in_effect.clock_step_ns or None,
+                    in_effect=record.in_effect,
+                    incomplete=None if record.complete else record.incomplete_reason or "no reason given",
+                ),
+                values_ns=np.ascontiguousarray(values.values_ns[head:]),
+                index=values.index[head:],
+                absent=absent[absent >= apart] - apart,
+            )
+        )
+    return tuple(found)
+
+
+def _absent(index: Int64s, asked: int) -> Int64s:
+    present = np.zeros(asked, dtype=bool)
+    present[index] = True
+    return np.flatnonzero(~present).astype(np.int64)
+
+
+def series_of_log(log: Log) -> HistogramSeries:
+    """The series in a log.
+
+    A log names the loop of its ten highest and lowest values only: a start-up value among them is set apart, and a
+    remark says so where one is not.
+    """
+    apart = STARTUP_LOOPS.get(log.series, 0)
+    listed = {entry.index: entry for entry in (*log.top, *log.lowest) if entry.index is not None}
+    startup = tuple(listed[index] for index in range(apart) if index in listed)
+    count = log.count.copy()
+    for entry in startup:
+        count[np.searchsorted(log.value_us, entry.value_ns // 1000)] -= 1
+    kept = count > 0
+    remarks = log.remarks
+    if len(startup) < min(apart, int(log.count.sum())):
+        remarks += ("start-up values are not among the listed ones: the figures include them",)
+    return HistogramSeries(
+        header=Header(
+            run=log.path.stem,
+            suite=log.suite,
+            output=log.path.stem,
+            series=log.series,
+            parameters=log.parameters,
+            startup=startup,
+            missing=log.missing,
+            out_of_order=log.out_of_order,
+            duplicate=log.duplicate,
+            not_fired=log.not_fired,
+            period_ns=period_of(log.parameters),
+            incomplete=log.incomplete,
+            remarks=remarks,
+        ),
+        histogram=Histogram(values_ns=log.value_us[kept] * 1000, counts=count[kept]),
+        top=tuple(entry for entry in log.top if entry not in startup),
+        lowest=tuple(entry for entry in log.lowest if entry not in startup),
+        absent_count=log.missing + log.not_fired,
+    )
+
+
+def series_of_histogram(imported: Imported) -> HistogramSeries:
+    """The series in a histogram of another program."""
+    return HistogramSeries(
+        header=Header(
+            run=imported.name,
+            suite=imported.source,
+            output=imported.name,
+            series="latency",
+            parameters=dict(imported.parameters),
+            period_ns=imported.period_ns,
+            remarks=tuple(f"not known: {text}" for text in imported.left_out),
+        ),
+        histogram=imported.histogram,
+        top=(),
+        lowest=(),
+        absent_count=0,
+    )
+
+
+def period_of(parameters: dict[str, Value]) -> float | None:
+    """How long one measurement takes at least, in ns, from the parameters; None when they do not tell."""
+    timeout_us, frequency_hz = parameters.get("timeout_us"), parameters.get("frequency_hz")
+    if isinstance(timeout_us, int) and timeout_us > 0:
+        return timeout_us * 1e3
+    if isinstance(frequency_hz, int) and frequency_hz > 0:
+        return 1e9 / frequency_hz
+    return None
