@@ -1,5 +1,6 @@
 """Real servers for the tests: an sshd on loopback with keys of its own."""
 
+import contextlib
 import os
 import shutil
 import signal
@@ -41,7 +42,13 @@ class Sshd:
 @pytest.fixture(scope="session")
 def sshd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sshd]:
     """A real OpenSSH server for this user, with SFTP and forwarding, on a port of its own."""
-    folder = tmp_path_factory.mktemp("sshd")
+    with serve(tmp_path_factory.mktemp("sshd")) as server:
+        yield server
+
+
+@contextlib.contextmanager
+def serve(folder: Path, wrapper: tuple[str, ...] = ()) -> Iterator[Sshd]:
+    """Run an OpenSSH server whose files are in a folder; `wrapper` is the command that runs it."""
     for name in ("host_key", "client_key"):
         subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", folder / name], check=True)
     shutil.copy(folder / "client_key.pub", folder / "authorized_keys")
@@ -65,7 +72,7 @@ Subsystem sftp internal-sftp
 """
     )
     with (folder / "log").open("wb") as log:
-        process = subprocess.Popen([SSHD, "-D", "-e", "-f", folder / "config"], stdout=log, stderr=log)
+        process = subprocess.Popen([*wrapper, SSHD, "-D", "-e", "-f", folder / "config"], stdout=log, stderr=log)
     try:
         deadline = time.monotonic() + 30
         while True:

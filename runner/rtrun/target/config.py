@@ -1,7 +1,8 @@
 """Target files. A board over SSH and an emulated board become the same `Target`."""
 
 import contextlib
-from collections.abc import Callable, Iterator
+import functools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
@@ -11,8 +12,10 @@ from pydantic import Field
 from rtfiles.config import Config, parse, read_yaml
 from rtfiles.errors import UsageError
 from rtrun.target import qemu
-from rtrun.target.errors import TargetGone
-from rtrun.target.ssh import Address
+from rtrun.target.errors import ConnectionLost, TargetGone
+from rtrun.target.ssh import Address, Connection
+
+Word = Annotated[str, Field(min_length=1)]
 
 
 class _Common(Config):
@@ -41,6 +44,8 @@ class SshConfig(_Common):
     known_hosts: str = "~/.ssh/known_hosts"
     emulated: bool = False
     """True for a virtual machine behind SSH: its timing is no real-time statement."""
+    restart: Annotated[list[Word], Field(min_length=1)] | None = None
+    """Command line on the target that restarts it, for campaigns that ask for several boots."""
 
 
 class QemuConfig(_Common):
@@ -70,6 +75,8 @@ class Target:
     boot_s: float
     """How long it may take until SSH answers for the first time, in seconds."""
     console: Path | None
+    restart: Callable[[Connection], None] | None = None
+    """Asks the target to restart, and returns before it does; None: nobody has said how."""
     failure: Callable[[], TargetGone | None]
     """Why the target is gone for good, as far as can be known without a connection to it; None while it may answer."""
 
@@ -97,6 +104,7 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
             machine = stack.enter_context(qemu.boot(board, console))
             emulated = machine.emulated
             address, failure, console_log = machine.address, machine.failure, machine.console
+            restart: Callable[[Connection], None] | None = machine.reset
             boot_s = 180.0
         else:
             emulated = config.emulated
@@ -109,6 +117,7 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
                 known_hosts=folder / Path(config.known_hosts).expanduser(),
             )
             failure, console_log, boot_s = _no_failure, None, 0.0
+            restart = functools.partial(_restart_by_command, config.restart) if config.restart else None
         yield Target(
             name=config.name,
             emulated=emulated,
@@ -120,12 +129,19 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
             reconnect_s=config.reconnect_s,
             boot_s=boot_s,
             console=console_log,
+            restart=restart,
             failure=failure,
         )
 
 
 def _resolve(folder: Path, path: str | None) -> Path | None:
     return None if path is None else folder / Path(path).expanduser()
+
+
+def _restart_by_command(argv: Sequence[str], connection: Connection) -> None:
+    # The board may be gone before it answers; asked a second time, it would restart once more.
+    with contextlib.suppress(ConnectionLost):
+        connection.check(argv)
 
 
 def _no_failure() -> None:

@@ -66,6 +66,10 @@ class Machine:
     monitor: Path
     console: Path
 
+    def reset(self, _: object = None) -> None:
+        """Restart the board as its reset button does."""
+        qmp.execute(self.monitor, "system_reset")
+
     def failure(self) -> TargetGone | None:
         """Return why the emulator ended, or None while it runs."""
         status = self.process.poll()
