@@ -150,7 +150,7 @@ def _head(folder: Path) -> str:
 
 
 def _configure(yocto: Yocto, build: Path, layers: list[Path], machine: str) -> None:
-    old = not yocto.release.layer_depends
+    old = not yocto.release.modern
     kernel = yocto.profile.machines[machine].kernel
     local = [
         f'MACHINE ?= "{machine}"',
@@ -295,7 +295,7 @@ def test_suites_are_patched_configured_and_compiled(yocto):
 
 
 def test_dry_run_of_the_image(yocto):
-    if not yocto.release.layer_depends:
+    if not yocto.release.modern:
         pytest.skip("BitBake 1.20 starts pseudo even for a dry run, and pseudo is not built")
     said = yocto.run("bitbake", "-n", yocto.profile.image.name)
     counted = re.search(r"Attempted (\d+) tasks of which \d+ didn't need to be rerun and all succeeded", said)
@@ -306,7 +306,7 @@ def test_dry_run_of_the_image(yocto):
 def test_yocto_check_layer(yocto):
     if not os.environ.get("RT_TESTS_CHECK_LAYER"):
         pytest.skip("takes forty minutes: RT_TESTS_CHECK_LAYER=1 asks for it")
-    if not yocto.release.layer_depends:
+    if not yocto.release.modern:
         pytest.skip("dora has no yocto-check-layer")
     mask = _needless(yocto)
     build = yocto.top / "build-check"

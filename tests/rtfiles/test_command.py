@@ -1,5 +1,7 @@
 """What ends a command becomes one line and an exit status."""
 
+import signal
+import time
 import types
 
 import pytest
@@ -39,6 +41,38 @@ def test_what_nobody_expected_is_a_defect_with_a_traceback(capsys, error):
     assert lines[0] == "Traceback (most recent call last):" and "raise error" in " ".join(lines)
     assert not any("\x1b" in line for line in lines)
     assert lines[-1] == "prog: a defect of prog; please report it with the lines above"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_command_that_is_told_to_end_cleans_up(capsys, number):
+    before = signal.getsignal(number)
+    cleaned = []
+
+    def run(_args):
+        try:
+            signal.raise_signal(number)
+            time.sleep(60)
+        finally:
+            cleaned.append(True)
+
+    command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
+    assert dispatch("prog", "A program.", [command], ["do"]) == 130
+    assert cleaned and capsys.readouterr().err == "prog: interrupted\n"
+    assert signal.getsignal(number) == before
+
+
+def test_a_hang_up_that_nohup_ignores(monkeypatch):
+    previous = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+
+        def run(_args):
+            signal.raise_signal(signal.SIGHUP)
+            return 0
+
+        command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
+        assert dispatch("prog", "A program.", [command], ["do"]) == 0
+    finally:
+        signal.signal(signal.SIGHUP, previous)
 
 
 def test_a_pipe_that_breaks_elsewhere_is_no_success(capsys):

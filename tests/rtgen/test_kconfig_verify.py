@@ -10,7 +10,7 @@ import pytest
 from rtfiles.errors import UsageError
 from rtgen.cli import main
 from rtgen.kconfig import data as kconfig
-from rtgen.kconfig import debian
+from rtgen.kconfig import debian_source
 from rtgen.kconfig.fragment import parse_fragment
 from rtgen.kconfig.render import render
 from rtgen.kconfig.tree import open_tree
@@ -24,7 +24,7 @@ def data():
 
 @pytest.fixture(scope="module")
 def tree(data):
-    return debian.open_debian(data)
+    return debian_source.open_debian(data)
 
 
 @pytest.fixture

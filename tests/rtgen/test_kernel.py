@@ -8,7 +8,7 @@ from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import kernel
 from rtgen.cli import main
 from rtgen.kconfig import data as kconfig
-from rtgen.kconfig import debian
+from rtgen.kconfig import debian_source
 from rtgen.kconfig.verify import Mismatch, Verdict
 
 
@@ -23,13 +23,13 @@ def test_only_sections_for_kconfig_are_taken_from_a_patch():
         b"diff --git a/arch/arm/Kconfig b/arch/arm/Kconfig\n--- c\n+++ d\n@@\n+diff --git is quoted here\n"
         b"diff --git a/localversion-rt b/localversion-rt\nnew file mode 100644\n--- /dev/null\n+++ e\n@@\n+-rt64\n"
     )
-    kept = debian.sections(patch)
+    kept = debian_source.sections(patch)
     assert kept.startswith(b"diff --git a/arch/arm/Kconfig") and b"core.c" not in kept
     assert b"+diff --git is quoted here\n" in kept and kept.endswith(b"+-rt64\n")
 
 
 def test_the_tree_has_the_rt_patches_of_the_pinned_version(data):
-    tree = debian.open_debian(data)
+    tree = debian_source.open_debian(data)
     assert tree.release == data.debian.rt_version and tree.kernel == data.debian.kernel
     assert "ARCH_SUPPORTS_RT" in (tree.source / "arch/arm/Kconfig").read_text()
 
@@ -38,7 +38,7 @@ def test_a_version_that_debian_does_not_serve(data, monkeypatch, tmp_path):
     monkeypatch.setenv("META_RT_TESTS_CACHE", str(tmp_path))
     gone = data.debian.model_copy(update={"version": "6.1.1-1"})
     with pytest.raises(InfrastructureError) as raised:
-        debian.downloads(gone)
+        debian_source.downloads(gone)
     message = str(raised.value)
     assert message.startswith("linux-source-6.1=6.1.1-1 and its source cannot be had, served: 6.1.")
     assert "pin another in kconfig/sources.yml" in message
@@ -47,17 +47,17 @@ def test_a_version_that_debian_does_not_serve(data, monkeypatch, tmp_path):
 
 def test_a_file_with_another_checksum_is_refused(data, monkeypatch, tmp_path):
     monkeypatch.setenv("META_RT_TESTS_CACHE", str(tmp_path))
-    monkeypatch.setattr(debian, "run", lambda *_, **__: "")
 
-    def other_bytes(folder, _command):
-        (folder / data.debian.tree.file).write_bytes(b"other")
+    def other_bytes(_command, folder=None):
+        if folder:
+            (folder / data.debian.tree.file).write_bytes(b"other")
 
-    monkeypatch.setattr(debian, "_run_in", other_bytes)
+    monkeypatch.setattr(debian_source, "run", other_bytes)
     found = hashlib.sha256(b"other").hexdigest()
     with pytest.raises(
         InfrastructureError, match=f"{data.debian.tree.file}: sha256 is {found}, kconfig/sources.yml pins"
     ):
-        debian.downloads(data.debian)
+        debian_source.downloads(data.debian)
 
 
 def test_options_that_do_not_hold_are_not_built(data):

@@ -85,7 +85,7 @@ def test_the_panda_gets_a_fine_clock(built):
 
 
 def test_a_second_build_builds_nothing(built, monkeypatch):
-    monkeypatch.setattr(kernel.debian, "unpack", lambda *_, **__: pytest.fail("it builds again"))
+    monkeypatch.setattr(kernel.debian_source, "unpack", lambda *_, **__: pytest.fail("it builds again"))
     data = kconfig.load()
     assert kernel.build(data, "qemu-armv7", kernel.plan(data, "qemu-armv7")) == built
 

@@ -13,7 +13,7 @@ def write_bytes(path: Path, data: bytes, mode: int = 0o644) -> None:
     try:
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
-        error.filename = str(path)  # nobody has heard of the temporary one
+        error.filename = str(path)  # the message has to name the file that was asked for
         raise
     try:
         with os.fdopen(handle, "wb") as stream:
@@ -31,6 +31,25 @@ def write_bytes(path: Path, data: bytes, mode: int = 0o644) -> None:
 def write_text(path: Path, text: str, mode: int = 0o644) -> None:
     """`write_bytes` of UTF-8 text."""
     write_bytes(path, text.encode("utf-8"), mode)
+
+
+def replace_link(path: Path, target: Path | str) -> None:
+    """Make `path` a symbolic link to a target, in one step where another link or file is there.
+
+    Missing folders above it are made. A link that is right already stays as it is. Raises OSError.
+    """
+    if path.is_symlink() and str(path.readlink()) == str(target):
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.unlink(missing_ok=True)
+    temporary.symlink_to(target)
+    try:
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink()
+        error.filename = str(path)
+        raise
 
 
 def sync_folder(folder: Path) -> None:

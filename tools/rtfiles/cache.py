@@ -4,6 +4,7 @@ An entry is a folder ``<root>/<kind>/<hash>``, where root is ``$META_RT_TESTS_CA
 ``${XDG_CACHE_HOME:-~/.cache}/meta-rt-tests``. It appears in one rename, so an interrupted build leaves none.
 """
 
+import contextlib
 import fcntl
 import hashlib
 import os
@@ -23,7 +24,7 @@ def root() -> Path:
 
 
 def digest(parts: Iterable[str | bytes | Path]) -> str:
-    """Hash texts, bytes, files and folders (names, modes and contents, in sorted order) to 16 hex digits."""
+    """The hash of texts, bytes, files and folders (names, modes, contents) in the given order, as 16 hex digits."""
     total = hashlib.sha256()
 
     def add(kind: bytes, data: bytes) -> None:
@@ -52,20 +53,19 @@ def digest(parts: Iterable[str | bytes | Path]) -> str:
 def entry(kind: str, key: str, build: Callable[[Path], None]) -> Path:
     """Return the folder of this kind and key, built by `build(empty folder)` if it is not there yet.
 
-    Two processes that want the same entry build it once. What `build` raises passes through; nothing is left then.
+    Two processes that want the same entry build it once. An exception of `build` passes through and leaves nothing;
+    a killed build leaves its folder, which the next build of any entry removes.
     """
     folder = root() / kind
     final = folder / key
     if final.is_dir():
         return final
     folder.mkdir(parents=True, exist_ok=True)
+    _remove_leftovers()
     with (folder / f".{key}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if final.is_dir():
             return final
-        # What a killed build left: the lock is ours, so nobody works in there.
-        for leftover in folder.glob(f".{key}.tmp-*"):
-            shutil.rmtree(leftover)
         work = Path(tempfile.mkdtemp(dir=folder, prefix=f".{key}.tmp-"))
         try:
             work.chmod(0o755)
@@ -75,3 +75,12 @@ def entry(kind: str, key: str, build: Callable[[Path], None]) -> Path:
             shutil.rmtree(work, ignore_errors=True)
             raise
     return final
+
+
+def _remove_leftovers() -> None:
+    """Remove the folders of killed builds: those whose lock nobody holds."""
+    for leftover in root().glob("*/.*.tmp-*"):
+        key = leftover.name.removeprefix(".").partition(".tmp-")[0]
+        with (leftover.parent / f".{key}.lock").open("w") as lock, contextlib.suppress(BlockingIOError):
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(leftover, ignore_errors=True)

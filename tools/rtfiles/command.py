@@ -1,9 +1,12 @@
 """One way for both programs to parse, dispatch and turn an error into an exit status."""
 
 import argparse
+import contextlib
 import errno
+import signal
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from types import ModuleType
 
 from rtfiles.errors import DEFECT_STATUS, INTERRUPTED_STATUS, InfrastructureError, UsageError
@@ -18,8 +21,9 @@ def dispatch(prog: str, description: str, commands: Sequence[ModuleType], argv: 
 
     A reader of standard output that goes away changes nothing. Output that cannot be written for another reason, as on
     a full disk, is an error of infrastructure, unless the command itself failed: then its own status stands.
+    SIGTERM and SIGHUP end a command as Ctrl-C does, so that it cleans up.
     """
-    with surviving_output() as losses:
+    with surviving_output() as losses, _interruptible():
         try:
             args = _parse(prog, description, commands, argv)
             status = args if isinstance(args, int) else int(args.run(args))
@@ -43,6 +47,24 @@ def dispatch(prog: str, description: str, commands: Sequence[ModuleType], argv: 
             print_note(f"{prog}: standard output: {losses.stdout.strerror}")
             status = status or InfrastructureError.exit_status
         return status
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP raise KeyboardInterrupt; one that the caller ignores (as nohup does) stays ignored."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    numbers = [each for each in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(each) != signal.SIG_IGN]
+    if threading.current_thread() is not threading.main_thread():  # only there may handlers be set
+        numbers = []
+    previous = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
 
 def _parse(

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from rtfiles import atomic, cache
 from rtfiles.errors import InfrastructureError, UsageError
-from rtgen.board.process import run
-from rtgen.kconfig import debian
+from rtgen.kconfig import debian_source
 from rtgen.kconfig.data import Data
 from rtgen.kconfig.fragment import parse_fragment
 from rtgen.kconfig.render import render
 from rtgen.kconfig.tree import CROSS_COMPILE
 from rtgen.kconfig.verify import Verdict, verify_tree
+from rtgen.process import run
 
 SCHEMA = 1
 DEVICE_TREE = "omap4-panda-es-rt.dts"
@@ -29,7 +29,7 @@ BUILD_TIMEOUT_S = 3 * 3600
 
 def plan(data: Data, machine: str) -> Verdict:
     """The .config that would be built: the fragment of the pinned version on the machine's first base, verified."""
-    tree = debian.open_debian(data)
+    tree = debian_source.open_debian(data)
     fragment = parse_fragment(render(data, machine, tree.kernel), "rendered")
     return verify_tree(data, tree, machine, data.machine(machine).bases[0], fragment, None)
 
@@ -46,14 +46,14 @@ def build(data: Data, machine: str, verdict: Verdict) -> Path:
         raise UsageError(f"{verdict.subject}: options do not hold: {', '.join(m.symbol for m in verdict.mismatches)}")
     for tool in (f"{CROSS_COMPILE}gcc", "make", "flex", "bison", "bc", "patch", "xz", "depmod"):
         if shutil.which(tool) is None:
-            raise UsageError(f"{tool} is not installed, see tools/apt-packages.txt")
+            raise InfrastructureError(f"{tool} is not installed, see tools/apt-packages.txt")
     dtbs = data.machine(machine).dtbs
     device_tree = data.folder / "devicetree" / DEVICE_TREE
     compiler = run([f"{CROSS_COMPILE}gcc", "--version"]).splitlines()[0]
     key = cache.digest([data.debian.model_dump_json(), verdict.config, *dtbs, compiler, device_tree, Path(__file__)])
 
     def build_in(folder: Path) -> None:
-        source = debian.unpack(data.debian, folder, whole=True)
+        source = debian_source.unpack(data.debian, folder, whole=True)
         objects = source / "objects"
         objects.mkdir()
         _add_device_tree(source, device_tree)

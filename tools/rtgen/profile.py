@@ -72,8 +72,13 @@ class KernelRecipe(Config):
 
 
 class Release(Config):
-    """What a Yocto release expects of a layer."""
+    """What a Yocto release expects of a layer; releases.yml explains each fact.
 
+    `modern`: BitBake and meta-ros as they are since 2022, with catkin-native, ros_distro classes, linux-yocto-rt, and
+    the newer names of variables and exceptions; false for those of 2013.
+    """
+
+    modern: bool
     separator: Literal[":", "_"]
     unpack_folder: str
     ros_distros: Strings

@@ -4,17 +4,16 @@ import hashlib
 import json
 import os
 import shutil
-import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from rtfiles import atomic, cache
 from rtfiles.config import read_yaml
-from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.errors import UsageError
 from rtgen.board import sysroot
 from rtgen.board.machine import machines
+from rtgen.process import run
 
 SCHEMA = 1
 HERE = Path(__file__).parent
@@ -64,7 +63,7 @@ def toolchain(machine: str) -> Toolchain:
         compiler = "arm-linux-gnueabihf-g++"
         root = sysroot.build()
         return Toolchain(compiler, root, (version(compiler), str(root)))
-    listing = say(["dpkg-query", "--show", *HOST_PACKAGES])
+    listing = run(["dpkg-query", "--show", *HOST_PACKAGES])
     return Toolchain("g++", None, (version("g++"), listing))
 
 
@@ -99,7 +98,8 @@ def build(machine: str, place: Path) -> Path:
 
     # The record names the machine, so each has its entry.
     entry = cache.entry("suites", f"{machine}-{key}", build_in)
-    return link(place, machine, entry)
+    atomic.replace_link(place / machine, entry)
+    return place / machine
 
 
 def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) -> None:
@@ -124,12 +124,13 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
     definitions = [f"-D{name}={value}" for name, value in options.items()]
     # Paths below the temporary folder are told apart by nothing else than its name: ccache may look past it.
     environment = {
+        **os.environ,
         "CCACHE_BASEDIR": str(temporary),
         "CCACHE_NOHASHDIR": "1",
         "ROS_LANG_DISABLE": ROS_LANG_DISABLE,
     }
-    say(["cmake", "-G", "Ninja", "-S", str(source), "-B", str(work), *definitions], environment)
-    say(["ninja", "-C", str(work), "install"], environment)
+    run(["cmake", "-G", "Ninja", "-S", str(source), "-B", str(work), *definitions], environment=environment)
+    run(["ninja", "-C", str(work), "install"], environment=environment)
 
 
 def collect(stage: Path, result: Path) -> None:
@@ -156,47 +157,6 @@ def describe(folder: Path) -> dict[str, dict[str, int | str]]:
     }
 
 
-def link(place: Path, name: str, target: Path) -> Path:
-    """Point `place`/`name` at a folder, replacing an older link in one step."""
-    final = place / name
-    if final.is_symlink() and final.readlink() == target:
-        return final
-    place.mkdir(parents=True, exist_ok=True)
-    fresh = place / f".{name}.{os.getpid()}"
-    fresh.unlink(missing_ok=True)
-    fresh.symlink_to(target)
-    try:
-        fresh.replace(final)
-    except OSError as error:
-        fresh.unlink()
-        raise InfrastructureError(f"{final}: cannot be replaced by a link: {error.strerror}") from error
-    return final
-
-
 def version(compiler: str) -> str:
     """The first line of what a compiler says of itself."""
-    return say([compiler, "--version"]).splitlines()[0]
-
-
-def say(command: Sequence[str], environment: Mapping[str, str] | None = None) -> str:
-    """Run a tool and return its output, errors among it.
-
-    Raises UsageError when it is not installed, InfrastructureError with what it last said when it fails.
-    """
-    try:
-        done = subprocess.run(
-            command,
-            env={**os.environ, **(environment or {})},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            check=False,
-        )
-    except FileNotFoundError as error:
-        raise UsageError(f"{command[0]} is not installed, see tools/apt-packages.txt") from error
-    if done.returncode != 0:
-        words = "\n  ".join(done.stdout.strip().splitlines()[-20:])
-        raise InfrastructureError(f"exit status {done.returncode} of {' '.join(command)}\n  {words}")
-    return done.stdout
+    return run([compiler, "--version"]).splitlines()[0]

@@ -17,8 +17,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, then print the table. 0: every run is ok, 3: some run failed or the target did."""
-    import signal
-
     from rtfiles.errors import InfrastructureError
     from rtfiles.output import console, print_line
     from rtrun.execution import campaign_runner, progress
@@ -33,8 +31,6 @@ def run(args: argparse.Namespace) -> int:
     results: Path = args.results or Path("results") / campaign.name
     if args.fresh:
         results = _fresh(results)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _interrupt)
     run_directory.make_results(results)
     statuses: dict[str, str] = {}
     try:
@@ -65,7 +61,3 @@ def _fresh(results: Path) -> Path:
     while (candidate := results.with_name(f"{results.name}-{number}")).exists():
         number += 1
     return candidate
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt

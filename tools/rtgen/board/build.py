@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from rtfiles import atomic, cache
-from rtfiles.errors import InfrastructureError
-from rtgen.board import debian, disk, initrd
+from rtgen import debian
+from rtgen.board import disk, initrd
 from rtgen.board.kernel import Kernel, built_kernel, debian_kernel
 from rtgen.board.machine import Machine, find, machines
 
@@ -18,36 +18,23 @@ HERE = Path(__file__).parent
 def build(name: str, place: Path, built: bool = False) -> Path:
     """Build the board of this machine; return `place`/<name>, a link to it in the cache.
 
-    It runs Debian's kernel or, if `built`, the one of `rtgen kernel build`. About a minute the first time (and the
-    kernel's build), nothing when nothing changed. Raises UsageError for an unknown machine or a missing
-    right or tool, InfrastructureError when a package or tool fails.
+    It runs Debian's kernel or, if `built`, the one of `rtgen kernel build`. The first build takes about a minute, and
+    that of the kernel; an unchanged board is taken from the cache. Raises UsageError for an unknown machine or when
+    this user may not unpack packages, InfrastructureError when a package or tool fails.
     """
-    machine = find(name)
-    # Who waits for the lock of another build waits here, before anything is downloaded.
-    folder = assemble(name, machine, built_kernel(name) if built else debian_kernel())
-    place.mkdir(parents=True, exist_ok=True)
-    link = place / name
-    if link.is_symlink() and link.readlink() == folder:
-        return link
-    fresh = place / f".{name}.{os.getpid()}"
-    fresh.unlink(missing_ok=True)
-    fresh.symlink_to(folder)
-    try:
-        fresh.replace(link)
-    except OSError as error:
-        fresh.unlink()
-        raise InfrastructureError(f"{link}: cannot be replaced by a link to the board: {error.strerror}") from error
-    return link
+    folder = assemble(name, find(name), built_kernel(name) if built else debian_kernel())
+    atomic.replace_link(place / name, folder)
+    return place / name
 
 
 def assemble(name: str, machine: Machine, kernel: Kernel) -> Path:
-    """Return the cached folder of a machine with a kernel, made if need be."""
-    inputs = [HERE / name for name in ("debian.py", "disk.py", "kernel.py", "packages.yml", "applets.txt", "root")]
+    """The folder of a board in the cache: this machine with this kernel."""
+    recipe = [HERE / name for name in ("disk.py", "kernel.py", "packages.yml", "applets.txt", "root")]
     modules = list(machines().modules)
     identity = [*map(str, debian.source()), kernel.release, *modules]
     root = cache.entry(
         "disk",
-        cache.digest([*identity, kernel.config, kernel.image, *inputs]),
+        cache.digest([*identity, kernel.config, kernel.image, Path(debian.__file__), *recipe]),
         lambda folder: disk.build(kernel, modules, folder),
     )
 
@@ -71,7 +58,7 @@ def assemble(name: str, machine: Machine, kernel: Kernel) -> Path:
 def board_record(
     name: str, machine: Machine, kernel: Kernel, packages: dict[str, str], host_key: str
 ) -> dict[str, Any]:
-    """What board.json says; docs/formats.md describes it."""
+    """The content of board.json, which docs/formats.md describes."""
     return {
         "schema": SCHEMA,
         "machine": name,

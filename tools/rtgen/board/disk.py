@@ -8,9 +8,10 @@ import sys
 from pathlib import Path
 
 from rtfiles.errors import InfrastructureError
-from rtgen.board import debian
+from rtgen import debian
 from rtgen.board.kernel import Kernel
-from rtgen.board.process import run
+from rtgen.board.packages import packages
+from rtgen.process import run
 
 # Our own files: /etc, in the form they have on the board.
 OVERLAY = Path(__file__).with_name("root")
@@ -27,7 +28,7 @@ def build(kernel: Kernel, modules: list[str], folder: Path) -> None:
     """Make root.img, the key id_ed25519 that opens it, and its host key's public half in an empty folder."""
     tree = folder / "tree"
     tree.mkdir()
-    extracted = debian.packages()
+    extracted = packages()
     debian.extract(sorted(extracted.root), tree, extracted.dropped)
     add_places(tree)
     add_tools(tree)

@@ -1,13 +1,17 @@
-"""The kernel a rehearsal board runs, as a value: Debian's ready-made one, or the one of our own fragment."""
+"""The kernel that a rehearsal board runs: Debian's ready-made one, or the one built from our fragment."""
 
+import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from rtfiles import cache
 from rtfiles.errors import InfrastructureError
-from rtgen.board import debian
-from rtgen.board.process import run
+from rtgen import debian
+from rtgen import kernel as kernel_build
+from rtgen.board.packages import packages
+from rtgen.kconfig import data as kconfig
+from rtgen.process import run
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,7 @@ class Kernel:
 
 def debian_kernel() -> Kernel:
     """Debian's PREEMPT_RT kernel, from the cache or downloaded (about 10 s)."""
-    names = sorted(debian.packages().kernel)
+    names = sorted(packages().kernel)
     key = cache.digest(["kernel", *names, *map(str, debian.source()), Path(debian.__file__), Path(__file__)])
 
     def build(folder: Path) -> None:
@@ -61,14 +65,9 @@ def built_kernel(board: str) -> Kernel:
 
     Raises UsageError when no fragment is for this board, or its options do not hold.
     """
-    import json
-
-    from rtgen import kernel
-    from rtgen.kconfig import data as kconfig
-
     data = kconfig.load()
     machine = data.fragment_of(board)
-    folder = kernel.build(data, machine, kernel.plan(data, machine))
+    folder = kernel_build.build(data, machine, kernel_build.plan(data, machine))
     release = json.loads((folder / "kernel.json").read_text(encoding="utf-8"))["release"]
     return Kernel(
         release=release,

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from rtfiles import cache
-from rtgen.board import debian
+from rtgen import debian
+from rtgen.board.packages import packages
 
 
 def build() -> Path:
@@ -12,7 +13,7 @@ def build() -> Path:
     Built once (about 30 s, network) and kept in the cache. Raises UsageError or InfrastructureError as
     `debian.extract` does.
     """
-    names = sorted(debian.packages().sysroot)
+    names = sorted(packages().sysroot)
     key = cache.digest(["sysroot", *names, *map(str, debian.source()), Path(debian.__file__), Path(__file__)])
 
     def build_in(folder: Path) -> None:

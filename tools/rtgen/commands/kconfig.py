@@ -85,7 +85,7 @@ def _verify(args: argparse.Namespace) -> int:
         return _verify_config(args, data)
     if args.fragment and not args.machine:
         raise UsageError("kconfig verify: --fragment FILE needs --machine, for the bases it is put on")
-    from rtgen.kconfig import debian
+    from rtgen.kconfig import debian_source
     from rtgen.kconfig.fragment import parse_fragment
     from rtgen.kconfig.render import render
     from rtgen.kconfig.tree import open_tree
@@ -93,7 +93,7 @@ def _verify(args: argparse.Namespace) -> int:
 
     machines = {name: data.machine(name) for name in ([args.machine] if args.machine else data.machines)}
     given = load_fragment(args.fragment) if args.fragment else None
-    tree = debian.open_debian(data) if args.source == "debian" else open_tree(Path(args.source))
+    tree = debian_source.open_debian(data) if args.source == "debian" else open_tree(Path(args.source))
     failed = False
     for name, machine in machines.items():
         rendered = parse_fragment(render(data, name, tree.kernel), "rendered")

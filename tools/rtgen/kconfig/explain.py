@@ -7,7 +7,6 @@ process environment and runs the compiler where it stands, so `explain` runs thi
 import difflib
 import json
 import re
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
@@ -16,7 +15,9 @@ from typing import IO, Any
 
 import kconfiglib
 
+from rtfiles.errors import InfrastructureError
 from rtgen.kconfig.tree import Tree, environment
+from rtgen.process import run
 
 # Words of newer Kconfig languages that kconfiglib 14.1 does not know: the first has an older spelling, the second
 # only matters to a config that is carried over from an older kernel.
@@ -32,14 +33,13 @@ def explain(tree: Tree, config: str, wanted: Mapping[str, str]) -> dict[str, str
         return {}
     with tempfile.TemporaryDirectory(prefix="rtgen-explain-") as work:
         Path(work, ".config").write_text(config, encoding="utf-8")
-        done = subprocess.run(
-            [sys.executable, "-m", __name__, json.dumps(dict(wanted))],
-            cwd=work, env=environment(tree), capture_output=True, text=True, timeout=600, check=False,
-        )  # fmt: skip
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        return dict.fromkeys(wanted, f"no explanation, kconfiglib cannot read this tree: {last}")
-    reasons: dict[str, str] = json.loads(done.stdout)
+        command = [sys.executable, "-m", __name__, json.dumps(dict(wanted))]
+        try:
+            output = run(command, folder=Path(work), environment=environment(tree))
+        except InfrastructureError as error:
+            last = str(error).splitlines()[-1].strip()
+            return dict.fromkeys(wanted, f"no explanation, kconfiglib cannot read this tree: {last}")
+    reasons: dict[str, str] = json.loads(output)
     return reasons
 
 

@@ -8,13 +8,13 @@ import fnmatch
 import os
 import re
 import shutil
-import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 from rtfiles import cache
 from rtfiles.errors import InfrastructureError, UsageError
+from rtgen.process import run
 
 CROSS_COMPILE = "arm-linux-gnueabihf-"
 
@@ -119,9 +119,7 @@ def read_version(path: Path) -> tuple[str, str]:
 def environment(tree: Tree) -> dict[str, str]:
     """What the kernel's Makefile would hand to Kconfig."""
     compiler = f"{CROSS_COMPILE}gcc"
-    if not shutil.which(compiler):
-        raise InfrastructureError(f"{compiler} is missing: apt-get install gcc-arm-linux-gnueabihf")
-    version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=True).stdout
+    version = run([compiler, "--version"])
     tools = {name: f"{CROSS_COMPILE}{name.lower()}" for name in ("LD", "NM", "AR", "OBJCOPY", "READELF")}
     return {
         "PATH": os.environ.get("PATH", os.defpath),
@@ -150,15 +148,13 @@ def run_conf(tree: Tree, defconfig: str) -> str:
     with tempfile.TemporaryDirectory(prefix="rtgen-conf-") as work:
         given, made = Path(work, "defconfig"), Path(work, ".config")
         given.write_text(defconfig, encoding="utf-8")
-        done = subprocess.run(
-            [tree.folder / "conf", f"--defconfig={given}", tree.source / "Kconfig"],
-            cwd=work, env=environment(tree) | {"KCONFIG_CONFIG": str(made)},
-            capture_output=True, text=True, timeout=600, check=False,
-        )  # fmt: skip
-        if done.returncode or not made.is_file():
-            reason = (done.stderr or done.stdout).strip().splitlines()
-            raise InfrastructureError(f"{tree.name}: conf failed: {reason[-1] if reason else done.returncode}")
-        return made.read_text(encoding="utf-8")
+        settings = environment(tree) | {"KCONFIG_CONFIG": str(made)}
+        command: list[str | Path] = [tree.folder / "conf", f"--defconfig={given}", tree.source / "Kconfig"]
+        try:
+            run(command, folder=Path(work), environment=settings)
+            return made.read_text(encoding="utf-8")
+        except (InfrastructureError, FileNotFoundError) as error:
+            raise InfrastructureError(f"{tree.name}: conf failed: {error}") from error
 
 
 def _walk(path: Path) -> list[str]:
@@ -185,11 +181,7 @@ def _build_conf(folder: Path) -> None:
          *[source for source in sources if source.is_file()], "lexer.lex.c", "parser.tab.c"],
     ]  # fmt: skip
     for step in steps:
-        if not shutil.which(step[0]):
-            raise InfrastructureError(f"{step[0]} is missing: apt-get install {step[0]}")
-        done = subprocess.run(step, cwd=work, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise InfrastructureError(f"building the kernel's conf failed: {step[0]}: {done.stderr.strip()}")
+        run(step, folder=work)
     shutil.rmtree(work)
 
 

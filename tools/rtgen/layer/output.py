@@ -60,8 +60,7 @@ def write(tree: Tree, out: Path) -> Outcome:
         if isinstance(content, Link):
             link = _relative(content, path)
             if not target.is_symlink() or str(target.readlink()) != link:
-                target.unlink(missing_ok=True)
-                target.symlink_to(link)
+                atomic.replace_link(target, link)
                 written += 1
         elif target.is_symlink() or _read(target) != content:
             atomic.write_text(target, content)

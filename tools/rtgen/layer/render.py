@@ -68,9 +68,8 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         "release": release,
         "o": release.separator,
         "kas_version": KAS_VERSION,
-        # BitBake takes nothing else from the environment; the variable was renamed in 2022.
-        "env_names": "BB_ENV_PASSTHROUGH_ADDITIONS" if release.layer_depends else "BB_ENV_EXTRAWHITE",
-        "native_catkin": bool(release.layer_depends),
+        # The variable that lists what else BitBake takes from the environment; it was renamed in 2022.
+        "env_names": "BB_ENV_PASSTHROUGH_ADDITIONS" if release.modern else "BB_ENV_EXTRAWHITE",
         "layers": layer_names(profile),
         "in_layer": IN_LAYER,
     }
@@ -131,7 +130,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         )
         if release.own_u_boot:
             add(f"{layer}/recipes-bsp/u-boot/u-boot-panda_2024.01.bb", "recipes-bsp/u-boot-panda.bb")
-    if release.layer_depends:
+    if release.modern:
         panda = profile.machines.get("pandaboard-es")
         add(
             f"{kernels}/linux-yocto-rt_%.bbappend",

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from rtfiles import cache
 from rtfiles.errors import InfrastructureError
-from rtgen.board.debian import source
-from rtgen.board.process import run
+from rtgen.debian import source
 from rtgen.kconfig.data import Data, DebianSource
 from rtgen.kconfig.tree import Tree, open_tree, wanted
+from rtgen.process import run
 
 _SERIES = "debian/patches-rt"
 
@@ -84,8 +84,8 @@ def downloads(pinned: DebianSource) -> Path:
         package = f"{pinned.tree.package}={pinned.version}"
         packaging = f"{pinned.source}={pinned.version}"
         try:
-            _run_in(folder, ["apt-get", *options, "download", package])
-            _run_in(folder, ["apt-get", *options, "source", "--diff-only", "--download-only", packaging])
+            run(["apt-get", *options, "download", package], folder=folder)
+            run(["apt-get", *options, "source", "--diff-only", "--download-only", packaging], folder=folder)
         except InfrastructureError as error:
             served = run(["apt-cache", *options, "madison", str(pinned.tree.package)])
             versions = ", ".join(
@@ -125,10 +125,6 @@ def _private_apt(folder: Path, pinned: DebianSource) -> list[str]:
         "Acquire::Languages": "none", "APT::Sandbox::User": "",
     }  # fmt: skip
     return [f"-o{key}={value}" for key, value in settings.items()]
-
-
-def _run_in(folder: Path, command: list[str]) -> None:
-    run(["env", f"--chdir={folder}", *command])
 
 
 def _extract_wanted(archive: Path, tree: Path) -> None:

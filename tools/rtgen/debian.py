@@ -5,45 +5,26 @@ import platform
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
 from urllib.parse import unquote
 
-from pydantic import StringConstraints
-
-from rtfiles.config import Config, load
 from rtfiles.errors import InfrastructureError, UsageError
-from rtgen.board.process import run
+from rtgen.process import run
 
 ARCHITECTURE = "armhf"
 
-# What neither a board nor a compiler reads; a third of all bytes.
+# Folders that neither a board nor a compiler reads: a third of all bytes.
 DROPPED = ("usr/share/doc", "usr/share/man", "usr/share/locale", "usr/share/info", "usr/share/lintian", "dev")
 
-# Where mmdebstrap is made to write down what it unpacked.
+# The file in which a hook of mmdebstrap lists the packages that were unpacked.
 LIST = "packages.list"
-
-Reason = Annotated[str, StringConstraints(min_length=1)]
-
-
-class Packages(Config):
-    """packages.yml: name of each Debian package, or pattern of files left out, and the reason."""
-
-    root: dict[str, Reason]
-    kernel: dict[str, Reason]
-    sysroot: dict[str, Reason]
-    dropped: dict[str, Reason]
-
-
-def packages() -> Packages:
-    """Read packages.yml."""
-    return load(Path(__file__).with_name("packages.yml"), Packages)
 
 
 def source() -> tuple[str, str | None]:
-    """Suite and mirror line (as in sources.list) to take packages from.
+    """The suite to take packages from, and the mirror as a line of sources.list.
 
-    On Debian the machine's own mirror of its release. Only the main suite: it is enough, and the security suite's
-    armhf index may be out of step with it. Elsewhere Debian 12 and no mirror line: mmdebstrap knows the default.
+    On Debian these are the machine's own release and mirror. Only the main suite is used: it has everything, and the
+    security suite's armhf index may not match it. On other systems the suite is Debian 12's, and the mirror is None:
+    mmdebstrap then uses its default.
     """
     system = platform.freedesktop_os_release()
     if system.get("ID") != "debian" or "VERSION_CODENAME" not in system:
@@ -56,9 +37,9 @@ def source() -> tuple[str, str | None]:
 
 
 def mirror_line(listing: str, suite: str) -> str | None:
-    """Find Debian's own mirror in lines ``origin|URI|release|component``; None if there is none.
+    """The line of sources.list for Debian's mirror in lines ``origin|URI|release|component``; None if there is none.
 
-    An origin reads ``$(ORIGIN)`` as long as the index has not been fetched: the URI decides then.
+    Before apt has fetched an index, its origin reads ``$(ORIGIN)``; then the URI decides.
     """
     for line in listing.splitlines():
         origin, uri, release, component = line.split("|")
@@ -69,10 +50,7 @@ def mirror_line(listing: str, suite: str) -> str | None:
 
 
 def extraction_mode() -> str:
-    """How mmdebstrap may unpack here: ``root`` or, as a user, ``unshare``. UsageError says what is missing."""
-    for tool in ("mmdebstrap", "tar"):
-        if shutil.which(tool) is None:
-            raise UsageError(f"{tool} is not installed: apt-get install {tool}")
+    """The mode in which mmdebstrap may unpack here: ``root`` or, as a user, ``unshare``. UsageError if neither."""
     if os.geteuid() == 0:
         return "root"
     if shutil.which("newuidmap") is None:
@@ -88,11 +66,11 @@ def extraction_mode() -> str:
 
 
 def extract(names: list[str], folder: Path, dropped: Iterable[str] = ()) -> None:
-    """Unpack packages and what they depend on into an existing folder, every file owned by the caller.
+    """Unpack packages and their dependencies into an existing folder; the caller owns every file.
 
-    Left out are documentation, translations and what `dropped` names (patterns of tar). Absolute symbolic links
-    become relative, so that they stay inside. Raises UsageError when this user may not unpack, InfrastructureError
-    when mmdebstrap fails (network, disk).
+    Documentation, translations and files that match `dropped` (patterns of tar) are left out. Absolute symbolic links
+    become relative, so that they stay in the folder. Raises UsageError when this user may not unpack,
+    InfrastructureError when mmdebstrap fails (network, disk).
     """
     mode = extraction_mode()
     suite, mirror = source()
@@ -111,7 +89,7 @@ def extract(names: list[str], folder: Path, dropped: Iterable[str] = ()) -> None
 
 
 def relink(folder: Path) -> None:
-    """Make every absolute symbolic link below a folder relative to its place, the folder being the root."""
+    """Make every absolute symbolic link below a folder relative; the folder stands for the root of the file system."""
     for parent, folders, files in os.walk(folder):
         for name in folders + files:
             link = Path(parent, name)
@@ -127,6 +105,6 @@ def installed(folder: Path) -> dict[str, str]:
 
 
 def versions(archives: list[str]) -> dict[str, str]:
-    """Package names and versions in names of .deb files, ``name_version_architecture.deb``; others are no package."""
+    """Package names and versions from file names ``name_version_architecture.deb``; other names are ignored."""
     parts = [unquote(name).split("_") for name in archives if name.endswith(".deb")]
     return {name: version for name, version, _ in parts}

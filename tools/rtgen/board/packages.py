@@ -1,0 +1,24 @@
+"""The Debian packages that the board and the sysroot are made of, read from packages.yml."""
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import StringConstraints
+
+from rtfiles.config import Config, load
+
+Reason = Annotated[str, StringConstraints(min_length=1)]
+
+
+class Packages(Config):
+    """packages.yml: the name of each package, or a pattern of files that are left out, and the reason."""
+
+    root: dict[str, Reason]
+    kernel: dict[str, Reason]
+    sysroot: dict[str, Reason]
+    dropped: dict[str, Reason]
+
+
+def packages() -> Packages:
+    """Read packages.yml."""
+    return load(Path(__file__).with_name("packages.yml"), Packages)

@@ -1,0 +1,69 @@
+"""The one way in which rtgen starts other programs."""
+
+import contextlib
+import os
+import shlex
+import signal
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rtfiles.errors import InfrastructureError
+
+TIMEOUT_S = 900
+# How long a program may take to clean up after SIGTERM; mmdebstrap removes its mounts and files then.
+GRACE_S = 20
+SHOWN_LINES = 20
+
+
+def run(
+    command: Sequence[str | Path],
+    *,
+    stdin: bytes | None = None,
+    folder: Path | None = None,
+    environment: Mapping[str, str] | None = None,
+    timeout_s: float = TIMEOUT_S,
+) -> str:
+    """Run a program in a folder and return its standard output. `environment` replaces ours.
+
+    When the time is over or we are interrupted, the program gets SIGTERM and `GRACE_S` to clean up; then whatever it
+    started is killed. It also gets SIGTERM when we are killed. Raises InfrastructureError when it is not installed,
+    takes too long, or fails; the message ends with the last lines of its output.
+    """
+    arguments = [str(word) for word in command]
+    try:
+        process = subprocess.Popen(
+            ["setpriv", "--pdeathsig", "TERM", *arguments],
+            stdin=subprocess.DEVNULL if stdin is None else subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            cwd=folder,
+            env=environment,
+            process_group=0,
+        )
+    except FileNotFoundError as error:
+        raise InfrastructureError("setpriv is not installed, see tools/apt-packages.txt") from error
+    try:
+        output, errors = process.communicate(stdin, timeout=timeout_s)
+    except BaseException as error:
+        _end(process)
+        if isinstance(error, subprocess.TimeoutExpired):
+            raise InfrastructureError(f"{arguments[0]} did not end within {timeout_s:g} s") from error
+        raise
+    if process.returncode == 127:
+        raise InfrastructureError(f"{arguments[0]} is not installed, see tools/apt-packages.txt")
+    if process.returncode != 0:
+        lines = (output + errors).decode(errors="replace").strip().splitlines()[-SHOWN_LINES:] or ["(no output)"]
+        text = "\n  ".join(lines)
+        raise InfrastructureError(f"exit status {process.returncode} of {shlex.join(arguments)}\n  {text}")
+    return output.decode(errors="replace")
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.communicate(timeout=GRACE_S)
+    # The program may have left others behind, which hold its output open.
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
