@@ -19,8 +19,9 @@ import pytest
 import rtgen.suites
 from rtfiles.config import read_yaml
 from rtgen.board import sysroot
+from rtgen.checkout import checkout
 from rtgen.layer import output
-from rtgen.layer.render import SUITES_FILE, render, suite_recipes
+from rtgen.layer.render import render, suite_recipes
 from rtgen.profile import Profile, Release, load_profile, profile_names
 
 pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(7200)]
@@ -287,7 +288,7 @@ def test_suites_are_patched_configured_and_compiled(yocto):
         }
         # do_install would need pseudo.
         subprocess.run(["cmake", "--install", work / "build"], env=os.environ | {"DESTDIR": str(stage)}, check=True)
-    for suite, described in read_yaml(SUITES_FILE)["suites"].items():
+    for suite, described in read_yaml(checkout() / "recipes-tests/suites.yml")["suites"].items():
         for program in described["programs"]:
             binary = stage / "opt" / "ros" / "noetic" / "lib" / suite / program
             said = subprocess.run(["file", "-b", binary], capture_output=True, text=True, check=True).stdout

@@ -10,7 +10,8 @@ import rtgen.cli
 import rtgen.suites
 import rtrun.cli
 from rtgen.board import sysroot
-from rtgen.layer.render import REPOSITORY, suite_recipes
+from rtgen.checkout import checkout
+from rtgen.layer.render import suite_recipes
 from rtgen.profile import DEFAULT_PROFILE, load_profile
 
 pytestmark = [pytest.mark.bitbake, pytest.mark.qemu, pytest.mark.ros, pytest.mark.timeout(1200)]
@@ -40,7 +41,7 @@ def test_programs_of_the_recipes_measure_on_the_board(make_build, tmp_path, monk
     suites = tmp_path / "suites"
     suites.mkdir()
     rtgen.suites.collect(build.folder / "tmp" / "stage" / "opt" / "ros" / "noetic", suites)
-    shutil.copyfile(REPOSITORY / "recipes-tests" / "suites.yml", suites / "suites.yml")
+    shutil.copyfile(checkout() / "recipes-tests" / "suites.yml", suites / "suites.yml")
     (suites / "build.json").write_text(json.dumps({"schema": 1, "machine": "qemu-armv7"}))
 
     monkeypatch.chdir(tmp_path)

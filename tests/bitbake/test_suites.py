@@ -8,7 +8,8 @@ import pytest
 
 import rtgen.suites
 from rtgen.board import sysroot
-from rtgen.layer.render import REPOSITORY, suite_recipes
+from rtgen.checkout import checkout
+from rtgen.layer.render import suite_recipes
 from rtgen.profile import load_profile
 
 pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(900)]
@@ -63,8 +64,8 @@ def test_layer_works_outside_the_repository(make_build):
     build = make_build("scarthgap-noetic", "qemuarm", local=tools())
     shutil.rmtree(build.layer)
     (build.layer.parent / "recipes-tests").unlink()
-    shutil.copytree(REPOSITORY / "meta-rt-tests", build.layer, symlinks=True)
-    shutil.copytree(REPOSITORY / "recipes-tests", build.layer.parent / "recipes-tests")
+    shutil.copytree(checkout() / "meta-rt-tests", build.layer, symlinks=True)
+    shutil.copytree(checkout() / "recipes-tests", build.layer.parent / "recipes-tests")
     answer = build.bitbake(tasks=tasks("rt-tests-support")[:2])
     assert answer["recipes"]["oneshot-timer-tests"]["skipped"] is None
     assert next(build.folder.glob("tmp/work/rt-tests-support/*/rt_tests_support/package.xml")).is_file()

@@ -9,7 +9,20 @@ import pytest
 import rtgen
 
 TOP = Path(rtgen.__file__).parent
-ROOMS = ("process", "debian", "profile", "flash", "kconfig", "kernel", "board", "suites", "layer", "commands", "cli")
+ROOMS = (
+    "checkout",
+    "process",
+    "debian",
+    "profile",
+    "flash",
+    "kconfig",
+    "kernel",
+    "board",
+    "suites",
+    "layer",
+    "commands",
+    "cli",
+)
 
 
 def imported_rooms(path: Path) -> Iterator[str]:

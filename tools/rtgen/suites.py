@@ -13,6 +13,7 @@ from rtfiles.config import read_yaml
 from rtfiles.errors import UsageError
 from rtgen.board import sysroot
 from rtgen.board.machine import machines
+from rtgen.checkout import checkout
 from rtgen.process import run
 
 SCHEMA = 1
@@ -38,11 +39,8 @@ class Toolchain:
 
 
 def sources() -> Path:
-    """The folder recipes-tests. Raises UsageError where only the Python packages are installed."""
-    folder = (HERE / "suites.yml").resolve().parent
-    if not (folder / SUPPORT / "package.xml").is_file():
-        raise UsageError(f"{folder}: no sources of the suites there; run rtgen from a checkout (pip install -e .)")
-    return folder
+    """The folder recipes-tests. Raises UsageError as `checkout` does."""
+    return checkout() / "recipes-tests"
 
 
 def packages() -> list[str]:

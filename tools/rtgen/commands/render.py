@@ -19,11 +19,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from rtfiles.output import print_line, print_note, print_text
+    from rtgen.checkout import checkout
     from rtgen.layer import output
-    from rtgen.layer.render import REPOSITORY, render
+    from rtgen.layer.render import render
     from rtgen.profile import load_profile, profile_path
 
-    out = args.out or REPOSITORY
+    out = args.out or checkout()
     profile, release = load_profile(args.profile)
     tree = render(profile_path(args.profile).stem, profile, release, prefix=output.prefix_in_git(out))
     if args.check:

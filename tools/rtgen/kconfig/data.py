@@ -9,8 +9,7 @@ from pydantic import Field, field_validator
 
 from rtfiles import config
 from rtfiles.errors import UsageError
-
-FOLDER = Path(__file__).resolve().parents[3] / "kconfig"
+from rtgen.checkout import checkout
 
 _VERSION = r"\d+\.\d+"
 _VALUE = re.compile(r'[ymn]|-?\d+|0x[0-9a-fA-F]+|"[^"]*"')
@@ -153,12 +152,13 @@ def version_key(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in version.split("."))
 
 
-def load(folder: Path = FOLDER) -> Data:
-    """Read ``kernels.yml``, ``machines.yml``, ``sources.yml`` and ``options/*.yml``.
+def load(folder: Path | None = None) -> Data:
+    """Read ``kernels.yml``, ``machines.yml``, ``sources.yml`` and ``options/*.yml`` (folder: ``kconfig/``).
 
-    Raises UsageError for what is malformed, for a concern without a file, and for a symbol that two options give to
-    one machine and kernel.
+    Raises UsageError for a malformed file, for a concern without a file, for a symbol that two options give to one
+    machine and kernel, and as `checkout` does.
     """
+    folder = folder or checkout() / "kconfig"
     data = Data(
         folder=folder,
         kernels=config.load(folder / "kernels.yml", _Kernels).kernels,

@@ -7,7 +7,8 @@ from pathlib import Path, PurePosixPath
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
-from rtgen.layer.render import REPOSITORY, SOURCES_LINK, Link, Tree, is_ours
+from rtgen.checkout import checkout
+from rtgen.layer.render import SOURCES_LINK, Link, Tree, is_ours
 from rtgen.profile import LAYER
 
 OWNED = (LAYER,)  # folders that hold nothing but the rendering
@@ -71,7 +72,7 @@ def write(tree: Tree, out: Path) -> Outcome:
         _remove_empty(file, out)
     linked = [link.target for link in tree.values() if isinstance(link, Link) and not (out / link.target).exists()]
     for path in linked:
-        (out / path).symlink_to((REPOSITORY / path).resolve())
+        (out / path).symlink_to((checkout() / path).resolve())
     return Outcome(written=written, removed=tuple(removed), linked=tuple(out / path for path in linked))
 
 

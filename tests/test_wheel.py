@@ -1,0 +1,116 @@
+"""Every command of both programs, installed from the built wheel where nothing of the checkout is in reach.
+
+What works there works; what renders from the repository says in one line that it needs a checkout.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+import pytest
+from report.campaigns import write_campaign
+
+import rtgen.cli
+import rtrun.cli
+
+TOP = Path(__file__).parents[1]
+CHECKOUT = "rtgen: this needs a checkout of meta-rt-tests, not the Python package alone: run make there\n"
+CAMPAIGN = "schema: 1\nname: test\nruns: [{suite: cyclic_timer_tests, frequency_hz: 100, repetitions: 100}]\n"
+# Nothing listens on the discard port of loopback.
+TARGET = "schema: 1\nname: none\nkind: ssh\nhost: 127.0.0.1\nport: 9\nuser: root\nhost_key: SHA256:" + "A" * 43 + "\n"
+
+# Arguments, exit status, and words on standard output or standard error.
+COMMANDS = [
+    ("rtgen --help", 0, "Generate images"),
+    ("rtgen profiles", 0, "scarthgap-noetic"),
+    ("rtgen new-profile mine.yml", 0, "mine.yml: a copy of"),
+    ("rtgen explain", 2, CHECKOUT),
+    ("rtgen render", 2, CHECKOUT),
+    ("rtgen render --check", 2, CHECKOUT),
+    ("rtgen render --out out", 2, CHECKOUT),
+    ("rtgen kconfig render", 2, CHECKOUT),
+    ("rtgen kconfig render --check", 2, CHECKOUT),
+    ("rtgen kconfig verify --source debian", 2, CHECKOUT),
+    ("rtgen kernel build --machine qemu-armv7", 2, CHECKOUT),
+    ("rtgen suites build", 2, CHECKOUT),
+    ("rtgen board build --kernel built", 2, CHECKOUT),
+    ("rtgen board build", 0, "build/board/qemu-armv7"),
+    ("rtgen flash --image none.wic --device /dev/null", 2, "none.wic: No such file"),
+    ("rtrun --help", 0, "Measure"),
+    ("rtrun plan campaign.yml", 0, "1 runs"),
+    ("rtrun run campaign.yml --target target.yml", 3, "127.0.0.1"),
+    ("rtrun probe --target target.yml", 3, "127.0.0.1"),
+    ("rtrun check-rt target.yml", 3, "127.0.0.1"),
+    ("rtrun show results", 0, "oneshot_timer"),
+    ("rtrun report results", 0, "report.html"),
+    ("rtrun gate results", 1, "failed"),
+    ("rtrun compare results results", 0, "NO DIFFERENCE"),
+    ("rtrun claims results", 0, "test:"),
+    ("rtrun import 2014.log --out imported", 0, "imported/"),
+]
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the programs that pip installed from the wheel."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    ignored = shutil.ignore_patterns("__pycache__", "*.egg-info", "build")
+    for name in ("tools", "runner", "recipes-tests"):
+        shutil.copytree(TOP / name, source / name, symlinks=True, ignore=ignored)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(TOP / name, source)
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder), str(source)]
+    subprocess.run(build, check=True, capture_output=True)
+    shutil.rmtree(source)
+    (wheel,) = folder.glob("*.whl")
+    venv.create(folder / "venv", symlinks=True)
+    python = folder / "venv/bin/python"
+    install = [*pip, "--python", str(python), "install", "--no-deps", "--no-index", str(wheel)]
+    subprocess.run(install, check=True, capture_output=True)
+    # The dependencies are those of this environment. Python reads the .pth files of its own folder alone, so the
+    # checkout that is installed in this environment stays out.
+    (own,) = (folder / "venv").glob("lib/python*/site-packages")
+    (own / "dependencies.pth").write_text(f"{sysconfig.get_paths()['purelib']}\n")
+    return folder / "venv/bin"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("work")
+    (folder / "campaign.yml").write_text(CAMPAIGN)
+    (folder / "target.yml").write_text(TARGET)
+    write_campaign(folder / "results", n=500)
+    name = "oneshot_timer_tests_l50_tm2000-measured.log"
+    shutil.copy(TOP / "tests/data/2014" / name, folder / "2014.log")
+    return folder
+
+
+@pytest.mark.parametrize(("command", "status", "words"), COMMANDS, ids=[command for command, _, _ in COMMANDS])
+def test_command(programs: Path, folder: Path, command: str, status: int, words: str) -> None:
+    program, *arguments = command.split()
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    done = subprocess.run(
+        [programs / program, *arguments],
+        cwd=folder,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == status, done.stdout + done.stderr
+    assert words in done.stdout + done.stderr
+    if status == 2:
+        assert done.stderr.count("\n") == 1
+
+
+def test_every_command_is_here() -> None:
+    given = {tuple(command.split()[:2]) for command, _, _ in COMMANDS}
+    for program, commands in (("rtgen", rtgen.cli.COMMANDS), ("rtrun", rtrun.cli.COMMANDS)):
+        assert {(program, command.NAME) for command in commands} <= given
