@@ -207,9 +207,9 @@ def test_a_reset_and_then_a_power_cut_in_the_middle_of_a_run(tmp_path):
     (first,) = read_run(results / runs[0].name).results[:1]
     assert first.figures.n + len(first.header.startup) == 10 and abs(first.figures.max_ns) < 60e9
     assert any("the target was restarted" in note for note in observer.notes)
-    assert run_directory.status(results / runs[1].name) == "ok"
+    assert run_directory.closing_record(results / runs[1].name).status == "ok"
     kept = results / f"{runs[1].name}.incomplete-1"
-    assert kept.is_dir() and run_directory.status(kept) is None
+    assert kept.is_dir() and run_directory.closing_record(kept) is None
 
     def quit_in_the_second(machine, number):
         if number == 1:

@@ -24,6 +24,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report import terminal
     from rtrun.results import run_directory
     from rtrun.results.reading import read_runs
+    from rtrun.results.record import RunStatus
     from rtrun.target.config import connect, read_target
 
     campaign, runs = read_campaign(args.campaign)
@@ -32,12 +33,12 @@ def run(args: argparse.Namespace) -> int:
     if args.fresh:
         results = _fresh(results)
     run_directory.make_results(results)
-    statuses: dict[str, str] = {}
+    statuses: dict[str, RunStatus] = {}
     try:
         with progress.showing(runs, console()) as shown:
             if campaign_runner.finished(results, runs) == len(runs):
                 shown.note(f"all {len(runs)} runs are finished in {results}; --fresh measures again beside them")
-                statuses = {each.name: "ok" for each in runs}
+                statuses = {each.name: RunStatus.OK for each in runs}
             else:
                 with connect(config, args.target.parent, results / "console.log") as target:
                     statuses = campaign_runner.run_campaign(target, campaign.name, runs, results, shown)
@@ -48,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         raise
     found = read_runs(results)
     console().print(terminal.answer_of_runs(found), crop=False)
-    bad = [f"{name}: {status}" for name, status in statuses.items() if status != "ok"]
+    bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
     for line in bad:
         print_line(line)
     return InfrastructureError.exit_status if bad else 0

@@ -45,9 +45,10 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
     from rtfiles.errors import UsageError
     from rtrun.report import terminal
     from rtrun.results import reading
+    from rtrun.results.record import is_closed
 
     if path.is_dir():
-        if reading.is_closed(path) or not any(child.is_dir() for child in path.iterdir()):
+        if is_closed(path) or not any(child.is_dir() for child in path.iterdir()):
             one = reading.read_run(path)
             return {"schema": 1, **_run_data(one)}, terminal.answer_of_run(one), ()
         found = reading.read_runs(path)

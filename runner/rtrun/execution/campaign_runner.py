@@ -15,6 +15,7 @@ from rtfiles.errors import UsageError
 from rtrun.execution import journal, preparation, resumption, run_execution
 from rtrun.plan.campaign import Run
 from rtrun.results import run_directory
+from rtrun.results.record import RunStatus
 from rtrun.target.config import Target
 from rtrun.target.kernel_trace import tracing
 from rtrun.target.link import Link, TargetRebooted
@@ -34,7 +35,7 @@ class Observer(Protocol):
     """Whoever shows the user how far a campaign is."""
 
     def began(self, number: int, run: Run) -> None: ...
-    def ended(self, number: int, run: Run, status: str, reason: str | None) -> None: ...
+    def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None: ...
     def note(self, text: str) -> None: ...
 
 
@@ -46,8 +47,8 @@ def run_campaign(
     observer: Observer,
     *,
     now: Clock = utc_now,
-) -> dict[str, str]:
-    """Measure every run that is not finished yet and return run name to status: ``ok``, ``failed``, ``incomplete``.
+) -> dict[str, RunStatus]:
+    """Measure every run that is not finished yet and return run name to status.
 
     Raises UsageError when the folder holds another campaign, TargetError when the target cannot go on. What was
     finished before is kept in either case, and another call goes on behind it.
@@ -60,7 +61,7 @@ def run_campaign(
                 f"{results}: holds another campaign (its file or target has changed since): "
                 "give another folder with --results, or --fresh"
             )
-        statuses = {run.name: found for run in runs if (found := run_directory.status(results / run.name)) == "ok"}
+        statuses = {run.name: RunStatus.OK for run in runs if _is_finished(results / run.name)}
         todo = [(number, run) for number, run in enumerate(runs) if run.name not in statuses]
         if statuses and todo:
             observer.note(f"going on in {results}: {len(statuses)} of {len(runs)} runs are finished")
@@ -78,30 +79,31 @@ def run_campaign(
                 observer.began(number, run)
                 folder = results / run.name
                 for trial in range(1, ATTEMPTS + 1):
-                    closed = run_directory.entry(folder, "attempt")
+                    closed = run_directory.closing_record(folder)
                     log.note(now().isoformat(), run.name, "began")
                     try:
                         if prepared is None:
                             prepared = prepared_stack.enter_context(preparing())
                         with tracing(link, prepared.scripts, run.parameters):
-                            status, reason = run_execution.measure(prepared, log.uid, name, run, folder, now)
+                            ended = run_execution.measure(prepared, log.uid, name, run, folder, now)
                     except TargetRebooted as error:
                         prepared_stack.close()
                         prepared = None
                         observer.note(f"{run.name}: {error}")
-                        if run_directory.entry(folder, "attempt") == closed:
+                        record = run_directory.closing_record(folder)
+                        if record is None or record == closed:
                             log.note(now().isoformat(), run.name, "cut off", str(error))
                             if trial == ATTEMPTS:
                                 raise
                             continue
                         # It was closed already: the restart has cut nothing off.
-                        status, reason = run_directory.status(folder) or "", run_directory.entry(folder, "reason")
+                        ended = record
                     except BaseException as error:
                         log.note(now().isoformat(), run.name, "stopped", str(error) or type(error).__name__)
                         raise
-                    log.note(now().isoformat(), run.name, status, reason)
-                    statuses[run.name] = status
-                    observer.ended(number, run, status, reason)
+                    log.note(now().isoformat(), run.name, ended.status, ended.reason)
+                    statuses[run.name] = ended.status
+                    observer.ended(number, run, ended.status, ended.reason)
                     break
             # A runner that was killed may have left something of runs it had closed.
             leftovers = str(target.work_dir / "runs" / log.uid)
@@ -123,4 +125,9 @@ def _alone(results: Path) -> Iterator[None]:
 
 def finished(results: Path, runs: Sequence[Run]) -> int:
     """Return how many runs of a plan are finished in a results folder."""
-    return sum(run_directory.status(results / run.name) == "ok" for run in runs)
+    return sum(_is_finished(results / run.name) for run in runs)
+
+
+def _is_finished(folder: Path) -> bool:
+    closed = run_directory.closing_record(folder)
+    return closed is not None and closed.status is RunStatus.OK

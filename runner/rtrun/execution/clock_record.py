@@ -1,9 +1,14 @@
 """The clock a run was measured with: what it is called, what wakes timers, and its step."""
 
-import json
+import contextlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+from rtfiles.config import read_json
+from rtfiles.errors import UsageError
+from rtrun.results import samples
+from rtrun.results.record import Clock
 
 # Steps of clocksources that are far coarser than what is measured, in ns, rounded up. A finer one tells its step only
 # when it is read in a loop, as the measuring programs do.
@@ -13,10 +18,10 @@ _COARSE_NS = {
 }
 
 
-def record(state: Mapping[str, Any], seen_ns: Iterable[int]) -> dict[str, Any]:
-    """What run.json says of the clock: ``source`` and ``event`` as the kernel names them, ``step_ns``.
+def record(state: Mapping[str, Any], seen_ns: Iterable[int]) -> Clock:
+    """The clock of a run: its source and event device as the kernel names them, and its step.
 
-    `state` is that of `probe.state`, `seen_ns` are the smallest nonzero differences between two readings that the
+    `state` is that of `inspection.state`, `seen_ns` are the smallest nonzero differences between two readings that the
     programs saw. The step is the largest of them, and no smaller than what is known of the clocksource; None when
     neither tells.
     """
@@ -24,16 +29,13 @@ def record(state: Mapping[str, Any], seen_ns: Iterable[int]) -> dict[str, Any]:
     steps = [step for step in seen_ns if step > 0]
     if isinstance(source, str) and source in _COARSE_NS:
         steps.append(_COARSE_NS[source])
-    return {"source": source, "event": state.get("clockevent"), "step_ns": max(steps, default=None)}
+    return Clock(source=source, event=state.get("clockevent"), step_ns=max(steps, default=None))
 
 
 def steps_seen(folder: Path, outputs: Iterable[str]) -> list[int]:
     """The clock steps that programs wrote down in ``<output>.json``, in ns; a program of 2014 writes none."""
     steps = []
     for output in outputs:
-        try:
-            described = json.loads((folder / f"{output}.json").read_text(encoding="utf-8"))
-            steps.append(int(described["in_effect"]["clock_step_ns"]))
-        except (OSError, ValueError, KeyError, TypeError):
-            continue
+        with contextlib.suppress(UsageError):
+            steps.append(read_json(folder / f"{output}.json", samples.Record).in_effect.clock_step_ns)
     return steps

@@ -10,6 +10,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from rtfiles.output import print_line, print_note
 from rtrun.plan.campaign import Run
+from rtrun.results.record import RunStatus
 
 REFRESH_S = 0.5
 # Before a run was seen to its end: copying, starting and stopping takes about this long beside the measuring.
@@ -53,7 +54,7 @@ class PlainProgress:
         del run
         self._estimate.began(number)
 
-    def ended(self, number: int, run: Run, status: str, reason: str | None) -> None:
+    def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None:
         """Print what became of the run."""
         elapsed_s = self._estimate.ended()
         tail = f": {reason}" if reason else ""
@@ -79,7 +80,7 @@ class BarProgress(PlainProgress):
         self._bar.update(self._task, description=f"{number + 1}/{self._total} {run.name}")
         self.refresh()
 
-    def ended(self, number: int, run: Run, status: str, reason: str | None) -> None:
+    def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None:
         """Print what became of the run above the bar."""
         super().ended(number, run, status, reason)
         self.refresh()

@@ -17,6 +17,7 @@ from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Run
 from rtrun.plan.program import Program
 from rtrun.results import run_directory
+from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
 from rtrun.target import inspection, processes, ros_master
 from rtrun.target.errors import DeadlineExpired, StillMeasuring, TargetError
 from rtrun.target.link import OUT_OF_REACH, Link
@@ -32,6 +33,8 @@ SUBSCRIBED_S = 60.0
 # What a load needs to be one: it starts its workers and takes its memory meanwhile.
 LOADED_S = 1.0
 SAMPLER = "sampler"
+# Facts of a target that its state tells under the same names.
+STATED = ("kernel_release", "kernel_version", "machine", "boot_id", "clocksource", "governor", "roscpp_version")
 
 Clock = Callable[[], datetime]
 
@@ -98,8 +101,8 @@ def _sampler(prepared: Prepared, run: Run, remote: PurePosixPath, beside: Sequen
     )
 
 
-def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path, now: Clock) -> tuple[str, str | None]:
-    """Measure one run, or pick it up where it is still going on; return its status and the reason for it.
+def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path, now: Clock) -> RunRecord:
+    """Measure one run, or pick it up where it is still going on; return its record.
 
     The run directory `folder` is closed afterwards. Raises TargetError when the target cannot go on, TargetRebooted
     when this run was cut off by a restart.
@@ -161,45 +164,46 @@ def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path,
         )
         if master_pid != str(begun.master_pid):
             reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
-            verdict = replace(verdict, status="failed", reason=reason)
-        if suites.suite(run.suite).always is not None and verdict.status == "ok":
+            verdict = replace(verdict, status=RunStatus.FAILED, reason=reason)
+        if suites.suite(run.suite).always is not None and verdict.status is RunStatus.OK:
             outputs = baselines.keep_histograms(partial, run, suites.output_name(run.suite, run.parameters))
-        record = {
-            "run": run.name,
-            "campaign": campaign,
-            "attempt": begun.uid,
-            "suite": run.suite,
-            "parameters": dict(run.parameters),
-            "condition": run.condition,
-            "settings": dict(run.settings),
-            "repeat": run.repeat,
-            "seed": run.seed,
-            "emulated": link.target.emulated,
-            "status": verdict.status,
-            "reason": verdict.reason,
-            "requested": in_effect.requested(run, beside),
-            "in_effect": verdict.in_effect,
-            "start_time": begun.start_time,
-            "end_time": now().isoformat(),
-            "programs": [
-                {"name": program.name, "argv": begun.argv[program.name], "exit_status": exit_.status}
+        record = RunRecord(
+            schema=1,
+            run=run.name,
+            campaign=campaign,
+            attempt=begun.uid,
+            suite=run.suite,
+            parameters=dict(run.parameters),
+            condition=run.condition,
+            settings=dict(run.settings),
+            repeat=run.repeat,
+            seed=run.seed,
+            emulated=link.target.emulated,
+            status=verdict.status,
+            reason=verdict.reason,
+            requested=in_effect.requested(run, beside),
+            in_effect=verdict.in_effect,
+            start_time=begun.start_time,
+            end_time=now().isoformat(),
+            programs=[
+                ProgramRecord(name=program.name, argv=begun.argv[program.name], exit_status=exit_.status)
                 for program, exit_ in zip([*others, *waiting], exits, strict=True)
             ],
-            "outputs": outputs,
-            "refused": refused,
-            "target": {
-                "name": link.target.name,
-                "address": str(link.target.address),
-                "preempt_rt": inspection.is_preempt_rt(begun.before),
-                "cpus": prepared.equipment.cpus,
-                **{key: begun.before.get(key) for key in ("kernel_release", "kernel_version", "machine", "boot_id")},
-                **{key: begun.before.get(key) for key in ("clocksource", "governor", "roscpp_version")},
-                "clock": clock_record.record(begun.before, clock_record.steps_seen(partial, outputs)),
-            },
-        }
+            outputs=outputs,
+            refused=refused,
+            target=TargetFacts(
+                name=link.target.name,
+                address=str(link.target.address),
+                preempt_rt=inspection.is_preempt_rt(begun.before),
+                cpus=prepared.equipment.cpus,
+                clock=clock_record.record(begun.before, clock_record.steps_seen(partial, outputs)),
+                **{name: begun.before.get(name) for name in STATED},
+            ),
+            files={},
+        )
         run_directory.close(partial, folder, record)
     link.check(["rm", "-rf", str(remote)])
-    return verdict.status, verdict.reason
+    return record
 
 
 def _begin(prepared: Prepared, remote: PurePosixPath, programs: Sequence[Program], now: Clock) -> Attempt:
@@ -255,6 +259,11 @@ def _start(
     processes.start(link, prepared.scripts, remote, *others, setup=setup)
 
 
+def _attempt(folder: Path) -> str | None:
+    closed = run_directory.closing_record(folder)
+    return closed.attempt if closed else None
+
+
 def _give_up(link: Link, remote: PurePosixPath, names: Sequence[str]) -> None:
     with contextlib.suppress(TargetError):
         processes.give_up(link, remote, names)
@@ -275,7 +284,7 @@ def _left_to_pick_up(
     """
     left = resumption.left(link, remote)
     measuring = not left.started.isdisjoint(last) and not left.given_up
-    if left.attempt and measuring and left.attempt.uid != run_directory.entry(folder, "attempt"):
+    if left.attempt and measuring and left.attempt.uid != _attempt(folder):
         return left.attempt
     if left.cut_off:
         kept = run_directory.unused(folder, "incomplete")

@@ -15,7 +15,8 @@ from rtrun.analysis.histogram import Histogram, merge
 from rtrun.plan.suites import Value, suites
 from rtrun.report.digest import Digest, digest
 from rtrun.results import reading
-from rtrun.results.reading import Record, Source
+from rtrun.results.reading import Source
+from rtrun.results.record import RunRecord, RunStatus, read_record
 
 DEADLINE_NS = 400_000  # of the thesis, section 4.1.2
 PROBABILITY = 1e-6
@@ -89,7 +90,7 @@ class Study:
     confidence: float
     groups: tuple[Group, ...]
     others: tuple[Digest, ...]
-    records: tuple[Record, ...]
+    records: tuple[RunRecord, ...]
     left_out: tuple[str, ...]
 
     @property
@@ -135,12 +136,12 @@ def study(
     source = reading.find_source(path)
     left_out = [f"{name}: incomplete, it has no run.json: nothing in it is analysed" for name in source.incomplete]
     digests: list[Digest] = []
-    records: list[Record] = []
+    records: list[RunRecord] = []
     if not source.folders:
         digests = [digest(series, deadline_ns) for series in reading.read_file(path)]
     for folder in source.folders:
         try:
-            record = reading.read_record(folder)
+            record = read_record(folder)
             records.append(record)
             digests += list(_digests_of_run(folder, record, deadline_ns, left_out))
         except UsageError as error:
@@ -162,9 +163,9 @@ def study(
     )
 
 
-def _digests_of_run(folder: Path, record: Record, deadline_ns: int, left_out: list[str]) -> Iterator[Digest]:
+def _digests_of_run(folder: Path, record: RunRecord, deadline_ns: int, left_out: list[str]) -> Iterator[Digest]:
     """Yield a digest of every complete series of a run; what is left out is told in `left_out`, one line each."""
-    if record.status != "ok":
+    if record.status is not RunStatus.OK:
         left_out.append(f"{record.run}: {record.status}: {record.reason or 'no reason given'}")
         return
     incomplete: dict[str, str] = {}
@@ -240,11 +241,11 @@ def slowest(alike: Sequence[Digest]) -> list[Digest]:
     return list(worst.values())
 
 
-def environment(records: Sequence[Record]) -> list[tuple[str, str]]:
+def environment(records: Sequence[RunRecord]) -> list[tuple[str, str]]:
     """What the runs were made on, each fact once: (what, value or values)."""
     facts: dict[str, dict[str, None]] = {}
     for record in records:
-        for key, value in _flat(record.target):
+        for key, value in _flat(record.target.model_dump(exclude_unset=True)):
             facts.setdefault(key, {})[value] = None
     return [(key, "; ".join(values)) for key, values in facts.items() if len(values) <= 3]
 

@@ -11,7 +11,8 @@ from rich.text import Text
 
 from rtfiles.output import printable
 from rtrun.plan.suites import Value, output_name, suite, suites
-from rtrun.results.reading import RECORD, Result, Run, Runs
+from rtrun.results.reading import Result, Run, Runs
+from rtrun.results.record import FILE
 from rtrun.results.series import Header
 
 EMULATED = "EMULATED: not a real-time statement"
@@ -158,7 +159,7 @@ def answer_of_runs(found: Runs) -> Group:
     """The answer of all runs in a folder: a row for every output, and what was not analysed and why."""
     results = [result for run in found.runs for result in run.results if result.header.main]
     notes = [note for run in found.runs for note in _notes(run)]
-    notes += [f"{name}: incomplete: it has no {RECORD}, nothing in it is analysed" for name in found.incomplete]
+    notes += [f"{name}: incomplete: it has no {FILE}, nothing in it is analysed" for name in found.incomplete]
     return answer(
         results,
         emulated=any(run.record.emulated for run in found.runs),

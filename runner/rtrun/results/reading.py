@@ -3,82 +3,21 @@
 Whatever prints or judges results, terminal or report, takes them from here.
 """
 
-import hashlib
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
 
-from pydantic import Field
-
-from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import Figures
-from rtrun.plan.suites import Value, suite
+from rtrun.plan.suites import suite
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
-from rtrun.results.samples import Count, read_samples
+from rtrun.results.record import FILE, RunRecord, RunStatus, check_file, is_closed, read_record
+from rtrun.results.samples import read_samples
 from rtrun.results.series import Header, Series, period_of, series_of_histogram, series_of_log, series_of_samples
 
-RECORD = "run.json"
 _PUT_ASIDE = re.compile(r"^\.|\.old-[0-9]+$")
-
-Name = Annotated[str, Field(min_length=1, max_length=255)]
-
-
-class Program(Config):
-    """A program that ran."""
-
-    name: str
-    argv: list[str]
-    exit_status: int | None
-
-
-class File(Config):
-    """Size and checksum of a file in the run directory."""
-
-    size_bytes: Count
-    sha256: str
-
-
-class Record(Config):
-    """``run.json``, as docs/formats.md has it; `outputs` are the names, without ending, of what the programs wrote."""
-
-    schema_number: Literal[1] = Field(alias="schema")
-    run: str
-    campaign: str
-    suite: str
-    parameters: dict[str, Value]
-    emulated: bool
-    status: Literal["ok", "failed", "incomplete", "invalid"]
-    reason: str | None
-    start_time: str
-    end_time: str
-    programs: list[Program]
-    outputs: list[Name]
-    target: dict[str, Any]
-    attempt: str = ""
-    condition: str = "idle"
-    settings: dict[str, Value] = Field(default_factory=dict)
-    repeat: int = 1
-    seed: int | None = None
-    requested: dict[str, Any] = Field(default_factory=dict)
-    in_effect: dict[str, Any] = Field(default_factory=dict)
-    refused: dict[str, str] = Field(default_factory=dict)
-    files: dict[Name, File]
-
-    @property
-    def preempt_rt(self) -> bool:
-        """Whether the kernel was PREEMPT_RT; true where nobody has asked it."""
-        return self.target.get("preempt_rt") is not False
-
-    @property
-    def circumstances(self) -> dict[str, Value]:
-        """The parameters, and what was there beside the suite where there was something: runs of one are alike."""
-        condition: dict[str, Value] = {} if self.condition == "idle" else {"condition": self.condition}
-        settings = {key: value for key, value in self.settings.items() if value not in (None, "")}
-        return self.parameters | condition | settings
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -94,7 +33,7 @@ class Run:
     """A closed run: its record, and the results of every output, none when the run failed or is invalid."""
 
     folder: Path
-    record: Record
+    record: RunRecord
     results: tuple[Result, ...]
 
 
@@ -125,30 +64,14 @@ def results_of(found: Iterable[Series]) -> tuple[Result, ...]:
     return tuple(Result(header=one.header, figures=one.figures()) for one in found)
 
 
-def is_closed(folder: Path) -> bool:
-    """Whether a run directory has its closing record; without it, nothing in there may be analysed."""
-    return (folder / RECORD).is_file()
-
-
-def read_record(folder: Path) -> Record:
-    """Read the closing record of a run directory. Raises UsageError when there is none, or it is wrong."""
-    if not is_closed(folder):
-        raise UsageError(f"{folder}: incomplete run, it has no {RECORD}: nothing in it is analysed, run it again")
-    record = read_json(folder / RECORD, Record)
-    for name in [*record.files, *record.outputs]:
-        if name in (".", "..") or "/" in name or "\0" in name:
-            raise UsageError(f"{folder / RECORD}: {name!r} is no name of a file in the run directory")
-    return record
-
-
 def read_run(folder: Path) -> Run:
     """Read a run directory: its record, then the figures of its outputs. Raises UsageError as `read_series` does."""
     record = read_record(folder)
-    of_use = record.status not in ("failed", "invalid")
+    of_use = record.status not in (RunStatus.FAILED, RunStatus.INVALID)
     return Run(folder=folder, record=record, results=results_of(read_series(folder, record)) if of_use else ())
 
 
-def read_series(folder: Path, record: Record) -> Iterator[Series]:
+def read_series(folder: Path, record: RunRecord) -> Iterator[Series]:
     """Yield every series of every output of a run, whose files must be those that the record was closed with.
 
     An output is read from its samples, or, when it has none (the programs of 2014 write none), from its logs. Raises
@@ -157,7 +80,7 @@ def read_series(folder: Path, record: Record) -> Iterator[Series]:
     for output in dict.fromkeys(record.outputs):
         for series in _series_of_output(folder, record, output):
             if series.header.suite != record.suite and f"{output}{ENDING}" not in record.files:
-                raise UsageError(f"{folder / output}: of {series.header.suite}, but {RECORD} says {record.suite}")
+                raise UsageError(f"{folder / output}: of {series.header.suite}, but {FILE} says {record.suite}")
             yield replace(
                 series,
                 header=replace(
@@ -173,7 +96,7 @@ def read_series(folder: Path, record: Record) -> Iterator[Series]:
             )
 
 
-def _series_of_output(folder: Path, record: Record, output: str) -> Iterator[Series]:
+def _series_of_output(folder: Path, record: RunRecord, output: str) -> Iterator[Series]:
     if f"{output}{ENDING}" in record.files:
         check_file(folder, record, output + ENDING)
         yield series_of_histogram(read_histogram(folder / f"{output}{ENDING}"))
@@ -184,38 +107,21 @@ def _series_of_output(folder: Path, record: Record, output: str) -> Iterator[Ser
     else:
         logs = [name for name in log_names(record, output) if name in record.files]
         if not logs:
-            raise UsageError(f"{folder / RECORD}: neither samples nor log of the output {output!r} among its files")
+            raise UsageError(f"{folder / FILE}: neither samples nor log of the output {output!r} among its files")
         for name in logs:
             check_file(folder, record, name)
             yield series_of_log(read_log(folder / name))
 
 
-def target_of(record: Record) -> str:
+def target_of(record: RunRecord) -> str:
     """The target in a few words: runs on another board or kernel are never pooled with these."""
-    facts = [record.target.get(key) for key in ("name", "kernel_release", "kernel_version")]
+    facts = (record.target.name, record.target.kernel_release, record.target.kernel_version)
     return ", ".join(word for word in facts if isinstance(word, str) and word)
 
 
-def log_names(record: Record, output: str) -> list[str]:
+def log_names(record: RunRecord, output: str) -> list[str]:
     """The names of the logs that an output of this run's suite has."""
     return [f"{output}-{log}.log" for log in suite(record.suite).logs] or [f"{output}.log"]
-
-
-def check_file(folder: Path, record: Record, name: str) -> None:
-    """Refuse a file that is not the one the record was closed with."""
-    path = folder / name
-    if name not in record.files:
-        raise UsageError(f"{folder / RECORD}: {name!r} is not among its files")
-    if path.is_symlink() or not path.is_file():
-        raise UsageError(f"{path}: named in {RECORD}, but no such file")
-    try:
-        with path.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise UsageError(f"{path}: {error.strerror}") from error
-    expected = record.files[name]
-    if path.stat().st_size != expected.size_bytes or digest != expected.sha256:
-        raise UsageError(f"{path}: altered since the run was closed: size or checksum is not that in {RECORD}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -245,9 +151,9 @@ def find_source(path: Path) -> Source:
         raise UsageError(f"{path}: {error.strerror}") from error
     closed = tuple(folder for folder in folders if is_closed(folder))
     if not closed:
-        below = sorted({str(record.parent.parent) for record in path.glob(f"*/*/{RECORD}")})
+        below = sorted({str(record.parent.parent) for record in path.glob(f"*/*/{FILE}")})
         raise UsageError(
-            f"{path}: no finished run (one with {RECORD}) in it{', give ' if below else ''}{' or '.join(below)}"
+            f"{path}: no finished run (one with {FILE}) in it{', give ' if below else ''}{' or '.join(below)}"
         )
     return Source(
         path=path, folders=closed, incomplete=tuple(folder.name for folder in folders if folder not in closed)

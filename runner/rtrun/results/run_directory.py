@@ -2,18 +2,14 @@
 
 import contextlib
 import hashlib
-import json
 import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from rtfiles import atomic
-from rtfiles.errors import InfrastructureError
-
-RECORD = "run.json"
-SCHEMA = 1
+from rtfiles.errors import InfrastructureError, UsageError
+from rtrun.results.record import FILE, FileRecord, RunRecord, read_record
 
 
 def make_results(folder: Path) -> None:
@@ -44,16 +40,15 @@ def filling(folder: Path) -> Iterator[Path]:
         raise
 
 
-def close(partial: Path, folder: Path, record: dict[str, Any]) -> None:
+def close(partial: Path, folder: Path, record: RunRecord) -> None:
     """Write run.json with the size and SHA-256 of every file, and give the folder its name."""
     files = {}
     for path in sorted(partial.iterdir()):
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
             os.fsync(stream.fileno())
-        files[path.name] = {"size_bytes": path.stat().st_size, "sha256": digest}
-    text = json.dumps({"schema": SCHEMA, **record, "files": files}, indent=2, allow_nan=False) + "\n"
-    atomic.write_text(partial / RECORD, text)
+        files[path.name] = FileRecord(size_bytes=path.stat().st_size, sha256=digest)
+    atomic.write_text(partial / FILE, record.model_copy(update={"files": files}).to_json())
     rename(partial, folder)
 
 
@@ -73,16 +68,9 @@ def unused(folder: Path, kind: str) -> Path:
     return candidate
 
 
-def status(folder: Path) -> str | None:
-    """Return the status in a closed run directory, or None when it is not closed."""
-    return entry(folder, "status")
-
-
-def entry(folder: Path, key: str) -> str | None:
-    """Return a text of run.json, or None when there is none or the run directory is not closed."""
+def closing_record(folder: Path) -> RunRecord | None:
+    """Return the record of a run directory, or None when it is not closed, or not readable."""
     try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_record(folder)
+    except UsageError:
         return None
-    found = record.get(key) if isinstance(record, dict) else None
-    return found if isinstance(found, str) else None

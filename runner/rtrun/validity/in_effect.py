@@ -12,6 +12,7 @@ from rtfiles.errors import UsageError
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Run
 from rtrun.plan.conditions import Background, cpu_set
+from rtrun.results.record import Observed, Requested, Rival
 from rtrun.results.samples import BESIDE, Record
 from rtrun.target.inspection import POLICIES
 
@@ -115,19 +116,19 @@ def _cpus(word: str) -> frozenset[int]:
     return frozenset() if word == "-" else frozenset(cpu_set(word))
 
 
-def requested(run: Run, beside: Sequence[Background]) -> dict[str, Any]:
+def requested(run: Run, beside: Sequence[Background]) -> Requested:
     """What a run asks for, under the names that `observed` uses; None where it asks for nothing."""
     has_policy = "policy" in run.parameters
     real_time = run.parameters.get("policy", "0") != "0"
-    return {
-        "policy": (run.parameters["policy"] if real_time else "OTHER") if has_policy else None,
-        "priority": (run.parameters["priority"] if real_time else 0) if has_policy else None,
-        "cpus": _list(run.parameters.get("cpu")),
-        "loads": {each.program.name: each.processes for each in beside},
-        "load_cpus": _list(run.settings.get("load_cpu")),
-        "governor": run.settings.get("governor") or None,
-        "busy_percent": _busy_floor(run),
-    }
+    return Requested(
+        policy=(str(run.parameters["policy"]) if real_time else "OTHER") if has_policy else None,
+        priority=(int(run.parameters["priority"] or 0) if real_time else 0) if has_policy else None,
+        cpus=_list(run.parameters.get("cpu")),
+        loads={each.program.name: each.processes for each in beside},
+        load_cpus=_list(run.settings.get("load_cpu")),
+        governor=str(run.settings.get("governor") or "") or None,
+        busy_percent=_busy_floor(run),
+    )
 
 
 def _busy_floor(run: Run) -> int | None:
@@ -139,7 +140,7 @@ def _list(cpus: suites.Value) -> list[int] | None:
     return sorted(cpu_set(str(cpus))) if cpus else None
 
 
-def observed(run: Run, looks: Sequence[Look], records: Mapping[str, Record]) -> dict[str, Any]:
+def observed(run: Run, looks: Sequence[Look], records: Mapping[str, Record]) -> Observed:
     """What was in effect while the suite measured: every value that was seen, of loads the fewest processes.
 
     `records`, by output, are the suite's own word on its threads.
@@ -149,24 +150,23 @@ def observed(run: Run, looks: Sequence[Look], records: Mapping[str, Record]) -> 
     states += [state for record in records.values() for state in _threads(record)]
     names = sorted({name for look in seen for name in look.loads})
     rivals = sorted({rival for look in seen for rival in look.rivals}, key=lambda rival: (-rival[2], rival[0]))
-    return {
-        "policy": sorted({policy for policy, _, _ in states}),
-        "priority": sorted({priority for _, priority, _ in states}),
-        "cpus": sorted({cpu for _, _, cpus in states for cpu in cpus}),
-        "loads": {name: min(look.loads[name][0] if name in look.loads else 0 for look in seen) for name in names},
-        "load_cpus": sorted({cpu for look in seen for _, cpus in look.loads.values() for cpu in cpus}),
-        "governor": sorted({name for look in seen for name in look.governor}),
-        "busy_percent": _busy_percent(seen),
-        "sched_rt_runtime_us": sorted({look.sched_rt_runtime_us for look in seen if look.sched_rt_runtime_us}),
-        "temperature_mc": _range(value for look in seen for value in look.temperature_mc),
-        "frequency_khz": _range(value for look in seen for value in look.frequency_khz),
-        "load_1min": _range(look.load_1min for look in seen),
-        "rivals": [
-            {"name": name, "policy": policy, "priority": priority}
-            for name, policy, priority in rivals[:REPORTED_RIVALS]
+    return Observed(
+        policy=sorted({policy for policy, _, _ in states}),
+        priority=sorted({priority for _, priority, _ in states}),
+        cpus=sorted({cpu for _, _, cpus in states for cpu in cpus}),
+        loads={name: min(look.loads[name][0] if name in look.loads else 0 for look in seen) for name in names},
+        load_cpus=sorted({cpu for look in seen for _, cpus in look.loads.values() for cpu in cpus}),
+        governor=sorted({name for look in seen for name in look.governor}),
+        busy_percent=_busy_percent(seen),
+        sched_rt_runtime_us=sorted({look.sched_rt_runtime_us for look in seen if look.sched_rt_runtime_us}),
+        temperature_mc=_range(value for look in seen for value in look.temperature_mc),
+        frequency_khz=_range(value for look in seen for value in look.frequency_khz),
+        load_1min=_range(look.load_1min for look in seen),
+        rivals=[
+            Rival(name=name, policy=policy, priority=priority) for name, policy, priority in rivals[:REPORTED_RIVALS]
         ],
-        "looks": len(seen),
-    }
+        looks=len(seen),
+    )
 
 
 def _busy_percent(looks: Sequence[Look]) -> float | None:
@@ -174,7 +174,7 @@ def _busy_percent(looks: Sequence[Look]) -> float | None:
     return round(100 * (looks[-1].busy - looks[0].busy) / ticks, 1) if ticks > 0 else None
 
 
-def _range(values: Iterable[float]) -> list[float] | None:
+def _range(values: Iterable[float]) -> list[int | float] | None:
     found = list(values)
     return [min(found), max(found)] if found else None
 
@@ -201,24 +201,24 @@ def mismatch(
             return f"{program}: asked for {_told(asked)}, after {after_s:.0f} s in effect was {_seen(threads)}"
     seen = [look for look in looks if look.threads]
     threads_seen = [threads for look in seen for threads in look.threads.values()]
-    if (asked["loads"] or asked["governor"]) and not seen:
+    if (asked.loads or asked.governor) and not seen:
         return f"nobody saw condition {run.condition} in effect: {_TOO_SHORT}"
-    real_time = asked["policy"] not in (None, "OTHER")
+    real_time = asked.policy not in (None, "OTHER")
     # What writes no json itself must have been seen.
-    if (real_time or asked["cpus"]) and not records and not any(map(right, threads_seen)):
+    if (real_time or asked.cpus) and not records and not any(map(right, threads_seen)):
         return f"nobody saw {_told(asked)} in effect: {_TOO_SHORT}"
-    for name, processes in asked["loads"].items():
+    for name, processes in asked.loads.items():
         for look in seen:
             there, cpus = look.loads.get(name, (0, frozenset()))
             if there < processes:
                 return f"condition {run.condition}: {name} had {there} of {processes} processes while the suite ran"
-            if asked["load_cpus"] and not name.startswith("hold-") and not cpus <= set(asked["load_cpus"]):
-                return f"condition {run.condition}: {name} ran on CPUs {sorted(cpus)}, not on {asked['load_cpus']}"
-    busy, floor = _busy_percent(seen), asked["busy_percent"]
+            if asked.load_cpus and not name.startswith("hold-") and not cpus <= set(asked.load_cpus):
+                return f"condition {run.condition}: {name} ran on CPUs {sorted(cpus)}, not on {asked.load_cpus}"
+    busy, floor = _busy_percent(seen), asked.busy_percent
     if floor is not None and busy is not None and busy < floor:
         return f"condition {run.condition}: the CPUs were {busy} % busy, below {floor} %"
-    if asked["governor"] and (other := {name for look in seen for name in look.governor} - {asked["governor"]}):
-        return f"asked for the governor {asked['governor']}, in effect was {', '.join(sorted(other))}"
+    if asked.governor and (other := {name for look in seen for name in look.governor} - {asked.governor}):
+        return f"asked for the governor {asked.governor}, in effect was {', '.join(sorted(other))}"
     return None
 
 
@@ -248,8 +248,8 @@ def _judge_of(run: Run) -> Callable[[Iterable[State]], bool]:
 
     def fits(state: State) -> bool:
         policy, priority, cpus = state
-        allowed = asked["cpus"] is None or cpus <= set(asked["cpus"])
-        return allowed and (asked["policy"] is None or (policy, priority) == (asked["policy"], asked["priority"]))
+        allowed = asked.cpus is None or cpus <= set(asked.cpus)
+        return allowed and (asked.policy is None or (policy, priority) == (asked.policy, asked.priority))
 
     if "threads" in run.parameters:  # cyclictest: its main thread only waits
         least = int(run.parameters["threads"] or 1)
@@ -259,8 +259,8 @@ def _judge_of(run: Run) -> Callable[[Iterable[State]], bool]:
     return lambda threads: all(map(fits, threads))
 
 
-def _told(asked: Mapping[str, Any]) -> str:
-    return _words(asked["policy"], asked["priority"], asked["cpus"])
+def _told(asked: Requested) -> str:
+    return _words(asked.policy, asked.priority, asked.cpus)
 
 
 def _seen(threads: Iterable[State]) -> str:

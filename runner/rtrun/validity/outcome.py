@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
@@ -12,6 +11,7 @@ from rtrun.plan.campaign import Run
 from rtrun.plan.conditions import Background
 from rtrun.plan.program import Exit, Program
 from rtrun.results.gnuplot_log import read_log
+from rtrun.results.record import Observed, RunStatus
 from rtrun.results.samples import Record, read_samples
 from rtrun.validity import baselines, in_effect
 from rtrun.validity.counts import contradiction
@@ -19,14 +19,11 @@ from rtrun.validity.counts import contradiction
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What became of a run: `status` ok, failed, incomplete or invalid, why, and what was in effect meanwhile.
+    """What became of a run, why, and what was in effect meanwhile."""
 
-    Invalid: it ended well, but not as asked for, or its numbers do not add up. It is never good.
-    """
-
-    status: str
+    status: RunStatus
     reason: str | None
-    in_effect: dict[str, Any]
+    in_effect: Observed
 
 
 def judge(
@@ -47,66 +44,70 @@ def judge(
     """
     records: dict[str, Record] = {}
     looks: list[in_effect.Look] = []
-    status, reason = _of_programs(folder, programs, exits) or ("ok", None)
-    if status == "ok":
-        status, reason = _of_outputs(folder, run, outputs, refused, records) or ("ok", None)
+    reason: str | None
+    status, reason = _of_programs(folder, programs, exits) or (RunStatus.OK, None)
+    if status is RunStatus.OK:
+        status, reason = _of_outputs(folder, run, outputs, refused, records) or (RunStatus.OK, None)
     try:
         looks = in_effect.read_looks(_text(folder / "sampler.stdout"))
         wrong = in_effect.mismatch(run, beside, looks, records)
     except UsageError as error:
         wrong = str(error)
-    if status in ("ok", "incomplete"):
+    if status in (RunStatus.OK, RunStatus.INCOMPLETE):
         for name, exit_status in ended_early.items():
             how = (
                 f"with exit status {exit_status}: {_last_word(folder, name)}" if exit_status else "killed from outside"
             )
             wrong = f"condition {run.condition}: {name} ended in the middle of the run, {how}"
         if wrong is not None:
-            status, reason = "invalid", wrong
+            status, reason = RunStatus.INVALID, wrong
     return Verdict(status=status, reason=reason, in_effect=in_effect.observed(run, looks, records))
 
 
-def _of_programs(folder: Path, programs: Sequence[Program], exits: Sequence[Exit]) -> tuple[str, str] | None:
+def _of_programs(folder: Path, programs: Sequence[Program], exits: Sequence[Exit]) -> tuple[RunStatus, str] | None:
     for program, exit_ in zip(programs, exits, strict=True):
         if exit_.expired:
-            return "failed", f"{program.name} did not end within {program.deadline_s:.0f} s and was ended"
+            return RunStatus.FAILED, f"{program.name} did not end within {program.deadline_s:.0f} s and was ended"
         if exit_.status is None:
-            return "failed", f"{program.name} was killed from outside"
+            return RunStatus.FAILED, f"{program.name} was killed from outside"
         if exit_.status != 0:
-            return "failed", f"{program.name} ended with exit status {exit_.status}: {_last_word(folder, program.name)}"
+            return (
+                RunStatus.FAILED,
+                f"{program.name} ended with exit status {exit_.status}: {_last_word(folder, program.name)}",
+            )
     return None
 
 
 def _of_outputs(
     folder: Path, run: Run, outputs: Sequence[str], refused: Mapping[str, str], records: dict[str, Record]
-) -> tuple[str, str] | None:
+) -> tuple[RunStatus, str] | None:
     """Say what is wrong with the outputs, and put what is known of them into `records`."""
     if suites.suite(run.suite).always is not None:
         wrong = baselines.contradiction(run, _text(folder / f"{run.suite}.stdout"))
-        return ("invalid", wrong) if wrong else None
+        return (RunStatus.INVALID, wrong) if wrong else None
     for output in outputs:
         names = (f"{output}.json", f"{output}.npy")
         if found := [why for name, why in refused.items() if name in names or _is_log(name, output)]:
-            return "failed", found[0]
+            return RunStatus.FAILED, found[0]
         missing = [name for name in names if not (folder / name).exists()]
         log_paths = [path for path in sorted(folder.glob("*.log")) if _is_log(path.name, output)]
         # The programs of 2014 write logs and nothing else.
         if missing and not (len(missing) == 2 and log_paths):
-            return "failed", f"{missing[0]} is missing though its program ended with exit status 0"
-        status = "failed"
+            return RunStatus.FAILED, f"{missing[0]} is missing though its program ended with exit status 0"
+        status = RunStatus.FAILED
         try:
             logs = [read_log(path) for path in log_paths]
             if missing:
                 continue
             records[output] = read_json(folder / names[0], Record)
-            status = "invalid"
+            status = RunStatus.INVALID
             record = read_samples(folder / names[0]).record
         except UsageError as error:
             return status, str(error).replace(f"{folder}/", "")
         if wrong := _asked_otherwise(run, record) or contradiction(record, logs):
-            return "invalid", f"{output}: {wrong}"
+            return RunStatus.INVALID, f"{output}: {wrong}"
         if not record.complete:
-            return "incomplete", f"{output}: {record.incomplete_reason or 'ended before all was measured'}"
+            return RunStatus.INCOMPLETE, f"{output}: {record.incomplete_reason or 'ended before all was measured'}"
     return None
 
 

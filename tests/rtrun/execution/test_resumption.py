@@ -44,7 +44,7 @@ def finished(results):
     return {
         folder.name: {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob("*.npy")}
         for folder in sorted(results.iterdir())
-        if run_directory.status(folder) == "ok" and ".old-" not in folder.name
+        if (closed := run_directory.closing_record(folder)) and closed.status == "ok" and ".old-" not in folder.name
     }
 
 

@@ -76,7 +76,7 @@ def test_what_a_target_says_stays_text(capsysbinary, tmp_path):
     evil = "<script>alert(1)</script>\x1b]0;x\x07 \"'&|`*"
     values = latencies(300, 1)
     parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0, "cpu": evil}
-    target = {"name": evil, "kernel_version": evil, "nested": {"<b>": evil}}
+    target = {"name": evil, "kernel_version": evil, "clock": {"source": f"<b>{evil}", "event": None, "step_ns": None}}
     rows = [oneshot_rows(values, 1000)]
     write_run(tmp_path, "a", "oneshot_timer_tests", rows, parameters, asked=300, target=target, logs=False)
     write_run(tmp_path, "b", "oneshot_timer_tests", rows, parameters, asked=300, status="failed", reason=evil)

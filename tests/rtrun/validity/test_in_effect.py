@@ -50,9 +50,9 @@ def test_what_is_as_asked_for():
     looks = (look(100, thread(), thread(), "governor -", "sched_rt_runtime_us 950000"), look(102), look(104))
     assert wrong(run_of(), *looks) is None
     found = observed(run_of(), read_looks("".join(looks)), {})
-    assert (found["policy"], found["priority"], found["cpus"], found["looks"]) == (["RR"], [95], [0, 1], 3)
-    assert found["sched_rt_runtime_us"] == [950000] and found["frequency_khz"] == [700000, 920000]
-    assert requested(run_of(), [])["policy"] == "RR" and requested(run_of(policy=0), [])["priority"] == 0
+    assert (found.policy, found.priority, found.cpus, found.looks) == (["RR"], [95], [0, 1], 3)
+    assert found.sched_rt_runtime_us == [950000] and found.frequency_khz == [700000, 920000]
+    assert requested(run_of(), []).policy == "RR" and requested(run_of(policy=0), []).priority == 0
 
 
 @pytest.mark.parametrize("other", [thread(0, 0), thread(1, 95), thread(2, 94)])
@@ -81,7 +81,7 @@ def test_a_program_gives_its_priority_up_when_it_has_measured():
     run = run_of(repetitions=30)
     looks = (look(100, thread()), look(103, thread(0, 0)))
     assert wrong(run, *looks) is None
-    assert observed(run, read_looks("".join(looks)), {})["policy"] == ["RR"], "while it measured"
+    assert observed(run, read_looks("".join(looks)), {}).policy == ["RR"], "while it measured"
     assert wrong(run, look(100, thread()), look(100.5, thread(0, 0))) is not None
 
 

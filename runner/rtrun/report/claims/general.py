@@ -181,7 +181,7 @@ def _same(study: Study) -> Result:
 
 @examines("single-cpu-shutdown-stuck", functional=True)
 def _stuck(study: Study) -> Result:
-    single = [record.run for record in study.records if record.target.get("cpus") in (1, "1")]
+    single = [record.run for record in study.records if record.target.cpus == 1]
     if not single:
         return no_runs("run on a target with one CPU")
     return Result(

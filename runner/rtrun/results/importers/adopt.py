@@ -2,16 +2,17 @@
 
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
+from rtrun.plan.suites import Value
 from rtrun.results import run_directory
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, Imported, histogram_text
+from rtrun.results.record import RunRecord, RunStatus, TargetFacts
 
 
 def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tuple[str, ...]]]:
@@ -26,7 +27,7 @@ def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tupl
         output = (
             re.sub(r"-(measured|reported|diff)$", "", path.stem) if log.suite == "oneshot_timer_tests" else path.stem
         )
-        record = _record(name, results, log.suite, dict(log.parameters), [output], emulated)
+        record = _record(name, results, log.suite, log.parameters, [output], emulated)
         folder = _new(results, name)
         with run_directory.filling(folder) as partial:
             shutil.copyfile(path, partial / path.name)
@@ -67,19 +68,21 @@ def _new(results: Path, run: str) -> Path:
 
 
 def _record(
-    run: str, results: Path, suite: str, parameters: dict[str, Any], outputs: Sequence[str], emulated: bool
-) -> dict[str, Any]:
-    return {
-        "run": run,
-        "campaign": results.name,
-        "suite": suite,
-        "parameters": parameters,
-        "emulated": emulated,
-        "status": "ok",
-        "reason": None,
-        "start_time": "unknown",
-        "end_time": "unknown",
-        "programs": [],
-        "outputs": list(outputs),
-        "target": {"name": "imported"},
-    }
+    run: str, results: Path, suite: str, parameters: Mapping[str, Value], outputs: Sequence[str], emulated: bool
+) -> RunRecord:
+    return RunRecord(
+        schema=1,
+        run=run,
+        campaign=results.name,
+        suite=suite,
+        parameters=dict(parameters),
+        emulated=emulated,
+        status=RunStatus.OK,
+        reason=None,
+        start_time="unknown",
+        end_time="unknown",
+        programs=[],
+        outputs=list(outputs),
+        target=TargetFacts(name="imported"),
+        files={},
+    )

@@ -1,0 +1,85 @@
+"""run.json: one type, written and read."""
+
+import json
+
+import pytest
+from written import write_cyclic, write_record
+
+from rtfiles.errors import UsageError
+from rtrun.results import run_directory
+from rtrun.results.record import RunRecord, RunStatus, TargetFacts, read_record, verify
+
+
+def record_of(**changed):
+    told = {
+        "schema": 1,
+        "run": "001-run",
+        "campaign": "demo",
+        "suite": "cyclic_timer_tests",
+        "parameters": {"policy": "RR", "cpu": "", "break_trace_us": None},
+        "emulated": False,
+        "status": RunStatus.OK,
+        "reason": None,
+        "start_time": "unknown",
+        "end_time": "unknown",
+        "programs": [],
+        "outputs": [],
+        "target": TargetFacts(name="board", governor=["performance", "performance"]),
+        "files": {},
+    }
+    return RunRecord(**told | changed)
+
+
+def test_what_is_written_is_what_is_read(tmp_path):
+    folder = tmp_path / "001-run"
+    with run_directory.filling(folder) as partial:
+        (partial / "a.txt").write_text("a")
+        run_directory.close(partial, folder, record_of(reason="\u00e4"))
+    written = read_record(folder)
+    assert written.model_copy(update={"files": {}}) == record_of(reason="\u00e4")
+    assert written.files["a.txt"].size_bytes == 1
+    assert verify(folder) == written
+
+
+def test_the_file_holds_what_was_set_and_null_where_nothing_is(tmp_path):
+    data = json.loads(record_of().to_json())
+    assert data["schema"] == 1 and data["status"] == "ok" and data["reason"] is None
+    assert data["target"] == {"name": "board", "governor": ["performance", "performance"]}
+    assert "requested" not in data, "an imported file was asked for nothing"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"schema": 2}, "schema: Input should be 1"),
+        ({"status": "good"}, "status: Input should be 'ok', 'failed', 'incomplete' or 'invalid'"),
+        ({"target": {"cpus": 2}}, "target.name: Field required"),
+        ({"target": {"name": "board", "cpus": -1}}, "target.cpus"),
+        ({"programs": [{"name": "x"}]}, "programs.0.argv"),
+    ],
+)
+def test_what_is_no_record(tmp_path, change, message):
+    write_record(tmp_path, "cyclic_timer_tests", [], {}, **change)
+    with pytest.raises(UsageError, match=message):
+        read_record(tmp_path)
+    assert run_directory.closing_record(tmp_path) is None
+
+
+@pytest.mark.parametrize("damage", ["removed", "altered", "link", "schema"])
+def test_a_damaged_run_is_not_verified(tmp_path, damage):
+    path = write_cyclic(tmp_path)
+    record = write_record(tmp_path, "cyclic_timer_tests", [path.stem], {})
+    assert verify(tmp_path).status is RunStatus.OK
+    npy = path.with_suffix(".npy")
+    if damage == "schema":
+        record.write_text(record.read_text().replace('"schema": 1', '"schema": 2'))
+    elif damage == "altered":
+        npy.write_bytes(npy.read_bytes()[:-1] + b"x")
+    else:
+        data = npy.read_bytes()
+        npy.unlink()
+        if damage == "link":
+            (tmp_path.parent / "elsewhere.npy").write_bytes(data)
+            npy.symlink_to(tmp_path.parent / "elsewhere.npy")
+    with pytest.raises(UsageError, match=f"{tmp_path}"):
+        verify(tmp_path)
