@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from rtfiles.output import print_line, print_text
-    from rtrun.report.claims.examination import examine_claims
+    from rtrun.report.claims.examiners import examine_claims
     from rtrun.report.study import study
     from rtrun.report.terminal import EMULATED
 

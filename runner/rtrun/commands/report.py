@@ -27,13 +27,13 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import print_bytes, print_line, print_note
     from rtrun.report import document, formats, gate, page
-    from rtrun.report.claims import examination
+    from rtrun.report.claims.examiners import examine_claims
     from rtrun.report.plots import pictures
 
     # The other formats hold neither worst cases nor claims.
     whole = args.format in ("html", "markdown", "json")
     found = ask(args, bounds=whole)
-    examined = examination.examine_claims(found) if whole else ()
+    examined = examine_claims(found) if whole else ()
     said = document.document(found, examined)
     writers = {
         "html": lambda: page.html(found, said).encode(),

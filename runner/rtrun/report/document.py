@@ -9,7 +9,8 @@ from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.analysis.extreme import Bound
 from rtrun.analysis.figures import PERCENTILES, Figures
 from rtrun.analysis.layers import attribute
-from rtrun.report.claims.examination import Examined, is_rt, select, us
+from rtrun.report.claims.examination import is_rt, select, us
+from rtrun.report.claims.examiners import Examined
 from rtrun.report.claims.reference import oneshot_rows, published
 from rtrun.report.digest import Digest
 from rtrun.report.study import Group, Study, environment, told

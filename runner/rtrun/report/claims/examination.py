@@ -1,15 +1,11 @@
-"""The 19 claims of the thesis, each examined on a campaign: confirmed, refuted, or not decided by this data.
+"""What an examiner of a claim works with: its result, the choice of groups and pairs, and their comparison."""
 
-Texts and sections stand in pandaboard-2014.yml; a claim's examiner is the function registered under its id.
-"""
-
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
 from rtrun.analysis.blocks import Blocks
 from rtrun.analysis.comparison import Change, Comparison, Shift, compare
-from rtrun.report.claims.reference import published
 from rtrun.report.study import Group, Study, told
 
 
@@ -29,59 +25,6 @@ class Result:
     numbers: str
     test: str = "none"
     runs: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Examined:
-    """A claim with what was found."""
-
-    id: str
-    section: str
-    text: str
-    result: Result
-
-
-@dataclass(frozen=True, kw_only=True)
-class Examiner:
-    """An examiner; a ``functional`` claim is about what ROS does, not how fast, and may be decided in emulation."""
-
-    examine: Callable[[Study], Result]
-    functional: bool
-
-
-_EXAMINERS: dict[str, Examiner] = {}
-
-
-def examines(
-    claim: str, *, functional: bool = False
-) -> Callable[[Callable[[Study], Result]], Callable[[Study], Result]]:
-    """Register the examiner of a claim."""
-
-    def register(examine: Callable[[Study], Result]) -> Callable[[Study], Result]:
-        _EXAMINERS[claim] = Examiner(examine=examine, functional=functional)
-        return examine
-
-    return register
-
-
-def examine_claims(study: Study) -> tuple[Examined, ...]:
-    """Examine every claim, in the order of the thesis. Timing claims are never decided by emulated runs."""
-    # Importing the modules registers their examiners.
-    from rtrun.report.claims import general, timers  # noqa: F401
-
-    examined = []
-    for claim in published()["claims"]:
-        examiner = _EXAMINERS[claim["id"]]
-        result = examiner.examine(study)
-        if study.emulated and not examiner.functional and result.runs:
-            result = Result(
-                finding=Finding.UNDECIDED,
-                numbers=f"measured on an emulated board, not a real-time statement ({result.numbers})",
-                test=result.test,
-                runs=result.runs,
-            )
-        examined.append(Examined(id=claim["id"], section=claim["section"], text=claim["text"], result=result))
-    return tuple(examined)
 
 
 def no_runs(what: str) -> Result:

@@ -7,7 +7,6 @@ from rtrun.report.claims.examination import (
     Result,
     compared,
     examine_shift,
-    examines,
     no_runs,
     pairs,
     runs_of,
@@ -22,8 +21,7 @@ ONESHOT, COMMUNICATION, CYCLICTEST = "oneshot_timer_tests", "communication_tests
 SUITES = ("cyclic_timer_tests", ONESHOT, COMMUNICATION)
 
 
-@examines("peaks-random")
-def _random(study: Study) -> Result:
+def peaks_random(study: Study) -> Result:
     """Places of the ten highest values of each run, as shares of the run, against the uniform distribution."""
     places, runs = [], []
     for d in study.digests:
@@ -45,8 +43,8 @@ def _random(study: Study) -> Result:
     )
 
 
-@examines("nanosleep-better")
-def _nanosleep(study: Study) -> Result:
+def nanosleep_better(study: Study) -> Result:
+    """The highest value of cyclictest is lower than that of the one-shot timer."""
     timers, base = select(study, ONESHOT, rt=True), select(study, CYCLICTEST)
     if not timers or not base:
         return no_runs(
@@ -78,8 +76,8 @@ def _nanosleep(study: Study) -> Result:
     )
 
 
-@examines("comm-first-message-worst")
-def _first(study: Study) -> Result:
+def comm_first_message_worst(study: Study) -> Result:
+    """The first message is the slowest."""
     digests = [
         d for g in select(study, COMMUNICATION) for d in g.digests if d.header.startup and d.figures.max_ns is not None
     ]
@@ -97,8 +95,8 @@ def _first(study: Study) -> Result:
     )
 
 
-@examines("comm-more-subscribers-broader")
-def _broader(study: Study) -> Result:
+def comm_more_subscribers_broader(study: Study) -> Result:
+    """Five subscribers receive later, over a broader range, than one."""
     groups = select(study, COMMUNICATION, rt=True)
     found, small = [], []
     for first, second in pairs(groups, "subscribers", 1, 5):
@@ -129,16 +127,16 @@ def _broader(study: Study) -> Result:
     )
 
 
-@examines("comm-higher-frequency-faster")
-def _faster(study: Study) -> Result:
+def comm_higher_frequency_faster(study: Study) -> Result:
+    """The mean latency is lower at 1 kHz than at 100 Hz."""
     groups = select(study, COMMUNICATION, rt=True)
     return examine_shift(
         study, pairs(groups, "frequency_hz", 100, 1000), "mean", -1, "pair of communication runs at 100 Hz and 1 kHz"
     )
 
 
-@examines("comm-nothing-lost", functional=True)
-def _lost(study: Study) -> Result:
+def comm_nothing_lost(study: Study) -> Result:
+    """No message is missing or out of order."""
     digests = [d for g in study.groups if g.suite == COMMUNICATION for d in g.digests]
     if not digests:
         return no_runs("communication run")
@@ -152,8 +150,8 @@ def _lost(study: Study) -> Result:
     )
 
 
-@examines("rr-equals-fifo")
-def _same(study: Study) -> Result:
+def rr_equals_fifo(study: Study) -> Result:
+    """RR and FIFO give the same distribution."""
     found = []
     for suite in SUITES:
         for pair in pairs(select(study, suite, rt=True), "policy", "RR", "FIFO"):
@@ -179,8 +177,8 @@ def _same(study: Study) -> Result:
     )
 
 
-@examines("single-cpu-shutdown-stuck", functional=True)
-def _stuck(study: Study) -> Result:
+def single_cpu_shutdown_stuck(study: Study) -> Result:
+    """A single CPU hangs at shutdown: the runner prevents it, so no run decides the claim."""
     single = [record.run for record in study.records if record.target.cpus == 1]
     if not single:
         return no_runs("run on a target with one CPU")
@@ -191,8 +189,8 @@ def _stuck(study: Study) -> Result:
     )
 
 
-@examines("default-priority-unpredictable")
-def _unpredictable(study: Study) -> Result:
+def default_priority_unpredictable(study: Study) -> Result:
+    """The 99th percentile is higher without real-time priority."""
     candidates = [
         pair
         for suite in SUITES

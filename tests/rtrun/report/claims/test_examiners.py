@@ -11,7 +11,8 @@ from report.campaigns import (
     write_run,
 )
 
-from rtrun.report.claims.examination import Finding, examine_claims
+from rtrun.report.claims.examination import Finding
+from rtrun.report.claims.examiners import EXAMINERS, examine_claims
 from rtrun.report.claims.reference import published
 from rtrun.report.study import study
 from rtrun.results.importers.adopt import adopt
@@ -29,7 +30,7 @@ def oneshot(root, name, values, policy="RR", timeout_us=1000, off_ns=8000, **mor
 def cyclic(root, name, lateness, policy="RR", hz=1000, **more):
     parameters = {"policy": policy, "frequency_hz": hz}
     rows = [cyclic_rows(lateness, hz)]
-    write_run(root, name, "cyclic_timer_tests", rows, parameters, asked=lateness.size, logs=False, **more)
+    write_run(root, name, "cyclic_timer_tests", rows, parameters, asked=lateness.size, **{"logs": False, **more})
 
 
 def comm(root, name, outputs, policy="RR", hz=100, lost=(), **more):
@@ -52,7 +53,7 @@ def with_values(values, *changes):
 def test_every_claim_has_an_answer_and_none_without_runs(tmp_path):
     comm(tmp_path, "a", [latencies(50, 1)])
     examined = examine_claims(study(tmp_path))
-    assert [claim.id for claim in examined] == IDS and len(IDS) == 19
+    assert [claim.id for claim in examined] == IDS and len(IDS) == 19 and set(IDS) == set(EXAMINERS)
     for claim in examined:
         assert claim.result.runs or claim.result.finding == UNDECIDED
 
@@ -89,6 +90,21 @@ def test_reported_latency(tmp_path, rt_ns, other_ns, finding):
     oneshot(tmp_path, "a", latencies(500, 1), "RR", off_ns=rt_ns)
     oneshot(tmp_path, "b", latencies(500, 2), "0", off_ns=other_ns)
     assert found(tmp_path, "oneshot-reported-accurate").finding == finding
+
+
+def test_nothing_measured_is_no_probability(tmp_path):
+    oneshot(tmp_path, "a", latencies(500, 1), "RR")
+    numbers = found(tmp_path, "oneshot-ignored-without-rt").numbers
+    assert numbers == "not fired: no run without priority, 0 of 500 with it"
+
+
+def test_a_cyclic_log_that_tells_no_frequency_decides_nothing(tmp_path):
+    log = tmp_path / "kept.log"
+    cyclic(tmp_path / "source", "a", latencies(500, 1), logs=True)
+    text = next((tmp_path / "source" / "a").glob("*.log")).read_text()
+    log.write_text("".join(line for line in text.splitlines(keepends=True) if not line.startswith("set output")))
+    result = found(log, "cyclic-frequency-kept")
+    assert (result.finding, result.numbers) == (UNDECIDED, "no cyclic run whose frequency is known in this campaign")
 
 
 def test_400_us_rarely_exceeded(tmp_path):

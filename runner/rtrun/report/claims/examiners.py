@@ -1,0 +1,70 @@
+"""The 19 claims of the thesis, each with its examiner: confirmed, refuted, or not decided by the data at hand.
+
+Texts and sections of the claims stand in pandaboard-2014.yml.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rtrun.report.claims import general, timers
+from rtrun.report.claims.examination import Finding, Result
+from rtrun.report.claims.reference import published
+from rtrun.report.study import Study
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Examiner:
+    """An examiner; a ``functional`` claim is about what ROS does, not how fast, and may be decided in emulation."""
+
+    examine: Callable[[Study], Result]
+    functional: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Examined:
+    """A claim with what was found."""
+
+    id: str
+    section: str
+    text: str
+    result: Result
+
+
+EXAMINERS: dict[str, Examiner] = {
+    "oneshot-sub-millisecond": Examiner(examine=timers.oneshot_sub_millisecond, functional=True),
+    "oneshot-ignored-without-rt": Examiner(examine=timers.oneshot_ignored_without_rt),
+    "oneshot-reported-accurate": Examiner(examine=timers.oneshot_reported_accurate),
+    "oneshot-400us-rare": Examiner(examine=timers.oneshot_400us_rare),
+    "oneshot-latency-grows-with-timeout": Examiner(examine=timers.oneshot_latency_grows_with_timeout),
+    "cyclic-negative-cluster": Examiner(examine=timers.cyclic_negative_cluster),
+    "cyclic-first-two-negative": Examiner(examine=timers.cyclic_first_two_negative),
+    "cyclic-frequency-kept": Examiner(examine=timers.cyclic_frequency_kept),
+    "cyclic-400us-never": Examiner(examine=timers.cyclic_400us_never),
+    "cyclic-degrades-above-1khz": Examiner(examine=timers.cyclic_degrades_above_1khz),
+    "peaks-random": Examiner(examine=general.peaks_random),
+    "nanosleep-better": Examiner(examine=general.nanosleep_better),
+    "comm-first-message-worst": Examiner(examine=general.comm_first_message_worst),
+    "comm-more-subscribers-broader": Examiner(examine=general.comm_more_subscribers_broader),
+    "comm-higher-frequency-faster": Examiner(examine=general.comm_higher_frequency_faster),
+    "comm-nothing-lost": Examiner(examine=general.comm_nothing_lost, functional=True),
+    "rr-equals-fifo": Examiner(examine=general.rr_equals_fifo),
+    "single-cpu-shutdown-stuck": Examiner(examine=general.single_cpu_shutdown_stuck, functional=True),
+    "default-priority-unpredictable": Examiner(examine=general.default_priority_unpredictable),
+}
+
+
+def examine_claims(study: Study) -> tuple[Examined, ...]:
+    """Examine every claim, in the order of the thesis. Timing claims are never decided by emulated runs."""
+    examined = []
+    for claim in published()["claims"]:
+        examiner = EXAMINERS[claim["id"]]
+        result = examiner.examine(study)
+        if study.emulated and not examiner.functional and result.runs:
+            result = Result(
+                finding=Finding.UNDECIDED,
+                numbers=f"measured on an emulated board, not a real-time statement ({result.numbers})",
+                test=result.test,
+                runs=result.runs,
+            )
+        examined.append(Examined(id=claim["id"], section=claim["section"], text=claim["text"], result=result))
+    return tuple(examined)
