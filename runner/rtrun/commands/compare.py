@@ -35,6 +35,8 @@ def run(args: argparse.Namespace) -> int:
         margin_ns=args.margin,
     )
     if not found.changes:
+        if found.ambiguous:
+            raise UsageError("\n".join(found.ambiguous))
         raise UsageError(f"{args.a} and {args.b} have no suite with the same parameters in common")
     if args.json:
         print_text(compare.as_json(found))

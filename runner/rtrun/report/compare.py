@@ -3,13 +3,14 @@
 import dataclasses
 import json
 import math
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rtrun.analysis.comparison import Change, Comparison, Ratio, compare, ratio_of_misses
 from rtrun.report.claims.examination import us
-from rtrun.report.study import Group, study
+from rtrun.report.study import Group, Study, study
 from rtrun.report.terminal import EMULATED
 
 
@@ -25,41 +26,88 @@ class Changed:
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """Two sets: the groups both have, and what only one of them has."""
+    """Two sets: the groups that both have, what only one of them has, and what could be matched in several ways."""
 
     emulated: bool
     deadline_ns: int
     changes: tuple[Changed, ...]
     only_a: tuple[str, ...]
     only_b: tuple[str, ...]
+    ambiguous: tuple[str, ...]
     left_out: tuple[str, ...]
 
 
 def compare_sets(
     a: Path, b: Path, *, deadline_ns: int, probability: float, confidence: float, margin_ns: float | None
 ) -> Compared:
-    """Compare what two paths hold; groups are matched by suite and parameters, whatever the target."""
+    """Compare what two paths hold, group by group.
+
+    Groups of the same suite and parameters are compared if they are of the same target, or if each side has one such
+    group: then the target is what changed. Groups that are not compared are in ``ambiguous``, ``only_a`` or ``only_b``.
+    """
     first, second = (
         study(path, deadline_ns=deadline_ns, probability=probability, confidence=confidence, bounds=False)
         for path in (a, b)
     )
-    groups_a, groups_b = ({group.label: group for group in side.groups if group.blocks} for side in (first, second))
-    changes = [
-        _changed(groups_a[label], groups_b[label], confidence, margin_ns) for label in groups_a if label in groups_b
-    ]
+    pairs: list[tuple[Group, Group]] = []
+    ambiguous: list[str] = []
+    only: tuple[list[str], list[str]] = ([], [])
+    sides = [_by_circumstances(first), _by_circumstances(second)]
+    for key in dict.fromkeys((*sides[0], *sides[1])):
+        alike_a, alike_b = (side.get(key, []) for side in sides)
+        matched = [(x, y) for x in alike_a for y in alike_b if _origin(x) == _origin(y)]
+        if not matched and len(alike_a) == len(alike_b) == 1:
+            matched = [(alike_a[0], alike_b[0])]
+        pairs += matched
+        if alike_a and alike_b and not matched:
+            targets = [" and ".join(_origin_text(group) for group in alike) for alike in (alike_a, alike_b)]
+            ambiguous.append(f"{alike_a[0].label}: {targets[0]} in A, {targets[1]} in B: no target is in both")
+        else:
+            for alike, unmatched, place in ((alike_a, only[0], 0), (alike_b, only[1], 1)):
+                rest = [group for group in alike if all(group is not pair[place] for pair in matched)]
+                unmatched += [_label(group, of_several=len(alike) > 1) for group in rest]
+    counts = Counter(x.label for x, _ in pairs)
     return Compared(
         emulated=first.emulated or second.emulated,
         deadline_ns=deadline_ns,
-        changes=tuple(changes),
-        only_a=tuple(label for label in groups_a if label not in groups_b),
-        only_b=tuple(label for label in groups_b if label not in groups_a),
+        changes=tuple(
+            _changed(_label(x, of_several=counts[x.label] > 1), x, y, confidence, margin_ns) for x, y in pairs
+        ),
+        only_a=tuple(only[0]),
+        only_b=tuple(only[1]),
+        ambiguous=tuple(ambiguous),
         left_out=(*first.left_out, *second.left_out),
     )
 
 
-def _changed(a: Group, b: Group, confidence: float, margin_ns: float | None) -> Changed:
+def _by_circumstances(side: Study) -> dict[str, list[Group]]:
+    """Groups that measured something, by suite, series and parameters."""
+    found: dict[str, list[Group]] = {}
+    for group in side.groups:
+        if group.blocks:
+            found.setdefault(json.dumps([group.suite, group.series, sorted(group.parameters.items())]), []).append(
+                group
+            )
+    return found
+
+
+def _origin(group: Group) -> tuple[str, bool, int]:
+    """What else keeps groups apart: target, emulation, width of the bins."""
+    first = group.digests[0]
+    return group.target, group.emulated, first.histogram.bin_ns
+
+
+def _origin_text(group: Group) -> str:
+    return group.target or "an unknown target"
+
+
+def _label(group: Group, *, of_several: bool) -> str:
+    return f"{group.label} on {_origin_text(group)}" if of_several else group.label
+
+
+def _changed(label: str, a: Group, b: Group, confidence: float, margin_ns: float | None) -> Changed:
     return Changed(
-        label=a.label,
+        label=label,
         comparison=compare(a.blocks, b.blocks, confidence=confidence, margin_ns=margin_ns),
         misses=ratio_of_misses(a.verdict, b.verdict, confidence) if a.verdict and b.verdict else None,
         runs=(a.runs, b.runs),
@@ -83,6 +131,7 @@ def as_text(found: Compared) -> str:
             )
         lines.append(f"    P(> {us(found.deadline_ns)} us) {_ratio(change.misses, c.confidence)}")
         lines += [f"    assumes {text}" for text in c.assumes]
+    lines += [f"not compared: {text}" for text in found.ambiguous]
     lines += [f"only in A: {label}" for label in found.only_a] + [f"only in B: {label}" for label in found.only_b]
     lines += [f"not analysed: {text}" for text in found.left_out]
     return "\n".join(lines) + "\n"

@@ -7,19 +7,19 @@ import json
 import math
 from collections.abc import Sequence
 from typing import Any
-from xml.sax.saxutils import escape, quoteattr
+from xml.etree import ElementTree
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import PERCENTILES
-from rtrun.report.claims.examination import Examined
+from rtrun.report.claims.examiners import Examined
 from rtrun.report.digest import Digest
 from rtrun.report.document import Document, Table, fingerprint
 from rtrun.report.gate import Gate
 from rtrun.report.study import Study
 
 _PARAMETERS = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
-# Control characters that XML 1.0 cannot hold at all.
-_NOT_XML = dict.fromkeys(c for c in range(32) if chr(c) not in "\t\n\r") | {0xFFFE: None, 0xFFFF: None}
+# Characters that XML 1.0 cannot hold at all.
+_NOT_XML = dict.fromkeys([*(c for c in range(32) if chr(c) not in "\t\n\r"), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF])
 
 
 def markdown(said: Document) -> str:
@@ -113,21 +113,24 @@ def _series(one: Digest) -> dict[str, Any]:
 
 def junit(gate: Gate) -> str:
     """The gate as JUnit XML: one test case a group; not proven is a failure, whatever the reason."""
-    failures = sum(not case.passed for case in gate.cases)
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>']
-    lines.append(f'<testsuites tests="{len(gate.cases)}" failures="{failures}" errors="0">')
-    lines.append(
-        f'<testsuite name="rtrun gate" tests="{len(gate.cases)}" failures="{failures}" errors="0" skipped="0">'
-    )
+    counts = {
+        "tests": str(len(gate.cases)),
+        "failures": str(sum(not case.passed for case in gate.cases)),
+        "errors": "0",
+    }
+    root = ElementTree.Element("testsuites", counts)
+    suite = ElementTree.SubElement(root, "testsuite", {"name": "rtrun gate", **counts, "skipped": "0"})
     for case in gate.cases:
-        lines.append(f'<testcase classname="deadline" name={quoteattr(_xml(case.about))}>')
+        element = ElementTree.SubElement(suite, "testcase", {"classname": "deadline", "name": _xml(case.about)})
         if case.passed:
-            lines.append(f"<system-out>{escape(_xml(case.text))}</system-out>")
+            ElementTree.SubElement(element, "system-out").text = _xml(case.text)
         else:
-            message = quoteattr(_xml(f"{case.answer}: {case.text}"))
-            lines.append(f"<failure type={quoteattr(case.answer)} message={message}/>")
-        lines.append("</testcase>")
-    return "\n".join([*lines, "</testsuite>", "</testsuites>"]) + "\n"
+            message = _xml(f"{case.answer}: {case.text}")
+            ElementTree.SubElement(element, "failure", {"type": case.answer, "message": message})
+    ElementTree.indent(root, "")
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=False).join(
+        ('<?xml version="1.0" encoding="UTF-8"?>\n', "\n")
+    )
 
 
 def _xml(text: str) -> str:
@@ -162,13 +165,20 @@ def _us(value_ns: float | None) -> float | None:
 
 
 def as_csv(study: Study) -> str:
-    """The table as CSV with a header line; an empty cell is a number that does not exist."""
-    table = rows(study)
+    """The table as CSV with a header line; an empty cell is a number that does not exist.
+
+    A text that a spreadsheet would take for a formula has an apostrophe before it.
+    """
+    table = [{key: _no_formula(value) for key, value in row.items()} for row in rows(study)]
     stream = io.StringIO()
     writer = csv.DictWriter(stream, list(table[0]) if table else ["run"], lineterminator="\n")
     writer.writeheader()
     writer.writerows(table)
     return stream.getvalue()
+
+
+def _no_formula(value: Any) -> Any:
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
 
 
 def parquet(study: Study) -> bytes:

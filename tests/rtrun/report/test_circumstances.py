@@ -1,5 +1,7 @@
 """Runs under another condition are not runs of the same thing, and an invalid run is no result."""
 
+import json
+
 from written import write_oneshot, write_record
 
 from rtrun.cli import main
@@ -27,10 +29,14 @@ def test_the_condition_stands_beside_the_parameters(tmp_path, capsys):
 
 
 def test_the_report_keeps_them_apart(tmp_path, capsys):
-    for name, condition in (("001", "idle"), ("002", "cpu80")):
+    for name, condition in (("001", "idle"), ("002", "cpu80"), ("003", "cpu80")):
         run_with(tmp_path / "runs" / name, condition=condition)
-    assert main(["report", str(tmp_path / "runs"), "--format", "markdown", "--output", "-"]) in (0, 1)
-    assert "condition=cpu80" in capsys.readouterr().out
+    assert main(["report", str(tmp_path / "runs"), "--format", "json", "--output", "-"]) == 0
+    groups = json.loads(capsys.readouterr().out)["groups"]
+    assert [(group["parameters"].get("condition"), group["runs"]) for group in groups] == [
+        (None, ["001"]),
+        ("cpu80", ["002", "003"]),
+    ]
 
 
 def test_an_invalid_run_has_no_results_and_says_why(tmp_path, capsys):

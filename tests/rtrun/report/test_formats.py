@@ -65,6 +65,17 @@ def test_tables_agree_between_csv_and_parquet(capsysbinary, campaign):
     assert {row["series"] for row in rows} == {"measured", "reported", "difference", "jitter", "grid", "latency"}
 
 
+def test_a_cell_of_text_is_no_formula(capsysbinary, tmp_path):
+    rows = [oneshot_rows(latencies(300, 1) - 90_000, 1000)]
+    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
+    formula = '=HYPERLINK("http://x")'
+    for name, run in (("a", formula), ("b", "-1+1"), ("c", "plain")):
+        write_run(tmp_path, name, "oneshot_timer_tests", rows, parameters, asked=300, logs=False, run=run)
+    table = list(csv.DictReader(io.StringIO(write(capsysbinary, tmp_path, "csv").decode())))
+    assert list(dict.fromkeys(row["run"] for row in table)) == [f"'{formula}", "'-1+1", "plain"]
+    assert all(float(row["min_us"]) < 0 for row in table if row["series"] == "measured")
+
+
 def test_junit_has_a_case_a_group(capsysbinary, campaign):
     root = ElementTree.fromstring(write(capsysbinary, campaign, "junit"))
     cases = root.findall(".//testcase")

@@ -74,6 +74,31 @@ def test_compare_tells_what_changed(tmp_path, capsys):
     assert data["changes"][0]["comparison"]["answer"] == "DIFFERENT"
 
 
+def test_compare_matches_each_target_with_itself(tmp_path, capsys):
+    for side, seed in (("a", 1), ("b", 5)):
+        for name, mean_us in (("slow", 590.0), ("fast", 90.0)):
+            target = {"name": name, "kernel_release": "6.1"}
+            write_oneshot(tmp_path / side, name, mean_us=mean_us, seed=seed, target=target)
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b"), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert [change["label"].partition(" on ")[2] for change in data["changes"]] == ["fast, 6.1", "slow, 6.1"]
+    for change in data["changes"]:
+        assert all(abs(shift["b_ns"] - shift["a_ns"]) < 20_000 for shift in change["comparison"]["shifts"])
+
+
+def test_compare_refuses_what_could_be_matched_in_two_ways(tmp_path, capsys):
+    write_oneshot(tmp_path / "a", "x", target={"name": "first"})
+    for name in ("second", "third"):
+        write_oneshot(tmp_path / "b", name, target={"name": name})
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 2
+    assert "first in A, second and third in B: no target is in both" in capsys.readouterr().err
+    write_oneshot(tmp_path / "a", "y", target={"name": "second"})
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert "only in A: oneshot_timer RR 1000 us on first" in said
+    assert "only in B: oneshot_timer RR 1000 us on third" in said
+
+
 def test_compare_needs_something_in_common(tmp_path, capsys):
     write_oneshot(tmp_path / "a")
     rows = [cyclic_rows(latencies(500, 1), 100)]
