@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from ports import free_port
-from rtrun.target.ssh import Address
+from rtrun.target.address import Address
 
 # A shell that starts us in the background lets us, and all we start, ignore Ctrl-C; the tests send it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -41,7 +41,7 @@ class Sshd:
 
 @pytest.fixture(scope="session")
 def sshd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sshd]:
-    """A real OpenSSH server for this user, with SFTP and forwarding, on a port of its own."""
+    """A real OpenSSH server for this user, with forwarding, on a port of its own."""
     with serve(tmp_path_factory.mktemp("sshd")) as server:
         yield server
 
@@ -68,7 +68,6 @@ PasswordAuthentication no
 PermitRootLogin prohibit-password
 MaxStartups 100
 SetEnv SHLVL=1
-Subsystem sftp internal-sftp
 """
     )
     with (folder / "log").open("wb") as log:

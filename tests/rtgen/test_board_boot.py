@@ -188,7 +188,7 @@ def check_ssh(board: Board, hello: Path, place: Path) -> None:
 def check_ros(board: Board) -> None:
     board.said("setsid rosmaster --core -p 11311 > /tmp/master.log 2>&1 < /dev/null &")
     assert board.said("python3 -", ASK_MASTER) == "1"
-    # A roscpp program finds its libraries and the master. It came by SFTP.
+    # A roscpp program finds its libraries and the master. It came over SSH.
     assert board.said("ROS_MASTER_URI=http://localhost:11311 /var/lib/rt-tests/hello") == "/greeting 1"
 
 

@@ -12,8 +12,9 @@ from pydantic import Field
 from rtfiles.config import Config, parse, read_yaml
 from rtfiles.errors import UsageError
 from rtrun.target import qemu
+from rtrun.target.address import Address
 from rtrun.target.errors import ConnectionLost, TargetGone
-from rtrun.target.ssh import Address, Connection
+from rtrun.target.ssh import Connection
 
 Word = Annotated[str, Field(min_length=1)]
 

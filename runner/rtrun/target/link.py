@@ -11,6 +11,7 @@ from rtrun.target.ssh import COMMAND_S, Completed, Connection
 
 RETRY_S = 0.5
 CONNECT_S = 10.0
+BREAKS_MAX = 5
 # A booting emulated board accepts TCP connections long before its SSH server answers: give up early, try again.
 CONNECT_BOOTING_S = 3.0
 
@@ -57,8 +58,10 @@ class Link:
         """Run an action, reconnecting for as long as the target file allows.
 
         Raises TargetRebooted once after the target came back as another boot, TargetGone when it will not come back,
-        ConnectionLost when the time is up, and whatever else the action raises.
+        ConnectionLost when the time is up or the connection has broken BREAKS_MAX times under this action, and whatever
+        else the action raises.
         """
+        breaks = 0
         while True:
             if self._connection is None:
                 self._connection = self._reconnect()
@@ -68,6 +71,11 @@ class Link:
                 self.drop()
                 if failure := self.target.failure():
                     raise failure from error
+                breaks += 1
+                if breaks == BREAKS_MAX:
+                    raise ConnectionLost(
+                        f"{error}; this was the {breaks}th connection to break at the same step"
+                    ) from error
                 self._notify(f"{error}; connecting again")
 
     def run(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> Completed:

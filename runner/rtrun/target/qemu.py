@@ -15,8 +15,8 @@ from pydantic import Field
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
 from rtrun.target import qmp
+from rtrun.target.address import Address
 from rtrun.target.errors import TargetError, TargetGone
-from rtrun.target.ssh import Address
 
 STOP_S = 5.0
 

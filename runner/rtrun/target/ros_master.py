@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from pathlib import PurePosixPath
 from typing import Any
 
+from rtfiles.errors import InfrastructureError
 from rtrun.plan.program import Program
 from rtrun.target import processes
-from rtrun.target.errors import ConnectionLost, StillMeasuring, TargetError
+from rtrun.target.errors import StillMeasuring, TargetError
 from rtrun.target.inspection import Equipment
 from rtrun.target.link import Link
 from rtrun.target.ssh import Connection
@@ -18,25 +19,10 @@ from rtrun.target.ssh import Connection
 NAME = "rosmaster"
 START_S = 60.0
 ANSWER_S = 10.0
+REPLY_BYTES_MAX = 4 * 1024 * 1024
 # A master whose runner was killed ends by itself after a week.
 LIFE_S = 7 * 24 * 3600.0
 CALLER = "/rtrun"
-
-
-class _Tunnel(xmlrpc.client.Transport):
-    """XML-RPC through the SSH connection, to a port that the target need not open to the network."""
-
-    def __init__(self, connection: Connection, port: int) -> None:
-        super().__init__()
-        self._ssh, self._port = connection, port
-
-    def make_connection(self, host: Any) -> http.client.HTTPConnection:
-        name = host if isinstance(host, str) else host[0]
-        link = http.client.HTTPConnection(name)
-        channel = self._ssh.open_port(self._port)
-        channel.settimeout(ANSWER_S)
-        link.sock = channel  # It has every method of a socket that http.client uses.
-        return link
 
 
 def call(connection: Connection, port: int, method: str, *arguments: Any) -> Any:
@@ -45,27 +31,58 @@ def call(connection: Connection, port: int, method: str, *arguments: Any) -> Any
     Raises ConnectionRefusedError when no master answers on the port, TargetError when it answers with a failure,
     ConnectionLost when the link broke.
     """
-    proxy = xmlrpc.client.ServerProxy(f"http://127.0.0.1:{port}", transport=_Tunnel(connection, port))
+    request = xmlrpc.client.dumps((CALLER, *arguments), method).encode()
     try:
-        code, message, value = getattr(proxy, method)(CALLER, *arguments)
-    except (ConnectionLost, ConnectionRefusedError):
+        with connection.open_port(port, deadline_s=ANSWER_S) as channel:
+            reply = _post(channel, request)
+        code, message, value = _parse_reply(reply)
+    except (InfrastructureError, ConnectionRefusedError):
         raise
-    except (xmlrpc.client.Error, http.client.HTTPException, OSError, EOFError, ValueError, TypeError) as error:
+    except (http.client.HTTPException, OSError, EOFError, ValueError) as error:
         # A broken link must not be reported as a master that ended: ask whether the target still answers.
         connection.check_promptly(["true"], deadline_s=ANSWER_S)
         raise ConnectionRefusedError(f"port {port} does not answer as a ROS master: {error}") from error
     if code != 1:
-        raise TargetError(f"{connection.address}: the ROS master refused {method}: {message}")
+        raise TargetError(f"{connection.address}: the ROS master refused {method}: {message[:200]}")
     return value
+
+
+def _post(channel: Any, request: bytes) -> bytes:
+    """Send an XML-RPC request over an open stream and return the reply."""
+    link = http.client.HTTPConnection("127.0.0.1")
+    link.sock = channel  # It has every method of a socket that http.client uses.
+    link.request("POST", "/RPC2", request, {"Content-Type": "text/xml"})
+    response = link.getresponse()
+    reply = response.read(REPLY_BYTES_MAX + 1)
+    if response.status != http.client.OK or len(reply) > REPLY_BYTES_MAX:
+        raise ValueError(f"HTTP status {response.status}, {len(reply)} bytes")
+    return reply
+
+
+def _parse_reply(reply: bytes) -> tuple[int, str, Any]:
+    """Return code, message and value of a reply of the ROS master. Raises ValueError."""
+    # No master defines entities, which would let a short reply stand for a very long one.
+    if b"<!" in reply or b"\0" in reply:
+        raise ValueError("not an XML-RPC reply")
+    try:
+        values: Any = xmlrpc.client.loads(reply)[0]
+        ((code, message, value),) = values
+    except Exception as error:
+        # xmlrpc.client raises whatever its parsing of the reply raises.
+        raise ValueError(f"not an XML-RPC reply: {error}") from error
+    if not isinstance(code, int) or not isinstance(message, str):
+        raise ValueError("not the reply of a ROS master")
+    return code, message, value
 
 
 def ask_pid(link: Link) -> int | None:
     """Return the process id that the ROS master on the target's port reports; None when no master answers."""
     port = link.target.ros_master_port
     try:
-        return int(link.do(lambda connection: call(connection, port, "getPid")))
-    except (ConnectionRefusedError, ValueError, TypeError):
+        pid = link.do(lambda connection: call(connection, port, "getPid"))
+    except ConnectionRefusedError:
         return None
+    return pid if isinstance(pid, int) else None
 
 
 def count_subscribers(link: Link, topic: str, token: str) -> int:
@@ -73,9 +90,11 @@ def count_subscribers(link: Link, topic: str, token: str) -> int:
     port = link.target.ros_master_port
     try:
         _, subscribed, _ = link.do(lambda connection: call(connection, port, "getSystemState"))
+        return sum(token in node for name, nodes in subscribed if name == topic for node in nodes)
     except ConnectionRefusedError as error:
         raise TargetError(f"{link.target.address}: the ROS master died: {error}") from error
-    return sum(token in node for name, nodes in subscribed if name == topic for node in nodes)
+    except (TypeError, ValueError) as error:
+        raise TargetError(f"{link.target.address}: the ROS master's answer has no list of topics") from error
 
 
 @contextlib.contextmanager
@@ -98,6 +117,11 @@ def running(
                 "nor /usr/bin/rosmaster is there, install ROS with rosmaster"
             )
         processes.end(link, folder, NAME)
+        if _is_port_taken(link):
+            raise TargetError(
+                f"{target.address}: port {target.ros_master_port} of the target is taken by a program that does not "
+                "answer as a ROS master: end it, or put another ros_master_port into the target file"
+            )
         link.check(["sh", "-c", 'rm -rf "$1" && mkdir -p "$1"', "sh", str(folder)])
         argv = [equipment.master, "--core", "-p", str(target.ros_master_port)]
         if priority is not None:
@@ -128,6 +152,17 @@ def _is_running(link: Link, folder: PurePosixPath) -> bool:
     lock = str(folder / f"{NAME}.lock")
     command = ["sh", "-c", '[ -e "$1" ] && ! flock -n "$1" true', "sh", lock]
     return link.run(command).status == 0
+
+
+def _is_port_taken(link: Link) -> bool:
+    def connect(connection: Connection) -> bool:
+        with connection.open_port(link.target.ros_master_port, deadline_s=ANSWER_S):
+            return True
+
+    try:
+        return link.do(connect)
+    except ConnectionRefusedError:
+        return False
 
 
 def _wait_ready(link: Link, folder: PurePosixPath) -> None:

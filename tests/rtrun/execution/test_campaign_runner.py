@@ -180,7 +180,7 @@ def test_a_port_that_is_no_master(bare_target, tmp_path, watching, wishes, monke
     monkeypatch.setattr(ros_master, "START_S", 3.0)
     with socket.create_server(("127.0.0.1", bare_target.ros_master_port)) as server:
         threading.Thread(target=answer_junk, args=(server,), daemon=True).start()
-        with pytest.raises(TargetError, match="the ROS master did not start"):
+        with pytest.raises(TargetError, match="taken by a program that does not answer as a ROS master"):
             measure(bare_target, runs_of(1), tmp_path / "results", watching)
 
 

@@ -1,5 +1,6 @@
 """Every gap between two steps of a run in which the runner or the link may stop: what is found there afterwards."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -13,9 +14,10 @@ from faulty import record, runs_of
 
 from rtrun.execution import campaign_runner, run_execution
 from rtrun.results import run_directory
-from rtrun.target import processes, ros_master, ssh
+from rtrun.target import processes, ssh
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.target.link import Link, TargetRebooted
+from rtrun.target.ssh import Connection
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
@@ -153,16 +155,17 @@ def test_a_load_that_ended_while_nobody_looked(target, wishes, monkeypatch, meas
 def test_a_link_lost_in_a_call_of_the_master(target, monkeypatch, measure, call):
     """It is not taken for a master that died."""
     calls = []
-    real = ros_master._Tunnel.make_connection
+    real = Connection.open_port
 
-    def breaking(self, host):
-        made = real(self, host)
-        calls.append(host)
-        if len(calls) == call:
-            self._ssh._transport.sock.shutdown(socket.SHUT_RDWR)
-        return made
+    @contextlib.contextmanager
+    def breaking(self, port, **more):
+        with real(self, port, **more) as channel:
+            calls.append(port)
+            if len(calls) == call:
+                self._transport.sock.shutdown(socket.SHUT_RDWR)
+            yield channel
 
-    monkeypatch.setattr(ros_master._Tunnel, "make_connection", breaking)
+    monkeypatch.setattr(Connection, "open_port", breaking)
     watching = Watching()
     assert measure(target, runs_of(1), watching) == ["ok"]
     assert any("connecting again" in note for note in watching.notes)
