@@ -2,7 +2,7 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test test-kernel test-yocto lint bench setup board suites clean
+.PHONY: demo test test-kernel test-yocto lint coverage bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -23,6 +23,10 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The error rates of verdicts, simulated at length and written into docs/analysis.md; `make test` has a short version.
+coverage: setup
+	nice -n 5 $(BIN)/python tests/coverage/simulate.py
 
 bench: setup
 	nice -n 5 $(BIN)/python tests/bench/bench_analysis.py --check

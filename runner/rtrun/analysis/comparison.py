@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtrun.analysis.blocks import Blocks, align
-from rtrun.analysis.deadline import Verdict, clopper_pearson
+from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.histogram import Int64s
+from rtrun.analysis.intervals import clopper_pearson
 
 ROUNDS = 999
 SEED = 20140715

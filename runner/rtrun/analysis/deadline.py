@@ -7,49 +7,68 @@ from enum import StrEnum
 
 import numpy as np
 
-from rtrun.analysis.dependence import Events, design_effect, locate, pool
+from rtrun.analysis.dependence import Events, cluster_effect, design_effect, effect_of_few, locate, pool
 from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.analysis.intervals import anytime_interval, anytime_lower, anytime_upper
+from rtrun.analysis.stationarity import SIGNIFICANT, SIGNIFICANT_OF_MISSES, Change, find_change
 
 # Beyond this a number of measurements is no plan: at 1 kHz it is 30 000 years.
 _UNATTAINABLE = 10**15
-# With this many misses their own bursts tell the design effect; with fewer a lower level has to help.
+# With this many misses normal theory on blocks holds for their bursts; fewer are tested exactly.
 _ENOUGH_MISSES = 20
 _LEVEL_EVENTS = 200
+# Lengths of bursts for which a proof says how much longer it would have to measure.
+BURSTS = (20, 50)
+# The chance with which `further_likely` measurements are enough.
+LIKELY = 0.9
 
 
 class Answer(StrEnum):
     """What can be said about a deadline."""
 
     PROVEN = "PROVEN"
+    IF_INDEPENDENT = "PROVEN IF INDEPENDENT"
     REFUTED = "REFUTED"
     NEEDS_MORE = "NEEDS MORE"
     NO_STATEMENT = "not a real-time statement"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Trials:
-    """What one run says about one deadline: how many came late or never, and where.
+    """What one output of one run says about one deadline: how many came late or never, and where.
 
     ``late`` measurements exceeded the deadline, ``absent`` were not fired or went missing: they met no deadline
-    either. ``misses`` holds both by position; None where a log kept no order. ``level`` holds where the run passed a
-    lower level often enough (about 200 times) to show whether its high values come in bursts. ``worst_ns`` is the
-    highest value seen.
+    either. ``misses`` holds both by position; None where a log kept no order. ``first_misses`` are the positions of
+    the first 20. ``level`` holds where the run passed a lower level often enough (about 200 times) to show whether its
+    high values come in bursts. ``changes`` are the strongest signs that the run did not stay the same. ``worst_ns`` is
+    the highest value seen. ``run``, ``boot`` and ``start_time`` say where it belongs; "" where that is not known.
     """
 
     n: int
     late: int
     absent: int
     misses: Events | None
+    first_misses: Int64s
     level: Events | None
+    changes: tuple[Change, ...]
     worst_ns: int | None
+    run: str = ""
+    boot: str = ""
+    start_time: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """The answer to one deadline. ``lower`` and ``upper`` bound P(miss) at ``confidence`` (two-sided).
+    """The answer to one deadline.
+
+    ``lower`` and ``upper`` bound P(miss) at ``confidence``, however often somebody looks (`anytime_interval`).
+    ``boots`` counts the boots that were measured, None where they are not known. ``longest_burst`` is the mean length
+    of bursts of misses, none of which was seen, up to which PROVEN would hold; ``further_for_bursts`` gives (length,
+    measurements without a miss that would cover it).
 
     ``further`` measurements without any further miss would give PROVEN (0: it is given, None: no number would);
-    ``further_at_rate`` gives (answer, measurements) if misses go on at the rate seen, None when that decides nothing.
+    ``further_likely`` gives (answer, measurements) that nine times in ten are enough if misses go on at the rate seen,
+    None where no number is.
     """
 
     answer: Answer
@@ -65,10 +84,14 @@ class Verdict:
     upper: float
     design_effect: float
     n_effective: float
+    boots: int | None
+    longest_burst: float
+    further_for_bursts: tuple[tuple[int, int], ...]
     further: int | None
-    further_at_rate: tuple[Answer, int] | None
+    further_likely: tuple[Answer, int] | None
     period_ns: float | None
     assumes: tuple[str, ...]
+    change: Change | None = None
     refused: str | None = None
 
     @property
@@ -81,25 +104,6 @@ class Verdict:
         return None if self.period_ns is None else measurements * self.period_ns / 3.6e12
 
 
-def clopper_pearson(k: float, n: float, confidence: float) -> tuple[float, float]:
-    """The exact two-sided interval of a probability after k events in n trials (Clopper & Pearson 1934).
-
-    k and n need not be whole: with effective numbers this is the interval of Korn & Graubard (1998) for dependent
-    trials. No trial gives (0, 1).
-    """
-    from scipy.special import betaincinv
-
-    if n <= 0:
-        return 0.0, 1.0
-    tail = (1 - confidence) / 2
-    lower = 0.0 if k <= 0 else float(betaincinv(k, n - k + 1, tail))
-    if k >= n:
-        return lower, 1.0
-    # For k = 0 the closed form keeps every digit where 1 - x would lose them.
-    upper = -math.expm1(math.log(tail) / n) if k <= 0 else float(betaincinv(k + 1, n - k, 1 - tail))
-    return lower, upper
-
-
 def count_misses(values_ns: Int64s, deadline_ns: int, absent: Int64s | None = None) -> Trials:
     """Count what missed the deadline in one run's int64 samples, shape (n,) in loop order; late is above it.
 
@@ -108,21 +112,28 @@ def count_misses(values_ns: Int64s, deadline_ns: int, absent: Int64s | None = No
     if absent is None:
         absent = np.empty(0, np.int64)
     loops = values_ns.size + absent.size
-    late = np.flatnonzero(values_ns > deadline_ns).astype(np.int64)
-    late_count = late.size
+    misses = np.flatnonzero(values_ns > deadline_ns).astype(np.int64)
+    late = misses.size
     if absent.size:
-        late = np.sort(np.concatenate((_loop_positions(late, absent), absent)))
+        misses = np.sort(np.concatenate((_loop_positions(misses, absent), absent)))
     level = None
-    wanted = min(_LEVEL_EVENTS, values_ns.size // 20)
-    if wanted >= 10:
-        limit = np.partition(values_ns, values_ns.size - wanted)[values_ns.size - wanted]
-        level = locate(np.flatnonzero(values_ns >= limit).astype(np.int64), values_ns.size)
+    changes = [find_change(misses, loops, "misses", SIGNIFICANT_OF_MISSES)]
+    level_events = min(_LEVEL_EVENTS, values_ns.size // 20)
+    if level_events >= 10:
+        limit = np.partition(values_ns, values_ns.size - level_events)[values_ns.size - level_events]
+        high = np.flatnonzero(values_ns >= limit).astype(np.int64)
+        level = locate(high, values_ns.size)
+        # A level that a quarter of all values reaches says nothing on the high ones.
+        if 4 * high.size < values_ns.size:
+            changes.append(find_change(high, values_ns.size, "high values"))
     return Trials(
         n=loops,
-        late=late_count,
+        late=late,
         absent=absent.size,
-        misses=locate(late, loops),
+        misses=locate(misses, loops),
+        first_misses=misses[:_ENOUGH_MISSES],
         level=level,
+        changes=tuple(change for change in changes if change is not None),
         worst_ns=int(values_ns.max()) if values_ns.size else None,
     )
 
@@ -136,8 +147,16 @@ def _loop_positions(of_samples: Int64s, absent: Int64s) -> Int64s:
 def count_misses_in_histogram(histogram: Histogram, deadline_ns: int, absent: int = 0) -> Trials:
     """Count what missed the deadline in a histogram. Raises ValueError when the deadline lies in the overflow."""
     top = int(histogram.values_ns[-1]) if histogram.values_ns.size and not histogram.overflow else histogram.max_ns
-    late = histogram.above(deadline_ns)
-    return Trials(n=histogram.n + absent, late=late, absent=absent, misses=None, level=None, worst_ns=top)
+    return Trials(
+        n=histogram.n + absent,
+        late=histogram.above(deadline_ns),
+        absent=absent,
+        misses=None,
+        first_misses=np.empty(0, np.int64),
+        level=None,
+        changes=(),
+        worst_ns=top,
+    )
 
 
 def judge(
@@ -153,19 +172,23 @@ def judge(
 ) -> Verdict:
     """Answer for runs of one set of parameters: is P(miss) below `probability`, at this confidence?
 
-    PROVEN: the interval's upper end is below it. REFUTED: the lower end is above it. Else NEEDS MORE, with how many.
+    PROVEN: the interval's upper end is below it, and no run shows a change. IF_INDEPENDENT: the same, from counts that
+    kept no order. REFUTED: the lower end is above it. Else NEEDS MORE, with how many.
     `measurements_per_event` measurements of one event (the subscribers of one message) count as one measurement.
     Numbers from an emulated board, or for a deadline below two clock steps, are no real-time statement.
     Raises ValueError when probability or confidence is not between 0 and 1.
     """
     if not 0 < probability < 1 or not 0 < confidence < 1:
         raise ValueError("probability and confidence must lie between 0 and 1, both ends excluded")
+    runs = sorted(runs, key=lambda run: run.start_time)
     n = sum(run.n for run in runs)
     late, absent = sum(run.late for run in runs), sum(run.absent for run in runs)
     misses = late + absent
-    effect, assumes = _effect_of(runs, misses, confidence)
-    effect *= measurements_per_event
-    lower, upper = clopper_pearson(misses / effect, n / effect, confidence)
+    ordered = all(run.misses is not None for run in runs)
+    effect, assumes = _effect_of_runs(runs, misses, confidence, measurements_per_event)
+    effect = min(max(effect, float(measurements_per_event)), max(1.0, float(n)))
+    lower, upper = anytime_interval(misses / effect, n / effect, confidence)
+    change = _strongest_change(runs)
     refused = None
     if emulated:
         refused = "measured on an emulated board"
@@ -173,24 +196,19 @@ def judge(
         refused = f"the deadline of {deadline_ns} ns is finer than two steps of the clock ({clock_step_ns} ns each)"
     if refused:
         answer = Answer.NO_STATEMENT
-    elif n and upper < probability:
-        answer = Answer.PROVEN
+    elif n and upper < probability and change is None:
+        answer = Answer.PROVEN if ordered else Answer.IF_INDEPENDENT
     elif n and lower > probability:
         answer = Answer.REFUTED
     else:
         answer = Answer.NEEDS_MORE
+    proven = answer in (Answer.PROVEN, Answer.IF_INDEPENDENT)
+    # So many independent measurements would prove it after as many independent misses as these are worth.
+    needed = _smallest(lambda total: anytime_upper(misses / effect, total, confidence) < probability, 0)
 
-    def proven(total: int) -> bool:
-        return clopper_pearson(misses / effect, total / effect, confidence)[1] < probability
+    def further(burst: float) -> int | None:
+        return None if needed is None else max(0, math.ceil(needed * max(effect, burst)) - n)
 
-    rate = misses / n if n else 0.0
-
-    def decided(total: int) -> bool:
-        low, high = clopper_pearson(rate * total / effect, total / effect, confidence)
-        return high < probability if rate < probability else low > probability
-
-    goal = _smallest(proven, n)
-    at_rate = _smallest(decided, n) if misses and rate != probability else None
     return Verdict(
         answer=answer,
         deadline_ns=deadline_ns,
@@ -200,59 +218,135 @@ def judge(
         late=late,
         absent=absent,
         worst_ns=max((run.worst_ns for run in runs if run.worst_ns is not None), default=None),
-        p_miss=rate,
+        p_miss=misses / n if n else 0.0,
         lower=lower,
         upper=upper,
         design_effect=effect,
         n_effective=n / effect,
-        further=None if goal is None else goal - n,
-        further_at_rate=None
-        if at_rate is None
-        else (Answer.PROVEN if rate < probability else Answer.REFUTED, at_rate - n),
+        boots=len({run.boot for run in runs}) if all(run.boot for run in runs) else None,
+        longest_burst=n / needed if needed else 0.0,
+        further_for_bursts=tuple((length, more) for length in BURSTS if proven and (more := further(length))),
+        further=further(1.0),
+        further_likely=_likely_further(misses, n, effect, probability, confidence)
+        if answer == Answer.NEEDS_MORE
+        else None,
         period_ns=period_ns,
         assumes=assumes,
+        change=change,
         refused=refused,
     )
 
 
-def _effect_of(runs: Sequence[Trials], misses: int, confidence: float) -> tuple[float, tuple[str, ...]]:
+def _strongest_change(runs: Sequence[Trials]) -> Change | None:
+    """The most significant change in any run, if it is one among so many tests (Bonferroni)."""
+    changes = [change for run in runs for change in run.changes]
+    strongest = min(changes, key=lambda change: change.p_value / change.significant, default=None)
+    seen = strongest is not None and strongest.p_value * len(changes) < strongest.significant
+    return strongest if seen else None
+
+
+def _effect_of_runs(
+    runs: Sequence[Trials], misses: int, confidence: float, measurements_per_event: int
+) -> tuple[float, tuple[str, ...]]:
+    """The design effect of all runs, and what had to be assumed: the largest of those within and between runs."""
+    between = _effect_between(runs, misses, confidence)
     located = [run.misses for run in runs if run.misses is not None]
     if len(located) < len(runs):
-        return 1.0, ("independent measurements: a log without samples keeps no order, bursts would not be seen",)
-    own = _widened(pool(located), confidence)
+        return max(between, measurements_per_event), (
+            "independent measurements: a log without samples keeps no order, bursts would not be seen",
+        )
     if misses >= _ENOUGH_MISSES:
-        return own, ()
+        return max(measurements_per_event * _widened(pool(located), confidence), between), ()
+    starts = np.cumsum([0, *(run.n for run in runs)])
+    places = [run.first_misses + start for run, start in zip(runs, starts, strict=False)]
+    own = effect_of_few(np.concatenate(places), int(starts[-1])) if misses > 1 else 1.0
     levels = [run.level for run in runs if run.level is not None]
-    if not levels:
-        return own, ("independent measurements: too few to see bursts",)
-    return max(own, _widened(pool(levels), confidence)), ()
+    assumes = () if levels else ("independent measurements: too few to see bursts",)
+    within = max(own, _widened(pool(levels), confidence)) if levels else own
+    return max(measurements_per_event * within, between), assumes
+
+
+def _effect_between(runs: Sequence[Trials], misses: int, confidence: float) -> float:
+    """The design effect of boots; of runs, where all are of one boot and differ beyond chance. 0 where there is none.
+
+    Few boots tell little of how boots differ: the effect is widened by (t/z)^2 with boots - 1 degrees of freedom
+    (Korn & Graubard 1998), but not beyond what it would be if each boot's misses were one burst, 1 + misses / boots.
+    Runs of an unknown boot count as a boot each.
+    """
+    from scipy.special import chdtrc
+
+    boots = _sums(runs, [run.boot or run.run or str(index) for index, run in enumerate(runs)])
+    if len(boots) > 1:
+        effect = cluster_effect(boots)
+        return max(effect, min(effect * _few(len(boots) - 1, confidence), 1 + misses / len(boots))) if misses else 0.0
+    clusters = _sums(runs, [run.run or str(index) for index, run in enumerate(runs)])
+    effect = cluster_effect(clusters)
+    if len(clusters) < 2 or chdtrc(len(clusters) - 1, (len(clusters) - 1) * effect) > SIGNIFICANT:
+        return 0.0
+    return effect * _few(len(clusters) - 1, confidence)
+
+
+def _sums(runs: Sequence[Trials], keys: Sequence[str]) -> list[tuple[int, int]]:
+    """(loops, misses) of the runs of each key."""
+    sums: dict[str, tuple[int, int]] = {}
+    for run, key in zip(runs, keys, strict=True):
+        loops, misses = sums.get(key, (0, 0))
+        sums[key] = (loops + run.n, misses + run.late + run.absent)
+    return [cluster for cluster in sums.values() if cluster[0]]
+
+
+def _few(degrees: float, confidence: float) -> float:
+    """The squared ratio of Student's t to the normal quantile (Korn & Graubard 1998)."""
+    from scipy.special import ndtri, stdtrit
+
+    middle = (1 + confidence) / 2
+    return float((stdtrit(degrees, middle) / ndtri(middle)) ** 2)
 
 
 def _widened(events: Events, confidence: float) -> float:
-    """The design effect, larger where it rests on few bursts.
-
-    The factor is the squared ratio of Student's t to the normal quantile, with the number of bursts seen as degrees
-    of freedom, as Korn & Graubard (1998) adjust the effective sample size.
-    """
-    from scipy.special import ndtri, stdtrit
-
+    """The design effect, larger where it rests on few bursts: their number counts as degrees of freedom."""
     effect = design_effect(events)
-    if effect == 1:
-        return 1.0
-    middle = (1 + confidence) / 2
-    return effect * float((stdtrit(max(1.0, events.count / effect), middle) / ndtri(middle)) ** 2)
+    return 1.0 if effect == 1 else effect * _few(max(1.0, events.count / effect), confidence)
 
 
-def _smallest(holds: Callable[[int], bool], start: int) -> int | None:
+def _likely_further(
+    misses: int, n: int, effect: float, probability: float, confidence: float
+) -> tuple[Answer, int] | None:
+    """Answer and measurements that are enough with the chance LIKELY, if misses go on at the rate seen.
+
+    The rate is uncertain itself: misses still to come are negative binomial, as predicted after Jeffreys' prior for a
+    Poisson rate (Gelman et al. 2013, section 2.6).
+    """
+    from scipy.special import nbdtrik
+
+    if not n:
+        return None
+    k, n_effective = misses / effect, n / effect
+    proving = misses / n < probability
+
+    def decided(total: int) -> bool:
+        more = total / effect - n_effective
+        chance = LIKELY if proving else 1 - LIKELY
+        coming = max(0.0, float(nbdtrik(chance, k + 0.5, n_effective / (n_effective + more)))) if more > 0 else 0.0
+        k_then = k + (math.ceil(coming) if proving else math.floor(coming))
+        if proving:
+            return anytime_upper(k_then, n_effective + more, confidence) < probability
+        return anytime_lower(k_then, n_effective + more, confidence) > probability
+
+    total = _smallest(decided, n)
+    return None if total is None else (Answer.PROVEN if proving else Answer.REFUTED, total - n)
+
+
+def _smallest(condition: Callable[[int], bool], start: int) -> int | None:
     """The smallest total from `start` on for which a monotone condition holds; None beyond all plans."""
-    if start and holds(start):
+    if start and condition(start):
         return start
     low, high = start, max(1, start)
-    while not holds(high):
+    while not condition(high):
         low, high = high, 2 * high
         if high > _UNATTAINABLE:
             return None
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if holds(middle) else (middle, high)
+        low, high = (low, middle) if condition(middle) else (middle, high)
     return high

@@ -1,16 +1,17 @@
 """How much n dependent measurements are worth: bursts, and the number of independent ones they equal."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
 from rtrun.analysis.histogram import Int64s
 
 _LEAST_BLOCKS = 16
-_LEAST_RUNS = 8
-_CHANCE = 2.58
+_CHANCE = 2.58  # standard errors: once in two hundred times
+_CHANCE_OF_GAPS = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,21 +19,12 @@ class Events:
     """Where events (misses, values above a level) lie in one or more runs, as sums over blocks of 2, 4, 8, ... loops.
 
     ``blocks[j]`` is (blocks, events in them, sum of squared events a block) for blocks of ``2 ** (j + 1)`` loops; an
-    incomplete last block is left out. ``runs`` is (loops, events) of every run. Small, and sums of runs are sums.
+    incomplete last block is left out. ``loops`` and ``count`` are measurements and events in all runs.
     """
 
     blocks: tuple[tuple[int, int, int], ...]
-    runs: tuple[tuple[int, int], ...]
-
-    @property
-    def loops(self) -> int:
-        """Measurements in all runs."""
-        return sum(loops for loops, _ in self.runs)
-
-    @property
-    def count(self) -> int:
-        """Events in all runs."""
-        return sum(count for _, count in self.runs)
+    loops: int
+    count: int
 
 
 def locate(positions: Int64s, loops: int) -> Events:
@@ -44,27 +36,27 @@ def locate(positions: Int64s, loops: int) -> Events:
         starts = np.flatnonzero(np.diff(inside, prepend=-1))
         sizes = np.diff(starts, append=inside.size)
         blocks.append((whole, int(inside.size), int(np.dot(sizes, sizes))))
-    return Events(blocks=tuple(blocks), runs=((loops, int(positions.size)),))
+    return Events(blocks=tuple(blocks), loops=loops, count=int(positions.size))
 
 
 def pool(parts: Iterable[Events]) -> Events:
     """The events of several runs together; no block spans two runs."""
     sums: dict[int, tuple[int, int, int]] = {}
-    runs: list[tuple[int, int]] = []
+    loops = events = 0
     for part in parts:
-        runs.extend(part.runs)
+        loops, events = loops + part.loops, events + part.count
         for scale, (whole, count, squares) in enumerate(part.blocks):
             a, b, c = sums.get(scale, (0, 0, 0))
             sums[scale] = (a + whole, b + count, c + squares)
-    return Events(blocks=tuple(sums[scale] for scale in sorted(sums)), runs=tuple(runs))
+    return Events(blocks=tuple(sums[scale] for scale in sorted(sums)), loops=loops, count=events)
 
 
 def design_effect(events: Events) -> float:
     """Variance of the number of events over that of independent ones (Kish 1965), at least 1.
 
-    It is the largest index of dispersion of block counts over all block lengths that leave 16 blocks, and over whole
-    runs where there are 8, among those that independent events (mean 1, standard error sqrt(2/m + 1/k)) would exceed
-    only once in two hundred times. For independent bursts of size S it tends to E[S^2]/E[S].
+    It is the largest index of dispersion of block counts over all block lengths that leave 16 blocks, among those
+    that independent events (mean 1, standard error sqrt(2/m + 1/k)) would exceed only once in two hundred times. For
+    independent bursts of size S it tends to E[S^2]/E[S].
     """
     n, k = events.loops, events.count
     if k < 2 or k >= n:
@@ -76,15 +68,57 @@ def design_effect(events: Events) -> float:
             continue
         mean = p * (2 << scale)
         scatter = squares - 2 * mean * inside + whole * mean * mean
-        worst = max(worst, _beyond_chance(scatter / (mean * (1 - p)) / (whole - 1), whole, k))
-    if len(events.runs) >= _LEAST_RUNS:
-        chi2 = sum((count - loops * p) ** 2 / (loops * p * (1 - p)) for loops, count in events.runs if loops)
-        worst = max(worst, _beyond_chance(chi2 / (len(events.runs) - 1), len(events.runs), k))
+        dispersion = scatter / (mean * (1 - p)) / (whole - 1)
+        if dispersion - 1 > _CHANCE * math.sqrt(2 / whole + 1 / k):
+            worst = max(worst, dispersion)
     return min(worst, float(n))
 
 
-def _beyond_chance(dispersion: float, blocks: int, events: int) -> float:
-    return dispersion if dispersion - 1 > _CHANCE * math.sqrt(2 / blocks + 1 / events) else 1.0
+def cluster_effect(clusters: Sequence[tuple[int, int]]) -> float:
+    """Variance of the pooled share over that of independent trials, from (loops, events) of each cluster (boot, run).
+
+    Ratio estimator over clusters (Cochran 1977, section 11.8), the design effect of Rao & Scott (1992); 0 where all
+    clusters have the same share. 1 where there are no events, fewer than two clusters, or nothing but events.
+    """
+    n, k = (sum(numbers) for numbers in zip(*clusters, strict=True)) if clusters else (0, 0)
+    if len(clusters) < 2 or not 0 < k < n:
+        return 1.0
+    p = k / n
+    squares = sum((events - p * loops) ** 2 for loops, events in clusters)
+    return len(clusters) / (len(clusters) - 1) * squares / (n * p * (1 - p))
+
+
+def chance_of_gaps(n: int, k: int, gap: int, short: int) -> float:
+    """P(at least `short` of the k - 1 distances between k events are at most `gap`), k of n places taken at random.
+
+    Exact: i given distances are all longer in C(n - i gap, k) of C(n, k) cases, joined by inclusion and exclusion
+    (Feller 1968, sections II.12 and IV.5).
+    """
+    longer = k - short
+    cases = sum(
+        (-1) ** (i - longer) * math.comb(i - 1, longer - 1) * math.comb(k - 1, i) * math.comb(max(0, n - i * gap), k)
+        for i in range(longer, k)
+    )
+    return float(1 - Fraction(cases, math.comb(n, k)))
+
+
+def effect_of_few(positions: Int64s, loops: int) -> float:
+    """Design effect of a few events, ascending positions (k,): sum of S^2 over sum of S of the bursts that they form.
+
+    Events belong to one burst when the distance between them is at most the longest one, below half the mean
+    distance, at which so many short ones are beyond chance (`chance_of_gaps`, 5 % after Bonferroni). The effect is
+    that of a compound Poisson process (Adelson 1966).
+    """
+    gaps = np.diff(positions)
+    ordered = np.sort(gaps)
+    longest = 0
+    for gap in np.unique(ordered[2 * ordered * positions.size <= loops]).tolist():
+        short = int(np.searchsorted(ordered, gap, side="right"))
+        if chance_of_gaps(loops, positions.size, gap, short) < _CHANCE_OF_GAPS / gaps.size:
+            longest = gap
+    starts = np.flatnonzero(np.concatenate(([True], gaps > longest)))
+    sizes = np.diff(starts, append=positions.size)
+    return float((sizes**2).sum() / sizes.sum()) if positions.size else 1.0
 
 
 def extremal_index(positions: Int64s) -> float:

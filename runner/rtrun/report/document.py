@@ -17,6 +17,9 @@ from rtrun.report.study import Group, Study, environment, told
 from rtrun.report.terminal import banner_of
 from rtrun.results.samples import BESIDE
 
+# Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
+ENOUGH_BOOTS = 5
+
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
@@ -71,7 +74,7 @@ def document(study: Study, claims: Sequence[Examined]) -> Document:
 def summary(study: Study) -> str:
     """How many groups got which answer, the worst first."""
     found = [verdict_line(group).answer for group in study.groups]
-    order = (Answer.REFUTED, Answer.NEEDS_MORE, Answer.PROVEN, Answer.NO_STATEMENT)
+    order = (Answer.REFUTED, Answer.NEEDS_MORE, Answer.IF_INDEPENDENT, Answer.PROVEN, Answer.NO_STATEMENT)
     return ", ".join(f"{answer} {found.count(answer)} of {len(found)}" for answer in order if answer in found)
 
 
@@ -94,8 +97,13 @@ def _numbers(verdict: Verdict, group: Group) -> str:
         parts.append(f"dependent values: worth {verdict.n_effective:,.0f} independent measurements".replace(",", " "))
     if verdict.refused:
         parts.insert(0, verdict.refused)
-    elif verdict.answer == Answer.NEEDS_MORE:
+    elif verdict.change is not None:
+        change = f"it did not stay the same: {verdict.change.text} (p = {verdict.change.p_value:.1g})"
+        parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), change)
+    if verdict.answer == Answer.NEEDS_MORE:
         parts += _more(verdict)
+    elif verdict.answer in (Answer.PROVEN, Answer.IF_INDEPENDENT):
+        parts += _scope(verdict)
     startup_ns = [value.value_ns for one in group.digests for value in one.header.startup]
     late_start = [value_ns for value_ns in startup_ns if value_ns > verdict.deadline_ns]
     if late_start:
@@ -110,17 +118,35 @@ def _between(verdict: Verdict) -> str:
     return f"{verdict.lower:.2g} to {verdict.upper:.2g}"
 
 
+def _scope(verdict: Verdict) -> list[str]:
+    """What a proof holds for: bursts and boots."""
+    covered = f"holds for bursts of up to {verdict.longest_burst:.0f} misses"
+    more = [f"{_amount(verdict, count)} for bursts of {length}" for length, count in verdict.further_for_bursts]
+    return [covered + (f" (without a miss, {', '.join(more)})" if more else ""), *_boots(verdict)]
+
+
+def _boots(verdict: Verdict) -> list[str]:
+    if verdict.boots is None:
+        return []
+    if verdict.boots == 1:
+        return [f"holds for the boot that was measured; for the system measure on {ENOUGH_BOOTS} boots or more"]
+    return [f"{verdict.boots} boots"] if verdict.boots >= ENOUGH_BOOTS else [f"{verdict.boots} boots only"]
+
+
 def _more(verdict: Verdict) -> list[str]:
-    parts = []
+    parts = _boots(verdict)
+    if verdict.change is not None:
+        return parts
     if verdict.further is not None:
         parts.append(
-            f"{_amount(verdict, verdict.further)} without {'another' if verdict.misses else 'a'} miss prove it"
+            f"{_amount(verdict, verdict.further)} prove it without {'another' if verdict.misses else 'a'} miss"
+            + (", if dependence stays as seen" if verdict.design_effect > 1.005 else "")
         )
-    if verdict.further_at_rate is not None:
-        answer, count = verdict.further_at_rate
-        parts.append(f"at the rate seen, {answer} after {_amount(verdict, count)}")
+    if verdict.further_likely is not None:
+        answer, count = verdict.further_likely
+        parts.append(f"at the rate seen, {answer} after {_amount(verdict, count)} nine times in ten")
     elif verdict.misses:
-        parts.append("at the rate seen, no number decides it")
+        parts.append("at the rate seen, no number is likely to decide it")
     return parts
 
 

@@ -14,11 +14,7 @@ class Case:
     about: str
     answer: str
     text: str
-
-    @property
-    def passed(self) -> bool:
-        """Only a proof passes: neither too little data nor an emulated board is one."""
-        return self.answer == Answer.PROVEN
+    passed: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,12 +29,19 @@ class Gate:
         return bool(self.cases) and all(case.passed for case in self.cases)
 
 
-def gate(study: Study) -> Gate:
-    """Judge a study. A run that failed, is incomplete or was refused does not pass: what it hides is not known."""
+def gate(study: Study, *, assume_independent: bool = False) -> Gate:
+    """Judge a study. Only a proof passes: neither too little data nor an emulated board is one.
+
+    What is proven if measurements are independent, from counts without order, passes only with `assume_independent`.
+    A run that failed, is incomplete or was refused does not pass: what it hides is not known.
+    """
+    passing = {Answer.PROVEN, Answer.IF_INDEPENDENT} if assume_independent else {Answer.PROVEN}
     lines = [verdict_line(group) for group in study.groups]
-    cases = [Case(about=line.about, answer=line.answer, text=line.text) for line in lines]
+    cases = [
+        Case(about=line.about, answer=line.answer, text=line.text, passed=line.answer in passing) for line in lines
+    ]
     cases += [
-        Case(about=text.split(":", 1)[0], answer="NOT ANALYSED", text=text.split(":", 1)[-1].strip())
+        Case(about=text.split(":", 1)[0], answer="NOT ANALYSED", text=text.split(":", 1)[-1].strip(), passed=False)
         for text in study.left_out
     ]
     return Gate(cases=tuple(cases))

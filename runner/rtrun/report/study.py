@@ -2,14 +2,14 @@
 
 import functools
 import json
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.blocks import Blocks, add_outputs
-from rtrun.analysis.deadline import Verdict, judge
+from rtrun.analysis.deadline import Trials, Verdict, judge
 from rtrun.analysis.extreme import Bound, worst_case
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.plan.suites import Value, suites
@@ -41,6 +41,7 @@ class Group:
     undecidable: str | None
     bounds: tuple[Bound, ...]
     no_bound: str | None
+    records: tuple[RunRecord, ...]
 
     @property
     def label(self) -> str:
@@ -150,7 +151,8 @@ def study(
     for one in digests:
         if one.header.main:
             members.setdefault(_key(one), []).append(one)
-    groups = [_group(alike, deadline_ns, probability, confidence, bounds) for alike in members.values()]
+    by_run = {record.run: record for record in records}
+    groups = [_group(alike, by_run, deadline_ns, probability, confidence, bounds) for alike in members.values()]
     return Study(
         source=source,
         deadline_ns=deadline_ns,
@@ -184,9 +186,16 @@ def _key(one: Digest) -> str:
     return json.dumps([*origin, sorted(telling.items())])
 
 
-def _group(alike: Sequence[Digest], deadline_ns: int, probability: float, confidence: float, bounds: bool) -> Group:
+def _group(
+    alike: Sequence[Digest],
+    records: Mapping[str, RunRecord],
+    deadline_ns: int,
+    probability: float,
+    confidence: float,
+    bounds: bool,
+) -> Group:
     first = alike[0].header
-    trials = [one.trials for one in alike if one.trials is not None]
+    trials = [_located(one.trials, one.run, records.get(one.run)) for one in alike if one.trials is not None]
     undecidable = next((one.undecidable for one in alike if one.undecidable), None)
     periods = [one.header.period_ns for one in alike if one.header.period_ns]
     steps = [one.header.clock_step_ns for one in alike if one.header.clock_step_ns]
@@ -215,7 +224,15 @@ def _group(alike: Sequence[Digest], deadline_ns: int, probability: float, confid
         undecidable=undecidable,
         bounds=found,
         no_bound=no_bound,
+        records=tuple(records[run] for run in dict.fromkeys(one.run for one in alike) if run in records),
     )
+
+
+def _located(trials: Trials, run: str, record: RunRecord | None) -> Trials:
+    """The trials with the run, the boot and the time that they are of."""
+    if record is None:
+        return replace(trials, run=run)
+    return replace(trials, run=run, boot=str(record.target.boot_id or ""), start_time=record.start_time)
 
 
 def _bounds(

@@ -25,6 +25,15 @@ def test_a_proof_passes(tmp_path, capsys):
     assert ElementTree.parse(junit).getroot().attrib["failures"] == "0"
 
 
+def test_a_log_without_order_passes_only_when_told_to(tmp_path, capsys):
+    rows = [oneshot_rows(latencies(5000, 1), 1000)]
+    folder = write_run(tmp_path, "a", "oneshot_timer_tests", rows, PARAMETERS, asked=5000)
+    log = str(next(folder.glob("*measured.log")))
+    assert main(["gate", log, "--probability", "1e-3"]) == 1
+    assert "FAIL  PROVEN IF INDEPENDENT" in capsys.readouterr().out
+    assert main(["gate", log, "--probability", "1e-3", "--assume-independent"]) == 0
+
+
 @pytest.mark.parametrize(
     ("question", "answer"),
     [(["--probability", "1e-6"], "NEEDS MORE"), (["--deadline", "0.09ms", "--probability", "1e-3"], "REFUTED")],

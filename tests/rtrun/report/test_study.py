@@ -50,6 +50,16 @@ def test_enough_measurements_prove_a_deadline(tmp_path):
     assert verdict_line(only(tmp_path, deadline_ns=90_000)).answer == Answer.REFUTED
 
 
+def test_the_answer_says_for_which_boots_it_holds(tmp_path):
+    target = {"name": "board", "boot_id": "one"}
+    for k in range(2):
+        write_oneshot(tmp_path / "one", f"{k}", latencies(5000, k), logs=False, target=target)
+        write_oneshot(tmp_path / "two", f"{k}", latencies(5000, k), logs=False, target=target | {"boot_id": f"{k}"})
+    one, two = (verdict_line(only(tmp_path / name, probability=1e-3)).text for name in ("one", "two"))
+    assert "holds for the boot that was measured; for the system measure on 5 boots or more" in one
+    assert "2 boots only" in two and "holds for bursts of up to 3 misses" in two
+
+
 def test_bursts_make_measurements_worth_less(tmp_path):
     write_oneshot(tmp_path, "a", bursty(8000, 1), logs=False)
     verdict = only(tmp_path, deadline_ns=110_000).verdict

@@ -1,7 +1,7 @@
 """Examiners of the claims on communication and on the system as a whole (thesis sections 4.3.2 and 4.4)."""
 
 from rtrun.analysis.comparison import Change
-from rtrun.analysis.deadline import clopper_pearson
+from rtrun.analysis.intervals import clopper_pearson
 from rtrun.report.claims.examination import (
     Finding,
     Result,

@@ -1,6 +1,7 @@
 """Examiners of the claims on the one-shot and the cyclic timer (thesis sections 4.1.2 and 4.2.2)."""
 
-from rtrun.analysis.deadline import clopper_pearson, judge
+from rtrun.analysis.deadline import judge
+from rtrun.analysis.intervals import clopper_pearson
 from rtrun.report.claims.examination import (
     Finding,
     Result,

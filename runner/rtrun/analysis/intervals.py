@@ -1,0 +1,54 @@
+"""Intervals of a probability: exact for one look at the data, and such that hold however often somebody looks."""
+
+import math
+
+
+def clopper_pearson(k: float, n: float, confidence: float) -> tuple[float, float]:
+    """The exact two-sided interval of a probability after k events in n trials (Clopper & Pearson 1934).
+
+    k and n need not be whole: with effective numbers this is the interval of Korn & Graubard (1998) for dependent
+    trials. No trial gives (0, 1).
+    """
+    tail = (1 - confidence) / 2
+    return lower_bound(k, n, tail), upper_bound(k, n, tail)
+
+
+def anytime_interval(k: float, n: float, confidence: float) -> tuple[float, float]:
+    """The interval of a probability after k events in n trials that holds however often somebody looks.
+
+    With alpha = 1 - confidence, the upper end is that of Clopper & Pearson at level alpha / ((k + 1)(k + 2)), the lower
+    one at alpha / (k (k + 1)). Both sum to alpha over k. "The upper end is below p with k events" is true first at a
+    fixed n(k), and is wrong only if at most k events came in n(k) trials: its chance is the level of that k, so
+    the chance of ever being wrong is at most alpha (union bound), and alpha / 2 for one look at a fixed n. The lower
+    end likewise. Fractions of events (effective numbers) are rounded up to choose the level.
+    """
+    return anytime_lower(k, n, confidence), anytime_upper(k, n, confidence)
+
+
+def anytime_lower(k: float, n: float, confidence: float) -> float:
+    """The lower end of `anytime_interval`."""
+    whole = max(1, math.ceil(k - 1e-9))
+    return lower_bound(k, n, (1 - confidence) / (whole * (whole + 1)))
+
+
+def anytime_upper(k: float, n: float, confidence: float) -> float:
+    """The upper end of `anytime_interval`."""
+    whole = math.ceil(k - 1e-9)
+    return upper_bound(k, n, (1 - confidence) / ((whole + 1) * (whole + 2)))
+
+
+def lower_bound(k: float, n: float, level: float) -> float:
+    """The probability at which k or more events in n trials have the chance `level`; 0 when k is 0."""
+    from scipy.special import betaincinv
+
+    return 0.0 if k <= 0 or n <= 0 else float(betaincinv(min(k, n), max(n - k, 0.0) + 1, level))
+
+
+def upper_bound(k: float, n: float, level: float) -> float:
+    """The probability at which k or fewer events in n trials have the chance `level`; 1 when k is n."""
+    from scipy.special import betaincinv
+
+    if n <= 0 or k >= n:
+        return 1.0
+    # For k = 0 the closed form keeps every digit where 1 - x would lose them.
+    return -math.expm1(math.log(level) / n) if k <= 0 else float(betaincinv(k + 1, n - k, 1 - level))

@@ -1,0 +1,99 @@
+"""Processes whose true P(miss) is known, as runs of int64 samples in ns.
+
+Misses lie far above all other values and nothing else in a run hints at them, unless the process is said to be
+dependent as a whole.
+"""
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.special import ndtri
+
+DEADLINE_NS = 400_000
+MISS_NS = 500_000
+
+Rng = np.random.Generator
+Int64s = np.ndarray
+Process = Callable[[int, float, Rng], Int64s]
+
+
+def quiet(n: int, rng: Rng) -> Int64s:
+    """Independent values that all meet the deadline."""
+    return np.minimum(50_000 + rng.standard_exponential(n, np.float32) * 5_000, 300_000).astype(np.int64)
+
+
+def independent(n: int, p: float, rng: Rng) -> Int64s:
+    values = quiet(n, rng)
+    values[rng.integers(0, n, rng.binomial(n, p))] = MISS_NS
+    return values
+
+
+def bursts(n: int, p: float, rng: Rng, *, length: float) -> Int64s:
+    """Consecutive misses, geometric lengths of this mean; they begin at random."""
+    values = quiet(n, rng)
+    lead = 20 * math.ceil(length)
+    number = rng.poisson((n + lead) * p / length)
+    for start, size in zip(rng.integers(-lead, n, number), rng.geometric(1 / length, number), strict=True):
+        values[max(0, start) : max(0, start + size)] = MISS_NS
+    return values
+
+
+def _normal(x: Int64s, p: float) -> Int64s:
+    """Standard normal values, scaled so that a fraction p lies above the deadline."""
+    return (100_000 + (DEADLINE_NS - 100_000) / -ndtri(p) * x).astype(np.int64)
+
+
+def autoregressive(n: int, p: float, rng: Rng, *, memory: float) -> Int64s:
+    noise = rng.normal(size=n + 200) * math.sqrt(1 - memory**2)
+    return _normal(lfilter([1], [1, -memory], noise)[200:], p)
+
+
+def moving_average(n: int, p: float, rng: Rng, *, width: int) -> Int64s:
+    sums = np.cumsum(rng.normal(size=n + width))
+    return _normal((sums[width:] - sums[:-width]) / math.sqrt(width), p)
+
+
+def periodic(n: int, p: float, rng: Rng) -> Int64s:
+    values = quiet(n, rng)
+    values[rng.integers(0, round(1 / p)) :: round(1 / p)] = MISS_NS
+    return values
+
+
+def mixture(n: int, p: float, rng: Rng) -> Int64s:
+    """A load that comes and goes about every 50 loops; under it values are three times as wide and all misses occur."""
+    loaded = np.cumsum(rng.random(n) < 1 / 50) % 2 == rng.integers(2)
+    spread = (DEADLINE_NS - 50_000) / -math.log(2 * p)
+    return (50_000 + rng.exponential(spread, n) * np.where(loaded, 1.0, 1 / 3)).astype(np.int64)
+
+
+def late_regime(n: int, rng: Rng, *, p: float, part: float) -> Int64s:
+    """No miss but in the last part of the run, where a loop misses with the chance p."""
+    values = quiet(n, rng)
+    tail = values[n - round(n * part) :]
+    tail[rng.random(tail.size) < p] = MISS_NS
+    return values
+
+
+def rising(n: int, rng: Rng) -> Int64s:
+    """No miss, but values grow by half from the first loop to the last."""
+    return (quiet(n, rng) * np.linspace(1.0, 1.5, n)).astype(np.int64)
+
+
+def boots(number: int, n: int, p: float, rng: Rng, *, spread: float) -> list[Int64s]:
+    """One run a boot, n measurements in all; miss rates lognormal between boots with this spread and the mean p."""
+    rates = p * np.exp(rng.normal(-(spread**2) / 2, spread, number))
+    return [independent(n // number, min(1.0, rate), rng) for rate in rates]
+
+
+DEPENDENT: dict[str, Process] = {
+    "independent": independent,
+    "moving average of 5": partial(moving_average, width=5),
+    "AR(0.5)": partial(autoregressive, memory=0.5),
+    "AR(0.9)": partial(autoregressive, memory=0.9),
+    "AR(0.95)": partial(autoregressive, memory=0.95),
+    "periodic": periodic,
+    "load that comes and goes": mixture,
+}

@@ -1,0 +1,28 @@
+"""The error rates of verdicts, in short: `make coverage` simulates them at length and writes docs/analysis.md."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from rtrun.analysis import deadline
+
+# At the end: nothing here may stand in for a module of another folder.
+sys.path.append(str(Path(__file__).parent))
+from rows import ROWS, Row
+
+QUICK = [row for row in ROWS if row.quick]
+
+
+@pytest.mark.parametrize("row", QUICK, ids=lambda row: row.name)
+def test_a_verdict_is_as_seldom_wrong_as_it_says(row: Row) -> None:
+    share, _ = row.share(row.quick)
+    assert row.holds(share), f"{row.name}: {row.event} in {share:.1f} %"
+
+
+@pytest.mark.parametrize("row", [row for row in QUICK if row.remedy], ids=lambda row: row.name)
+def test_without_its_remedy_it_is_wrong(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert row.remedy is not None
+    monkeypatch.setattr(deadline, *row.remedy)
+    share, _ = row.share(row.quick)
+    assert not row.holds(share), f"{row.name}: {row.event} in {share:.1f} % without {row.remedy[0]}"
