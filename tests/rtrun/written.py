@@ -54,8 +54,11 @@ def write_output(
     return path
 
 
-def write_oneshot(folder: Path) -> Path:
-    """Four one-shot measurements of 1 ms, the third of which never fired."""
+def write_oneshot(folder: Path, armed_after_ns: int | None = None) -> Path:
+    """Four one-shot measurements of 1 ms, the third of which never fired.
+
+    `armed_after_ns` is the time from the start of each to the armed timer; None: samples of an earlier version.
+    """
     rows = [
         (10, 1_050_010, 50_000, 58_000),
         (2_000_000, 3_060_000, 60_000, 67_500),
@@ -66,7 +69,7 @@ def write_oneshot(folder: Path) -> Path:
         folder,
         "oneshot_timer_tests_l4_tm1000-tnRTRR",
         "oneshot_timer_tests",
-        rows,
+        rows if armed_after_ns is None else [(*row, row[0] + armed_after_ns) for row in rows],
         requested={"repetitions": 4, "timeout_us": 1000, "busy_mode": 0},
         asked=4,
         measured=3,

@@ -2,6 +2,8 @@
 
 import re
 import signal
+import subprocess
+import time
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +43,7 @@ def test_oneshot_defaults(bench: Bench) -> None:
     assert {thread["policy"] for thread in record["in_effect"]["threads"]} == {"OTHER"}
     assert record["in_effect"]["clock"] == "CLOCK_MONOTONIC_RAW"
     assert record["in_effect"]["mlockall"] is False
-    assert np.load(bench.folder / f"{base}.npy").shape == (1000, 4)
+    assert np.load(bench.folder / f"{base}.npy").shape == (1000, 5)
 
 
 @pytest.mark.parametrize("policy", ["RR", "FIFO"])
@@ -86,6 +88,63 @@ def test_only_the_measuring_threads_in_real_time(bench: Bench) -> None:
         assert policies.count(("FIFO", 40)) == (2 if program == "oneshot_timer_tests" else 1)
         assert set(policies) == {("FIFO", 40), ("OTHER", 0)}
         assert all(thread["cpus"] == [0] for thread in threads)
+
+
+def test_a_timeout_of_zero(bench: Bench) -> None:
+    assert bench.run("oneshot_timer_tests", "-t", "0", "-r", "200").status == 0
+    record = check_outputs(bench.folder, "oneshot_timer_tests_l200_tm0")
+    assert (record["complete"], record["counts"]["measured"]) == (True, 200)
+    assert record["summary"]["measured"]["min_ns"] > 0
+
+
+@pytest.mark.parametrize("frequency", [200_000, 1_000_000_000])
+def test_a_frequency_that_the_timer_cannot_keep(bench: Bench, frequency: int) -> None:
+    """Every period is measured; each is too long by what roscpp needs for a call."""
+    assert bench.run("cyclic_timer_tests", "-f", str(frequency), "-r", "2000").status == 0
+    record = check_outputs(bench.folder, f"cyclic_timer_tests_l2000_fq{frequency}")
+    assert (record["complete"], record["counts"]["measured"]) == (True, 2000)
+    assert record["summary"]["jitter"]["max_ns"] > 0
+
+
+def locked_kib(process: "subprocess.Popen[str]") -> int:
+    """Locked memory of a process, in KiB.
+
+    VmLck also counts address space without access, of which glibc reserves 64 MiB for each thread's heap: it is never
+    in memory, and left out here.
+    """
+    mappings = re.split(r"\n(?=[0-9a-f]+-[0-9a-f]+ )", Path(f"/proc/{process.pid}/smaps").read_text())
+    locked = [mapping for mapping in mappings if re.search(r"^VmFlags:.* lo\b", mapping, re.M)]
+    accessible = [mapping for mapping in locked if mapping.split()[1] != "---p"]
+    return sum(int(re.search(r"^Size: +(\d+) kB", mapping, re.M)[1]) for mapping in accessible)  # type: ignore[index]
+
+
+def page_faults(process: "subprocess.Popen[str]") -> int:
+    """Page faults of all threads of a process so far, minor and major."""
+    fields = Path(f"/proc/{process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return int(fields[7]) + int(fields[9])
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("oneshot_timer_tests", "-t", "1000"),
+        ("cyclic_timer_tests", "-f", "1000"),
+        ("communication_tests_subscriber", "--idle-timeout", "10"),
+        ("communication_tests_publisher", "-f", "1000"),
+    ],
+    ids=lambda command: command[0],
+)
+def test_locked_memory_is_bounded_and_never_faults(bench: Bench, command: tuple[str, ...]) -> None:
+    """A board may have 256 MiB. Libraries, heap, and 256 KiB of stack for each thread stay in memory."""
+    process = bench.start(*command, "-s", "RR", "-r", "4000")
+    until(lambda: is_measuring(process), process)
+    time.sleep(0.5)
+    before = page_faults(process)
+    time.sleep(1)
+    assert page_faults(process) == before
+    assert 4_000 < locked_kib(process) < 24_000
+    process.terminate()
+    assert end(process).status == 0
 
 
 def test_out_dir_prefix_and_clock(bench: Bench) -> None:
@@ -287,7 +346,7 @@ def test_a_long_run_leaves_no_part(bench: Bench, program: str) -> None:
     assert ended.status == 0
     assert ended.err == (
         f"\tWARNING: cannot write {base}.npy.part: No space left on device; "
-        "a power cut would have cost all behind row 0\n"
+        "a power cut would have lost all but the first 0 rows\n"
     )
     record = check_outputs(bench.folder, base)
     assert record["complete"] is True

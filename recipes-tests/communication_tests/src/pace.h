@@ -1,4 +1,4 @@
-// The beat of the publisher. No ROS in here.
+// When the publisher sends its messages. Without ROS.
 #pragma once
 
 #include <time.h>
@@ -10,16 +10,16 @@
 
 namespace communication {
 
-// Sleeps until a grid of exactly i/f. One that is late by more than a period goes on from there, as ros::Rate does,
-// instead of catching up in a burst.
+// Sleeps until the next multiple of 1/f. A caller that is late by more than a period continues from there, as with
+// ros::Rate, instead of sending the missed messages in a burst.
 class Pace {
  public:
   explicit Pace(int64_t frequency_hz)
       : frequency_hz_(frequency_hz), origin_ns_(rt_tests::now_ns(CLOCK_MONOTONIC)) {}
 
-  // False on a stop.
+  // False if a stop is requested.
   bool wait() noexcept {
-    const int64_t due_ns = origin_ns_ + ++beat_ * rt_tests::ns_per_s / frequency_hz_;
+    const int64_t due_ns = origin_ns_ + ++periods_ * rt_tests::ns_per_s / frequency_hz_;
     timespec due;
     due.tv_sec = static_cast<time_t>(due_ns / rt_tests::ns_per_s);
     due.tv_nsec = static_cast<long>(due_ns % rt_tests::ns_per_s);
@@ -33,7 +33,7 @@ class Pace {
  private:
   const int64_t frequency_hz_;
   int64_t origin_ns_;
-  int64_t beat_ = 0;
+  int64_t periods_ = 0;
 };
 
 }  // namespace communication

@@ -33,7 +33,8 @@ int64_t publish(const rt_tests::Options& options, ros::Publisher& publisher) {
   return count;
 }
 
-// ros::shutdown drops what is still queued. The subscribers leave after the last message; a foreign one never does.
+// ros::shutdown drops messages that are still queued. Our subscribers leave after the last message; other subscribers
+// may stay, hence the limit.
 void wait_for_subscribers_to_leave(const ros::Publisher& publisher) {
   const ros::WallTime limit = ros::WallTime::now() + ros::WallDuration(5.0);
   while (publisher.getNumSubscribers() > 0 && ros::ok() && ros::WallTime::now() < limit) {
@@ -42,10 +43,10 @@ void wait_for_subscribers_to_leave(const ros::Publisher& publisher) {
 }
 
 void delay(int64_t seconds) {
-  timespec left;
-  left.tv_sec = static_cast<time_t>(seconds);
-  left.tv_nsec = 0;
-  while (!rt_tests::stop_requested() && nanosleep(&left, &left) != 0) {
+  timespec remaining;
+  remaining.tv_sec = static_cast<time_t>(seconds);
+  remaining.tv_nsec = 0;
+  while (!rt_tests::stop_requested() && nanosleep(&remaining, &remaining) != 0) {
   }
 }
 

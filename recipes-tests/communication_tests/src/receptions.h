@@ -1,4 +1,4 @@
-// The bookkeeping of a subscriber: what came, once, twice, late, never. No ROS in here.
+// Which messages a subscriber received: in order, out of order, twice, or not at all. Without ROS.
 #pragma once
 
 #include <algorithm>
@@ -10,21 +10,23 @@
 
 namespace communication {
 
+constexpr std::size_t columns = 3;  // publication, reception, seq
+using Samples = rt_tests::Samples<columns>;
+
 class Receptions {
  public:
-  using Samples = rt_tests::Samples<3>;  // publication, reception, seq
+  // The messages asked for are as many as the samples have room for.
+  explicit Receptions(Samples& samples)
+      : samples_(samples), asked_(static_cast<int64_t>(samples.capacity())), seen_(samples.capacity()) {}
 
-  explicit Receptions(int64_t asked)
-      : asked_(asked), seen_(static_cast<std::size_t>(asked)), samples_(static_cast<std::size_t>(asked)) {}
-
-  // A message; `seq` comes from the network and is believed only after a look at its range.
+  // Notes one message. `seq` comes from the network and may be out of range.
   void receive(int64_t publication_ns, int64_t reception_ns, uint32_t seq, bool last) noexcept {
     if (last) {
       last_came_ = true;
       sent_ = std::max(sent_, int64_t{seq} + 1);
     }
     if (seq >= asked_) {
-      ++beyond_;
+      ++out_of_range_;
     } else if (seen_[seq]) {
       duplicate.note(seq);
     } else {
@@ -37,9 +39,8 @@ class Receptions {
   }
 
   bool last_came() const noexcept { return last_came_; }
-  const Samples& samples() const noexcept { return samples_; }
 
-  // After the last reception. Messages behind the highest that came were, as far as this subscriber knows, never sent.
+  // To be called after the last reception. Messages above the highest number that came count as never sent.
   rt_tests::Noted missing() const {
     rt_tests::Noted result;
     for (int64_t seq = 0; seq < std::min(sent_, asked_); ++seq) {
@@ -48,10 +49,11 @@ class Receptions {
     return result;
   }
 
-  // Why this is not the whole of what was asked; empty if it is. `ended_by` says what ended it before the last message.
+  // Why not all messages asked for were received; empty if they were. `ended_by` is what ended the measurement before
+  // the last message.
   std::string incomplete_reason(const std::string& ended_by) const {
-    if (beyond_ > 0) {
-      return std::to_string(beyond_) + " messages numbered " + std::to_string(asked_) +
+    if (out_of_range_ > 0) {
+      return std::to_string(out_of_range_) + " messages numbered " + std::to_string(asked_) +
              " or more came: publisher and subscriber need the same -r";
     }
     if (!last_came_) {
@@ -65,12 +67,12 @@ class Receptions {
   rt_tests::Noted duplicate, out_of_order;
 
  private:
+  Samples& samples_;
   const int64_t asked_;
   std::vector<bool> seen_;
-  Samples samples_;
   int64_t previous_ = -1;
-  int64_t sent_ = 0;  // at least
-  int64_t beyond_ = 0;
+  int64_t sent_ = 0;         // lower bound of the number of messages sent
+  int64_t out_of_range_ = 0;
   bool last_came_ = false;
 };
 

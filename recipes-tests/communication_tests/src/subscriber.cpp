@@ -4,16 +4,13 @@
 #include <ros/ros.h>
 
 #include "receptions.h"
-#include "rt_tests_support/blocks.h"
-#include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
-#include "rt_tests_support/report.h"
-#include "rt_tests_support/stop.h"
-#include "rt_tests_support/trace.h"
+#include "rt_tests_support/session.h"
 
 namespace {
 
 using communication::Receptions;
+using Session = rt_tests::MeasurementSession<communication::columns>;
 
 const rt_tests::Program program = {
     "communication_tests",
@@ -22,18 +19,19 @@ const rt_tests::Program program = {
     {"policy", "repetitions", "prefix", "frequency_hz", "payload_bytes", "start_delay_s", "priority", "cpu", "clock",
      "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us", "idle_timeout_s"}};
 
-// Whether to wait on for a publisher that sends nothing; asked only when nothing came for a while.
+// Decides whether to wait longer for a publisher that sends nothing.
 class Silence {
  public:
-  // Before the first message only a limit given on the command line counts: a publisher may be started much later.
+  // Before the first message only an --idle-timeout given on the command line ends the waiting: the publisher may be
+  // started much later.
   explicit Silence(const rt_tests::Options& options)
       : limit_ns_(options.number("idle_timeout_s") * rt_tests::ns_per_s),
         limit_is_given_(options.given("idle_timeout_s")),
         delay_ns_(options.number("start_delay_s") * rt_tests::ns_per_s),
         since_ns_(rt_tests::now_ns(CLOCK_MONOTONIC)) {}
 
-  // The reason to end, empty to wait on.
-  std::string verdict(std::size_t received, uint32_t publishers) {
+  // Why to end the measurement; empty: wait longer. To be called when no message came for a while.
+  std::string reason_to_end(std::size_t received, uint32_t publishers) {
     const int64_t now_ns = rt_tests::now_ns(CLOCK_MONOTONIC);
     if (received != received_) {
       received_ = received;
@@ -57,37 +55,35 @@ class Silence {
   bool publisher_seen_ = false;
 };
 
-// Receives until the last message; returns what ended it before, if anything did.
-std::string receive(const rt_tests::Options& options, Receptions& receptions, rt_tests::OutlierTrace& outliers,
-                    rt_tests::Surroundings& surroundings) {
-  const clockid_t clock = surroundings.clock;
-  bool broke = false;
+// Receives until the last message. Returns what ended the measurement before that, empty if nothing did.
+std::string receive(const rt_tests::Options& options, Session& session, Receptions& receptions) {
+  const clockid_t clock = session.clock();
+  bool broke = false;  // by --break-trace
   std::size_t received = 0;
 
   ros::NodeHandle node;
-  const boost::function<void(const communication_tests::timestamp_msg::ConstPtr&)> callback =
-      [&](const communication_tests::timestamp_msg::ConstPtr& message) {
-        const int64_t reception_ns = rt_tests::now_ns(clock);
-        if (broke || receptions.last_came()) return;
-        const int64_t publication_ns = int64_t{message->sec} * rt_tests::ns_per_s + message->nsec;
-        ++received;
-        receptions.receive(publication_ns, reception_ns, message->seq, message->last_msg);
-        broke = outliers.exceeded(reception_ns - publication_ns, message->seq, reception_ns);
-      };
-  ros::Subscriber subscriber = node.subscribe<communication_tests::timestamp_msg>("communication_tests", 1000, callback);
+  using Message = communication_tests::timestamp_msg;
+  const boost::function<void(const Message::ConstPtr&)> callback = [&](const Message::ConstPtr& message) {
+    const int64_t reception_ns = rt_tests::now_ns(clock);
+    if (broke || receptions.last_came()) return;
+    const int64_t publication_ns = int64_t{message->sec} * rt_tests::ns_per_s + message->nsec;
+    ++received;
+    receptions.receive(publication_ns, reception_ns, message->seq, message->last_msg);
+    broke = session.outliers.exceeded(reception_ns - publication_ns, message->seq, reception_ns);
+  };
+  ros::Subscriber subscriber = node.subscribe<Message>("communication_tests", 1000, callback);
 
-  rt_tests::set_up_measuring_thread(options);
-  rt_tests::catch_stop_signals(nullptr);
+  session.begin();
   Silence silence(options);
   std::string ended_by;
   std::size_t before = 0;
   while (!receptions.last_came() && !broke && !rt_tests::stop_requested() && ended_by.empty()) {
     if (!ros::ok()) rt_tests::request_stop();
     ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
-    if (received == before) ended_by = silence.verdict(received, subscriber.getNumPublishers());
+    if (received == before) ended_by = silence.reason_to_end(received, subscriber.getNumPublishers());
     before = received;
   }
-  surroundings.finish();
+  session.end();
   return ended_by.empty() ? rt_tests::stop_reason() : ended_by;
 }
 
@@ -104,44 +100,33 @@ void list_events(const rt_tests::Noted& noted, const std::string& kind, const st
 int run(int argc, char* argv[]) {
   const rt_tests::Options options = rt_tests::parse(program, argc, argv);
   const std::string asked = std::to_string(options.number("repetitions"));
+  const std::string frequency = std::to_string(options.number("frequency_hz"));
   const std::string payload = std::to_string(options.number("payload_bytes"));
-  const auto destination = rt_tests::destination(
-      options, "ct_gnuplot_l" + asked + "_fq" + std::to_string(options.number("frequency_hz")) + "_pl" + payload +
-                   rt_tests::policy_suffix(options));
-  rt_tests::set_up_process(options);
-  rt_tests::OutlierTrace outliers(options, program.name, destination.path(""));
-  rt_tests::require_memory(options.number("repetitions") * int64_t{sizeof(Receptions::Samples::Row)});
-  Receptions receptions(options.number("repetitions"));
-  rt_tests::Blocks blocks(destination.path(".npy"), receptions.samples(),
-                          options.number("repetitions") * rt_tests::ns_per_s / options.number("frequency_hz"));
-  rt_tests::Report report(program, options);
-  rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));
+  Session session(program, options,
+                  "ct_gnuplot_l" + asked + "_fq" + frequency + "_pl" + payload + rt_tests::policy_suffix(options),
+                  options.number("repetitions"), rt_tests::ns_per_s / options.number("frequency_hz"));
+  Receptions receptions(session.samples);
 
   ros::init(argc, argv, program.name, ros::init_options::NoSigintHandler);
-  const std::string ended_by = receive(options, receptions, outliers, surroundings);
-  rt_tests::give_up_realtime();
-  outliers.finish();
+  const std::string ended_by = receive(options, session, receptions);
+  session.tear_down();
   ros::shutdown();
 
   rt_tests::Series latency("latency");
-  const auto& samples = receptions.samples();
-  for (std::size_t i = 0; i < samples.size(); ++i) {
-    const auto& [publication_ns, reception_ns, seq] = samples[i];
+  for (std::size_t i = 0; i < session.samples.size(); ++i) {
+    const auto& [publication_ns, reception_ns, seq] = session.samples[i];
     latency.add(reception_ns - publication_ns, seq);
   }
-  report.asked = options.number("repetitions");
+  rt_tests::Report& report = session.report;
   report.measured = latency.n();
   report.missing = receptions.missing();
   report.duplicate = receptions.duplicate;
   report.out_of_order = receptions.out_of_order;
-  report.incomplete_reason = outliers.reason();
-  report.traces = &outliers;
-  if (report.incomplete_reason.empty()) report.incomplete_reason = receptions.incomplete_reason(ended_by);
   report.series = {&latency};
   report.plot = rt_tests::Plot::communication;
   report.logs = {{".log", &latency}};
-  report.title = "communication_tests plot " + rt_tests::machine_title() + " -  " + asked + " samples; payload length " +
-                 payload;
+  report.title = "communication_tests plot " + rt_tests::machine_title() + " -  " + asked +
+                 " samples; payload length " + payload;
   if (rt_tests::is_realtime(options)) report.title += "; test node RT " + options.text("policy");
   report.heading = {"Measurement results:"};
   report.lines = {"Amount messages: " + asked +
@@ -150,8 +135,7 @@ int run(int argc, char* argv[]) {
   for (const auto& line : rt_tests::boundary_lines(latency)) report.lines.push_back(line);
   list_events(report.missing, "missing", "Missing", report.lines);
   list_events(report.duplicate, "duplicate", "Duplicate", report.lines);
-  rt_tests::write_report(report, surroundings, destination, samples.data(), samples.size(), 3);
-  blocks.discard();
+  session.write(receptions.incomplete_reason(ended_by));
   return 0;
 }
 

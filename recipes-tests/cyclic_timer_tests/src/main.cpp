@@ -3,12 +3,8 @@
 #include <ros/ros.h>
 
 #include "jitter.h"
-#include "rt_tests_support/blocks.h"
-#include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
-#include "rt_tests_support/report.h"
-#include "rt_tests_support/stop.h"
-#include "rt_tests_support/trace.h"
+#include "rt_tests_support/session.h"
 
 namespace {
 
@@ -18,32 +14,33 @@ const rt_tests::Program program = {"cyclic_timer_tests",
                                    {"policy", "repetitions", "prefix", "frequency_hz", "priority", "cpu", "clock",
                                     "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us"}};
 
-void measure(const rt_tests::Options& options, cyclic::Samples& samples, rt_tests::OutlierTrace& outliers,
-             rt_tests::Surroundings& surroundings) {
-  const clockid_t clock = surroundings.clock;
+using Session = rt_tests::MeasurementSession<cyclic::columns>;
+
+void measure(const rt_tests::Options& options, Session& session) {
+  const clockid_t clock = session.clock();
+  cyclic::Samples& samples = session.samples;
   const int64_t period_ns = cyclic::grid_ns(1, options.number("frequency_hz"));
   const ros::Duration period(static_cast<int32_t>(period_ns / rt_tests::ns_per_s),
                              static_cast<int32_t>(period_ns % rt_tests::ns_per_s));
-  bool broke = false;
-  int64_t last_ns = 0;
+  bool broke = false;  // by --break-trace
+  int64_t previous_ns = 0;
 
   ros::NodeHandle node;
   const boost::function<void(const ros::TimerEvent&)> callback = [&](const ros::TimerEvent&) {
     const int64_t now_ns = rt_tests::now_ns(clock);
     if (broke || !samples.append({now_ns})) return;
     const auto rows = static_cast<int64_t>(samples.size());
-    broke = rows > 1 && outliers.exceeded(now_ns - last_ns - period_ns, rows - 2, now_ns);
-    last_ns = now_ns;
+    broke = rows > 1 && session.outliers.exceeded(now_ns - previous_ns - period_ns, rows - 2, now_ns);
+    previous_ns = now_ns;
   };
   ros::Timer timer = node.createTimer(period, callback);
 
-  rt_tests::set_up_measuring_thread(options);
-  rt_tests::catch_stop_signals(nullptr);
+  session.begin();
   while (!samples.full() && !broke && !rt_tests::stop_requested()) {
     if (!ros::ok()) rt_tests::request_stop();
     ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
   }
-  surroundings.finish();
+  session.end();
   timer.stop();
 }
 
@@ -51,31 +48,20 @@ int run(int argc, char* argv[]) {
   const rt_tests::Options options = rt_tests::parse(program, argc, argv);
   const std::string repetitions = std::to_string(options.number("repetitions"));
   const std::string frequency = std::to_string(options.number("frequency_hz"));
-  const auto destination = rt_tests::destination(
-      options, "cyclic_timer_tests_l" + repetitions + "_fq" + frequency + rt_tests::policy_suffix(options));
-  rt_tests::set_up_process(options);
-  rt_tests::OutlierTrace outliers(options, program.name, destination.path(""));
-  rt_tests::require_memory(options.number("repetitions") * int64_t{sizeof(cyclic::Samples::Row)});
-  cyclic::Samples samples(static_cast<std::size_t>(options.number("repetitions")) + 1);
-  rt_tests::Blocks blocks(destination.path(".npy"), samples,
-                          cyclic::grid_ns(options.number("repetitions"), options.number("frequency_hz")));
-  rt_tests::Report report(program, options);
-  rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));
+  Session session(program, options,
+                  "cyclic_timer_tests_l" + repetitions + "_fq" + frequency + rt_tests::policy_suffix(options),
+                  options.number("repetitions") + 1, cyclic::grid_ns(1, options.number("frequency_hz")));
 
   ros::init(argc, argv, program.name, ros::init_options::NoSigintHandler);
   rt_tests::info("Performing latency measurements...");
-  measure(options, samples, outliers, surroundings);
-  rt_tests::give_up_realtime();
-  outliers.finish();
+  measure(options, session);
+  session.tear_down();
   ros::shutdown();
 
-  rt_tests::Series jitter("jitter"), grid("grid");
-  cyclic::analyse(samples, options.number("frequency_hz"), jitter, grid);
-  report.asked = options.number("repetitions");
+  rt_tests::Series jitter("jitter", rt_tests::Rounding::down), grid("grid", rt_tests::Rounding::down);
+  cyclic::analyse(session.samples, options.number("frequency_hz"), jitter, grid);
+  rt_tests::Report& report = session.report;
   report.measured = jitter.n();
-  report.incomplete_reason = outliers.reason();
-  report.traces = &outliers;
-  if (report.incomplete_reason.empty() && !samples.full()) report.incomplete_reason = rt_tests::stop_reason();
   report.series = {&jitter, &grid};
   report.plot = rt_tests::Plot::cyclic;
   report.logs = {{".log", &jitter}};
@@ -86,8 +72,7 @@ int run(int argc, char* argv[]) {
                       frequency + "Hz:",
                   "Jitter:\t" + rt_tests::extremes(jitter, "", "\t")};
   for (const auto& line : rt_tests::boundary_lines(jitter)) report.lines.push_back(line);
-  rt_tests::write_report(report, surroundings, destination, samples.data(), samples.size(), 1);
-  blocks.discard();
+  session.write(session.samples.full() ? "" : rt_tests::stop_reason());
   return 0;
 }
 

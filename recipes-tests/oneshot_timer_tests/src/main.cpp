@@ -2,12 +2,11 @@
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 
+#include <atomic>
 #include <thread>
 
-#include "rt_tests_support/blocks.h"
-#include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
-#include "rt_tests_support/report.h"
+#include "rt_tests_support/session.h"
 #include "shots.h"
 
 namespace {
@@ -19,28 +18,30 @@ const rt_tests::Program program = {
     {"policy", "repetitions", "prefix", "timeout_us", "busy_mode", "priority", "cpu", "clock", "out_dir", "rt_scope",
      "break_trace_us", "trace_threshold_us"}};
 
-constexpr int64_t patience_ns = 5 * rt_tests::ns_per_s;  // a timer later than this did not fire
+using Session = rt_tests::MeasurementSession<oneshot::columns>;
+
+constexpr int64_t wait_limit_ns = 5 * rt_tests::ns_per_s;  // a timer that is later than this did not fire
 
 void spin_once(ros::WallDuration timeout) { ros::getGlobalCallbackQueue()->callAvailable(timeout); }
 
-// The first shot starts roscpp's timer thread; what comes after it is alike.
+// roscpp starts its timer thread with the first timer. That shot is not measured.
 void fire_once(const bool& fired) {
   const ros::WallTime limit = ros::WallTime::now() + ros::WallDuration(5.0);
   while (!fired) {
     if (!ros::ok() || ros::WallTime::now() > limit) {
-      throw rt_tests::Failure("the first ROS timer did not fire within 5 s: is /use_sim_time set, and no clock running?");
+      throw rt_tests::Failure(
+          "the first ROS timer did not fire within 5 s: is /use_sim_time set while no clock is published?");
     }
     spin_once(ros::WallDuration(0.1));
   }
 }
 
-void measure(const rt_tests::Options& options, oneshot::Samples& samples, rt_tests::Noted& not_fired,
-             rt_tests::OutlierTrace& outliers, rt_tests::Surroundings& surroundings) {
-  const clockid_t clock = surroundings.clock;
+void measure(const rt_tests::Options& options, Session& session) {
+  const clockid_t clock = session.clock();
   const int64_t timeout_ns = options.number("timeout_us") * rt_tests::ns_per_us;
   const ros::Duration timeout(static_cast<int32_t>(timeout_ns / rt_tests::ns_per_s),
                               static_cast<int32_t>(timeout_ns % rt_tests::ns_per_s));
-  oneshot::ShotBox box(clock, timeout_ns + patience_ns);
+  oneshot::ShotBox box(clock, timeout_ns + wait_limit_ns);
   bool fired_first = false;
 
   ros::NodeHandle node;
@@ -53,47 +54,48 @@ void measure(const rt_tests::Options& options, oneshot::Samples& samples, rt_tes
   ros::Timer timer = node.createTimer(ros::Duration(0.01), callback, true);
   fire_once(fired_first);
 
-  // A timer that is started is started again by setPeriod, a stopped one by start.
+  // setPeriod arms a timer that was started before. After cancel(), start arms it.
   const auto trigger = [&] {
     timer.setPeriod(timeout);
     timer.start();
   };
   const auto cancel = [&] { timer.stop(); };
+  const auto measure_shots = [&](auto wait) {
+    oneshot::measure(clock, timeout_ns, box, session.samples, session.report.not_fired, session.outliers, trigger,
+                     cancel, wait);
+    session.end();
+  };
 
-  rt_tests::set_up_measuring_thread(options);
-  rt_tests::catch_stop_signals(box.semaphore());
+  session.begin(box.semaphore());
   if (options.number("busy_mode") == 1) {
-    const auto wait = [&] {
+    measure_shots([&] {
       while (!box.settle()) {
         if (!ros::ok()) rt_tests::request_stop();
         if (rt_tests::stop_requested()) return false;
         ros::spinOnce();
       }
       return true;
-    };
-    oneshot::measure(clock, timeout_ns, box, samples, not_fired, outliers, trigger, cancel, wait);
-    surroundings.finish();
-    return;
+    });
+  } else {
+    std::atomic<bool> ended{false};
+    std::thread spinner([&] {
+      while (!ended && ros::ok()) {
+        spin_once(ros::WallDuration(0.1));
+        if (box.settle()) box.wake();
+      }
+      if (!ros::ok()) rt_tests::request_stop();
+    });
+    measure_shots([&] { return box.wait(); });
+    ended = true;
+    spinner.join();
   }
-
-  std::atomic<bool> ended{false};
-  std::thread spinner([&] {
-    while (!ended && ros::ok()) {
-      spin_once(ros::WallDuration(0.1));
-      if (box.settle()) box.wake();
-    }
-    if (!ros::ok()) rt_tests::request_stop();
-  });
-  oneshot::measure(clock, timeout_ns, box, samples, not_fired, outliers, trigger, cancel, [&] { return box.wait(); });
-  surroundings.finish();
-  ended = true;
-  spinner.join();
-  rt_tests::catch_stop_signals(nullptr);
+  rt_tests::catch_stop_signals(nullptr);  // the semaphore ends with this function
 }
 
 std::string title(const rt_tests::Options& options) {
   const bool busy = options.number("busy_mode") == 1;
-  std::string text = "timer_tests plot " + rt_tests::machine_title() + " -  " + options.text("repetitions") + " samples  ";
+  std::string text =
+      "timer_tests plot " + rt_tests::machine_title() + " -  " + options.text("repetitions") + " samples  ";
   if (rt_tests::is_realtime(options)) text += "test node RT " + options.text("policy") + (busy ? "; " : "");
   return text + (busy ? "busy mode" : "");
 }
@@ -101,55 +103,39 @@ std::string title(const rt_tests::Options& options) {
 int run(int argc, char* argv[]) {
   const rt_tests::Options options = rt_tests::parse(program, argc, argv);
   const bool busy = options.number("busy_mode") == 1;
-  const auto destination = rt_tests::destination(
-      options, "oneshot_timer_tests_l" + std::to_string(options.number("repetitions")) + "_tm" +
-                   std::to_string(options.number("timeout_us")) + rt_tests::policy_suffix(options) + (busy ? "-bm" : ""));
-  rt_tests::set_up_process(options);
-  rt_tests::OutlierTrace outliers(options, program.name, destination.path(""));
-  rt_tests::require_memory(options.number("repetitions") * int64_t{sizeof(oneshot::Samples::Row)});
-  oneshot::Samples samples(static_cast<std::size_t>(options.number("repetitions")));
-  rt_tests::Blocks blocks(destination.path(".npy"), samples,
-                          options.number("repetitions") * options.number("timeout_us") * rt_tests::ns_per_us);
-  rt_tests::Report report(program, options);
-  rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));
+  const std::string repetitions = std::to_string(options.number("repetitions"));
+  const std::string timeout = std::to_string(options.number("timeout_us"));
+  Session session(program, options,
+                  "oneshot_timer_tests_l" + repetitions + "_tm" + timeout + rt_tests::policy_suffix(options) +
+                      (busy ? "-bm" : ""),
+                  options.number("repetitions"), options.number("timeout_us") * rt_tests::ns_per_us);
 
   ros::init(argc, argv, program.name, ros::init_options::NoSigintHandler);
   rt_tests::info("Performing ROS Timer latency measurements...");
   rt_tests::info(busy ? "Running in busy mode" : "Running in default mode");
-  measure(options, samples, report.not_fired, outliers, surroundings);
-  rt_tests::give_up_realtime();
-  outliers.finish();
+  measure(options, session);
+  session.tear_down();
   ros::shutdown();
 
-  rt_tests::Series measured("measured"), reported("reported"), difference("difference");
-  for (std::size_t i = 0; i < samples.size(); ++i) {
-    const auto& [start_ns, end_ns, measured_ns, reported_ns] = samples[i];
-    if (end_ns == oneshot::did_not_fire) continue;
-    const auto index = static_cast<int64_t>(i);
-    measured.add(measured_ns, index);
-    reported.add(reported_ns, index);
-    difference.add(reported_ns - measured_ns, index);
-  }
-  report.asked = options.number("repetitions");
-  report.measured = measured.n();
-  report.incomplete_reason = outliers.reason();
-  report.traces = &outliers;
-  if (report.incomplete_reason.empty() && !samples.full()) report.incomplete_reason = rt_tests::stop_reason();
-  report.series = {&measured, &reported, &difference};
+  const oneshot::Results results(session.samples);
+  rt_tests::Report& report = session.report;
+  report.measured = results.measured.n();
+  report.series = {&results.measured, &results.reported, &results.difference, &results.measured_2014,
+                   &results.difference_2014};
   report.plot = rt_tests::Plot::oneshot;
-  report.logs = {{"-measured.log", &measured}, {"-reported.log", &reported}, {"-diff.log", &difference}};
+  report.logs = {{"-measured.log", &results.measured_2014},
+                 {"-reported.log", &results.reported},
+                 {"-diff.log", &results.difference_2014}};
   report.title = title(options);
-  report.lines = {"Measurement results with a loop length of " + std::to_string(options.number("repetitions")) +
-                      " and a timeout of " + std::to_string(options.number("timeout_us")) + " us:",
-                  "Measured:\t" + rt_tests::extremes(measured, " ", " \t"),
-                  "Reported:\t" + rt_tests::extremes(reported, " ", " \t"),
-                  "Difference:\t" + rt_tests::extremes(difference, "", "\t")};
+  report.lines = {"Measurement results with a loop length of " + repetitions + " and a timeout of " + timeout + " us:",
+                  "Measured:\t" + rt_tests::extremes(results.measured_2014, " ", " \t"),
+                  "Reported:\t" + rt_tests::extremes(results.reported, " ", " \t"),
+                  "Difference:\t" + rt_tests::extremes(results.difference_2014, "", "\t")};
   if (report.not_fired.count() > 0) {
     report.lines.push_back(std::to_string(report.not_fired.count()) + " timers didn't fire!");
   }
-  for (const auto& line : rt_tests::boundary_lines(measured)) report.lines.push_back(line);
-  rt_tests::write_report(report, surroundings, destination, samples.data(), samples.size(), 4);
-  blocks.discard();
+  for (const auto& line : rt_tests::boundary_lines(results.measured_2014)) report.lines.push_back(line);
+  session.write(session.samples.full() ? "" : rt_tests::stop_reason());
   return 0;
 }
 

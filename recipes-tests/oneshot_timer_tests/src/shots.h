@@ -1,4 +1,4 @@
-// The measuring loop of the one-shot timer and the hand-over between its threads. No ROS in here.
+// The measuring loop of the one-shot timer and how its threads exchange results. Without ROS.
 #pragma once
 
 #include <semaphore.h>
@@ -10,14 +10,15 @@
 #include "rt_tests_support/clock.h"
 #include "rt_tests_support/samples.h"
 #include "rt_tests_support/stop.h"
+#include "rt_tests_support/summary.h"
 #include "rt_tests_support/trace.h"
 
 namespace oneshot {
 
 constexpr int64_t did_not_fire = std::numeric_limits<int64_t>::min();
 
-// Hands the outcome of one shot at a time from the thread that runs the callbacks to the thread that measures. Shots
-// are numbered, so that the outcome of one is never taken for that of another.
+// Passes the outcome of one shot at a time from the thread that runs the callbacks to the measuring thread. Shots are
+// numbered, so that a late outcome of one shot is never taken for that of the next.
 class ShotBox {
  public:
   ShotBox(clockid_t clock, int64_t limit_ns) : clock_(clock), limit_ns_(limit_ns) { sem_init(&settled_once_, 0, 0); }
@@ -25,7 +26,7 @@ class ShotBox {
   ShotBox(const ShotBox&) = delete;
   ShotBox& operator=(const ShotBox&) = delete;
 
-  // Measuring thread, before the timer is started: from here on there is no outcome.
+  // On the measuring thread, before the timer is armed: the next shot, which has no outcome yet.
   void arm(int64_t start_ns) noexcept {
     start_ns_.store(start_ns, std::memory_order_relaxed);
     armed_.fetch_add(1, std::memory_order_release);
@@ -38,9 +39,9 @@ class ShotBox {
     reported_ns_ = reported_ns;
   }
 
-  // On the thread of the callbacks, after they returned: true once for each shot, when it fired or its time is over.
-  // Not in the callback itself: until that returned, roscpp forgets a timer that is started again (the "randomly
-  // ignored timers" of the thesis).
+  // On the thread that runs the callbacks, after they returned: true once for each shot, when it fired or its time
+  // limit passed. Not in the callback itself: when the callback returns, roscpp disarms the timer, also if it was armed
+  // again in the meantime (the "randomly ignored timers" of the thesis).
   bool settle() noexcept {
     const uint32_t shot = armed_.load(std::memory_order_acquire);
     if (shot == settled_.load(std::memory_order_relaxed)) return false;
@@ -58,7 +59,7 @@ class ShotBox {
     return settled_.load(std::memory_order_acquire) == armed_.load(std::memory_order_relaxed);
   }
 
-  // Measuring thread: one wait. False if a stop was requested first.
+  // On the measuring thread: waits until the shot is settled. False if a stop is requested first.
   bool wait() noexcept {
     while (!is_settled()) {
       if (rt_tests::stop_requested()) return false;
@@ -67,7 +68,7 @@ class ShotBox {
     return true;
   }
 
-  // Of the settled shot.
+  // The outcome of the settled shot.
   bool has_fired() const noexcept { return end_ns_ != did_not_fire; }
   int64_t end_ns() const noexcept { return end_ns_; }
   int64_t reported_ns() const noexcept { return reported_ns_; }
@@ -79,17 +80,21 @@ class ShotBox {
   std::atomic<uint32_t> armed_{0};
   std::atomic<uint32_t> settled_{0};
   std::atomic<int64_t> start_ns_{0};
-  uint32_t fired_ = 0;  // this and what follows: written by the callbacks' thread, read when settled
+  // Written by the thread that runs the callbacks, read when the shot is settled.
+  uint32_t fired_ = 0;
   int64_t end_ns_ = 0;
   int64_t reported_ns_ = 0;
 };
 
-using Samples = rt_tests::Samples<4>;  // start, end, measured, reported
+// start, end, measured, reported, armed. `start` is taken before the timer is armed, `armed` after it, as the start of
+// the 2014 programs was: roscpp computes the expiry in between. `measured` is end - timeout - start.
+constexpr std::size_t columns = 5;
+using Samples = rt_tests::Samples<columns>;
 
-// Fills the samples: for each shot one start timestamp, one wait, one callback timestamp, nothing allocated.
-//   trigger()  starts the timer
-//   cancel()   ends it for good: afterwards the callback of this shot neither runs nor will run
-//   wait()     returns when the box is settled; false on a stop
+// Fills the samples, for each shot one row. Allocates nothing.
+//   trigger()  arms the timer
+//   cancel()   stops the timer: afterwards the callback of this shot neither runs nor will run
+//   wait()     returns true when the box is settled, false if a stop is requested first
 template <class Trigger, class Cancel, class Wait>
 void measure(clockid_t clock, int64_t timeout_ns, ShotBox& box, Samples& samples, rt_tests::Noted& not_fired,
              rt_tests::OutlierTrace& outliers, Trigger trigger, Cancel cancel, Wait wait) {
@@ -98,17 +103,39 @@ void measure(clockid_t clock, int64_t timeout_ns, ShotBox& box, Samples& samples
     const int64_t start_ns = rt_tests::now_ns(clock);
     box.arm(start_ns);
     trigger();
+    const int64_t armed_ns = rt_tests::now_ns(clock);
     if (!wait()) return;
     if (!box.has_fired()) {
       cancel();
       not_fired.note(index);
-      samples.append({start_ns, did_not_fire, did_not_fire, did_not_fire});
+      samples.append({start_ns, did_not_fire, did_not_fire, did_not_fire, armed_ns});
       continue;
     }
     const int64_t measured_ns = box.end_ns() - timeout_ns - start_ns;
-    samples.append({start_ns, box.end_ns(), measured_ns, box.reported_ns()});
+    samples.append({start_ns, box.end_ns(), measured_ns, box.reported_ns(), armed_ns});
     if (outliers.exceeded(measured_ns, index, box.end_ns())) return;
   }
 }
+
+// The series of the shots that fired. Those named 2014 count from `armed`, as the 2014 programs did; since roscpp has
+// computed the expiry by then, they can be negative.
+struct Results {
+  rt_tests::Series measured{"measured"}, reported{"reported"}, difference{"difference"};
+  rt_tests::Series measured_2014{"measured_2014"}, difference_2014{"difference_2014"};
+
+  explicit Results(const Samples& samples) {
+    for (std::size_t i = 0; i < samples.size(); ++i) {
+      const auto& [start_ns, end_ns, measured_ns, reported_ns, armed_ns] = samples[i];
+      if (end_ns == did_not_fire) continue;
+      const auto index = static_cast<int64_t>(i);
+      const int64_t measured_2014_ns = measured_ns - (armed_ns - start_ns);
+      measured.add(measured_ns, index);
+      reported.add(reported_ns, index);
+      difference.add(reported_ns - measured_ns, index);
+      measured_2014.add(measured_2014_ns, index);
+      difference_2014.add(reported_ns - measured_2014_ns, index);
+    }
+  }
+};
 
 }  // namespace oneshot

@@ -12,7 +12,6 @@
 
 #include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
-#include "rt_tests_support/process.h"
 
 namespace rt_tests {
 namespace {
@@ -20,9 +19,9 @@ constexpr std::size_t stack_bytes = 128 * 1024;  // locked with the rest of the 
 constexpr int lowest_nice = 19;
 }  // namespace
 
-Background::Background(const char* name, int period_ms, std::function<void()> work)
+Background::Background(const char* name, int period_ms, const cpu_set_t& cpus, std::function<void()> work)
     : period_ms_(period_ms), work_(std::move(work)) {
-  // A wall clock that jumps must not stop it.
+  // The period must not depend on the wall clock, which may jump.
   pthread_condattr_t monotonic;
   pthread_condattr_init(&monotonic);
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
@@ -36,10 +35,9 @@ Background::Background(const char* name, int period_ms, std::function<void()> wo
   pthread_attr_setschedpolicy(&attributes, SCHED_OTHER);
   const sched_param none{};
   pthread_attr_setschedparam(&attributes, &none);
-  const cpu_set_t cpus = spare_cpus();
   pthread_attr_setaffinity_np(&attributes, sizeof cpus, &cpus);
 
-  // Signals end a measurement: they are for the threads that measure.
+  // Signals end a measurement, so only the measuring threads take them.
   sigset_t all, before;
   sigfillset(&all);
   pthread_sigmask(SIG_SETMASK, &all, &before);
@@ -63,13 +61,13 @@ Background::~Background() {
 }
 
 void* Background::run(void* self) {
-  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), lowest_nice);  // of this thread only, on Linux
+  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), lowest_nice);  // on Linux: of this thread only
   auto& background = *static_cast<Background*>(self);
-  while (background.rest()) background.work_();
+  while (background.wait_for_period()) background.work_();
   return nullptr;
 }
 
-bool Background::rest() noexcept {
+bool Background::wait_for_period() noexcept {
   const int64_t due_ns = now_ns(CLOCK_MONOTONIC) + int64_t{period_ms_} * 1000000;
   timespec due;
   due.tv_sec = static_cast<time_t>(due_ns / ns_per_s);

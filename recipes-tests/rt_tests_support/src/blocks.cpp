@@ -12,7 +12,7 @@
 namespace rt_tests {
 
 Blocks::Blocks(const std::string& npy, const int64_t* rows, std::size_t capacity, std::size_t columns,
-               std::function<std::size_t()> size, int period_ms)
+               std::function<std::size_t()> size, const cpu_set_t& cpus, int period_ms)
     : path_(npy + ".part"),
       header_(npy_header(capacity, columns)),
       rows_(rows),
@@ -22,7 +22,7 @@ Blocks::Blocks(const std::string& npy, const int64_t* rows, std::size_t capacity
   file_ = open(path_.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
   if (file_ < 0) problem_ = errno;
   sync_folder(folder_of(path_));
-  writer_.emplace("rt_blocks", period_ms, [this] { write_block(); });
+  writer_.emplace("rt_blocks", period_ms, cpus, [this] { write_block(); });
 }
 
 Blocks::~Blocks() {
@@ -36,7 +36,7 @@ Blocks::~Blocks() {
 void Blocks::write_block() noexcept {
   const std::size_t rows = size_();
   if (file_ < 0 || rows == written_) return;
-  // What failed is tried again with the next block, at the same place.
+  // Rows that could not be written are written again with the next block, at the same offset.
   const Bytes block{reinterpret_cast<const char*>(rows_) + written_ * row_bytes_, (rows - written_) * row_bytes_};
   const bool good = (written_ > 0 || write_all(file_, {header_.data(), header_.size()}, 0)) &&
                     write_all(file_, block, header_.size() + written_ * row_bytes_) && fdatasync(file_) == 0;
@@ -47,8 +47,8 @@ void Blocks::write_block() noexcept {
 void Blocks::discard() {
   writer_.reset();
   if (problem_ != 0) {
-    warning("cannot write " + path_ + ": " + std::strerror(problem_) + "; a power cut would have cost all behind row " +
-            std::to_string(written_));
+    warning("cannot write " + path_ + ": " + std::strerror(problem_) +
+            "; a power cut would have lost all but the first " + std::to_string(written_) + " rows");
   }
   if (file_ < 0) return;
   close(file_);

@@ -5,13 +5,11 @@
 #include <algorithm>
 #include <cstdio>
 
-#include "rt_tests_support/clock.h"
-
 namespace rt_tests {
 namespace {
 
-// Up to here every bin has its line, as in 2014. Above, a run of empty bins is cut to its first and last line, which
-// draws the same: one sample of 60 s would make 60 million lines.
+// Up to this width every bin has its line, as in 2014. In a wider histogram a run of empty bins has only its first and
+// last line, which draws the same: with every line, one sample of 60 s would make 60 million of them.
 constexpr int64_t dense_us = 100000;
 
 std::string line(int64_t us, int64_t count, bool comment) {
@@ -27,7 +25,7 @@ std::string histogram(const std::map<int64_t, int64_t>& bins, int64_t first, int
   const bool dense = last - first <= dense_us;
   std::string text;
   int64_t at = first;
-  const auto empty_until = [&](int64_t end) {  // [at, end)
+  const auto skip_to = [&](int64_t end) {  // [at, end)
     if (!dense && end - at > 2) {
       text += line(at, 0, comment) + line(end - 1, 0, comment);
       at = end;
@@ -35,11 +33,11 @@ std::string histogram(const std::map<int64_t, int64_t>& bins, int64_t first, int
     for (; at < end; ++at) text += line(at, 0, comment);
   };
   for (auto bin = bins.lower_bound(first); bin != bins.end() && bin->first <= last; ++bin) {
-    empty_until(bin->first);
+    skip_to(bin->first);
     text += line(bin->first, bin->second, comment);
     at = bin->first + 1;
   }
-  empty_until(last + 1);
+  skip_to(last + 1);
   return text;
 }
 
@@ -52,7 +50,7 @@ std::string quoted(const std::string& text) {
   return result + "\"";
 }
 
-// gnuplot refuses to draw when no point is inside: the lower end is 1, as in 2014, unless all there is lies at 0.
+// gnuplot refuses to draw when no point is in the range: the lower end is 1, as in 2014, unless all values are 0.
 std::string xrange(Plot plot, int64_t min_us, int64_t max_us) {
   if (plot == Plot::cyclic) {
     const bool small = max_us < 200 && min_us > -200;
@@ -74,19 +72,19 @@ std::string machine_title() {
 std::string gnuplot_log(Plot plot, const std::string& title, const std::string& output, const Series& series,
                         const std::vector<std::string>& comments) {
   const bool any = series.n() > 0;
-  const int64_t min_us = any ? series.min_ns() / ns_per_us : 0;
-  const int64_t max_us = any ? series.max_ns() / ns_per_us : 0;
+  const int64_t min_us = any ? series.min_us() : 0;
+  const int64_t max_us = any ? series.max_us() : 0;
   const bool cyclic = plot == Plot::cyclic;
   std::string values = "no samples";
   if (any) {
-    values = "MIN:  " + std::to_string(min_us) + "us  AVG: " + std::to_string(series.mean_ns() / ns_per_us) +
+    values = "MIN:  " + std::to_string(min_us) + "us  AVG: " + std::to_string(series.mean_us()) +
              "us MAX: " + std::to_string(max_us) + "us";
   }
 
   std::string text = "set title " + quoted(title) + "\n";
   text += std::string("set xlabel \"") + (cyclic ? "Jitter" : "Latency") + " in micro seconds - " + values + "\"\n";
   text += std::string("set ylabel \"Number of ") + (cyclic ? "samples" : "latency samples") + "\"\n";
-  // With nothing to draw (all comments, or no samples) gnuplot needs to be told where the axis ends.
+  // With no bins to draw (all are comments, or there are no samples) gnuplot needs an upper end of the axis.
   const bool drawn = any && (cyclic || max_us > 0 || series.bins().count(0) > 0);
   text += std::string("set yrange [0.7:") + (drawn ? "" : "1") + "]\nset logscale y\n";
   text += "set xrange " + xrange(plot, min_us, max_us) + "\nset xtics add(500, 1000)\n";

@@ -23,7 +23,14 @@ void Series::add(int64_t value_ns, int64_t index) {
   sum_ns_ += value_ns;
   keep(top_, {value_ns, index}, [](int64_t a, int64_t b) { return a > b; });
   keep(lowest_, {value_ns, index}, [](int64_t a, int64_t b) { return a < b; });
-  ++bins_[value_ns / ns_per_us];
+  const int64_t us = bin_us(value_ns);
+  sum_us_ += us;
+  ++bins_[us];
+}
+
+int64_t Series::bin_us(int64_t value_ns) const {
+  const int64_t us = value_ns / ns_per_us;
+  return rounding_ == Rounding::down && value_ns < us * ns_per_us ? us - 1 : us;
 }
 
 int64_t Series::mean_ns() const {
@@ -33,15 +40,16 @@ int64_t Series::mean_ns() const {
 
 std::string extremes(const Series& series, const std::string& pad, const std::string& gap) {
   if (series.n() == 0) return "no samples";
-  const auto us = [&](int64_t value_ns) { return pad + std::to_string(value_ns / ns_per_us) + "us"; };
-  return "MIN: " + us(series.min_ns()) + gap + "AVG: " + us(series.mean_ns()) + gap + "MAX: " + us(series.max_ns());
+  const auto text = [&](int64_t us) { return pad + std::to_string(us) + "us"; };
+  return "MIN: " + text(series.min_us()) + gap + "AVG: " + text(series.mean_us()) + gap + "MAX: " +
+         text(series.max_us());
 }
 
 std::vector<std::string> boundary_lines(const Series& series) {
-  const auto list = [](const std::vector<Indexed>& items) {
+  const auto list = [&](const std::vector<Indexed>& items) {
     std::string text = "|";
     for (const auto& item : items) {
-      text += std::to_string(item.value_ns / ns_per_us) + ":" + std::to_string(item.index) + "|";
+      text += std::to_string(series.bin_us(item.value_ns)) + ":" + std::to_string(item.index) + "|";
     }
     return text;
   };

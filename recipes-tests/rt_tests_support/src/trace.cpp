@@ -31,7 +31,7 @@ const std::vector<std::string> trace_folders = {"/sys/kernel/tracing/instances/r
                                                 "/sys/kernel/debug/tracing"};
 
 OutlierTrace::OutlierTrace(const Options& options, const char* program, const std::string& output,
-                           const std::vector<std::string>& folders)
+                           const cpu_set_t& cpus, const std::vector<std::string>& folders)
     : program_(program),
       output_(output),
       clock_(clock_of(options.text("clock"))),
@@ -56,7 +56,7 @@ OutlierTrace::OutlierTrace(const Options& options, const char* program, const st
   lock_ = open(lock_path_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
   buffer_.resize(buffer_bytes);
   if (threshold_ns_ != std::numeric_limits<int64_t>::max()) {
-    copier_.emplace("rt_traces", period_ms, [this] { copy_new(true); });
+    copier_.emplace("rt_traces", period_ms, cpus, [this] { copy_new(true); });
   }
 }
 

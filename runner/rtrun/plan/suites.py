@@ -80,6 +80,8 @@ class Suite(Config):
     output: str
     logs: Strings
     columns: Strings
+    added_columns: Strings = ()
+    """The last columns, which samples of earlier versions lack."""
     packages: Packages
     repeated: str | None = None
     """The program that runs once per subscriber; none: there are no subscribers."""

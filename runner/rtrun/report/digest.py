@@ -92,7 +92,7 @@ def digest(series: Series, deadline_ns: int) -> Digest:
             except ValueError as error:
                 undecidable = str(error)
             blocks = split_randomly(histogram) if histogram.values_ns.size else None
-    magnitude = np.abs(histogram.values_ns) if header.series == "difference" and histogram.n else None
+    magnitude = np.abs(histogram.values_ns) if header.series.startswith("difference") and histogram.n else None
     return Digest(
         header=header,
         figures=series.figures(),

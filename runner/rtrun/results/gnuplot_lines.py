@@ -22,7 +22,12 @@ _BIN = re.compile(r"(#?)(-?[0-9]{1,15})[ \t]+([0-9]{1,12})[ \t]*", re.ASCII)
 _NUMBER = r"(-?[0-9]{1,15}(?:\.[0-9]{1,6})?)"
 _BOUNDS = re.compile(rf"MIN:\s*{_NUMBER}us\s+AVG:\s*{_NUMBER}us\s+MAX:\s*{_NUMBER}us")
 _ENTRY = re.compile(rf"{_NUMBER}:([0-9]{{1,12}})")
-_LABELS = {"Measured:": "measured", "Reported:": "reported", "Difference:": "difference", "Jitter:": "jitter"}
+_LABELS = {
+    "Measured:": "measured_2014",
+    "Reported:": "reported",
+    "Difference:": "difference_2014",
+    "Jitter:": "jitter",
+}
 _LISTS = {"Indices of top values": "top", "Indices of lowest values": "lowest"}
 SUITES = {
     "oneshot_timer_tests": re.compile(r"with a loop length of ([0-9]{1,12}) "),

@@ -20,6 +20,8 @@ from rtrun.results.gnuplot_lines import COUNTS, SUITES, Printed, Text, read_text
 MAX_TOTAL = 10**12  # measurements in one log
 TOLERANCE_US = 1  # between a printed number, however it was rounded, and the bins
 MEAN_TOLERANCE_US = 2  # as the mean's own rounding comes on top
+# Logs count from after the timer was armed, as in 2014.
+_SERIES_OF_ONESHOT = {"measured": "measured_2014", "reported": "reported", "diff": "difference_2014"}
 SENTINEL_US = -1  # what stood for a missing message in 2014
 
 
@@ -27,8 +29,8 @@ SENTINEL_US = -1  # what stood for a missing message in 2014
 class Log:
     """A log as read: the bins that hold something, rising, `value_us` and `count` of shape (bins,).
 
-    `series` is measured, reported, difference, jitter or latency. `parameters` are those that the log's name tells,
-    none if the name is foreign. `printed` is None when the log has no measurement.
+    `series` is measured_2014, reported, difference_2014, jitter or latency. `parameters` are those that the log's name
+    tells, none if the name is foreign. `printed` is None when the log has no measurement.
     """
 
     path: Path
@@ -91,7 +93,7 @@ def _interpret(path: Path, text: Text) -> Log:
         )
     if sentinels and bool((value_us < SENTINEL_US).any()):
         remarks.append(f"if this log is of 2014, {sentinels} of its values, those of -1 us, are missing messages")
-    if series in ("reported", "difference"):
+    if series in ("reported", "difference_2014"):
         lists = {}  # these logs print the lists of the measured values
     top = _of_these_bins("top", lists.get("top", ()), value_us[::-1], count[::-1], remarks)
     lowest = _of_these_bins("lowest", lists.get("lowest", ()), value_us, count, remarks)
@@ -113,8 +115,7 @@ def _interpret(path: Path, text: Text) -> Log:
 
 def _series(suite: str, name: LogName | None) -> str:
     if suite == "oneshot_timer_tests":
-        log = name.log if name else "measured"
-        return "difference" if log == "diff" else log
+        return _SERIES_OF_ONESHOT[name.log if name else "measured"]
     return "jitter" if suite == "cyclic_timer_tests" else "latency"
 
 

@@ -139,7 +139,8 @@ class IndexedValues:
 class Samples:
     """The samples of one run of a program.
 
-    `series` are measured, reported and difference (one-shot), jitter and grid (cyclic), or latency (communication, in
+    `series` are measured, reported and difference (one-shot; measured_2014 and difference_2014 too, unless the samples
+    are of an earlier version), jitter and grid (cyclic), or latency (communication, in
     the order of the sequence numbers); the first of them is what the suite is about.
     `rows` has the columns of suites.yml, mapped from the file.
     """
@@ -163,7 +164,7 @@ def read_samples(path: Path) -> Samples:
         raise UsageError(f"{json_path}: suite: {error}") from error
     rows = _read_rows(npy_path, kind)
     both = f"{npy_path} and {json_path.name} disagree"
-    columns = {name: rows[:, i] for i, name in enumerate(kind.columns)}
+    columns = {name: rows[:, i] for i, name in enumerate(kind.columns[: rows.shape[1]])}
     counts = record.counts
     if record.suite == "oneshot_timer_tests":
         series = _oneshot(columns, counts, both)
@@ -189,16 +190,17 @@ def _read_rows(path: Path, kind: Suite) -> Int64s:
     shape = header.shape
     if header.dtype != "<i8":
         raise UsageError(f"{path}: values of type {header.dtype}, must be <i8 (int64)")
-    if shape[1:] != (len(kind.columns),) and not (len(shape) == len(kind.columns) == 1):
+    width = shape[1] if len(shape) == 2 else 1
+    if len(shape) not in (1, 2) or width not in (len(kind.columns), len(kind.columns) - len(kind.added_columns)):
         raise UsageError(f"{path}: shape {shape}, must be (rows, {len(kind.columns)}) of {', '.join(kind.columns)}")
     if header.fortran_order:
         raise UsageError(f"{path}: in Fortran order, must be in C order")
-    rows, expected = shape[0], header.start_bytes + 8 * shape[0] * len(kind.columns)
+    rows, expected = shape[0], header.start_bytes + 8 * shape[0] * width
     if size != expected:
         raise UsageError(f"{path}: {size} bytes, {rows} rows take {expected}: cut off or not of one piece")
     if rows == 0:
-        return np.empty((0, len(kind.columns)), dtype=np.int64)
-    return np.memmap(path, dtype="<i8", mode="r", offset=header.start_bytes, shape=(rows, len(kind.columns)))
+        return np.empty((0, width), dtype=np.int64)
+    return np.memmap(path, dtype="<i8", mode="r", offset=header.start_bytes, shape=(rows, width))
 
 
 def _agree(both: str, what: str, rows: int, counts: int) -> None:
@@ -220,6 +222,12 @@ def _oneshot(columns: dict[str, Int64s], counts: Counts, both: str) -> dict[str,
     measured, reported = columns["measured_ns"][index], columns["reported_ns"][index]
     _times(both, measured, reported)
     values = {"measured": measured, "reported": reported, "difference": reported - measured}
+    if "armed_ns" in columns:
+        start, armed = columns["start_ns"][index], columns["armed_ns"][index]
+        _times(both, start, armed)
+        # The programs of 2014 counted from after roscpp had armed the timer.
+        values["measured_2014"] = measured - (armed - start)
+        values["difference_2014"] = reported - values["measured_2014"]
     return {name: IndexedValues(values_ns=column, index=index) for name, column in values.items()}
 
 

@@ -15,7 +15,8 @@ from rtrun.results.gnuplot_log import Log
 from rtrun.results.importers.histogram_file import Imported
 from rtrun.results.samples import InEffect, Samples
 
-MAIN_SERIES = ("measured", "jitter", "latency")  # what a suite is about; the others show the same from another side
+# Of the logs: what a suite is about. The samples of a suite begin with it; for the one-shot timer that is `measured`.
+MAIN_LOGS = ("measured_2014", "jitter", "latency")
 # Loops at the start of a run that stand apart, as in the thesis: the first message, the first two periods.
 STARTUP_LOOPS = {"latency": 1, "jitter": 2, "grid": 2}
 # Loops without a value that fit into memory; no suite can be asked for more (repetitions in suites.yml).
@@ -27,10 +28,11 @@ _NONE = np.empty(0, np.int64)
 class Header:
     """All that is known of a series but its values.
 
-    A file on its own has the file's name for `run`, no `target`, and the `parameters` that it tells. `startup` are the
-    values of the first loops, which are in no figure. `missing`, `out_of_order`, `duplicate` and `not_fired` count what
-    is no value. `incomplete` says why fewer were measured than asked for. `remarks` are sentences on what the file
-    does not tell, or told wrongly and was corrected.
+    A file on its own has the file's name for `run`, no `target`, and the `parameters` that it tells. `main` says that
+    the suite is about this series: it is the one that is judged. `startup` are the values of the first loops, which are
+    in no figure. `missing`, `out_of_order`, `duplicate` and `not_fired` count what is no value. `incomplete` says why
+    fewer were measured than asked for. `remarks` are sentences on what the file does not tell, or told wrongly and was
+    corrected.
     """
 
     run: str
@@ -38,6 +40,7 @@ class Header:
     suite: str
     output: str
     series: str
+    main: bool = True
     parameters: dict[str, Value]
     emulated: bool = False
     startup: tuple[IndexedValue, ...] = ()
@@ -50,11 +53,6 @@ class Header:
     in_effect: InEffect | None = None
     incomplete: str | None = None
     remarks: tuple[str, ...] = ()
-
-    @property
-    def main(self) -> bool:
-        """Whether this is the series that the suite is about."""
-        return self.series in MAIN_SERIES
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -121,6 +119,7 @@ def series_of_samples(samples: Samples) -> tuple[SampleSeries, ...]:
                     suite=record.suite,
                     output=samples.path.stem,
                     series=name,
+                    main=name == next(iter(samples.series)),
                     parameters=record.requested,
                     startup=tuple(
                         IndexedValue(value_ns=int(value), index=int(index))
@@ -171,6 +170,7 @@ def series_of_log(log: Log) -> HistogramSeries:
             suite=log.suite,
             output=log.path.stem,
             series=log.series,
+            main=log.series in MAIN_LOGS,
             parameters=log.parameters,
             startup=startup,
             missing=log.missing,
@@ -196,6 +196,7 @@ def series_of_histogram(imported: Imported) -> HistogramSeries:
             suite=imported.source,
             output=imported.name,
             series="latency",
+            main=True,
             parameters=dict(imported.parameters),
             period_ns=imported.period_ns,
             remarks=tuple(f"not known: {text}" for text in imported.left_out),

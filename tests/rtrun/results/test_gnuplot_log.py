@@ -140,7 +140,7 @@ def test_every_real_log_of_2014_is_read() -> None:
         assert figures_of(log).max_ns == 1000 * log.printed.max_us
     log = found[ONESHOT]
     assert log.parameters == {"repetitions": 200, "timeout_us": 1000, "policy": "RR", "busy_mode": 0}
-    assert (log.suite, log.series, log.remarks) == ("oneshot_timer_tests", "measured", ())
+    assert (log.suite, log.series, log.remarks) == ("oneshot_timer_tests", "measured_2014", ())
     assert (log.printed.min_us, log.printed.avg_us, log.printed.max_us) == (14, 42, 273) if log.printed else False
     assert (figures_of(log).top[0].index, figures_of(log).lowest[0].index) == (33, 122)
     assert found["oneshot_timer_tests_l50_tm500-tnRTFIFO-bm-measured.log"].parameters["busy_mode"] == 1

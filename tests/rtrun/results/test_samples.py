@@ -26,6 +26,16 @@ def test_oneshot_leaves_out_what_did_not_fire_and_keeps_the_indices(tmp_path: Pa
     assert as_pairs(found.series["reported"]) == [(0, 58_000), (1, 67_500), (3, -400)]
     assert as_pairs(found.series["difference"]) == [(0, 8000), (1, 7500), (3, -500)]
 
+    assert list(found.series) == ["measured", "reported", "difference"]  # samples of an earlier version
+
+
+def test_oneshot_counts_from_before_and_from_after_the_timer_was_armed(tmp_path: Path) -> None:
+    found = read_samples(write_oneshot(tmp_path, armed_after_ns=7000))
+    assert list(found.series) == ["measured", "reported", "difference", "measured_2014", "difference_2014"]
+    assert as_pairs(found.series["measured"]) == [(0, 50_000), (1, 60_000), (3, 100)]
+    assert as_pairs(found.series["measured_2014"]) == [(0, 43_000), (1, 53_000), (3, -6_900)]
+    assert as_pairs(found.series["difference_2014"]) == [(0, 15_000), (1, 14_500), (3, 6_500)]
+
 
 def test_cyclic_counts_from_the_exact_period(tmp_path: Path) -> None:
     found = read_samples(write_cyclic(tmp_path))
@@ -100,8 +110,8 @@ def test_an_npy_cut_off_or_grown_is_refused(tmp_path: Path) -> None:
     [
         (np.zeros((4, 4), dtype="<i4"), "values of type <i4, must be <i8"),
         (np.zeros((4, 4), dtype=">i8"), "values of type >i8, must be <i8"),
-        (np.zeros((4, 3), dtype="<i8"), r"shape \(4, 3\), must be \(rows, 4\) of start_ns, end_ns"),
-        (np.zeros(16, dtype="<i8"), r"shape \(16,\), must be \(rows, 4\)"),
+        (np.zeros((4, 3), dtype="<i8"), r"shape \(4, 3\), must be \(rows, 5\) of start_ns, end_ns"),
+        (np.zeros(16, dtype="<i8"), r"shape \(16,\), must be \(rows, 5\)"),
         (np.array(3, dtype="<i8"), r"shape \(\), must be"),
         (np.zeros((4, 4), dtype="<i8", order="F"), "in Fortran order"),
     ],

@@ -14,6 +14,7 @@
 #include "jitter.h"
 #include "receptions.h"
 #include "rt_tests_support/blocks.h"
+#include "rt_tests_support/process.h"
 #include "shots.h"
 
 extern "C" {
@@ -64,7 +65,7 @@ TEST(Allocations, AreSeen) {
 
 TEST(Allocations, NoneInTheOneshotLoop) {
   constexpr clockid_t clock_used = CLOCK_MONOTONIC_RAW;
-  rt_tests::OutlierTrace trace(no_options(), "", "", {});
+  rt_tests::OutlierTrace trace(no_options(), "", "", rt_tests::current_cpus(), {});
   oneshot::ShotBox box(clock_used, 1000000);
   oneshot::Samples samples(3000);
   rt_tests::Noted not_fired;
@@ -96,12 +97,13 @@ TEST(Allocations, NoneInTheCyclicBookkeeping) {
 }
 
 TEST(Allocations, NoneInTheSubscribersBookkeeping) {
-  communication::Receptions receptions(10000);
+  communication::Samples samples(10000);
+  communication::Receptions receptions(samples);
   EXPECT_EQ(allocations_in([&] {
               for (uint32_t i = 0; i < 30000; ++i) receptions.receive(0, 1, (i * 7919u) % 12000u, false);
             }),
             0);
-  EXPECT_EQ(receptions.samples().size(), 10000u);
+  EXPECT_EQ(samples.size(), 10000u);
   EXPECT_GT(receptions.duplicate.count(), 1000);
   EXPECT_GT(receptions.out_of_order.count(), 1000);
 }
@@ -111,7 +113,7 @@ TEST(Allocations, NoneInTheWriterOfBlocks) {
   const std::string npy = mkdtemp(folder) + std::string("/a.npy");
   const std::string part = npy + ".part";
   cyclic::Samples samples(200);
-  rt_tests::Blocks blocks(npy, samples, INT64_C(1000000000), 1);
+  rt_tests::Blocks blocks(npy, samples, INT64_C(1000000000), rt_tests::current_cpus(), 1);
   struct stat state {};
   EXPECT_EQ(allocations_in([&] {
               for (int64_t i = 0; i < 200; ++i) {
@@ -138,7 +140,7 @@ TEST(Allocations, NoneInTheTraces) {
   char folder[] = "/tmp/rt_tests_XXXXXX";
   const std::string path = mkdtemp(folder);
   for (const char* file : {"trace_marker", "trace", "tracing_on"}) fclose(fopen((path + "/" + file).c_str(), "w"));
-  rt_tests::OutlierTrace trace(options, "program", path + "/a", {path});
+  rt_tests::OutlierTrace trace(options, "program", path + "/a", rt_tests::current_cpus(), {path});
   struct stat state {};
   EXPECT_EQ(allocations_in([&] {
               trace.exceeded(2000, 1, 2000);

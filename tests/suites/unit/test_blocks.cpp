@@ -86,7 +86,7 @@ std::string error_of(const std::function<void()>& body) {
 
 TEST_F(BlocksTest, RowsReachTheDiskWhileMoreAreTaken) {
   Samples<2> samples(100);
-  Blocks blocks(npy, samples, long_ns, period_ms);
+  Blocks blocks(npy, samples, long_ns, current_cpus(), period_ms);
   for (const int64_t rows : {3, 40, 100}) {
     for (auto i = static_cast<int64_t>(samples.size()); i < rows; ++i) samples.append({i, -i});
     const std::string expected = part_of(samples, static_cast<std::size_t>(rows));
@@ -103,7 +103,7 @@ TEST_F(BlocksTest, WhoMeasuresNeverWaitsForTheDisk) {
     return usage.ru_nvcsw;
   };
   Samples<4> samples(3000);
-  Blocks blocks(npy, samples, long_ns, 1);
+  Blocks blocks(npy, samples, long_ns, current_cpus(), 1);
   const auto before = waits();
   for (int64_t i = 0; i < 3000; ++i) {
     for (const int64_t until_ns = now_ns(CLOCK_MONOTONIC) + 100000; now_ns(CLOCK_MONOTONIC) < until_ns;) {
@@ -117,7 +117,7 @@ TEST_F(BlocksTest, WhoMeasuresNeverWaitsForTheDisk) {
 TEST_F(BlocksTest, WithoutResultsThePartKeepsEveryRow) {
   Samples<1> samples(10);
   {
-    Blocks blocks(npy, samples, 1000000 * long_ns, 1000000);
+    Blocks blocks(npy, samples, 1000000 * long_ns, current_cpus(), 1000000);
     for (int64_t i = 0; i < 7; ++i) samples.append({i});
   }
   EXPECT_EQ(content(part), part_of(samples, 7));
@@ -127,31 +127,31 @@ TEST_F(BlocksTest, NoneForAShortRunAndNoneOfNothing) {
   Samples<1> samples(10);
   samples.append({1});
   {
-    Blocks blocks(npy, samples, period_ms * 1000000, period_ms);
+    Blocks blocks(npy, samples, period_ms * 1000000, current_cpus(), period_ms);
     EXPECT_EQ(read_threads().size(), 1u);
     EXPECT_FALSE(is_there());
   }
   EXPECT_FALSE(is_there());
   Samples<1> empty(10);
-  { Blocks blocks(npy, empty, long_ns, period_ms); }
+  { Blocks blocks(npy, empty, long_ns, current_cpus(), period_ms); }
   EXPECT_FALSE(is_there());
 }
 
 TEST_F(BlocksTest, FullDiskIsToldAndDisturbsNobody) {
   FullDisk disk(npy_header(100, 1).size() + 12);  // room for one row and a half
   Samples<1> samples(100);
-  Blocks blocks(npy, samples, long_ns, period_ms);
+  Blocks blocks(npy, samples, long_ns, current_cpus(), period_ms);
   for (int64_t i = 1; i <= 50; ++i) ASSERT_TRUE(samples.append({i}));
   EXPECT_TRUE(comes_true([&] { return content(part).size() == disk.bytes; }));
   EXPECT_EQ(error_of([&] { blocks.discard(); }), "\tWARNING: cannot write " + part +
-                                                     ": File too large; a power cut would have cost all behind row 0\n");
+                                                     ": File too large; a power cut would have lost all but the first 0 rows\n");
   EXPECT_FALSE(is_there());
 }
 
 TEST_F(BlocksTest, ABlockThatFailedIsWrittenWithTheNext) {
   FullDisk disk(npy_header(100, 1).size() + 12);
   Samples<1> samples(100);
-  Blocks blocks(npy, samples, long_ns, period_ms);
+  Blocks blocks(npy, samples, long_ns, current_cpus(), period_ms);
   for (int64_t i = 1; i <= 50; ++i) samples.append({i});
   EXPECT_TRUE(comes_true([&] { return content(part).size() == disk.bytes; }));
   disk.make_room();
@@ -162,7 +162,7 @@ TEST_F(BlocksTest, ABlockThatFailedIsWrittenWithTheNext) {
 TEST_F(BlocksTest, WhatCannotBeOpenedIsTold) {
   ASSERT_EQ(mkdir(part.c_str(), 0755), 0);
   Samples<1> samples(10);
-  Blocks blocks(npy, samples, long_ns, period_ms);
+  Blocks blocks(npy, samples, long_ns, current_cpus(), period_ms);
   samples.append({5});
   EXPECT_NE(error_of([&] { blocks.discard(); }).find("Is a directory"), std::string::npos);
   rmdir(part.c_str());
@@ -173,7 +173,7 @@ TEST_F(BlocksTest, TheWriterIsOfNormalPriorityWhateverTheRest) {
   parameters.sched_priority = 10;
   ASSERT_EQ(sched_setscheduler(0, SCHED_FIFO, &parameters), 0) << std::strerror(errno);
   Samples<1> samples(10);
-  Blocks blocks(npy, samples, long_ns, period_ms);
+  Blocks blocks(npy, samples, long_ns, current_cpus(), period_ms);
   const auto is_running = [] {
     const auto threads = read_threads();
     return threads.size() == 2 && threads[1].name == "rt_blocks" && getpriority(PRIO_PROCESS, threads[1].tid) == 19;
@@ -192,11 +192,10 @@ TEST_F(BlocksTest, TheWriterRunsOnTheCpusThatAreLeft) {
   static const Program program = {"", "", "", {"cpu", "policy"}};
   Options options(program);
   options.assign("--cpu", std::to_string(cpus[0]));
-  set_up_process(options);
-  const cpu_set_t spare = spare_cpus();
+  const cpu_set_t spare = set_up_process(options);
   EXPECT_FALSE(CPU_ISSET(cpus[0], &spare));
   EXPECT_EQ(CPU_COUNT(&spare), static_cast<int>(cpus.size()) - 1);
   Samples<1> samples(10);
-  Blocks blocks(npy, samples, long_ns, period_ms);
+  Blocks blocks(npy, samples, long_ns, spare, period_ms);
   EXPECT_EQ(read_threads()[1].cpus, std::vector<int>(cpus.begin() + 1, cpus.end()));
 }

@@ -6,39 +6,43 @@
 using communication::Receptions;
 
 TEST(Receptions, AllInOrder) {
-  Receptions receptions(3);
+  communication::Samples samples(3);
+  Receptions receptions(samples);
   for (uint32_t seq = 0; seq < 3; ++seq) receptions.receive(10 + seq, 20 + seq, seq, seq == 2);
   EXPECT_TRUE(receptions.last_came());
-  EXPECT_EQ(receptions.samples().size(), 3u);
+  EXPECT_EQ(samples.size(), 3u);
   EXPECT_EQ(receptions.missing().count(), 0);
   EXPECT_EQ(receptions.incomplete_reason(""), "");
 }
 
 TEST(Receptions, MissingDuplicateAndOutOfOrderAreCountedAndListed) {
-  Receptions receptions(8);
+  communication::Samples samples(8);
+  Receptions receptions(samples);
   for (uint32_t seq : {0u, 2u, 1u, 1u, 0u, 5u, 4u, 7u}) receptions.receive(0, 1, seq, seq == 7);
-  EXPECT_EQ(receptions.samples().size(), 6u);
+  EXPECT_EQ(samples.size(), 6u);
   EXPECT_EQ(receptions.missing().indices(), std::vector<int64_t>({3, 6}));
   EXPECT_EQ(receptions.duplicate.indices(), std::vector<int64_t>({1, 0}));
   EXPECT_EQ(receptions.out_of_order.indices(), std::vector<int64_t>({1, 4}));
   EXPECT_EQ(receptions.incomplete_reason(""), "");
-  EXPECT_EQ(static_cast<int64_t>(receptions.samples().size()) + receptions.missing().count(), 8);
+  EXPECT_EQ(static_cast<int64_t>(samples.size()) + receptions.missing().count(), 8);
 }
 
 // seq comes from the network; the 2014 subscriber wrote wherever it pointed.
 TEST(Receptions, NumbersOutOfRangeAreNotBelieved) {
-  Receptions receptions(4);
+  communication::Samples samples(4);
+  Receptions receptions(samples);
   receptions.receive(0, 1, 0, false);
   receptions.receive(0, 1, 4, false);
   receptions.receive(0, 1, 4294967295u, true);
   EXPECT_TRUE(receptions.last_came());
-  EXPECT_EQ(receptions.samples().size(), 1u);
+  EXPECT_EQ(samples.size(), 1u);
   EXPECT_EQ(receptions.incomplete_reason(""),
             "2 messages numbered 4 or more came: publisher and subscriber need the same -r");
 }
 
 TEST(Receptions, LastMessageLost) {
-  Receptions receptions(4);
+  communication::Samples samples(4);
+  Receptions receptions(samples);
   for (uint32_t seq : {0u, 2u}) receptions.receive(0, 1, seq, false);
   EXPECT_FALSE(receptions.last_came());
   EXPECT_EQ(receptions.missing().indices(), std::vector<int64_t>({1}));  // 3: nobody knows whether it was sent
@@ -46,13 +50,15 @@ TEST(Receptions, LastMessageLost) {
 }
 
 TEST(Receptions, NothingCame) {
-  const Receptions receptions(4);
+  communication::Samples samples(4);
+  const Receptions receptions(samples);
   EXPECT_EQ(receptions.missing().count(), 0);
   EXPECT_EQ(receptions.incomplete_reason("ended by SIGINT"), "ended by SIGINT, no message came");
 }
 
 TEST(Receptions, PublisherWithFewerRepetitions) {
-  Receptions receptions(10);
+  communication::Samples samples(10);
+  Receptions receptions(samples);
   for (uint32_t seq : {0u, 1u, 2u}) receptions.receive(0, 1, seq, seq == 2);
   EXPECT_EQ(receptions.missing().count(), 0);
   EXPECT_EQ(receptions.incomplete_reason(""), "the publisher sent 3 messages: it needs the same -r");

@@ -4,6 +4,7 @@
 #include <thread>
 
 #include "rt_tests_support/errors.h"
+#include "rt_tests_support/process.h"
 #include "shots.h"
 
 using oneshot::did_not_fire;
@@ -64,7 +65,7 @@ struct FakeTimer {
 void measure(const std::vector<Fate>& plan, oneshot::Samples& samples, rt_tests::Noted& not_fired, int& cancelled) {
   const rt_tests::Program program = {"", "", "", {"clock", "break_trace_us"}};
   const rt_tests::Options options(program);
-  rt_tests::OutlierTrace trace(options, "", "", {});
+  rt_tests::OutlierTrace trace(options, "", "", rt_tests::current_cpus(), {});
   ShotBox box(clock_used, 20 * 1000000);
   FakeTimer timer(box, plan);
   oneshot::measure(
@@ -85,9 +86,10 @@ TEST(Oneshot, EveryShotHasOneRow) {
   EXPECT_EQ(cancelled, 0);
   int64_t previous_end = 0;
   for (std::size_t i = 0; i < samples.size(); ++i) {
-    const auto& [start, end, measured, reported] = samples[i];
+    const auto& [start, end, measured, reported, armed] = samples[i];
     EXPECT_GE(start, previous_end);  // no outcome of an earlier shot
     EXPECT_GE(end, start);
+    EXPECT_GE(armed, start);
     EXPECT_EQ(measured, end - 1000 - start);
     EXPECT_EQ(reported, 7);
     previous_end = end;
@@ -101,7 +103,8 @@ TEST(Oneshot, CallbackBeforeTriggerReturnsIsNotLost) {
   int cancelled = 0;
   measure(std::vector<Fate>(50, Fate::fires_at_once), samples, not_fired, cancelled);
   EXPECT_EQ(not_fired.count(), 0);
-  EXPECT_EQ(samples.size(), 50u);
+  ASSERT_EQ(samples.size(), 50u);
+  for (std::size_t i = 0; i < samples.size(); ++i) EXPECT_GE(samples[i][4], samples[i][1]);  // armed after the callback
 }
 
 // They threw a late callback away and repeated the shot, or took it for the next one.
@@ -126,7 +129,7 @@ TEST(Oneshot, StopLeavesOnlyWholeRows) {
   rt_tests::Noted not_fired;
   const rt_tests::Program program = {"", "", "", {"clock", "break_trace_us"}};
   const rt_tests::Options options(program);
-  rt_tests::OutlierTrace trace(options, "", "", {});
+  rt_tests::OutlierTrace trace(options, "", "", rt_tests::current_cpus(), {});
   ShotBox box(clock_used, INT64_C(1000000000000));
   rt_tests::catch_stop_signals(box.semaphore());
   int shots = 0;
@@ -143,4 +146,24 @@ TEST(Oneshot, StopLeavesOnlyWholeRows) {
       [] {}, [&] { return box.wait(); });
   EXPECT_EQ(samples.size(), 1u);
   EXPECT_EQ(rt_tests::stop_reason(), "ended by SIGTERM");
+}
+
+// start, end, measured, reported, armed: the 2014 programs counted from `armed`, and got less by armed - start.
+TEST(Oneshot, SeriesFromBeforeAndAfterArming) {
+  oneshot::Samples samples(3);
+  samples.append({1000, 9000, 5000, 4800, 1300});
+  samples.append({20000, did_not_fire, did_not_fire, did_not_fire, 20300});
+  samples.append({40000, 43100, 100, 90, 40200});
+  const oneshot::Results results(samples);
+  const auto values = [](const rt_tests::Series& series) {
+    std::vector<std::pair<int64_t, int64_t>> pairs;
+    for (const auto& item : series.top()) pairs.emplace_back(item.index, item.value_ns);
+    return pairs;
+  };
+  using Pairs = std::vector<std::pair<int64_t, int64_t>>;
+  EXPECT_EQ(values(results.measured), (Pairs{{0, 5000}, {2, 100}}));
+  EXPECT_EQ(values(results.reported), (Pairs{{0, 4800}, {2, 90}}));
+  EXPECT_EQ(values(results.difference), (Pairs{{2, -10}, {0, -200}}));
+  EXPECT_EQ(values(results.measured_2014), (Pairs{{0, 4700}, {2, -100}}));
+  EXPECT_EQ(values(results.difference_2014), (Pairs{{2, 190}, {0, 100}}));
 }

@@ -46,7 +46,26 @@ TEST(Summary, SecondsDoNotOverflow) {
 
 TEST(Summary, TextIsThatOf2014) {
   const Series series = series_of({60000, 138999, 104000});
-  EXPECT_EQ("Measured:\t" + extremes(series, " ", " \t"), "Measured:\tMIN:  60us \tAVG:  101us \tMAX:  138us");
+  EXPECT_EQ("Measured:\t" + extremes(series, " ", " \t"), "Measured:\tMIN:  60us \tAVG:  100us \tMAX:  138us");
+}
+
+// In 2014 latencies were divided by 1000 (towards zero), jitter was a difference of whole microseconds (down).
+TEST(Summary, BinsAreRoundedAsIn2014) {
+  Series latency("measured"), jitter("jitter", Rounding::down);
+  for (const int64_t value_ns : {-2000, -1999, -1000, -999, -1, 0, 1, 999, 1000}) {
+    latency.add(value_ns, 0);
+    jitter.add(value_ns, 0);
+  }
+  EXPECT_EQ(latency.bins(), (std::map<int64_t, int64_t>{{-2, 1}, {-1, 2}, {0, 5}, {1, 1}}));
+  EXPECT_EQ(jitter.bins(), (std::map<int64_t, int64_t>{{-2, 2}, {-1, 3}, {0, 3}, {1, 1}}));
+  EXPECT_EQ(extremes(jitter, "", "\t"), "MIN: -2us\tAVG: 0us\tMAX: 1us");
+}
+
+TEST(Summary, JitterIsRoundedDownInEveryLine) {
+  Series jitter("jitter", Rounding::down);
+  for (const int64_t value_ns : {-1500, -500, 500}) jitter.add(value_ns, jitter.n());
+  EXPECT_EQ(extremes(jitter, "", "\t"), "MIN: -2us\tAVG: -1us\tMAX: 0us");
+  EXPECT_EQ(boundary_lines(jitter)[1], "Indices of lowest values(|latency:index|): |-2:0|-1:1|0:2|");
 }
 
 TEST(Summary, NegativeMeanIsRoundedToTheNearest) {

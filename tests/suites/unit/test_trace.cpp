@@ -11,6 +11,7 @@
 
 #include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
+#include "rt_tests_support/process.h"
 #include "rt_tests_support/trace.h"
 
 using namespace rt_tests;
@@ -51,7 +52,7 @@ std::string head(int value_ns, int index, int above_ns, const std::string& at) {
 
 TEST_F(TraceTest, BreakMarksTheFirstValueAboveTheLimitAndKeepsTheTrace) {
   options.assign("--break-trace", "5");
-  OutlierTrace trace(options, "program", output(), {folder + "/no", folder});
+  OutlierTrace trace(options, "program", output(), current_cpus(), {folder + "/no", folder});
   EXPECT_FALSE(trace.exceeded(5000, 1, 0));
   EXPECT_EQ(trace.reason(), "");
   EXPECT_TRUE(trace.exceeded(5001, 2, 12000345678));
@@ -71,7 +72,7 @@ TEST_F(TraceTest, BreakMarksTheFirstValueAboveTheLimitAndKeepsTheTrace) {
 
 TEST_F(TraceTest, ThresholdTakesASnapshotAndGoesOn) {
   options.assign("--trace-threshold", "5");
-  OutlierTrace trace(options, "program", output(), {folder});
+  OutlierTrace trace(options, "program", output(), current_cpus(), {folder});
   EXPECT_FALSE(trace.exceeded(5000, 1, 0));
   EXPECT_FALSE(trace.exceeded(7000, 2, 1000000));
   ASSERT_TRUE(comes("out-trace-2.txt"));
@@ -88,8 +89,8 @@ TEST_F(TraceTest, ThresholdTakesASnapshotAndGoesOn) {
 
 TEST_F(TraceTest, ValuesOfBeforeACopyShareIt) {
   options.assign("--trace-threshold", "5");
-  OutlierTrace first(options, "program", output(), {folder});
-  OutlierTrace second(options, "program", folder + "/other", {folder});
+  OutlierTrace first(options, "program", output(), current_cpus(), {folder});
+  OutlierTrace second(options, "program", folder + "/other", current_cpus(), {folder});
   first.exceeded(7000, 2, 5000000);
   first.exceeded(7000, 3, 6000000);
   ASSERT_TRUE(comes("out-trace-2.txt"));
@@ -108,7 +109,7 @@ TEST_F(TraceTest, ACopyOfAnotherBootIsNotShared) {
     char file[256];
   } copy{now_ns(CLOCK_MONOTONIC_RAW) * 2, "old.txt"};
   put(".rt_tests-trace", std::string(reinterpret_cast<const char*>(&copy), sizeof copy));
-  OutlierTrace trace(options, "program", output(), {folder});
+  OutlierTrace trace(options, "program", output(), current_cpus(), {folder});
   trace.exceeded(7000, 2, 5000000);
   trace.finish();
   EXPECT_EQ(content("out-trace-2.txt"), head(7000, 2, 5000, "0.005000") + "trace");
@@ -117,7 +118,7 @@ TEST_F(TraceTest, ACopyOfAnotherBootIsNotShared) {
 TEST_F(TraceTest, WithoutSnapshotsTheTraceIsHeldAndCopied) {
   unlink((folder + "/snapshot").c_str());
   options.assign("--trace-threshold", "5");
-  OutlierTrace trace(options, "program", output(), {folder});
+  OutlierTrace trace(options, "program", output(), current_cpus(), {folder});
   trace.exceeded(7000, 2, 1000000);
   ASSERT_TRUE(comes("out-trace-2.txt"));
   trace.finish();
@@ -128,7 +129,7 @@ TEST_F(TraceTest, WithoutSnapshotsTheTraceIsHeldAndCopied) {
 TEST_F(TraceTest, ATraceThatWasOffStaysOff) {
   put("tracing_on", "0\n");
   options.assign("--break-trace", "5");
-  OutlierTrace trace(options, "program", output(), {folder});
+  OutlierTrace trace(options, "program", output(), current_cpus(), {folder});
   trace.exceeded(7000, 2, 1000000);
   trace.finish();
   EXPECT_EQ(content("tracing_on"), "0\n");
@@ -136,7 +137,7 @@ TEST_F(TraceTest, ATraceThatWasOffStaysOff) {
 
 TEST_F(TraceTest, OnlyTheFirstAreTracedAllAreCounted) {
   options.assign("--trace-threshold", "5");
-  OutlierTrace trace(options, "program", output(), {folder});
+  OutlierTrace trace(options, "program", output(), current_cpus(), {folder});
   for (int i = 0; i < 100; ++i) EXPECT_FALSE(trace.exceeded(6000, i, i));
   trace.finish();
   EXPECT_EQ(trace.above(), 100);
@@ -146,7 +147,7 @@ TEST_F(TraceTest, OnlyTheFirstAreTracedAllAreCounted) {
 
 TEST_F(TraceTest, WhatCannotBeCopiedIsTold) {
   options.assign("--break-trace", "5");
-  OutlierTrace trace(options, "program", output(), {folder});
+  OutlierTrace trace(options, "program", output(), current_cpus(), {folder});
   unlink((folder + "/trace").c_str());
   EXPECT_TRUE(trace.exceeded(6000, 1, 1));
   testing::internal::CaptureStderr();
@@ -158,10 +159,10 @@ TEST_F(TraceTest, WhatCannotBeCopiedIsTold) {
 }
 
 TEST_F(TraceTest, NeedsTracefsOnlyWhenAskedFor) {
-  OutlierTrace trace(options, "program", output(), {});
+  OutlierTrace trace(options, "program", output(), current_cpus(), {});
   EXPECT_FALSE(trace.exceeded(INT64_C(9000000000000000000), 0, 0));
   trace.finish();
   EXPECT_EQ(trace.above(), 0);
   options.assign("--trace-threshold", "5");
-  EXPECT_THROW(OutlierTrace(options, "program", output(), {folder + "/no"}), Failure);
+  EXPECT_THROW(OutlierTrace(options, "program", output(), current_cpus(), {folder + "/no"}), Failure);
 }

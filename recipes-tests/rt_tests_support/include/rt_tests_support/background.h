@@ -1,26 +1,26 @@
-// Work of low priority beside a measurement.
+// Work of low priority while a measurement runs.
 #pragma once
 
 #include <pthread.h>
+#include <sched.h>
 
 #include <functional>
 
 namespace rt_tests {
 
-// Calls `work` every so many milliseconds on a thread of its own, until destroyed. Whatever the rest of the process
-// has, this thread has normal scheduling, the lowest nice value and the CPUs that --cpu leaves: it runs when nobody
-// else wants to, and nobody waits for it. `work` must neither throw nor allocate.
+// Calls `work` every `period_ms` milliseconds on a thread of its own, until destroyed. That thread has normal
+// scheduling and the lowest nice value, whatever the rest of the process has. `work` must neither throw nor allocate.
 class Background {
  public:
-  // `name` is how the kernel shows the thread, at most 15 characters. Throws Failure if there is no thread to have.
-  Background(const char* name, int period_ms, std::function<void()> work);
-  ~Background();  // waits for a call under way
+  // `name` is the thread's name in the kernel, at most 15 characters. Throws Failure if no thread can be started.
+  Background(const char* name, int period_ms, const cpu_set_t& cpus, std::function<void()> work);
+  ~Background();  // waits for a call of `work` that has begun
   Background(const Background&) = delete;
   Background& operator=(const Background&) = delete;
 
  private:
   static void* run(void* self);
-  bool rest() noexcept;  // false when it is to end
+  bool wait_for_period() noexcept;  // false when the thread must end
 
   const int period_ms_;
   const std::function<void()> work_;

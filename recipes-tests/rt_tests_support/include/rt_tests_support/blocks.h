@@ -1,4 +1,4 @@
-// The samples of a long run on disk while it still measures: a power cut costs what is newer than the last block.
+// Writes the samples of a long run to the disk while it measures: a power cut loses only the newest block.
 #pragma once
 
 #include <cstddef>
@@ -14,28 +14,30 @@ namespace rt_tests {
 
 constexpr int block_ms = 5000;
 
-// Appends the rows that came since to `<npy>.part` every block_ms, from a thread of low priority. The measuring thread
-// has no part in it: the number of rows that it publishes with each is all there is between them. The part is an npy
-// whose header announces every row asked for, and which ends sooner.
+// Appends the new rows to `<npy>.part` every block_ms, from a thread of low priority. It reads the number of rows that
+// the measuring thread publishes with each row; nothing else passes between the two. The part has the header of an npy
+// with all rows asked for, followed by fewer rows.
 class Blocks {
  public:
-  // Before the measurement. Nothing happens for one expected to be over within one block.
+  // To be made before the measurement. Writes nothing for a run that is expected to end within one block. `cpus` are
+  // those of the writing thread.
   template <std::size_t Columns>
-  Blocks(const std::string& npy, const Samples<Columns>& samples, int64_t expected_ns, int period_ms = block_ms)
-      : Blocks(npy, samples.data(), samples.capacity(), Columns, [&samples] { return samples.size(); },
+  Blocks(const std::string& npy, const Samples<Columns>& samples, int64_t expected_ns, const cpu_set_t& cpus,
+         int period_ms = block_ms)
+      : Blocks(npy, samples.data(), samples.capacity(), Columns, [&samples] { return samples.size(); }, cpus,
                expected_ns > period_ms * int64_t{1000000} ? period_ms : 0) {}
 
-  // Without discard(), as when the results could not be written, the part stays, with all rows.
+  // Without an earlier discard(), for instance when the results could not be written, the part stays, with all rows.
   ~Blocks();
   Blocks(const Blocks&) = delete;
   Blocks& operator=(const Blocks&) = delete;
 
-  // Once the results stand on disk: removes the part, and warns if it would not have been whole.
+  // To be called when the results are on the disk: removes the part, and warns if it could not be written.
   void discard();
 
  private:
   Blocks(const std::string& npy, const int64_t* rows, std::size_t capacity, std::size_t columns,
-         std::function<std::size_t()> size, int period_ms);
+         std::function<std::size_t()> size, const cpu_set_t& cpus, int period_ms);
   void write_block() noexcept;
 
   const std::string path_;

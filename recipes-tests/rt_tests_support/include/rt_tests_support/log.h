@@ -9,9 +9,9 @@
 namespace rt_tests {
 
 enum class Plot {
-  oneshot,        // x from 1 to at least 400 us; negative bins as comments behind the others
+  oneshot,        // x from 1 to at least 400 us; negative bins as comments after the others
   cyclic,         // x symmetrical, at least 200 us; negative bins first
-  communication,  // x from 1 us; negative bins as comments behind the others
+  communication,  // x from 1 us; negative bins as comments after the others
 };
 
 // `output` is the name without ".jpg"; `comments` is the summary, one line each.

@@ -1,4 +1,4 @@
-// The real-time set-up of a process (thesis, section 2.3.3) and what the kernel says became of it.
+// The real-time set-up of a process (thesis, section 2.3.3), and its state as the kernel reports it.
 #pragma once
 
 #include <sched.h>
@@ -23,24 +23,25 @@ bool is_realtime(const Options& options);
 
 // Before ros::init, so that every later thread inherits it: affinity; with RR or FIFO memory locked and the stack
 // touched; policy and priority unless --rt-scope measuring-thread. Throws Failure that names the missing right.
-void set_up_process(const Options& options);
+// Returns the CPUs for threads that must not disturb the measurement: those that --cpu leaves free, or all CPUs of this
+// process if --cpu leaves none.
+cpu_set_t set_up_process(const Options& options);
 
-// On a thread that measures, once the threads of ROS run: policy and priority if --rt-scope measuring-thread. Threads
+// On a measuring thread, once the threads of ROS run: policy and priority if --rt-scope measuring-thread. Threads that
 // it starts afterwards inherit them.
 void set_up_measuring_thread(const Options& options);
 
-// CPUs for what is not to disturb the measurement: those that --cpu leaves; all this process has, if it leaves none.
-cpu_set_t spare_cpus();
+cpu_set_t current_cpus();  // of the calling thread
 
-// After the last measurement: every thread back to normal scheduling. A node that stays above the ROS master's
-// priority can lock up a single CPU in ros::shutdown (thesis, section 4.4).
+// After the last measurement: puts every thread back to normal scheduling. A node that keeps a higher priority than the
+// ROS master can block a single CPU in ros::shutdown (thesis, section 4.4).
 void give_up_realtime();
 
 std::vector<ThreadState> read_threads();  // every thread of this process
 bool memory_is_locked();
 
-// Before the samples are allocated and touched, which would otherwise end in the kernel's out-of-memory killer. Throws
-// Failure if the kernel says that less memory is available.
+// Throws Failure if the kernel reports that less memory is available. To be called before samples are allocated and
+// touched: with too little memory the kernel would kill the process.
 void require_memory(int64_t bytes);
 
 }  // namespace rt_tests

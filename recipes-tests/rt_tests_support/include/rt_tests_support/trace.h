@@ -32,8 +32,9 @@ class OutlierTrace {
   static constexpr int period_ms = 50;
 
   // Opens the trace if one of the options was given. Throws Failure if no folder has a trace that may be written to.
+  // `cpus` are those of the thread that copies.
   OutlierTrace(const Options& options, const char* program, const std::string& output,
-               const std::vector<std::string>& folders = trace_folders);
+               const cpu_set_t& cpus, const std::vector<std::string>& folders = trace_folders);
   ~OutlierTrace();
   OutlierTrace(const OutlierTrace&) = delete;
   OutlierTrace& operator=(const OutlierTrace&) = delete;

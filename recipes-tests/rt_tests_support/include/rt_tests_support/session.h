@@ -1,0 +1,92 @@
+// A measurement from its set-up to its results: the steps that every measuring program takes, in their order.
+#pragma once
+
+#include <sched.h>
+#include <semaphore.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+
+#include "rt_tests_support/blocks.h"
+#include "rt_tests_support/clock.h"
+#include "rt_tests_support/options.h"
+#include "rt_tests_support/process.h"
+#include "rt_tests_support/report.h"
+#include "rt_tests_support/samples.h"
+#include "rt_tests_support/stop.h"
+#include "rt_tests_support/trace.h"
+
+namespace rt_tests {
+
+// Columns is the number of columns of the samples. The members are made in the order in which they are declared: the
+// process is set up before any memory of the measurement is allocated, and everything before ros::init.
+template <std::size_t Columns>
+class MeasurementSession {
+  const Options& options_;
+  const Destination destination_;
+  const cpu_set_t spare_cpus_;
+
+ public:
+  OutlierTrace outliers;
+  Samples<Columns> samples;
+
+ private:
+  Blocks blocks_;
+
+ public:
+  Report report;
+  Surroundings surroundings;
+
+  // `output` is the name of the output without prefix and ending, `rows` the number of samples, and `period_ns` the
+  // time from one to the next. Throws UsageError or Failure if the measurement cannot be made.
+  MeasurementSession(const Program& program, const Options& options, const std::string& output, int64_t rows,
+                     int64_t period_ns)
+      : options_(options),
+        destination_(destination(options, output)),
+        spare_cpus_(set_up_process(options)),
+        outliers(options, program.name, destination_.path(""), spare_cpus_),
+        samples(available_rows(rows)),
+        blocks_(destination_.path(".npy"), samples, rows * std::max(period_ns, shortest_period_ns), spare_cpus_),
+        report(program, options),
+        surroundings(clock_of(options.text("clock"))) {
+    report.asked = options.number("repetitions");
+    report.traces = &outliers;
+  }
+
+  clockid_t clock() const noexcept { return surroundings.clock; }
+
+  // On the measuring thread, when the threads of ROS run. From here on a signal ends the measurement, and posts `wake`.
+  void begin(sem_t* wake = nullptr) {
+    set_up_measuring_thread(options_);
+    catch_stop_signals(wake);
+  }
+
+  // Right after the last measurement, while every thread is as it was.
+  void end() { surroundings.finish(); }
+
+  // Before ros::shutdown.
+  void tear_down() {
+    give_up_realtime();
+    outliers.finish();
+  }
+
+  // Prints the summary and writes the results. `incomplete_reason` is empty if all that was asked for was measured.
+  void write(const std::string& incomplete_reason) {
+    report.incomplete_reason = outliers.reason().empty() ? incomplete_reason : outliers.reason();
+    write_report(report, surroundings, destination_, samples.data(), samples.size(), Columns);
+    blocks_.discard();
+  }
+
+ private:
+  // No measurement takes less, however short its period or timeout is.
+  static constexpr int64_t shortest_period_ns = 10 * ns_per_us;
+
+  static std::size_t available_rows(int64_t rows) {
+    require_memory(rows * int64_t{sizeof(typename Samples<Columns>::Row)});
+    return static_cast<std::size_t>(rows);
+  }
+};
+
+}  // namespace rt_tests
