@@ -2,18 +2,22 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test test-kernel test-yocto lint coverage bench setup board suites clean
+.PHONY: demo test test-loads test-kernel test-yocto lint coverage bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
 	$(BIN)/rtrun run campaigns/demo.yml --target targets/qemu.yml --fresh
 
 test: setup
-	$(BIN)/pytest -m "not kernel"
+	$(BIN)/pytest -m "not kernel and not slow"
+
+# Each load of conditions.yml for two and a half minutes beside a suite: twenty minutes.
+test-loads: setup
+	$(BIN)/pytest -m slow
 
 # Builds the kernel (five minutes on two idle cores) unless one of the same inputs is in the cache, and boots it.
 test-kernel: setup
-	$(BIN)/pytest -m kernel
+	$(BIN)/pytest -m "kernel and not slow"
 
 # A profile against the real layers: DIR holds checkouts of its repositories (docs/layer.md).
 test-yocto: setup

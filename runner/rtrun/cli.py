@@ -5,9 +5,21 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from rtfiles.command import dispatch
-from rtrun.commands import check_rt, claims, compare, gate, import_, plan, probe, report, run, show
+from rtrun.commands import check_rt, claims, compare, gate, import_, plan, probe, report, run, show, verify
 
-COMMANDS: tuple[ModuleType, ...] = (plan, run, probe, check_rt, show, report, gate, compare, claims, import_)
+COMMANDS: tuple[ModuleType, ...] = (
+    plan,
+    run,
+    probe,
+    check_rt,
+    show,
+    verify,
+    report,
+    gate,
+    compare,
+    claims,
+    import_,
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -218,7 +218,7 @@ def test_a_reset_and_then_a_power_cut_in_the_middle_of_a_run(tmp_path):
     runs, observer, error = measure(tmp_path, quit_in_the_second, tmp_path / "other")
     assert isinstance(error, TargetGone)
     assert "the emulated board was switched off: QEMU ended (exit status 0)" in str(error)
-    assert campaign_runner.finished(tmp_path / "other", runs) == 1, "what was finished is kept"
+    assert campaign_runner.count_finished(tmp_path / "other", runs) == 1, "what was finished is kept"
 
 
 def qemus_of(console):

@@ -16,6 +16,10 @@ from written import write_npy, write_output
 
 words = dict(zip(sys.argv[1::2], sys.argv[2::2]))
 count, frequency = int(words.get("-r", 1000)), int(words.get("-f", 1000))
+options = (("--clock", "clock", str), ("--rt-scope", "rt_scope", str), ("--cpu", "cpu", str),
+    ("--priority", "priority", int), ("--break-trace", "break_trace_us", int),
+    ("--trace-threshold", "trace_threshold_us", int))
+known = {{key: kind(words[flag]) for flag, key, kind in options if flag in words}}
 wishes = Path({wishes!r}).read_text().splitlines()
 wish = wishes[0]
 Path({wishes!r}).write_text("\\n".join(wishes[1:] or ["ok"]))
@@ -45,7 +49,7 @@ if wish == "killed":
     os.kill(os.getpid(), 9)
 rows = [(1_000_000 * n,) for n in range(count + 1)]
 path = write_output(Path("."), output, "cyclic_timer_tests", rows, requested={{"repetitions": count,
-    "frequency_hz": frequency, "policy": words.get("-s", "0")}}, asked=count, measured=count)
+    "frequency_hz": frequency, "policy": words.get("-s", "0"), **known}}, asked=count, measured=count)
 data = json.loads(path.read_text())
 policy = "0" if wish == "no policy" else words.get("-s", "0")
 data["in_effect"]["threads"][0].update(policy="OTHER" if policy == "0" else policy, priority=95 * (policy != "0"))
@@ -74,6 +78,15 @@ if wish == "2014":
     Path(output + ".log").write_bytes(log.read_bytes())
     path.unlink()
     path.with_suffix(".npy").unlink()
+if wish == "deep json":
+    path.write_text('{{"schema": ' + "[" * 50_000 + "]" * 50_000 + "}}")
+if wish == "digits":
+    path.write_text(path.read_text().replace('"schema": 1', '"schema": ' + "1" * 6000))
+if wish == "surrogate":
+    path.write_text(path.read_text().replace("0.1.0", chr(92) + "ud800"))
+if wish == "untold trace":
+    for index in range(20):
+        Path(f"{{output}}-trace-{{index}}.txt").write_text("x")
 if wish == "junk json":
     path.write_text("[1, 2")
 """

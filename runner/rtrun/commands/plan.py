@@ -19,7 +19,10 @@ def run(args: argparse.Namespace) -> int:
 
     _, runs = read_campaign(args.campaign)
     for each in runs:
-        print_line(f"{each.name}  {each.expected_s:.1f} s")
-    total_s = sum(each.expected_s for each in runs)
-    print_line(f"{len(runs)} runs, {total_s:.0f} s of measuring ({total_s / 3600:.1f} h)")
+        settling = f" + {each.settle_s:g} s for the load to settle" if each.settle_s else ""
+        print_line(f"{each.name}  {each.expected_s:.1f} s{settling}")
+    measuring_s = sum(each.expected_s for each in runs)
+    settling_s = sum(each.settle_s for each in runs)
+    settling = f", {settling_s:.0f} s for loads to settle" if settling_s else ""
+    print_line(f"{len(runs)} runs, {measuring_s:.0f} s of measuring ({measuring_s / 3600:.1f} h){settling}")
     return 0

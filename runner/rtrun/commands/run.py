@@ -36,14 +36,14 @@ def run(args: argparse.Namespace) -> int:
     statuses: dict[str, RunStatus] = {}
     try:
         with progress.showing(runs, console()) as shown:
-            if campaign_runner.finished(results, runs) == len(runs):
+            if not campaign_runner.find_unfinished(results, campaign.name, runs, config.name):
                 shown.note(f"all {len(runs)} runs are finished in {results}; --fresh measures again beside them")
                 statuses = {each.name: RunStatus.OK for each in runs}
             else:
                 with connect(config, args.target.parent, results / "console.log") as target:
                     statuses = campaign_runner.run_campaign(target, campaign.name, runs, results, shown)
     except (KeyboardInterrupt, InfrastructureError):
-        done = campaign_runner.finished(results, runs)
+        done = campaign_runner.count_finished(results, runs)
         kept = f"{done} of {len(runs)} runs are finished and kept in {results}; the same command goes on there"
         print_line(kept)
         raise

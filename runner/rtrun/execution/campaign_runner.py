@@ -1,26 +1,27 @@
-"""A campaign on a target: every planned run is measured, pulled back and closed, whatever happens in between."""
+"""A campaign on a target: every planned run is measured and closed, through lost links and restarts."""
 
 import contextlib
 import fcntl
 import functools
-import hashlib
-import json
+import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol
+from types import TracebackType
+from typing import Protocol, Self
 
 from rtfiles.errors import UsageError
 from rtrun.execution import journal, preparation, resumption, run_execution
+from rtrun.execution.run_state import RunEvent, RunLife, RunState
+from rtrun.plan import campaign_digest
 from rtrun.plan.campaign import Run
 from rtrun.results import run_directory
-from rtrun.results.record import RunStatus
+from rtrun.results.record import RunRecord, RunStatus, read_record, verify
 from rtrun.target.config import Target
 from rtrun.target.kernel_trace import tracing
 from rtrun.target.link import Link, TargetRebooted
 
-# A board that restarts under every attempt will not carry this run.
+# A board that restarts during each of so many attempts will not complete this run.
 ATTEMPTS = 3
 
 Clock = Callable[[], datetime]
@@ -32,11 +33,21 @@ def utc_now() -> datetime:
 
 
 class Observer(Protocol):
-    """Whoever shows the user how far a campaign is."""
+    """What shows the user the progress of a campaign."""
 
     def began(self, number: int, run: Run) -> None: ...
     def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None: ...
     def note(self, text: str) -> None: ...
+
+
+def find_unfinished(results: Path, name: str, runs: Sequence[Run], target_name: str) -> list[tuple[int, Run]]:
+    """Return the runs of a campaign that are still to be measured into a results folder, with their numbers.
+
+    Raises UsageError when the folder holds another campaign, or this one on another target.
+    """
+    run_directory.make_results(results)
+    with _lock(results), _open_journal(results, name, runs, target_name):
+        return _unfinished(results, runs)
 
 
 def run_campaign(
@@ -51,71 +62,115 @@ def run_campaign(
     """Measure every run that is not finished yet and return run name to status.
 
     Raises UsageError when the folder holds another campaign, TargetError when the target cannot go on. What was
-    finished before is kept in either case, and another call goes on behind it.
+    finished before is kept in either case, and another call continues after it.
     """
     run_directory.make_results(results)
-    digest = hashlib.sha256(json.dumps([asdict(run) for run in runs], sort_keys=True).encode()).hexdigest()
-    with _alone(results), contextlib.closing(journal.open_journal(results, name, digest, target.name)) as log:
-        if (log.plan, log.target) != (digest, target.name):
-            raise UsageError(
-                f"{results}: holds another campaign (its file or target has changed since): "
-                "give another folder with --results, or --fresh"
-            )
-        statuses = {run.name: RunStatus.OK for run in runs if _is_finished(results / run.name)}
-        todo = [(number, run) for number, run in enumerate(runs) if run.name not in statuses]
-        if statuses and todo:
-            observer.note(f"going on in {results}: {len(statuses)} of {len(runs)} runs are finished")
-        if not todo:
+    with _lock(results), _open_journal(results, name, runs, target.name) as log:
+        unfinished = _unfinished(results, runs)
+        statuses = {run.name: RunStatus.OK for run in runs}
+        if not unfinished:
             return statuses
-        with contextlib.ExitStack() as stack:
-            link = stack.enter_context(Link(target, observer.note))
-            prepared_stack = stack.enter_context(contextlib.ExitStack())
-            preparing = functools.partial(preparation.prepared, link, log.uid, [run for _, run in todo])
-            prepared: preparation.Prepared | None = prepared_stack.enter_context(preparing())
-            # First what an earlier call left going on: two runs at once would disturb each other.
-            there = resumption.folders(link, target.work_dir / "runs" / log.uid)
-            todo.sort(key=lambda each: each[1].name not in there)
-            for number, run in todo:
+        if len(unfinished) < len(runs):
+            observer.note(f"going on in {results}: {len(runs) - len(unfinished)} of {len(runs)} runs are finished")
+        remote = target.work_dir / "runs" / log.uid
+        with (
+            Link(target, observer.note) as link,
+            _PreparedTarget(link, log.uid, [run for _, run in unfinished]) as prepared,
+        ):
+            # Runs that an earlier call left on the target come first: two runs at once would disturb each other.
+            started = resumption.list_folders(link, remote)
+            for number, run in sorted(unfinished, key=lambda each: each[1].name not in started):
                 observer.began(number, run)
-                folder = results / run.name
-                for trial in range(1, ATTEMPTS + 1):
-                    closed = run_directory.closing_record(folder)
-                    log.note(now().isoformat(), run.name, "began")
-                    try:
-                        if prepared is None:
-                            prepared = prepared_stack.enter_context(preparing())
-                        with tracing(link, prepared.scripts, run.parameters):
-                            ended = run_execution.measure(prepared, log.uid, name, run, folder, now)
-                    except TargetRebooted as error:
-                        prepared_stack.close()
-                        prepared = None
-                        observer.note(f"{run.name}: {error}")
-                        record = run_directory.closing_record(folder)
-                        if record is None or record == closed:
-                            log.note(now().isoformat(), run.name, "cut off", str(error))
-                            if trial == ATTEMPTS:
-                                raise
-                            continue
-                        # It was closed already: the restart has cut nothing off.
-                        ended = record
-                    except BaseException as error:
-                        log.note(now().isoformat(), run.name, "stopped", str(error) or type(error).__name__)
-                        raise
-                    log.note(now().isoformat(), run.name, ended.status, ended.reason)
-                    statuses[run.name] = ended.status
-                    observer.ended(number, run, ended.status, ended.reason)
-                    break
-            # A runner that was killed may have left something of runs it had closed.
-            leftovers = str(target.work_dir / "runs" / log.uid)
+                record = _measure(prepared, log, name, run, results / run.name, observer, now)
+                statuses[run.name] = record.status
+                observer.ended(number, run, record.status, record.reason)
+            # A runner that was killed may have left something of runs that it had closed.
             with contextlib.suppress(TargetRebooted):
-                link.check(["rm", "-rf", leftovers])
+                link.check(["rm", "-rf", str(remote)])
         return statuses
 
 
+def _measure(
+    prepared: "_PreparedTarget",
+    log: journal.Journal,
+    campaign: str,
+    run: Run,
+    folder: Path,
+    observer: Observer,
+    now: Clock,
+) -> RunRecord:
+    """Measure a run, again after each restart of the target that cut it off. Raises TargetRebooted after too many."""
+    for attempts_left in reversed(range(ATTEMPTS)):
+        life = RunLife(lambda state, reason: log.note(now().isoformat(), run.name, state, reason))
+        try:
+            ready = prepared.get()
+            with tracing(ready.link, ready.scripts, run.parameters):
+                return run_execution.measure(ready, log.uid, campaign, run, folder, life, now)
+        except TargetRebooted as error:
+            prepared.drop()
+            life.move(RunEvent.RESTART, str(error))
+            observer.note(f"{run.name}: {error}")
+            if life.state is RunState.CLOSED:
+                return read_record(folder)
+            if not attempts_left:
+                raise
+    raise AssertionError("the last attempt returns or raises")
+
+
+class _PreparedTarget:
+    """The target, prepared while the context lasts: at its begin, and anew when it was restarted."""
+
+    def __init__(self, link: Link, owner: str, runs: Sequence[Run]) -> None:
+        self._prepare = functools.partial(preparation.prepared, link, owner, runs)
+        self._stack = contextlib.ExitStack()
+        self._ready: preparation.Prepared | None = None
+
+    def __enter__(self) -> Self:
+        self.get()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def get(self) -> preparation.Prepared:
+        """Return it ready for runs."""
+        if self._ready is None:
+            self._ready = self._stack.enter_context(self._prepare())
+        return self._ready
+
+    def drop(self) -> None:
+        """Forget what was prepared: after a restart it is gone."""
+        self._ready = None
+        self._stack.close()
+
+
 @contextlib.contextmanager
-def _alone(results: Path) -> Iterator[None]:
+def _open_journal(results: Path, name: str, runs: Sequence[Run], target_name: str) -> Iterator[journal.Journal]:
+    """Open the journal of these results. Raises UsageError when it is of another campaign or target."""
+    digest = campaign_digest.digest(runs)
+    with contextlib.closing(journal.open_journal(results, name, digest, target_name)) as log:
+        remedy = "give another folder with --results, or --fresh"
+        if log.target != target_name:
+            raise UsageError(f"{results}: holds runs on the target {log.target}, not {target_name}: {remedy}")
+        if not campaign_digest.is_digest_of(log.plan, runs):
+            raise UsageError(f"{results}: holds another campaign, its file has changed since: {remedy}")
+        if log.plan != digest:
+            log.replace_plan(digest)
+        yield log
+
+
+@contextlib.contextmanager
+def _lock(results: Path) -> Iterator[None]:
     """Keep a second runner away from these results; the lock ends with the process, however that ends."""
-    with (results / ".lock").open("w") as lock:
+    path = results / ".lock"
+    try:
+        # Not through a link, and nothing is written: the file may be somebody else's.
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be locked, remove it: {error.strerror}") from error
+    with os.fdopen(handle, "rb", buffering=0) as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -123,11 +178,18 @@ def _alone(results: Path) -> Iterator[None]:
         yield
 
 
-def finished(results: Path, runs: Sequence[Run]) -> int:
+def count_finished(results: Path, runs: Sequence[Run]) -> int:
     """Return how many runs of a plan are finished in a results folder."""
-    return sum(_is_finished(results / run.name) for run in runs)
+    return len(runs) - len(_unfinished(results, runs))
+
+
+def _unfinished(results: Path, runs: Sequence[Run]) -> list[tuple[int, Run]]:
+    return [(number, run) for number, run in enumerate(runs) if not _is_finished(results / run.name)]
 
 
 def _is_finished(folder: Path) -> bool:
-    closed = run_directory.closing_record(folder)
-    return closed is not None and closed.status is RunStatus.OK
+    """Whether a run is closed with status ok and its files are those that it was closed with."""
+    try:
+        return verify(folder).status is RunStatus.OK
+    except UsageError:
+        return False

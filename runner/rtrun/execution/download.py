@@ -1,9 +1,12 @@
-"""Pulling a run's files back. Names, sizes and contents come from the target and are believed only after a check."""
+"""Download of a run's files. Their names, sizes and contents come from the target and are checked."""
 
+import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
+from typing import IO, Any, cast
 
+from rtfiles.errors import InfrastructureError
 from rtrun.plan import suites
 from rtrun.results import partial_samples
 from rtrun.target.errors import TargetError
@@ -16,13 +19,19 @@ JSON_LIMIT_BYTES = 16 * MIB
 LOG_LIMIT_BYTES = 64 * MIB
 NPY_HEADER_BYTES = 64 * 1024
 TRACE_LIMIT_BYTES = 64 * MIB
-# Of each output, as the suites have it.
+# Traces that a suite keeps of each output.
 TRACES_MAX = 16
-_TRACE = re.compile(r"(.+)-trace-[0-9]{1,18}\.txt")
+_TRACES = "-trace-*.txt"
+_TRACE = re.compile(r"(.+)-trace-[0-9]{1,18}\.txt", re.ASCII)
 
 
-def expected_files(suite: str, programs: Sequence[str], outputs: Sequence[str], rows: int) -> dict[str, int]:
-    """Return the files that a run may write, name to the largest size that is believable, in bytes."""
+def expected_files(
+    suite: str, programs: Sequence[str], outputs: Sequence[str], rows: int, *, traced: bool
+) -> dict[str, int]:
+    """Return the files that a run may write, name to the largest size that is believable, in bytes.
+
+    A run that is `traced` writes traces as well, whose names are a pattern: ``<output>-trace-*.txt``.
+    """
     limits = dict.fromkeys((f"{name}.{kind}" for name in programs for kind in ("stdout", "stderr")), STREAM_LIMIT_BYTES)
     for output in outputs:
         logs = [f"{output}-{log}.log" for log in suites.suite(suite).logs] or [f"{output}.log"]
@@ -31,6 +40,8 @@ def expected_files(suite: str, programs: Sequence[str], outputs: Sequence[str], 
         limits[f"{output}.npy"] = 2 * rows * 8 * len(suites.suite(suite).columns) + NPY_HEADER_BYTES
         limits[f"{output}{partial_samples.ENDING}"] = limits[f"{output}.npy"]
         limits[f"{output}.json"] = JSON_LIMIT_BYTES
+        if traced:
+            limits[f"{output}{_TRACES}"] = TRACE_LIMIT_BYTES
     return limits
 
 
@@ -58,18 +69,37 @@ def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[s
 
 def _traces(present: Iterable[str], limits: Mapping[str, int]) -> dict[str, int]:
     """Return the traces among the files there, with their limit: which indices they are of is for the suite to say."""
-    found = sorted(name for name in present if (trace := _TRACE.fullmatch(name)) and f"{trace[1]}.npy" in limits)
-    outputs = len([name for name in limits if name.endswith(".npy")])
-    return dict.fromkeys(found[: TRACES_MAX * outputs], TRACE_LIMIT_BYTES)
+    outputs = [name.removesuffix(_TRACES) for name in limits if name.endswith(_TRACES)]
+    traces = sorted(name for name in present if (trace := _TRACE.fullmatch(name)) and trace[1] in outputs)
+    return dict.fromkeys(traces[: TRACES_MAX * len(outputs)], TRACE_LIMIT_BYTES)
 
 
 def _copy(connection: Connection, source: PurePosixPath, destination: Path, wanted: Mapping[str, int]) -> None:
     names = sorted(wanted)
     command = ["sh", "-c", 'cd "$1" && shift && sha256sum -- "$@"', "sh", str(source), *names]
     lines = connection.check(command, deadline_s=120.0).splitlines()
-    said = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    digests = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
     for name in names:
-        with (destination / name).open("wb") as stream:
-            digest = connection.download(source / name, stream, limit_bytes=wanted[name])
-        if said.get(name) != digest:
+        with (destination / name).open("wb", buffering=0) as stream:
+            digest = connection.download(source / name, cast("IO[bytes]", _LocalFile(stream)), limit_bytes=wanted[name])
+        if digests.get(name) != digest:
             raise TargetError(f"{connection.address}: {source / name} arrived damaged: its SHA-256 differs")
+
+
+class _LocalFile(io.RawIOBase):
+    """A local file whose errors are not those of the target: InfrastructureError instead of OSError."""
+
+    def __init__(self, stream: io.FileIO) -> None:
+        self._stream = stream
+
+    def write(self, data: Any) -> int:
+        """Write all of the data."""
+        written = 0
+        try:
+            while written < len(data):
+                written += self._stream.write(memoryview(data)[written:]) or 0
+        except OSError as error:
+            raise InfrastructureError(
+                f"{self._stream.name!s}: cannot keep the results: {error.strerror or error}"
+            ) from error
+        return written

@@ -1,11 +1,12 @@
-"""The journal of a campaign, a SQLite file beside its results: what makes a campaign the same one after a crash."""
+"""The journal of a campaign, a SQLite file in its results folder: by it a campaign is known again after a crash."""
 
+import re
 import secrets
 import sqlite3
 from dataclasses import dataclass
 from pathlib import Path
 
-from rtfiles.errors import InfrastructureError
+from rtfiles.errors import InfrastructureError, UsageError
 
 NAME = "journal.sqlite"
 
@@ -13,11 +14,16 @@ _TABLES = """
 CREATE TABLE IF NOT EXISTS campaign (uid TEXT NOT NULL, name TEXT NOT NULL, plan TEXT NOT NULL, target TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS event (time TEXT NOT NULL, run TEXT NOT NULL, what TEXT NOT NULL, reason TEXT);
 """
+# It becomes the name of a folder that is removed on the target: a name and nothing else.
+_UID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,200}-[0-9a-f]{8}", re.ASCII)
+_REMEDY = (
+    "the journal is damaged: give another folder with --results, or --fresh; the runs that are there stay readable"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Journal:
-    """An open journal. `uid` names this campaign on the target; `plan` is the hash of its runs."""
+    """An open journal. `uid` names this campaign on the target; `plan` is the digest of its runs."""
 
     path: Path
     database: sqlite3.Connection
@@ -26,10 +32,19 @@ class Journal:
     target: str
 
     def note(self, time: str, run: str, what: str, reason: str | None = None) -> None:
-        """Record what happened to a run: started, ok, failed, incomplete, interrupted."""
+        """Record the state that a run has come to (`RunState`), and why. Raises InfrastructureError."""
+        # SQLite takes no half of a character.
+        reason = None if reason is None else reason.encode("utf-8", "backslashreplace").decode("utf-8")
+        self._write("INSERT INTO event VALUES (?, ?, ?, ?)", (time, run, what, reason))
+
+    def replace_plan(self, plan: str) -> None:
+        """Record the digest of the runs in its present form. Raises InfrastructureError."""
+        self._write("UPDATE campaign SET plan = ?", (plan,))
+
+    def _write(self, statement: str, values: tuple[str | None, ...]) -> None:
         try:
             with self.database:
-                self.database.execute("INSERT INTO event VALUES (?, ?, ?, ?)", (time, run, what, reason))
+                self.database.execute(statement, values)
         except sqlite3.Error as error:
             raise InfrastructureError(f"{self.path}: cannot keep the results: {error}") from error
 
@@ -39,20 +54,32 @@ class Journal:
 
 
 def open_journal(folder: Path, name: str, plan: str, target: str) -> Journal:
-    """Open the journal in a results folder, made anew when there is none; what it says of an older one is returned.
+    """Open the journal in a results folder, or make one; an existing one is returned as it is, whatever its campaign.
 
-    Raises InfrastructureError when the file cannot be used.
+    Raises UsageError when it is damaged, InfrastructureError when the file cannot be used.
     """
     path = folder / NAME
     try:
         database = sqlite3.connect(path, timeout=10.0)
-        database.execute("PRAGMA journal_mode=WAL")
-        with database:
-            database.executescript(_TABLES)
-            row = database.execute("SELECT uid, plan, target FROM campaign").fetchone()
-            if row is None:
-                row = (f"{name}-{secrets.token_hex(4)}", plan, target)
-                database.execute("INSERT INTO campaign VALUES (?, ?, ?, ?)", (row[0], name, plan, target))
-    except sqlite3.Error as error:
-        raise InfrastructureError(f"{path}: {error}") from error
+        try:
+            return _read(path, database, name, plan, target)
+        except BaseException:
+            database.close()
+            raise
+    except sqlite3.OperationalError as error:
+        raise InfrastructureError(f"{path}: cannot keep the results: {error}") from error
+    except (sqlite3.Error, ValueError) as error:
+        raise UsageError(f"{path}: {error}: {_REMEDY}") from error
+
+
+def _read(path: Path, database: sqlite3.Connection, name: str, plan: str, target: str) -> Journal:
+    database.execute("PRAGMA journal_mode=WAL")
+    with database:
+        database.executescript(_TABLES)
+        row = database.execute("SELECT uid, plan, target FROM campaign").fetchone()
+        if row is None:
+            row = (f"{name}-{secrets.token_hex(4)}", plan, target)
+            database.execute("INSERT INTO campaign VALUES (?, ?, ?, ?)", (row[0], name, plan, target))
+    if not all(isinstance(word, str) for word in row) or not _UID.fullmatch(row[0]):
+        raise ValueError(f"no uid of a campaign: {str(row[0])[:80]!r}")
     return Journal(path=path, database=database, uid=row[0], plan=row[1], target=row[2])

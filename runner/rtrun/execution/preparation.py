@@ -62,7 +62,7 @@ def prepared(link: Link, owner: str, runs: Sequence[Run]) -> Iterator[Prepared]:
 
 def _tools(link: Link, scripts: PurePosixPath, runs: Sequence[Run], kernel_config: bytes) -> dict[str, str]:
     """Return the tools of the target that are programs of a run, by name. Raises TargetError naming what it lacks."""
-    baselines = {run.suite: suites.suite(run.suite) for run in runs if suites.suite(run.suite).always is not None}
+    baselines = {run.suite: suites.suite(run.suite) for run in runs if suites.suite(run.suite).is_baseline}
     tools = {program for suite in baselines.values() for program in suite.programs}
     needs = set(tools)
     for run in runs:

@@ -1,19 +1,19 @@
-"""How far a campaign is, on a terminal as a bar with the time left, elsewhere as a line for each run."""
+"""Progress of a campaign: on a terminal a bar with the time left, elsewhere a line for each run."""
 
 import contextlib
-import threading
 import time
 from collections.abc import Iterator, Sequence
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+from rich.progress_bar import ProgressBar
+from rich.text import Text
 
 from rtfiles.output import print_line, print_note
 from rtrun.plan.campaign import Run
 from rtrun.results.record import RunStatus
 
-REFRESH_S = 0.5
-# Before a run was seen to its end: copying, starting and stopping takes about this long beside the measuring.
+# Until a run has ended: time for starting, stopping and copying, in addition to the measuring.
 OVERHEAD_GUESS_S = 2.0
 
 
@@ -72,24 +72,31 @@ class BarProgress(PlainProgress):
     def __init__(self, runs: Sequence[Run], bar: Progress) -> None:
         super().__init__(runs)
         self._bar = bar
-        self._task = bar.add_task("getting the target ready", total=None, left="?")
+        self._task = bar.add_task("getting the target ready", total=None, left_s=None)
 
     def began(self, number: int, run: Run) -> None:
         """Show the run's name."""
         super().began(number, run)
-        self._bar.update(self._task, description=f"{number + 1}/{self._total} {run.name}")
-        self.refresh()
+        self._bar.update(self._task, description=f"{number + 1}/{self._total} {run.name}", left_s=self._estimate.left_s)
 
-    def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None:
-        """Print what became of the run above the bar."""
-        super().ended(number, run, status, reason)
-        self.refresh()
 
-    def refresh(self) -> None:
-        """Move the bar to the time that has passed."""
-        left_s = self._estimate.left_s()
-        done_s = time.monotonic() - (self._bar.tasks[0].start_time or 0.0)
-        self._bar.update(self._task, completed=done_s, total=done_s + left_s, left=_duration(left_s))
+class _TimeBar(BarColumn):
+    """A bar of the time that has passed, of all the time that the campaign should take."""
+
+    def render(self, task: Task) -> ProgressBar:
+        left_s = task.fields["left_s"]
+        if left_s is not None:
+            task.completed = task.elapsed or 0.0
+            task.total = task.completed + left_s()
+        return super().render(task)
+
+
+class _TimeLeft(ProgressColumn):
+    """The time left, as estimated now."""
+
+    def render(self, task: Task) -> Text:
+        left_s = task.fields["left_s"]
+        return Text("" if left_s is None else f"{_duration(left_s())} left")
 
 
 def _duration(seconds: float) -> str:
@@ -100,23 +107,10 @@ def _duration(seconds: float) -> str:
 
 @contextlib.contextmanager
 def showing(runs: Sequence[Run], console: Console) -> Iterator[PlainProgress]:
-    """Yield whoever shows the progress of these runs on this console."""
+    """Yield what shows the progress of these runs on this console."""
     if not console.is_terminal:
         yield PlainProgress(runs)
         return
-    columns = (BarColumn(), TextColumn("{task.description}"), TextColumn("{task.fields[left]} left"))
-    with Progress(*columns, console=console, transient=True, auto_refresh=True, refresh_per_second=2) as bar:
-        shown = BarProgress(runs, bar)
-        done = threading.Event()
-
-        def tick() -> None:
-            while not done.wait(REFRESH_S):
-                shown.refresh()
-
-        ticker = threading.Thread(target=tick, daemon=True)
-        ticker.start()
-        try:
-            yield shown
-        finally:
-            done.set()
-            ticker.join()
+    columns = (_TimeBar(), TextColumn("{task.description}", markup=False), _TimeLeft())
+    with Progress(*columns, console=console, transient=True, refresh_per_second=2) as bar:
+        yield BarProgress(runs, bar)

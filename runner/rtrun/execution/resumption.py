@@ -1,26 +1,29 @@
-"""One attempt at a run: what the runner knew when it began, kept in the run's folder on the target until it is closed.
+"""What an earlier call left of a run on the target, and the attempt file by which a run is picked up.
 
-Whoever picks the run up, days later and perhaps with other suites at hand, tells by it what really runs there.
+The attempt file holds what the runner knew when the run began. A run may be picked up days later, with another build
+of the suites at hand: what really runs is in this file.
 """
 
 import json
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from rtfiles.config import Config, parse
 from rtfiles.errors import UsageError
+from rtfiles.untrusted import JSON_BYTES_MAX, parse_json
+from rtrun.results.record import RunRecord
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
 
 FILE = "attempt.json"
-LIMIT_BYTES = 16 * 1024 * 1024
+LIMIT_BYTES = JSON_BYTES_MAX
 # Not head -c: the busybox of a Yocto image need not have it.
-_LEFT = """
+_INSPECT = """
 cd "$1" 2>/dev/null || exit 0
 [ -e given_up ] && echo given_up
 for file in *.boot_id; do
@@ -30,7 +33,7 @@ echo attempt
 [ -e attempt.json ] && [ "$(wc -c <attempt.json)" -le "$2" ] && cat attempt.json
 exit 0
 """
-# Of all other runs: a lock is held as long as something of a run lives.
+# The first program of any other run that lives: its lock is held as long as one of its processes is there.
 _BUSY = """
 for lock in "$1"/*/*/*.lock; do
     case $lock in "$2"/*) continue;; esac
@@ -39,19 +42,19 @@ for lock in "$1"/*/*/*.lock; do
 done
 exit 0
 """
-# What comes in ends early when the link does: half of it gets no name.
-_KEEP = """
+# A lost link ends the input early: a file that is not complete does not get its name.
+_WRITE = """
 mkdir -p "$1" && cd "$1" && cat >attempt.new && [ "$(wc -c <attempt.new)" -eq "$2" ] || exit 1
 sync attempt.new && mv attempt.new attempt.json
 """
 
 
 class Attempt(Config):
-    """How a run began: when, with which ROS master, the target's state, each program's command line."""
+    """How a run began: when, with which ROS master, the target's state, the command line of each of its programs."""
 
     schema_number: Literal[1] = Field(alias="schema")
-    uid: str
-    start_time: str
+    uid: Annotated[str, Field(min_length=1, max_length=64)]
+    start_time: Annotated[str, Field(max_length=64)]
     master_pid: int
     own_master: bool
     argv: dict[str, list[str]]
@@ -59,44 +62,63 @@ class Attempt(Config):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Left:
-    """What an earlier call left in a run's folder: the programs it started, `cut_off` if that was before a restart.
+class Leftovers:
+    """What an earlier call left in a run's folder on the target."""
 
-    `attempt` is known of what was started since.
-    """
-
-    attempt: Attempt | None
     started: frozenset[str]
+    """The programs that it started."""
     cut_off: bool
+    """Whether the target was restarted since."""
     given_up: bool
+    attempt: Attempt | None
+    """What is known of the programs that were started since the last restart."""
+    unreadable: str | None
+    """Why the attempt file is not read, where there is one."""
+
+    def can_be_picked_up(self, measuring: Collection[str], closed: RunRecord | None) -> bool:
+        """Whether the run measures, or has measured, and was not closed since.
+
+        `measuring` are the programs that are started last: before them nothing is measured. `closed` is the record of
+        the run directory, perhaps of this very attempt, which the runner had no time to remove.
+        """
+        return (
+            self.attempt is not None
+            and not self.given_up
+            and not self.started.isdisjoint(measuring)
+            and not (closed and closed.attempt == self.attempt.uid)
+        )
 
 
-def left(link: Link, remote: PurePosixPath) -> Left:
-    """Look at what an earlier call left of a run."""
-    command = ["sh", "-c", _LEFT, "sh", str(remote), str(LIMIT_BYTES)]
-    said, _, text = link.check(command).partition("attempt\n")
-    words = [line.split() for line in said.splitlines()]
+def inspect_leftovers(link: Link, remote: PurePosixPath, programs: Collection[str]) -> Leftovers:
+    """Look at what an earlier call left of a run with these programs of its suite."""
+    command = ["sh", "-c", _INSPECT, "sh", str(remote), str(LIMIT_BYTES)]
+    head, _, text = link.check(command).partition("attempt\n")
+    words = [line.split() for line in head.splitlines()]
     boots = {word[1]: word[2] for word in words if len(word) == 3}
     cut_off = not set(boots.values()) <= {link.boot_id}
-    return Left(
-        attempt=_read(link, remote, text) if boots and text and not cut_off else None,
+    attempt, unreadable = None, None
+    if boots and text and not cut_off:
+        try:
+            attempt = _parse_attempt(text, f"{link.target.address}: {remote / FILE}", programs)
+        except UsageError as error:
+            unreadable = str(error).splitlines()[0]
+    return Leftovers(
         started=frozenset(boots),
         cut_off=cut_off,
         given_up=["given_up"] in words,
+        attempt=attempt,
+        unreadable=unreadable,
     )
 
 
-def _read(link: Link, remote: PurePosixPath, text: str) -> Attempt:
-    origin = f"{link.target.address}: {remote / FILE}"
-    try:
-        return parse(json.loads(text), Attempt, origin)
-    except (ValueError, UsageError) as error:
-        raise TargetError(
-            f"{origin}: not what rtrun wrote there; end what runs and remove the folder: {error}"
-        ) from error
+def _parse_attempt(text: str, origin: str, programs: Collection[str]) -> Attempt:
+    attempt = parse(parse_json(text, origin), Attempt, origin)
+    if missing := set(programs) - set(attempt.argv):
+        raise UsageError(f"{origin}: argv: no command line of {', '.join(sorted(missing))}")
+    return attempt
 
 
-def folders(link: Link, runs: PurePosixPath) -> list[str]:
+def list_folders(link: Link, runs: PurePosixPath) -> list[str]:
     """Return the names of the runs of a campaign that an earlier call has left something of."""
     command = ["sh", "-c", 'ls "$1" 2>/dev/null; exit 0', "sh", str(runs)]
     return link.check(command).splitlines()
@@ -112,15 +134,15 @@ def begin(
     argv: Mapping[str, Sequence[str]],
     before: dict[str, Any],
 ) -> Attempt:
-    """Make the folder of a run, and write down what it begins with.
+    """Make the folder of a run with its attempt file.
 
-    Raises TargetError when something of another run still lives on the target: both would be disturbed.
+    Raises TargetError when a program of another run still lives on the target: each would disturb the other.
     """
     command = ["sh", "-c", _BUSY, "sh", str(remote.parent.parent), str(remote)]
     if busy := link.check(command).strip():
         raise TargetError(
             f"{link.target.address}: another run is still going on: {busy}; "
-            f"take its campaign up again, or end it there: kill -- -$(cat {busy}.pid)"
+            f"resume its campaign, or end it there: kill -- -$(cat {busy}.pid)"
         )
     data = {
         "schema": 1,
@@ -132,6 +154,6 @@ def begin(
         "before": before,
     }
     text = json.dumps(data)
-    keep = ["sh", "-c", _KEEP, "sh", str(remote), str(len(text.encode()))]
+    keep = ["sh", "-c", _WRITE, "sh", str(remote), str(len(text.encode()))]
     link.check(keep, stdin=text)
     return parse(data, Attempt, FILE)

@@ -1,295 +1,282 @@
-"""One run on a prepared target: started, waited for, pulled back, judged, closed."""
+"""One run on a prepared target: resumed or started, waited for, downloaded, judged, closed."""
 
 import contextlib
 import json
 import secrets
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from rtfiles.errors import InfrastructureError
 from rtrun.execution import clock_record, download, resumption
 from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt
-from rtrun.plan import conditions, suites
+from rtrun.execution.run_programs import RunPrograms, programs_of
+from rtrun.execution.run_state import RunEvent, RunLife, RunState, must_give_up
+from rtrun.plan import suites
 from rtrun.plan.campaign import Run
-from rtrun.plan.program import Program
+from rtrun.plan.program import Exit
 from rtrun.results import run_directory
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
 from rtrun.target import inspection, processes, ros_master
-from rtrun.target.errors import DeadlineExpired, StillMeasuring, TargetError
+from rtrun.target.errors import StillMeasuring, TargetError
 from rtrun.target.link import OUT_OF_REACH, Link
-from rtrun.validity import baselines, in_effect
-from rtrun.validity.outcome import judge
+from rtrun.validity import baselines, requirements
+from rtrun.validity.outcome import Verdict, judge
 
 TOPIC = "/communication_tests"
-SUBSCRIBER = "ct_subscriber"
-# A suite that needs longer than this for the time it should take hangs.
-DEADLINE_FACTOR = 5
-DEADLINE_EXTRA_S = 120.0
 SUBSCRIBED_S = 60.0
-# What a load needs to be one: it starts its workers and takes its memory meanwhile.
-LOADED_S = 1.0
-SAMPLER = "sampler"
-# Facts of a target that its state tells under the same names.
+# The target ends a program at its deadline; the runner waits this much longer for that.
+END_GRACE_S = 60.0
+# Facts of a target that run.json takes from its state under the same names.
 STATED = ("kernel_release", "kernel_version", "machine", "boot_id", "clocksource", "governor", "roscpp_version")
 
 Clock = Callable[[], datetime]
 
 
-def programs_of(prepared: Prepared, run: Run, token: str) -> tuple[list[Program], list[Program], list[str]]:
-    """Return the programs that wait for messages, those that start after them, and the outputs they write.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Work:
+    """One run, where it is measured and where it is kept."""
 
-    `token` makes the names of their nodes those of one attempt: a master remembers nodes that were killed.
+    prepared: Prepared
+    campaign: str
+    run: Run
+    folder: Path
+    remote: PurePosixPath
+    programs: RunPrograms
+    token: str
+
+    @property
+    def link(self) -> Link:
+        return self.prepared.link
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _End:
+    """How a run ended on the target."""
+
+    exits: Sequence[Exit]
+    ended_early: Mapping[str, str]
+    """Background programs that ended before the suite, name to exit status."""
+    master_pid: str
+    after: dict[str, Any]
+    """State of the target."""
+
+
+def measure(
+    prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path, life: RunLife, now: Clock
+) -> RunRecord:
+    """Measure one run, or pick it up where an earlier call left it; return the record that `folder` is closed with.
+
+    Raises TargetError when the target cannot go on, TargetRebooted when this run was cut off by a restart.
     """
-    suite = suites.suite(run.suite)
-    deadline_s = DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S
-    environment = _environment(prepared)
-    count = int(run.parameters.get("subscribers") or 1)
-    waiting: list[Program] = []
-    others: list[Program] = []
-    outputs: list[str] = []
-    for executable in suite.programs:
-        repeated = executable == suite.repeated
-        for number in range(count if repeated else 1):
-            prefix = {"prefix": str(number)} if repeated and count > 1 else {}
-            parameters = dict(run.parameters) | prefix
-            name = f"{executable}-{number}" if prefix else executable
-            argv = suites.argv(run.suite, executable, parameters)
-            # Several nodes of one name would throw each other out of the ROS graph.
-            node = (f"__name:={SUBSCRIBER}{number}_{token}",) if repeated else ()
-            program = Program(
-                name=name,
-                argv=(prepared.programs[executable], *argv[1:], *node),
-                environment=environment,
-                deadline_s=deadline_s,
-            )
-            (waiting if repeated else others).append(program)
-            if suite.always is None and (repeated or suite.repeated is None):
-                outputs.append(suites.output_name(run.suite, parameters))
-    return waiting, others, outputs
-
-
-def _environment(prepared: Prepared) -> tuple[tuple[str, str], ...]:
-    port = prepared.link.target.ros_master_port
-    return (("ROS_MASTER_URI", f"http://127.0.0.1:{port}"), ("ROS_IP", "127.0.0.1"))
-
-
-def _beside(prepared: Prepared, run: Run) -> list[conditions.Background]:
-    """What runs beside the suite to make the run's condition so."""
-    return conditions.background(
-        run.condition,
-        run.settings,
-        cpus=prepared.equipment.cpus,
-        programs=prepared.programs,
-        scripts=prepared.scripts,
-        environment=_environment(prepared),
-        expected_s=run.expected_s,
-        deadline_s=DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S,
-    )
-
-
-def _sampler(prepared: Prepared, run: Run, remote: PurePosixPath, beside: Sequence[str]) -> Program:
-    script = str(prepared.scripts / "sample.sh")
-    priority = str(run.parameters.get("priority") or 1)
-    return Program(
-        name=SAMPLER,
-        argv=(script, str(remote), priority, " ".join(beside)),
-        deadline_s=DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S + conditions.OUTLIVE_S,
-    )
-
-
-def measure(prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path, now: Clock) -> RunRecord:
-    """Measure one run, or pick it up where it is still going on; return its record.
-
-    The run directory `folder` is closed afterwards. Raises TargetError when the target cannot go on, TargetRebooted
-    when this run was cut off by a restart.
-    """
-    link = prepared.link
-    remote = link.target.work_dir / "runs" / uid / run.name
+    remote = prepared.link.target.work_dir / "runs" / uid / run.name
     token = secrets.token_hex(4)
-    waiting, others, outputs = programs_of(prepared, run, token)
-    beside = _beside(prepared, run)
-    loads = [each.program for each in beside]
-    sampler = _sampler(prepared, run, remote, [load.name for load in loads])
-    names = [program.name for program in (*others, *waiting)]
-    helpers = [*(load.name for load in loads), SAMPLER]
-    limits = download.expected_files(
-        run.suite, [*names, *helpers], outputs, int(run.parameters.get("repetitions") or 0)
+    work = _Work(
+        prepared=prepared,
+        campaign=campaign,
+        run=run,
+        folder=folder,
+        remote=remote,
+        programs=programs_of(prepared, run, remote, token),
+        token=token,
     )
-    everything = [*names, *helpers]
-    begun = _left_to_pick_up(link, remote, folder, [program.name for program in others], everything, limits)
-    if begun is None:
-        try:
-            begun = _begin(prepared, remote, [*others, *waiting], now)
-            if loads:
-                _load(prepared, remote, run, loads)
-            _start(prepared, remote, [sampler, *waiting], others, token)
-        except OUT_OF_REACH:
-            # Out of reach: what runs there is picked up, or kept as incomplete, by the next call.
-            raise
-        except (KeyboardInterrupt, InfrastructureError):
-            _give_up(link, remote, everything)
-            raise
     try:
-        exits = [
-            processes.wait(link, remote, program.name, deadline_s=program.deadline_s + 60.0)
-            for program in (*others, *waiting)
-        ]
-        # Asked before anything is ended, our own master with the rest, and told to whoever reads the run later.
-        master_pid = processes.write_if_absent(link, remote, "master_pid", str(ros_master.ask_pid(link)))
-    except OUT_OF_REACH:
+        attempt = _resume(work, life) or _start(work, life, now)
+        exits, master_pid = _wait(work, life)
+    except (KeyboardInterrupt, InfrastructureError) as error:
+        if must_give_up(life.state, error):
+            with contextlib.suppress(TargetError):
+                processes.give_up(work.link, remote, work.programs.names)
+            life.move(RunEvent.GIVE_UP, str(error) or type(error).__name__)
+        elif life.state is RunState.MEASURING and not isinstance(error, OUT_OF_REACH):
+            raise StillMeasuring(f"{error}; the run goes on and is picked up by the next call") from error
         raise
-    except (KeyboardInterrupt, DeadlineExpired):
-        # The target should have ended it long ago: nothing good can come of it any more.
-        _give_up(link, remote, everything)
-        raise
-    except InfrastructureError as error:
-        raise StillMeasuring(f"{error}; the run goes on and is picked up by the next call") from error
-    state = ["sh", str(prepared.scripts / "state.sh")]
-    ended_early, output = processes.end_background(link, remote, names, helpers, state)
-    after = inspection.parse_state(output)
+    end = _end_background(work, exits, master_pid)
     with run_directory.filling(folder) as partial:
-        refused = download.pull(link, remote, partial, limits)
-        if prepared.kernel_config:
-            (partial / "kernel.config.gz").write_bytes(prepared.kernel_config)
-        states = {"schema": 1, "before": begun.before, "after": after, "own_ros_master": begun.own_master}
-        (partial / "target.json").write_text(json.dumps(states, indent=2) + "\n", encoding="utf-8")
-        if link.target.console is not None and link.target.console.exists():
-            (partial / "console.log").write_bytes(link.target.console.read_bytes())
-        verdict = judge(
-            partial, run, [*others, *waiting], exits, outputs, refused=refused, beside=beside, ended_early=ended_early
-        )
-        if master_pid != str(begun.master_pid):
-            reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
-            verdict = replace(verdict, status=RunStatus.FAILED, reason=reason)
-        if suites.suite(run.suite).always is not None and verdict.status is RunStatus.OK:
-            outputs = baselines.keep_histograms(partial, run, suites.output_name(run.suite, run.parameters))
-        record = RunRecord(
-            schema=1,
-            run=run.name,
-            campaign=campaign,
-            attempt=begun.uid,
-            suite=run.suite,
-            parameters=dict(run.parameters),
-            condition=run.condition,
-            settings=dict(run.settings),
-            repeat=run.repeat,
-            seed=run.seed,
-            emulated=link.target.emulated,
-            status=verdict.status,
-            reason=verdict.reason,
-            requested=in_effect.requested(run, beside),
-            in_effect=verdict.in_effect,
-            start_time=begun.start_time,
-            end_time=now().isoformat(),
-            programs=[
-                ProgramRecord(name=program.name, argv=begun.argv[program.name], exit_status=exit_.status)
-                for program, exit_ in zip([*others, *waiting], exits, strict=True)
-            ],
-            outputs=outputs,
-            refused=refused,
-            target=TargetFacts(
-                name=link.target.name,
-                address=str(link.target.address),
-                preempt_rt=inspection.is_preempt_rt(begun.before),
-                cpus=prepared.equipment.cpus,
-                clock=clock_record.record(begun.before, clock_record.steps_seen(partial, outputs)),
-                **{name: begun.before.get(name) for name in STATED},
-            ),
-            files={},
-        )
+        refused = _download(work, partial, attempt, end)
+        verdict = _judge(work, partial, attempt, end, refused)
+        record = _record(work, partial, attempt, end, refused, verdict, now)
         run_directory.close(partial, folder, record)
-    link.check(["rm", "-rf", str(remote)])
+    life.move(RunEvent.CLOSE, f"{record.status}: {record.reason}" if record.reason else record.status)
+    work.link.check(["rm", "-rf", str(remote)])
     return record
 
 
-def _begin(prepared: Prepared, remote: PurePosixPath, programs: Sequence[Program], now: Clock) -> Attempt:
-    """Write down what the run begins with. Raises TargetError when nothing can be measured."""
-    link = prepared.link
+def _resume(work: _Work, life: RunLife) -> Attempt | None:
+    """Return the attempt of an earlier call that can be picked up, or make room for a new one and return None."""
+    leftovers = resumption.inspect_leftovers(work.link, work.remote, work.programs.suite_names)
+    measuring = [program.name for program in work.programs.measuring]
+    if leftovers.can_be_picked_up(measuring, run_directory.closing_record(work.folder)):
+        life.move(RunEvent.PICK_UP)
+        return leftovers.attempt
+    if leftovers.cut_off:
+        life.move(RunEvent.RESTART, "the target was restarted while nobody looked")
+        kept = run_directory.unused(work.folder, "incomplete")
+        with run_directory.filling(kept) as partial:
+            download.pull(work.link, work.remote, partial, work.programs.file_limits)
+            run_directory.rename(partial, kept)
+        life.move(RunEvent.KEEP, f"kept as {kept.name}")
+    processes.give_up(work.link, work.remote, work.programs.names)
+    if leftovers.started:
+        life.move(RunEvent.GIVE_UP, leftovers.unreadable or "left by an earlier call")
+    return None
+
+
+def _start(work: _Work, life: RunLife, now: Clock) -> Attempt:
+    """Start the background, then the suite. Raises TargetError when nothing can be measured."""
+    life.move(RunEvent.BEGIN)
+    attempt = _begin(work, now)
+    if work.programs.background:
+        _start_background(work)
+    _start_suite(work)
+    life.move(RunEvent.START)
+    return attempt
+
+
+def _begin(work: _Work, now: Clock) -> Attempt:
     start_time = now()
-    master_pid = ros_master.ask_pid(link)
+    master_pid = ros_master.ask_pid(work.link)
     if master_pid is None:
-        raise TargetError(f"{link.target.address}: the ROS master died")
+        raise TargetError(f"{work.link.target.address}: the ROS master died")
     return resumption.begin(
-        link,
-        remote,
+        work.link,
+        work.remote,
         start_time=start_time.isoformat(),
         master_pid=master_pid,
-        own_master=prepared.own_master,
-        argv={program.name: program.argv for program in programs},
-        before=inspection.read_state(link, prepared.scripts / "state.sh"),
+        own_master=work.prepared.own_master,
+        argv={program.name: program.argv for program in work.programs.of_suite},
+        before=inspection.read_state(work.link, work.prepared.scripts / "state.sh"),
     )
 
 
-def _load(prepared: Prepared, remote: PurePosixPath, run: Run, loads: Sequence[Program]) -> None:
-    """Make the condition so. Raises TargetError when a load does not stay."""
-    link = prepared.link
-    processes.start(link, prepared.scripts, remote, *loads, setup=prepared.equipment.setup)
-    time.sleep(LOADED_S)
-    for name in processes.list_ended(link, remote, [load.name for load in loads]):
-        said = processes.read_last_line(link, remote / f"{name}.stderr") or "it said nothing"
-        raise TargetError(f"{link.target.address}: condition {run.condition}: {name} does not run: {said}")
+def _start_background(work: _Work) -> None:
+    """Start what the condition asks for. Raises TargetError when a program of it ends at once."""
+    link, prepared = work.link, work.prepared
+    programs = [each.program for each in work.programs.background]
+    processes.start(link, prepared.scripts, work.remote, *programs, setup=prepared.equipment.setup)
+    time.sleep(work.run.settle_s)
+    for name in processes.list_ended(link, work.remote, [program.name for program in programs]):
+        reason = processes.read_last_line(link, work.remote / f"{name}.stderr") or "it printed no reason"
+        raise TargetError(f"{link.target.address}: condition {work.run.condition}: {name} does not run: {reason}")
 
 
-def _start(
-    prepared: Prepared,
-    remote: PurePosixPath,
-    first: Sequence[Program],
-    others: Sequence[Program],
-    token: str,
-) -> None:
-    """Start the sampler and the programs that wait for messages, `first`, and, when these do wait, the others."""
-    link, setup = prepared.link, prepared.equipment.setup
-    waiting = [program.name for program in first[1:]]
-    if not waiting:
-        processes.start(link, prepared.scripts, remote, *first, *others, setup=setup)
+def _start_suite(work: _Work) -> None:
+    """Start the sampler, then the subscribers, and the rest once these have registered with the ROS master."""
+    link, scripts, setup = work.link, work.prepared.scripts, work.prepared.equipment.setup
+    subscribers, measuring = work.programs.subscribers, work.programs.measuring
+    if not subscribers:
+        processes.start(link, scripts, work.remote, work.programs.sampler, *measuring, setup=setup)
         return
-    processes.start(link, prepared.scripts, remote, *first, setup=setup)
+    processes.start(link, scripts, work.remote, work.programs.sampler, *subscribers, setup=setup)
+    names = [program.name for program in subscribers]
     processes.wait_until(
         lambda: (
-            ros_master.count_subscribers(link, TOPIC, token) >= len(waiting)
-            or bool(processes.list_ended(link, remote, waiting))
+            ros_master.count_subscribers(link, TOPIC, work.token) >= len(names)
+            or bool(processes.list_ended(link, work.remote, names))
         ),
         deadline_s=SUBSCRIBED_S,
-        what=f"{link.target.address}: {len(waiting)} subscribers to register with the ROS master",
+        what=f"{link.target.address}: {len(names)} subscribers to register with the ROS master",
     )
-    processes.start(link, prepared.scripts, remote, *others, setup=setup)
+    processes.start(link, scripts, work.remote, *measuring, setup=setup)
 
 
-def _attempt(folder: Path) -> str | None:
-    closed = run_directory.closing_record(folder)
-    return closed.attempt if closed else None
+def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str]:
+    """Wait for the programs of the suite; return how they ended, and the process id of the ROS master then."""
+    exits = [
+        processes.wait(work.link, work.remote, program.name, deadline_s=program.deadline_s + END_GRACE_S)
+        for program in work.programs.of_suite
+    ]
+    # Written down before anything is ended: a call that is repeated must not find the master ended by ourselves.
+    master_pid = processes.write_if_absent(work.link, work.remote, "master_pid", str(ros_master.ask_pid(work.link)))
+    life.move(RunEvent.END)
+    return exits, master_pid
 
 
-def _give_up(link: Link, remote: PurePosixPath, names: Sequence[str]) -> None:
-    with contextlib.suppress(TargetError):
-        processes.give_up(link, remote, names)
+def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str) -> _End:
+    state = ["sh", str(work.prepared.scripts / "state.sh")]
+    names = work.programs.suite_names, work.programs.background_names
+    ended_early, output = processes.end_background(work.link, work.remote, *names, state)
+    return _End(exits=exits, ended_early=ended_early, master_pid=master_pid, after=inspection.parse_state(output))
 
 
-def _left_to_pick_up(
-    link: Link,
-    remote: PurePosixPath,
-    folder: Path,
-    last: Sequence[str],
-    names: Sequence[str],
-    limits: dict[str, int],
-) -> Attempt | None:
-    """Return the attempt of an earlier call that goes on, or has ended and waits for us; all else makes room.
+def _download(work: _Work, partial: Path, attempt: Attempt, end: _End) -> dict[str, str]:
+    """Fill a run directory; return the files that were not taken, name to reason."""
+    refused = download.pull(work.link, work.remote, partial, work.programs.file_limits)
+    if work.prepared.kernel_config:
+        (partial / "kernel.config.gz").write_bytes(work.prepared.kernel_config)
+    states = {"schema": 1, "before": attempt.before, "after": end.after, "own_ros_master": attempt.own_master}
+    (partial / "target.json").write_text(json.dumps(states, indent=2) + "\n", encoding="utf-8")
+    console = work.link.target.console
+    if console is not None and console.exists():
+        (partial / "console.log").write_bytes(console.read_bytes())
+    return refused
 
-    `last` are the programs that are started last: before them nothing is measured. What a reboot cut off is kept as
-    incomplete; what was given up, or is closed and only to be repeated, is removed.
-    """
-    left = resumption.left(link, remote)
-    measuring = not left.started.isdisjoint(last) and not left.given_up
-    if left.attempt and measuring and left.attempt.uid != _attempt(folder):
-        return left.attempt
-    if left.cut_off:
-        kept = run_directory.unused(folder, "incomplete")
-        with run_directory.filling(kept) as partial:
-            download.pull(link, remote, partial, limits)
-            run_directory.rename(partial, kept)
-    processes.give_up(link, remote, names)
-    return None
+
+def _judge(work: _Work, partial: Path, attempt: Attempt, end: _End, refused: Mapping[str, str]) -> Verdict:
+    verdict = judge(
+        partial,
+        work.run,
+        work.programs.of_suite,
+        end.exits,
+        work.programs.outputs,
+        refused=refused,
+        background=work.programs.background,
+        ended_early=end.ended_early,
+    )
+    if end.master_pid != str(attempt.master_pid):
+        reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
+        return replace(verdict, status=RunStatus.FAILED, reason=reason)
+    return verdict
+
+
+def _record(
+    work: _Work,
+    partial: Path,
+    attempt: Attempt,
+    end: _End,
+    refused: Mapping[str, str],
+    verdict: Verdict,
+    now: Clock,
+) -> RunRecord:
+    run, target = work.run, work.link.target
+    outputs = list(work.programs.outputs)
+    if suites.suite(run.suite).is_baseline and verdict.status is RunStatus.OK:
+        outputs = baselines.keep_histograms(partial, run, suites.output_name(run.suite, run.parameters))
+    return RunRecord(
+        schema=1,
+        run=run.name,
+        campaign=work.campaign,
+        attempt=attempt.uid,
+        suite=run.suite,
+        parameters=dict(run.parameters),
+        condition=run.condition,
+        settings=dict(run.settings),
+        repeat=run.repeat,
+        seed=run.seed,
+        emulated=target.emulated,
+        status=verdict.status,
+        reason=verdict.reason,
+        requested=requirements.requested(run, work.programs.background),
+        in_effect=verdict.in_effect,
+        start_time=attempt.start_time,
+        end_time=now().isoformat(),
+        programs=[
+            ProgramRecord(name=program.name, argv=attempt.argv[program.name], exit_status=exit_.status)
+            for program, exit_ in zip(work.programs.of_suite, end.exits, strict=True)
+        ],
+        outputs=outputs,
+        refused=dict(refused),
+        target=TargetFacts(
+            name=target.name,
+            address=str(target.address),
+            preempt_rt=inspection.is_preempt_rt(attempt.before),
+            cpus=work.prepared.equipment.cpus,
+            clock=clock_record.record(attempt.before, clock_record.steps_seen(partial, outputs)),
+            **{name: attempt.before.get(name) for name in STATED},
+        ),
+        files={},
+    )

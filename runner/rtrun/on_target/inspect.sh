@@ -13,8 +13,20 @@ done
 for program in /opt/ros/*/lib/*_tests/*_tests* /usr/lib/*_tests/*_tests*; do
     [ -x "$program" ] && echo "program $program"
 done
+# The runner removes folders in its working folder: it must be new, empty, or known by the mark. One of a version without
+# a mark is known by its names.
+mark=$1/.rt-tests
+for entry in "$1"/* "$1"/.[!.]*; do
+    [ ! -e "$mark" ] || break
+    [ -e "$entry" ] || [ -L "$entry" ] || continue
+    case ${entry##*/} in
+    objects | suites | scripts | runs | master) [ -L "$entry" ] || continue ;;
+    esac
+    echo "foreign $entry"
+    exit 0
+done
 echo "cpus $(grep -c '^processor' /proc/cpuinfo)"
-if mkdir -p "$1/objects" "$1/suites" "$1/runs" "$1/master" && [ -w "$1" ]; then
+if mkdir -p "$1/objects" "$1/suites" "$1/runs" "$1/master" && : >>"$mark"; then
     # shellcheck disable=SC2046 # the words of the line are wanted
     set -- $(df -Pk "$1" | tail -n 1)
     echo "free_kib $4"

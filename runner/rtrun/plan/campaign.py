@@ -2,7 +2,8 @@
 
 import hashlib
 import itertools
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,6 +18,8 @@ SUBSCRIBERS_MAX = 64
 # The ROS master needs the priority above the suites' (thesis 4.4), and 99 belongs to the kernel.
 PRIORITY_MAX = 97
 REPEATS_MAX = 10_000
+# At a second each, runs enough for a day. A few lists multiply to many millions.
+RUNS_MAX = 100_000
 # The runner names the output and knows where it is.
 RESERVED = ("prefix", "out_dir")
 
@@ -66,6 +69,11 @@ class Run:
                 return number["repetitions"] * number[key] / 1e6
         return number["repetitions"] / number["frequency_hz"] + number.get("start_delay_s", 0)
 
+    @property
+    def settle_s(self) -> float:
+        """How long the background programs are waited for before the suite starts, in seconds."""
+        return conditions.settle_s(self.condition, self.settings)
+
 
 def read_campaign(path: Path) -> tuple[Campaign, tuple[Run, ...]]:
     """Read a campaign file and plan it. Raises UsageError with every mistake found, one a line."""
@@ -79,23 +87,18 @@ def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
     _check_common(campaign, origin, errors)
     if (campaign.order == "interleaved") != (campaign.seed is not None):
         errors.append(f"{origin}: seed: give one, a whole number, with order: interleaved, and only then")
-    listed = [
-        run
-        for number, entry in enumerate(campaign.runs)
-        for run in _combinations(entry, campaign.common, f"{origin}: runs.{number}", errors)
-    ]
+    listed = _runs_of(campaign.runs, campaign.common, f"{origin}: runs", errors)
     for number, pattern in enumerate(campaign.exclude):
-        left = [run for run in listed if not _matches(run, pattern)]
-        if not pattern or len(left) == len(listed):
+        kept = [run for run in listed if not _matches(run, pattern)]
+        if not pattern or len(kept) == len(listed):
             errors.append(f"{origin}: exclude.{number}: no run has all of {pattern}, so there is nothing to leave out")
-        listed = left
-    listed += [
-        run
-        for number, entry in enumerate(campaign.include)
-        for run in _combinations(entry, campaign.common, f"{origin}: include.{number}", errors)
-    ]
+        listed = kept
+    listed += _runs_of(campaign.include, campaign.common, f"{origin}: include", errors)
+    if len(listed) > RUNS_MAX:
+        errors.append(f"{origin}: makes {len(listed)} runs, at most {RUNS_MAX} are allowed")
     if not errors and not listed:
         errors.append(f"{origin}: exclude: leaves no run")
+    errors += dict.fromkeys(f"{origin}: {wrong}" for run in listed if (wrong := _too_short(run)))
     if errors:
         raise UsageError("\n".join(errors))
     width = max(3, len(str(len(listed))))
@@ -106,6 +109,36 @@ def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
     seed = campaign.seed
     draw = {run.name: hashlib.sha256(f"{seed} {run.name}".encode()).digest() for run in named}
     return tuple(replace(run, seed=seed) for run in sorted(named, key=lambda run: (run.repeat, draw[run.name])))
+
+
+def _runs_of(entries: Sequence[Entry], common: Entry, where: str, errors: list[str]) -> list[Run]:
+    """The runs of these entries; no more than one entry's above the limit."""
+    runs: list[Run] = []
+    for number, entry in enumerate(entries):
+        if len(runs) <= RUNS_MAX:
+            runs += _combinations(entry, common, f"{where}.{number}", errors)
+    return runs
+
+
+def _too_short(run: Run) -> str | None:
+    """Say why a run can never be valid because it ends before it is observed, or None."""
+    if run.expected_s >= conditions.FIRST_OBSERVATION_S:
+        return None
+    suite = suites.suite(run.suite)
+    observed = {key: value for key, value in run.settings.items() if value and key in conditions.conditions().holds}
+    if conditions.conditions().conditions[run.condition].loads:
+        observed["condition"] = run.condition
+    # A suite writes down its own policy and CPUs, a baseline does not.
+    if suite.is_baseline:
+        keys = ("cpu", "policy")
+        observed |= {key: value for key in keys if (value := run.parameters.get(key)) not in (None, "", "0")}
+    if not observed:
+        return None
+    what = ", ".join(f"{key} {value}" for key, value in observed.items())
+    return (
+        f"{run.suite} measures {run.expected_s:.3g} s, but {what} must be observed, for which it must measure "
+        f"{conditions.FIRST_OBSERVATION_S:g} s at least"
+    )
 
 
 def _combinations(entry: Entry, common: Entry, where: str, errors: list[str]) -> Iterator[Run]:
@@ -127,6 +160,10 @@ def _combinations(entry: Entry, common: Entry, where: str, errors: list[str]) ->
     if len(repeats) > 1:
         errors.append(f"{where}.repeats: one whole number, not a list")
     if not all(axes.values()) or not repeats:
+        return
+    number = math.prod(map(len, axes.values())) * int(repeats[0] or 1)
+    if number > RUNS_MAX:
+        errors.append(f"{where}: makes {number} runs, at most {RUNS_MAX} are allowed")
         return
     defaults = {key: suites.options()[key].default for key in takes if key != "subscribers"}
     defaults |= suite.launch | ({"subscribers": 1} if suite.repeated else {})
@@ -187,7 +224,11 @@ def _check(where: str, key: str, value: Any) -> suites.Value:
     for limited, limit in (("subscribers", SUBSCRIBERS_MAX), ("priority", PRIORITY_MAX), ("repeats", REPEATS_MAX)):
         if key == limited and not (isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= limit):
             raise UsageError(f"{where}: {key} takes a whole number from 1 to {limit}, got {value!r}")
-    return value if key in ("subscribers", "repeats") else suites.check(key, value, where)
+    if key in ("subscribers", "repeats"):
+        return int(value)
+    accepted = suites.check(key, value, where)
+    conditions.check_cpus(key, accepted, where)
+    return accepted
 
 
 def _label(run: Run) -> str:

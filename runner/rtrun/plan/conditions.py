@@ -1,6 +1,7 @@
-"""What happens on a target beside the suite: conditions.yml read into types, and the programs that make it so."""
+"""Conditions: the background programs of a run and the settings of its target, read from conditions.yml."""
 
 import functools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -10,24 +11,33 @@ from pydantic import Field
 
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
+from rtfiles.untrusted import whole_number
 from rtrun.plan.program import Program
 from rtrun.plan.suites import Option, Strings, Value
 
 FILE = Path(__file__).with_name("conditions.yml")
 IDLE = "idle"
-# Loads outlive the suite's deadline, so that they end with the run and never before.
+# Loads may run this much longer than the suite's deadline, so that the runner ends them and not their own deadline.
 OUTLIVE_S = 300.0
-# Nodes send this much longer than the suite should measure, and then some for a slow start.
+# The nodes of a condition send for this multiple of the time that the suite should measure, plus time for a slow start.
 MESSAGES_FACTOR = 2
 MESSAGES_EXTRA_S = 120.0
+# Time for loads to start their workers and allocate memory before the suite starts.
+SETTLE_S = 1.0
+# sample.sh makes its first observation this long after its start, which comes just before that of the suite.
+FIRST_OBSERVATION_S = 1.0
+# The kernel builds with at most 8192 CPUs (CONFIG_NR_CPUS); numbers in data files have at most four digits.
+CPUS_MAX = 8192
+# Parameters and settings that are lists of CPUs.
+CPU_LISTS = ("cpu", "load_cpu", "irq_cpu")
 
 
 class Load(Config):
-    """A program that runs beside the suite."""
+    """A program that runs in the background of the suite."""
 
     argv: Strings
     workers: str = "0"
-    """Processes that it must have beside itself all the time."""
+    """Processes that it must have all the time, not counting itself."""
     repeated: str | None = None
     """The setting that says how many of it there are; none: one."""
 
@@ -53,10 +63,12 @@ class Conditions(Config):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Background:
-    """A program beside the suite, and how many processes it must have, itself included."""
+    """A background program, and how many processes it must have, itself included."""
 
     program: Program
     processes: int
+    pinned: bool
+    """Whether it runs on the CPUs of load_cpu only."""
 
 
 @functools.cache
@@ -81,9 +93,11 @@ def settings_of(name: str) -> tuple[str, ...]:
 def check(key: str, value: object, where: str) -> Value:
     """Return a setting's value. Raises UsageError ``where: key takes …, got …``."""
     try:
-        return conditions().settings[key].accept(value)
+        accepted = conditions().settings[key].accept(value)
     except ValueError as error:
         raise UsageError(f"{where}: {key} {error}") from None
+    check_cpus(key, accepted, where)
+    return accepted
 
 
 def needs(name: str, settings: Mapping[str, Value]) -> set[str]:
@@ -116,43 +130,66 @@ def background(
     `cpus` are those of the target, `programs` the paths of the suites' executables there, `expected_s` and `deadline_s`
     those of the suite.
     """
-    pinned = str(settings.get("load_cpu") or "")
+    load_cpus = str(settings.get("load_cpu") or "")
+    lifetime_s = deadline_s + OUTLIVE_S
     words = {key: value for key, value in settings.items() if value is not None} | dict(programs)
     words |= {
         "scripts": str(scripts),
-        "cpus": len(cpu_set(pinned)) if pinned else cpus,
+        "cpus": len(cpu_set(load_cpus)) if load_cpus else cpus,
+        "lifetime_s": math.ceil(lifetime_s),
         "messages": round(int(settings.get("nodes_hz") or 1) * (MESSAGES_FACTOR * expected_s + MESSAGES_EXTRA_S)),
     }
-    found: list[Background] = []
 
-    def add(program: str, argv: Strings, number: int, processes: str) -> None:
-        filled = [word.format_map(words | {"name": program, "number": number}) for word in argv]
-        found.append(
-            Background(
-                program=Program(
-                    name=program,
-                    argv=tuple(filled),
-                    environment=environment,
-                    deadline_s=deadline_s + OUTLIVE_S,
-                ),
-                processes=1 + int(processes.format_map(words)),
-            )
+    def of(program: str, argv: Strings, *, number: int = 0, workers: str = "0", pinned: bool = False) -> Background:
+        given = ("taskset", "-c", load_cpus, *argv) if pinned else argv
+        filled = [word.format_map(words | {"name": program, "number": number}) for word in given]
+        return Background(
+            program=Program(name=program, argv=tuple(filled), environment=environment, deadline_s=lifetime_s),
+            processes=1 + int(workers.format_map(words)),
+            pinned=pinned,
         )
 
-    for key, argv in conditions().holds.items():
-        if settings.get(key):
-            add(f"hold-{key}", argv, 0, "0")
-    for program, each in conditions().conditions[name].loads.items():
-        argv = ("taskset", "-c", pinned, *each.argv) if pinned else each.argv
-        for number in range(int(settings[each.repeated] or 0) if each.repeated else 1):
-            add(f"{program}{number}" if each.repeated else program, argv, number, each.workers)
-    return found
+    programs_of = [of(f"hold-{key}", argv) for key, argv in conditions().holds.items() if settings.get(key)]
+    for program, load_ in conditions().conditions[name].loads.items():
+        numbers = range(int(settings[load_.repeated] or 0)) if load_.repeated else [None]
+        programs_of += [
+            of(
+                program if number is None else f"{program}{number}",
+                load_.argv,
+                number=number or 0,
+                workers=load_.workers,
+                pinned=bool(load_cpus),
+            )
+            for number in numbers
+        ]
+    return programs_of
 
 
 def cpu_set(text: str) -> set[int]:
     """The CPUs in a list as the kernel writes it, ``0-1,4``. Raises ValueError."""
-    found: set[int] = set()
+    cpus: set[int] = set()
     for part in text.split(","):
-        first, _, last = part.partition("-")
-        found |= set(range(int(first), int(last or first) + 1))
-    return found
+        first, dash, last = part.partition("-")
+        low = whole_number(first, lowest=0, highest=CPUS_MAX - 1)
+        high = whole_number(last, lowest=low, highest=CPUS_MAX - 1) if dash else low
+        cpus |= set(range(low, high + 1))
+    return cpus
+
+
+def check_cpus(key: str, value: Value, where: str) -> None:
+    """Check a parameter or setting that is a list of CPUs; empty is fine. Raises UsageError."""
+    if key in CPU_LISTS and value:
+        try:
+            cpu_set(str(value))
+        except ValueError as error:
+            raise UsageError(f"{where}: {key} takes a list of CPUs like 0-1,4, got {value!r}: {error}") from None
+
+
+def must_be_observed(name: str, settings: Mapping[str, Value]) -> bool:
+    """Whether a run under this condition counts only if the sampler has observed it while it measured."""
+    return bool(conditions().conditions[name].loads) or any(settings.get(key) for key in conditions().holds)
+
+
+def settle_s(name: str, settings: Mapping[str, Value]) -> float:
+    """How long background programs are waited for before the suite starts, in seconds."""
+    return SETTLE_S if must_be_observed(name, settings) else 0.0

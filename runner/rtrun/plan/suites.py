@@ -37,6 +37,11 @@ class Option(Config):
     """What a text must look like unless it is empty; none: any line."""
 
     @property
+    def is_of_2014(self) -> bool:
+        """Whether the programs of 2014 have it: theirs have short flags, what came later has long ones."""
+        return not self.flag.startswith("--")
+
+    @property
     def allowed(self) -> str:
         """What the option takes, for a message to the user."""
         if self.type == "int":
@@ -87,8 +92,10 @@ class Suite(Config):
     """The program that runs once per subscriber; none: there are no subscribers."""
     launch: dict[str, Value] = Field(default_factory=dict)
     """Parameters that are not the program's default unless a campaign says otherwise."""
-    always: Strings | None = None
-    """Of a baseline, a tool of the target with options of its own: what it is always given."""
+    is_baseline: bool = Field(default=False, alias="baseline")
+    """A tool of the target with options of its own, measured with to compare the suites with it."""
+    always: Strings = ()
+    """What a baseline is always given."""
     kernel: str = ""
     """Of a baseline, the kernel option that it needs."""
     flags: dict[str, str] = Field(default_factory=dict)
@@ -167,7 +174,7 @@ def argv(suite_name: str, program: str, parameters: Mapping[str, Value]) -> list
     described = suite(suite_name)
     if program not in described.programs:
         raise UsageError(f"unknown program {program!r} of {suite_name}, known: {', '.join(described.programs)}")
-    if described.always is not None:
+    if described.is_baseline:
         return [program, *described.always, *_explicit(described, program, parameters)]
     words = [program]
     for key in described.programs[program]:

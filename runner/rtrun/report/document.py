@@ -15,7 +15,7 @@ from rtrun.report.claims.reference import oneshot_rows, published
 from rtrun.report.digest import Digest
 from rtrun.report.study import Group, Study, environment, told
 from rtrun.report.terminal import banner_of
-from rtrun.results.samples import BESIDE
+from rtrun.results.samples import NON_MEASURING_THREADS
 
 # Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5
@@ -340,7 +340,9 @@ def _environment(study: Study) -> Table:
         effect = one.header.in_effect
         if effect:
             policies = {
-                f"{thread.policy} {thread.priority}": None for thread in effect.threads if thread.name not in BESIDE
+                f"{thread.policy} {thread.priority}": None
+                for thread in effect.threads
+                if thread.name not in NON_MEASURING_THREADS
             }
             asked = str(one.header.parameters.get("policy", "0"))
             seen.setdefault(f"threads in effect, policy {asked} asked for", {}).update(policies)

@@ -19,7 +19,7 @@ from rtrun.results.npy import read_header
 MAX_NPY_BYTES = 4 << 30
 NOT_FIRED_NS = -(2**63)
 # Threads of a suite that have no part in the measurement: of normal scheduling, on spare CPUs, whatever was asked for.
-BESIDE = frozenset({"rt_blocks", "rt_traces"})
+NON_MEASURING_THREADS = frozenset({"rt_blocks", "rt_traces"})
 MAX_TIME_NS = 2**61  # 73 years: a difference of two times stays within 64 bits
 
 Count = Annotated[int, Field(ge=0)]

@@ -24,7 +24,8 @@ class _Common(Config):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
     suites: str | None = None
     """Folder of `rtgen suites build` to deploy, relative to this file; none: those installed on the target."""
-    work_dir: Annotated[str, Field(pattern=r"^/[A-Za-z0-9._/-]+$")] = "/var/lib/rt-tests"
+    # No part of it is . or ..: folders in it are removed.
+    work_dir: Annotated[str, Field(pattern=r"^(/\.?[A-Za-z0-9_-][A-Za-z0-9._-]*)+/?$")] = "/var/lib/rt-tests"
     """Folder on the target for deployed suites and running measurements."""
     ros_setup: str | None = None
     """Shell file on the target that sets up ROS; none: /opt/ros/<distro>/setup.sh when there is exactly one."""

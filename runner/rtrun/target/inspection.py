@@ -2,10 +2,13 @@
 
 import gzip
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 
+from rtfiles.untrusted import INT64_MAX, whole_number
+from rtrun.plan.conditions import CPUS_MAX
 from rtrun.target.deploy import ON_TARGET
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
@@ -43,6 +46,11 @@ def inspect(link: Link) -> Equipment:
         raise TargetError(
             f"{target.address}: the target lacks {', '.join(facts['missing'])}: install util-linux, coreutils"
         )
+    if "foreign" in facts:
+        raise TargetError(
+            f"{target.address}: {target.work_dir} holds what rtrun did not make ({facts['foreign'][0][:200]}): "
+            "name an empty or a new folder as work_dir in the target file"
+        )
     if "readonly" in facts:
         raise TargetError(
             f"{target.address}: {target.work_dir} cannot be written: name another folder as work_dir in the target file"
@@ -59,9 +67,17 @@ def inspect(link: Link) -> Equipment:
         setup=setup,
         master=next((path for path in masters if path.startswith(root)), masters[0] if masters else None),
         programs={PurePosixPath(path).name: path for path in reversed(facts.get("program", []))},
-        cpus=int(facts["cpus"][0]) if facts.get("cpus", [""])[0].isdigit() else 1,
-        free_bytes=int(facts["free_kib"][0]) * 1024 if facts.get("free_kib", [""])[0].isdigit() else 0,
+        cpus=_count(facts.get("cpus"), lowest=1, highest=CPUS_MAX),
+        free_bytes=_count(facts.get("free_kib"), lowest=0, highest=INT64_MAX // 1024) * 1024,
     )
+
+
+def _count(values: Sequence[str] | None, *, lowest: int, highest: int) -> int:
+    """The number that the target tells, or the lowest where it tells none."""
+    try:
+        return whole_number(values[0], lowest=lowest, highest=highest) if values else lowest
+    except ValueError:
+        return lowest
 
 
 def read_state(link: Link, script: PurePosixPath) -> dict[str, Any]:
@@ -93,12 +109,16 @@ def _thread(line: str) -> dict[str, Any] | None:
     # proc(5) counts from 1 with pid and name before these: rt_priority is field 40, policy 41.
     if match is None or len(fields) < 39:
         return None
-    return {
-        "tid": int(match.group(1)),
-        "name": match.group(2),
-        "policy": POLICIES.get(int(fields[38]), fields[38]),
-        "priority": int(fields[37]),
-    }
+    try:
+        policy = whole_number(fields[38])
+        return {
+            "tid": whole_number(match.group(1)),
+            "name": match.group(2),
+            "policy": POLICIES.get(policy, str(policy)),
+            "priority": whole_number(fields[37]),
+        }
+    except ValueError:
+        return None
 
 
 def is_preempt_rt(state: dict[str, Any]) -> bool:

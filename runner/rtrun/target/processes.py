@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import PurePosixPath
 
+from rtfiles.untrusted import whole_number
 from rtrun.plan.program import Exit, Program
 from rtrun.target.errors import DeadlineExpired, TargetError
 from rtrun.target.link import Link
@@ -110,8 +111,15 @@ def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> 
             if time.monotonic() >= deadline:
                 raise
             continue
-        status = int(words[0]) if words and words[0].isdigit() else None
-        return Exit(status=status, expired="expired" in words)
+        return Exit(status=_exit_status(words[0]) if words else None, expired="expired" in words)
+
+
+def _exit_status(word: str) -> int | None:
+    """Read what supervise.sh wrote; None where it wrote no exit status."""
+    try:
+        return whole_number(word, lowest=0, highest=255)
+    except ValueError:
+        return None
 
 
 def end(link: Link, folder: PurePosixPath, *names: str) -> None:

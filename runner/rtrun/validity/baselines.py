@@ -9,7 +9,7 @@ from rtrun.results.importers import cyclictest
 from rtrun.results.importers.histogram_file import ENDING, histogram_text
 
 
-def contradiction(run: Run, said: str) -> str | None:
+def check_baseline_output(run: Run, said: str) -> str | None:
     """Say what does not add up in what a baseline printed, or None.
 
     Each thread of cyclictest must have measured as often as it was asked to, in a bin of the histogram or above it.

@@ -8,7 +8,7 @@ from rtrun.results.samples import Record
 LISTED_MAX = 1000  # indices that an output lists of each kind
 
 
-def contradiction(record: Record, logs: Iterable[Log] = ()) -> str | None:
+def find_count_mismatch(record: Record, logs: Iterable[Log] = ()) -> str | None:
     """Say what does not add up in a record and the logs beside it, or None when all of it does.
 
     What was asked for was measured, did not fire, or is missing; of an incomplete record there may be less, never more.

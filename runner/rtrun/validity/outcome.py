@@ -13,8 +13,9 @@ from rtrun.plan.program import Exit, Program
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.record import Observed, RunStatus
 from rtrun.results.samples import Record, read_samples
-from rtrun.validity import baselines, in_effect
-from rtrun.validity.counts import contradiction
+from rtrun.validity import baselines, requirements
+from rtrun.validity.counts import find_count_mismatch
+from rtrun.validity.observations import Observation, read_observations, summarize
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,23 +35,23 @@ def judge(
     outputs: Sequence[str],
     *,
     refused: Mapping[str, str],
-    beside: Sequence[Background],
+    background: Sequence[Background],
     ended_early: Mapping[str, str],
 ) -> Verdict:
-    """Say what became of a run from what was pulled back, and why: the first thing that went wrong.
+    """Say what became of a run from the files in `folder`, and why: the first thing that went wrong.
 
     `refused` are files that were not taken, name to reason; `ended_early` are background programs that ended before it,
     name to exit status.
     """
     records: dict[str, Record] = {}
-    looks: list[in_effect.Look] = []
+    observations: list[Observation] = []
     reason: str | None
     status, reason = _of_programs(folder, programs, exits) or (RunStatus.OK, None)
     if status is RunStatus.OK:
         status, reason = _of_outputs(folder, run, outputs, refused, records) or (RunStatus.OK, None)
     try:
-        looks = in_effect.read_looks(_text(folder / "sampler.stdout"))
-        wrong = in_effect.mismatch(run, beside, looks, records)
+        observations = read_observations(_text(folder / "sampler.stdout"))
+        wrong = requirements.find_violation(run, background, observations, records)
     except UsageError as error:
         wrong = str(error)
     if status in (RunStatus.OK, RunStatus.INCOMPLETE):
@@ -61,7 +62,8 @@ def judge(
             wrong = f"condition {run.condition}: {name} ended in the middle of the run, {how}"
         if wrong is not None:
             status, reason = RunStatus.INVALID, wrong
-    return Verdict(status=status, reason=reason, in_effect=in_effect.observed(run, looks, records))
+    in_effect = summarize(observations, requirements.measuring_threads(run, observations, records))
+    return Verdict(status=status, reason=reason, in_effect=in_effect)
 
 
 def _of_programs(folder: Path, programs: Sequence[Program], exits: Sequence[Exit]) -> tuple[RunStatus, str] | None:
@@ -82,8 +84,8 @@ def _of_outputs(
     folder: Path, run: Run, outputs: Sequence[str], refused: Mapping[str, str], records: dict[str, Record]
 ) -> tuple[RunStatus, str] | None:
     """Say what is wrong with the outputs, and put what is known of them into `records`."""
-    if suites.suite(run.suite).always is not None:
-        wrong = baselines.contradiction(run, _text(folder / f"{run.suite}.stdout"))
+    if suites.suite(run.suite).is_baseline:
+        wrong = baselines.check_baseline_output(run, _text(folder / f"{run.suite}.stdout"))
         return (RunStatus.INVALID, wrong) if wrong else None
     for output in outputs:
         names = (f"{output}.json", f"{output}.npy")
@@ -98,13 +100,15 @@ def _of_outputs(
         try:
             logs = [read_log(path) for path in log_paths]
             if missing:
+                if unseen := requirements.find_unseen_option(run, {}):
+                    return RunStatus.INVALID, f"{output}: {unseen}"
                 continue
             records[output] = read_json(folder / names[0], Record)
             status = RunStatus.INVALID
             record = read_samples(folder / names[0]).record
         except UsageError as error:
             return status, str(error).replace(f"{folder}/", "")
-        if wrong := _asked_otherwise(run, record) or contradiction(record, logs):
+        if wrong := _asked_otherwise(run, record) or find_count_mismatch(record, logs):
             return RunStatus.INVALID, f"{output}: {wrong}"
         if not record.complete:
             return RunStatus.INCOMPLETE, f"{output}: {record.incomplete_reason or 'ended before all was measured'}"
@@ -112,12 +116,12 @@ def _of_outputs(
 
 
 def _asked_otherwise(run: Run, record: Record) -> str | None:
-    """Say where a suite understood something else than the run asks for, or None."""
+    """Say where a suite understood something else than the run asks for, or not at all, or None."""
     understood = record.requested | {"repetitions": record.counts.asked}
     for name, asked in run.parameters.items():
         if name in understood and understood[name] != asked:
             return f"asked for {name} {asked}, the suite measured {name} {understood[name]}"
-    return None
+    return requirements.find_unseen_option(run, understood)
 
 
 def _is_log(name: str, output: str) -> bool:

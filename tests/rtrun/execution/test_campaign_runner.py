@@ -16,7 +16,7 @@ from faulty import record, runs_of
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.cli import main
-from rtrun.execution import campaign_runner, preparation, run_execution
+from rtrun.execution import campaign_runner, preparation, run_programs
 from rtrun.results.reading import read_run
 from rtrun.target import ros_master
 from rtrun.target.errors import TargetError, TargetGone
@@ -97,7 +97,7 @@ def test_a_run_that_goes_wrong_is_closed_with_the_reason(target, tmp_path, watch
 
 def test_a_trace_that_is_too_large_is_named_and_costs_the_run_nothing(target, tmp_path, watching, wishes):
     wishes.will("huge-trace-1.txt")
-    (run,) = runs = runs_of(1)
+    (run,) = runs = runs_of(1, trace_threshold_us=50)
     assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
     written = record(tmp_path / "results", run)
     name = "cyclic_timer_tests_l10_fq100-trace-1.txt"
@@ -118,8 +118,16 @@ def test_programs_of_2014_write_logs_only(target, tmp_path, watching, wishes):
     assert reason.startswith("nobody saw RR 95 in effect"), "they have no json that says so either"
 
 
+@pytest.mark.parametrize("option", [{"clock": "monotonic"}, {"rt_scope": "measuring-thread"}])
+def test_an_option_that_programs_of_2014_ignore_makes_the_run_invalid(target, tmp_path, watching, wishes, option):
+    wishes.will("2014")
+    (run,) = runs = runs_of(1, repetitions=300, frequency_hz=1000, **option)
+    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["invalid"]
+    assert "but nobody can see it in effect" in record(tmp_path / "results", run)["reason"]
+
+
 def test_a_suite_that_hangs_is_ended_by_the_target(target, tmp_path, watching, wishes, monkeypatch):
-    monkeypatch.setattr(run_execution, "DEADLINE_EXTRA_S", 8.0)
+    monkeypatch.setattr(run_programs, "DEADLINE_EXTRA_S", 8.0)
     wishes.will("sleep 300")
     statuses = measure(target, runs_of(2), tmp_path / "results", watching)
     assert list(statuses.values()) == ["failed", "ok"]
@@ -158,7 +166,7 @@ def test_a_target_that_stays_away_is_an_error_and_finished_runs_stay(target, tmp
     watching.at_start = switch_off
     with pytest.raises(TargetGone, match="switched off"):
         measure(target, runs, tmp_path / "results", watching)
-    assert campaign_runner.finished(tmp_path / "results", runs) == 1
+    assert campaign_runner.count_finished(tmp_path / "results", runs) == 1
 
 
 def test_a_changed_campaign_is_not_mixed_with_the_old_one(target, tmp_path, watching, wishes):
@@ -255,7 +263,7 @@ def test_a_full_disk_here(target, tmp_path, watching, wishes, small_disk):
     watching.at_start = fill
     with pytest.raises(InfrastructureError, match=r"cannot keep the results: No space left on device|disk is full"):
         measure(target, runs, small_disk / "results", watching)
-    assert campaign_runner.finished(small_disk / "results", runs) == 1
+    assert campaign_runner.count_finished(small_disk / "results", runs) == 1
 
 
 def write_files(tmp_path, sshd, target, count):
@@ -344,6 +352,8 @@ def test_exit_status_of_failed_runs_and_of_a_finished_campaign(sshd, target, tmp
         ("schema: 1\nname: x\nkind: telnet\n", "kind: missing or unknown, allowed: ssh, qemu"),
         ("schema: 1\nname: x\nkind: ssh\nhost: h\nport: 0\n", "port: Input should be greater than or equal to 1"),
         ("schema: 1\nname: x\nkind: ssh\nhots: h\n", "unknown key 'hots'"),
+        ("schema: 1\nname: x\nkind: ssh\nhost: h\nwork_dir: /tmp/../../etc\n", "work_dir: String should match"),
+        ("schema: 1\nname: x\nkind: ssh\nhost: h\nwork_dir: /\n", "work_dir: String should match"),
         ("schema: 1\nname: x\nkind: qemu\nboard: nowhere\n", "no board there, make one: rtgen board build"),
         ("schema: 1\nname: x\nkind: ssh\nhost: 127.0.0.1\nsuites: nowhere\n", "no suites there, build them"),
     ],

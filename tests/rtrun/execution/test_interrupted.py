@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from faulty import record, runs_of
 
-from rtrun.execution import campaign_runner, run_execution
+from rtrun.execution import campaign_runner, run_execution, run_programs
 from rtrun.results import run_directory
 from rtrun.target import processes, ssh
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
@@ -104,7 +104,7 @@ def test_before_the_suite_was_started(target, tmp_path, wishes, monkeypatch, mea
     """Nothing measured yet: it begins anew, with the state of the target that it then finds."""
     runs = runs_of(1)
     with monkeypatch.context() as patch:
-        patch.setattr(run_execution, "_start", stop)
+        patch.setattr(run_execution, "_start_suite", stop)
         with pytest.raises(Stop):
             measure(target, runs)
     (left,) = Path(target.work_dir).glob("runs/*/*/attempt.json")
@@ -137,10 +137,10 @@ def test_what_goes_on_comes_first(target, tmp_path, wishes, monkeypatch, measure
 
 def test_a_load_that_ended_while_nobody_looked(target, wishes, monkeypatch, measure):
     """It outlived the suite: the run is whole."""
-    monkeypatch.setattr(run_execution, "DEADLINE_EXTRA_S", 8.0)
-    monkeypatch.setattr(run_execution.conditions, "OUTLIVE_S", 1.0)
+    monkeypatch.setattr(run_programs, "DEADLINE_EXTRA_S", 8.0)
+    monkeypatch.setattr(run_programs.conditions, "OUTLIVE_S", 1.0)
     wishes.will("sleep 3")
-    runs = runs_of(1, condition="io")
+    runs = runs_of(1, condition="io", repetitions=100)
     with monkeypatch.context() as patch:
         patch.setattr(run_execution.processes, "wait", stop)
         with pytest.raises(Stop):

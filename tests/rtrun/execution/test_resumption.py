@@ -126,7 +126,7 @@ def test_a_link_that_stays_cut_is_an_error_and_the_run_is_picked_up_later(proxie
     runs = runs_of(3)
     with pytest.raises(ConnectionLost, match="tried for 1 s"):
         campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)
-    assert campaign_runner.finished(tmp_path / "results", runs) == 1
+    assert campaign_runner.count_finished(tmp_path / "results", runs) == 1
     proxy.mend()
     watching.at_start = lambda number: None
     statuses = campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)

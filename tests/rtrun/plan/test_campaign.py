@@ -118,12 +118,12 @@ def test_conditions_settings_and_repeats_multiply_and_name_the_runs(tmp_path):
     path = write(
         tmp_path,
         """
-common: {repetitions: 10, condition: [idle, nodes], nodes_hz: [10, 100], repeats: 2}
+common: {repetitions: 1000, condition: [idle, nodes], nodes_hz: [10, 100], repeats: 2}
 runs: [{suite: cyclic_timer_tests, governor: performance}]
 """,
     )
     _, runs = read_campaign(path)
-    base = "cyclic_timer_tests_l10_fq1000"
+    base = "cyclic_timer_tests_l1000_fq1000"
     assert [run.name for run in runs] == [
         f"001-{base}-governorperformance",
         f"002-{base}-governorperformance-r2",
@@ -140,7 +140,7 @@ def test_single_combinations_are_left_out_and_put_in(tmp_path):
     path = write(
         tmp_path,
         """
-common: {repetitions: 10}
+common: {repetitions: 1000}
 runs: [{suite: oneshot_timer_tests, policy: [RR, FIFO], condition: [idle, cpu80]}]
 exclude: [{policy: RR, condition: cpu80}, {policy: FIFO, condition: [idle]}]
 include: [{suite: cyclictest, policy: RR, condition: cpu80}]
@@ -179,6 +179,12 @@ def test_an_interleaved_order_is_drawn_in_blocks_and_the_same_for_the_same_seed(
         ("nodes: 17", "nodes takes a whole number from 1 to 16, got 17"),
         ("repeats: [1, 2]", "runs.0.repeats: one whole number, not a list"),
         ("repeats: 0", "repeats takes a whole number from 1 to 10000, got 0"),
+        ("cpu: '0,1,'", "runs.0.cpu: cpu takes a text like"),
+        ("cpu: 0-999999999", "runs.0.cpu: cpu takes a text like"),
+        ("cpu: 0-9999", "runs.0.cpu: cpu takes a list of CPUs like 0-1,4, got '0-9999': .* from 0 to 8191"),
+        ("cpu: 3-1", "runs.0.cpu: cpu takes a list of CPUs like 0-1,4, got '3-1'"),
+        ("load_cpu: 3-1", "runs.0.load_cpu: load_cpu takes a list of CPUs"),
+        ("irq_cpu: 0-9999", "runs.0.irq_cpu: irq_cpu takes a list of CPUs"),
     ],
 )
 def test_bad_conditions(tmp_path, text, message):
@@ -199,6 +205,40 @@ def test_bad_conditions(tmp_path, text, message):
 def test_bad_orders_and_exclusions(tmp_path, text, message):
     with pytest.raises(UsageError, match=message):
         read_campaign(write(tmp_path, f"{text}\nruns: [{{suite: cyclic_timer_tests}}]\n"))
+
+
+def test_a_campaign_of_more_runs_than_anybody_measures(tmp_path):
+    """80 million runs in 300 bytes: refused before any of them is made."""
+    lists = "".join(f"{key}: {list(range(1, 21))}, " for key in ("timeout_us", "priority", "repetitions"))
+    path = write(tmp_path, f"runs: [{{suite: oneshot_timer_tests, {lists} repeats: 10000}}]\n")
+    with pytest.raises(UsageError, match=r"runs.0: makes 80000000 runs, at most 100000 are allowed"):
+        read_campaign(path)
+    many = "{suite: cyclic_timer_tests, repeats: 10000}"
+    with pytest.raises(UsageError, match=r"campaign.yml: makes 110000 runs, at most 100000 are allowed"):
+        read_campaign(write(tmp_path, f"runs: [{', '.join([many] * 400)}]\n"))
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("suite: cyclic_timer_tests, repetitions: 999, condition: cpu80", "condition cpu80"),
+        ("suite: cyclic_timer_tests, repetitions: 999, governor: performance", "governor performance"),
+        ("suite: cyclictest, repetitions: 999, policy: RR", "policy RR"),
+        ("suite: cyclictest, repetitions: 999, cpu: 1", "cpu 1"),
+    ],
+)
+def test_a_run_too_short_ever_to_be_valid_is_not_planned(tmp_path, text, what):
+    with pytest.raises(UsageError, match=rf"measures 0.999 s, but {what} must be observed.* measure 1 s at least"):
+        read_campaign(write(tmp_path, f"runs: [{{{text}}}]\n"))
+    read_campaign(write(tmp_path, f"runs: [{{{text.replace('999', '1000')}}}]\n"))
+
+
+def test_the_plan_says_what_is_waited_for(tmp_path, capsys):
+    path = write(tmp_path, "runs: [{suite: cyclic_timer_tests, condition: [idle, cpu80], repeats: 2}]\n")
+    assert main(["plan", str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("  1.0 s") and lines[2].endswith("  1.0 s + 1 s for the load to settle")
+    assert lines[-1] == "4 runs, 4 s of measuring (0.0 h), 2 s for loads to settle"
 
 
 def test_the_published_table_is_in_the_shipped_campaign():

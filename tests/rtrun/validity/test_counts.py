@@ -8,7 +8,7 @@ from written import write_communication, write_oneshot
 from rtfiles.config import read_json
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.samples import Record
-from rtrun.validity.counts import contradiction
+from rtrun.validity.counts import find_count_mismatch
 
 
 @pytest.fixture
@@ -34,27 +34,29 @@ def changed(record, *, counts=None, indices=None, **rest):
 
 
 def test_what_adds_up(oneshot, communication):
-    assert contradiction(oneshot) is None
-    assert contradiction(communication) is None
+    assert find_count_mismatch(oneshot) is None
+    assert find_count_mismatch(communication) is None
 
 
 def test_a_measurement_that_vanished(oneshot, communication):
-    assert contradiction(changed(oneshot, counts={"measured": 2})) == (
+    assert find_count_mismatch(changed(oneshot, counts={"measured": 2})) == (
         "4 asked for, but 3 measured + not fired + missing"
     )
-    assert contradiction(changed(communication, counts={"missing": 0}, indices={"missing": []})) is not None
+    assert find_count_mismatch(changed(communication, counts={"missing": 0}, indices={"missing": []})) is not None
 
 
 def test_an_incomplete_run_may_have_less_but_never_more(oneshot):
-    assert contradiction(changed(oneshot, counts={"measured": 2}, complete=False)) is None
-    assert contradiction(changed(oneshot, counts={"measured": 4}, complete=False)) is not None
+    assert find_count_mismatch(changed(oneshot, counts={"measured": 2}, complete=False)) is None
+    assert find_count_mismatch(changed(oneshot, counts={"measured": 4}, complete=False)) is not None
 
 
 def test_indices_and_counts(oneshot, communication):
-    assert contradiction(changed(communication, indices={"duplicate": []})) == "1 duplicate, but 0 indices of them"
-    assert "outside 0 to 3" in (contradiction(changed(oneshot, indices={"not_fired": [4]})) or "")
+    assert (
+        find_count_mismatch(changed(communication, indices={"duplicate": []})) == "1 duplicate, but 0 indices of them"
+    )
+    assert "outside 0 to 3" in (find_count_mismatch(changed(oneshot, indices={"not_fired": [4]})) or "")
 
 
 def test_a_log_of_another_number(oneshot, tmp_path):
     log = read_log(Path(__file__).parents[2] / "data" / "2014" / "cyclic_timer_tests_l300_fq1000-tnRTRR.log")
-    assert contradiction(oneshot, [log]) == f"3 measured, but 300 in the log {log.path.name}"
+    assert find_count_mismatch(oneshot, [log]) == f"3 measured, but 300 in the log {log.path.name}"

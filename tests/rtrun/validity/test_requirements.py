@@ -1,4 +1,4 @@
-"""What was asked for beside what was in effect, from looks as sample.sh prints them."""
+"""What was asked for, compared with what sample.sh observed."""
 
 from pathlib import PurePosixPath
 
@@ -10,7 +10,8 @@ from rtfiles.errors import UsageError
 from rtrun.plan import conditions
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.samples import Record
-from rtrun.validity.in_effect import mismatch, observed, read_looks, requested
+from rtrun.validity.observations import read_observations, summarize
+from rtrun.validity.requirements import find_unseen_option, find_violation, measuring_threads, requested
 
 STAT = "cpu {busy} 0 0 {idle} 0 0 0 0 0 0"
 
@@ -29,7 +30,7 @@ def run_of(**values):
     return plan(Campaign(schema=1, name="test", runs=[entry]), "test")[0]
 
 
-def beside(run):
+def background(run):
     return conditions.background(
         run.condition,
         run.settings,
@@ -43,13 +44,18 @@ def beside(run):
 
 
 def wrong(run, *looks):
-    return mismatch(run, beside(run), read_looks("".join(looks)), {})
+    return find_violation(run, background(run), read_observations("".join(looks)), {})
+
+
+def observed(run, *looks):
+    observations = read_observations("".join(looks))
+    return summarize(observations, measuring_threads(run, observations, {}))
 
 
 def test_what_is_as_asked_for():
     looks = (look(100, thread(), thread(), "governor -", "sched_rt_runtime_us 950000"), look(102), look(104))
     assert wrong(run_of(), *looks) is None
-    found = observed(run_of(), read_looks("".join(looks)), {})
+    found = observed(run_of(), *looks)
     assert (found.policy, found.priority, found.cpus, found.looks) == (["RR"], [95], [0, 1], 3)
     assert found.sched_rt_runtime_us == [950000] and found.frequency_khz == [700000, 920000]
     assert requested(run_of(), []).policy == "RR" and requested(run_of(policy=0), []).priority == 0
@@ -62,13 +68,41 @@ def test_a_policy_or_priority_that_was_lost_in_the_middle(other):
 
 
 def test_a_policy_that_never_was(tmp_path):
-    looks = read_looks(look(100, thread(0, 0)) + look(102))
+    looks = read_observations(look(100, thread(0, 0)) + look(102))
     record = read_json(write_cyclic(tmp_path), Record)
-    assert mismatch(run_of(), [], looks, {"x": record}) is None, "a program that starts, and says itself what it had"
-    assert wrong(run_of(), look(100, thread(0, 0)), look(102)).startswith("nobody saw RR 95 in effect")
+    assert find_violation(run_of(), [], looks, {"x": record}) is None, (
+        "a program that starts, and says itself what it had"
+    )
+    assert wrong(run_of(), look(100, thread(0, 0)), look(102)) == (
+        "asked for RR 95, in effect was OTHER 0 on CPUs 0,1 in each of 2 observations"
+    )
     assert wrong(run_of(), look(100, thread(0, 0)), look(112)) == (
         "cyclic_timer_tests: asked for RR 95, after 12 s in effect was OTHER 0 on CPUs 0,1"
     )
+
+
+def test_what_was_seen_is_told_however_short_the_run():
+    run = run_of(priority=80, repetitions=30)
+    assert wrong(run, look(100, thread(2, 95)), look(102)) == (
+        "asked for RR 80, in effect was RR 95 on CPUs 0,1 in each of 2 observations"
+    )
+    run = run_of(policy=0, cpu="1", repetitions=30)
+    assert wrong(run, look(100, thread(0, 0))) == (
+        "asked for OTHER 0 on CPUs 1, in effect was OTHER 0 on CPUs 0,1 in each of 1 observations"
+    )
+
+
+@pytest.mark.parametrize(
+    "option", [{"clock": "monotonic"}, {"rt_scope": "measuring-thread"}, {"trace_threshold_us": 200}]
+)
+def test_an_option_that_nobody_can_see_in_effect(option):
+    """The programs of 2014 ignore what they do not know."""
+    run = run_of(**option)
+    ((name, value),) = option.items()
+    assert find_unseen_option(run, {}).startswith(f"asked for {name} {value}, but nobody can see it in effect")
+    assert find_unseen_option(run, option) is None, "the program says that it knows it"
+    assert find_unseen_option(run_of(priority=80, cpu="1"), {}) is None, "observed from outside"
+    assert find_unseen_option(run_of(repetitions=7), {}) is None, "known in 2014"
 
 
 def test_what_nobody_saw_is_not_taken_for_good():
@@ -81,7 +115,7 @@ def test_a_program_gives_its_priority_up_when_it_has_measured():
     run = run_of(repetitions=30)
     looks = (look(100, thread()), look(103, thread(0, 0)))
     assert wrong(run, *looks) is None
-    assert observed(run, read_looks("".join(looks)), {}).policy == ["RR"], "while it measured"
+    assert observed(run, *looks).policy == ["RR"], "while it measured"
     assert wrong(run, look(100, thread()), look(100.5, thread(0, 0))) is not None
 
 
@@ -90,9 +124,11 @@ def test_a_run_that_stopped_early_gave_its_priority_up_early(tmp_path):
     looks = [look(100, thread()), look(102), look(104, thread(0, 0))]
     run = run_of()
     assert wrong(run, *looks) is not None
-    assert mismatch(run, beside(run), read_looks("".join(looks)), {"x": record}) is None
+    assert find_violation(run, background(run), read_observations("".join(looks)), {"x": record}) is None
     looks.append(look(106, thread()))
-    assert mismatch(run, beside(run), read_looks("".join(looks)), {"x": record}) is not None, "it came back"
+    assert find_violation(run, background(run), read_observations("".join(looks)), {"x": record}) is not None, (
+        "it came back"
+    )
 
 
 def test_a_run_without_policy_must_not_have_one():
@@ -146,8 +182,8 @@ def test_a_load_that_does_nothing():
 
 def test_a_load_on_other_cpus():
     run = run_of(condition="cpu80", load_cpu="1")
-    assert beside(run)[0].program.argv[:3] == ("taskset", "-c", "1")
-    assert beside(run)[0].processes == 2, "one CPU, one worker"
+    assert background(run)[0].program.argv[:3] == ("taskset", "-c", "1")
+    assert background(run)[0].processes == 2, "one CPU, one worker"
     assert wrong(run, look(100, thread(), "load stress 2 1"), look(102)) is None
     assert "ran on CPUs [0, 1], not on [1]" in wrong(run, look(100, thread(), "load stress 2 0-1"))
 
@@ -159,11 +195,36 @@ def test_a_governor_that_changed():
     assert "in effect was ondemand" in wrong(run, look(100, thread(), held, "governor performance,ondemand"))
 
 
-@pytest.mark.parametrize("line", ["at", "at x y", "end", "thread a", "at 1 2 - - cpu 1 2 3 4"])
+NINES = "9" * 6000
+HEAD = "at 1 0.5 - - cpu 1 2 3 4 5 6 7 8\n"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "at",
+        "at x y",
+        "end",
+        "thread a",
+        "at 1 2 - - cpu 1 2 3 4",
+        HEAD.replace("1 0.5", "inf 0.5"),
+        HEAD.replace("1 0.5", "1 nan"),
+        HEAD.replace("- -", "- ²"),
+        HEAD.replace("cpu 1", f"cpu {NINES}"),
+        HEAD + f"thread x 7 {NINES} 95 0 y",
+        HEAD + f"thread x 7 2 {NINES} 0 y",
+        HEAD + "thread x 7 77 95 0 y",
+        HEAD + "thread x 7 2 95 0-999999999 y",
+        HEAD + "thread x 7 2 95 0, y",
+        HEAD + f"load x {NINES} 0",
+        HEAD + f"rival 7 2 {NINES} y",
+        HEAD + f"sched_rt_runtime_us {NINES}",
+    ],
+)
 def test_what_sample_sh_never_wrote(line):
     with pytest.raises(UsageError, match=r"sampler.stdout:\d: not what sample.sh writes"):
-        read_looks(f"{line}\nend\n")
+        read_observations(f"{line}\nend\n")
 
 
 def test_a_last_line_that_was_cut_off():
-    assert len(read_looks(look(100, thread()) + "at 10")) == 1
+    assert len(read_observations(look(100, thread()) + "at 10")) == 1

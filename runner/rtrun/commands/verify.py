@@ -1,0 +1,42 @@
+"""``rtrun verify``: whether results are those that were closed, byte for byte."""
+
+import argparse
+from pathlib import Path
+
+NAME = "verify"
+HELP = "check the files of every run in a results folder against the checksums in its run.json"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what `verify` takes."""
+    parser.add_argument("results", type=Path, metavar="RESULTS", help="a results folder, or one run directory in it")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print a line for every run. 0: all are whole, 1: a run is damaged or has no run.json."""
+    from rtfiles.errors import UsageError
+    from rtfiles.output import print_line
+    from rtrun.results.reading import find_source
+    from rtrun.results.record import verify
+
+    source = find_source(args.results)
+    if not source.folders:
+        raise UsageError(f"{args.results}: not a results folder or a run directory")
+    damaged: list[str] = [f"{name}: incomplete, it has no run.json" for name in source.incomplete]
+    whole = []
+    for folder in source.folders:
+        try:
+            record = verify(folder)
+            whole.append(f"{folder.name}: {record.status}, {len(record.files)} files")
+        except UsageError as error:
+            damaged += str(error).splitlines()[:1]
+    total = len(source.folders) + len(source.incomplete)
+    if damaged:
+        print_line(f"{total - len(whole)} of {total} runs are damaged or incomplete")
+    else:
+        print_line(f"all {total} runs are whole")
+    for line in damaged:
+        print_line(f"damaged  {line}")
+    for line in whole:
+        print_line(f"whole    {line}")
+    return 1 if damaged else 0

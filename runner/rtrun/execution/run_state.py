@@ -1,0 +1,93 @@
+"""The life of a run: its states, what moves it from one to the next, and the one function that does."""
+
+from collections.abc import Callable
+from enum import StrEnum
+
+from rtfiles.errors import InfrastructureError
+from rtrun.target.errors import DeadlineExpired
+from rtrun.target.link import OUT_OF_REACH
+
+
+class RunState(StrEnum):
+    """Where a run is in its life. Only MEASURING survives the end of the runner: the target goes on by itself."""
+
+    PLANNED = "planned"
+    """Nothing of it is on the target."""
+    STARTING = "starting"
+    """It has a folder on the target, perhaps loads that run; nothing is measured yet."""
+    MEASURING = "measuring"
+    """The programs of its suite were started."""
+    ENDED = "ended"
+    """The programs of its suite have ended; their files wait on the target."""
+    CUT_OFF = "cut off"
+    """The target was restarted before the run was closed."""
+    CLOSED = "closed"
+    """Its run directory is closed, whatever its status."""
+
+
+class RunEvent(StrEnum):
+    """What moves a run."""
+
+    BEGIN = "begin"
+    START = "start"
+    PICK_UP = "pick up"
+    """An earlier call started it, and it goes on or waits to be closed."""
+    END = "end"
+    CLOSE = "close"
+    GIVE_UP = "give up"
+    """What runs of it is ended, and its folder on the target is removed."""
+    RESTART = "restart of the target"
+    KEEP = "keep"
+    """What a restart cut off is kept, as incomplete."""
+
+
+_NEXT = {
+    (RunState.PLANNED, RunEvent.BEGIN): RunState.STARTING,
+    (RunState.PLANNED, RunEvent.PICK_UP): RunState.MEASURING,
+    (RunState.PLANNED, RunEvent.GIVE_UP): RunState.PLANNED,
+    (RunState.PLANNED, RunEvent.RESTART): RunState.CUT_OFF,
+    (RunState.STARTING, RunEvent.START): RunState.MEASURING,
+    (RunState.STARTING, RunEvent.GIVE_UP): RunState.PLANNED,
+    (RunState.STARTING, RunEvent.RESTART): RunState.CUT_OFF,
+    (RunState.MEASURING, RunEvent.END): RunState.ENDED,
+    (RunState.MEASURING, RunEvent.GIVE_UP): RunState.PLANNED,
+    (RunState.MEASURING, RunEvent.RESTART): RunState.CUT_OFF,
+    (RunState.ENDED, RunEvent.CLOSE): RunState.CLOSED,
+    (RunState.ENDED, RunEvent.RESTART): RunState.CUT_OFF,
+    (RunState.CUT_OFF, RunEvent.KEEP): RunState.PLANNED,
+    (RunState.CUT_OFF, RunEvent.GIVE_UP): RunState.PLANNED,
+    (RunState.CUT_OFF, RunEvent.RESTART): RunState.CUT_OFF,
+    # The restart came while the folder on the target was being removed.
+    (RunState.CLOSED, RunEvent.RESTART): RunState.CLOSED,
+}
+
+
+def transition(state: RunState, event: RunEvent) -> RunState:
+    """Return the state that follows. Raises ValueError where the event cannot happen: a defect of the caller."""
+    try:
+        return _NEXT[state, event]
+    except KeyError:
+        raise ValueError(f"a run that is {state} cannot {event}") from None
+
+
+def must_give_up(state: RunState, error: BaseException) -> bool:
+    """Whether an error ends what runs on the target; otherwise the run stays as it is, for the next call to pick up."""
+    if isinstance(error, OUT_OF_REACH):
+        return False
+    if state is RunState.STARTING:
+        return isinstance(error, KeyboardInterrupt | InfrastructureError)
+    # The target itself should have ended it long before the deadline of the runner.
+    return state is RunState.MEASURING and isinstance(error, KeyboardInterrupt | DeadlineExpired)
+
+
+class RunLife:
+    """The state of one run; `note` is called with every new state and the reason for it."""
+
+    def __init__(self, note: Callable[[RunState, str | None], None]) -> None:
+        self.state = RunState.PLANNED
+        self._note = note
+
+    def move(self, event: RunEvent, reason: str | None = None) -> None:
+        """Let an event happen. Raises ValueError as `transition` does."""
+        self.state = transition(self.state, event)
+        self._note(self.state, reason)

@@ -1,0 +1,55 @@
+"""What makes a campaign the same one when it is resumed: a digest of its runs in a canonical form."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, asdict, fields
+from typing import Any
+
+from rtrun.plan import conditions, suites
+from rtrun.plan.campaign import Run
+
+# Increased when the canonical form changes, or the default of a field or an option: a default is not in the form.
+VERSION = 2
+
+
+def digest(runs: Sequence[Run]) -> str:
+    """The digest of the canonical form of these runs, ``<version>:<SHA-256>``.
+
+    The form holds, of each run, the fields that are not at their default, and of its parameters and settings
+    those that are not at the default of their option. So a field or an option that is added later changes no digest.
+    """
+    return f"{VERSION}:{_sha256([_canonical(run) for run in runs])}"
+
+
+def is_digest_of(known: str, runs: Sequence[Run]) -> bool:
+    """Whether a journal with this digest, of this version or the one before, is of these runs."""
+    return known in (digest(runs), _digest_1(runs))
+
+
+def _canonical(run: Run) -> dict[str, Any]:
+    form: dict[str, Any] = {}
+    for field in fields(run):
+        value = getattr(run, field.name)
+        default = field.default_factory() if field.default_factory is not MISSING else field.default
+        if value != default:
+            form[field.name] = dict(value) if isinstance(value, Mapping) else value
+    form["parameters"] = _without_defaults(run.parameters, suites.options())
+    form["settings"] = _without_defaults(run.settings, conditions.conditions().settings)
+    return form
+
+
+def _without_defaults(values: Mapping[str, suites.Value], options: Mapping[str, suites.Option]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if key not in options or value != options[key].default}
+
+
+# The fields that a run had when its digest was made of all of them.
+_FIELDS_1 = ("name", "suite", "parameters", "condition", "settings", "repeat", "seed")
+
+
+def _digest_1(runs: Sequence[Run]) -> str:
+    return _sha256([{key: value for key, value in asdict(run).items() if key in _FIELDS_1} for run in runs])
+
+
+def _sha256(data: Any) -> str:
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,162 @@
+"""What sample.sh saw on the target while a run measured, read into types.
+
+All of it comes from the target: what is not as sample.sh writes it is a UsageError.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from rtfiles.errors import UsageError
+from rtfiles.untrusted import real_number, whole_number
+from rtrun.plan.conditions import cpu_set
+from rtrun.results.record import Observed, Range, Rival
+from rtrun.results.samples import NON_MEASURING_THREADS
+from rtrun.target.inspection import POLICIES
+
+REPORTED_RIVALS = 32
+# One observation every two seconds: those of a month. The text of a sampler is limited as well.
+OBSERVATIONS_MAX = 1_500_000
+
+ThreadState = tuple[str, int, frozenset[int]]
+"""Policy, priority and CPUs of a thread."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observation:
+    """What was in effect at one moment; `threads` by program, `loads` by program: processes and CPUs."""
+
+    uptime_s: float
+    load_1min: float
+    temperature_mc: tuple[int, ...]
+    frequency_khz: tuple[int, ...]
+    busy: int
+    """Ticks of all CPUs, since the boot, that were not idle."""
+    ticks: int
+    """All ticks of all CPUs since the boot."""
+    threads: Mapping[str, tuple[ThreadState, ...]] = field(default_factory=dict)
+    loads: Mapping[str, tuple[int, frozenset[int]]] = field(default_factory=dict)
+    rivals: frozenset[tuple[str, str, int]] = frozenset()
+    governor: tuple[str, ...] = ()
+    sched_rt_runtime_us: int | None = None
+
+
+def read_observations(text: str) -> list[Observation]:
+    """Read what sample.sh printed; a last line that was cut off is left out. Raises UsageError."""
+    observations: list[Observation] = []
+    block: list[list[str]] = []
+    for number, line in enumerate(text[: text.rfind("\n") + 1].splitlines(), start=1):
+        words = line.split()
+        try:
+            if words[:1] == ["at"]:
+                if len(observations) == OBSERVATIONS_MAX:
+                    raise ValueError
+                observations.append(_begin(words, observations[-1] if observations else None))
+                block = []
+            elif words == ["end"]:
+                observations[-1] = _complete(observations[-1], block)
+            else:
+                block.append(words)
+        except (ValueError, IndexError, KeyError):
+            raise UsageError(f"sampler.stdout:{number}: not what sample.sh writes: {line[:80]!r}") from None
+    return observations
+
+
+def _begin(words: list[str], before: Observation | None) -> Observation:
+    # In /proc/stat: user nice system idle iowait irq softirq steal (proc(5)). User and nice include the guest times
+    # that follow.
+    ticks = [whole_number(word, lowest=0) for word in words[6:14]]
+    gauges: dict[str, Any] = {
+        "uptime_s": real_number(words[1]),
+        "load_1min": real_number(words[2]),
+        "temperature_mc": _numbers(words[3]),
+        "frequency_khz": _numbers(words[4]),
+        "busy": sum(ticks) - ticks[3] - ticks[4],
+        "ticks": sum(ticks),
+    }
+    return replace(before, **gauges) if before else Observation(**gauges)
+
+
+def _complete(observation: Observation, block: list[list[str]]) -> Observation:
+    threads: dict[str, tuple[ThreadState, ...]] = {}
+    loads: dict[str, tuple[int, frozenset[int]]] = {}
+    rivals: set[tuple[str, str, int]] = set()
+    governor: tuple[str, ...] = ()
+    runtime_us: int | None = None
+    for words in block:
+        if words[0] == "thread":
+            if " ".join(words[6:]) in NON_MEASURING_THREADS:
+                continue
+            state = (_policy(words[3]), whole_number(words[4]), _cpus(words[5]))
+            threads[words[1]] = (*threads.get(words[1], ()), state)
+        elif words[0] == "load":
+            loads[words[1]] = (whole_number(words[2], lowest=0), _cpus(words[3]))
+        elif words[0] == "rival":
+            rivals.add((" ".join(words[4:]), _policy(words[2]), whole_number(words[3])))
+        elif words[0] == "governor":
+            governor = () if words[1] == "-" else tuple(words[1].split(","))
+        elif words[0] == "sched_rt_runtime_us":
+            runtime_us = None if words[1] == "-" else whole_number(words[1])
+    return replace(
+        observation,
+        threads=threads,
+        loads=loads,
+        rivals=frozenset(rivals),
+        governor=governor,
+        sched_rt_runtime_us=runtime_us,
+    )
+
+
+def _policy(word: str) -> str:
+    return POLICIES[whole_number(word)]
+
+
+def _numbers(word: str) -> tuple[int, ...]:
+    return () if word == "-" else tuple(whole_number(number) for number in word.split(","))
+
+
+def _cpus(word: str) -> frozenset[int]:
+    return frozenset() if word == "-" else frozenset(cpu_set(word))
+
+
+def while_measuring(observations: Iterable[Observation]) -> list[Observation]:
+    """The observations in which the suite had a thread."""
+    return [each for each in observations if each.threads]
+
+
+def busy_percent(observations: Sequence[Observation]) -> float | None:
+    """Share of all CPUs' time that was not idle between the first and the last observation, in percent."""
+    ticks = observations[-1].ticks - observations[0].ticks if observations else 0
+    return round(100 * (observations[-1].busy - observations[0].busy) / ticks, 1) if ticks > 0 else None
+
+
+def summarize(observations: Iterable[Observation], states: Iterable[ThreadState]) -> Observed:
+    """What run.json keeps: every value that was seen while the suite measured, of loads the fewest processes.
+
+    `states` are those of the measuring threads.
+    """
+    seen, states = while_measuring(observations), list(states)
+    names = sorted({name for each in seen for name in each.loads})
+    rivals = sorted({rival for each in seen for rival in each.rivals}, key=lambda rival: (-rival[2], rival[0]))
+    return Observed(
+        policy=sorted({policy for policy, _, _ in states}),
+        priority=sorted({priority for _, priority, _ in states}),
+        cpus=sorted({cpu for _, _, cpus in states for cpu in cpus}),
+        loads={name: min(each.loads[name][0] if name in each.loads else 0 for each in seen) for name in names},
+        load_cpus=sorted({cpu for each in seen for _, cpus in each.loads.values() for cpu in cpus}),
+        governor=sorted({name for each in seen for name in each.governor}),
+        busy_percent=busy_percent(seen),
+        sched_rt_runtime_us=sorted({each.sched_rt_runtime_us for each in seen if each.sched_rt_runtime_us}),
+        temperature_mc=_range(value for each in seen for value in each.temperature_mc),
+        frequency_khz=_range(value for each in seen for value in each.frequency_khz),
+        load_1min=_range(each.load_1min for each in seen),
+        rivals=[Rival(name=name, policy=policy, priority=priority) for name, policy, priority in rivals][
+            :REPORTED_RIVALS
+        ],
+        looks=len(seen),
+    )
+
+
+def _range(values: Iterable[float]) -> Range:
+    known = list(values)
+    return [min(known), max(known)] if known else None

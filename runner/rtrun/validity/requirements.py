@@ -1,0 +1,198 @@
+"""What a run asks for, compared with what was observed while it measured."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+from rtrun.plan import conditions, suites
+from rtrun.plan.campaign import Run
+from rtrun.plan.conditions import Background, cpu_set
+from rtrun.results.record import Requested
+from rtrun.results.samples import NON_MEASURING_THREADS, Record
+from rtrun.validity.observations import Observation, ThreadState, busy_percent, while_measuring
+
+# A program may take this long to get its policy. What is observed earlier is recorded, but makes no run invalid.
+STARTING_S = 10.0
+# The time between two observations: a program may have begun so much earlier than it was first observed.
+APART_S = 2.0
+_TOO_SHORT = f"the first observation comes {conditions.FIRST_OBSERVATION_S:g} s after the start; measure longer"
+# Parameters that the sampler sees, whatever a program says of itself.
+_OBSERVED = ("policy", "priority", "cpu")
+
+
+def requested(run: Run, background: Sequence[Background]) -> Requested:
+    """What a run asks for, under the names that `Observed` uses; None where it asks for nothing."""
+    has_policy = "policy" in run.parameters
+    real_time = run.parameters.get("policy", "0") != "0"
+    return Requested(
+        policy=(str(run.parameters["policy"]) if real_time else "OTHER") if has_policy else None,
+        priority=(int(run.parameters["priority"] or 0) if real_time else 0) if has_policy else None,
+        cpus=_list(run.parameters.get("cpu")),
+        loads={each.program.name: each.processes for each in background},
+        load_cpus=_list(run.settings.get("load_cpu")),
+        governor=str(run.settings.get("governor") or "") or None,
+        busy_percent=_busy_floor(run),
+    )
+
+
+def _busy_floor(run: Run) -> int | None:
+    floor = conditions.conditions().conditions[run.condition].busy_percent
+    return floor if floor and not run.settings.get("load_cpu") else None
+
+
+def _list(cpus: suites.Value) -> list[int] | None:
+    return sorted(cpu_set(str(cpus))) if cpus else None
+
+
+def measuring_threads(
+    run: Run, observations: Sequence[Observation], records: Mapping[str, Record]
+) -> Iterator[ThreadState]:
+    """The states of the threads that measured: those observed, and those that the suite's own json tells, by output."""
+    for _, _, threads in _counted(run, observations, records):
+        yield from threads
+    for record in records.values():
+        yield from _threads_of(record)
+
+
+def _threads_of(record: Record) -> list[ThreadState]:
+    return [
+        (thread.policy, thread.priority, frozenset(thread.cpus))
+        for thread in record.in_effect.threads
+        if thread.name not in NON_MEASURING_THREADS
+    ]
+
+
+def find_violation(
+    run: Run, background: Sequence[Background], observations: Sequence[Observation], records: Mapping[str, Record]
+) -> str | None:
+    """Say what was not in effect as asked for, the first such thing, or None. `records` by output."""
+    asked = requested(run, background)
+    seen = while_measuring(observations)
+    return (
+        _wrong_threads(run, asked, observations, records)
+        or _wrong_loads(run, background, asked, seen)
+        or _wrong_governor(run, asked, seen)
+    )
+
+
+def _wrong_threads(
+    run: Run, asked: Requested, observations: Sequence[Observation], records: Mapping[str, Record]
+) -> str | None:
+    fits = _requirement_of(run)
+    for output, record in records.items():
+        if not fits(_threads_of(record)):
+            return f"{output}: asked for {_asked_words(asked)}, in effect was {_words_of(_threads_of(record))}"
+    for program, after_s, threads in _counted(run, observations, records):
+        if not fits(threads):
+            return (
+                f"{program}: asked for {_asked_words(asked)}, after {after_s:.0f} s in effect was {_words_of(threads)}"
+            )
+    if asked.policy in (None, "OTHER") and not asked.cpus:
+        return None
+    # A program that writes no json must have been observed as asked for.
+    states = [threads for each in observations for threads in each.threads.values()]
+    if records or any(map(fits, states)):
+        return None
+    if not states:
+        return f"nobody saw {_asked_words(asked)} in effect: {_TOO_SHORT}"
+    seen = _words_of(state for threads in states for state in threads)
+    return f"asked for {_asked_words(asked)}, in effect was {seen} in each of {len(states)} observations"
+
+
+def _wrong_loads(
+    run: Run, background: Sequence[Background], asked: Requested, seen: Sequence[Observation]
+) -> str | None:
+    if background and not seen:
+        return f"nobody saw condition {run.condition} in effect: {_TOO_SHORT}"
+    for load in background:
+        name = load.program.name
+        for each in seen:
+            processes, cpus = each.loads.get(name, (0, frozenset()))
+            if processes < load.processes:
+                return (
+                    f"condition {run.condition}: {name} had {processes} of {load.processes} processes "
+                    "while the suite ran"
+                )
+            if asked.load_cpus and load.pinned and not cpus <= set(asked.load_cpus):
+                return f"condition {run.condition}: {name} ran on CPUs {sorted(cpus)}, not on {asked.load_cpus}"
+    busy = busy_percent(seen)
+    if asked.busy_percent is not None and busy is not None and busy < asked.busy_percent:
+        return f"condition {run.condition}: the CPUs were {busy} % busy, below {asked.busy_percent} %"
+    return None
+
+
+def _wrong_governor(run: Run, asked: Requested, seen: Sequence[Observation]) -> str | None:
+    if not asked.governor:
+        return None
+    if not seen:
+        return f"nobody saw condition {run.condition} in effect: {_TOO_SHORT}"
+    others = {name for each in seen for name in each.governor} - {asked.governor}
+    if others:
+        return f"asked for the governor {asked.governor}, in effect was {', '.join(sorted(others))}"
+    return None
+
+
+def _counted(
+    run: Run, observations: Sequence[Observation], records: Mapping[str, Record]
+) -> Iterator[tuple[str, float, tuple[ThreadState, ...]]]:
+    """Yield the threads of each program at each observation that counts, and the time since its first, in seconds.
+
+    A program that starts has no priority yet, and a program that has measured, or stopped early, gives it up. So
+    observations before the first one as asked for, and after the last one, do not count: unless the program has had
+    STARTING_S, or should still be measuring.
+    """
+    fits = _requirement_of(run)
+    complete = all(record.complete for record in records.values())
+    for program in dict.fromkeys(name for each in observations for name in each.threads):
+        states = [(each.uptime_s, each.threads[program]) for each in observations if program in each.threads]
+        first_s, fitting_s = states[0][0], [uptime_s for uptime_s, threads in states if fits(threads)]
+        begin_s = min([first_s + STARTING_S, *fitting_s])
+        end_s = max([first_s - APART_S + run.expected_s if complete else 0.0, *fitting_s])
+        for uptime_s, threads in states:
+            if begin_s <= uptime_s <= end_s:
+                yield program, uptime_s - first_s, threads
+
+
+def _requirement_of(run: Run) -> Callable[[Iterable[ThreadState]], bool]:
+    """Return whether threads are as asked for: all of them, or as many as the run's scope is about."""
+    asked = requested(run, [])
+
+    def fits(state: ThreadState) -> bool:
+        policy, priority, cpus = state
+        allowed = asked.cpus is None or cpus <= set(asked.cpus)
+        return allowed and (asked.policy is None or (policy, priority) == (asked.policy, asked.priority))
+
+    if "threads" in run.parameters:  # cyclictest: its main thread only waits
+        least = int(run.parameters["threads"] or 1)
+        return lambda threads: sum(map(fits, threads)) >= least
+    if run.parameters.get("rt_scope") == "measuring-thread":
+        return lambda threads: any(map(fits, threads))
+    return lambda threads: all(map(fits, threads))
+
+
+def _asked_words(asked: Requested) -> str:
+    return _words(asked.policy, asked.priority, asked.cpus)
+
+
+def _words_of(threads: Iterable[ThreadState]) -> str:
+    each = dict.fromkeys(_words(policy, priority, sorted(cpus)) for policy, priority, cpus in threads)
+    return "; ".join(list(each)[:4]) or "nothing"
+
+
+def _words(policy: str | None, priority: int | None, cpus: list[int] | None) -> str:
+    on = f" on CPUs {','.join(map(str, cpus))}" if cpus is not None else ""
+    return f"{policy or 'any policy'} {priority if priority is not None else ''}".rstrip() + on
+
+
+def find_unseen_option(run: Run, understood: Mapping[str, suites.Value]) -> str | None:
+    """Say which option of a run nobody can see in effect, or None. `understood` is what the program says of itself.
+
+    The programs of 2014 go on without a word when they are given an option that they do not know, so one that is not
+    among `understood` may have done nothing. Policy, priority and CPUs are observed from outside.
+    """
+    for name, value in run.parameters.items():
+        option = suites.options().get(name)
+        if name in understood or name in _OBSERVED or option is None or value in (None, "", option.default):
+            continue
+        if option.is_of_2014:
+            continue
+        return f"asked for {name} {value}, but nobody can see it in effect: the program does not say that it knows it"
+    return None

@@ -1,0 +1,50 @@
+"""The journal of a campaign, whatever its file holds."""
+
+import sqlite3
+
+import pytest
+
+from rtfiles.errors import UsageError
+from rtrun.execution.journal import NAME, open_journal
+
+
+def open_in(folder):
+    log = open_journal(folder, "test", "2:plan", "board")
+    log.close()
+    return log
+
+
+def test_it_is_known_again(tmp_path):
+    first = open_in(tmp_path)
+    again = open_journal(tmp_path, "other", "3:plan", "elsewhere")
+    assert (again.uid, again.plan, again.target) == (first.uid, "2:plan", "board")
+    again.replace_plan("3:plan")
+    again.note("now", "001-run", "closed", "half of a character \ud800")
+    again.close()
+    assert open_in(tmp_path).plan == "3:plan"
+    with sqlite3.connect(tmp_path / NAME) as database:
+        assert database.execute("SELECT what, reason FROM event").fetchall() == [
+            ("closed", "half of a character \\ud800")
+        ]
+
+
+@pytest.mark.parametrize("data", [b"", b"garbage" * 1000, b"SQLite format 3\0" + b"\xff" * 4096])
+def test_a_damaged_file_is_an_error_with_a_remedy(tmp_path, data):
+    (tmp_path / NAME).write_bytes(data)
+    if not data:
+        assert open_in(tmp_path).target == "board", "a file that was only just made"
+        return
+    with pytest.raises(UsageError, match="the journal is damaged: give another folder with --results, or --fresh"):
+        open_in(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "uid", ["../../precious-dir", "..", "", "a/b-01234567", "test-0123456", "x\n-01234567", 5, b"x"]
+)
+def test_a_uid_that_is_no_name_of_ours_is_refused(tmp_path, uid):
+    """It names a folder that is removed on the target."""
+    open_in(tmp_path)
+    with sqlite3.connect(tmp_path / NAME) as database:
+        database.execute("UPDATE campaign SET uid = ?", (uid,))
+    with pytest.raises(UsageError, match=r"no uid of a campaign: .*--fresh"):
+        open_in(tmp_path)

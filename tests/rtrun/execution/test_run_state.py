@@ -1,0 +1,73 @@
+"""The life of a run: which event may follow which state, and when an error ends what runs."""
+
+import pytest
+
+from rtrun.execution.run_state import RunEvent, RunLife, RunState, must_give_up, transition
+from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError, TargetGone
+from rtrun.target.link import TargetRebooted
+
+
+def after(*events):
+    states = []
+    life = RunLife(lambda state, reason: states.append((state, reason)))
+    for event in events:
+        life.move(event)
+    assert [state for state, _ in states[-1:]] == [life.state][: len(states)]
+    return life.state
+
+
+@pytest.mark.parametrize(
+    ("events", "state"),
+    [
+        ("", "planned"),
+        ("BEGIN START END CLOSE", "closed"),
+        ("PICK_UP END CLOSE", "closed"),
+        ("BEGIN GIVE_UP", "planned"),
+        ("BEGIN START GIVE_UP BEGIN", "starting"),
+        ("BEGIN START RESTART", "cut off"),
+        ("RESTART KEEP BEGIN START", "measuring"),
+        ("BEGIN START END CLOSE RESTART", "closed"),
+        ("BEGIN START END RESTART", "cut off"),
+    ],
+)
+def test_a_life(events, state):
+    assert after(*(RunEvent[name] for name in events.split())) == state
+
+
+@pytest.mark.parametrize(
+    ("state", "event"),
+    [
+        (RunState.PLANNED, RunEvent.CLOSE),
+        (RunState.MEASURING, RunEvent.CLOSE),
+        (RunState.CUT_OFF, RunEvent.BEGIN),
+        (RunState.CLOSED, RunEvent.BEGIN),
+        (RunState.ENDED, RunEvent.GIVE_UP),
+    ],
+)
+def test_what_cannot_happen_is_a_defect(state, event):
+    with pytest.raises(ValueError, match=f"a run that is {state} cannot {event}"):
+        transition(state, event)
+
+
+@pytest.mark.parametrize(
+    ("error", "states"),
+    [
+        (ConnectionLost("x"), ()),
+        (TargetGone("x"), ()),
+        (TargetRebooted("x"), ()),
+        (TargetError("x"), (RunState.STARTING,)),
+        (KeyboardInterrupt(), (RunState.STARTING, RunState.MEASURING)),
+        (DeadlineExpired("x"), (RunState.STARTING, RunState.MEASURING)),
+        (ZeroDivisionError(), ()),
+    ],
+)
+def test_when_a_run_is_given_up(error, states):
+    assert tuple(state for state in RunState if must_give_up(state, error)) == states
+
+
+def test_every_state_is_noted_with_its_reason():
+    noted = []
+    life = RunLife(lambda *words: noted.append(words))
+    life.move(RunEvent.BEGIN)
+    life.move(RunEvent.GIVE_UP, "interrupted")
+    assert noted == [(RunState.STARTING, None), (RunState.PLANNED, "interrupted")]

@@ -1,0 +1,66 @@
+"""By what a campaign is known again when it is resumed."""
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+
+import pytest
+
+from rtrun.plan import suites
+from rtrun.plan.campaign import Campaign, Run, plan
+from rtrun.plan.campaign_digest import digest, is_digest_of
+from rtrun.plan.suites import Option
+
+DIGEST = "2:460e44bad51c66814997697dbc01cf7bcb76c07d20a7705288aac94c3286e7d3"
+
+
+def runs_of(**values):
+    entry = {"suite": "cyclic_timer_tests", "policy": ["RR", "0"], "condition": ["idle", "cpu80"]} | values
+    return plan(Campaign(schema=1, name="test", runs=[entry]), "test")
+
+
+def test_the_canonical_form_does_not_change():
+    """Whoever changes it makes every campaign another one: increase the version and accept this digest still."""
+    assert digest(runs_of()) == DIGEST
+
+
+def test_a_field_added_with_its_default_changes_nothing():
+    later = dataclasses.make_dataclass(
+        "Later",
+        [
+            ("variant", str, dataclasses.field(default="")),
+            ("labels", Mapping, dataclasses.field(default_factory=dict)),
+        ],
+        bases=(Run,),
+        frozen=True,
+        kw_only=True,
+    )
+    runs = runs_of()
+    fields = [field.name for field in dataclasses.fields(Run)]
+    same = [later(**{name: getattr(run, name) for name in fields}) for run in runs]
+    assert digest(same) == digest(runs)
+    assert digest([dataclasses.replace(run, variant="other") for run in same]) != digest(runs)
+
+
+def test_an_option_added_with_its_default_changes_nothing(monkeypatch):
+    runs = runs_of()
+    added = Option(type="int", min=0, max=9, default=3, help="added later", flag="--added")
+    options = suites.options() | {"added": added}
+    before = digest(runs)
+    monkeypatch.setattr(suites, "options", lambda: options)
+    assert digest([dataclasses.replace(run, parameters={**run.parameters, "added": 3}) for run in runs]) == before
+    assert digest([dataclasses.replace(run, parameters={**run.parameters, "added": 4}) for run in runs]) != before
+
+
+@pytest.mark.parametrize("change", [{"repetitions": 1001}, {"policy": "RR"}, {"condition": "idle"}, {"repeats": 2}])
+def test_another_campaign_has_another_digest(change):
+    assert digest(runs_of(**change)) != digest(runs_of())
+
+
+def test_a_journal_of_before_is_known_again():
+    """Its digest was that of all fields as they were then."""
+    runs = runs_of()
+    old = hashlib.sha256(json.dumps([dataclasses.asdict(run) for run in runs], sort_keys=True).encode()).hexdigest()
+    assert is_digest_of(old, runs) and is_digest_of(digest(runs), runs)
+    assert not is_digest_of(old, runs[1:])
