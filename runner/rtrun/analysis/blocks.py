@@ -10,21 +10,26 @@ from rtrun.analysis.histogram import Histogram, Int64s, from_samples
 
 BLOCKS = 64
 _COLUMNS = 4096
+_FINE_NS = 200
 _SEED = 20140715
 
 
 @dataclass(frozen=True, kw_only=True)
 class Blocks:
-    """Counts of 1 us bins in each block of a run: ``counts`` (b, m) for bins from ``values_ns`` (m,), ascending.
+    """Counts of bins in each block of a run: ``counts`` (b, m) for bins from ``values_ns`` (m,), ascending.
 
     ``sums_ns`` (b,) are exact sums of each block. ``ordered`` is False where a histogram was split at random, which
-    takes its measurements for independent. ``values_ns`` beyond a few thousand bins are coarser.
+    takes its measurements for independent. Bins are ``bin_ns`` wide; ``values_ns`` beyond a few thousand bins are
+    coarser. ``boot`` and ``start_time`` of the run are "" where they are not known.
     """
 
     values_ns: Int64s
     counts: Int64s
     sums_ns: NDArray[np.float64]
+    bin_ns: int = 1000
     ordered: bool = True
+    boot: str = ""
+    start_time: str = ""
 
     @property
     def n(self) -> int:
@@ -39,7 +44,9 @@ class Blocks:
 
 def cut(values_ns: Int64s, blocks: int = BLOCKS) -> Blocks:
     """Cut int64 samples, shape (n,), into at most so many blocks of equal length; the last takes the rest."""
-    whole = from_samples(values_ns)
+    whole = from_samples(values_ns, _FINE_NS)
+    if whole.values_ns.size > _COLUMNS:
+        whole = from_samples(values_ns)
     columns = _columns(whole)
     n = values_ns.size
     blocks = max(1, min(blocks, n))
@@ -48,10 +55,10 @@ def cut(values_ns: Int64s, blocks: int = BLOCKS) -> Blocks:
     sums = np.zeros(blocks)
     for row, (start, stop) in enumerate(zip(starts, [*starts[1:], n], strict=True)):
         part = values_ns[start:stop]
-        bins = from_samples(part)
+        bins = from_samples(part, whole.bin_ns)
         np.add.at(counts[row], np.searchsorted(columns, bins.values_ns, side="right") - 1, bins.counts)
         sums[row] = float(part.sum())
-    return Blocks(values_ns=columns, counts=counts, sums_ns=sums)
+    return Blocks(values_ns=columns, counts=counts, sums_ns=sums, bin_ns=whole.bin_ns)
 
 
 def split_randomly(histogram: Histogram, blocks: int = BLOCKS) -> Blocks:
@@ -69,7 +76,7 @@ def split_randomly(histogram: Histogram, blocks: int = BLOCKS) -> Blocks:
         remainder = remainder - take
     table = np.array(rows, dtype=np.int64)
     centre = columns + histogram.bin_ns / 2 if histogram.bin_ns > 1 else columns.astype(np.float64)
-    return Blocks(values_ns=columns, counts=table, sums_ns=table @ centre, ordered=False)
+    return Blocks(values_ns=columns, counts=table, sums_ns=table @ centre, bin_ns=histogram.bin_ns, ordered=False)
 
 
 def _columns(histogram: Histogram) -> Int64s:
@@ -78,13 +85,14 @@ def _columns(histogram: Histogram) -> Int64s:
     return values[:: -(-values.size // _COLUMNS)] if values.size else values
 
 
-def align(sets: Sequence[Sequence[Blocks]]) -> tuple[Int64s, list[list[Int64s]]]:
+def align(sets: Sequence[Sequence[Blocks]]) -> tuple[Int64s, int, list[list[Int64s]]]:
     """Bring runs of several sets to the same columns and to about the same block length.
 
-    Returns the columns (m,) and, for each set and run, counts (b, m).
+    Returns the columns (m,), their width in ns, and, for each set and run, counts (b, m).
     """
     runs = [run for members in sets for run in members]
-    columns = np.unique(np.concatenate([run.values_ns for run in runs]))
+    width = max(run.bin_ns for run in runs)
+    columns = np.unique(np.concatenate([run.values_ns for run in runs]) // width * width)
     columns = columns[:: -(-columns.size // _COLUMNS)]
     longest = max(run.length for run in runs)
     aligned = []
@@ -93,27 +101,29 @@ def align(sets: Sequence[Sequence[Blocks]]) -> tuple[Int64s, list[list[Int64s]]]
         for run in members:
             factor = max(1, round(longest / max(run.length, 1e-9)))
             groups = max(1, len(run.sums_ns) // factor)
-            at = np.searchsorted(columns, run.values_ns, side="right") - 1
+            at = np.searchsorted(columns, run.values_ns // width * width, side="right") - 1
             starts = np.arange(groups) * factor
             merged = np.add.reduceat(run.counts, starts, axis=0)
             table = np.zeros((groups, columns.size), np.int64)
             np.add.at(table.T, np.maximum(at, 0), merged.T)
             rows.append(table)
         aligned.append(rows)
-    return columns, aligned
+    return columns, width, aligned
 
 
 def add_outputs(outputs: Sequence[Blocks]) -> Blocks:
     """Add outputs that measured the same moments (the subscribers of one run), block by block."""
     if len(outputs) == 1:
         return outputs[0]
-    columns = np.unique(np.concatenate([one.values_ns for one in outputs]))
+    width = max(one.bin_ns for one in outputs)
+    columns = np.unique(np.concatenate([one.values_ns for one in outputs]) // width * width)
     rows = min(len(one.sums_ns) for one in outputs)
     counts = np.zeros((rows, columns.size), np.int64)
     sums = np.zeros(rows)
     for one in outputs:
-        at = np.searchsorted(columns, one.values_ns)
+        at = np.searchsorted(columns, one.values_ns // width * width)
         # An output that lost messages may have fewer blocks; what the others have more goes into their last one.
-        counts[:, at] += np.add.reduceat(one.counts, np.arange(rows), axis=0)
+        np.add.at(counts.T, at, np.add.reduceat(one.counts, np.arange(rows), axis=0).T)
         sums += np.add.reduceat(one.sums_ns, np.arange(rows))
-    return Blocks(values_ns=columns, counts=counts, sums_ns=sums, ordered=all(one.ordered for one in outputs))
+    ordered = all(one.ordered for one in outputs)
+    return Blocks(values_ns=columns, counts=counts, sums_ns=sums, bin_ns=width, ordered=ordered)

@@ -1,4 +1,4 @@
-"""Did it change? Two sets of runs, compared by resampling blocks or runs, never single measurements."""
+"""Did it change? Two sets of runs, compared by resampling blocks, runs or boots, never single measurements."""
 
 import math
 from collections.abc import Sequence
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rtrun.analysis.blocks import Blocks, align
 from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.histogram import Int64s
+from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.intervals import clopper_pearson
 
 ROUNDS = 999
@@ -24,9 +25,13 @@ _BEYOND = 20
 
 
 class Change(StrEnum):
-    """What can be said about two sets."""
+    """What can be said about two sets.
+
+    RUNS_DIFFER: the runs at hand do, but they are too few, or were not measured in turn, to say so of what they are of.
+    """
 
     DIFFERENT = "DIFFERENT"
+    RUNS_DIFFER = "THESE RUNS DIFFER"
     SAME = "NO DIFFERENCE"
     NOT_SEEN = "NO DIFFERENCE SEEN"
     UNDECIDED = "TOO LITTLE DATA"
@@ -64,8 +69,9 @@ class Comparison:
     """Two sets, compared; too little data have no shifts.
 
     ``distance`` is the largest difference of the distribution functions (0 to 1), ``p_value`` the chance of one as
-    large if both sets came from one process. ``units`` says what was resampled: 'runs', or 'blocks' where there are
-    too few runs to know how much one boot differs from the next.
+    large if both sets came from one process. ``units`` says what was resampled: 'runs', 'boots' where the sets have no
+    boot in common, or 'blocks' where there are too few of them to know how much one differs from the next.
+    ``interleaved``: the runs were measured in turn.
     """
 
     answer: Change
@@ -74,6 +80,7 @@ class Comparison:
     p_value: float
     units: str
     unit_counts: tuple[int, int]
+    interleaved: bool
     confidence: float
     seed: int
     assumes: tuple[str, ...]
@@ -89,26 +96,36 @@ class Ratio:
 
 
 def compare(
-    a: Sequence[Blocks], b: Sequence[Blocks], *, confidence: float = 0.95, margin_ns: float | None = None
+    a: Sequence[Blocks],
+    b: Sequence[Blocks],
+    *,
+    confidence: float = 0.95,
+    margin_ns: float | None = None,
+    clock_step_ns: int = 1,
 ) -> Comparison:
     """Compare two sets of runs of the same series; the margin of no concern is 5 % of A's figure unless given.
 
+    DIFFERENT needs five runs a side, or boots where the sets have none in common, measured in turn.
+
     Shifts: percentile intervals of the block bootstrap (Carlstein 1986). Distance: Kolmogorov-Smirnov statistic
-    under permutation of blocks or runs (Lahiri 2003, chapter 2). Raises ValueError when a set is empty.
+    under permutation of blocks or runs (Lahiri 2003, chapter 2). Quantiles are taken from counts in bins, values spread
+    evenly over a bin, or over a step of the clock where that is wider. Raises ValueError when a set is empty.
     """
     if not any(run.n for run in a) or not any(run.n for run in b):
         raise ValueError("one of the two sets has no measurement")
-    whole_runs = min(len(a), len(b)) >= _RUNS_AS_UNITS
-    columns, (rows_a, rows_b) = align((a, b))
+    columns, bin_ns, (rows_a, rows_b) = align((a, b))
+    width = max(bin_ns, clock_step_ns)
+    keys_a, keys_b, units_name = _units(a, b)
+    whole_runs = min(len(set(keys_a)), len(set(keys_b))) >= _RUNS_AS_UNITS
+    interleaved = is_interleaved([run.start_time for run in a], [run.start_time for run in b])
     assumes = []
     if any(not run.ordered for run in (*a, *b)) and not whole_runs:
         assumes.append("independent measurements: a log without samples keeps no order")
     if whole_runs:
-        rows_a, rows_b = ([np.array([row.sum(axis=0) for row in rows])] for rows in (rows_a, rows_b))
+        rows_a, rows_b = [_sums_by_key(rows_a, keys_a)], [_sums_by_key(rows_b, keys_b)]
     else:
-        assumes.append(
-            f"runs alike: with {len(a)} and {len(b)} runs the difference between boots is not in the intervals"
-        )
+        counts = f"{len(set(keys_a))} and {len(set(keys_b))}"
+        assumes.append(f"{units_name} alike: with {counts} of them the difference between them is not in the intervals")
     units = (sum(len(rows) for rows in rows_a), sum(len(rows) for rows in rows_b))
     rng = np.random.default_rng(SEED)
     boot_a, boot_b = _resample(rows_a, rng), _resample(rows_b, rng)
@@ -125,8 +142,8 @@ def compare(
             draws = _means(boot_b, columns) - _means(boot_a, columns)
             draws += (at_b - at_a) - float((_means(whole_b, columns) - _means(whole_a, columns))[0])
         else:
-            at_a, at_b = (float(_quantiles(w, columns, q)[0]) for w in (whole_a, whole_b))
-            draws = _quantiles(boot_b, columns, q) - _quantiles(boot_a, columns, q)
+            at_a, at_b = (float(_quantiles(w, columns, width, q)[0]) for w in (whole_a, whole_b))
+            draws = _quantiles(boot_b, columns, width, q) - _quantiles(boot_a, columns, width, q)
         low, high = (at_b - at_a) + _few_units(min(units), confidence) * (
             np.percentile(draws, [tail, 100 - tail]) - (at_b - at_a)
         )
@@ -138,7 +155,7 @@ def compare(
     if min(units) < _LEAST_UNITS:
         answer = Change.UNDECIDED
     elif p_value < 1 - confidence:
-        answer = Change.DIFFERENT
+        answer = Change.DIFFERENT if whole_runs and interleaved else Change.RUNS_DIFFER
     else:
         answer = Change.SAME if all(shift.within_margin for shift in shifts) else Change.NOT_SEEN
     return Comparison(
@@ -146,8 +163,9 @@ def compare(
         shifts=() if answer == Change.UNDECIDED else tuple(shifts),
         distance=distance,
         p_value=p_value,
-        units="runs" if whole_runs else "blocks",
+        units=units_name if whole_runs else "blocks",
         unit_counts=units,
+        interleaved=interleaved,
         confidence=confidence,
         seed=SEED,
         assumes=tuple(assumes),
@@ -192,10 +210,28 @@ def _means(counts: NDArray[np.generic], columns: Int64s) -> NDArray[np.float64]:
     return np.asarray(counts @ columns.astype(np.float64) / sizes)
 
 
-def _quantiles(counts: NDArray[np.generic], columns: Int64s, q: float) -> NDArray[np.float64]:
-    below = np.cumsum(counts, axis=1)
-    found = columns[(below >= np.ceil(q * below[:, -1:])).argmax(axis=1)]
-    return np.asarray(found, dtype=np.float64)
+def _quantiles(counts: NDArray[np.generic], columns: Int64s, width: int, q: float) -> NDArray[np.float64]:
+    below = np.cumsum(counts, axis=1, dtype=np.float64)
+    rank = q * below[:, -1:]
+    column = (below >= rank).argmax(axis=1)[:, None]
+    inside = np.take_along_axis(counts, column, axis=1)
+    share = 1 - (np.take_along_axis(below, column, axis=1) - rank) / np.maximum(inside, 1)
+    return np.asarray((columns[column] + width * share)[:, 0], dtype=np.float64)
+
+
+def _units(a: Sequence[Blocks], b: Sequence[Blocks]) -> tuple[list[str], list[str], str]:
+    """The unit of each run of both sets, and what it is: its boot where the sets have none in common, else the run."""
+    boots = {run.boot for run in a}, {run.boot for run in b}
+    if "" in boots[0] | boots[1] or boots[0] & boots[1]:
+        return [str(k) for k in range(len(a))], [str(k) for k in range(len(b))], "runs"
+    return [run.boot for run in a], [run.boot for run in b], "boots"
+
+
+def _sums_by_key(rows: Sequence[Int64s], keys: Sequence[str]) -> Int64s:
+    """Counts (u, m) of each unit, from the blocks of its runs."""
+    return np.array(
+        [sum(row.sum(axis=0) for row, own in zip(rows, keys, strict=True) if own == key) for key in dict.fromkeys(keys)]
+    )
 
 
 def _permutation_test(rows_a: Int64s, rows_b: Int64s, rng: np.random.Generator) -> tuple[float, float]:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtrun.analysis.blocks import Blocks
-from rtrun.analysis.comparison import compare
+from rtrun.analysis.interleaving import is_interleaved
 
-_LEAST_PAIRS = 3
+_LEAST_RUNS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,45 +24,63 @@ class Added:
     method: str
 
 
-def attribute(lower: Sequence[Blocks], upper: Sequence[Blocks], *, confidence: float = 0.95) -> tuple[Added, ...]:
-    """What `upper` adds to `lower`, each a layer's runs in the order they were made.
+@dataclass(frozen=True, kw_only=True)
+class Attribution:
+    """What a layer adds, a figure each; none where ``refused`` says why."""
 
-    Interleaved runs (as many of each, three or more) are paired in order, and the interval is Student's over the
-    pairs, so that what drifts over a campaign (temperature, load) cancels. Otherwise the block bootstrap of
-    `compare`. Raises ValueError when a layer has no measurement.
+    added: tuple[Added, ...]
+    refused: str | None = None
+
+
+def attribute(lower: Sequence[Blocks], upper: Sequence[Blocks], *, confidence: float = 0.95) -> Attribution:
+    """What `upper` adds to `lower`, from runs of each layer that were measured in turn.
+
+    As many of each are paired in the order they began, and the interval is Student's over the pairs, so that what
+    drifts over a campaign (temperature, load) cancels. Else runs are the units of Welch's interval (Welch 1947). Runs
+    that were not measured in turn are refused: what drifted meanwhile would be added to the layer. Raises ValueError
+    when a run has no measurement.
     """
-    pairs = min(len(lower), len(upper))
-    if len(lower) == len(upper) and pairs >= _LEAST_PAIRS:
-        from scipy.special import stdtrit
-
-        added = []
-        for figure, of in (("mean", _mean), ("p99", _p99)):
-            gaps = np.array([of(up) - of(low) for low, up in zip(lower, upper, strict=True)])
-            half = float(stdtrit(pairs - 1, (1 + confidence) / 2)) * float(gaps.std(ddof=1)) / math.sqrt(pairs)
-            middle = float(gaps.mean())
-            added.append(
-                Added(
-                    figure=figure,
-                    added_ns=middle,
-                    low_ns=middle - half,
-                    high_ns=middle + half,
-                    confidence=confidence,
-                    method=f"{pairs} interleaved pairs of runs, Student's t",
-                )
-            )
-        return tuple(added)
-    found = compare(lower, upper, confidence=confidence)
-    return tuple(
-        Added(
-            figure=shift.figure,
-            added_ns=shift.shift_ns,
-            low_ns=shift.low_ns,
-            high_ns=shift.high_ns,
-            confidence=confidence,
-            method=f"runs not interleaved, bootstrap of {found.units}",
+    if min(len(lower), len(upper)) < _LEAST_RUNS:
+        return Attribution(
+            added=(), refused=f"{len(lower)} and {len(upper)} runs, at least {_LEAST_RUNS} of each are needed"
         )
-        for shift in found.shifts
-        if shift.figure in ("mean", "p99")
+    if not is_interleaved([run.start_time for run in lower], [run.start_time for run in upper]):
+        return Attribution(added=(), refused="the runs were not measured in turn: a drift would be added to the layer")
+    lower, upper = (sorted(runs, key=lambda run: run.start_time) for runs in (lower, upper))
+    return Attribution(
+        added=tuple(
+            _added(figure, np.array([of(run) for run in lower]), np.array([of(run) for run in upper]), confidence)
+            for figure, of in (("mean", _mean), ("p99", _p99))
+        )
+    )
+
+
+def _added(figure: str, lower: np.ndarray, upper: np.ndarray, confidence: float) -> Added:
+    from scipy.special import stdtrit
+
+    if lower.size == upper.size:
+        gaps = upper - lower
+        error, degrees = float(gaps.std(ddof=1)) / math.sqrt(gaps.size), gaps.size - 1.0
+        method = f"{gaps.size} pairs of runs measured in turn, Student's t"
+    else:
+        parts = [float(figures.var(ddof=1)) / figures.size for figures in (lower, upper)]
+        error = math.sqrt(sum(parts))
+        # Welch and Satterthwaite; runs all equal have no error, and any number of degrees of freedom.
+        degrees = (
+            sum(parts) ** 2 / sum(v**2 / (f.size - 1) for v, f in zip(parts, (lower, upper), strict=True))
+            if error
+            else 1.0
+        )
+        method = f"{lower.size} and {upper.size} runs measured in turn, Welch's t"
+    half = float(stdtrit(degrees, (1 + confidence) / 2)) * error
+    middle = float(upper.mean() - lower.mean())
+    return Added(
+        figure=figure,
+        added_ns=middle,
+        low_ns=middle - half,
+        high_ns=middle + half,
+        confidence=confidence,
+        method=method,
     )
 
 

@@ -108,7 +108,13 @@ def _label(group: Group, *, of_several: bool) -> str:
 def _changed(label: str, a: Group, b: Group, confidence: float, margin_ns: float | None) -> Changed:
     return Changed(
         label=label,
-        comparison=compare(a.blocks, b.blocks, confidence=confidence, margin_ns=margin_ns),
+        comparison=compare(
+            a.blocks,
+            b.blocks,
+            confidence=confidence,
+            margin_ns=margin_ns,
+            clock_step_ns=max(a.clock_step_ns, b.clock_step_ns),
+        ),
         misses=ratio_of_misses(a.verdict, b.verdict, confidence) if a.verdict and b.verdict else None,
         runs=(a.runs, b.runs),
     )
@@ -141,6 +147,10 @@ def _why(c: Comparison) -> str:
     test = f"largest difference of the distributions {100 * c.distance:.2g} %, p = {c.p_value:.2g} ({c.units})"
     if c.answer == Change.UNDECIDED:
         return f"{min(c.unit_counts)} {c.units} are too few to compare"
+    if c.answer == Change.RUNS_DIFFER:
+        few = "fewer than five runs or boots a side" if c.units == "blocks" else ""
+        apart = "" if c.interleaved else "not measured in turn: whatever else changed meanwhile is in it"
+        return f"{'; '.join(filter(None, (few, apart)))}; {test}"
     if c.answer == Change.NOT_SEEN:
         widest = max(c.shifts, key=lambda shift: max(-shift.low_ns, shift.high_ns) / shift.margin_ns)
         most = max(-widest.low_ns, widest.high_ns)

@@ -9,6 +9,7 @@ from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.analysis.extreme import Bound
 from rtrun.analysis.figures import PERCENTILES, Figures
 from rtrun.analysis.layers import attribute
+from rtrun.plan.suites import suites
 from rtrun.report.claims.examination import is_rt, select, us
 from rtrun.report.claims.examiners import Examined
 from rtrun.report.claims.reference import oneshot_rows, published
@@ -237,37 +238,56 @@ def _bound(bound: Bound) -> tuple[str, str]:
     )
 
 
+# Parameters of a layer alone; all others must be the same in both.
+_OF_A_LAYER = {"timeout_us", "interval_us", "frequency_hz", "busy_mode", "threads", "payload_bytes", "subscribers"}
+
+
 def _layers(study: Study) -> list[Table]:
-    """What each layer adds to the one below, for every pair of groups on the same target with the same policy."""
+    """What each layer adds to the one below, for every pair of groups that differ in nothing but the layer."""
     if study.emulated:
         return []
     rows = []
     for low_name, high_name in (("cyclictest", "oneshot_timer_tests"), ("oneshot_timer_tests", "communication_tests")):
         for low in select(study, low_name):
             for high in select(study, high_name):
-                same = (
-                    high.parameters.get("subscribers", 1) == 1
-                    and low.target == high.target
-                    and (low_name == "cyclictest" or _policy(low) == _policy(high))
-                )
-                if same and is_rt(high) and low.blocks and high.blocks:
-                    for added in attribute(low.blocks, high.blocks, confidence=study.confidence):
-                        rows.append(
-                            (
-                                low.label,
-                                high.label,
-                                added.figure,
-                                f"{added.added_ns / 1000:+.1f}",
-                                f"{added.low_ns / 1000:+.1f} to {added.high_ns / 1000:+.1f}",
-                                added.method,
-                            )
-                        )
+                if not _differ_in_layer(low, high):
+                    continue
+                attribution = attribute(low.blocks, high.blocks, confidence=study.confidence)
+                if attribution.refused:
+                    rows.append((low.label, high.label, "-", "-", "-", f"refused: {attribution.refused}"))
+                for added in attribution.added:
+                    interval = f"{added.low_ns / 1000:+.1f} to {added.high_ns / 1000:+.1f}"
+                    adds = f"{added.added_ns / 1000:+.1f}"
+                    rows.append((low.label, high.label, added.figure, adds, interval, added.method))
     columns = ("layer", "layer above", "figure", "adds us", f"{100 * study.confidence:g} % CI us", "method")
     return [Table(id="layers", title="What each layer adds", columns=columns, rows=rows, numbers=9)]
 
 
-def _policy(group: Group) -> object:
-    return group.parameters.get("policy", "0")
+def _differ_in_layer(low: Group, high: Group) -> bool:
+    """Whether two groups with real-time policy differ in the layer alone: same target, priority, condition, period."""
+    alike = low.target == high.target and _others(low) == _others(high) and _period_us(low) == _period_us(high)
+    means_known = all(one.figures.mean_ns is not None for group in (low, high) for one in group.digests)
+    one_event = all(group.parameters.get(key, 1) == 1 for group in (low, high) for key in ("subscribers", "threads"))
+    return alike and means_known and one_event and is_rt(high) and bool(low.blocks and high.blocks)
+
+
+def _others(group: Group) -> dict[str, object]:
+    """Parameters that are not of one layer alone and not the default: a suite without an option has its default."""
+    options = suites().options
+    given = {
+        key: value for key, value in group.parameters.items() if key not in _OF_A_LAYER and value not in (None, "")
+    }
+    return {key: value for key, value in given.items() if key not in options or value != options[key].default}
+
+
+def _period_us(group: Group) -> float | None:
+    """Time between two measurements as asked for."""
+    for key in ("timeout_us", "interval_us"):
+        value = group.parameters.get(key)
+        if isinstance(value, int):
+            return float(value)
+    frequency = group.parameters.get("frequency_hz")
+    return 1e6 / frequency if isinstance(frequency, int) and frequency else None
 
 
 def _claims(claims: Sequence[Examined]) -> Table:

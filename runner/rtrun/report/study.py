@@ -70,7 +70,13 @@ class Group:
         for one in self.digests:
             if one.blocks is not None:
                 by_run.setdefault(one.run, []).append(one.blocks)
-        return tuple(add_outputs(outputs) for outputs in by_run.values())
+        records = {record.run: record for record in self.records}
+        return tuple(_blocks_of_run(outputs, records.get(run)) for run, outputs in by_run.items())
+
+    @property
+    def clock_step_ns(self) -> int:
+        """The widest step of a clock that any of it was measured with; 1 where none is known."""
+        return max((one.header.clock_step_ns or 1 for one in self.digests), default=1)
 
     @functools.cached_property
     def histogram(self) -> Histogram | None:
@@ -226,6 +232,13 @@ def _group(
         no_bound=no_bound,
         records=tuple(records[run] for run in dict.fromkeys(one.run for one in alike) if run in records),
     )
+
+
+def _blocks_of_run(outputs: Sequence[Blocks], record: RunRecord | None) -> Blocks:
+    blocks = add_outputs(outputs)
+    if record is None:
+        return blocks
+    return replace(blocks, boot=str(record.target.boot_id or ""), start_time=record.start_time)
 
 
 def _located(trials: Trials, run: str, record: RunRecord | None) -> Trials:

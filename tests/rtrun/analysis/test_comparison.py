@@ -1,6 +1,7 @@
 """Comparisons: level and power on dependent data, and the difference between none and none seen."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from rtrun.analysis.blocks import Blocks, add_outputs, cut, split_randomly
 from rtrun.analysis.comparison import Change, compare, ratio_of_misses
 from rtrun.analysis.deadline import count_misses, judge
 from rtrun.analysis.histogram import from_samples
+from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.layers import attribute
 
 
@@ -21,7 +23,7 @@ def process(n: int, rng: np.random.Generator, mean_ns: float = 60_000, memory: f
 def test_alike_is_rarely_called_different() -> None:
     rng = np.random.default_rng(2)
     answers = [compare([cut(process(20_000, rng))], [cut(process(20_000, rng))]).answer for _ in range(60)]
-    assert answers.count(Change.DIFFERENT) <= 8  # 3 expected
+    assert answers.count(Change.RUNS_DIFFER) <= 8  # 3 expected
 
 
 def test_a_test_for_independent_data_would_call_them_different() -> None:
@@ -36,7 +38,7 @@ def test_a_test_for_independent_data_would_call_them_different() -> None:
 def test_a_shift_is_seen_and_its_interval_holds_it() -> None:
     rng = np.random.default_rng(3)
     found = [compare([cut(process(20_000, rng))], [cut(process(20_000, rng, 63_000))]) for _ in range(40)]
-    assert sum(c.answer == Change.DIFFERENT for c in found) >= 38
+    assert sum(c.answer == Change.RUNS_DIFFER for c in found) >= 38
     assert sum(c.shifts[0].low_ns <= 3000 <= c.shifts[0].high_ns for c in found) >= 34
 
 
@@ -48,17 +50,59 @@ def test_none_seen_is_not_none() -> None:
     assert large.answer == Change.SAME and all(shift.within_margin for shift in large.shifts)
 
 
+def boots(rng: np.random.Generator, number: int = 6, mean_ns: float = 60_000) -> list[Blocks]:
+    """Runs of a boot each, which differ by 1.5 us (standard deviation)."""
+    return [cut(process(4000, rng, mean_ns + 1500 * rng.normal())) for _ in range(number)]
+
+
 def test_five_runs_a_side_put_the_difference_between_boots_into_the_interval() -> None:
     rng = np.random.default_rng(5)
-
-    def boots() -> list[Blocks]:
-        return [cut(process(4000, rng, 60_000 + 1500 * rng.normal())) for _ in range(6)]
-
-    found = [compare(boots(), boots()) for _ in range(40)]
-    assert all(c.units == "runs" and c.unit_counts == (6, 6) for c in found)
+    found = [compare(in_turn(boots(rng), 0), in_turn(boots(rng), 1)) for _ in range(40)]
+    assert all(c.units == "runs" and c.unit_counts == (6, 6) and c.interleaved for c in found)
     assert sum(c.answer == Change.DIFFERENT for c in found) <= 5
-    single = compare(boots()[:1], boots()[:1])
-    assert single.units == "blocks" and "boots" in single.assumes[0]
+    apart = compare(in_turn(boots(rng), 0), in_turn(boots(rng, mean_ns=90_000), 1))
+    assert apart.answer == Change.DIFFERENT
+
+
+@pytest.mark.parametrize("number", [1, 2, 4])
+def test_few_runs_may_differ_but_not_what_they_are_of(number: int) -> None:
+    rng = np.random.default_rng(5)
+    answers = [compare(in_turn(boots(rng, number), 0), in_turn(boots(rng, number), 1)).answer for _ in range(15)]
+    assert Change.DIFFERENT not in answers and answers.count(Change.RUNS_DIFFER) > 5
+    one = compare(boots(rng, number), boots(rng, number))
+    assert one.units == "blocks" and "runs alike" in one.assumes[0]
+
+
+def test_sets_measured_one_after_the_other_are_never_different() -> None:
+    rng = np.random.default_rng(6)
+    found = compare(in_turn(boots(rng), 0, 1), in_turn(boots(rng, mean_ns=90_000), 6, 1))
+    assert found.answer == Change.RUNS_DIFFER and not found.interleaved
+
+
+def test_sets_without_a_common_boot_have_boots_as_units() -> None:
+    rng = np.random.default_rng(7)
+    a, b = in_turn(boots(rng), 0, boot="a"), in_turn(boots(rng, mean_ns=90_000), 1, boot="b")
+    found = compare(a, b)
+    assert found.answer == Change.RUNS_DIFFER and "boots alike: with 1 and 1" in found.assumes[0]
+    a, b = ([replace(run, boot=f"{side}{k}") for k, run in enumerate(runs)] for side, runs in (("a", a), ("b", b)))
+    assert compare(a, b).units == "boots" and compare(a, b).answer == Change.DIFFERENT
+
+
+def test_the_interval_of_a_quantile_holds_a_shift_below_a_microsecond() -> None:
+    rng = np.random.default_rng(8)
+    inside = []
+    for _ in range(25):
+        a, b = (cut((100_000 + shift + rng.normal(0, 4000, 40_000)).astype(np.int64)) for shift in (0, 700))
+        shifts = {shift.figure: shift for shift in compare([a], [b]).shifts}
+        inside.append([shifts[p].low_ns <= 700 <= shifts[p].high_ns for p in ("p50", "p90", "p99")])
+    assert np.mean(inside) >= 0.85
+
+
+def test_a_coarse_clock_gives_no_interval_without_width() -> None:
+    rng = np.random.default_rng(9)
+    a, b = (cut(rng.normal(300_000, 40_000, 20_000).astype(np.int64) // 30_518 * 30_518) for _ in range(2))
+    median = compare([a], [b], clock_step_ns=30_518).shifts[1]
+    assert median.low_ns < 0 < median.high_ns and median.high_ns - median.low_ns > 100
 
 
 def test_a_heavier_tail_is_seen_where_it_is() -> None:
@@ -66,7 +110,7 @@ def test_a_heavier_tail_is_seen_where_it_is() -> None:
     a, b = process(100_000, rng, memory=0.1), process(100_000, rng, memory=0.1)
     b = np.where(rng.random(b.size) < 0.005, b + 200_000, b)
     shifts = {shift.figure: shift for shift in compare([cut(a)], [cut(b)]).shifts}
-    assert shifts["p99.9"].low_ns > 100_000 and not shifts["p50"].seen
+    assert shifts["p99.9"].low_ns > 100_000 and shifts["p50"].within_margin
 
 
 def test_a_few_values_are_too_few() -> None:
@@ -114,21 +158,56 @@ def test_the_ratio_of_misses_is_exact() -> None:
     assert new.value == math.inf and new.low > 1
 
 
+def in_turn(runs: list[Blocks], first: int, step: int = 2, boot: str = "b") -> list[Blocks]:
+    """The runs with start times `step` apart, from `first` on."""
+    return [
+        replace(run, start_time=f"2026-01-01T00:{first + step * k:02d}:00", boot=boot) for k, run in enumerate(runs)
+    ]
+
+
 def test_what_a_layer_adds_is_found_through_a_drift() -> None:
     rng = np.random.default_rng(10)
     inside = 0
     for _ in range(60):
         drift = np.cumsum(rng.normal(size=5)) * 10_000
-        lower = [cut(process(2000, rng, 20_000 + d)) for d in drift]
-        upper = [cut(process(2000, rng, 55_000 + d)) for d in drift]
-        mean, p99 = attribute(lower, upper)
-        assert (mean.figure, p99.figure) == ("mean", "p99") and "5 interleaved pairs" in mean.method
+        lower = in_turn([cut(process(2000, rng, 20_000 + d)) for d in drift], 0)
+        upper = in_turn([cut(process(2000, rng, 55_000 + d)) for d in drift], 1)
+        mean, p99 = attribute(lower, upper).added
+        assert (mean.figure, p99.figure) == ("mean", "p99") and "5 pairs" in mean.method
         inside += mean.low_ns <= 35_000 <= mean.high_ns
     assert inside >= 53
     assert mean.high_ns - mean.low_ns < 8000  # the drift of tens of us is not in it
 
 
-def test_runs_not_interleaved_are_compared_by_blocks() -> None:
+def test_layers_that_were_not_measured_in_turn_are_refused() -> None:
     rng = np.random.default_rng(11)
-    (mean, _) = attribute([cut(process(5000, rng))], [cut(process(5000, rng, 90_000)), cut(process(5000, rng, 90_000))])
-    assert mean.added_ns == pytest.approx(30_000, abs=2500) and "not interleaved" in mean.method
+    lower, upper = ([cut(process(2000, rng)) for _ in range(3)] for _ in range(2))
+    for a, b in ((in_turn(lower, 0, 1), in_turn(upper, 3, 1)), (lower, upper)):
+        found = attribute(a, b)
+        assert found.added == () and found.refused is not None and "in turn" in found.refused
+    few = attribute(in_turn(lower[:2], 0), in_turn(upper[:2], 1))
+    assert few.refused is not None and "at least 3" in few.refused
+
+
+def test_unequal_numbers_of_runs_have_runs_as_units() -> None:
+    rng = np.random.default_rng(12)
+    lower = in_turn([cut(process(2000, rng, 60_000)) for _ in range(4)], 0, 3)
+    upper = in_turn([cut(process(2000, rng, 90_000)) for _ in range(6)], 1)
+    mean, _ = attribute(lower, upper).added
+    assert "4 and 6 runs" in mean.method and mean.low_ns < 30_000 < mean.high_ns
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "answer"),
+    [
+        ("02468", "13579", True),
+        ("01234", "56789", False),
+        ("03478", "12569", True),
+        ("012", "345", False),
+        ("0", "1", False),
+    ],
+)
+def test_measured_in_turn(a: str, b: str, answer: bool) -> None:
+    assert is_interleaved(list(a), list(b)) is answer
+    assert is_interleaved(list(b), list(a)) is answer
+    assert not is_interleaved(list(a), [""] * len(b))

@@ -73,14 +73,19 @@ def test_compare_tells_what_changed(tmp_path, capsys):
     write_oneshot(tmp_path / "c", n=20_000, seed=3)
     assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b"), "--margin", "1us"]) == 0
     said = capsys.readouterr().out
-    assert said.startswith("DIFFERENT  oneshot_timer RR 1000 us") and "us, margin 1.0 us: shifted" in said
+    assert (
+        said.startswith(
+            "THESE RUNS DIFFER  oneshot_timer RR 1000 us: fewer than five runs or boots a side; not measured"
+        )
+        and "us, margin 1.0 us: shifted" in said
+    )
     assert main(["compare", str(tmp_path / "a"), str(tmp_path / "c"), "--margin", "50us"]) == 0
     assert capsys.readouterr().out.startswith("NO DIFFERENCE  ")
     assert main(["compare", str(tmp_path / "a"), str(tmp_path / "c"), "--margin", "0.01us"]) == 0
     assert capsys.readouterr().out.startswith("NO DIFFERENCE SEEN  ")
     assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b"), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert data["changes"][0]["comparison"]["answer"] == "DIFFERENT"
+    assert data["changes"][0]["comparison"]["answer"] == "THESE RUNS DIFFER"
 
 
 def test_compare_matches_each_target_with_itself(tmp_path, capsys):

@@ -72,7 +72,8 @@ def compared(pair: tuple[Group, Group], confidence: float) -> Comparison | None:
     blocks: tuple[tuple[Blocks, ...], tuple[Blocks, ...]] = (first.blocks, second.blocks)
     if not all(blocks):
         return None
-    comparison = compare(*blocks, confidence=confidence)
+    step_ns = max(first.clock_step_ns, second.clock_step_ns)
+    comparison = compare(*blocks, confidence=confidence, clock_step_ns=step_ns)
     return None if comparison.answer == Change.UNDECIDED else comparison
 
 
