@@ -25,8 +25,10 @@ def dispatch(prog: str, description: str, commands: Sequence[ModuleType], argv: 
     """
     with surviving_output() as losses, _interruptible():
         try:
-            args = _parse(prog, description, commands, argv)
-            status = args if isinstance(args, int) else int(args.run(args))
+            args = parser_of(prog, description, commands).parse_args(argv)
+            status = int(args.run(args))
+        except SystemExit as end:  # the parser has printed the help, or what is wrong with the arguments
+            status = int(end.code or 0)
         except (UsageError, InfrastructureError) as error:
             status = error.exit_status
             for line in str(error).splitlines():
@@ -67,17 +69,12 @@ def _interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _parse(
-    prog: str, description: str, commands: Sequence[ModuleType], argv: Sequence[str] | None
-) -> argparse.Namespace | int:
-    """The arguments; or an exit status, when the help or what is wrong with the arguments has been printed instead."""
+def parser_of(prog: str, description: str, commands: Sequence[ModuleType]) -> argparse.ArgumentParser:
+    """The parser of a program with these commands."""
     parser = argparse.ArgumentParser(prog=prog, description=description)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for command in commands:
         subparser = subparsers.add_parser(command.NAME, help=command.HELP, description=command.HELP)
         command.add_arguments(subparser)
         subparser.set_defaults(run=command.run)
-    try:
-        return parser.parse_args(argv)
-    except SystemExit as end:
-        return int(end.code or 0)
+    return parser

@@ -12,7 +12,7 @@ from rtfiles.errors import InfrastructureError
 
 TIMEOUT_S = 900
 # How long a program may take to clean up after SIGTERM; mmdebstrap removes its mounts and files then.
-GRACE_S = 20
+GRACE_S = 60
 SHOWN_LINES = 20
 
 
@@ -26,9 +26,9 @@ def run(
 ) -> str:
     """Run a program in a folder and return its standard output. `environment` replaces ours.
 
-    When the time is over or we are interrupted, the program gets SIGTERM and `GRACE_S` to clean up; then whatever it
-    started is killed. It also gets SIGTERM when we are killed. Raises InfrastructureError when it is not installed,
-    takes too long, or fails; the message ends with the last lines of its output.
+    When the time is over or we are interrupted, the program and what it started get SIGTERM and `GRACE_S` to clean
+    up; then whatever still runs is killed. When we are killed, the program gets SIGTERM. Raises InfrastructureError
+    when it is not installed, takes too long, or fails; the message ends with the last lines of its output.
     """
     arguments = [str(word) for word in command]
     try:
@@ -60,7 +60,9 @@ def run(
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    process.terminate()
+    # The whole group, as Ctrl-C in a terminal would reach it: mmdebstrap waits for its apt-get before it cleans up.
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGTERM)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.communicate(timeout=GRACE_S)
     # The program may have left others behind, which hold its output open.

@@ -1,0 +1,125 @@
+"""The commands that README.md and docs/ show: the real parsers take all of them, and those that can run here do.
+
+A command is an indented line, or a part of a sentence in backquotes, that begins with rtgen, rtrun or make.
+"""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from report.campaigns import write_campaign
+
+import rtgen.cli
+import rtrun.cli
+from rtfiles.command import parser_of
+from rtfiles.config import read_yaml
+from rtrun.target.config import read_target
+
+TOP = Path(__file__).parents[1]
+PAGES = [TOP / "README.md", *sorted((TOP / "docs").glob("*.md"))]
+COMMANDS = {"rtgen": rtgen.cli.COMMANDS, "rtrun": rtrun.cli.COMMANDS}
+
+# Commands that are only parsed here, and why.
+NOT_RUN = {
+    "rtgen board build": "minutes; tests/rtgen/test_board_build.py",
+    "rtgen flash": "writes to a card; tests/rtgen/test_flash.py",
+    "rtgen kconfig verify": "a kernel tree; tests/rtgen/test_kconfig_verify.py",
+    "rtgen kernel build": "minutes; tests/rtgen/test_kernel_build.py",
+    "rtrun check-rt": "a target; tests/rtrun/target/test_rt_readiness.py",
+    "rtrun probe": "a target; tests/integration",
+    "rtrun run": "a target; tests/integration",
+}
+LOG = "oneshot_timer_tests_l50_tm2000-measured.log"  # the name of a log of 2014 says what was measured
+FAILED_GATE = ("rtrun gate",)  # the results that the tests make up prove nothing
+
+
+def commands(page: Path) -> Iterator[str]:
+    """The commands of a page in the order in which they stand there, without the remark that follows some."""
+    for line in page.read_text().splitlines():
+        if line.startswith("    "):
+            command = re.split(r"\s{2,}|\s#", line.strip())[0]
+            if command.partition(" ")[0] in COMMANDS:
+                yield command
+        else:
+            for command in re.findall(r"`((?:rtgen|rtrun) [^`]+)`", line):
+                program, name, *rest = command.split()
+                if rest and any(name == each.NAME for each in COMMANDS[program]):
+                    yield command
+
+
+def arguments(command: str) -> list[str]:
+    """The words of a command; of what is optional all, of alternatives the first."""
+    plain = re.sub(r"\[([^]|]*)(\|[^]]*)?\]", r"\1", command).replace("...", "")
+    return shlex.split(plain.replace("import FILE", f"import {LOG}"))
+
+
+ALL = [(page, command) for page in PAGES for command in commands(page)]
+
+
+@pytest.mark.parametrize(("page", "command"), ALL, ids=[f"{page.name}:{command}" for page, command in ALL])
+def test_the_parser_takes_it(page: Path, command: str) -> None:
+    program, *words = arguments(command)
+    parser_of(program, "", COMMANDS[program]).parse_args(words)
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the checkout with the files that the pages take for granted."""
+    folder = tmp_path_factory.mktemp("docs") / "checkout"
+    ignored = shutil.ignore_patterns("__pycache__")
+    for name in ("tools", "runner", "kconfig", "recipes-tests", "meta-rt-tests", "campaigns", "targets"):
+        shutil.copytree(TOP / name, folder / name, symlinks=True, ignore=ignored)
+    shutil.copy(TOP / "kas.yml", folder)
+    for name in ("results/demo", "results/before", "results/after", "RESULTS", "A", "B"):
+        write_campaign(folder / name, n=500)
+    for name in ("X.log", LOG):
+        shutil.copy(TOP / "tests/data/2014" / LOG, folder / name)
+    return folder
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[page.name for page in PAGES])
+def test_what_can_run_here_runs(page: Path, copy: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": f"{copy / 'tools'}:{copy / 'runner'}"}
+    for command in dict.fromkeys(commands(page)):
+        if command.startswith(tuple(NOT_RUN)):
+            continue
+        program, *words = arguments(command)
+        done = subprocess.run(
+            [sys.executable, "-m", f"{program}.cli", *words],
+            cwd=copy, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        expected = (0, 1) if command.startswith(FAILED_GATE) else (0,)
+        assert done.returncode in expected, f"{command}\n{done.stdout}{done.stderr}"
+
+
+def test_every_reason_not_to_run_is_needed() -> None:
+    assert all(any(command.startswith(prefix) for _, command in ALL) for prefix in NOT_RUN)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[page.name for page in PAGES])
+def test_make_has_the_targets(page: Path) -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (TOP / "Makefile").read_text(), re.M))
+    shown = re.findall(r"(?:^    |`)make ([a-z-]+)", page.read_text(), re.M)
+    assert set(shown) <= targets
+
+
+def test_the_target_file_of_the_readme(tmp_path: Path) -> None:
+    text = (TOP / "README.md").read_text()
+    block = text.partition("Write a target file:\n")[2].partition("\nthen\n")[0]
+    file = tmp_path / "my-board.yml"
+    (tmp_path / "build/suites/qemu-armv7").mkdir(parents=True)
+    file.write_text(block.replace("    ", "", 1).replace("\n    ", "\n").replace("SHA256:...", "SHA256:" + "A" * 43))
+    assert read_target(file).name == read_yaml(file)["name"] == yaml.safe_load(block)["name"]
+
+
+def test_pages_link_to_what_is_there() -> None:
+    for page in PAGES:
+        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
+            assert (page.parent / link).exists(), f"{page.name}: {link}"
