@@ -2,10 +2,10 @@
 
 from collections.abc import Hashable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import JSON_BYTES_MAX, JSON_ITEMS_MAX, parse_json, read_text
@@ -37,6 +37,19 @@ def key_names(model: type[Config]) -> list[str]:
     """The keys of a Config as they stand in a file."""
     return [field.alias or name for name, field in model.model_fields.items()]
 
+
+def _path(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("a path holds printable characters alone")
+    try:
+        Path(text).expanduser()
+    except RuntimeError as error:
+        raise ValueError(f"the user of {text.partition('/')[0]!r} is unknown here") from error
+    return text
+
+
+# A path as a user writes it, which may begin with ~ or ~user.
+UserPath = Annotated[str, Field(min_length=1), AfterValidator(_path)]
 
 ConfigT = TypeVar("ConfigT", bound=Config)
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rtfiles.config import Config, parse, read_yaml
+from rtfiles.config import Config, UserPath, parse, read_yaml
 from rtfiles.errors import UsageError
 from rtrun.target import qemu
 from rtrun.target.address import Address
@@ -22,7 +22,7 @@ Word = Annotated[str, Field(min_length=1)]
 class _Common(Config):
     schema_: Literal[1] = Field(alias="schema")
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
-    suites: str | None = None
+    suites: UserPath | None = None
     """Folder of `rtgen suites build` to deploy, relative to this file; none: those installed on the target."""
     # No part of it is . or ..: folders in it are removed.
     work_dir: Annotated[str, Field(pattern=r"^(/\.?[A-Za-z0-9_-][A-Za-z0-9._-]*)+/?$")] = "/var/lib/rt-tests"
@@ -41,9 +41,9 @@ class SshConfig(_Common):
     host: str
     port: Annotated[int, Field(ge=1, le=65535)] = 22
     user: str = "root"
-    key: str | None = None
+    key: UserPath | None = None
     host_key: str | None = None
-    known_hosts: str = "~/.ssh/known_hosts"
+    known_hosts: UserPath = "~/.ssh/known_hosts"
     emulated: bool = False
     """True for a virtual machine behind SSH: its timing is no real-time statement."""
     restart: Annotated[list[Word], Field(min_length=1)] | None = None
@@ -54,7 +54,7 @@ class QemuConfig(_Common):
     """A board that the runner boots and ends itself."""
 
     kind: Literal["qemu"]
-    board: str
+    board: UserPath
     """Folder of `rtgen board build`, relative to this file."""
 
 
@@ -86,9 +86,10 @@ class Target:
 def read_target(path: Path) -> TargetConfig:
     """Read a target file. Raises UsageError with every mistake found."""
     data = read_yaml(path)
-    if not isinstance(data, dict) or data.get("kind") not in _KINDS:
+    kind = data.get("kind") if isinstance(data, dict) else None
+    if not isinstance(kind, str) or kind not in _KINDS:
         raise UsageError(f"{path}: kind: missing or unknown, allowed: {', '.join(_KINDS)}")
-    return parse(data, _KINDS[data["kind"]], str(path))
+    return parse(data, _KINDS[kind], str(path))
 
 
 @contextlib.contextmanager

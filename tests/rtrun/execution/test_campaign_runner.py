@@ -350,6 +350,13 @@ def test_exit_status_of_failed_runs_and_of_a_finished_campaign(sshd, target, tmp
     ("text", "message"),
     [
         ("schema: 1\nname: x\nkind: telnet\n", "kind: missing or unknown, allowed: ssh, qemu"),
+        ("schema: 1\nname: x\nkind: [ssh]\n", "kind: missing or unknown, allowed: ssh, qemu"),
+        (
+            "schema: 1\nname: x\nkind: ssh\nhost: h\nkey: ~nosuchuser/x\n",
+            "key: the user of '~nosuchuser' is unknown here",
+        ),
+        ('schema: 1\nname: x\nkind: ssh\nhost: h\nsuites: "a\\0"\n', "suites: a path holds printable characters"),
+        ("schema: 1\nname: x\nkind: qemu\nboard: ~nosuchuser/x\n", "board: the user of '~nosuchuser' is unknown here"),
         ("schema: 1\nname: x\nkind: ssh\nhost: h\nport: 0\n", "port: Input should be greater than or equal to 1"),
         ("schema: 1\nname: x\nkind: ssh\nhots: h\n", "unknown key 'hots'"),
         ("schema: 1\nname: x\nkind: ssh\nhost: h\nwork_dir: /tmp/../../etc\n", "work_dir: String should match"),
