@@ -1,4 +1,4 @@
-"""What the recipes install is what runs: programs that BitBake made measure on the rehearsal board."""
+"""What the recipes install is what runs: programs that BitBake made measure on the emulated board."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""The rehearsal board without booting it: what is generated, and what is said when it cannot be."""
+"""The emulated board without booting it: what is generated, and what is said when it cannot be."""
 
 import os
 import stat

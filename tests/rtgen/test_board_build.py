@@ -1,4 +1,4 @@
-"""The real build of the rehearsal board: whole in the cache, or not there."""
+"""The real build of the emulated board: whole in the cache, or not there."""
 
 import json
 import os

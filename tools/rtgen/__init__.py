@@ -1,1 +1,1 @@
-"""Generators: profiles, layer, kernel options, and the rehearsal board that needs no hardware."""
+"""Generators: profiles, layer, kernel options, and the emulated board that needs no hardware."""

@@ -12,7 +12,7 @@ COMMANDS: tuple[ModuleType, ...] = (board, explain, flash, kconfig, kernel, new_
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``rtgen``; see `rtfiles.command.dispatch` for the exit status."""
-    return dispatch("rtgen", "Generate images, kernels and the rehearsal board.", COMMANDS, argv)
+    return dispatch("rtgen", "Generate images, kernels and the emulated board.", COMMANDS, argv)
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def packages() -> list[str]:
 
 
 def names() -> list[str]:
-    """The machines there are: this one, and the rehearsal boards."""
+    """The machines there are: this one, and the emulated boards."""
     return ["host", *machines().machines]
 
 

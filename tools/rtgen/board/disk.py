@@ -1,4 +1,4 @@
-"""The root file system of the rehearsal board: Debian's packages, the files their scripts would have made, keys."""
+"""The root file system of the emulated board: Debian's packages, the files their scripts would have made, keys."""
 
 import compileall
 import os

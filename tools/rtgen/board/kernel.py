@@ -1,4 +1,4 @@
-"""The kernel that a rehearsal board runs: Debian's ready-made one, or the one built from our fragment."""
+"""The kernel that a emulated board runs: Debian's ready-made one, or the one built from our fragment."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The folder that programs for the rehearsal board are compiled and linked against."""
+"""The folder that programs for the emulated board are compiled and linked against."""
 
 from pathlib import Path
 

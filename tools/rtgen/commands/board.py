@@ -1,4 +1,4 @@
-"""``rtgen board``: the rehearsal board."""
+"""``rtgen board``: the emulated board."""
 
 import argparse
 from pathlib import Path
