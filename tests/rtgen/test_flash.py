@@ -134,7 +134,7 @@ def test_refuses_a_disk_that_is_not_removable(attach, tmp_path):
     node.mkdir(parents=True)
     for name, value in (("dev", number), ("ro", "0"), ("removable", "0"), ("size", "32768")):
         (node / name).write_text(f"{value}\n")
-    with pytest.raises(UsageError, match="not removable, so no SD card"):
+    with pytest.raises(UsageError, match="not removable, so not an SD card"):
         flash.check_device(device, 1, sys=tmp_path / "sys")
     (node / "device").mkdir()
     (node / "device/type").write_text("SD\n")

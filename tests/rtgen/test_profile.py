@@ -91,7 +91,7 @@ def test_thesis_profile_has_every_version_of_table_3_2_1():
         ([("image/name", "rt_tests")], "image.name: 'rt_tests' is not a name of lower-case letters, digits and . + -"),
         ([("repositories/meta-ros/url", "https://localhost/ü")], "/ü' is not an http(s) or git address"),
         ([("machines/qemuarm/sd_card", {"boot_size_mib": 64, "root_extra_mib": 0})],
-         "machines.qemuarm.sd_card: only pandaboard-es boots from the card we make, leave it out"),
+         "machines.qemuarm.sd_card: only pandaboard-es boots from that card, leave it out"),
         ([("ssh/server", "telnet")], "ssh.server: "),
     ],
 )  # fmt: skip
@@ -126,7 +126,7 @@ SUITES = {"url": "https://localhost/suites", "branch": "main", "commit": "c" * 4
         ("wrynose-noetic", [("suites", SUITES)], "suites: those of this repository are built in wrynose, leave it out"),
         ("thesis-2014", [("ssh/authorized_keys", [ED25519])], "keys.0: not a public key of the kinds ssh-rsa, or"),
         ("thesis-2014", [("suites", None)], "suites: those of this repository do not build in dora, give others"),
-        (DEFAULT_PROFILE, [("repositories/bitbake", None)], "repositories: BitBake is missing, a repository is to be"),
+        (DEFAULT_PROFILE, [("repositories/bitbake", None)], "repositories: BitBake is missing, name a repository"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_the_release_is_refused(tmp_path, base, changes, message):

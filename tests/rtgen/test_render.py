@@ -122,13 +122,13 @@ def test_what_is_removed_is_named(tmp_path, capsys):
     [
         (".", Path.touch, "not a folder, move it away"),
         ("meta-rt-tests", Path.touch, "not a folder, move it away"),
-        ("meta-rt-tests", lambda path: path.symlink_to("nowhere"), "a link that leads nowhere, move it away"),
+        ("meta-rt-tests", lambda path: path.symlink_to("nowhere"), "a broken link, move it away"),
         ("recipes-tests", Path.touch, "not a folder, move it away"),
-        ("recipes-tests", lambda path: path.symlink_to("nowhere"), "a link that leads nowhere, move it away"),
+        ("recipes-tests", lambda path: path.symlink_to("nowhere"), "a broken link, move it away"),
         ("meta-rt-tests", lambda path: path.symlink_to("."), "not rendered by rtgen, move it away"),
         ("meta-rt-tests/conf", lambda path: path.write_text(f"# {layer.MARK}x"), "not a folder, move it away"),
-        ("meta-rt-tests/conf/layer.conf", Path.mkdir, "a folder, a file is to be there, move it away"),
-        (f"{SUITES}/files", Path.mkdir, "a folder, a file is to be there, move it away"),
+        ("meta-rt-tests/conf/layer.conf", Path.mkdir, "a folder in the place of a file, move it away"),
+        (f"{SUITES}/files", Path.mkdir, "a folder in the place of a file, move it away"),
     ],
 )
 def test_what_is_in_the_way(tmp_path, capsys, path, make, message):

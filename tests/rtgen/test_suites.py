@@ -29,6 +29,7 @@ def test_unknown_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().err.startswith("rtgen: unknown machine 'vax'")
 
 
+@pytest.mark.timeout(1200)  # the sysroot is downloaded and the suites are compiled, perhaps beside other work
 @pytest.mark.parametrize("machine", ["host", "qemu-armv7"])
 def test_build(tmp_path: Path, machine: str) -> None:
     link = suites.build(machine, tmp_path)

@@ -1,4 +1,4 @@
-"""Files at the edge of the system: YAML read into types, files written whole, builds cached by content.
+"""What ``rtgen`` and ``rtrun`` share: typed input with limits, output, atomic writes, the build cache, commands.
 
-Both ``rtgen`` and ``rtrun`` stand on this package; it knows nothing of either.
+It imports neither of them.
 """

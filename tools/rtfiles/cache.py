@@ -1,4 +1,4 @@
-"""Slow builds, kept by the hash of everything that goes into them.
+"""Results of slow builds, kept under the hash of all inputs.
 
 An entry is a folder ``<root>/<kind>/<hash>``, where root is ``$META_RT_TESTS_CACHE`` or
 ``${XDG_CACHE_HOME:-~/.cache}/meta-rt-tests``. It appears in one rename, so an interrupted build leaves none.

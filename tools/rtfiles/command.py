@@ -1,4 +1,4 @@
-"""One way for both programs to parse, dispatch and turn an error into an exit status."""
+"""The entry of both programs: parse the arguments, run a command, turn errors into exit statuses."""
 
 import argparse
 import contextlib
@@ -16,12 +16,12 @@ from rtfiles.output import print_note, surviving_output
 def dispatch(prog: str, description: str, commands: Sequence[ModuleType], argv: Sequence[str] | None) -> int:
     """Run one sub-command and return the exit status.
 
-    A command is a module with ``NAME``, ``HELP``, ``add_arguments(parser)`` and ``run(args) -> int``. It imports
-    what is slow to import inside ``run``, so that ``--help`` answers at once.
+    A command is a module with ``NAME``, ``HELP``, ``add_arguments(parser)`` and ``run(args) -> int``. Imports that
+    take long stand inside ``run``, so that ``--help`` answers at once.
 
-    A reader of standard output that goes away changes nothing. Output that cannot be written for another reason, as on
-    a full disk, is an error of infrastructure, unless the command itself failed: then its own status stands.
-    SIGTERM and SIGHUP end a command as Ctrl-C does, so that it cleans up.
+    The exit status does not depend on a reader of standard output that goes away. If standard output cannot be written
+    for another reason, for example a full disk, the status is that of an infrastructure error, unless the command
+    failed with a status of its own. SIGTERM and SIGHUP end a command as Ctrl-C does, so that it cleans up.
     """
     with surviving_output() as losses, _interruptible():
         try:

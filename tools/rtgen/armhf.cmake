@@ -7,8 +7,8 @@ set(CMAKE_LIBRARY_ARCHITECTURE arm-linux-gnueabihf)
 
 set(CMAKE_TRY_COMPILE_PLATFORM_VARIABLES META_SYSROOT META_WORK)
 set(CMAKE_SYSROOT "${META_SYSROOT}")
-# What this build made comes from its working folder, everything else from the sysroot: never from /usr of this machine, to
-# which the absolute paths in Debian's CMake files would otherwise lead.
+# CMake finds the packages of this build in its working folder and all others in the sysroot. The absolute paths in Debian's
+# CMake files would otherwise lead to /usr of this machine.
 set(CMAKE_FIND_ROOT_PATH "${META_WORK}" "${META_SYSROOT}")
 set(CMAKE_FIND_ROOT_PATH_MODE_PROGRAM NEVER)
 set(CMAKE_FIND_ROOT_PATH_MODE_LIBRARY ONLY)

@@ -1,4 +1,4 @@
-"""The repository that rtgen runs from: it renders from the files there, and into them."""
+"""The repository whose files rtgen reads and renders."""
 
 from pathlib import Path
 

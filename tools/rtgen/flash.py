@@ -1,7 +1,7 @@
-"""An image onto an SD card: only onto a card nobody uses, and read back afterwards.
+"""Write an image to an SD card that nobody uses, and read it back.
 
-`check` looks at /sys and /proc before anything is opened for writing; `write` copies and compares. A loop device counts
-as a card.
+`check_device` reads /sys and /proc before anything is opened for writing; `write` copies and compares. A loop device is
+accepted as a card.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from rtfiles.errors import InfrastructureError, UsageError
 
 CHUNK = 4 * 1024 * 1024
 SECTOR = 512
-BLKFLSBUF = 0x1261  # linux/fs.h: forget what is cached of a device, so that reading back reads the card
+BLKFLSBUF = 0x1261  # linux/fs.h: drop the cached content of a device, so that reading back reads the card
 BLKRRPART = 0x125F  # linux/fs.h: read the partition table again
 Progress = Callable[[str, int], None]
 PACKED = (".bz2", ".gz", ".lz4", ".xz", ".zst", ".zip")
@@ -35,9 +35,9 @@ class Card:
 
 
 def check_image(image: Path) -> int:
-    """The size of an image in bytes. Raises UsageError if it is not a whole card's image as wic makes it."""
+    """The size of an image in bytes. Raises UsageError if it is not the image of a whole card, as wic makes it."""
     if image.suffix in PACKED:
-        raise UsageError(f"{image}: packed, unpack it first (the .wic itself is written)")
+        raise UsageError(f"{image}: packed, unpack it first: give the .wic file")
     try:
         if not stat.S_ISREG(image.stat().st_mode):
             raise UsageError(f"{image}: not a file")
@@ -52,14 +52,14 @@ def check_image(image: Path) -> int:
 
 
 def check_device(device: Path, image_bytes: int, sys: Path = Path("/sys"), proc: Path = Path("/proc")) -> Card:
-    """The card behind a device. Raises UsageError if it is no whole, removable, unused disk that is large enough."""
+    """The card of a device. Raises UsageError if it is not a whole, removable, unused disk that is large enough."""
     try:
         device = device.resolve(strict=True)
         status = device.stat()
     except OSError as error:
         raise UsageError(f"{device}: {error.strerror}") from error
     if not stat.S_ISBLK(status.st_mode):
-        raise UsageError(f"{device}: not a block device, give the card's, e.g. /dev/sdX or /dev/mmcblkN")
+        raise UsageError(f"{device}: not a block device, give that of the card, e.g. /dev/sdX or /dev/mmcblkN")
     number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
     node = (sys / "dev/block" / number).resolve()
     if (node / "partition").exists():
@@ -70,14 +70,14 @@ def check_device(device: Path, image_bytes: int, sys: Path = Path("/sys"), proc:
         if users:
             raise UsageError(f"{device}: in use: /dev/{part.name} is {users[0]}")
     if _read(node / "ro") == "1":
-        raise UsageError(f"{device}: write-protected, look at the card's switch")
-    # A card in a built-in reader is not "removable" to Linux: mmc says what it is.
+        raise UsageError(f"{device}: write-protected, check the switch on the card")
+    # Linux does not mark a card in a built-in reader as removable; the mmc driver reports its type.
     removable = _read(node / "removable") == "1" or _read(node / "device/type") == "SD" or (node / "loop").is_dir()
     if not removable:
-        raise UsageError(f"{device}: not removable, so no SD card")
+        raise UsageError(f"{device}: not removable, so not an SD card")
     size = int(_read(node / "size") or 0) * SECTOR
     if size == 0:
-        raise UsageError(f"{device}: no card in it")
+        raise UsageError(f"{device}: there is no card in it")
     if size < image_bytes:
         raise UsageError(f"{device}: too small: {size} bytes, the image needs {image_bytes} bytes")
     model = " ".join(
@@ -87,13 +87,13 @@ def check_device(device: Path, image_bytes: int, sys: Path = Path("/sys"), proc:
 
 
 def write(image: Path, card: Card, progress: Progress) -> str:
-    """Write an image to a card, read it back, return its SHA-256. `progress` gets what is done and the bytes so far.
+    """Write an image to a card, read it back, return its SHA-256. `progress` gets the step and its bytes so far.
 
-    Raises InfrastructureError when the card fails, is taken by someone else meanwhile, or holds something else then,
-    and when the image cannot be read.
+    Raises InfrastructureError when the card fails, is used by another program, or reads back wrong, and when the image
+    cannot be read.
     """
     try:
-        # O_EXCL on a block device: the kernel refuses while it is mounted, and nobody can mount it now.
+        # O_EXCL on a block device: the kernel refuses if it is mounted, and refuses to mount it while it is open.
         handle = os.open(card.path, os.O_RDWR | os.O_EXCL)
     except OSError as error:
         raise InfrastructureError(f"{card.path}: {error.strerror}") from error
@@ -105,14 +105,14 @@ def write(image: Path, card: Card, progress: Progress) -> str:
             _compare(image, device, card, progress)
         except OSError as error:
             raise InfrastructureError(f"{card.path}: {error.strerror}") from error
-        # Refused by a loop device without partitions; a card's are read when it is put in again anyway.
+        # A loop device without partitions refuses this; those of a card are read again when it is inserted.
         with contextlib.suppress(OSError):
             fcntl.ioctl(device, BLKRRPART)
     return written
 
 
 def _chunks(image: Path) -> Iterator[bytes]:
-    """The image piece by piece: what goes wrong in here is not the card's fault."""
+    """The image in pieces. Errors here name the image, not the card."""
     try:
         with image.open("rb") as source:
             while chunk := source.read(CHUNK):
@@ -152,7 +152,7 @@ def _compare(image: Path, device: FileIO, card: Card, progress: Progress) -> Non
 
 
 def _users(node: Path, proc: Path) -> list[str]:
-    """Who uses a disk or partition: mounts, swap, device mapper and the like."""
+    """The uses of a disk or partition: mounts, swap, device mapper and the like."""
     number = _read(node / "dev")
     users = []
     for line in (proc / "self/mountinfo").read_text().splitlines():

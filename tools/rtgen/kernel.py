@@ -1,4 +1,4 @@
-"""A PREEMPT_RT kernel built from the fragment of a machine: Debian's pinned source, its RT patches, our options."""
+"""Build a PREEMPT_RT kernel from Debian's pinned source, its RT patches and the fragment of a machine."""
 
 import json
 import os
@@ -19,7 +19,7 @@ from rtgen.process import run
 SCHEMA = 1
 DEVICE_TREE = "omap4-panda-es-rt.dts"
 
-# The same source and options give the same bytes, whoever builds them and when.
+# With these the same source and options give the same bytes, independent of the builder and the time.
 _REPRODUCIBLE = {
     "KBUILD_BUILD_TIMESTAMP": "2014-04-24", "KBUILD_BUILD_USER": "rtgen", "KBUILD_BUILD_HOST": "meta-rt-tests",
     "KBUILD_BUILD_VERSION": "1", "LC_ALL": "C",
@@ -28,7 +28,7 @@ BUILD_TIMEOUT_S = 3 * 3600
 
 
 def plan(data: Data, machine: str) -> Verdict:
-    """The .config that would be built: the fragment of the pinned version on the machine's first base, verified."""
+    """Verify the .config that would be built: the machine's fragment for the pinned version on its first base."""
     tree = debian_source.open_debian(data)
     fragment = parse_fragment(render(data, machine, tree.kernel), "rendered")
     return verify_tree(data, tree, machine, data.machine(machine).bases[0], fragment, None)
@@ -38,9 +38,9 @@ def build(data: Data, machine: str, verdict: Verdict) -> Path:
     """Build the kernel that was planned for a machine; return its folder in the cache.
 
     The folder holds vmlinuz (zImage), config, modules/<release> (as in /lib/modules), dtbs/*.dtb, and kernel.json
-    (schema, release, version of the source, dtbs). Five minutes on two idle cores, nothing when it is there; an
-    interrupted build leaves nothing. Raises UsageError when a tool is missing or the options do not hold,
-    InfrastructureError when a step fails.
+    (schema, release, version of the source, dtbs). Takes five minutes on two idle cores unless it is in the cache; an
+    interrupted build leaves nothing. Raises UsageError when the options do not hold, InfrastructureError when a tool is
+    missing or a step fails.
     """
     if verdict.mismatches:
         raise UsageError(f"{verdict.subject}: options do not hold: {', '.join(m.symbol for m in verdict.mismatches)}")
@@ -78,10 +78,10 @@ def _make(folder: Path, objects: Path) -> list[str]:
     compiler = f"{CROSS_COMPILE}gcc"
     if shutil.which("ccache"):
         compiler = f"ccache {compiler}"
-        # The build's folder has another name every time; ccache must not see it.
+        # The build folder's name changes with every build; without these ccache would never find an object again.
         variables |= {"CCACHE_BASEDIR": str(folder), "CCACHE_NOHASHDIR": "1"}
     settings = [f"{name}={value}" for name, value in variables.items()]
-    # Objects below the source: the kernel's make then names its files relatively.
+    # With the objects below the source, the kernel's make uses relative file names.
     return ["env", *settings, "make", "-s", "-C", str(objects.parent), f"O={objects.name}", "ARCH=arm",
             f"CROSS_COMPILE={CROSS_COMPILE}", f"CC={compiler}"]  # fmt: skip
 
@@ -97,7 +97,7 @@ def _add_device_tree(source: Path, device_tree: Path) -> None:
 
 
 def _refuse_change(planned: str, made: str) -> None:
-    """The kernel's make must come to the .config that was verified."""
+    """Raise InfrastructureError if the kernel's make produced another .config than the verified one."""
     different = sorted(set(_settings(planned)) ^ set(_settings(made)))
     if different:
         raise InfrastructureError(f"the kernel's make changed the verified .config: {', '.join(different[:5])}")
@@ -113,10 +113,10 @@ def _collect(folder: Path, objects: Path, release: str, dtbs: Sequence[str]) -> 
     shutil.copy(objects / ".config", folder / "config")
     (folder / "dtbs").mkdir()
     for name in dtbs:
-        found = next(iter(sorted((boot / "dts").glob(f"**/{name}"))), None)
-        if found is None:
+        built = next(iter(sorted((boot / "dts").glob(f"**/{name}"))), None)
+        if built is None:
             raise InfrastructureError(f"the kernel's make built no {name}")
-        shutil.copy(found, folder / "dtbs" / name)
+        shutil.copy(built, folder / "dtbs" / name)
     run(["depmod", "--basedir", str(folder / "installed"), release])
     modules = folder / "installed/lib/modules" / release
     for link in ("build", "source"):

@@ -1,7 +1,7 @@
-"""Profiles: one YAML file says which image is built from what.
+"""Profiles: a YAML file that describes an image and its sources.
 
 `load_profile` takes the name of a profile that comes with rtgen or the path of a file, and raises UsageError with
-file and key path for anything that is unknown or does not fit together.
+file and key path for values that are unknown or do not fit together.
 """
 
 import re
@@ -17,7 +17,7 @@ from rtfiles.errors import UsageError
 PROFILES = Path(__file__).with_name("profiles")
 RELEASES_FILE = Path(__file__).parent / "layer" / "releases.yml"
 DEFAULT_PROFILE = "scarthgap-noetic"
-LAYER = "meta-rt-tests"  # the folder that is rendered
+LAYER = "meta-rt-tests"  # the rendered folder
 
 Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
 
@@ -31,11 +31,11 @@ def _matches(pattern: str, allowed: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-# What ends up in recipes and shell: nothing that BitBake, kas or a shell would take for syntax.
+# These values end up in recipes and shell: they hold no character that is syntax to BitBake, kas or a shell.
 Commit = Annotated[str, _matches(r"[0-9a-f]{40}", "a commit of 40 lower-case hex digits")]
 Url = Annotated[str, _matches(r"(https?|git)://[\w.~:/@%+-]+", "an http(s) or git address")]
 Name = Annotated[str, _matches(r"[a-z0-9][a-z0-9.+_-]*", "a name of lower-case letters, digits and . + _ -")]
-# BitBake takes what follows an underscore for the version.
+# BitBake reads the part after an underscore as the version.
 RecipeName = Annotated[str, _matches(r"[a-z0-9][a-z0-9.+-]*", "a name of lower-case letters, digits and . + -")]
 Branch = Annotated[str, _matches(r"\w[\w.+/-]*", "a branch of letters, digits and . + / _ -")]
 LayerPath = Annotated[str, _matches(r"\.|\w[\w.+-]*(/\w[\w.+-]*)*", "a folder in the repository, or . for its top")]
@@ -44,8 +44,8 @@ Line = Annotated[
     str, _matches(r"[^$\\\x00-\x1f\x7f-\x9f\u2028\u2029]+", "one line of printable text without $ and backslash")
 ]
 
-# Kinds of public keys, and the base64 that follows the kind: what it begins with and how long it is, so that a key that
-# was cut off is seen (of RSA's, at least 1024 bits: three of four). For Python's re and for grep -E.
+# Kinds of public keys, and the form of the base64 that follows: its beginning and its length, so that a truncated key
+# is refused (of RSA keys, which have any length from 1024 bits, three of four). For Python's re and for grep -E.
 _BASE64 = "[A-Za-z0-9+/]"
 KEY_TYPES = {
     "ssh-ed25519": f"AAAAC3NzaC1lZDI1NTE5AAAAI{_BASE64}{{43}}",
@@ -65,14 +65,14 @@ KeyType = Annotated[str, _matches("|".join(KEY_TYPES), f"one of {', '.join(KEY_T
 
 
 class KernelRecipe(Config):
-    """A kernel recipe that a release's layers have: its series, and how PREEMPT_RT gets into it (see `Kernel`)."""
+    """A kernel recipe in the layers of a release: its series, and how it gets PREEMPT_RT (see `Kernel`)."""
 
     versions: Strings
     rt: Literal["branch", "patch"]
 
 
 class Release(Config):
-    """What a Yocto release expects of a layer; releases.yml explains each fact.
+    """The facts of a Yocto release that a layer depends on; releases.yml explains each.
 
     `modern`: BitBake and meta-ros as they are since 2022, with catkin-native, ros_distro classes, linux-yocto-rt, and
     the newer names of variables and exceptions; false for those of 2013.
@@ -120,9 +120,9 @@ class KernelSource(Config):
 
 
 class Kernel(Config):
-    """The kernel of a machine, and how PREEMPT_RT gets into it.
+    """The kernel of a machine, and how it gets PREEMPT_RT.
 
-    `rt`: "branch" (the recipe's branch carries the RT patch) or "patch" (ours adds it, from `source`).
+    `rt`: "branch" (the recipe's branch carries the RT patch) or "patch" (our append adds it, from `source`).
     """
 
     recipe: Name
@@ -157,7 +157,7 @@ class SdCard(Config):
 
 
 class Machine(Config):
-    """A machine the layer builds for. `sd_card`: of the PandaBoard ES only, others have image types of their own."""
+    """A machine of the layer. `sd_card` is for the PandaBoard ES only; other machines have image types of their own."""
 
     kernel: Kernel
     serial_console: Console
@@ -166,7 +166,7 @@ class Machine(Config):
 
 
 class SuiteSource(Config):
-    """Where the suites come from when not from this repository."""
+    """The source of the suites, if it is not this repository."""
 
     url: Url
     branch: Branch
@@ -175,21 +175,21 @@ class SuiteSource(Config):
 
 
 class Image(Config):
-    """The image and what is put into it beside the suites and the SSH server."""
+    """The image and its packages, apart from the suites and the SSH server."""
 
     name: RecipeName
     packages: Annotated[tuple[Name, ...], Field(strict=False)]
 
 
 class Ssh(Config):
-    """SSH server, and the public keys that may log in as root beside those of RT_TESTS_AUTHORIZED_KEYS."""
+    """The SSH server, and public keys that may log in as root, in addition to RT_TESTS_AUTHORIZED_KEYS."""
 
     server: Literal["openssh", "dropbear"]
     authorized_keys: Annotated[tuple[Line, ...], Field(strict=False)] = ()
 
 
 class Profile(Config):
-    """One image: Yocto release, layers, machines, kernel, contents. The first machine is what kas.yml builds."""
+    """One image: Yocto release, layers, machines, kernel, contents. kas.yml builds for the first machine."""
 
     schema_: Literal[1] = Field(alias="schema")
     summary: str
@@ -219,7 +219,7 @@ def profile_names() -> list[str]:
 
 
 def profile_path(name: str) -> Path:
-    """Where a profile is: a name that comes with rtgen, or a path ending in .yml."""
+    """The file of a profile, given by a name that comes with rtgen or by a path ending in .yml."""
     if name.endswith(".yml"):
         return Path(name)
     if name not in profile_names():
@@ -228,7 +228,7 @@ def profile_path(name: str) -> Path:
 
 
 def load_profile(name: str) -> tuple[Profile, Release]:
-    """Read a profile and the release it names, and check that they fit. Raises UsageError, a line a problem."""
+    """Read a profile and the release that it names. Raises UsageError with a line for each value that does not fit."""
     path = profile_path(name)
     profile = load(path, Profile)
     releases = load_releases()
@@ -242,7 +242,7 @@ def load_profile(name: str) -> tuple[Profile, Release]:
 
 
 def _misfits(profile: Profile, release: Release) -> list[str]:
-    """What of the profile does not exist in its release, as `key path: what, what is allowed`."""
+    """The values of a profile that its release does not have, as `key path: value, allowed values`."""
     problems = []
 
     def check(key: str, value: str, allowed: tuple[str, ...]) -> None:
@@ -260,7 +260,7 @@ def _misfits(profile: Profile, release: Release) -> list[str]:
         if machine.sd_card and not release.wic_boot_plugin:
             problems.append(f"machines.{name}.sd_card: {profile.release} has no image type wic, leave it out")
         elif machine.sd_card and name != "pandaboard-es":
-            problems.append(f"machines.{name}.sd_card: only pandaboard-es boots from the card we make, leave it out")
+            problems.append(f"machines.{name}.sd_card: only pandaboard-es boots from that card, leave it out")
     if release.own_suites and profile.suites:
         problems.append(f"suites: those of this repository are built in {profile.release}, leave it out")
     if not release.own_suites and not profile.suites:
@@ -272,7 +272,7 @@ def _misfits(profile: Profile, release: Release) -> list[str]:
     if LAYER in profile.repositories:
         problems.append(f"repositories.{LAYER}: the name of the rendered layer, choose another")
     if not {"bitbake", "poky"} & set(profile.repositories):
-        problems.append("repositories: BitBake is missing, a repository is to be named bitbake, or poky, which has it")
+        problems.append("repositories: BitBake is missing, name a repository bitbake, or poky, which contains it")
     given = {
         name if layer == "." else layer.rpartition("/")[2]
         for name, repository in profile.repositories.items()

@@ -1,4 +1,4 @@
-"""Build the catkin packages of recipes-tests, one after the other, natively or for a board."""
+"""Build the catkin packages of recipes-tests one after the other, for this machine or a board."""
 
 import hashlib
 import json
@@ -21,17 +21,17 @@ HERE = Path(__file__).parent
 FLAGS = "-O2"
 SUPPORT = "rt_tests_support"
 
-# Debian packages whose versions decide what a native build becomes.
+# Debian packages whose versions change the result of a native build.
 HOST_PACKAGES = ("catkin", "libroscpp-dev", "python3-gencpp", "ros-message-generation")
-# The Python that Debian's catkin and genmsg belong to, whatever Python runs us.
+# The Python for which Debian's catkin and genmsg are installed; rtgen may run in another one.
 SYSTEM_PYTHON = "/usr/bin/python3"
-# Only C++ messages are needed; a generator of another language is one the target would have to have, too.
+# Only C++ messages are needed; for other languages the target would need packages, too.
 ROS_LANG_DISABLE = "genlisp:genpy"
 
 
 @dataclass(frozen=True)
 class Toolchain:
-    """What a build is made with: the compiler, a sysroot for a foreign one, and what tells two builds apart."""
+    """The compiler, the sysroot of a cross compiler, and words that identify both in the cache."""
 
     compiler: str
     sysroot: Path | None
@@ -49,12 +49,12 @@ def packages() -> list[str]:
 
 
 def names() -> list[str]:
-    """The machines there are: this one, and the emulated boards."""
+    """The known machines: this one, and the emulated boards."""
     return ["host", *machines().machines]
 
 
 def toolchain(machine: str) -> Toolchain:
-    """Find or make what a machine's build needs. Raises UsageError for an unknown machine or a missing tool."""
+    """Find or make the tools of a machine's build. Raises UsageError for an unknown machine, InfrastructureError."""
     if machine not in names():
         raise UsageError(f"unknown machine {machine!r}, known: {', '.join(names())}")
     if machine != "host":
@@ -68,8 +68,8 @@ def toolchain(machine: str) -> Toolchain:
 def build(machine: str, place: Path) -> Path:
     """Build for `host` or a board; return `place`/<machine>, a link to the result in the cache.
 
-    About half a minute the first time, nothing when nothing changed. Raises UsageError as `toolchain` does and
-    InfrastructureError with the compiler's words.
+    Takes about half a minute; an unchanged build is taken from the cache. Raises UsageError as `toolchain` does and
+    InfrastructureError with the compiler's output.
     """
     tools = toolchain(machine)
     folder = sources()
@@ -94,14 +94,14 @@ def build(machine: str, place: Path) -> Path:
         }
         atomic.write_text(result / "build.json", json.dumps(record, indent=2) + "\n")
 
-    # The record names the machine, so each has its entry.
+    # The record names the machine, so each machine needs an entry of its own.
     entry = cache.entry("suites", f"{machine}-{key}", build_in)
     atomic.replace_link(place / machine, entry)
     return place / machine
 
 
 def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) -> None:
-    """Configure, compile and install one catkin package into the stage, where the next one finds it."""
+    """Configure, compile and install one catkin package into the stage, where later packages find it."""
     work = temporary / source.name
     options = {
         "CMAKE_INSTALL_PREFIX": str(stage),
@@ -120,7 +120,7 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
     if shutil.which("ccache"):
         options["CMAKE_CXX_COMPILER_LAUNCHER"] = "ccache"
     definitions = [f"-D{name}={value}" for name, value in options.items()]
-    # Paths below the temporary folder are told apart by nothing else than its name: ccache may look past it.
+    # The temporary folder's name changes with every build; ccache has to ignore it.
     environment = {
         **os.environ,
         "CCACHE_BASEDIR": str(temporary),
@@ -132,15 +132,15 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
 
 
 def collect(stage: Path, result: Path) -> None:
-    """Take from the stage what a target runs: programs, launch files, and what rosrun and roslaunch find them by."""
+    """Copy from the stage the programs, the launch files, and the files by which rosrun and roslaunch find them."""
     (result / ".catkin").touch()
     for package in packages():
         if package == SUPPORT:
             continue
         shutil.copytree(stage / "lib" / package, result / "lib" / package)
-        share = result / "share" / package
-        shutil.copytree(stage / "share" / package / "launch", share / "launch")
-        shutil.copyfile(stage / "share" / package / "package.xml", share / "package.xml")
+        data = result / "share" / package
+        shutil.copytree(stage / "share" / package / "launch", data / "launch")
+        shutil.copyfile(stage / "share" / package / "package.xml", data / "package.xml")
 
 
 def describe(folder: Path) -> dict[str, dict[str, int | str]]:
@@ -156,5 +156,5 @@ def describe(folder: Path) -> dict[str, dict[str, int | str]]:
 
 
 def version(compiler: str) -> str:
-    """The first line of what a compiler says of itself."""
+    """The first line of a compiler's --version."""
     return run([compiler, "--version"]).splitlines()[0]

@@ -1,4 +1,4 @@
-"""The root file system of the emulated board: Debian's packages, the files their scripts would have made, keys."""
+"""The root file system of the emulated board: Debian's packages, files that their scripts would make, keys."""
 
 import compileall
 import os
@@ -13,19 +13,19 @@ from rtgen.board.kernel import Kernel
 from rtgen.board.packages import packages
 from rtgen.process import run
 
-# Our own files: /etc, in the form they have on the board.
+# Our own files, with the paths that they have on the board.
 OVERLAY = Path(__file__).with_name("root")
-# Tools that busybox stands in for, where no package brings one.
+# Tools that busybox provides if no package does.
 APPLETS = Path(__file__).with_name("applets.txt")
-# Room for suites and results on top of what is installed.
+# Free space for suites and results.
 FREE_BYTES = 384 * 2**20
-# What a test image must have, so that a missing one is found while building, not at three in the morning.
+# Files without which the board cannot work, checked while building.
 REQUIRED = ("bin/busybox", "bin/sh", "sbin/init", "usr/sbin/sshd", "usr/lib/openssh/sftp-server", "usr/bin/rosmaster")
 IMAGE, KEY, HOST_KEY, LIST, BUSYBOX = "root.img", "id_ed25519", "host_key.pub", "packages.list", "busybox"
 
 
 def build(kernel: Kernel, modules: list[str], folder: Path) -> None:
-    """Make root.img, the key id_ed25519 that opens it, and its host key's public half in an empty folder."""
+    """Make root.img, its login key id_ed25519, and the public part of its host key in an empty folder."""
     tree = folder / "tree"
     tree.mkdir()
     extracted = packages()
@@ -37,7 +37,7 @@ def build(kernel: Kernel, modules: list[str], folder: Path) -> None:
     add_bytecode(tree)
     missing = [name for name in REQUIRED if not os.path.lexists(tree / name)]
     if missing:
-        raise InfrastructureError(f"the packages lack what the board needs: {', '.join(missing)}")
+        raise InfrastructureError(f"the packages lack files that the board needs: {', '.join(missing)}")
     shutil.move(tree / debian.LIST, folder / LIST)
     shutil.copy(tree / "bin/busybox", folder / BUSYBOX)
     make_image(tree, folder / IMAGE)
@@ -45,7 +45,7 @@ def build(kernel: Kernel, modules: list[str], folder: Path) -> None:
 
 
 def add_places(tree: Path) -> None:
-    """Add folders that the kernel, our start script or the runner expect, and our own files."""
+    """Add our own files, and folders that the kernel, the start script or the runner expect."""
     for name in ("dev", "proc", "sys", "run", "tmp", "root/.ssh", "var/lib/rt-tests", "var/log", "var/tmp", "opt"):
         (tree / name).mkdir(parents=True, exist_ok=True)
     for name in ("tmp", "var/tmp"):
@@ -57,7 +57,7 @@ def add_places(tree: Path) -> None:
 
 
 def add_tools(tree: Path) -> None:
-    """Link busybox's tools, but for those that a package has brought."""
+    """Link busybox under the names of its tools, except where a package has the tool."""
     search = ("bin", "sbin", "usr/bin", "usr/sbin")
     for name in APPLETS.read_text(encoding="utf-8").split():
         if not any(os.path.lexists(tree / folder / name) for folder in search):
@@ -66,7 +66,7 @@ def add_tools(tree: Path) -> None:
 
 
 def add_modules(tree: Path, kernel: Kernel, modules: list[str]) -> None:
-    """Add the kernel's configuration, the named modules and what these need."""
+    """Add the kernel's configuration, the named modules and their dependencies."""
     (tree / "boot").mkdir(exist_ok=True)
     shutil.copy(kernel.config, tree / f"boot/config-{kernel.release}")
     target = tree / "lib/modules" / kernel.release
@@ -80,7 +80,7 @@ def add_modules(tree: Path, kernel: Kernel, modules: list[str]) -> None:
 
 
 def add_keys(tree: Path, folder: Path) -> None:
-    """Make the key that opens the board, and the one by which the board is known."""
+    """Make the login key and the host key."""
     host_key = tree / "etc/ssh/ssh_host_ed25519_key"
     for file, comment in ((folder / KEY, "rehearsal-board"), (host_key, "rehearsal-board-host")):
         run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", comment, "-f", str(file)])
@@ -89,11 +89,11 @@ def add_keys(tree: Path, folder: Path) -> None:
 
 
 def add_bytecode(tree: Path) -> None:
-    """Compile the Python modules, or the emulated CPU does it at every first start. Only the same Python can."""
+    """Compile the Python modules if this Python has the board's version; the emulated CPU would take long."""
     library = tree / f"usr/lib/python{sys.version_info.major}.{sys.version_info.minor}"
     if library.is_dir():
         for place in (library, tree / "usr/lib/python3/dist-packages"):
-            # By content, not by time: nothing on the board can make it stale, and the times of files may change.
+            # Unchecked: nothing on the board changes the modules, but the times of their files may change.
             mode = py_compile.PycInvalidationMode.UNCHECKED_HASH
             compileall.compile_dir(place, quiet=2, workers=2, stripdir=tree, prependdir="/", invalidation_mode=mode)
 
@@ -104,5 +104,5 @@ def make_image(tree: Path, image: Path) -> None:
     with image.open("wb") as stream:
         stream.truncate((used + FREE_BYTES) // 2**20 * 2**20)
     command = ["mke2fs", "-q", "-F", "-t", "ext4", "-L", "rehearsal", "-m", "0", "-d", str(tree), str(image)]
-    # A user's files are root's inside a user namespace, and so in the image.
+    # In a user namespace the user's files belong to root, and so they do in the image.
     run(command if os.geteuid() == 0 else ["unshare", "--user", "--map-root-user", *command])

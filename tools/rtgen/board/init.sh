@@ -1,5 +1,5 @@
 #!/bin/busybox sh
-# First program of the initial RAM disk: load the drivers of the disk, mount it, hand over to its init.
+# The first program of the initial RAM disk: load the drivers of the disk, mount it, start its init.
 give_up() {
     echo "initrd: $1, powering off"
     busybox poweroff -f

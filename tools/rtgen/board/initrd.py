@@ -19,7 +19,7 @@ class Entry:
 
 
 def archive(busybox: bytes, modules: dict[str, bytes]) -> bytes:
-    """Return the RAM disk. `modules` maps file names to contents, in the order in which they are to be loaded.
+    """Return the RAM disk. `modules` maps file names to contents, in the order of loading.
 
     Not compressed: the emulated CPU would take longer to expand it than QEMU takes to load it.
     """
@@ -30,7 +30,7 @@ def entries(busybox: bytes, modules: dict[str, bytes]) -> Iterator[Entry]:
     """The files of the RAM disk."""
     for folder in ("bin", "dev", "lib", "proc", "root", "sys"):
         yield Entry(folder, stat.S_IFDIR | 0o755)
-    # The kernel opens it for the first program before anything is mounted.
+    # The kernel opens it for the first program, before a file system is mounted.
     yield Entry("dev/console", stat.S_IFCHR | 0o600, device=(5, 1))
     yield Entry("bin/busybox", stat.S_IFREG | 0o755, busybox)
     yield Entry("init", stat.S_IFREG | 0o755, INIT.read_bytes())

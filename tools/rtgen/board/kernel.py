@@ -16,7 +16,7 @@ from rtgen.process import run
 
 @dataclass(frozen=True)
 class Kernel:
-    """What a board needs of a kernel.
+    """The files of a kernel that a board needs.
 
     `modules` is the folder ``lib/modules/<release>`` with modules.dep in it, `dtbs` a folder of ``*.dtb``.
     """
@@ -29,7 +29,7 @@ class Kernel:
     packages: dict[str, str]
 
     def files_of(self, modules: list[str]) -> list[str]:
-        """Files below `modules` to load, in order, for these names; see `module_files`."""
+        """Files below `modules` to load, in order, for these names; as `module_files` does."""
         return module_files((self.modules / "modules.dep").read_text(encoding="utf-8"), modules)
 
 
@@ -63,7 +63,7 @@ def debian_kernel() -> Kernel:
 def built_kernel(board: str) -> Kernel:
     """The kernel of `rtgen kernel build` for this board, from the cache or built (five minutes on two idle cores).
 
-    Raises UsageError when no fragment is for this board, or its options do not hold.
+    Raises UsageError when there is no fragment for this board or its options do not hold.
     """
     data = kconfig.load()
     machine = data.fragment_of(board)
@@ -80,27 +80,27 @@ def built_kernel(board: str) -> Kernel:
 
 
 def module_files(modules_dep: str, names: list[str]) -> list[str]:
-    """Files to load, in order, for the named modules: what a module needs comes before it, nothing comes twice.
+    """The files of the named modules in the order of loading: dependencies first, each file once.
 
-    `modules_dep` is the text of depmod's modules.dep; files are relative to its folder. A name that is not there is
-    built into the kernel (or the kernel lacks it, which the boot shows).
+    `modules_dep` is the text of depmod's modules.dep; files are relative to its folder. A name that is not in it is
+    taken for one that is built into the kernel.
     """
-    needs: dict[str, list[str]] = {}
+    dependencies_of: dict[str, list[str]] = {}
     by_name: dict[str, str] = {}
     for line in modules_dep.splitlines():
         file, _, dependencies = line.partition(":")
-        # The last one in the list is the first to load.
-        needs[file] = dependencies.split()[::-1]
+        # depmod lists the module to be loaded first at the end.
+        dependencies_of[file] = dependencies.split()[::-1]
         by_name[module_name(file)] = file
     order: list[str] = []
     for name in names:
         file = by_name.get(module_name(name), "")
-        for needed in [*needs.get(file, []), file]:
-            if needed and needed not in order:
-                order.append(needed)
+        for each in [*dependencies_of.get(file, []), file]:
+            if each and each not in order:
+                order.append(each)
     return order
 
 
 def module_name(file: str) -> str:
-    """Name of a module, as the kernel says it, from its file name."""
+    """The kernel's name of a module, from its file name."""
     return re.sub(r"\.ko(\.\w+)?$", "", Path(file).name).replace("-", "_")

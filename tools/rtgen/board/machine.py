@@ -10,7 +10,7 @@ from rtfiles.errors import UsageError
 
 
 class Machine(Config):
-    """One emulated board: arguments of qemu-system-arm and what the kernel must know about it.
+    """One emulated board: arguments of qemu-system-arm and of the kernel.
 
     `dtb` is the file name of the kernel's device tree, None where QEMU makes one.
     """
@@ -22,7 +22,7 @@ class Machine(Config):
 
 
 class Machines(Config):
-    """machines.yml: the boards, which of them is the default, kernel modules they load, each with a reason."""
+    """machines.yml: the boards, the default one, and the kernel modules that they load, each with a reason."""
 
     default: str
     modules: dict[str, str]
@@ -31,7 +31,7 @@ class Machines(Config):
     @model_validator(mode="after")
     def _default_is_one_of_them(self) -> "Machines":
         if self.default not in self.machines:
-            raise ValueError(f"default {self.default!r} is none of {', '.join(self.machines)}")
+            raise ValueError(f"default {self.default!r} is not one of {', '.join(self.machines)}")
         return self
 
 
@@ -41,7 +41,7 @@ def machines() -> Machines:
 
 
 def find(name: str) -> Machine:
-    """The machine of this name; UsageError lists those there are."""
+    """The machine of this name; UsageError lists the known ones."""
     known = machines().machines
     if name not in known:
         raise UsageError(f"unknown machine {name!r}, known: {', '.join(known)}")

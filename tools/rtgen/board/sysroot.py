@@ -1,4 +1,4 @@
-"""The folder that programs for the emulated board are compiled and linked against."""
+"""The folder against which programs for the emulated board are compiled and linked."""
 
 from pathlib import Path
 

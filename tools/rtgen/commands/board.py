@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the board and say where it is."""
+    """Build the board and print its folder."""
     from rtfiles.output import print_line
     from rtgen.board.build import build
     from rtgen.board.machine import machines

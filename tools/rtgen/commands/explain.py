@@ -1,11 +1,11 @@
-"""rtgen explain: what a profile resolves to."""
+"""rtgen explain: show a profile with everything that follows from it."""
 
 import argparse
 
 from rtgen.profile import DEFAULT_PROFILE
 
 NAME = "explain"
-HELP = "show what a profile resolves to: layers, kernels, fragments, files"
+HELP = "show layers, kernels, fragments and files of a profile"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

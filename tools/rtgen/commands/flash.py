@@ -26,9 +26,9 @@ def run(args: argparse.Namespace) -> int:
     print_line(f"{args.image} ({size} bytes) -> {card.path}: {card.model}, {card.size_bytes} bytes.")
     print_line(f"Everything on {card.path} will be lost.")
     if not args.yes:
-        # A closed standard input is None.
+        # Python sets a closed standard input to None.
         if not sys.stdin or not sys.stdin.isatty():
-            raise UsageError("nobody to ask for confirmation: give --yes")
+            raise UsageError("standard input is no terminal, so nobody can confirm: give --yes")
         try:
             answer = input(f"Type {card.name} to go on: ")
         except EOFError:

@@ -1,4 +1,4 @@
-"""``rtgen kconfig``: kernel fragments, rendered and proved."""
+"""``rtgen kconfig``: render and verify kernel fragments."""
 
 import argparse
 from pathlib import Path
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rtgen.kconfig.verify import Verdict
 
 NAME = "kconfig"
-HELP = "render PREEMPT_RT kernel fragments, and prove that they take effect"
+HELP = "render PREEMPT_RT kernel fragments, and verify that they take effect"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,24 +24,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     render.add_argument("--machine", help="pandaboard-es, qemu-armv7 (default: every machine)")
     render.add_argument("--kernel", help="3.4, 6.1, ... (default: every version)")
     render.add_argument(
-        "--check", action="store_true", help="write nothing, show the drift; exit status 1 if there is any"
+        "--check", action="store_true", help="write nothing, show differences; exit status 1 if there are any"
     )
-    text = "hold what the kernel makes of a fragment, or a finished .config, against kconfig/options"
+    text = "compare the .config that the kernel makes from a fragment, or a finished .config, with kconfig/options"
     verify = commands.add_parser("verify", help=text, description=text)
     verify.add_argument("--machine", help="pandaboard-es, qemu-armv7 (default with --source: every machine)")
     verify.add_argument(
-        "--source", metavar="TREE", help="a kernel tree, a Kconfig-only tree, or 'debian', which gets one"
+        "--source", metavar="TREE", help="a kernel tree, a Kconfig-only tree, or 'debian', which downloads one"
     )
-    verify.add_argument(
-        "--fragment", type=Path, metavar="FILE", help="put this one on the base instead of the rendered one"
-    )
+    verify.add_argument("--fragment", type=Path, metavar="FILE", help="use this fragment instead of the rendered one")
     verify.add_argument(
         "--config", type=Path, metavar="FILE", help="a finished .config, a /boot/config-*, a copy of /proc/config.gz"
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 if all is as it should be, 1 on drift or a mismatch."""
+    """0 if everything is right, 1 for an outdated fragment or an option that does not hold."""
     return _render(args) if args.action == "render" else _verify(args)
 
 
@@ -54,7 +52,7 @@ def _render(args: argparse.Namespace) -> int:
     data = kconfig.load()
     machines = [args.machine] if args.machine else list(data.machines)
     kernels = [args.kernel] if args.kernel else list(data.kernels)
-    drifted = False
+    outdated = False
     for machine in machines:
         for kernel in kernels:
             text, path = render(data, machine, kernel), fragment_path(data, machine, kernel)
@@ -65,14 +63,14 @@ def _render(args: argparse.Namespace) -> int:
                 atomic.write_text(path, text)
                 print_line(f"{name}: {'unchanged' if before == text else 'written'}")
             elif before != text:
-                drifted = True
+                outdated = True
                 diff = difflib.unified_diff(
                     before.splitlines(keepends=True), text.splitlines(keepends=True), name, f"{name} (rendered)"
                 )
                 print_text("".join(diff))
-    if args.check and not drifted:
+    if args.check and not outdated:
         print_line(f"{len(machines) * len(kernels)} fragments are as rendered")
-    return int(drifted)
+    return int(outdated)
 
 
 def _verify(args: argparse.Namespace) -> int:

@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when the kernel is there, 1 when its options do not hold."""
+    """0 when the kernel is built, 1 when its options do not hold."""
     from rtfiles.output import print_line
     from rtgen import kernel
     from rtgen.commands.kconfig import report

@@ -1,4 +1,4 @@
-"""rtgen new-profile: start a profile of one's own from another."""
+"""rtgen new-profile: copy a profile as the start of another one."""
 
 import argparse
 import os
@@ -7,7 +7,7 @@ from pathlib import Path
 from rtgen.profile import DEFAULT_PROFILE
 
 NAME = "new-profile"
-HELP = "write a profile of your own, derived from another, to edit"
+HELP = "copy a profile to a file of your own, to edit"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{args.file}: exists, choose another name")
     if not args.file.parent.is_dir():
         raise UsageError(f"{args.file.parent}: no such folder")
-    load_profile(args.origin)  # what is wrong already is not worth a copy
+    load_profile(args.origin)  # an invalid profile is not copied
     text = profile_path(args.origin).read_text(encoding="utf-8")
     atomic.write_text(args.file, f"# Derived from {args.origin}.\n{text}")
     print_line(f"{args.file}: a copy of {args.origin}; edit it, then: rtgen render --profile {args.file} --out DIR")

@@ -1,4 +1,4 @@
-"""rtgen render: write the layer and kas.yml of a profile, or check that they are what it renders."""
+"""rtgen render: write the layer and kas.yml of a profile, or compare them with it."""
 
 import argparse
 from pathlib import Path
@@ -13,7 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--profile", default=DEFAULT_PROFILE, help=f"name or file (….yml) [{DEFAULT_PROFILE}]")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write to [this repository]")
     parser.add_argument(
-        "--check", action="store_true", help="write nothing; show what differs and exit 1 if anything does"
+        "--check", action="store_true", help="write nothing, show differences; exit status 1 if there are any"
     )
 
 

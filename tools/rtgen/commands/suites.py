@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the suites and say where they are."""
+    """Build the suites and print their folder."""
     from rtfiles.output import print_line
     from rtgen.suites import build
 

@@ -16,7 +16,7 @@ _VALUE = re.compile(r'[ymn]|-?\d+|0x[0-9a-fA-F]+|"[^"]*"')
 
 
 class Option(config.Config):
-    """One kernel option: the value it must have, why, who says so, and for which kernels (since <= kernel < before)."""
+    """A kernel option: its value, the reason, the source of that reason, and its kernels (since <= kernel < before)."""
 
     symbol: str = Field(pattern=r"^[A-Z0-9_]+$")
     value: str | int
@@ -49,7 +49,7 @@ class Concern(config.Config):
 
 
 class Kernel(config.Config):
-    """A kernel version: the symbol that means PREEMPT_RT, and the patch series that 32-bit ARM needs for it."""
+    """A kernel version: the symbol that enables PREEMPT_RT, and the patch series that adds it for 32-bit ARM."""
 
     rt_series: str | None
     rt_symbol: str
@@ -57,7 +57,7 @@ class Kernel(config.Config):
 
 
 class Machine(config.Config):
-    """What a fragment is made of, the configs it must take effect on, and other boards that run the same kernel."""
+    """The concerns of a fragment, the bases on which it must take effect, and boards that run the same kernel."""
 
     summary: str
     bases: list[str] = Field(min_length=1)
@@ -125,7 +125,7 @@ class Data:
         return self.machines[name]
 
     def fragment_of(self, board: str) -> str:
-        """The machine whose fragment a board runs: itself, or the one that lists it. Raises UsageError."""
+        """The machine whose kernel a board runs: the board itself, or the machine that lists it. Raises UsageError."""
         names = [name for name, machine in self.machines.items() if board in (name, *machine.boards)]
         if not names:
             boards = [board for name, machine in self.machines.items() for board in (name, *machine.boards)]
@@ -185,6 +185,6 @@ def _refuse_twice(data: Data, machine: str, kernel: str) -> None:
             if option.symbol in seen:
                 raise UsageError(
                     f"{data.folder / 'options' / concern}.yml: {option.symbol} is given twice to {machine} {kernel}, "
-                    f"the other is in {seen[option.symbol]}.yml: keep one, or part them by since and before"
+                    f"the other is in {seen[option.symbol]}.yml: keep one, or separate them by since and before"
                 )
             seen[option.symbol] = concern

@@ -1,8 +1,8 @@
-"""The pinned kernel of Debian: its tree, and the RT patches that are kept beside it in the source package.
+"""The pinned kernel of Debian: its tree, and the RT patches from the same version of the source package.
 
-Debian's ``linux-source`` package has no RT patch inside; the packaging part of the source package has them, in
-``debian/patches-rt``. Both must be of one version, or patches fail. What apt needs to bring them lives in a folder of
-its own: the machine's sources stay as they are.
+Debian's ``linux-source`` package does not contain the RT patches; the packaging part of the source package does, in
+``debian/patches-rt``. Both must have the same version, or the patches do not apply. apt uses a folder of its own for
+the download and leaves the machine's package lists and sources as they are.
 """
 
 import hashlib
@@ -22,10 +22,10 @@ _SERIES = "debian/patches-rt"
 
 
 def open_debian(data: Data) -> Tree:
-    """Debian's kernel tree with its RT patches, as far as Kconfig reads it.
+    """The files of Debian's kernel tree, with its RT patches, that Kconfig reads.
 
     Downloads 140 MB and takes half a minute the first time. Raises InfrastructureError when Debian does not serve the
-    pinned version any more, or something else.
+    pinned version any more, or when a checksum is wrong.
     """
     pinned = data.debian
 
@@ -38,7 +38,7 @@ def open_debian(data: Data) -> Tree:
 
 
 def unpack(pinned: DebianSource, folder: Path, *, whole: bool) -> Path:
-    """Unpack the pinned kernel with its RT patches to ``folder/linux``: all of it, or what `tree.wanted` names."""
+    """Unpack the pinned kernel with its RT patches to ``folder/linux``: all files or those that Kconfig reads."""
     files = downloads(pinned)
     packed = folder / "package"
     packed.mkdir()
@@ -64,7 +64,7 @@ def unpack(pinned: DebianSource, folder: Path, *, whole: bool) -> Path:
 
 
 def sections(patch: bytes) -> bytes:
-    """The sections of a git patch whose file `tree.wanted` names."""
+    """The sections of a git patch whose file `tree.wanted` selects."""
     parts = re.split(rb"^(?=diff --git )", patch, flags=re.M)[1:]
     kept = []
     for part in parts:
@@ -75,7 +75,7 @@ def sections(patch: bytes) -> bytes:
 
 
 def downloads(pinned: DebianSource) -> Path:
-    """The folder with the two pinned files, from the cache or downloaded, their checksums compared."""
+    """The folder with the two pinned files, from the cache or downloaded and compared with their checksums."""
 
     def build(folder: Path) -> None:
         apt = folder / "apt"
@@ -92,23 +92,23 @@ def downloads(pinned: DebianSource) -> Path:
                 dict.fromkeys(line.split("|")[1].strip() for line in served.splitlines() if "|" in line)
             )
             raise InfrastructureError(
-                f"{package} and its source cannot be had, served: {versions or 'none'}; "
-                f"if that one is gone, pin another in kconfig/sources.yml\n{error}"
+                f"{package} and its source cannot be downloaded, served: {versions or 'none'}; "
+                f"if that version is gone, pin another in kconfig/sources.yml\n{error}"
             ) from error
         for file in (pinned.tree, pinned.patches):
-            found = _sha256(folder / file.file)
-            if found != file.sha256:
-                raise InfrastructureError(f"{file.file}: sha256 is {found}, kconfig/sources.yml pins {file.sha256}")
+            checksum = _sha256(folder / file.file)
+            if checksum != file.sha256:
+                raise InfrastructureError(f"{file.file}: sha256 is {checksum}, kconfig/sources.yml pins {file.sha256}")
         shutil.rmtree(apt)
 
     return cache.entry("kernel-source", cache.digest([pinned.model_dump_json(), "1"]), build)
 
 
 def _private_apt(folder: Path, pinned: DebianSource) -> list[str]:
-    """An apt of its own in this folder, and the options that make apt-get use it."""
+    """Make folders and lists for apt in this folder; returns the options that make apt-get use them."""
     _, mirror = source()
     if mirror is None:
-        raise InfrastructureError("the kernel's source comes from Debian, and apt on this machine has no Debian mirror")
+        raise InfrastructureError("the kernel's source comes from Debian, but apt on this machine has no Debian mirror")
     uri = mirror.split()[1]
     (folder / "lists/partial").mkdir(parents=True)
     (folder / "archives/partial").mkdir(parents=True)

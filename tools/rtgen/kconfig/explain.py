@@ -1,7 +1,7 @@
-"""Why a symbol did not get its value: read out of the tree's Kconfig files with kconfiglib.
+"""Explain why a symbol did not get its value, from the tree's Kconfig files, with kconfiglib.
 
-The verdict is the kernel's own ``conf``'s; this only finds the words for it. kconfiglib takes its settings from the
-process environment and runs the compiler where it stands, so `explain` runs this module as a process of its own.
+The kernel's own ``conf`` decides whether an option holds; this only explains it. kconfiglib reads its settings from the
+process environment and runs the compiler in the current folder, so `explain` runs this module as another process.
 """
 
 import difflib
@@ -19,13 +19,13 @@ from rtfiles.errors import InfrastructureError
 from rtgen.kconfig.tree import Tree, environment
 from rtgen.process import run
 
-# Words of newer Kconfig languages that kconfiglib 14.1 does not know: the first has an older spelling, the second
-# only matters to a config that is carried over from an older kernel.
+# Keywords of newer Kconfig versions that kconfiglib 14.1 does not know. The first has an older spelling. The second
+# matters only for a config that is converted from an older kernel.
 _NEWER = ((re.compile(r"^\s+modules\s*$"), "\toption modules\n"), (re.compile(r"^\s+transitional\s*$"), "\n"))
 
 
 def explain(tree: Tree, config: str, wanted: Mapping[str, str]) -> dict[str, str]:
-    """One reason for each symbol of a finished .config that has not the wanted value.
+    """A reason for each symbol whose value in a finished .config is not the wanted one.
 
     A symbol without a reason here means that kconfiglib could not read the tree or sees no difference.
     """
@@ -58,7 +58,7 @@ class _Kconfig(kconfiglib.Kconfig):  # type: ignore[misc]  # kconfiglib has no t
 
 
 class _Rewritten:
-    """A Kconfig file whose newer words kconfiglib understands."""
+    """A Kconfig file with the newer keywords replaced by older ones."""
 
     def __init__(self, stream: IO[str]) -> None:
         self._stream = stream
@@ -72,14 +72,14 @@ class _Rewritten:
 
 
 def reason(symbol: Any, value: str) -> str | None:
-    """Why a kconfiglib symbol has not this value in the loaded config."""
+    """Why a kconfiglib symbol does not have this value in the loaded config; None if it has."""
     if symbol.str_value == value:
         return None
     if symbol.orig_type not in (kconfiglib.BOOL, kconfiglib.TRISTATE):
         return _reason_number(symbol, value)
     rank = {"n": 0, "m": 1, "y": 2}
     if value not in rank:
-        return f"is a yes or no, it cannot be {value}"
+        return f"is y, m or n, it cannot be {value}"
     if rank[value] < symbol.tri_value:
         return _reason_on(symbol)
     if value == "m" and symbol.orig_type == kconfiglib.BOOL:
@@ -92,11 +92,11 @@ def reason(symbol: Any, value: str) -> str | None:
         return f"choice lost: {chosen.name} was chosen" + (f' in "{prompt[0]}"' if prompt else "")
     prompts = [node.prompt[1] for node in symbol.nodes if node.prompt]
     if not prompts:
-        return f"has no prompt, only another option can turn it on{_who_selects(symbol)}"
+        return f"has no prompt, only another option can select it{_selecting(symbol)}"
     hidden = [term for condition in prompts for term in _terms_below(condition, rank[value])]
     if hidden:
         return "its prompt is hidden, unmet dependency " + ", ".join(dict.fromkeys(hidden))
-    return f"is not asked for, and its default is {symbol.str_value}{_who_selects(symbol)}"
+    return f"is not set, and its default is {symbol.str_value}{_selecting(symbol)}"
 
 
 def _reason_number(symbol: Any, value: str) -> str:
@@ -104,7 +104,7 @@ def _reason_number(symbol: Any, value: str) -> str:
         if kconfiglib.expr_value(condition):
             return f"{value} is out of its range {low.str_value} to {high.str_value}"
     unmet = _terms_below(symbol.direct_dep, 1)
-    return "unmet dependency " + ", ".join(unmet) if unmet else "is not asked for, this is its default"
+    return "unmet dependency " + ", ".join(unmet) if unmet else "is not set, this is its default"
 
 
 def _reason_on(symbol: Any) -> str:
@@ -112,16 +112,16 @@ def _reason_on(symbol: Any) -> str:
     if selecting:
         return "selected by " + ", ".join(_show(_terms(term, kconfiglib.AND)[0]) for term in selecting)
     if symbol.choice is not None and symbol.choice.selection is symbol:
-        return "is the choice made, for nothing else of its choice is asked for"
+        return "is selected in its choice, because no other option of the choice is set"
     if not any(node.prompt and kconfiglib.expr_value(node.prompt[1]) for node in symbol.nodes):
-        return "has no prompt here, its default turns it on"
+        return "has no prompt here, and its default is on"
     implying = [term for term in _terms(symbol.weak_rev_dep, kconfiglib.OR) if kconfiglib.expr_value(term)]
     if implying:
         return "is not turned off, implied by " + ", ".join(_show(_terms(term, kconfiglib.AND)[0]) for term in implying)
     return "is not turned off, and its default is on"
 
 
-def _who_selects(symbol: Any) -> str:
+def _selecting(symbol: Any) -> str:
     names = [_show(_terms(term, kconfiglib.AND)[0]) for term in _terms(symbol.rev_dep, kconfiglib.OR)]
     names = [name for name in names if not name.startswith("n ")]
     return f"; it would be selected by {', '.join(names[:4])}" if names else ""
@@ -154,14 +154,14 @@ def main(wanted: dict[str, str]) -> dict[str, str]:
     """The reasons for the config in this folder; the environment names the tree."""
     tree = _Kconfig("Kconfig", warn=False)
     tree.load_config(".config")
-    found = {}
+    reasons = {}
     for name, value in wanted.items():
         symbol = tree.syms.get(name)
         if symbol is None or not symbol.nodes:
-            found[name] = "undefined symbol"
+            reasons[name] = "undefined symbol"
         elif text := reason(symbol, value):
-            found[name] = text
-    return found
+            reasons[name] = text
+    return reasons
 
 
 if __name__ == "__main__":

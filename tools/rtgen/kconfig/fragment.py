@@ -10,7 +10,7 @@ from rtfiles.errors import UsageError
 
 _SET = re.compile(r'CONFIG_(\w+)=([ymn]|-?\d+|0x[0-9a-fA-F]+|"(?:[^"\\]|\\.)*")')
 _UNSET = re.compile(r"# CONFIG_(\w+) is not set")
-# A comment that the kernel ignores although its author meant it.
+# A comment that is meant as "not set", but that the kernel ignores.
 _NEARLY_UNSET = re.compile(r"#\s*(CONFIG_)?[A-Z0-9_]+ (is )?not set\b")
 _EXPANDED = re.compile(r"# Automatically generated file; DO NOT EDIT|CONFIG_CC_VERSION_TEXT=")
 _HEAD = re.compile(r"# Linux/(\w+) (\d+\.\d+)\S* Kernel Configuration")
@@ -48,14 +48,14 @@ def parse(text: str, origin: str) -> tuple[Line, ...]:
             lines.append(Line(match[1], "n", number))
         elif line and (not line.startswith("#") or _NEARLY_UNSET.match(line)):
             raise UsageError(
-                f"{origin}:{number}: {line!r} is no config line, "
+                f"{origin}:{number}: {line!r} is not a config line, "
                 "write CONFIG_NAME=value, # CONFIG_NAME is not set, or a # comment"
             )
     return tuple(lines)
 
 
 def parse_fragment(text: str, origin: str) -> tuple[Line, ...]:
-    """As `parse`, for a file in which a symbol stands once."""
+    """As `parse`, for a file that may name a symbol only once."""
     first: dict[str, int] = {}
     lines = parse(text, origin)
     for line in lines:
@@ -69,7 +69,7 @@ def parse_fragment(text: str, origin: str) -> tuple[Line, ...]:
 
 
 def parse_defconfig(text: str, origin: str) -> tuple[Line, ...]:
-    """As `parse`, for a defconfig; a finished .config is refused, for it answers every question before the fragment."""
+    """As `parse`, for a defconfig. A finished .config is refused: it sets every symbol before the fragment can."""
     for number, line in enumerate(text.splitlines(), 1):
         if _EXPANDED.match(line):
             raise UsageError(
@@ -79,7 +79,7 @@ def parse_defconfig(text: str, origin: str) -> tuple[Line, ...]:
 
 
 def kernel_of(text: str) -> str | None:
-    """The version (``6.1``) that the head of a finished .config names."""
+    """The version (``6.1``) in the head of a finished .config."""
     for line in text.splitlines()[:5]:
         if match := _HEAD.match(line):
             return match[2]
@@ -87,5 +87,5 @@ def kernel_of(text: str) -> str | None:
 
 
 def values(lines: tuple[Line, ...]) -> dict[str, str]:
-    """The value of each symbol; of two the later one, as the kernel reads it."""
+    """The value of each symbol. Of two values the later one counts, as for the kernel."""
     return {line.symbol: line.value for line in lines}

@@ -1,4 +1,4 @@
-"""Fragments from the data: the same data, the same bytes."""
+"""Render fragments from the data; the same data give the same bytes."""
 
 import textwrap
 from pathlib import Path
@@ -7,7 +7,7 @@ from rtgen.kconfig.data import Data
 
 
 def fragment_path(data: Data, machine: str, kernel: str) -> Path:
-    """Where the committed fragment of a machine and kernel lies."""
+    """The path of the committed fragment of a machine and kernel."""
     return data.folder / "fragments" / f"{machine}-{kernel}.cfg"
 
 

@@ -1,7 +1,7 @@
 """A kernel tree, and the kernel's own ``conf`` built from it.
 
-Only what Kconfig reads is looked at: it is copied into the cache by its content, so the tree itself is never written
-to, and a second look at the same tree takes no build.
+Only files that Kconfig reads are used. They are copied into the cache under the hash of their content, so that nothing
+is written into the tree, and an unchanged tree is not built again.
 """
 
 import fnmatch
@@ -18,7 +18,7 @@ from rtgen.process import run
 
 CROSS_COMPILE = "arm-linux-gnueabihf-"
 
-# What `conf` reads, what builds it, the defconfigs, and what the PandaBoard's device tree includes.
+# The sources of `conf`, the files that it reads, the defconfigs, and the includes of the PandaBoard's device tree.
 PATTERNS = (
     "Makefile",
     "localversion*",
@@ -66,25 +66,25 @@ class Tree:
         return path
 
     def symbols(self) -> frozenset[str]:
-        """Every symbol that an ARM config of this tree can hold."""
+        """Every symbol that an ARM config of this tree can set."""
         return frozenset((self.folder / "symbols").read_text(encoding="utf-8").split())
 
 
 def wanted(path: str) -> bool:
-    """Whether this file of a kernel tree is taken in (path relative to its top)."""
+    """Whether this file of a kernel tree is copied (path relative to its top)."""
     return _WANTED.match(path) is not None
 
 
 def open_tree(path: Path, name: str | None = None) -> Tree:
-    """Take in a kernel tree, or a Kconfig-only one.
+    """Copy a kernel tree, or a Kconfig-only one, into the cache.
 
-    Raises UsageError when it is none, or too old for its ``conf`` to be built (before 5.1), InfrastructureError when
-    a compiler, flex or bison is missing.
+    Raises UsageError when it is not a kernel tree, or too old for its ``conf`` to be built (before 5.1),
+    InfrastructureError when a compiler, flex or bison is missing.
     """
     name = name or str(path)
     missing = [file for file in _NEEDED if not (path / file).is_file()]
     if missing:
-        raise UsageError(f"{name}: no kernel tree, it has no {', '.join(missing)}")
+        raise UsageError(f"{name}: not a kernel tree, it has no {', '.join(missing)}")
     if not (path / "scripts/kconfig/parser.y").is_file():
         raise UsageError(f"{name}: its scripts/kconfig has no parser.y: a tree before 5.1 cannot be verified")
     kernel, release = read_version(path)
@@ -111,13 +111,13 @@ def read_version(path: Path) -> tuple[str, str]:
     numbers = [re.search(rf"^{part} = (\d+)$", text, re.M) for part in ("VERSION", "PATCHLEVEL", "SUBLEVEL")]
     version, level, sub = (match[1] if match else None for match in numbers)
     if version is None or level is None:
-        raise UsageError(f"{path / 'Makefile'}: no kernel's Makefile, it has no VERSION and PATCHLEVEL")
+        raise UsageError(f"{path / 'Makefile'}: not the Makefile of a kernel, it has no VERSION and PATCHLEVEL")
     local = "".join(file.read_text(encoding="utf-8").strip() for file in sorted(path.glob("localversion*")))
     return f"{version}.{level}", f"{version}.{level}.{sub or 0}{local}"
 
 
 def environment(tree: Tree) -> dict[str, str]:
-    """What the kernel's Makefile would hand to Kconfig."""
+    """The variables that the kernel's Makefile passes to Kconfig."""
     compiler = f"{CROSS_COMPILE}gcc"
     version = run([compiler, "--version"])
     tools = {name: f"{CROSS_COMPILE}{name.lower()}" for name in ("LD", "NM", "AR", "OBJCOPY", "READELF")}
@@ -132,7 +132,7 @@ def environment(tree: Tree) -> dict[str, str]:
         "CC_VERSION_TEXT": version.splitlines()[0],
         "HOSTCC": "gcc",
         "HOSTCXX": "g++",
-        # Not what this project builds with; empty names would break the shell calls in Kconfig.
+        # Not used by this build, but empty names would break the shell calls in Kconfig.
         "RUSTC": "rustc",
         "BINDGEN": "bindgen",
         "PAHOLE": "pahole",
@@ -144,7 +144,7 @@ def environment(tree: Tree) -> dict[str, str]:
 
 def run_conf(tree: Tree, defconfig: str) -> str:
     """The finished .config that ``conf --defconfig`` makes of a defconfig's text. Raises InfrastructureError."""
-    # conf leaves include/ and .tmp_* folders where it runs.
+    # conf leaves include/ and .tmp_* folders in the current folder.
     with tempfile.TemporaryDirectory(prefix="rtgen-conf-") as work:
         given, made = Path(work, "defconfig"), Path(work, ".config")
         given.write_text(defconfig, encoding="utf-8")
@@ -158,15 +158,15 @@ def run_conf(tree: Tree, defconfig: str) -> str:
 
 
 def _walk(path: Path) -> list[str]:
-    found = []
+    wanted_files = []
     for folder, folders, files in os.walk(path):
         if ".git" in folders:
             folders.remove(".git")
         relative = os.path.relpath(folder, path)
         prefix = "" if relative == "." else f"{relative}/"
-        # A link may point at what this tree does not have.
-        found += [prefix + file for file in files if wanted(prefix + file) and Path(folder, file).is_file()]
-    return found
+        # A link may lead to a file that this tree does not have.
+        wanted_files += [prefix + file for file in files if wanted(prefix + file) and Path(folder, file).is_file()]
+    return wanted_files
 
 
 def _build_conf(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Does a fragment take effect? The kernel's own ``conf`` decides, line by line."""
+"""Verify with the kernel's own ``conf`` that each line of a fragment takes effect."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from rtgen.kconfig.tree import Tree, run_conf
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Mismatch:
-    """A symbol that has not its value, and why."""
+    """A symbol whose value is not the wanted one, and why."""
 
     symbol: str
     want: str
@@ -24,7 +24,7 @@ class Mismatch:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """What became of `checked` options on one base; `config` is the finished .config."""
+    """The result for `checked` options on one base; `config` is the finished .config."""
 
     subject: str
     checked: int
@@ -40,7 +40,7 @@ def read_base(data: Data, tree: Tree, name: str) -> tuple[Line, ...]:
 
 
 def merge(base: Sequence[Line], fragment: Sequence[Line]) -> str:
-    """A base with a fragment on top, as the text of a defconfig. The fragment's word is the last."""
+    """A base with a fragment merged onto it, as the text of a defconfig. The fragment overrides the base."""
     overridden = {line.symbol for line in fragment}
     kept = [line for line in base if line.symbol not in overridden]
     return "".join(f"{config_line(line.symbol, line.value)}\n" for line in [*kept, *fragment])
@@ -49,10 +49,10 @@ def merge(base: Sequence[Line], fragment: Sequence[Line]) -> str:
 def verify_tree(
     data: Data, tree: Tree, machine: str, base: str, fragment: Sequence[Line], origin: str | None
 ) -> Verdict:
-    """Put a fragment on a base of the machine, and hold what ``conf`` makes of it against fragment and data.
+    """Merge a fragment onto a base of the machine, and compare the .config that ``conf`` makes with fragment and data.
 
-    What the data ask for counts even if the fragment leaves it out or says otherwise. `origin` names the file that
-    the fragment comes from, None if it is the rendered one. Raises UsageError when the tree's version is unknown.
+    Options of the data count even if the fragment leaves them out or contradicts them. `origin` names the file of the
+    fragment, None if it is the rendered one. Raises UsageError when the tree's version is unknown.
     """
     data.kernel(tree.kernel)
     given = values(tuple(fragment))
@@ -83,11 +83,11 @@ def verify_tree(
 
 
 def verify_config(data: Data, machine: str, text: str, origin: str) -> Verdict:
-    """Hold a finished .config against the data. Raises UsageError when it names no known kernel version in its head."""
+    """Compare a finished .config with the data. Raises UsageError when its head names no known kernel version."""
     kernel = kernel_of(text)
     if kernel is None:
         raise UsageError(
-            f"{origin}:1: no finished .config, its head must say '# Linux/arm <version> Kernel Configuration'"
+            f"{origin}:1: not a finished .config, its head must be '# Linux/arm <version> Kernel Configuration'"
         )
     wanted = data.wanted(machine, kernel)
     got = values(parse(text, origin))

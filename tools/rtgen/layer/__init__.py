@@ -1,1 +1,1 @@
-"""The BitBake layer: what each Yocto release expects (data), and the files rendered from a profile."""
+"""The BitBake layer: facts of each Yocto release (data), and the files rendered from a profile."""

@@ -1,4 +1,4 @@
-"""A rendering on disk: compared, and written without touching what others put there."""
+"""Compare a rendering with a folder, and write it there without changing files that rtgen did not render."""
 
 import difflib
 import os
@@ -11,12 +11,12 @@ from rtgen.checkout import checkout
 from rtgen.layer.render import SOURCES_LINK, Link, Tree, is_ours
 from rtgen.profile import LAYER
 
-OWNED = (LAYER,)  # folders that hold nothing but the rendering
+OWNED = (LAYER,)  # folders with rendered files only
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outcome:
-    """What writing a rendering did. `linked`: folders the rendering links to, which were not there."""
+    """The changes made by writing a rendering. `linked`: missing folders that became links to those of the checkout."""
 
     written: int
     removed: tuple[Path, ...]
@@ -33,7 +33,7 @@ def prefix_in_git(out: Path) -> str:
 
 
 def differences(tree: Tree, out: Path) -> str:
-    """How the folder differs from the rendering, as a unified diff; "" if it does not."""
+    """The differences of a folder from the rendering, as a unified diff; "" if there are none."""
     lines: list[str] = []
     for path in sorted({*tree, *_present(out)}):
         name = path.as_posix()
@@ -45,9 +45,9 @@ def differences(tree: Tree, out: Path) -> str:
 
 
 def write(tree: Tree, out: Path) -> Outcome:
-    """Make the folder hold the rendering. A folder that it links to and that is not there becomes a link to ours.
+    """Write the rendering into a folder. A missing folder that the rendering links to becomes a link to ours.
 
-    What is there must be a rendering: raises UsageError naming all that is not, before anything is written.
+    Raises UsageError, before anything is written, naming every file in its place that rtgen did not render.
     """
     obstacles = _obstacles(tree, out)
     if obstacles:
@@ -57,7 +57,7 @@ def write(tree: Tree, out: Path) -> Outcome:
     for path, content in tree.items():
         target = out / path
         target.parent.mkdir(parents=True, exist_ok=True)
-        # An unchanged file keeps its time, so that BitBake parses it no second time.
+        # An unchanged file keeps its time, so that BitBake does not parse it again.
         if isinstance(content, Link):
             link = _relative(content, path)
             if not target.is_symlink() or str(target.readlink()) != link:
@@ -77,31 +77,31 @@ def write(tree: Tree, out: Path) -> Outcome:
 
 
 def _obstacles(tree: Tree, out: Path) -> dict[Path, str]:
-    """What keeps the rendering from being written, and why."""
+    """The files that prevent the rendering from being written, and why."""
     targets = [out / path for path in tree]
     obstacles = {out / path: "not rendered by rtgen" for path in _present(out) if not _replaceable(path, out)}
     obstacles |= {
-        path: "a folder, a file is to be there" for path in targets if path.is_dir() and not path.is_symlink()
+        path: "a folder in the place of a file" for path in targets if path.is_dir() and not path.is_symlink()
     }
     parents = {parent for path in targets for parent in path.parents}
     links = {out / content.target for content in tree.values() if isinstance(content, Link)}
     for path in parents | links:
         if os.path.lexists(path) and not path.is_dir():
-            obstacles[path] = "not a folder" if path.exists() else "a link that leads nowhere"
+            obstacles[path] = "not a folder" if path.exists() else "a broken link"
     return obstacles
 
 
 def _present(out: Path) -> list[PurePosixPath]:
-    """Every file and link below the folders we own, kas.yml, and a link where such a folder is to be."""
-    found = [PurePosixPath("kas.yml")] if os.path.lexists(out / "kas.yml") else []
+    """Every file and link in the owned folders, kas.yml, and a link in the place of an owned folder."""
+    present = [PurePosixPath("kas.yml")] if os.path.lexists(out / "kas.yml") else []
     for owned in OWNED:
         if (out / owned).is_symlink():
-            found.append(PurePosixPath(owned))
+            present.append(PurePosixPath(owned))
             continue
         for folder, folders, files in os.walk(out / owned):
             links = [name for name in folders if (Path(folder) / name).is_symlink()]
-            found += [PurePosixPath((Path(folder) / name).relative_to(out).as_posix()) for name in [*files, *links]]
-    return sorted(found)
+            present += [PurePosixPath((Path(folder) / name).relative_to(out).as_posix()) for name in [*files, *links]]
+    return sorted(present)
 
 
 def _replaceable(path: PurePosixPath, out: Path) -> bool:
@@ -114,7 +114,7 @@ def _content(tree: Tree, path: PurePosixPath) -> str:
 
 
 def _read(path: Path) -> str:
-    """What is there: a file's text, a link's target, "" if nothing."""
+    """A file's text, or a line with a link's target; "" if there is neither."""
     if path.is_symlink():
         return f"link to {path.readlink()}\n"
     return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
