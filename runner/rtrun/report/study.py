@@ -37,6 +37,7 @@ class Group:
     target: str
     parameters: dict[str, Value]
     digests: tuple[Digest, ...]
+    trials: tuple[Trials, ...]
     verdict: Verdict | None
     undecidable: str | None
     bounds: tuple[Bound, ...]
@@ -201,7 +202,7 @@ def _group(
     bounds: bool,
 ) -> Group:
     first = alike[0].header
-    trials = [_located(one.trials, one.run, records.get(one.run)) for one in alike if one.trials is not None]
+    trials = tuple(_located(one.trials, one.run, records.get(one.run)) for one in alike if one.trials is not None)
     undecidable = next((one.undecidable for one in alike if one.undecidable), None)
     periods = [one.header.period_ns for one in alike if one.header.period_ns]
     steps = [one.header.clock_step_ns for one in alike if one.header.clock_step_ns]
@@ -226,6 +227,7 @@ def _group(
         target=first.target,
         parameters={key: value for key, value in first.parameters.items() if key not in _NOT_TELLING},
         digests=tuple(alike),
+        trials=trials,
         verdict=verdict,
         undecidable=undecidable,
         bounds=found,

@@ -1,0 +1,59 @@
+"""Is an effect at least as large as claimed? Runs are the units; each has one figure."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Effect:
+    """B minus A of one figure over runs, with chances of it if the truth were as claimed at least, or at most.
+
+    ``p_above`` is the chance of a shift as large if the true one were the claimed one or less, ``p_below`` that of one
+    as small if the true one were the least that does not refute, or more.
+    """
+
+    a_ns: float
+    b_ns: float
+    p_above: float
+    p_below: float
+
+
+def examine_effect(
+    a_ns: NDArray[np.float64], b_ns: NDArray[np.float64], *, sign: int, least_ns: float, refuting_ns: float
+) -> Effect:
+    """Test one figure of runs, shapes (u,) and (v,), against a claimed effect in the direction of `sign` (1 or -1).
+
+    One-sided tests of Welch (1947): is the shift above `least_ns`, is it below `refuting_ns`?
+    """
+    from scipy.special import stdtr
+
+    shift = sign * float(b_ns.mean() - a_ns.mean())
+    a, b = (float(figures.var(ddof=1)) / figures.size for figures in (a_ns, b_ns))
+    error = math.sqrt(a + b)
+    degrees = (a + b) ** 2 / (a**2 / (a_ns.size - 1) + b**2 / (b_ns.size - 1)) if error else 1.0
+
+    def chance(distance: float) -> float:
+        if error:
+            return float(stdtr(degrees, -distance / error))
+        return 0.0 if distance > 0 else 1.0
+
+    return Effect(
+        a_ns=float(a_ns.mean()),
+        b_ns=float(b_ns.mean()),
+        p_above=chance(shift - least_ns),
+        p_below=chance(refuting_ns - shift),
+    )
+
+
+def holm(p_values: Sequence[float], level: float) -> list[bool]:
+    """Which of several hypotheses are rejected so that none is by mistake but with the chance `level` (Holm 1979)."""
+    rejected = [False] * len(p_values)
+    for rank, index in enumerate(sorted(range(len(p_values)), key=lambda k: p_values[k])):
+        if p_values[index] > level / (len(p_values) - rank):
+            break
+        rejected[index] = True
+    return rejected
