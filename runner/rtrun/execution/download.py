@@ -1,12 +1,9 @@
 """Download of a run's files. Their names, sizes and contents come from the target and are checked."""
 
-import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import IO, Any, cast
 
-from rtfiles.errors import InfrastructureError
 from rtrun.plan import suites
 from rtrun.results import partial_samples
 from rtrun.target.errors import TargetError
@@ -80,26 +77,7 @@ def _copy(connection: Connection, source: PurePosixPath, destination: Path, want
     lines = connection.check(command, deadline_s=120.0).splitlines()
     digests = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
     for name in names:
-        with (destination / name).open("wb", buffering=0) as stream:
-            digest = connection.download(source / name, cast("IO[bytes]", _LocalFile(stream)), limit_bytes=wanted[name])
+        with (destination / name).open("wb") as stream:
+            digest = connection.download(source / name, stream, limit_bytes=wanted[name])
         if digests.get(name) != digest:
             raise TargetError(f"{connection.address}: {source / name} arrived damaged: its SHA-256 differs")
-
-
-class _LocalFile(io.RawIOBase):
-    """A local file whose errors are not those of the target: InfrastructureError instead of OSError."""
-
-    def __init__(self, stream: io.FileIO) -> None:
-        self._stream = stream
-
-    def write(self, data: Any) -> int:
-        """Write all of the data."""
-        written = 0
-        try:
-            while written < len(data):
-                written += self._stream.write(memoryview(data)[written:]) or 0
-        except OSError as error:
-            raise InfrastructureError(
-                f"{self._stream.name!s}: cannot keep the results: {error.strerror or error}"
-            ) from error
-        return written

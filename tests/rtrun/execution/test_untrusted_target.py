@@ -210,7 +210,8 @@ def test_a_lock_that_is_a_link_is_not_followed(results, tmp_path, measure):
     assert campaign_runner.count_finished(results, runs_of(1)) == 0
 
 
-def test_a_full_disk_here_is_not_blamed_on_the_target():
+def test_a_full_disk_here_is_not_blamed_on_the_target(link):
     with Path("/dev/full").open("wb", buffering=0) as stream, pytest.raises(InfrastructureError) as caught:
-        download._LocalFile(stream).write(b"x")
-    assert str(caught.value) == "/dev/full: cannot keep the results: No space left on device"
+        link.do(lambda connection: connection.download(PurePosixPath("/etc/passwd"), stream, limit_bytes=1 << 20))
+    assert str(caught.value) == "/dev/full: No space left on device"
+    assert not isinstance(caught.value, TargetError)
