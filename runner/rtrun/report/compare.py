@@ -12,6 +12,7 @@ from rtrun.analysis.comparison import Change, Comparison, Ratio, compare, ratio_
 from rtrun.report.claims.examination import us
 from rtrun.report.study import Group, Study, study
 from rtrun.report.terminal import EMULATED
+from rtrun.results.series import MEASURED_2014
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +44,9 @@ def compare_sets(
     """Compare what two paths hold, group by group.
 
     Groups of the same suite and parameters are compared if they are of the same target, or if each side has one such
-    group: then the target is what changed. Groups that are not compared are in ``ambiguous``, ``only_a`` or ``only_b``.
+    group: then the target is what changed. Where one side has results of the programs of 2014, one-shot timers are
+    compared by measured_2014 on both sides, and the label says so. Groups that are not compared are in ``ambiguous``,
+    ``only_a`` or ``only_b``.
     """
     first, second = (
         study(path, deadline_ns=deadline_ns, probability=probability, confidence=confidence, bounds=False)
@@ -52,7 +55,8 @@ def compare_sets(
     pairs: list[tuple[Group, Group]] = []
     ambiguous: list[str] = []
     only: tuple[list[str], list[str]] = ([], [])
-    sides = [_by_circumstances(first), _by_circumstances(second)]
+    as_in_2014 = {group.suite for side in (first, second) for group in side.groups if group.series == MEASURED_2014}
+    sides = [_by_circumstances(side, as_in_2014) for side in (first, second)]
     for key in dict.fromkeys((*sides[0], *sides[1])):
         alike_a, alike_b = (side.get(key, []) for side in sides)
         matched = [(x, y) for x in alike_a for y in alike_b if _origin(x) == _origin(y)]
@@ -80,10 +84,16 @@ def compare_sets(
     )
 
 
-def _by_circumstances(side: Study) -> dict[str, list[Group]]:
-    """Groups that measured something, by suite, series and parameters."""
+def _by_circumstances(side: Study, as_in_2014: set[str]) -> dict[str, list[Group]]:
+    """Groups that measured something, by suite, series and parameters.
+
+    Of the suites in `as_in_2014` the groups are those of 2014's series, and those of runs that have no such series.
+    """
     found: dict[str, list[Group]] = {}
-    for group in side.groups:
+    of_2014 = [group for group in side.as_in_2014 if group.suite in as_in_2014]
+    covered = {run for group in of_2014 for run in group.runs}
+    judged = [g for g in side.groups if not (g.suite in as_in_2014 and covered.issuperset(g.runs))]
+    for group in (*judged, *of_2014):
         if group.blocks:
             found.setdefault(json.dumps([group.suite, group.series, sorted(group.parameters.items())]), []).append(
                 group

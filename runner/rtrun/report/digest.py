@@ -10,7 +10,7 @@ from rtrun.analysis.deadline import Trials, count_misses, count_misses_in_histog
 from rtrun.analysis.extreme import Tail, tail_of
 from rtrun.analysis.figures import Figures
 from rtrun.analysis.histogram import Histogram, Int64s, from_samples
-from rtrun.results.series import Header, SampleSeries, Series
+from rtrun.results.series import MEASURED_2014, Header, SampleSeries, Series
 
 _COLUMNS = 240
 # Half of the 1 ms by which the thesis found the negative cluster set off (section 4.2.2).
@@ -39,7 +39,11 @@ class Course:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Digest:
-    """One series of one run. Main series have all fields; the others only figures, cluster and ``mean_abs_ns``."""
+    """One series of one run.
+
+    Main series have all fields; measured_2014 beside a main series has no tail and no course; the others have only
+    figures, cluster and ``mean_abs_ns``.
+    """
 
     header: Header
     figures: Figures
@@ -77,16 +81,18 @@ def digest(series: Series, deadline_ns: int) -> Digest:
     course: Course | None = None
     undecidable = None
     header = series.header
+    compared = header.main or header.series == MEASURED_2014
     if isinstance(series, SampleSeries):
         values = series.values_ns
         histogram = from_samples(values)
-        if header.main:
+        if compared:
             trials = count_misses(values, deadline_ns, series.absent)
+            blocks = cut(values) if values.size else None
         if header.main and values.size:
-            tail, blocks, course = tail_of(values), cut(values), _course(values)
+            tail, course = tail_of(values), _course(values)
     else:
         histogram = series.histogram
-        if header.main:
+        if compared:
             try:
                 trials = count_misses_in_histogram(histogram, deadline_ns, series.absent_count)
             except ValueError as error:

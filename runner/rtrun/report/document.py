@@ -17,6 +17,7 @@ from rtrun.report.digest import Digest
 from rtrun.report.study import Group, Study, environment, told
 from rtrun.report.terminal import banner_of
 from rtrun.results.samples import NON_MEASURING_THREADS
+from rtrun.results.series import MEASURED_2014, NOTE_2014
 
 # Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5
@@ -164,6 +165,8 @@ def _figures(study: Study) -> Table:
     rows = [_row(one) for one in (*study.digests, *study.others)]
     notes = ["Start-up values (the first message, the first two periods) stand apart, as in the thesis."]
     notes.append("A percentile of fewer values than it needs is their maximum.")
+    if any(one.header.series == MEASURED_2014 for one in (*study.digests, *study.others)):
+        notes.append(NOTE_2014)
     notes += [
         f"{one.header.output}: {remark}" for one in (*study.digests, *study.others) for remark in one.header.remarks
     ]
@@ -248,8 +251,8 @@ def _layers(study: Study) -> list[Table]:
         return []
     rows = []
     for low_name, high_name in (("cyclictest", "oneshot_timer_tests"), ("oneshot_timer_tests", "communication_tests")):
-        for low in select(study, low_name):
-            for high in select(study, high_name):
+        for low in select(study.groups, low_name):
+            for high in select(study.groups, high_name):
                 if not _differ_in_layer(low, high):
                     continue
                 attribution = attribute(low.blocks, high.blocks, confidence=study.confidence)
@@ -310,14 +313,14 @@ def _few(runs: Sequence[str]) -> str:
 
 def _published(study: Study) -> list[Table]:
     rows = []
-    for group in select(study, "oneshot_timer_tests"):
+    for group in select(study.as_in_2014, "oneshot_timer_tests"):
         timeout = group.parameters.get("timeout_us")
         if not isinstance(timeout, int):
             continue
         for row in oneshot_rows(str(group.parameters.get("policy", "0")), timeout):
             there = f"PandaBoard ES 2014, {row['kernel']}, {row['cpu_load_percent']} % load"
             rows.append((group.label, there, *_here(group), *(str(row[k]) for k in ("min_us", "avg_us", "max_us"))))
-    for group in select(study, "communication_tests", rt=True):
+    for group in select(study.as_in_2014, "communication_tests", rt=True):
         known = published()["thesis_figures"]["communication_fig_4_3"]
         if (group.parameters.get("frequency_hz"), group.parameters.get("subscribers", 1)) == (100, 1):
             numbers = [str(known[f"rest_{k}_us"]) for k in ("min", "avg", "max")]

@@ -17,6 +17,7 @@ from rtrun.report.digest import Digest, digest
 from rtrun.results import reading
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
+from rtrun.results.series import MEASURED_2014
 
 DEADLINE_NS = 400_000  # of the thesis, section 4.1.2
 PROBABILITY = 1e-6
@@ -46,8 +47,9 @@ class Group:
 
     @property
     def label(self) -> str:
-        """Suite and parameters in a few words."""
-        return f"{self.suite.removesuffix('_tests')} {told(self.parameters)}".strip()
+        """Suite and parameters in a few words; the series, too, where it is the one of 2014."""
+        words = [self.suite.removesuffix("_tests"), self.series if self.series == MEASURED_2014 else ""]
+        return " ".join(filter(None, [*words, told(self.parameters)]))
 
     @property
     def emulated(self) -> bool:
@@ -90,13 +92,17 @@ class Group:
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """Everything a report says, before it is written down."""
+    """Everything a report says, before it is written down.
+
+    `groups` are judged. `groups_2014` are those of measured_2014 of runs whose `measured` is judged.
+    """
 
     source: Source
     deadline_ns: int
     probability: float
     confidence: float
     groups: tuple[Group, ...]
+    groups_2014: tuple[Group, ...]
     others: tuple[Digest, ...]
     records: tuple[RunRecord, ...]
     left_out: tuple[str, ...]
@@ -105,6 +111,11 @@ class Study:
     def emulated(self) -> bool:
         """Whether any run was made on an emulated board."""
         return any(one.header.emulated for one in (*self.digests, *self.others))
+
+    @property
+    def as_in_2014(self) -> tuple[Group, ...]:
+        """The groups that compare with the publications of 2014; for one-shot timers those of measured_2014."""
+        return tuple(group for group in (*self.groups, *self.groups_2014) if group.series != "measured")
 
     @property
     def digests(self) -> tuple[Digest, ...]:
@@ -154,19 +165,24 @@ def study(
             digests += list(_digests_of_run(folder, record, deadline_ns, left_out))
         except UsageError as error:
             left_out.append(str(error))
-    members: dict[str, list[Digest]] = {}
-    for one in digests:
-        if one.header.main:
-            members.setdefault(_key(one), []).append(one)
     by_run = {record.run: record for record in records}
-    groups = [_group(alike, by_run, deadline_ns, probability, confidence, bounds) for alike in members.values()]
+
+    def grouped(members: Iterable[Digest], *, bounds: bool) -> tuple[Group, ...]:
+        by_key: dict[str, list[Digest]] = {}
+        for one in members:
+            by_key.setdefault(_key(one), []).append(one)
+        groups = [_group(alike, by_run, deadline_ns, probability, confidence, bounds) for alike in by_key.values()]
+        return tuple(sorted(groups, key=lambda group: (group.suite, group.target)))
+
+    others = tuple(one for one in digests if not one.header.main)
     return Study(
         source=source,
         deadline_ns=deadline_ns,
         probability=probability,
         confidence=confidence,
-        groups=tuple(sorted(groups, key=lambda group: (group.suite, group.target))),
-        others=tuple(one for one in digests if not one.header.main),
+        groups=grouped((one for one in digests if one.header.main), bounds=bounds),
+        groups_2014=grouped((one for one in others if one.header.series == MEASURED_2014), bounds=False),
+        others=others,
         records=tuple(records),
         left_out=tuple(left_out),
     )

@@ -13,7 +13,7 @@ from rtfiles.output import printable
 from rtrun.plan.suites import Value, output_name, suite, suites
 from rtrun.results.reading import Result, Run, Runs
 from rtrun.results.record import FILE
-from rtrun.results.series import Header
+from rtrun.results.series import MEASURED_2014, NOTE_2014, Header
 
 EMULATED = "EMULATED: not a real-time statement"
 NO_PREEMPT_RT = "NO PREEMPT_RT: this kernel promises no deadline"
@@ -117,6 +117,8 @@ def answer(results: Iterable[Result], *, emulated: bool, preempt_rt: bool = True
         lines += [
             f"{result.header.output}: {remark}" for remark in (*_apart(result.header), *remarks_of(result.header))
         ]
+    if any(result.header.series == MEASURED_2014 for result in results):
+        lines.append(NOTE_2014)
     if any(0 < result.figures.n < 1000 for result in results):
         lines.append("p99.9 of fewer than 1000 values is their maximum.")
     words = banner_of(emulated=emulated, preempt_rt=preempt_rt)

@@ -33,12 +33,14 @@ def bursty(n: int, seed: int, mean_us: float = 90.0) -> Int64s:
     return (1000 * (mean_us + 10 * state)).astype(np.int64)
 
 
-def oneshot_rows(latency_ns: Int64s, timeout_us: int, reported_off_ns: int = 8000) -> Int64s:
+def oneshot_rows(latency_ns: Int64s, timeout_us: int, reported_off_ns: int = 8000, armed_after_ns: int = 0) -> Int64s:
+    """Rows of one-shot measurements; `armed_after_ns` is the time from the start of each to the armed timer."""
     fired = latency_ns != NOT_FIRED
     step = timeout_us * 1000 + 150_000
     start = 5_000_000 + np.arange(latency_ns.size, dtype=np.int64) * step
     end = np.where(fired, start + timeout_us * 1000 + latency_ns, NOT_FIRED)
-    return np.stack([start, end, latency_ns, np.where(fired, latency_ns + reported_off_ns, NOT_FIRED)], axis=1)
+    reported = np.where(fired, latency_ns + reported_off_ns, NOT_FIRED)
+    return np.stack([start, end, latency_ns, reported, start + armed_after_ns], axis=1)
 
 
 def cyclic_rows(lateness_ns: Int64s, frequency_hz: int) -> Int64s:

@@ -49,9 +49,9 @@ def too_small(figure: str, groups: Iterable[Group]) -> Result:
     return Result(finding=Finding.UNDECIDED, numbers=f"too few measurements to compare {figure}", runs=runs_of(groups))
 
 
-def select(study: Study, suite: str, *, rt: bool | None = None) -> list[Group]:
-    """Groups of a suite that measured something; with real-time policy, without, or either."""
-    return [group for group in study.groups if group.suite == suite and group.n and (rt is None or is_rt(group) is rt)]
+def select(groups: Iterable[Group], suite: str, *, rt: bool | None = None) -> list[Group]:
+    """Of the groups those of a suite that measured something; with real-time policy, without, or either."""
+    return [group for group in groups if group.suite == suite and group.n and (rt is None or is_rt(group) is rt)]
 
 
 def is_rt(group: Group) -> bool:

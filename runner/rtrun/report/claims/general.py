@@ -32,7 +32,7 @@ def peaks_random(study: Study) -> Result:
     from scipy.stats import kstest
 
     by_run: dict[str, Digest] = {}
-    for d in slowest(study.digests):
+    for d in slowest([d for group in study.as_in_2014 for d in group.digests]):
         if d.header.suite in SUITES and d.n >= 1000 and any(entry.index is not None for entry in d.figures.top):
             by_run[d.run] = d
     if not by_run:
@@ -60,7 +60,7 @@ def peaks_random(study: Study) -> Result:
 
 def nanosleep_better(study: Study) -> Result:
     """The highest value of cyclictest is lower than that of the one-shot timer."""
-    timers, base = select(study, ONESHOT, rt=True), select(study, CYCLICTEST)
+    timers, base = select(study.as_in_2014, ONESHOT, rt=True), select(study.as_in_2014, CYCLICTEST)
     if not timers or not base:
         return no_runs(
             "cyclictest run"
@@ -94,7 +94,10 @@ def nanosleep_better(study: Study) -> Result:
 def comm_first_message_worst(study: Study) -> Result:
     """The first message is the slowest."""
     digests = [
-        d for g in select(study, COMMUNICATION) for d in g.digests if d.header.startup and d.figures.max_ns is not None
+        d
+        for g in select(study.as_in_2014, COMMUNICATION)
+        for d in g.digests
+        if d.header.startup and d.figures.max_ns is not None
     ]
     if not digests:
         return no_runs("communication run whose first message came")
@@ -112,7 +115,7 @@ def comm_first_message_worst(study: Study) -> Result:
 
 def comm_more_subscribers_broader(study: Study) -> Result:
     """Five subscribers receive later, over a range that is broader by 300 us, than one."""
-    candidates = list(pairs(select(study, COMMUNICATION, rt=True), "subscribers", 1, 5))
+    candidates = list(pairs(select(study.as_in_2014, COMMUNICATION, rt=True), "subscribers", 1, 5))
     missing = "pair of communication runs with one and five real-time subscribers"
     result = examine_shift(study, candidates, "p99", +1, missing)
     ranges = [[_range_ns(group) for group in pair] for pair in candidates]
@@ -130,7 +133,7 @@ def _range_ns(group: Group) -> int:
 
 def comm_higher_frequency_faster(study: Study) -> Result:
     """The mean latency is lower at 1 kHz than at 100 Hz."""
-    groups = select(study, COMMUNICATION, rt=True)
+    groups = select(study.as_in_2014, COMMUNICATION, rt=True)
     return examine_shift(
         study, pairs(groups, "frequency_hz", 100, 1000), "mean", -1, "pair of communication runs at 100 Hz and 1 kHz"
     )
@@ -156,7 +159,7 @@ def rr_equals_fifo(study: Study) -> Result:
     """RR and FIFO give the same distribution."""
     found = []
     for suite in SUITES:
-        for pair in pairs(select(study, suite, rt=True), "policy", "RR", "FIFO"):
+        for pair in pairs(select(study.as_in_2014, suite, rt=True), "policy", "RR", "FIFO"):
             comparison = compared(pair, study.confidence)
             if comparison is not None:
                 found.append((pair, comparison))
@@ -197,7 +200,7 @@ def default_priority_unpredictable(study: Study) -> Result:
         pair
         for suite in SUITES
         for policy in ("RR", "FIFO")
-        for pair in pairs(select(study, suite), "policy", policy, "0")
+        for pair in pairs(select(study.as_in_2014, suite), "policy", policy, "0")
     ]
     # "Drastically" is read as twice as much: the shift is as large as the figure.
     return examine_shift(

@@ -25,7 +25,7 @@ _DEADLINE_NS = 400_000
 
 def oneshot_sub_millisecond(study: Study) -> Result:
     """If 1 ms is waited whatever was asked, no latency is below 1 ms - timeout, and the mean grows by that much."""
-    groups = [group for group in select(study, ONESHOT) if 0 < _number(group, "timeout_us") < 1000]
+    groups = [group for group in select(study.as_in_2014, ONESHOT) if 0 < _number(group, "timeout_us") < 1000]
     if not groups:
         return no_runs("one-shot run with a timeout below 1 ms")
     shares, grown, words = [], [], []
@@ -35,7 +35,7 @@ def oneshot_sub_millisecond(study: Study) -> Result:
         low, high = clopper_pearson(sooner, group.n, study.confidence)
         shares.append((low, high))
         words.append(f"{told(group.parameters)}: {sooner} of {group.n} latencies below {least // 1000} us")
-        for pair in pairs(select(study, ONESHOT), "timeout_us", 1000, group.parameters["timeout_us"]):
+        for pair in pairs(select(study.as_in_2014, ONESHOT), "timeout_us", 1000, group.parameters["timeout_us"]):
             comparison = compared(pair, study.confidence)
             if comparison is not None and pair[1] is group:
                 shift = comparison.shifts[0]
@@ -82,7 +82,7 @@ def oneshot_ignored_without_rt(study: Study) -> Result:
 
 def oneshot_reported_accurate(study: Study) -> Result:
     """With real-time priority, what the timer reports is what was measured; without, milliseconds apart."""
-    found = [d for d in study.others if d.header.suite == ONESHOT and d.header.series == "difference" and d.n]
+    found = [d for d in study.others if d.header.suite == ONESHOT and d.header.series == "difference_2014" and d.n]
     rt = [d for d in found if d.header.parameters.get("policy", "0") != "0"]
     without = [d for d in found if d.header.parameters.get("policy", "0") == "0"]
     if not rt:
@@ -108,7 +108,7 @@ def oneshot_reported_accurate(study: Study) -> Result:
 
 def oneshot_400us_rare(study: Study) -> Result:
     """A latency above 400 us comes less than once in a million."""
-    groups = select(study, ONESHOT, rt=True)
+    groups = select(study.as_in_2014, ONESHOT, rt=True)
     if not groups:
         return no_runs("one-shot run with real-time priority")
     late, low, high, n, method = _pooled(study, groups)
@@ -123,7 +123,7 @@ def oneshot_400us_rare(study: Study) -> Result:
 
 def oneshot_latency_grows_with_timeout(study: Study) -> Result:
     """The mean latency is higher at 10 ms than at 1 ms, by 50 us."""
-    groups = select(study, ONESHOT, rt=True)
+    groups = select(study.as_in_2014, ONESHOT, rt=True)
     return examine_shift(
         study,
         pairs(groups, "timeout_us", 1000, 10000),
@@ -136,7 +136,7 @@ def oneshot_latency_grows_with_timeout(study: Study) -> Result:
 
 def cyclic_negative_cluster(study: Study) -> Result:
     """About 12 % of the jitter values lie near -900 us."""
-    groups = select(study, CYCLIC)
+    groups = select(study.as_in_2014, CYCLIC)
     clusters = [d.cluster for g in groups for d in g.digests if d.cluster is not None]
     if not clusters:
         return no_runs("cyclic run")
@@ -160,7 +160,7 @@ def cyclic_negative_cluster(study: Study) -> Result:
 
 def cyclic_first_two_negative(study: Study) -> Result:
     """At 100 Hz one of the first two periods is shorter by more than 2 ms, and none later."""
-    groups = [g for g in select(study, CYCLIC) if _number(g, "frequency_hz") == 100]
+    groups = [g for g in select(study.as_in_2014, CYCLIC) if _number(g, "frequency_hz") == 100]
     digests = [d for g in groups for d in g.digests if d.header.startup]
     if not digests:
         return no_runs("cyclic run at 100 Hz that lists its first two periods")
@@ -181,7 +181,7 @@ def cyclic_first_two_negative(study: Study) -> Result:
 
 def cyclic_frequency_kept(study: Study) -> Result:
     """The last call comes within one period of where it belongs: the jitter adds up to nothing."""
-    groups = [group for group in select(study, CYCLIC) if _number(group, "frequency_hz")]
+    groups = [group for group in select(study.as_in_2014, CYCLIC) if _number(group, "frequency_hz")]
     found = []
     for group in groups:
         period = 1e9 / _number(group, "frequency_hz")
@@ -204,7 +204,7 @@ def cyclic_frequency_kept(study: Study) -> Result:
 
 def cyclic_400us_never(study: Study) -> Result:
     """No jitter value lies above 400 us."""
-    groups = select(study, CYCLIC, rt=True)
+    groups = select(study.as_in_2014, CYCLIC, rt=True)
     if not groups:
         return no_runs("cyclic run with real-time priority")
     late, _, high, n, method = _pooled(study, groups)
@@ -219,7 +219,7 @@ def cyclic_400us_never(study: Study) -> Result:
 
 def cyclic_degrades_above_1khz(study: Study) -> Result:
     """The 99th percentile of the jitter is higher above 1 kHz."""
-    groups = select(study, CYCLIC)
+    groups = select(study.as_in_2014, CYCLIC)
     faster = sorted({_number(g, "frequency_hz") for g in groups if _number(g, "frequency_hz") > 1000})
     candidates = [pair for hz in faster for pair in pairs(groups, "frequency_hz", 1000, hz)]
     return examine_shift(study, candidates, "p99", +1, "pair of cyclic runs at 1 kHz and above")

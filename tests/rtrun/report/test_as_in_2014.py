@@ -1,0 +1,99 @@
+"""One-shot latencies from two starts: `measured` is judged, `measured_2014` is compared with 2014."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report.campaigns import latencies, oneshot_rows, write_run
+
+from rtrun.report.claims.examination import Finding
+from rtrun.report.claims.examiners import Examined, examine_claims
+from rtrun.report.compare import Compared, as_text, compare_sets
+from rtrun.report.document import document
+from rtrun.report.study import study
+from rtrun.results.series import NOTE_2014
+
+ARMED_AFTER_NS = 7000
+
+
+def write_oneshot(root: Path, mean_us: float = 98.0, reported_off_ns: int = 0) -> Path:
+    rows = oneshot_rows(latencies(20_000, 1, mean_us, 8.0), 1000, reported_off_ns, ARMED_AFTER_NS)
+    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
+    return write_run(root, "001-oneshot", "oneshot_timer_tests", [rows], parameters, asked=20_000)
+
+
+def write_oneshot_of_2014(root: Path, mean_us: float) -> None:
+    """A run of the programs of 2014, which leave logs only."""
+    folder = write_oneshot(root, mean_us)
+    record = json.loads((folder / "run.json").read_text())
+    for path in [*folder.glob("*.npy"), *folder.glob("oneshot*.json")]:
+        path.unlink()
+        del record["files"][path.name]
+    (folder / "run.json").write_text(json.dumps(record))
+
+
+def compared(a: Path, b: Path) -> Compared:
+    return compare_sets(a, b, deadline_ns=400_000, probability=1e-6, confidence=0.95, margin_ns=None)
+
+
+def claim_of(claims: tuple[Examined, ...], name: str) -> Examined:
+    return next(claim for claim in claims if claim.id == name)
+
+
+def test_ours_is_judged_and_that_of_2014_is_compared_with_what_was_published(tmp_path: Path) -> None:
+    write_oneshot(tmp_path)
+    found = study(tmp_path)
+    (judged,), (of_2014,) = found.groups, found.groups_2014
+    assert (judged.series, of_2014.series) == ("measured", "measured_2014")
+    ours, theirs = judged.digests[0].figures.mean_ns, of_2014.digests[0].figures.mean_ns
+    assert ours is not None and theirs == pytest.approx(ours - ARMED_AFTER_NS)
+    tables = {table.id: table for table in document(found, examine_claims(found)).tables}
+    assert {row[0] for row in tables["published"].rows} == {"oneshot_timer measured_2014 RR 1000 us"}
+    assert tables["published"].rows[0][3] == f"{theirs / 1000:.1f}"
+    assert NOTE_2014 in tables["figures"].notes
+
+
+def test_the_claim_on_accuracy_counts_from_the_armed_timer(tmp_path: Path) -> None:
+    """Reported minus measured is 4 us from before arming, but 11 us from after it: more than was claimed."""
+    write_oneshot(tmp_path, reported_off_ns=4000)
+    claims = examine_claims(study(tmp_path))
+    assert claim_of(claims, "oneshot-reported-accurate").result.finding == Finding.REFUTED
+    assert "mean 11.0 us" in claim_of(claims, "oneshot-reported-accurate").result.numbers
+
+
+def test_results_of_2014_are_judged_by_what_they_have(tmp_path: Path) -> None:
+    write_oneshot_of_2014(tmp_path, 91.0)
+    found = study(tmp_path)
+    assert [group.series for group in found.groups] == ["measured_2014"]
+    assert found.groups[0].verdict is not None
+    assert "measured_2014" in found.groups[0].label
+    assert found.groups_2014 == ()
+
+
+def test_compare_with_results_of_2014_is_by_their_series(tmp_path: Path) -> None:
+    write_oneshot(tmp_path / "ours", 98.0)
+    write_oneshot_of_2014(tmp_path / "theirs", 91.0)
+    for a, b in (("ours", "theirs"), ("theirs", "ours")):
+        found = compared(tmp_path / a, tmp_path / b)
+        assert [change.label for change in found.changes] == ["oneshot_timer measured_2014 RR 1000 us"]
+        mean = next(shift for shift in found.changes[0].comparison.shifts if shift.figure == "mean")
+        # The 7 us between the stamps are not in it; the log is cut to whole microseconds.
+        assert abs(mean.shift_ns) < 1000
+        assert (found.only_a, found.only_b) == ((), ())
+
+
+def test_compare_of_ours_is_by_ours_alone(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_oneshot(tmp_path / name)
+    assert "measured_2014" not in as_text(compared(tmp_path / "a", tmp_path / "b"))
+
+
+def test_samples_of_an_earlier_version_are_not_compared_with_2014(tmp_path: Path) -> None:
+    folder = write_oneshot(tmp_path)
+    path = next(folder.glob("*.npy"))
+    np.save(path, np.load(path)[:, :4])
+    found = study(path)
+    assert [group.series for group in found.groups] == ["measured"]
+    assert found.as_in_2014 == ()
+    assert "not compared with what was published in 2014" in found.groups[0].digests[0].header.remarks[0]
