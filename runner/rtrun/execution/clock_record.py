@@ -10,8 +10,8 @@ from rtfiles.errors import UsageError
 from rtrun.results import samples
 from rtrun.results.record import Clock
 
-# Steps of clocksources that are far coarser than what is measured, in ns, rounded up. A finer one tells its step only
-# when it is read in a loop, as the measuring programs do.
+# Steps of clocksources that are far coarser than what is measured, in ns, rounded up. The step of a finer clock shows
+# only when it is read in a loop, as the measuring programs do.
 _COARSE_NS = {
     # OMAP's 32 768 Hz counter: the only clocksource of a PandaBoard ES under a mainline kernel.
     "32k_counter": 30_518,
@@ -22,8 +22,8 @@ def record(state: Mapping[str, Any], seen_ns: Iterable[int]) -> Clock:
     """The clock of a run: its source and event device as the kernel names them, and its step.
 
     `state` is that of `inspection.state`, `seen_ns` are the smallest nonzero differences between two readings that the
-    programs saw. The step is the largest of them, and no smaller than what is known of the clocksource; None when
-    neither tells.
+    programs saw. The step is the largest of them, and not smaller than the known step of the clocksource; None when
+    neither is known.
     """
     source = state.get("clocksource")
     steps = [step for step in seen_ns if step > 0]

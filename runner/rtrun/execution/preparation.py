@@ -1,4 +1,4 @@
-"""Getting a target ready: scripts and suites are put there, a ROS master answers, and what is missing is said."""
+"""Prepare a target: deploy scripts and suites, check its tools, see to it that a ROS master answers."""
 
 import contextlib
 import gzip
@@ -27,7 +27,7 @@ class Prepared:
 
 @contextlib.contextmanager
 def prepared(link: Link, owner: str, runs: Sequence[Run]) -> Iterator[Prepared]:
-    """Put scripts and suites on the target and see to it that a ROS master answers while the context lasts."""
+    """Deploy scripts and suites, and see to it that a ROS master answers while the context lasts."""
     target = link.target
     equipment = inspection.inspect(link)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")

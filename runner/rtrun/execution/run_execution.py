@@ -198,8 +198,14 @@ def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str]:
 
 def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str) -> _End:
     state = ["sh", str(work.prepared.scripts / "state.sh")]
-    names = work.programs.suite_names, work.programs.background_names
-    ended_early, output = processes.end_background(work.link, work.remote, *names, state)
+    ended_early, output = processes.end_background(
+        work.link,
+        work.remote,
+        work.programs.suite_names,
+        work.programs.load_names,
+        work.programs.other_names,
+        state,
+    )
     return _End(exits=exits, ended_early=ended_early, master_pid=master_pid, after=inspection.parse_state(output))
 
 

@@ -44,14 +44,19 @@ class RunPrograms:
         return [program.name for program in self.of_suite]
 
     @property
-    def background_names(self) -> list[str]:
-        """The names of the programs that run as long as the suite does, the sampler last."""
-        return [*(each.program.name for each in self.background), self.sampler.name]
+    def load_names(self) -> list[str]:
+        """The names of the background programs that are loads."""
+        return [each.program.name for each in self.background if each.is_load]
+
+    @property
+    def other_names(self) -> list[str]:
+        """The names of the background programs that hold a setting, and of the sampler."""
+        return [*(each.program.name for each in self.background if not each.is_load), self.sampler.name]
 
     @property
     def names(self) -> list[str]:
         """The names of all programs."""
-        return [*self.suite_names, *self.background_names]
+        return [*self.suite_names, *self.load_names, *self.other_names]
 
 
 def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str) -> RunPrograms:

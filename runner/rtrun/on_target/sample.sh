@@ -1,14 +1,14 @@
 #!/bin/sh
-# See what is in effect while a run measures: as little as possible, as rarely as enough.
+# Observe what is in effect while a run measures. It disturbs the run: it reads little, every two seconds.
 #
 #   sample.sh FOLDER PRIORITY LOADS
 #
 # FOLDER is that of the run, whose programs are known by their NAME.pid (also the session). PRIORITY is that of the
-# suite, LOADS the names of the programs beside it, in blanks. Prints for each look a line
+# suite, LOADS the names of the background programs, separated by blanks. Prints for each observation a line
 #   at UPTIME_S LOAD_1MIN TEMPERATURE_MC,.. FREQUENCY_KHZ,.. THEN THE FIRST LINE OF /proc/stat
-# and, where something is not as in the look before, what there is now, up to the line "end":
+# and, where something has changed since the observation before, the present state, up to the line "end":
 #   thread PROGRAM TID POLICY PRIORITY CPUS NAME      each thread of the suite
-#   load PROGRAM PROCESSES CPUS                       each program beside it
+#   load PROGRAM PROCESSES CPUS                       each background program
 #   rival TID POLICY PRIORITY NAME                    every other thread of its priority or above
 #   governor NAME,..    sched_rt_runtime_us NUMBER
 set -u
@@ -43,7 +43,7 @@ threads() {
             # From here $1 is field 3 of proc(5): $4 the session, $38 and $39 the real-time priority and the policy.
             owner = program[$4]
             if (owner == "") { if ($38 >= priority && $38 > 0) print "rival", part[5], $39, $38, name }
-            # What supervise.sh needs for itself is not the program.
+            # Processes of supervise.sh itself are not the program.
             else if (owner == "sampler" || name == "supervise.sh" || name == "sleep") next
             else if (index(loads, " " owner " ")) { if (part[3] == part[5]) print "process", owner, path }
             else print "thread", owner, part[5], $39, $38, path, name
@@ -62,19 +62,19 @@ affinity() {
 before=
 pause=1
 while :; do
-    # In the shell's own process: a look must not see its own look. TERM ends the pause at once.
+    # The observation must not see processes of its own. With wait, TERM ends the pause at once.
     sleep $pause &
     wait $!
     pause=2
     read -r uptime _ </proc/uptime
     read -r load _ </proc/loadavg
     read -r busy </proc/stat
-    # Not within the line: TERM ends what is in $( ) at once, the shell only after the command it is at.
+    # Not within the line that is printed: TERM ends $( ) at once, and the shell only after its present command.
     temperature=$(joined /sys/class/thermal/thermal_zone[0-9]*/temp)
     frequency=$(joined /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_cur_freq)
     echo "at $uptime $load $temperature $frequency $busy"
     found=$(threads)
-    # One process of each load tells for all: what it was started with is inherited.
+    # The CPUs of one process of each load are enough: its other processes inherit them.
     paths=$(echo "$found" | awk '$1 == "thread" { print $6 "/status" } $1 == "process" && !seen[$2]++ { print $3 "/status" }')
     # shellcheck disable=SC2086 # the words of the list are wanted
     now=$({

@@ -1,5 +1,6 @@
 #!/bin/sh
-# Print the state of the target, one section for each thing, headed "== name". A missing thing has an empty section.
+# Print the state of the target, one section for each fact, headed "== name". A section is empty where there is no such
+# fact.
 section() { echo "== $1"; }
 section boot_id;            cat /proc/sys/kernel/random/boot_id 2>/dev/null
 section kernel_release;     uname -r

@@ -15,13 +15,13 @@ name=$2
 if [ "${RTRUN_INSIDE:-}" != 1 ]; then
     [ -e "$name.boot_id" ] && exit 0
     exec 9>"$name.lock"
-    # Whoever only asks whether it lives holds the lock for a moment.
-    for pause in 0 0.1 0.2 0.4 held; do
+    # A caller that tests whether the program lives takes the lock for a moment.
+    for pause in 0 0.1 0.2 0.4 taken; do
         flock -n 9 && break
-        [ $pause != held ] || exit 0
+        [ $pause != taken ] || exit 0
         sleep $pause
     done
-    # Whoever held the lock until now may have run and ended meanwhile; what was given up is not started any more.
+    # The program may have run and ended while this waited for the lock. In a folder that was given up nothing starts.
     { [ -e "$name.boot_id" ] || [ -e given_up ]; } && exit 0
     cat /proc/sys/kernel/random/boot_id >"$name.boot_id.new" && mv "$name.boot_id.new" "$name.boot_id" || exit 1
     # After a power cut the runner must see that this run was cut off.
@@ -30,12 +30,12 @@ if [ "${RTRUN_INSIDE:-}" != 1 ]; then
     exit 0
 fi
 
-# Its folder may have been given up, and made anew, since it was started.
+# The folder may have been given up and made anew since this was called.
 { [ -e "$name.boot_id" ] && [ ! -e given_up ]; } || exit 1
 deadline_s=$3 setup=$4
 shift 4
 unset RTRUN_INSIDE
-# The session may be new but the pid is not always its leader's until here.
+# Only now is this process the leader of its session, so that its pid names the process group.
 echo $$ >"$name.pid"
 if [ -n "$setup" ]; then
     set +u

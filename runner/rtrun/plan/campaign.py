@@ -1,4 +1,4 @@
-"""A campaign file, and the plan that follows from it: every run with all its parameters, known before a target is."""
+"""A campaign file, and its plan: every run with all of its parameters, made without a target."""
 
 import hashlib
 import itertools
@@ -20,7 +20,7 @@ PRIORITY_MAX = 97
 REPEATS_MAX = 10_000
 # At a second each, runs enough for a day. A few lists multiply to many millions.
 RUNS_MAX = 100_000
-# The runner names the output and knows where it is.
+# Set by the runner alone.
 RESERVED = ("prefix", "out_dir")
 
 Entry = dict[str, Any]
@@ -105,7 +105,7 @@ def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
     named = [replace(run, name=f"{number:0{width}}-{_label(run)}") for number, run in enumerate(listed, start=1)]
     if campaign.seed is None:
         return tuple(named)
-    # Drawn by a hash: the same seed gives the same order for ever, whatever the Python.
+    # By a hash, so that a seed gives the same order with every version of Python.
     seed = campaign.seed
     draw = {run.name: hashlib.sha256(f"{seed} {run.name}".encode()).digest() for run in named}
     return tuple(replace(run, seed=seed) for run in sorted(named, key=lambda run: (run.repeat, draw[run.name])))
@@ -125,7 +125,7 @@ def _too_short(run: Run) -> str | None:
     if run.expected_s >= conditions.FIRST_OBSERVATION_S:
         return None
     suite = suites.suite(run.suite)
-    observed = {key: value for key, value in run.settings.items() if value and key in conditions.conditions().holds}
+    observed = {key: value for key, value in run.settings.items() if value and key in conditions.conditions().pinned}
     if conditions.conditions().conditions[run.condition].loads:
         observed["condition"] = run.condition
     # A suite writes down its own policy and CPUs, a baseline does not.
@@ -173,7 +173,7 @@ def _combinations(entry: Entry, common: Entry, where: str, errors: list[str]) ->
         condition = str(given.get("condition", conditions.IDLE))
         taken = {key: given.get(key, settings[key].default) for key in conditions.settings_of(condition)}
         parameters = defaults | {key: value for key, value in given.items() if key in takes}
-        # A setting that this condition does not take makes no other run.
+        # Combinations that differ only in settings that the condition does not take are the same run.
         if (key := (*parameters.values(), condition, *taken.values())) in seen:
             continue
         seen.add(key)

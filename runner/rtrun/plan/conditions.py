@@ -39,17 +39,17 @@ class Load(Config):
     workers: str = "0"
     """Processes that it must have all the time, not counting itself."""
     repeated: str | None = None
-    """The setting that says how many of it there are; none: one."""
+    """The setting that is the number of its instances; none: one instance."""
 
 
 class Condition(Config):
-    """What a campaign names: its loads, by name, and the settings they take."""
+    """A condition that a campaign names: its loads, by name, and the settings they take."""
 
     summary: str
     loads: dict[str, Load] = Field(default_factory=dict)
     takes: Strings = ()
     busy_percent: int = 0
-    """Share of all CPUs' time that is not idle while it lasts, at least; for a load that may run on all of them."""
+    """The least share of all CPUs' time, in percent, that must not be idle; only of a load that may use all CPUs."""
 
 
 class Conditions(Config):
@@ -57,7 +57,8 @@ class Conditions(Config):
 
     schema_number: Literal[1] = Field(alias="schema")
     settings: dict[str, Option]
-    holds: dict[str, Strings]
+    pinned: dict[str, Strings]
+    """The program that sets each such setting and keeps it."""
     conditions: dict[str, Condition]
 
 
@@ -67,8 +68,8 @@ class Background:
 
     program: Program
     processes: int
-    pinned: bool
-    """Whether it runs on the CPUs of load_cpu only."""
+    is_load: bool
+    """Whether it is a load of the condition; otherwise it keeps a setting in effect."""
 
 
 @functools.cache
@@ -87,7 +88,7 @@ def condition(name: object, where: str) -> Condition:
 
 def settings_of(name: str) -> tuple[str, ...]:
     """The settings that a condition takes; what every condition takes stands last."""
-    return (*conditions().conditions[name].takes, *conditions().holds)
+    return (*conditions().conditions[name].takes, *conditions().pinned)
 
 
 def check(key: str, value: object, where: str) -> Value:
@@ -103,9 +104,9 @@ def check(key: str, value: object, where: str) -> Value:
 def needs(name: str, settings: Mapping[str, Value]) -> set[str]:
     """What the target must have for a condition, as missing.sh takes it: tools, and settings as ``key=value``."""
     loads = conditions().conditions[name].loads.values()
-    found = {each.argv[0] for each in loads if not each.argv[0].startswith("{")}
-    found |= {"taskset"} if loads and settings.get("load_cpu") else set()
-    return found | {f"{key}={settings[key]}" for key in conditions().holds if settings.get(key)}
+    tools = {each.argv[0] for each in loads if not each.argv[0].startswith("{")}
+    tools |= {"taskset"} if loads and settings.get("load_cpu") else set()
+    return tools | {f"{key}={settings[key]}" for key in conditions().pinned if settings.get(key)}
 
 
 def suites_programs(name: str) -> set[str]:
@@ -125,7 +126,7 @@ def background(
     expected_s: float,
     deadline_s: float,
 ) -> list[Background]:
-    """The programs that make a condition so, in the order of their start.
+    """The programs that run in the background under a condition, in the order of their start.
 
     `cpus` are those of the target, `programs` the paths of the suites' executables there, `expected_s` and `deadline_s`
     those of the suite.
@@ -140,29 +141,29 @@ def background(
         "messages": round(int(settings.get("nodes_hz") or 1) * (MESSAGES_FACTOR * expected_s + MESSAGES_EXTRA_S)),
     }
 
-    def of(program: str, argv: Strings, *, number: int = 0, workers: str = "0", pinned: bool = False) -> Background:
-        given = ("taskset", "-c", load_cpus, *argv) if pinned else argv
+    def of(program: str, argv: Strings, *, number: int = 0, workers: str = "0", is_load: bool = False) -> Background:
+        given = ("taskset", "-c", load_cpus, *argv) if is_load and load_cpus else argv
         filled = [word.format_map(words | {"name": program, "number": number}) for word in given]
         return Background(
             program=Program(name=program, argv=tuple(filled), environment=environment, deadline_s=lifetime_s),
             processes=1 + int(workers.format_map(words)),
-            pinned=pinned,
+            is_load=is_load,
         )
 
-    programs_of = [of(f"hold-{key}", argv) for key, argv in conditions().holds.items() if settings.get(key)]
-    for program, load_ in conditions().conditions[name].loads.items():
-        numbers = range(int(settings[load_.repeated] or 0)) if load_.repeated else [None]
-        programs_of += [
+    started = [of(f"hold-{key}", argv) for key, argv in conditions().pinned.items() if settings.get(key)]
+    for program, described in conditions().conditions[name].loads.items():
+        numbers = range(int(settings[described.repeated] or 0)) if described.repeated else [None]
+        started += [
             of(
                 program if number is None else f"{program}{number}",
-                load_.argv,
+                described.argv,
                 number=number or 0,
-                workers=load_.workers,
-                pinned=bool(load_cpus),
+                workers=described.workers,
+                is_load=True,
             )
             for number in numbers
         ]
-    return programs_of
+    return started
 
 
 def cpu_set(text: str) -> set[int]:
@@ -187,7 +188,7 @@ def check_cpus(key: str, value: Value, where: str) -> None:
 
 def must_be_observed(name: str, settings: Mapping[str, Value]) -> bool:
     """Whether a run under this condition counts only if the sampler has observed it while it measured."""
-    return bool(conditions().conditions[name].loads) or any(settings.get(key) for key in conditions().holds)
+    return bool(conditions().conditions[name].loads) or any(settings.get(key) for key in conditions().pinned)
 
 
 def settle_s(name: str, settings: Mapping[str, Value]) -> float:

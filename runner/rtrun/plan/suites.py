@@ -1,7 +1,7 @@
-"""What the runner knows about the suites: suites.yml read into types, argument lists and output names.
+"""The suites, read from suites.yml: their options, argument lists and output names.
 
 A parameter is named as in suites.yml everywhere: campaign, run.json, report. ``None`` means the option is not given.
-Suites are asked for by name; a name that is not in suites.yml is a UsageError.
+A name of a suite that is not in suites.yml is a UsageError.
 """
 
 import functools
@@ -91,7 +91,7 @@ class Suite(Config):
     repeated: str | None = None
     """The program that runs once per subscriber; none: there are no subscribers."""
     launch: dict[str, Value] = Field(default_factory=dict)
-    """Parameters that are not the program's default unless a campaign says otherwise."""
+    """Parameters that a campaign does not give and that are not at the program's default."""
     is_baseline: bool = Field(default=False, alias="baseline")
     """A tool of the target with options of its own, measured with to compare the suites with it."""
     always: Strings = ()
@@ -125,7 +125,7 @@ def suites() -> Suites:
 
 @functools.cache
 def baselines() -> Suites:
-    """The yardsticks that the suites are compared with, read once."""
+    """The baselines that the suites are compared with, read once."""
     found = load(BASELINES_FILE, Suites)
     _check_options(found, suites().options | found.options)
     return found
@@ -216,7 +216,7 @@ def log_names(suite_name: str, parameters: Mapping[str, Value]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogName:
-    """What the name of a log says; log is empty for a suite that writes one log only."""
+    """What the name of a log tells; `log` is empty for a suite that writes one log only."""
 
     suite: str
     log: str
@@ -224,7 +224,7 @@ class LogName:
 
 
 def read_log_name(name: str) -> LogName | None:
-    """Take suite, parameters and log from the last part of a log's path; None when no suite names its logs so."""
+    """Read suite, parameters and log from the name of a log; None for a name that no suite gives."""
     for suite_name in suites().suites:
         if found := _log_pattern(suite_name).fullmatch(name):
             parameters: dict[str, Value] = {}

@@ -1,4 +1,4 @@
-"""What a suite that was cut off left of its samples: ``<output>.npy.part`` (see docs/formats.md) made readable."""
+"""Samples of a suite that was cut off: ``<output>.npy.part`` (see docs/formats.md) made readable."""
 
 from pathlib import Path
 

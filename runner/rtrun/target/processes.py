@@ -20,8 +20,11 @@ END_BACKGROUND_S = 120.0
 
 _WAIT = 'flock -s "$1.lock" true; cat "$1.exit" 2>/dev/null; [ -e "$1.expired" ] && echo expired; exit 0'
 _LIST_ENDED = 'cd "$1" && shift && for name; do if flock -n -s "$name.lock" true; then echo "$name"; fi; done'
+# Programs are asked to end (SIGTERM), and killed when their time is up: $2, pauses in seconds.
 _END = """
-cd "$1" 2>/dev/null && shift || exit 0
+cd "$1" 2>/dev/null || exit 0
+pauses=$2
+shift 2
 boot_id=$(cat /proc/sys/kernel/random/boot_id)
 running=
 for name; do
@@ -36,12 +39,16 @@ for name; do
     [ -s "$name.pid" ] && kill -TERM "-$(cat "$name.pid")" 2>/dev/null && running="$running $name"
 done
 for name in $running; do
-    for pause in 0.05 0.05 0.1 0.2 0.2 0.2 0.4 0.4 0.4; do flock -n "$name.lock" true && continue 2; sleep $pause; done
+    for pause in $pauses; do flock -n "$name.lock" true && continue 2; sleep $pause; done
     kill -KILL "-$(cat "$name.pid")" 2>/dev/null
     for _ in 1 2 3 4 5 6 7 8 9 10; do flock -n "$name.lock" true && break; sleep 0.1; done
 done
 exit 0
 """
+# For a program that puts something right at its end.
+_PATIENTLY = "0.05 0.05 0.1 0.2 0.2 0.2 0.4 0.4 0.4"
+# For a load, which has nothing to put right: a worker of stress-ng --vm ends only after its pass over the memory.
+_SOON = "0.05 0.05 0.1"
 # supervise.sh starts nothing in a folder with this mark, not even when it was called before the mark was made.
 _GIVE_UP = '[ ! -d "$1" ] || : >"$1/given_up"; exit 0'
 _MARK = "== ended"
@@ -133,20 +140,27 @@ def give_up(link: Link, folder: PurePosixPath, names: Sequence[str]) -> None:
     link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)
 
 
-def _end(folder: PurePosixPath, names: Sequence[str]) -> list[str]:
-    return ["sh", "-c", _END, "sh", str(folder), *names]
+def _end(folder: PurePosixPath, names: Sequence[str], pauses: str = _PATIENTLY) -> list[str]:
+    return ["sh", "-c", _END, "sh", str(folder), pauses, *names]
 
 
 def end_background(
-    link: Link, folder: PurePosixPath, programs: Sequence[str], names: Sequence[str], then: Sequence[str]
+    link: Link,
+    folder: PurePosixPath,
+    programs: Sequence[str],
+    loads: Sequence[str],
+    others: Sequence[str],
+    then: Sequence[str],
 ) -> tuple[dict[str, str], str]:
-    """End the background programs `names` of a suite whose `programs` have ended, then run the command `then`.
+    """End the background programs of a suite whose `programs` have ended, then run the command `then`.
+
+    The `loads` are killed soon, the `others` get time to put right what they changed.
 
     Returns the background programs that ended before the suite did (name to exit status, empty where it has none) and
     the output of `then`.
     """
-    ended_early = ["sh", "-c", _ENDED_EARLY, "sh", str(folder), " ".join(programs), *names]
-    commands = [ended_early, ["echo", _MARK], _end(folder, names), then]
+    ended_early = ["sh", "-c", _ENDED_EARLY, "sh", str(folder), " ".join(programs), *loads, *others]
+    commands = [ended_early, ["echo", _MARK], _end(folder, loads, _SOON), _end(folder, others), then]
     output = link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)
     early, _, rest = output.partition(f"{_MARK}\n")
     return {name: status for name, _, status in (line.partition(" ") for line in early.split("\n") if line)}, rest

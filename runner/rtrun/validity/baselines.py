@@ -1,4 +1,4 @@
-"""What a baseline said of its run, from its standard output."""
+"""The standard output of a baseline: checked, and kept as files that reports read."""
 
 from pathlib import Path
 
@@ -9,18 +9,18 @@ from rtrun.results.importers import cyclictest
 from rtrun.results.importers.histogram_file import ENDING, histogram_text
 
 
-def check_baseline_output(run: Run, said: str) -> str | None:
-    """Say what does not add up in what a baseline printed, or None.
+def check_baseline_output(run: Run, text: str) -> str | None:
+    """Say what does not add up in the standard output of a baseline, or None.
 
     Each thread of cyclictest must have measured as often as it was asked to, in a bin of the histogram or above it.
     """
     if run.suite != "cyclictest":
-        return None if "Max Latency" in said else "hwlatdetect printed no result (a line with Max Latency)"
+        return None if "Max Latency" in text else "hwlatdetect printed no result (a line with Max Latency)"
     try:
-        found = cyclictest.read_text(Path("cyclictest.stdout"), said)
+        histograms = cyclictest.read_text(Path("cyclictest.stdout"), text)
     except UsageError as error:
         return str(error)
-    measured = [each.histogram.n for each in found]
+    measured = [each.histogram.n for each in histograms]
     threads, asked = int(run.parameters["threads"] or 1), int(run.parameters["repetitions"] or 0)
     if len(measured) != threads or min(measured) < asked:
         return f"{threads} threads were asked for {asked} measurements each, they made {measured}"
@@ -28,15 +28,15 @@ def check_baseline_output(run: Run, said: str) -> str | None:
 
 
 def keep_histograms(folder: Path, run: Run, output: str) -> list[str]:
-    """Write what a baseline printed as files that reports read, one a thread of cyclictest; return their outputs.
+    """Write the histograms of cyclictest as files that reports read, one for each thread; return their outputs.
 
     hwlatdetect measures no series: it has none.
     """
     if run.suite != "cyclictest":
         return []
     printed = folder / f"{run.suite}.stdout"
-    found = cyclictest.read_text(printed, printed.read_text(encoding="utf-8"))
-    outputs = [f"{output}-t{thread}" for thread in range(len(found))]
-    for name, histogram in zip(outputs, found, strict=True):
+    histograms = cyclictest.read_text(printed, printed.read_text(encoding="utf-8"))
+    outputs = [f"{output}-t{thread}" for thread in range(len(histograms))]
+    for name, histogram in zip(outputs, histograms, strict=True):
         atomic.write_text(folder / f"{name}{ENDING}", histogram_text(histogram))
     return outputs

@@ -1,11 +1,11 @@
-"""Nothing appears and nothing vanishes: whether the counts of an output add up, among themselves and with its logs."""
+"""Whether the counts of an output add up, among themselves and with its logs."""
 
 from collections.abc import Iterable
 
 from rtrun.results.gnuplot_log import Log
 from rtrun.results.samples import Record
 
-LISTED_MAX = 1000  # indices that an output lists of each kind
+LISTED_MAX = 1000  # The suites list so many indices of each kind at most.
 
 
 def find_count_mismatch(record: Record, logs: Iterable[Log] = ()) -> str | None:

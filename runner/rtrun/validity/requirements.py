@@ -111,7 +111,7 @@ def _wrong_loads(
                     f"condition {run.condition}: {name} had {processes} of {load.processes} processes "
                     "while the suite ran"
                 )
-            if asked.load_cpus and load.pinned and not cpus <= set(asked.load_cpus):
+            if asked.load_cpus and load.is_load and not cpus <= set(asked.load_cpus):
                 return f"condition {run.condition}: {name} ran on CPUs {sorted(cpus)}, not on {asked.load_cpus}"
     busy = busy_percent(seen)
     if asked.busy_percent is not None and busy is not None and busy < asked.busy_percent:
