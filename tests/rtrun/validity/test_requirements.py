@@ -171,6 +171,13 @@ def test_a_load_with_too_few_workers():
     assert wrong(run, look(100, thread(), "load stress 3 0-1"), look(102, "load stress 1 0-1")) is None, "suite ended"
 
 
+def test_what_is_kept_of_a_load_is_its_fewest_processes():
+    looks = [look(100, thread(), "load stress 4 0-1"), look(102, thread(), "load stress 3 1"), look(104, thread())]
+    assert observed(run_of(condition="cpu80"), *looks[:2]).loads == {"stress": 3}
+    kept = observed(run_of(condition="cpu80"), *(each + "end\n" for each in looks))
+    assert (kept.loads, kept.load_cpus, kept.looks) == ({"stress": 0}, [0, 1], 3), "it was gone in the end"
+
+
 def test_a_load_that_does_nothing():
     run = run_of(condition="cpu80")
     block = (thread(), "load stress 3 0-1")
