@@ -93,55 +93,56 @@ def tail_of(values_ns: Int64s) -> Tail:
     )
 
 
-def worst_case(
-    runs: Sequence[Tail], *, probability: float, confidence: float = 0.95, quantum_ns: int = 1
-) -> tuple[Bound, Bound]:
-    """Bounds from peaks over threshold (GPD) and block maxima (GEV) of runs of one set of parameters, in order."""
-    return (
-        peaks_over_threshold(runs, probability, confidence, quantum_ns),
-        block_maxima(runs, probability, confidence, quantum_ns),
-    )
-
-
-def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: float, quantum_ns: int) -> Bound:
-    """Fit a generalised Pareto distribution to declustered excesses (Pickands 1975; Coles 2001, chapters 4 and 5)."""
-
-    def refuse(why: str, checks: Sequence[Check] = (), points: int = 0, threshold: int | None = None) -> Bound:
-        return _refused("GPD", why, probability, confidence, points, checks, threshold_ns=threshold)
-
+def high_values(runs: Sequence[Tail]) -> tuple[int, Int64s, Int64s]:
+    """Measurements in all runs, and the high values that all of them kept, with their positions over all runs."""
     n = sum(run.n for run in runs)
     floor = max((run.floor_ns for run in runs if run.n), default=0)
     offsets = np.cumsum([0, *(run.n for run in runs)])[:-1]
     values = np.concatenate([run.values_ns for run in runs]) if runs else np.empty(0, np.int64)
     positions = np.concatenate([run.positions + o for run, o in zip(runs, offsets, strict=True)]) if runs else values
     keep = values >= floor
-    values, positions = values[keep], positions[keep]
+    return n, values[keep], positions[keep]
+
+
+def decluster(values: Int64s, positions: Int64s, threshold: int) -> tuple[Int64s, Int64s, float]:
+    """The highest value of each burst above a threshold, where the burst begins, and the extremal index."""
+    above = values > threshold
+    high, where = values[above], positions[above]
+    theta = extremal_index(where)
+    starts = burst_starts(where, theta)
+    return np.maximum.reduceat(high, starts), where[starts], theta
+
+
+def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: float, quantum_ns: int) -> Bound:
+    """Fit a generalised Pareto distribution to declustered excesses (Pickands 1975; Coles 2001, chapters 4 and 5)."""
+
+    def refused(why: str, checks: Sequence[Check] = (), points: int = 0, threshold: int | None = None) -> Bound:
+        return refuse("GPD", why, probability, confidence, points, checks, threshold_ns=threshold)
+
+    n, values, positions = high_values(runs)
     if values.size < 2 * _LEAST_PEAKS:
-        return refuse(f"{n} measurements leave {values.size} high values, at least {2 * _LEAST_PEAKS} are needed")
-    if n * probability * _EXTRAPOLATION < 1:
-        return refuse(_too_far(n, probability))
+        return refused(f"{n} measurements leave {values.size} high values, at least {2 * _LEAST_PEAKS} are needed")
+    if (far := too_far(n, probability)) is not None:
+        return refused(far)
 
     last: Bound | None = None
-    for threshold in _thresholds(values):
-        above = values > threshold
-        high, where = values[above], positions[above]
-        theta = extremal_index(where)
-        starts = burst_starts(where, theta)
-        peaks, at = np.maximum.reduceat(high, starts), where[starts]
+    for threshold in candidate_thresholds(values):
+        peaks, at, theta = decluster(values, positions, threshold)
         if peaks.size < _LEAST_PEAKS:
             break
         rate = peaks.size / n
         if probability >= rate:
-            last = last or refuse("the probability asked for lies within the data: the percentiles answer it")
+            last = last or refused("the probability asked for lies within the data: the percentiles answer it")
             break
+        above = np.count_nonzero(values > threshold)
         checks = [
             Check(
                 name="dependence",
                 passed=theta >= _LEAST_INDEX,
                 p_value=None,
-                seen=f"extremal index {theta:.2f}, {peaks.size} bursts of {high.size} high values",
+                seen=f"extremal index {theta:.2f}, {peaks.size} bursts of {above} high values",
             ),
-            *_common_checks(peaks, at, n, quantum_ns),
+            *stays_the_same(peaks, at, n, quantum_ns),
         ]
         base = (threshold // quantum_ns + 1) * quantum_ns
         excess = peaks - base
@@ -150,20 +151,20 @@ def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: f
         checks.append(_fit_check(tails.GPD, sample, best[0]))
         failed = next((check for check in checks if not check.passed), None)
         if failed:
-            last = refuse(f"{failed.name}: {failed.seen}", checks, peaks.size, threshold)
+            last = refused(f"{failed.name}: {failed.seen}", checks, peaks.size, threshold)
             # Only a bad fit gets better further out; a trend or bursts would only be seen less.
             if failed.name == "fit":
                 continue
             return last
         checks.append(_back_test(tails.GPD, excess, at, n, quantum_ns))
         if not checks[-1].passed:
-            return refuse(f"back-test: {checks[-1].seen}", checks, peaks.size, threshold)
+            return refused(f"back-test: {checks[-1].seen}", checks, peaks.size, threshold)
         chance = probability / rate
         low, high_end = tails.profile_interval(tails.GPD, sample, best, chance, confidence)
         if not math.isfinite(high_end):
-            return refuse("the data do not bound the tail from above", checks, peaks.size, threshold)
+            return refused("the data do not bound the tail from above", checks, peaks.size, threshold)
         if peaks.max() > base + high_end:
-            return refuse(_above_bound(int(peaks.max()), base + high_end), checks, peaks.size, threshold)
+            return refused(_above_bound(int(peaks.max()), base + high_end), checks, peaks.size, threshold)
         return Bound(
             method="GPD",
             refused=None,
@@ -181,20 +182,20 @@ def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: f
             high_ns=base + high_end,
             checks=tuple(checks),
         )
-    return last or refuse(f"bursts leave fewer than {_LEAST_PEAKS} independent high values")
+    return last or refused(f"bursts leave fewer than {_LEAST_PEAKS} independent high values")
 
 
 def block_maxima(runs: Sequence[Tail], probability: float, confidence: float, quantum_ns: int) -> Bound:
     """Fit a generalised extreme value distribution to maxima of equal blocks (Coles 2001, chapter 3)."""
 
-    def refuse(why: str, checks: Sequence[Check] = (), points: int = 0, block: int | None = None) -> Bound:
-        return _refused("GEV", why, probability, confidence, points, checks, block=block)
+    def refused(why: str, checks: Sequence[Check] = (), points: int = 0, block: int | None = None) -> Bound:
+        return refuse("GEV", why, probability, confidence, points, checks, block=block)
 
     n = sum(run.n for run in runs)
-    if n * probability * _EXTRAPOLATION < 1:
-        return refuse(_too_far(n, probability))
+    if (far := too_far(n, probability)) is not None:
+        return refused(far)
     fine = max((run.block for run in runs), default=1)
-    last = refuse(f"{n} measurements are too few for {_LEAST_PEAKS} blocks of 20")
+    last = refused(f"{n} measurements are too few for {_LEAST_PEAKS} blocks of 20")
     for per_run in (256, 128, 64, 32, 16, 8, 4, 2):
         block = max(fine, max((run.n for run in runs), default=0) // per_run)
         maxima = np.concatenate([_coarser(run, block) for run in runs]) if runs else np.empty(0, np.int64)
@@ -206,26 +207,26 @@ def block_maxima(runs: Sequence[Tail], probability: float, confidence: float, qu
             continue
         chance = -math.expm1(block * math.log1p(-probability))
         if chance >= 0.5:
-            return refuse("the probability asked for lies within the data: the percentiles answer it")
+            return refused("the probability asked for lies within the data: the percentiles answer it")
         at = np.arange(maxima.size, dtype=np.int64)
-        checks = list(_common_checks(maxima, at, maxima.size, quantum_ns))
+        checks = list(stays_the_same(maxima, at, maxima.size, quantum_ns))
         sample = tails.sample_of(maxima, quantum_ns)
         best = tails.fit(tails.GEV, sample)
         checks.append(_fit_check(tails.GEV, sample, best[0]))
         failed = next((check for check in checks if not check.passed), None)
         if failed:
-            last = refuse(f"{failed.name}: {failed.seen}", checks, maxima.size, block)
+            last = refused(f"{failed.name}: {failed.seen}", checks, maxima.size, block)
             if failed.name == "fit":
                 continue
             return last
         checks.append(_back_test(tails.GEV, maxima, at, maxima.size, quantum_ns))
         if not checks[-1].passed:
-            return refuse(f"back-test: {checks[-1].seen}", checks, maxima.size, block)
+            return refused(f"back-test: {checks[-1].seen}", checks, maxima.size, block)
         low, high = tails.profile_interval(tails.GEV, sample, best, chance, confidence)
         if not math.isfinite(high):
-            return refuse("the data do not bound the tail from above", checks, maxima.size, block)
+            return refused("the data do not bound the tail from above", checks, maxima.size, block)
         if maxima.max() > high:
-            return refuse(_above_bound(int(maxima.max()), high), checks, maxima.size, block)
+            return refused(_above_bound(int(maxima.max()), high), checks, maxima.size, block)
         return Bound(
             method="GEV",
             refused=None,
@@ -246,16 +247,17 @@ def block_maxima(runs: Sequence[Tail], probability: float, confidence: float, qu
     return last
 
 
-def _refused(
+def refuse(
     method: str,
     why: str,
     probability: float,
     confidence: float,
-    points: int,
-    checks: Sequence[Check],
+    points: int = 0,
+    checks: Sequence[Check] = (),
     threshold_ns: int | None = None,
     block: int | None = None,
 ) -> Bound:
+    """A bound that is none, and why."""
     return Bound(
         method=method,
         refused=why,
@@ -275,7 +277,10 @@ def _refused(
     )
 
 
-def _too_far(n: int, probability: float) -> str:
+def too_far(n: int, probability: float) -> str | None:
+    """Why a probability lies too far beyond so many measurements; None where it does not."""
+    if n * probability * _EXTRAPOLATION >= 1:
+        return None
     return (
         f"a probability of {probability:g} is more than {_EXTRAPOLATION} times beyond {n} measurements, "
         f"at least {math.ceil(1 / (probability * _EXTRAPOLATION))} are needed"
@@ -286,7 +291,7 @@ def _above_bound(seen_ns: int, bound_ns: float) -> str:
     return f"a value of {seen_ns / 1000:.0f} us was seen above the fitted bound of {bound_ns / 1000:.0f} us"
 
 
-def _thresholds(values: Int64s) -> list[int]:
+def candidate_thresholds(values: Int64s) -> list[int]:
     """Candidates from many exceedances to few; the first whose fit is not rejected is taken."""
     ordered = np.sort(values)
     chosen = []
@@ -303,7 +308,8 @@ def _coarser(run: Tail, block: int) -> Int64s:
     return np.maximum.reduceat(run.maxima_ns, np.arange(whole) * factor) if whole else run.maxima_ns[:0]
 
 
-def _common_checks(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[Check]:
+def stays_the_same(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[Check]:
+    """The checks of resolution, stationarity and dependence that every opinion needs."""
     from scipy.special import chdtrc
     from scipy.stats import spearmanr
 

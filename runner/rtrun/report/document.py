@@ -9,6 +9,7 @@ from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.analysis.extreme import Bound
 from rtrun.analysis.figures import PERCENTILES, Figures
 from rtrun.analysis.layers import attribute
+from rtrun.analysis.worst_case import disagreement
 from rtrun.plan.suites import suites
 from rtrun.report.claims.examination import is_rt, select, us
 from rtrun.report.claims.examiners import Examined
@@ -221,6 +222,8 @@ def _worst_cases(study: Study) -> Table:
         if group.no_bound:
             rows.append((group.label, "-", "refused", group.no_bound))
         rows += [(group.label, bound.method, *_bound(bound)) for bound in group.bounds]
+        if (text := disagreement(group.bounds)) is not None:
+            rows.append((group.label, "-", "doubtful", text))
     return Table(
         id="worst-case",
         title="Worst case by extreme value theory",

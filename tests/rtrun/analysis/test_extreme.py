@@ -1,12 +1,15 @@
 """Worst cases: right where the assumptions hold, refused with the reason where they do not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import genextreme, genpareto
+from scipy.stats import genextreme, genpareto, norm
 
-from rtrun.analysis.extreme import Bound, tail_of, worst_case
+from rtrun.analysis.extreme import Bound, tail_of
 from rtrun.analysis.tails import GEV, GPD, fit, sample_of
+from rtrun.analysis.worst_case import disagreement, exponential_tail, worst_case
 
 N = 200_000
 
@@ -19,7 +22,7 @@ def exponential(n: int = N, seed: int = 5, scale: float = 5000.0) -> np.ndarray:
     return (50_000 + rng(seed).exponential(scale, n)).astype(np.int64)
 
 
-def bounds(values: np.ndarray, probability: float = 1e-6, quantum_ns: int = 1) -> tuple[Bound, Bound]:
+def bounds(values: np.ndarray, probability: float = 1e-6, quantum_ns: int = 1) -> tuple[Bound, ...]:
     return worst_case([tail_of(values)], probability=probability, quantum_ns=quantum_ns)
 
 
@@ -84,21 +87,23 @@ def test_a_surprise_in_the_second_half_is_refused() -> None:
     values = exponential()
     values[-5] = 9_000_000
     for bound in bounds(values):
-        assert bound.refused is not None and ("back-test" in bound.refused or "fit" in bound.refused)
+        assert bound.refused is not None and any(
+            reason in bound.refused for reason in ("back-test", "fit", "vary more")
+        )
 
 
 def test_slow_waves_are_refused_or_covered() -> None:
     """Dependence over the length of blocks shows between the peaks."""
     wave = np.repeat(rng().normal(size=N // 2000), 2000) * 15_000
     values = (100_000 + wave + rng(6).exponential(3000, N)).astype(np.int64)
-    peaks, _ = bounds(values)
+    peaks, *_ = bounds(values)
     assert peaks.refused is not None
 
 
 def test_short_memory_is_declustered() -> None:
     noise = rng().normal(size=N) * np.sqrt(1 - 0.9**2)
     values = (100_000 + 10_000 * lfilter([1], [1, -0.9], noise)).astype(np.int64)
-    peaks, _ = bounds(values)
+    peaks, *_ = bounds(values)
     bursts = next(check for check in peaks.checks if "extremal index" in check.seen)
     assert float(bursts.seen.split()[2].rstrip(",")) < 0.9
     assert peaks.refused is None
@@ -120,10 +125,61 @@ def test_a_probability_within_the_data_is_refused() -> None:
 
 def test_runs_are_taken_in_their_order() -> None:
     parts = [tail_of(exponential(N // 2, seed)) for seed in (1, 2)]
-    peaks, maxima = worst_case(parts, probability=1e-6)
+    peaks, maxima, _ = worst_case(parts, probability=1e-6)
     assert peaks.refused is None and maxima.refused is None
     louder = [parts[0], tail_of(exponential(N // 2, 3) + 60_000)]
     assert all(bound.refused is not None for bound in worst_case(louder, probability=1e-6))
+
+
+def test_a_tail_lighter_than_exponential_is_bounded_by_the_residual_cv() -> None:
+    """Normal values: the GPD's interval is too short more often than it says, the exponential tail's is not."""
+    truth = 100_000 + 5000 * norm.isf(1e-6)
+    found = []
+    for seed in range(12):
+        bound = exponential_tail([tail_of(rng(seed).normal(100_000, 5000, N).astype(np.int64))], 1e-6, 0.95, 1)
+        if bound.high_ns is not None:
+            found.append(bound.high_ns >= truth)
+    assert len(found) >= 10 and np.mean(found) >= 0.9
+
+
+def test_a_heavy_tail_has_no_exponential_bound() -> None:
+    values = (50_000 + genpareto.rvs(0.3, scale=5000, size=N, random_state=rng())).astype(np.int64)
+    assert "vary more" in str(worst_case([tail_of(values)], probability=1e-6)[2].refused)
+
+
+def test_opinions_that_have_nothing_in_common_are_named() -> None:
+    peaks, maxima, _ = bounds(exponential())
+    assert disagreement([peaks, maxima]) is None
+    assert peaks.low_ns is not None and maxima.high_ns is not None
+    apart = replace(maxima, low_ns=peaks.low_ns - 2e6, high_ns=peaks.low_ns - 1e6)
+    assert "GPD and GEV disagree" in str(disagreement([peaks, apart]))
+
+
+def test_fits_are_those_of_scipy() -> None:
+    """The oracle: scipy fits the same families to samples without steps by their density."""
+    excess = genpareto.rvs(0.1, scale=5000, size=5000, random_state=rng())
+    shape, _, scale = genpareto.fit(excess, floc=0)
+    assert fit(GPD, sample_of(excess.astype(np.int64), 1))[0] == pytest.approx((shape, scale), rel=0.03, abs=0.005)
+    maxima = genextreme.rvs(-0.1, 100_000, 5000, size=5000, random_state=rng())
+    shape, location, scale = genextreme.fit(maxima, -0.1, loc=100_000, scale=5000)
+    assert fit(GEV, sample_of(maxima.astype(np.int64), 1))[0] == pytest.approx(
+        (-shape, scale, location), rel=0.03, abs=0.005
+    )
+
+
+def test_levels_are_those_of_pyextremes() -> None:
+    pyextremes = pytest.importorskip("pyextremes")
+    import pandas
+
+    values = exponential(50_000)
+    bound = bounds(values, probability=1e-5)[0]
+    assert bound.threshold_ns is not None and bound.level_ns is not None
+    series = pandas.Series(values.astype(float), index=pandas.date_range("2026-01-01", periods=values.size, freq="s"))
+    model = pyextremes.EVA(series)
+    model.get_extremes(method="POT", threshold=bound.threshold_ns, r="1s")
+    model.fit_model(distribution="genpareto")
+    level, *_ = model.get_return_value(return_period=1e5, return_period_size="1s", alpha=None)
+    assert bound.level_ns == pytest.approx(level, rel=0.02)
 
 
 def test_the_same_values_give_the_same_bound() -> None:
