@@ -44,7 +44,7 @@ COMMANDS = [
     ("rtrun plan campaign.yml", 0, "1 runs"),
     ("rtrun run campaign.yml --target target.yml", 3, "127.0.0.1"),
     ("rtrun probe --target target.yml", 3, "127.0.0.1"),
-    ("rtrun check-rt target.yml", 3, "127.0.0.1"),
+    ("rtrun check-rt --target target.yml", 3, "127.0.0.1"),
     ("rtrun verify results", 0, "all "),
     ("rtrun show results", 0, "oneshot_timer"),
     ("rtrun report results", 0, "report.html"),

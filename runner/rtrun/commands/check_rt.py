@@ -14,7 +14,7 @@ HELP = "list what stands in the way of real time on a running target, why, and t
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what `check-rt` takes."""
-    parser.add_argument("target", type=Path, metavar="TARGET.yml")
+    parser.add_argument("--target", type=Path, required=True, metavar="TARGET.yml")
     parser.add_argument("--json", action="store_true", help="every check, as JSON")
     parser.add_argument(
         "--save-config", type=Path, metavar="FILE", help="keep the kernel's configuration, for rtgen kconfig verify"
@@ -81,7 +81,7 @@ def _as_json(finding: "Finding") -> dict[str, Any]:
         "name": check.name,
         "severity": check.severity,
         "status": finding.status,
-        "found": list(finding.found),
+        "found": list(finding.evidence),
         "why": check.why,
         "remedy": check.remedy,
     }
@@ -103,12 +103,12 @@ def _print(target: str, emulated: bool, findings: "list[Finding]") -> None:
     for each in faults:
         print_line()
         print_line(f"{each.check.severity}: {each.check.name}")
-        for line in each.found[:SHOWN_LINES]:
+        for line in each.evidence[:SHOWN_LINES]:
             print_line(f"  found   {line}")
-        if len(each.found) > SHOWN_LINES:
-            print_line(f"          and {len(each.found) - SHOWN_LINES} more like it")
+        if len(each.evidence) > SHOWN_LINES:
+            print_line(f"          and {len(each.evidence) - SHOWN_LINES} more like it")
         print_line(f"  why     {each.check.why}")
         print_line(f"  remedy  {each.check.remedy}")
     if unknown:
         print_line()
-        print_line(f"not to be seen: {', '.join(f'{each.check.name} ({each.found[0]})' for each in unknown)}")
+        print_line(f"not to be seen: {', '.join(f'{each.check.name} ({each.evidence[0]})' for each in unknown)}")

@@ -2,6 +2,10 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rtrun.target.inspection import Fact
 
 NAME = "probe"
 HELP = "say what a target is and whether it is ready for a campaign"
@@ -10,11 +14,11 @@ HELP = "say what a target is and whether it is ready for a campaign"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what `probe` takes."""
     parser.add_argument("--target", type=Path, required=True, metavar="TARGET.yml")
-    parser.add_argument("--json", action="store_true", help="everything that was found, as JSON")
+    parser.add_argument("--json", action="store_true", help="every fact, as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was found. 0: ready, 3: the target cannot be reached or lacks something."""
+    """Print what the target is. 0: ready, 2: its suites are for another machine, 3: out of reach or lacks something."""
     import json
     import tempfile
     from dataclasses import asdict
@@ -35,25 +39,25 @@ def run(args: argparse.Namespace) -> int:
         Link(target, note) as link,
     ):
         equipment = inspection.inspect(link)
+        inspection.check_suites(target, equipment)
         state = inspection.read_state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
         answers = ros_master.ask_pid(link) is not None
     if args.json:
-        print_text(
-            json.dumps({"equipment": asdict(equipment), "ros_master_answers": answers, "state": state}, indent=2)
-        )
+        facts = {"equipment": asdict(equipment), "ros_master_answers": answers, "state": state.model_dump()}
+        print_text(json.dumps(facts, indent=2))
         return 0
     suites = target.suites or ", ".join(sorted(equipment.programs)) or "none installed"
     banner = ", EMULATED: not a real-time statement" if target.emulated else ""
     lines = {
         "target": f"{target.name} ({target.address}){banner}",
-        "kernel": f"{state['kernel_release']} {state['kernel_version']}",
+        "kernel": f"{_shown(state.kernel_release)} {_shown(state.kernel_version)}",
         "PREEMPT_RT": "yes" if inspection.is_preempt_rt(state) else "no",
-        "CPUs": f"{equipment.cpus} x {state['machine']}",
-        "clocksource": state["clocksource"] or "unknown",
-        "governor": state["governor"] or "none",
-        "real-time threads": f"{len(state['rt_threads'])} of {state['threads']}",
+        "CPUs": f"{equipment.cpus} x {_shown(state.machine)}",
+        "clocksource": _shown(state.clocksource),
+        "governor": _shown(state.governor, absent="none"),
+        "real-time threads": f"{len(state.rt_threads)} of {state.threads}",
         "free on disk": f"{equipment.free_bytes // 2**20} MiB in {target.work_dir}",
-        "ROS": f"roscpp {state['roscpp_version']}" if equipment.master else "not found",
+        "ROS": f"roscpp {_shown(state.roscpp_version)}" if equipment.master else "not found",
         "ROS master": "answers" if answers else "does not answer, a campaign starts one",
         "suites": suites,
     }
@@ -61,3 +65,9 @@ def run(args: argparse.Namespace) -> int:
     for name, value in lines.items():
         print_line(f"{name:{width}}  {value}")
     return 0
+
+
+def _shown(fact: "Fact", absent: str = "unknown") -> str:
+    """A fact in one line; what several CPUs have in common is said once."""
+    values = [fact] if isinstance(fact, str) else fact or [absent]
+    return ", ".join(dict.fromkeys(values))

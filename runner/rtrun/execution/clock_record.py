@@ -1,14 +1,14 @@
 """The clock a run was measured with: what it is called, what wakes timers, and its step."""
 
 import contextlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
 from rtrun.results import samples
 from rtrun.results.record import Clock
+from rtrun.target.inspection import TargetState
 
 # Steps of clocksources that are far coarser than what is measured, in ns, rounded up. The step of a finer clock shows
 # only when it is read in a loop, as the measuring programs do.
@@ -18,18 +18,18 @@ _COARSE_NS = {
 }
 
 
-def record(state: Mapping[str, Any], seen_ns: Iterable[int]) -> Clock:
+def record(state: TargetState, seen_ns: Iterable[int]) -> Clock:
     """The clock of a run: its source and event device as the kernel names them, and its step.
 
-    `state` is that of `inspection.state`, `seen_ns` are the smallest nonzero differences between two readings that the
+    `state` is that before the run, `seen_ns` are the smallest nonzero differences between two readings that the
     programs saw. The step is the largest of them, and not smaller than the known step of the clocksource; None when
     neither is known.
     """
-    source = state.get("clocksource")
+    source = state.clocksource
     steps = [step for step in seen_ns if step > 0]
     if isinstance(source, str) and source in _COARSE_NS:
         steps.append(_COARSE_NS[source])
-    return Clock(source=source, event=state.get("clockevent"), step_ns=max(steps, default=None))
+    return Clock(source=source, event=state.clockevent, step_ns=max(steps, default=None))
 
 
 def steps_seen(folder: Path, outputs: Iterable[str]) -> list[int]:

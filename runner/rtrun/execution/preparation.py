@@ -30,6 +30,7 @@ def prepared(link: Link, owner: str, runs: Sequence[Run]) -> Iterator[Prepared]:
     """Deploy scripts and suites, and see to it that a ROS master answers while the context lasts."""
     target = link.target
     equipment = inspection.inspect(link)
+    inspection.check_suites(target, equipment)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     programs = equipment.programs
     if target.suites is not None:

@@ -9,19 +9,20 @@ import secrets
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from rtfiles.config import Config, parse
 from rtfiles.errors import UsageError
-from rtfiles.untrusted import JSON_BYTES_MAX, parse_json
+from rtfiles.untrusted import parse_json
 from rtrun.results.record import RunRecord
 from rtrun.target.errors import TargetError
+from rtrun.target.inspection import TargetState
 from rtrun.target.link import Link
 
 FILE = "attempt.json"
-LIMIT_BYTES = JSON_BYTES_MAX
+LIMIT_BYTES = 4 * 1024 * 1024
 # Not head -c: the busybox of a Yocto image need not have it.
 _INSPECT = """
 cd "$1" 2>/dev/null || exit 0
@@ -58,7 +59,7 @@ class Attempt(Config):
     master_pid: int
     own_master: bool
     argv: dict[str, list[str]]
-    before: dict[str, Any]
+    before: TargetState
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +133,7 @@ def begin(
     master_pid: int,
     own_master: bool,
     argv: Mapping[str, Sequence[str]],
-    before: dict[str, Any],
+    before: TargetState,
 ) -> Attempt:
     """Make the folder of a run with its attempt file.
 
@@ -151,7 +152,7 @@ def begin(
         "master_pid": master_pid,
         "own_master": own_master,
         "argv": {name: list(words) for name, words in argv.items()},
-        "before": before,
+        "before": before.model_dump(),
     }
     text = json.dumps(data)
     keep = ["sh", "-c", _WRITE, "sh", str(remote), str(len(text.encode()))]

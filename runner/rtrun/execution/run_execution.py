@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from rtfiles.errors import InfrastructureError
 from rtrun.execution import clock_record, download, resumption
@@ -62,7 +61,7 @@ class _End:
     ended_early: Mapping[str, str]
     """Background programs that ended before the suite, name to exit status."""
     master_pid: str
-    after: dict[str, Any]
+    after: inspection.TargetState
     """State of the target."""
 
 
@@ -214,7 +213,8 @@ def _download(work: _Work, partial: Path, attempt: Attempt, end: _End) -> dict[s
     refused = download.pull(work.link, work.remote, partial, work.programs.file_limits)
     if work.prepared.kernel_config:
         (partial / "kernel.config.gz").write_bytes(work.prepared.kernel_config)
-    states = {"schema": 1, "before": attempt.before, "after": end.after, "own_ros_master": attempt.own_master}
+    before, after = attempt.before.model_dump(), end.after.model_dump()
+    states = {"schema": 1, "before": before, "after": after, "own_ros_master": attempt.own_master}
     (partial / "target.json").write_text(json.dumps(states, indent=2) + "\n", encoding="utf-8")
     console = work.link.target.console
     if console is not None and console.exists():
@@ -282,7 +282,7 @@ def _record(
             preempt_rt=inspection.is_preempt_rt(attempt.before),
             cpus=work.prepared.equipment.cpus,
             clock=clock_record.record(attempt.before, clock_record.steps_seen(partial, outputs)),
-            **{name: attempt.before.get(name) for name in STATED},
+            **{name: getattr(attempt.before, name) for name in STATED},
         ),
         files={},
     )

@@ -64,8 +64,11 @@ for name in watchdog soft_watchdog nmi_watchdog; do
     [ -r /proc/sys/kernel/$name ] && { read -r value </proc/sys/kernel/$name; echo "$name $value"; }
 done
 section rt_runtime;      show /proc/sys/kernel/sched_rt_runtime_us
-section rt_groups
-for file in /sys/fs/cgroup/cpu.rt_runtime_us /sys/fs/cgroup/cpu*/cpu.rt_runtime_us; do [ -e "$file" ] && echo "$file"; done
+section rt_scheduling
+# Whether a thread may become a real-time one is asked of the kernel by trying: rights, limits and control groups decide.
+if command -v chrt >/dev/null; then
+    if message=$(chrt -f 1 sh -c : 2>&1); then echo granted; else echo "refused: $message"; fi
+fi
 section timer_migration; show /proc/sys/kernel/timer_migration
 section turbo_mode
 # The driver may be there and have nothing to drive.

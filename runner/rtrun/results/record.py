@@ -11,15 +11,12 @@ from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
 from rtrun.plan.conditions import IDLE
 from rtrun.plan.suites import Value
+from rtrun.target.inspection import Fact
 
 FILE = "run.json"
 
 Count = Annotated[int, Field(ge=0)]
 Name = Annotated[str, Field(min_length=1, max_length=255)]
-Fact = str | list[str] | None
-"""What the target says of itself: a list where it has several, as the governor of each CPU."""
-
-
 Range = list[int | float] | None
 """The lowest and the highest value."""
 

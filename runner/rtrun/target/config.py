@@ -2,12 +2,13 @@
 
 import contextlib
 import functools
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from rtfiles.config import Config, UserPath, parse, read_yaml
 from rtfiles.errors import UsageError
@@ -17,6 +18,17 @@ from rtrun.target.errors import ConnectionLost, TargetGone
 from rtrun.target.ssh import Connection
 
 Word = Annotated[str, Field(min_length=1)]
+
+
+def _host(name: str) -> str:
+    """Refuse what no resolver can look up."""
+    try:
+        encoded = name.encode("idna")
+    except UnicodeError as error:
+        raise ValueError(f"expected the name or the address of a host: {error}") from error
+    if not re.fullmatch(rb"[A-Za-z0-9._:%-]+", encoded):
+        raise ValueError("expected the name or the address of a host")
+    return name
 
 
 class _Common(Config):
@@ -38,7 +50,7 @@ class SshConfig(_Common):
     """Any board that runs an SSH server."""
 
     kind: Literal["ssh"]
-    host: str
+    host: Annotated[str, AfterValidator(_host)]
     port: Annotated[int, Field(ge=1, le=65535)] = 22
     user: str = "root"
     key: UserPath | None = None
@@ -98,12 +110,16 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
 
     Relative paths of the config are relative to `folder`. The serial console of an emulated board goes to `console`.
     """
-    suites = _resolve(folder, config.suites)
+    suites = _resolve(folder, config.suites) if config.suites is not None else None
+    if suites is not None and not suites.is_dir():
+        raise UsageError(f"{suites}: no such folder; suites are built with: rtgen suites build")
     if suites is not None and not (suites / "build.json").is_file():
-        raise UsageError(f"{suites}: no suites there, build them: rtgen suites build")
+        raise UsageError(
+            f"{suites}: has no build.json, so it is no folder of `rtgen suites build`: name the one it printed"
+        )
     with contextlib.ExitStack() as stack:
         if isinstance(config, QemuConfig):
-            board = folder / Path(config.board).expanduser()
+            board = _resolve(folder, config.board)
             machine = stack.enter_context(qemu.boot(board, console))
             emulated = machine.emulated
             address, failure, console_log = machine.address, machine.failure, machine.console
@@ -115,9 +131,9 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
                 host=config.host,
                 port=config.port,
                 user=config.user,
-                key=_resolve(folder, config.key),
+                key=_resolve(folder, config.key) if config.key is not None else None,
                 host_key=config.host_key,
-                known_hosts=folder / Path(config.known_hosts).expanduser(),
+                known_hosts=_resolve(folder, config.known_hosts),
             )
             failure, console_log, boot_s = _no_failure, None, 0.0
             restart = functools.partial(_restart_by_command, config.restart) if config.restart else None
@@ -137,8 +153,8 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
         )
 
 
-def _resolve(folder: Path, path: str | None) -> Path | None:
-    return None if path is None else folder / Path(path).expanduser()
+def _resolve(folder: Path, path: str) -> Path:
+    return folder / Path(path).expanduser()
 
 
 def _restart_by_command(argv: Sequence[str], connection: Connection) -> None:

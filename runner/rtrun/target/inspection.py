@@ -1,14 +1,21 @@
 """What a target has, asked before a campaign, and its state before and after every run."""
 
 import gzip
+import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 
+from pydantic import Field
+
+from rtfiles.config import Config
+from rtfiles.errors import UsageError
 from rtfiles.untrusted import INT64_MAX, whole_number
 from rtrun.plan.conditions import CPUS_MAX
+from rtrun.target import architecture
+from rtrun.target.config import Target
 from rtrun.target.deploy import ON_TARGET
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
@@ -19,6 +26,45 @@ _KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -
 POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
 # Sections kept as one text. Every other section is one value, or a list when it has several lines.
 _TEXTS = ("cpuinfo", "memory", "os_release")
+
+Fact = str | list[str] | None
+"""What the target says of itself: a list where it has several, as the governor of each CPU."""
+
+
+class Thread(Config):
+    """A real-time thread. The policy is a number where its name is not known."""
+
+    tid: int
+    name: str
+    policy: str
+    priority: int
+
+
+class TargetState(Config):
+    """The state of a target as stored in target.json; what the target does not have is None."""
+
+    boot_id: Fact = None
+    kernel_release: Fact = None
+    kernel_version: Fact = None
+    machine: Fact = None
+    host: Fact = None
+    uptime: Fact = None
+    cmdline: Fact = None
+    cpus_online: Fact = None
+    realtime: Fact = None
+    clocksource: Fact = None
+    clockevent: Fact = None
+    governor: Fact = None
+    frequency_khz: Fact = None
+    temperature_mc: Fact = None
+    sched_rt_runtime_us: Fact = None
+    load: Fact = None
+    memory: str | None = None
+    os_release: str | None = None
+    roscpp_version: Fact = None
+    cpuinfo: str | None = None
+    threads: int = 0
+    rt_threads: list[Thread] = Field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +77,8 @@ class Equipment:
     """Executable name to path, of suites installed on the target."""
     cpus: int
     free_bytes: int
+    architecture: str | None
+    """What programs of the target are made for, as `architecture.name` puts it; None where it cannot be seen."""
 
 
 def inspect(link: Link) -> Equipment:
@@ -69,61 +117,79 @@ def inspect(link: Link) -> Equipment:
         programs={PurePosixPath(path).name: path for path in reversed(facts.get("program", []))},
         cpus=_count(facts.get("cpus"), lowest=1, highest=CPUS_MAX),
         free_bytes=_count(facts.get("free_kib"), lowest=0, highest=INT64_MAX // 1024) * 1024,
+        architecture=architecture.name(_header(facts.get("elf", []))),
     )
 
 
 def _count(values: Sequence[str] | None, *, lowest: int, highest: int) -> int:
-    """The number that the target tells, or the lowest where it tells none."""
+    """The number that the target reports, or the lowest where it reports none."""
     try:
         return whole_number(values[0], lowest=lowest, highest=highest) if values else lowest
     except ValueError:
         return lowest
 
 
-def read_state(link: Link, script: PurePosixPath) -> dict[str, Any]:
-    """Return the present state of the target, as stored in target.json."""
+def _header(lines: Sequence[str]) -> bytes:
+    try:
+        return bytes.fromhex(" ".join(lines))
+    except ValueError:
+        return b""
+
+
+def check_suites(target: Target, equipment: Equipment) -> None:
+    """Raise UsageError when the suites of the target file are programs for another architecture than the target's."""
+    made_for = architecture.of_folder(target.suites) if target.suites is not None else None
+    if made_for is not None and equipment.architecture not in (None, made_for):
+        raise UsageError(
+            f"{target.suites}: suites for {made_for}, but {target.address} is {equipment.architecture}: "
+            "name suites that were built for its machine (rtgen suites build --machine)"
+        )
+
+
+def read_state(link: Link, script: PurePosixPath) -> TargetState:
+    """Return the present state of the target."""
     return parse_state(link.check(["sh", str(script)]))
 
 
-def parse_state(text: str) -> dict[str, Any]:
-    """Read the output of state.sh. Real-time threads are listed, all threads counted; an empty section is None."""
+def parse_state(text: str) -> TargetState:
+    """Read the output of state.sh. Real-time threads are listed, all threads counted; other sections are ignored."""
     state: dict[str, Any] = {}
     sections = re.split(r"^== (\w+)$", text, flags=re.MULTILINE)
     for name, body in zip(sections[1::2], sections[2::2], strict=True):
-        lines = body.strip().splitlines()
         if name == "threads":
-            threads = [thread for line in lines if (thread := _thread(line))]
+            threads = [thread for line in io.StringIO(body) if (thread := _thread(line))]
             state["threads"] = len(threads)
-            state["rt_threads"] = [thread for thread in threads if thread["priority"] > 0]
+            state["rt_threads"] = [thread for thread in threads if thread.priority > 0]
         elif name in _TEXTS:
-            state[name] = "\n".join(lines) or None
-        else:
+            state[name] = body.strip() or None
+        elif name in TargetState.model_fields and name != "rt_threads":
+            lines = body.strip().splitlines()
             state[name] = lines[0] if len(lines) == 1 else lines or None
-    return state
+    return TargetState(**state)
 
 
-def _thread(line: str) -> dict[str, Any] | None:
+def _thread(line: str) -> Thread | None:
     """Read a line of /proc/<pid>/task/<tid>/stat; the name may hold blanks and brackets."""
-    match = re.match(r"(\d+) \((.*)\) (.+)$", line)
+    match = re.match(r"([0-9]{1,9}) \((.{0,64})\) (.+)$", line)
     fields = match.group(3).split() if match else []
     # proc(5) counts from 1 with pid and name before these: rt_priority is field 40, policy 41.
     if match is None or len(fields) < 39:
         return None
     try:
         policy = whole_number(fields[38])
-        return {
-            "tid": whole_number(match.group(1)),
-            "name": match.group(2),
-            "policy": POLICIES.get(policy, str(policy)),
-            "priority": whole_number(fields[37]),
-        }
+        return Thread(
+            tid=whole_number(match.group(1)),
+            name=match.group(2),
+            policy=POLICIES.get(policy, str(policy)),
+            priority=whole_number(fields[37], lowest=0),
+        )
     except ValueError:
         return None
 
 
-def is_preempt_rt(state: dict[str, Any]) -> bool:
+def is_preempt_rt(state: TargetState) -> bool:
     """Whether the kernel calls itself PREEMPT_RT. Only kernels with the out-of-tree patch have /sys/kernel/realtime."""
-    return bool(re.search(r"\bPREEMPT[_ ]RT\b", str(state.get("kernel_version")))) or state.get("realtime") == "1"
+    return bool(re.search(r"\bPREEMPT[_ ]RT\b", str(state.kernel_version))) or state.realtime == "1"
 
 
 def read_kernel_config(link: Link) -> bytes:

@@ -50,11 +50,11 @@ class Checks(Config):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """What a check found: `found` are the lines at fault, or the reason why it is unknown."""
+    """The result of a check: `evidence` are the lines at fault, or the reason why it is unknown."""
 
     check: Check
     status: Literal["ok", "fault", "unknown"]
-    found: tuple[str, ...]
+    evidence: tuple[str, ...]
 
 
 def read_checks() -> list[Check]:
@@ -63,7 +63,7 @@ def read_checks() -> list[Check]:
 
 
 def parse(text: str) -> dict[str, list[str]]:
-    """Turn what check_rt.sh printed into lines by fact; a fact without lines is what the target does not have."""
+    """Read the output of check_rt.sh into lines by fact; a fact that the target does not have has no lines."""
     parts = re.split(r"^== (\w+)$", text, flags=re.MULTILINE)
     return {name: body.strip("\n").splitlines() for name, body in zip(parts[1::2], parts[2::2], strict=True)}
 
@@ -84,11 +84,13 @@ def _judge(check: Check, lines: list[str]) -> Finding:
     lines = [line for line in lines if line]
     if not lines:
         if check.absent == "ok":
-            return Finding(check=check, status="ok", found=())
-        return Finding(check=check, status="unknown", found=(f"the target does not tell its {check.fact}",))
+            return Finding(check=check, status="ok", evidence=())
+        return Finding(check=check, status="unknown", evidence=(f"the target does not show its {check.fact}",))
     if check.some is not None:
         good = any(re.search(check.some, line) for line in lines)
         bad = [] if good else lines
     else:
         bad = [line for line in lines if re.search(str(check.none), line)]
-    return Finding(check=check, status="fault" if bad else "ok", found=tuple(line[:SHOWN_CHARACTERS] for line in bad))
+    return Finding(
+        check=check, status="fault" if bad else "ok", evidence=tuple(line[:SHOWN_CHARACTERS] for line in bad)
+    )

@@ -362,7 +362,7 @@ def test_exit_status_of_failed_runs_and_of_a_finished_campaign(sshd, target, tmp
         ("schema: 1\nname: x\nkind: ssh\nhost: h\nwork_dir: /tmp/../../etc\n", "work_dir: String should match"),
         ("schema: 1\nname: x\nkind: ssh\nhost: h\nwork_dir: /\n", "work_dir: String should match"),
         ("schema: 1\nname: x\nkind: qemu\nboard: nowhere\n", "no board there, make one: rtgen board build"),
-        ("schema: 1\nname: x\nkind: ssh\nhost: 127.0.0.1\nsuites: nowhere\n", "no suites there, build them"),
+        ("schema: 1\nname: x\nkind: ssh\nhost: 127.0.0.1\nsuites: nowhere\n", "no such folder; suites are built with"),
     ],
 )
 def test_bad_target_files(tmp_path, text, message, capsys, monkeypatch):

@@ -4,25 +4,26 @@ from written import write_cyclic
 
 from rtrun.execution import clock_record
 from rtrun.results.record import Clock
+from rtrun.target.inspection import TargetState
 
 
 def test_the_step_is_the_coarsest_that_any_program_saw():
-    state = {"clocksource": "arch_sys_counter", "clockevent": "arch_sys_timer"}
+    state = TargetState(clocksource="arch_sys_counter", clockevent="arch_sys_timer")
     assert clock_record.record(state, [16, 32]) == Clock(source="arch_sys_counter", event="arch_sys_timer", step_ns=32)
 
 
 def test_a_program_that_saw_no_step_says_nothing():
-    assert clock_record.record({"clocksource": "arch_sys_counter"}, [0]).step_ns is None
+    assert clock_record.record(TargetState(clocksource="arch_sys_counter"), [0]).step_ns is None
 
 
 def test_the_32_khz_counter_is_coarse_even_where_no_program_tells():
-    state = {"clocksource": "32k_counter", "clockevent": "local_timer"}
+    state = TargetState(clocksource="32k_counter", clockevent="local_timer")
     assert clock_record.record(state, []).step_ns == 30518
     assert clock_record.record(state, [100]).step_ns == 30518
 
 
 def test_a_target_that_tells_nothing():
-    assert clock_record.record({"clocksource": None}, []) == Clock(source=None, event=None, step_ns=None)
+    assert clock_record.record(TargetState(), []) == Clock(source=None, event=None, step_ns=None)
 
 
 def test_steps_come_from_what_the_programs_wrote(tmp_path):

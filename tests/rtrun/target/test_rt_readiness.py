@@ -55,8 +55,8 @@ Filename Type Size Used Priority
 watchdog 1
 == rt_runtime
 950000
-== rt_groups
-/sys/fs/cgroup/cpu/cpu.rt_runtime_us
+== rt_scheduling
+refused: chrt: failed to set pid 0's policy: Operation not permitted
 == timer_migration
 1
 == turbo_mode
@@ -104,7 +104,8 @@ Filename Type Size Used Priority
 watchdog 0
 == rt_runtime
 -1
-== rt_groups
+== rt_scheduling
+granted
 == timer_migration
 0
 == turbo_mode
@@ -131,7 +132,7 @@ def test_every_check_finds_its_fault_on_a_bad_system():
     assert not rt_readiness.is_ready(found)
     severities = [rt_readiness.SEVERITIES.index(each.check.severity) for each in found]
     assert severities == sorted(severities)
-    shown = {each.check.name: each.found for each in found}
+    shown = {each.check.name: each.evidence for each in found}
     assert shown["idle states"] == ("768 us to leave C2 (cpu0/cpuidle/state1)",)
     assert shown["threads at priority 99"] == ("99 program busy (node) x",)
     assert shown["swap"] == ("/dev/mmcblk0p3 partition 1048572 0 -2",)
@@ -139,7 +140,7 @@ def test_every_check_finds_its_fault_on_a_bad_system():
 
 def test_no_check_finds_fault_on_a_good_system():
     found = findings(GOOD)
-    assert [(each.check.name, each.found) for each in found if each.status != "ok"] == []
+    assert [(each.check.name, each.evidence) for each in found if each.status != "ok"] == []
     assert rt_readiness.is_ready(found)
 
 
@@ -157,13 +158,13 @@ def test_preempt_dynamic_is_not_rt():
 
 def test_a_target_that_tells_nothing_is_unknown_and_not_praised():
     unknown = {each.check.name for each in findings("") if each.status == "unknown"}
-    assert {"PREEMPT_RT", "clocksource", "RT_GROUP_SCHED"} <= unknown
+    assert {"PREEMPT_RT", "clocksource", "real-time scheduling"} <= unknown
 
 
 def test_what_a_target_says_cannot_drive_a_terminal(capsys):
     facts = rt_readiness.parse(BAD) | {"turbo_mode": ["Y\x1b[2J" + "x" * 500]}
     findings = rt_readiness.judge(rt_readiness.read_checks(), facts)
-    (line,) = {each.check.name: each.found for each in findings}["smsc95xx turbo_mode"]
+    (line,) = {each.check.name: each.evidence for each in findings}["smsc95xx turbo_mode"]
     assert len(line) == rt_readiness.SHOWN_CHARACTERS
     check_rt._print("board", False, findings)
     output = capsys.readouterr().out
@@ -201,6 +202,18 @@ def test_the_script_needs_nothing_but_a_shell(shell):
     assert {line.split(" ", 2)[2] for line in facts["threads"]} >= {name for name in rt_threads() if name}
 
 
+@pytest.mark.parametrize("login", [[], ["setpriv", "--reuid=65534", "--clear-groups"]])
+def test_real_time_scheduling_is_asked_of_the_kernel(login):
+    """Whatever the kernel's configuration says: where a thread becomes a real-time one, nothing is at fault."""
+    argv = [*login, "sh", str(rt_readiness.SCRIPT)]
+    script = subprocess.run(argv, capture_output=True, text=True, check=True).stdout
+    tried = subprocess.run([*login, "chrt", "-f", "1", "true"], capture_output=True, check=False)
+    (line,) = rt_readiness.parse(script)["rt_scheduling"]
+    assert line == "granted" if tried.returncode == 0 else line.startswith("refused: chrt: ")
+    (finding,) = [each for each in findings(script) if each.check.name == "real-time scheduling"]
+    assert finding.status == ("ok" if tried.returncode == 0 else "fault")
+
+
 def rt_threads():
     """Names of the threads that the kernel gives a real-time priority, asked in another way."""
     for task in Path("/proc").glob("[0-9]*/task/[0-9]*"):
@@ -219,7 +232,7 @@ def target_file(sshd, folder):
 @pytest.mark.sshd
 def test_command_over_ssh(sshd, tmp_path, capsys):
     path = target_file(sshd, tmp_path)
-    status = main(["check-rt", str(path), "--json"])
+    status = main(["check-rt", "--target", str(path), "--json"])
     told = json.loads(capsys.readouterr().out)
     assert status == (0 if told["ready"] else 1)
     assert len(told["checks"]) == len(rt_readiness.read_checks()) and told["emulated"] is False
@@ -227,7 +240,7 @@ def test_command_over_ssh(sshd, tmp_path, capsys):
     rt = next(each for each in told["checks"] if each["name"] == "PREEMPT_RT")
     uname = subprocess.run(["uname", "-v"], capture_output=True, text=True, check=True).stdout
     assert (rt["status"] == "ok") == ("PREEMPT_RT" in uname)
-    main(["check-rt", str(path)])
+    main(["check-rt", "--target", str(path)])
     out = capsys.readouterr().out
     assert out.startswith(f"loopback ({sshd.user}@127.0.0.1")
     for each in told["checks"]:
@@ -239,7 +252,7 @@ def test_save_config(sshd, tmp_path, capsys):
     from rtrun.target import inspection
 
     saved = tmp_path / "config.gz"
-    main(["check-rt", str(target_file(sshd, tmp_path)), "--save-config", str(saved)])
+    main(["check-rt", "--target", str(target_file(sshd, tmp_path)), "--save-config", str(saved)])
     capsys.readouterr()
     text = subprocess.run(["sh", "-c", inspection._KERNEL_CONFIG], capture_output=True, text=True, check=True).stdout
     if text:
@@ -249,5 +262,5 @@ def test_save_config(sshd, tmp_path, capsys):
 
 
 def test_no_such_target(tmp_path, capsys):
-    assert main(["check-rt", str(tmp_path / "none.yml")]) == 2
+    assert main(["check-rt", "--target", str(tmp_path / "none.yml")]) == 2
     assert "none.yml" in capsys.readouterr().err
