@@ -1,6 +1,10 @@
 """Entries appear whole or not at all, and what killed builds leave is removed."""
 
 import fcntl
+import os
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -71,3 +75,26 @@ def test_the_digest_sees_every_part(tmp_path: Path) -> None:
     digests += [cache.digest(["ab", "c"]), cache.digest(["a", "bc"]), cache.digest(["c", "ab"])]
     assert len(set(digests)) == len(digests)
     assert all(len(each) == 16 for each in digests)
+
+
+def test_two_that_want_the_same_entry_build_it_once(root: Path) -> None:
+    builds: list[Path] = []
+
+    def build(folder: Path) -> None:
+        builds.append(folder)
+        started.set()
+        finish.wait()
+        write(folder)
+
+    started, finish = threading.Event(), threading.Event()
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(cache.entry, "kind", "key", build)
+        started.wait()
+        second = pool.submit(cache.entry, "kind", "key", build)
+        # The second one has opened the lock file that the first one holds.
+        lock = str(root / "kind" / ".key.lock")
+        while sum(os.path.realpath(each) == lock for each in Path("/proc/self/fd").iterdir()) < 2 and len(builds) < 2:
+            time.sleep(0.01)
+        finish.set()
+        assert first.result() == second.result()
+    assert len(builds) == 1

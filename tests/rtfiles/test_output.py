@@ -118,3 +118,29 @@ def test_text_of_a_target_cannot_command_the_terminal(capsys):
     assert seen.out == seen.err == "a?[2Jb???c?1m??\td\n"
     output.print_text("{\n  \x1b\u2028\n}\n")
     assert capsys.readouterr().out == "{\n  ??\n}\n"
+
+
+def test_a_line_is_seen_at_once():
+    program = "from rtfiles.output import *\nwith surviving_output():\n    print_line('now')\n    input()\n"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    assert process.stdout.readline() == b"now\n"
+    process.communicate(b"\n")
+    assert process.returncode == 0
+
+
+def test_programs_that_are_started_get_streams_in_place_of_closed_ones():
+    program = (
+        "import subprocess, sys\nfrom rtfiles.output import surviving_output\nwith surviving_output():\n"
+        "    test = '[ -e /proc/$$/fd/0 ] && [ -e /proc/$$/fd/1 ] && [ -e /proc/$$/fd/2 ]'\n"
+        "    sys.exit(subprocess.run(['sh', '-c', test]).returncode)\n"
+    )
+    close = (
+        "import os,sys;os.close(0);os.close(1);os.close(2);os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    assert subprocess.run([sys.executable, "-c", close, "-c", program], env=environment, check=False).returncode == 0

@@ -85,7 +85,7 @@ def test_hotplug_cpu_dropped(data, tree):
     found = broken(data, tree, lambda text: text.replace("CONFIG_HOTPLUG_CPU=y\n", ""))
     assert found.keys() == {"HOTPLUG_CPU"}
     want, got, reason = found["HOTPLUG_CPU"]
-    assert (want, got) == ("y", "n") and reason.startswith("not in mine.cfg; is not asked for, and its default is n")
+    assert (want, got) == ("y", "n") and reason.startswith("not in mine.cfg; is not set, and its default is n")
     assert "PM_SLEEP_SMP (is n)" in reason
 
 
@@ -161,11 +161,11 @@ def test_command_on_a_broken_fragment(data, tree, tmp_path, capsys):
     ("text", "message"),
     [
         ("CONFIG_A=y\nCONFIG_A=n\n", ":2: CONFIG_A is given twice, first in line 1: keep one"),
-        ("# fine\nPREEMPT_RT=y\n", ":2: 'PREEMPT_RT=y' is no config line, write CONFIG_NAME=value"),
-        ("CONFIG_A=yes\n", ":1: 'CONFIG_A=yes' is no config line"),
-        ("CONFIG_A = y\n", ":1: 'CONFIG_A = y' is no config line"),
-        ("# CONFIG_A not set\n", ":1: '# CONFIG_A not set' is no config line"),
-        ("#CONFIG_A is not set\n", ":1: '#CONFIG_A is not set' is no config line"),
+        ("# fine\nPREEMPT_RT=y\n", ":2: 'PREEMPT_RT=y' is not a config line, write CONFIG_NAME=value"),
+        ("CONFIG_A=yes\n", ":1: 'CONFIG_A=yes' is not a config line"),
+        ("CONFIG_A = y\n", ":1: 'CONFIG_A = y' is not a config line"),
+        ("# CONFIG_A not set\n", ":1: '# CONFIG_A not set' is not a config line"),
+        ("#CONFIG_A is not set\n", ":1: '#CONFIG_A is not set' is not a config line"),
         ('CONFIG_A="open\n', ":1: "),
     ],
 )
@@ -190,7 +190,7 @@ def test_expanded_config_is_no_base(data, copy):
 def test_no_kernel_tree(copy, missing, capsys):
     (copy / missing).unlink()
     assert main(["kconfig", "verify", "--source", str(copy)]) == 2
-    assert capsys.readouterr().err == f"rtgen: {copy}: no kernel tree, it has no {missing}\n"
+    assert capsys.readouterr().err == f"rtgen: {copy}: not a kernel tree, it has no {missing}\n"
 
 
 def test_tree_of_an_unknown_version(copy, capsys):
@@ -252,7 +252,7 @@ class TestFinishedConfig:
         path = tmp_path / "fragment"
         path.write_text(render(data, "qemu-armv7", "6.1"))
         assert main(["kconfig", "verify", "--machine", "qemu-armv7", "--config", str(path)]) == 2
-        assert f"{path}:1: no finished .config" in capsys.readouterr().err
+        assert f"{path}:1: not a finished .config" in capsys.readouterr().err
 
 
 def test_device_tree_compiles_and_gives_a_fine_clock(data, tree, tmp_path):

@@ -40,7 +40,7 @@ def test_a_version_that_debian_does_not_serve(data, monkeypatch, tmp_path):
     with pytest.raises(InfrastructureError) as raised:
         debian_source.downloads(gone)
     message = str(raised.value)
-    assert message.startswith("linux-source-6.1=6.1.1-1 and its source cannot be had, served: 6.1.")
+    assert message.startswith("linux-source-6.1=6.1.1-1 and its source cannot be downloaded, served: 6.1.")
     assert "pin another in kconfig/sources.yml" in message
     assert [path for path in (tmp_path / "kernel-source").iterdir() if not path.name.endswith(".lock")] == []
 
