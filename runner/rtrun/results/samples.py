@@ -3,6 +3,7 @@
 Both are untrusted: their sizes are limited, the npy is never unpickled, and rows and counts must tell the same.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -158,20 +159,12 @@ def read_samples(path: Path) -> Samples:
     """
     json_path, npy_path = path.with_suffix(".json"), path.with_suffix(".npy")
     record = read_json(json_path, Record)
-    try:
-        kind = suite(record.suite)
-    except UsageError as error:
-        raise UsageError(f"{json_path}: suite: {error}") from error
+    if record.suite not in _SERIES_OF_SUITE:
+        raise UsageError(f"{json_path}: suite: unknown suite {record.suite!r}, known: {', '.join(_SERIES_OF_SUITE)}")
+    kind = suite(record.suite)
     rows = _read_rows(npy_path, kind)
-    both = f"{npy_path} and {json_path.name} disagree"
     columns = {name: rows[:, i] for i, name in enumerate(kind.columns[: rows.shape[1]])}
-    counts = record.counts
-    if record.suite == "oneshot_timer_tests":
-        series = _oneshot(columns, counts, both)
-    elif record.suite == "cyclic_timer_tests":
-        series = _cyclic(columns, counts, _frequency_hz(record, json_path), both)
-    else:
-        series = _communication(columns, record, both)
+    series = _SERIES_OF_SUITE[record.suite](columns, record, npy_path)
     return Samples(path=npy_path, record=record, rows=rows, series=series)
 
 
@@ -203,41 +196,47 @@ def _read_rows(path: Path, kind: Suite) -> Int64s:
     return np.memmap(path, dtype="<i8", mode="r", offset=header.start_bytes, shape=(rows, width))
 
 
-def _agree(both: str, what: str, rows: int, counts: int) -> None:
+def _disagree(path: Path) -> str:
+    return f"{path} and {path.with_suffix('.json').name} disagree"
+
+
+def _agree(path: Path, what: str, rows: int, counts: int) -> None:
     if rows != counts:
-        raise UsageError(f"{both}: {what}: {rows} in the rows, {counts} in the counts")
+        raise UsageError(f"{_disagree(path)}: {what}: {rows} in the rows, {counts} in the counts")
 
 
-def _times(both: str, *columns: Int64s) -> None:
+def _times(path: Path, *columns: Int64s) -> None:
     for column in columns:
         if column.size and (int(column.min()) < -MAX_TIME_NS or int(column.max()) > MAX_TIME_NS):
-            raise UsageError(f"{both.split(' and ')[0]}: a time beyond {MAX_TIME_NS} ns cannot be")
+            raise UsageError(f"{path}: a time beyond {MAX_TIME_NS} ns cannot be")
 
 
-def _oneshot(columns: dict[str, Int64s], counts: Counts, both: str) -> dict[str, IndexedValues]:
+def _oneshot(columns: dict[str, Int64s], record: Record, path: Path) -> dict[str, IndexedValues]:
+    counts = record.counts
     fired = columns["measured_ns"] != NOT_FIRED_NS
     index = np.flatnonzero(fired)
-    _agree(both, "measured", len(index), counts.measured)
-    _agree(both, "not fired", len(fired) - len(index), counts.not_fired)
+    _agree(path, "measured", len(index), counts.measured)
+    _agree(path, "not fired", len(fired) - len(index), counts.not_fired)
     measured, reported = columns["measured_ns"][index], columns["reported_ns"][index]
-    _times(both, measured, reported)
+    _times(path, measured, reported)
     values = {"measured": measured, "reported": reported, "difference": reported - measured}
     if "armed_ns" in columns:
         start, armed = columns["start_ns"][index], columns["armed_ns"][index]
-        _times(both, start, armed)
+        _times(path, start, armed)
         # The programs of 2014 counted from after roscpp had armed the timer.
         values["measured_2014"] = measured - (armed - start)
         values["difference_2014"] = reported - values["measured_2014"]
     return {name: IndexedValues(values_ns=column, index=index) for name, column in values.items()}
 
 
-def _cyclic(columns: dict[str, Int64s], counts: Counts, frequency_hz: int, both: str) -> dict[str, IndexedValues]:
+def _cyclic(columns: dict[str, Int64s], record: Record, path: Path) -> dict[str, IndexedValues]:
     """Jitter of each period and lateness against the grid from the first timestamp, both from the second one on."""
     timestamp = np.asarray(columns["timestamp_ns"])
-    _times(both, timestamp)
-    _agree(both, "measured periods", max(len(timestamp) - 1, 0), counts.measured)
+    _times(path, timestamp)
+    _agree(path, "measured periods", max(len(timestamp) - 1, 0), record.counts.measured)
     index = np.arange(max(len(timestamp) - 1, 0))
     passed_ns = timestamp[1:] - timestamp[:1] if len(timestamp) else timestamp
+    frequency_hz = _frequency_hz(record, path)
     period_ns = _grid_ns(1, frequency_hz)
     return {
         "jitter": IndexedValues(values_ns=np.diff(timestamp) - period_ns, index=index),
@@ -253,26 +252,38 @@ def _grid_ns(periods: Any, frequency_hz: int) -> Any:
 def _frequency_hz(record: Record, path: Path) -> int:
     frequency_hz = record.requested.get("frequency_hz")
     if not isinstance(frequency_hz, int) or frequency_hz <= 0:
-        raise UsageError(f"{path}: requested.frequency_hz: must be a whole number above 0, got {frequency_hz!r}")
+        raise UsageError(
+            f"{path.with_suffix('.json')}: requested.frequency_hz: must be a whole number above 0, got {frequency_hz!r}"
+        )
     return frequency_hz
 
 
-def _communication(columns: dict[str, Int64s], record: Record, both: str) -> dict[str, IndexedValues]:
+def _communication(columns: dict[str, Int64s], record: Record, path: Path) -> dict[str, IndexedValues]:
     publication, reception, arrived = columns["publication_ns"], columns["reception_ns"], columns["seq"]
     counts = record.counts
-    _times(both, publication, reception)
+    _times(path, publication, reception)
     seq, order = np.unique(arrived, return_index=True)
     first, last = (int(seq[0]), int(seq[-1])) if seq.size else (0, -1)
     if first < 0 or last >= counts.asked:
-        raise UsageError(f"{both}: seq: {first} to {last} in the rows, {counts.asked} asked for in the counts")
+        raise UsageError(
+            f"{_disagree(path)}: seq: {first} to {last} in the rows, {counts.asked} asked for in the counts"
+        )
     if len(seq) != len(arrived):
         raise UsageError(
-            f"{both}: seq: {len(arrived) - len(seq)} numbers stand in the rows again, which hold each once"
+            f"{_disagree(path)}: seq: {len(arrived) - len(seq)} numbers stand in the rows again, which hold each once"
         )
-    _agree(both, "measured", len(seq), counts.measured)
+    _agree(path, "measured", len(seq), counts.measured)
     # Whoever did not see the last message knows only of the gaps between those that came.
     missing = range(last + 1 - len(seq), counts.asked - len(seq) + 1)
     if counts.missing not in (missing[-1:] if record.complete else missing):
-        _agree(both, "missing", missing[-1], counts.missing)
-    _agree(both, "out of order", int(np.count_nonzero(np.diff(arrived) < 0)), counts.out_of_order)
+        _agree(path, "missing", missing[-1], counts.missing)
+    _agree(path, "out of order", int(np.count_nonzero(np.diff(arrived) < 0)), counts.out_of_order)
     return {"latency": IndexedValues(values_ns=(reception - publication)[order], index=seq)}
+
+
+# How the series of a suite follow from its columns in suites.yml.
+_SERIES_OF_SUITE: dict[str, Callable[[dict[str, Int64s], Record, Path], dict[str, IndexedValues]]] = {
+    "oneshot_timer_tests": _oneshot,
+    "cyclic_timer_tests": _cyclic,
+    "communication_tests": _communication,
+}

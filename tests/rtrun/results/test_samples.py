@@ -169,6 +169,8 @@ def test_times_that_cannot_be_are_refused_not_wrapped_around(tmp_path: Path) -> 
         ({"schema": 2}, "schema: Input should be 1, got 2"),
         ({"colour": "red"}, "unknown key 'colour', allowed: schema, suite"),
         ({"suite": "twoshot"}, "suite: unknown suite 'twoshot', known: oneshot_timer_tests"),
+        # A baseline is a suite of campaigns, but it writes no samples.
+        ({"suite": "cyclictest"}, "suite: unknown suite 'cyclictest', known: oneshot_timer_tests"),
         ({"counts": {"asked": -1}}, "counts.asked"),
         ({"requested": {}}, "requested.frequency_hz: must be a whole number above 0, got None"),
         ({"requested": {"frequency_hz": 0}}, "requested.frequency_hz: must be a whole number above 0, got 0"),
