@@ -83,3 +83,20 @@ def test_a_damaged_run_is_not_verified(tmp_path, damage):
             npy.symlink_to(tmp_path.parent / "elsewhere.npy")
     with pytest.raises(UsageError, match=f"{tmp_path}"):
         verify(tmp_path)
+
+
+def test_a_run_that_is_measured_again_keeps_what_was_there(tmp_path):
+    folder = tmp_path / "001-run"
+    for number in range(3):
+        with run_directory.filling(folder) as partial:
+            (partial / "a.txt").write_text(str(number))
+            run_directory.close(partial, folder, record_of())
+    kept = {path.name: (path / "a.txt").read_text() for path in tmp_path.iterdir()}
+    assert kept == {"001-run": "2", "001-run.old-1": "0", "001-run.old-2": "1"}
+
+
+def test_nothing_stays_of_a_run_that_is_not_closed(tmp_path):
+    with pytest.raises(KeyboardInterrupt), run_directory.filling(tmp_path / "001-run") as partial:
+        (partial / "a.txt").write_text("a")
+        raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []

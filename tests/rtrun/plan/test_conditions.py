@@ -1,0 +1,55 @@
+"""The background programs of a condition."""
+
+from pathlib import PurePosixPath
+
+import pytest
+
+from rtrun.plan import conditions
+from rtrun.plan.suites import argv
+
+
+def background(name, expected_s=100.0, deadline_s=620.0, **settings):
+    return conditions.background(
+        name,
+        {key: option.default for key, option in conditions.conditions().settings.items()} | settings,
+        cpus=4,
+        programs={"communication_tests_publisher": "/p", "communication_tests_subscriber": "/s"},
+        scripts=PurePosixPath("/scripts"),
+        environment=(),
+        expected_s=expected_s,
+        deadline_s=deadline_s,
+    )
+
+
+LOADS = [name for name, condition in conditions.conditions().conditions.items() if condition.loads]
+
+
+@pytest.mark.parametrize("name", LOADS)
+def test_a_load_outlives_the_suite(name):
+    for each in background(name):
+        assert each.is_load
+        assert each.program.deadline_s == 620 + conditions.OUTLIVE_S
+        words = each.program.argv
+        if words[0] == "stress-ng":
+            # With 0, for no end, --timer ends by itself after some seconds.
+            assert words[words.index("--timeout") + 1] == "920"
+
+
+def test_nodes_send_for_longer_than_the_suite_measures():
+    listener, talker = background("nodes", nodes_hz=10)
+    for each in (listener, talker):
+        words = each.program.argv
+        assert words[words.index("-r") + 1] == str(10 * (2 * 100 + 120))
+
+
+def test_a_load_runs_on_its_cpus_and_a_setting_is_no_load():
+    hold, load = background("cpu80", load_cpu="1-2", governor="performance")
+    assert hold.program.argv == ("/scripts/pin_setting.sh", "governor", "performance") and not hold.is_load
+    assert load.program.argv[:3] == ("taskset", "-c", "1-2")
+    assert load.processes == 1 + 2
+
+
+def test_a_baseline_gets_no_priority_without_a_policy():
+    values = {"policy": "0", "priority": 80, "repetitions": 10}
+    assert not [word for word in argv("cyclictest", "cyclictest", values) if word.startswith("--priority")]
+    assert "--priority=80" in argv("cyclictest", "cyclictest", values | {"policy": "RR"})
