@@ -61,27 +61,40 @@ def from_samples(values_ns: Int64s, bin_ns: int = 1000) -> Histogram:
 def merge(parts: Iterable[Histogram]) -> Histogram:
     """The sum of histograms of one bin width, without a printed mean.
 
-    Raises ValueError when widths or overflow limits differ.
+    Where they overflow at different values, all values from the lowest of these on are counted as overflow. Raises
+    ValueError when widths differ.
     """
     all_parts = list(parts)
     if not all_parts:
         return from_samples(np.empty(0, np.int64))
     if len({part.bin_ns for part in all_parts}) > 1:
         raise ValueError("histograms of different bin widths cannot be added")
-    limits = {part.overflow_from_ns for part in all_parts if part.overflow}
-    if len(limits) > 1:
-        raise ValueError("histograms that overflow at different values cannot be added")
+    limit_ns = min((part.overflow_from_ns or 0 for part in all_parts if part.overflow), default=None)
     values = np.concatenate([part.values_ns for part in all_parts])
     counts = np.concatenate([part.counts for part in all_parts])
     order = np.argsort(values, kind="stable")
     values, counts = values[order], counts[order]
     starts = np.flatnonzero(np.diff(values, prepend=values[:1] - 1)) if values.size else np.empty(0, np.int64)
-    sums = np.add.reduceat(counts, starts) if values.size else counts
+    values, counts = values[starts], np.add.reduceat(counts, starts) if values.size else counts
+    known = len(values) if limit_ns is None else int(np.searchsorted(values, limit_ns))
     return Histogram(
-        values_ns=values[starts],
-        counts=sums,
+        values_ns=values[:known],
+        counts=counts[:known],
         bin_ns=all_parts[0].bin_ns,
-        overflow=sum(part.overflow for part in all_parts),
-        overflow_from_ns=limits.pop() if limits else None,
-        max_ns=None if any(part.max_ns is None for part in all_parts) else max(part.max_ns or 0 for part in all_parts),
+        overflow=sum(part.overflow for part in all_parts) + int(counts[known:].sum()),
+        overflow_from_ns=limit_ns,
+        max_ns=_largest(all_parts),
     )
+
+
+def _largest(parts: list[Histogram]) -> int | None:
+    """The largest value of all, as far as each part tells its own."""
+    largest = []
+    for part in parts:
+        if part.max_ns is None and part.overflow:
+            return None
+        if part.max_ns is not None:
+            largest.append(part.max_ns)
+        elif part.values_ns.size:
+            largest.append(int(part.values_ns[-1]))
+    return max(largest, default=None)

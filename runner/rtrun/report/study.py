@@ -83,12 +83,9 @@ class Group:
         return max((one.header.clock_step_ns or 1 for one in self.digests), default=1)
 
     @functools.cached_property
-    def histogram(self) -> Histogram | None:
-        """All counts; None where bins do not fit together."""
-        try:
-            return merge(one.histogram for one in self.digests)
-        except ValueError:
-            return None
+    def histogram(self) -> Histogram:
+        """All counts: the digests of a group have bins of one width."""
+        return merge(one.histogram for one in self.digests)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,12 @@ def keep_histograms(folder: Path, run: Run, output: str) -> list[str]:
     if run.suite != "cyclictest":
         return []
     printed = folder / f"{run.suite}.stdout"
-    histograms = cyclictest.read_text(printed, printed.read_text(encoding="utf-8"))
+    interval_us = run.parameters["interval_us"]
+    histograms = cyclictest.read_text(
+        printed,
+        printed.read_text(encoding="utf-8"),
+        interval_us=interval_us if isinstance(interval_us, int) else None,
+    )
     outputs = [f"{output}-t{thread}" for thread in range(len(histograms))]
     for name, histogram in zip(outputs, histograms, strict=True):
         atomic.write_text(folder / f"{name}{ENDING}", histogram_text(histogram))

@@ -28,7 +28,10 @@ def plots(group: Group, deadline_ns: int) -> list[tuple[str, str]]:
     if with_course:
         worst = max(with_course, key=lambda one: one.figures.max_ns or 0)
         found.append((f"Values over the loop index, highest ten marked, of {worst.run}", _course(worst, what)))
-    found.append(("Share of values above, with the fitted tail where there is one", _ccdf(group, what, deadline_ns)))
+    shown = merge(one.histogram for one in slowest(group.digests))
+    if shown.values_ns.size:
+        caption = "Share of values above, with the fitted tail where there is one"
+        found.append((caption, _ccdf(group, shown, what, deadline_ns)))
     return found
 
 
@@ -84,7 +87,7 @@ def _histograms(group: Group, what: str, deadline_ns: int) -> str:
         )
     top = max(point[1] for mark in marks for point in mark.points)
     x = Axis(low=low, high=high, label=what)
-    if not few and group.histogram is not None:
+    if not few:
         steps = _steps(group.histogram, low, high, _BINS)
         top = max(top, *(point[1] for point in steps))
         marks.append(Mark(kind="steps", points=steps, name=f"all {len(shown)} together; each run in light blue"))
@@ -158,10 +161,8 @@ def _course(one: Digest, what: str) -> str:
     return chart(f"Values over time of {one.run}", x, Axis(low=low - edge, high=high + edge, label=what), marks)
 
 
-def _ccdf(group: Group, what: str, deadline_ns: int) -> str:
+def _ccdf(group: Group, bins: Histogram, what: str, deadline_ns: int) -> str:
     low, high = _span(group, deadline_ns)
-    shown = slowest(group.digests)
-    bins = merge(one.histogram for one in shown)
     n = bins.n
     above = (n - np.cumsum(bins.counts)) / n
     seen = above > 0
@@ -173,7 +174,9 @@ def _ccdf(group: Group, what: str, deadline_ns: int) -> str:
         Mark(
             kind="steps",
             points=points,
-            name="measured" if len(shown) == len(group.digests) else "measured by the slowest subscriber",
+            name="measured"
+            if len(slowest(group.digests)) == len(group.digests)
+            else "measured by the slowest subscriber",
         )
     ]
     floor = 0.5 / n

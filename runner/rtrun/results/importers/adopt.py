@@ -7,8 +7,11 @@ from pathlib import Path
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
+from rtfiles.output import printable
+from rtfiles.untrusted import read_bytes
 from rtrun.plan.suites import Value
 from rtrun.results import run_directory
+from rtrun.results.gnuplot_lines import MAX_SIZE_BYTES
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, Imported, histogram_text
@@ -21,16 +24,20 @@ def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tupl
     A log keeps its name and is read as a log of its suite; other files become histograms, one run a context. Raises
     UsageError when the file is none that can be read, or a run of that name exists.
     """
+    if printable(path.name) != path.name:
+        raise UsageError(f"{printable(str(path))}: a name of plain text is needed, rename the file")
     name = re.sub(r"[^A-Za-z0-9._-]", "_", path.stem) or "imported"
-    if path.suffix == ".log" and "set output" in _head(path):
+    if path.suffix == ".log" and b"# Plot data for gnuplot" in read_bytes(path, max_bytes=MAX_SIZE_BYTES):
         log = read_log(path)
         output = (
             re.sub(r"-(measured|reported|diff)$", "", path.stem) if log.suite == "oneshot_timer_tests" else path.stem
         )
         record = _record(name, results, log.suite, log.parameters, [output], emulated)
         folder = _new(results, name)
+        # A log may have been renamed: under this name it is read as that log of the output.
+        kind = {"measured": "-measured", "reported": "-reported", "difference": "-diff"}.get(log.series, "")
         with run_directory.filling(folder) as partial:
-            shutil.copyfile(path, partial / path.name)
+            shutil.copyfile(path, partial / f"{output}{kind}.log")
             run_directory.close(partial, folder, record)
         return [(folder, ("the samples, and their order but for the listed extremes", *log.remarks))]
     found = read(path)
@@ -50,14 +57,6 @@ def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tupl
             run_directory.close(partial, folder, record)
         made.append((folder, tuple(dict.fromkeys(text for one in members for text in one.left_out))))
     return made
-
-
-def _head(path: Path) -> str:
-    try:
-        with path.open("rb") as stream:
-            return stream.read(4096).decode("utf-8", "replace")
-    except OSError as error:
-        raise UsageError(f"{path}: {error.strerror}") from error
 
 
 def _new(results: Path, run: str) -> Path:

@@ -1,6 +1,6 @@
 """What all the histogram formats share: counts of bins checked, plain JSON read with limits."""
 
-import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,30 +8,48 @@ from typing import Any
 import numpy as np
 
 from rtfiles.errors import UsageError
+from rtfiles.untrusted import parse_json, whole_number
 from rtrun.analysis.histogram import Histogram
 
 NO_ORDER = "the order of the measurements: bursts and trends cannot be seen"
-_LIMIT = 1 << 53
+MAX_BINS = 1_000_000  # that hold a value, of all histograms in a file; cyclictest has at most as many
+MAX_COUNT = 10**15
+_KEY = re.compile(r"[0-9]{1,9}", re.ASCII)
 
 
 def load(path: Path, text: str) -> dict[str, Any]:
     """The JSON object in a text. Raises UsageError naming the file."""
-    try:
-        data = json.loads(text, parse_constant=lambda name: _refuse(name))
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"{path}: not JSON: {error}") from error
+    data = parse_json(text, str(path))
     if not isinstance(data, dict):
         raise UsageError(f"{path}: expected a JSON object")
     return data
 
 
-def _refuse(name: str) -> None:
-    raise ValueError(f"{name} is no number")
+def numbered(path: Path, where: str, data: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The members of a JSON object that holds one object for each thread or CPU, by its number."""
+    for key, value in data.items():
+        if not _KEY.fullmatch(key) or not isinstance(value, dict):
+            raise UsageError(f"{path}: {where}.{key[:20]!r}: expected a number, and a mapping behind it")
+    return data
+
+
+def numbers_in(path: Path, line: int, text: str) -> list[int]:
+    """The whole numbers in a line. Raises UsageError ``file:line: what is wrong``."""
+    try:
+        return [whole_number(word, lowest=0, highest=MAX_COUNT) for word in text.split()]
+    except ValueError as error:
+        raise UsageError(f"{path}:{line}: {error}") from error
+
+
+def check_bins(path: Path, number: int) -> None:
+    """Refuse a file with more bins than it can have."""
+    if number > MAX_BINS:
+        raise UsageError(f"{path}: more than {MAX_BINS} bins that hold a value")
 
 
 def whole(path: Path, where: str, value: object) -> int:
     """A whole number from 0 on. Raises UsageError naming file and place."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _LIMIT:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_COUNT:
         raise UsageError(f"{path}: {where}: expected a whole number from 0 on, got {str(value)[:40]!r}")
     return value
 
@@ -40,6 +58,7 @@ def bins_of(path: Path, where: str, data: object) -> dict[int, int]:
     """Bins from a JSON mapping of value to count."""
     if not isinstance(data, dict):
         raise UsageError(f"{path}: {where}: expected a mapping of value to count")
+    check_bins(path, len(data))
     found: dict[int, int] = {}
     for key, count in data.items():
         if not (key.isascii() and key.isdigit() and len(key) <= 15):
@@ -48,8 +67,24 @@ def bins_of(path: Path, where: str, data: object) -> dict[int, int]:
     return found
 
 
+def mean_of(path: Path, where: str, value: object) -> float | None:
+    """A mean as it is printed, None where there is none. Raises UsageError naming file and place."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= MAX_COUNT:
+        raise UsageError(f"{path}: {where}: expected a number from 0 on, got {str(value)[:40]!r}")
+    return float(value)
+
+
 def histogram(
-    bins: Mapping[int, int], *, unit_ns: int, width: int, overflow: int, overflow_from: int, max_value: int | None
+    bins: Mapping[int, int],
+    *,
+    unit_ns: int,
+    width: int,
+    overflow: int,
+    overflow_from: int,
+    max_value: int | None,
+    mean_value: float | None,
 ) -> Histogram:
     """A histogram from bins in units of `unit_ns`, each `width` units wide."""
     filled = sorted((value, count) for value, count in bins.items() if count)
@@ -60,4 +95,5 @@ def histogram(
         overflow=overflow,
         overflow_from_ns=overflow_from * unit_ns if overflow else None,
         max_ns=None if max_value is None else max_value * unit_ns,
+        mean_ns=None if mean_value is None else mean_value * unit_ns,
     )

@@ -1,78 +1,118 @@
 """Reader of cyclictest's histograms: the text of ``-h`` and the file of ``--json`` (rt-tests 1.0 to 2.x)."""
 
 import re
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rtfiles.errors import UsageError
-from rtrun.results.importers.counts import NO_ORDER, bins_of, histogram, load, whole
+from rtrun.results.importers.counts import (
+    NO_ORDER,
+    bins_of,
+    check_bins,
+    histogram,
+    load,
+    mean_of,
+    numbered,
+    numbers_in,
+    whole,
+)
 from rtrun.results.importers.histogram_file import Imported
 
-_ROW = re.compile(r"([0-9]{1,15})[ \t]+([0-9]{1,15}(?:[ \t]+[0-9]{1,15})*)[ \t]*", re.ASCII)
-_SUMMARY = re.compile(r"# (Total|Min Latencies|Avg Latencies|Max Latencies|Histogram Overflows):([ \t0-9]*)", re.ASCII)
+_ROW = re.compile(r"[0-9]+([ \t]+[0-9]+)+", re.ASCII)
+_SUMMARY = re.compile(r"# (Total|Min Latencies|Avg Latencies|Max Latencies|Histogram Overflows):(.*)", re.ASCII)
 _LIMIT_OPTION = re.compile(r"(?:^|\s)(?:-h|-H|--histogram|--histofall)[= ]?([0-9]{1,9})(?=\s|$)")
 _INTERVAL_OPTION = re.compile(r"(?:^|\s)(?:-i|--interval)[= ]?([0-9]{1,9})(?=\s|$)")
 
 
-def read_text(path: Path, text: str) -> tuple[Imported, ...]:
-    """One histogram a thread. Raises UsageError ``file:line: what is wrong``."""
-    columns: list[dict[int, int]] = []
-    summary: dict[str, tuple[list[int], int]] = {}
-    limit, started, number = 0, False, 0
-    for number, line in enumerate(text.splitlines(), start=1):
+@dataclass(kw_only=True, slots=True)
+class _Text:
+    """The parts of a text, in whatever order they stand: a column of bins for each thread, and lines of the summary."""
+
+    columns: list[dict[int, int]] = field(default_factory=list)
+    limit: int = 0  # one more than the last bin
+    summary: dict[str, list[int]] = field(default_factory=dict)
+    line_of_totals: int = 0
+
+    def of_thread(self, name: str, thread: int) -> int | None:
+        values = self.summary.get(name, [])
+        return values[thread] if thread < len(values) else None
+
+
+def read_text(path: Path, text: str, *, interval_us: int | None = None) -> tuple[Imported, ...]:
+    """One histogram a thread. `interval_us` is the interval where the caller set it; the text does not tell it.
+
+    Raises UsageError ``file:line: what is wrong``.
+    """
+    parts = _parts(path, text)
+    totals = parts.summary["Total"]
+    # With -H the last column sums up the others.
+    threads = len(parts.summary.get("Max Latencies", totals))
+    if not 0 < threads <= min(len(parts.columns), len(totals)):
+        raise UsageError(
+            f"{path}:{parts.line_of_totals}: {threads} threads in the summary, {len(parts.columns)} columns of bins, "
+            f"{len(totals)} totals"
+        )
+    return tuple(_thread(path, parts, thread, interval_us) for thread in range(threads))
+
+
+def _parts(path: Path, text: str) -> _Text:
+    parts, started, number, bins = _Text(), False, 0, 0
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = raw.rstrip()
         if line.startswith("# Histogram") and ":" not in line:
             started = True
         elif found := _SUMMARY.fullmatch(line):
-            summary[found[1]] = ([int(word) for word in found[2].split()], number)
+            parts.summary[found[1]] = numbers_in(path, number, found[2])
+            parts.line_of_totals = number if found[1] == "Total" else parts.line_of_totals
         elif started and line and not line.startswith("#"):
-            row = _ROW.fullmatch(line)
-            if summary or not row:
+            if not _ROW.fullmatch(line):
                 raise UsageError(f"{path}:{number}: expected a bin, 'value count count ...', got {line[:40]!r}")
-            value, counts = int(row[1]), [int(word) for word in row[2].split()]
-            columns = columns or [{} for _ in counts]
-            if len(counts) != len(columns) or value < limit:
-                wrong = f"{len(counts)} counts, {len(columns)} before" if value >= limit else f"{value} does not rise"
-                raise UsageError(f"{path}:{number}: {wrong}")
-            limit = value + 1
-            for column, count in zip(columns, counts, strict=True):
-                column[value] = count
-    if not columns or "Total" not in summary:
-        raise UsageError(f"{path}:{number}: cut off: no {'bins' if not columns else 'line # Total:'}")
-    totals, line_of_totals = summary["Total"]
-    # With -H the last column sums up the others.
-    threads = len(summary["Max Latencies"][0]) if "Max Latencies" in summary else len(totals)
-    if not 0 < threads <= min(len(columns), len(totals)):
-        raise UsageError(
-            f"{path}:{line_of_totals}: {threads} threads in the summary, {len(columns)} columns of bins, "
-            f"{len(totals)} totals"
-        )
-    found_threads = []
-    for k in range(threads):
-        seen = sum(columns[k].values())
-        if totals[k] != seen:
-            raise UsageError(f"{path}:{line_of_totals}: thread {k}: a total of {totals[k]}, but the bins hold {seen}")
-        overflow, most = _at(summary, "Histogram Overflows", k) or 0, _at(summary, "Max Latencies", k)
-        left_out = [NO_ORDER, "the interval, and whether -N changed the unit: microseconds are assumed"]
-        if overflow:
-            left_out.append(f"{overflow} values of {limit} us and more: only counted, the largest is known")
-        found_threads.append(
-            Imported(
-                source="cyclictest",
-                name=f"cyclictest-t{k}",
-                histogram=histogram(
-                    columns[k], unit_ns=1000, width=1, overflow=overflow, overflow_from=limit, max_value=most
-                ),
-                period_ns=None,
-                left_out=tuple(left_out),
-                parameters={},
-            )
-        )
-    return tuple(found_threads)
+            value, *counts = numbers_in(path, number, line)
+            parts.columns = parts.columns or [{} for _ in counts]
+            if len(counts) != len(parts.columns):
+                raise UsageError(f"{path}:{number}: {len(counts)} counts, {len(parts.columns)} before")
+            if value < parts.limit:
+                raise UsageError(f"{path}:{number}: {value} does not rise")
+            parts.limit = value + 1
+            for column, count in zip(parts.columns, counts, strict=True):
+                if count:
+                    column[value] = count
+                    bins += 1
+            check_bins(path, bins)
+    if not parts.columns or "Total" not in parts.summary:
+        raise UsageError(f"{path}:{number}: cut off: no {'bins' if not parts.columns else 'line # Total:'}")
+    return parts
 
 
-def _at(summary: dict[str, tuple[list[int], int]], name: str, k: int) -> int | None:
-    values = summary.get(name, ([], 0))[0]
-    return values[k] if k < len(values) else None
+def _thread(path: Path, parts: _Text, thread: int, interval_us: int | None) -> Imported:
+    bins, total = parts.columns[thread], parts.summary["Total"][thread]
+    seen = sum(bins.values())
+    if total != seen:
+        place = f"{path}:{parts.line_of_totals}"
+        raise UsageError(f"{place}: thread {thread}: a total of {total}, but the bins hold {seen}")
+    overflow = parts.of_thread("Histogram Overflows", thread) or 0
+    left_out = [NO_ORDER]
+    if interval_us is None:
+        left_out.append("the interval, and whether -N changed the unit: microseconds are assumed")
+    if overflow:
+        left_out.append(f"{overflow} values of {parts.limit} us and more: only counted, the largest is known")
+    return Imported(
+        source="cyclictest",
+        name=f"cyclictest-t{thread}",
+        histogram=histogram(
+            bins,
+            unit_ns=1000,
+            width=1,
+            overflow=overflow,
+            overflow_from=parts.limit,
+            max_value=parts.of_thread("Max Latencies", thread),
+            mean_value=parts.of_thread("Avg Latencies", thread),
+        ),
+        period_ns=None if interval_us is None else 1000.0 * interval_us,
+        left_out=tuple(left_out),
+        parameters={},
+    )
 
 
 def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
@@ -87,10 +127,8 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
     asked = _LIMIT_OPTION.search(command)
     interval = _INTERVAL_OPTION.search(command)
     found = []
-    for name, thread in threads.items():
-        where = f"thread.{name[:20]}"
-        if not isinstance(thread, dict):
-            raise UsageError(f"{path}: {where}: expected a mapping")
+    for name, thread in numbered(path, "thread", threads).items():
+        where = f"thread.{name}"
         bins = bins_of(path, f"{where}.histogram", thread.get("histogram", {}))
         cycles, most = (
             whole(path, f"{where}.cycles", thread.get("cycles")),
@@ -111,9 +149,15 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
                 source="cyclictest",
                 name=f"cyclictest-t{name}",
                 histogram=histogram(
-                    bins, unit_ns=unit, width=1, overflow=overflow, overflow_from=limit, max_value=most
+                    bins,
+                    unit_ns=unit,
+                    width=1,
+                    overflow=overflow,
+                    overflow_from=limit,
+                    max_value=most,
+                    mean_value=mean_of(path, f"{where}.avg", thread.get("avg")),
                 ),
-                period_ns=1000.0 * int(interval[1]) if interval else 1e6,
+                period_ns=(1000.0 * int(interval[1]) if interval else 1e6) or None,
                 left_out=tuple(left_out),
                 parameters={},
             )

@@ -3,10 +3,11 @@
 from pathlib import Path
 
 from rtfiles.errors import UsageError
+from rtfiles.untrusted import MIB, read_bytes
 from rtrun.results.importers import cyclictest, jitterdebugger, timerlat
 from rtrun.results.importers.histogram_file import Imported
 
-MAX_BYTES = 128 << 20
+MAX_BYTES = 128 * MIB
 READS = "a log of 2014 or of a suite, cyclictest -h or --json, jitterdebugger's results.json, rtla timerlat hist"
 
 
@@ -16,14 +17,7 @@ def read(path: Path) -> tuple[Imported, ...]:
     Raises UsageError ``file[:line]: what is wrong``.
     """
     try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise UsageError(f"{path}: {size} bytes, a histogram has at most {MAX_BYTES}")
-        data = path.read_bytes()
-    except OSError as error:
-        raise UsageError(f"{path}: {error.strerror}") from error
-    try:
-        text = data.decode("utf-8")
+        text = read_bytes(path, max_bytes=MAX_BYTES).decode("utf-8")
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: not text, expected {READS}") from error
     if text.lstrip().startswith("{"):

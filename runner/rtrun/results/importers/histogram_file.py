@@ -10,10 +10,12 @@ from pydantic import Field
 
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
+from rtfiles.untrusted import MIB
 from rtrun.analysis.histogram import Histogram
+from rtrun.results.importers.counts import MAX_BINS, check_bins
 
 ENDING = ".histogram.json"
-MAX_BINS = 10_000_000
+_MAX_BYTES = 64 * MIB
 _LIMIT_NS = 1 << 61
 
 Natural = Annotated[int, Field(ge=0)]
@@ -28,6 +30,7 @@ class _File(Config):
     overflow: Natural
     overflow_from_ns: int | None
     max_ns: int | None
+    mean_ns: float | None = None
     period_ns: float | None
     left_out: list[str]
 
@@ -59,6 +62,7 @@ def histogram_text(found: Imported) -> str:
         "overflow": bins.overflow,
         "overflow_from_ns": bins.overflow_from_ns,
         "max_ns": bins.max_ns,
+        "mean_ns": bins.mean_ns,
         "period_ns": found.period_ns,
         "left_out": list(found.left_out),
     }
@@ -67,7 +71,8 @@ def histogram_text(found: Imported) -> str:
 
 def read_histogram(path: Path) -> Imported:
     """Read it back. Raises UsageError that names the file and what is wrong in it."""
-    file = read_json(path, _File)
+    file = read_json(path, _File, max_bytes=_MAX_BYTES, max_items=2 * MAX_BINS + 1000)
+    check_bins(path, len(file.values_ns))
     if len(file.values_ns) != len(file.counts):
         raise UsageError(f"{path}: {len(file.values_ns)} values_ns, but {len(file.counts)} counts")
     if any(not -_LIMIT_NS < value < _LIMIT_NS for value in (*file.values_ns, *file.counts)):
@@ -85,6 +90,7 @@ def read_histogram(path: Path) -> Imported:
             overflow=file.overflow,
             overflow_from_ns=file.overflow_from_ns,
             max_ns=file.max_ns,
+            mean_ns=file.mean_ns,
         ),
         period_ns=file.period_ns,
         left_out=tuple(file.left_out),

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from rtfiles.errors import UsageError
-from rtrun.results.importers.counts import NO_ORDER, bins_of, histogram, load, whole
+from rtrun.results.importers.counts import NO_ORDER, bins_of, histogram, load, mean_of, numbered, whole
 from rtrun.results.importers.histogram_file import Imported
 
 _BINS = 1000  # its histogram ends there
@@ -19,10 +19,8 @@ def read_results(path: Path, text: str) -> tuple[Imported, ...]:
     if resolution not in (1, 1000):
         raise UsageError(f"{path}: sysinfo.resolution_in_ns: expected 1 or 1000, got {str(resolution)[:40]!r}")
     found = []
-    for name, cpu in cpus.items():
-        where = f"cpu.{name[:20]}"
-        if not isinstance(cpu, dict):
-            raise UsageError(f"{path}: {where}: expected a mapping")
+    for name, cpu in numbered(path, "cpu", cpus).items():
+        where = f"cpu.{name}"
         bins = bins_of(path, f"{where}.histogram", cpu.get("histogram", {}))
         count, most = whole(path, f"{where}.count", cpu.get("count")), whole(path, f"{where}.max", cpu.get("max"))
         overflow = count - sum(bins.values())
@@ -37,7 +35,13 @@ def read_results(path: Path, text: str) -> tuple[Imported, ...]:
                 source="jitterdebugger",
                 name=f"jitterdebugger-cpu{name}",
                 histogram=histogram(
-                    bins, unit_ns=resolution, width=1, overflow=overflow, overflow_from=limit, max_value=most
+                    bins,
+                    unit_ns=resolution,
+                    width=1,
+                    overflow=overflow,
+                    overflow_from=limit,
+                    max_value=most,
+                    mean_value=mean_of(path, f"{where}.avg", cpu.get("avg")),
                 ),
                 period_ns=None,
                 left_out=tuple(left_out),

@@ -6,7 +6,7 @@ from functools import reduce
 from pathlib import Path
 
 from rtfiles.errors import UsageError
-from rtrun.results.importers.counts import NO_ORDER, histogram
+from rtrun.results.importers.counts import NO_ORDER, check_bins, histogram
 from rtrun.results.importers.histogram_file import Imported
 
 _COLUMN = re.compile(r"(IRQ|Thr|Usr)-[0-9]{3,5}", re.ASCII)
@@ -40,6 +40,7 @@ def read_text(path: Path, text: str) -> tuple[Imported, ...]:
             if rows and int(words[0]) <= rows[-1][0]:
                 raise UsageError(f"{path}:{number}: {words[0]} does not rise")
             rows.append((int(words[0]), [int(word) for word in words[1:]]))
+            check_bins(path, len(rows) * len(columns))
     if not columns or "over:" not in summary or "count:" not in summary:
         raise UsageError(f"{path}:{number}: cut off: no line {'Index' if not columns else 'over: and count:'}")
     # The bucket size (-b) is not printed: it divides every index.
@@ -81,6 +82,7 @@ def _column(
             overflow=over,
             overflow_from=limit,
             max_value=summary["max:"][k] if "max:" in summary else None,
+            mean_value=summary["avg:"][k] if "avg:" in summary else None,
         ),
         period_ns=None,
         left_out=tuple(left_out),

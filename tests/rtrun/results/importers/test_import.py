@@ -1,6 +1,7 @@
 """Files of other programs: real ones where the program runs here, broken ones everywhere."""
 
 import json
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -13,7 +14,9 @@ from rtfiles.errors import UsageError
 from rtrun.cli import main
 from rtrun.report.study import study
 from rtrun.results.gnuplot_log import read_log
+from rtrun.results.importers import counts
 from rtrun.results.importers.adopt import adopt
+from rtrun.results.importers.cyclictest import read_text
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
 
@@ -95,6 +98,10 @@ def test_the_largest_value_decides_a_deadline_beyond_the_bins(tmp_path):
     assert by_context["thread"].verdict is None and "beyond" in str(by_context["thread"].undecidable)
 
 
+def cyclictest_text(folder, text, **known):
+    return read_text(folder / "x.txt", text, **known)
+
+
 @pytest.mark.parametrize("log", sorted(LOGS_2014.glob("*.log")), ids=lambda path: path.name[:30])
 def test_logs_of_2014_become_runs(tmp_path, log, capsys):
     assert main(["import", str(log), "--out", str(tmp_path / "out")]) == 0
@@ -102,6 +109,86 @@ def test_logs_of_2014_become_runs(tmp_path, log, capsys):
     assert "not known: the samples" in said
     (group,) = study(tmp_path / "out").groups
     assert group.n + sum(len(one.header.startup) for one in group.digests) == int(read_log(log).count.sum())
+
+
+VENDOR = """# /dev/cpu_dma_latency set to 0us
+# Total: 000000006 000000005  \t
+# Min Latencies: 00001 00001
+# Avg Latencies: 00002 00002
+# Max Latencies: 00200 00003
+# Histogram Overflows: 00001 00000
+# Histogram  \t
+000000 000000\t000000  \t
+000001 000004\t000002 \t
+000002 000002\t000000
+000003 000000\t000003
+"""
+
+
+def test_cyclictest_is_read_whatever_the_order_of_its_parts(tmp_path):
+    file = tmp_path / "vendor.txt"
+    file.write_text(VENDOR)
+    first, second = (one.histogram for one in read(file))
+    assert (first.values_ns.tolist(), first.counts.tolist()) == ([1000, 2000], [4, 2])
+    assert (first.overflow, first.overflow_from_ns, first.max_ns, first.mean_ns) == (1, 4000, 200_000, 2000.0)
+    assert (second.values_ns.tolist(), second.counts.tolist()) == ([1000, 3000], [2, 3])
+
+
+def test_the_mean_that_was_printed_is_shown_in_spite_of_an_overflow(tmp_path, capsys):
+    file = tmp_path / "vendor.txt"
+    file.write_text(VENDOR)
+    adopt(file, tmp_path / "out", emulated=False)
+    assert main(["show", "--json", str(tmp_path / "out" / "vendor")]) == 0
+    results = json.loads(capsys.readouterr().out)["results"]
+    assert [(one["n"], one["mean_us"], one["max_us"]) for one in results] == [(7, 2.0, 200.0), (5, 2.2, 3.0)]
+
+
+def test_an_interval_that_the_caller_set_is_known(tmp_path):
+    (first, _), (unknown, _) = (
+        cyclictest_text(tmp_path, VENDOR, interval_us=200), cyclictest_text(tmp_path, VENDOR)
+    )  # fmt: skip
+    assert first.period_ns == 200_000.0 and not any("interval" in text for text in first.left_out)
+    assert unknown.period_ns is None and any("interval" in text for text in unknown.left_out)
+
+
+def test_histograms_of_different_length_are_reported_together(tmp_path, capsys):
+    shorter = VENDOR.replace("00200", "00900").replace("000003 000000\t000003\n", "").replace("5  \t", "2  \t")
+    for name, text in (("a", VENDOR), ("b", shorter)):
+        (tmp_path / f"{name}.txt").write_text(text)
+        adopt(tmp_path / f"{name}.txt", tmp_path / "out", emulated=False)
+    assert main(["report", str(tmp_path / "out")]) == 0
+    assert "Exceedance of" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_more_bins_than_any_program_has_are_refused(tmp_path, monkeypatch):
+    rows = "".join(f"{value} 1\n" for value in range(30))
+    (tmp_path / "a.txt").write_text(f"# Histogram\n{rows}# Total: 30\n# Max Latencies: 29\n")
+    made = json.dumps({"cpu": {"0": {"count": 30, "max": 29, "histogram": {str(value): 1 for value in range(30)}}}})
+    (tmp_path / "b.json").write_text(made)
+    (tmp_path / "c.txt").write_text(TIMERLAT)
+    files = sorted(tmp_path.iterdir())
+    adopt(files[0], tmp_path / "out", emulated=False)
+    files.append(next((tmp_path / "out").glob(f"a/*{ENDING}")))
+    monkeypatch.setattr(counts, "MAX_BINS", 10)
+    for file in files:
+        with pytest.raises(UsageError, match=rf"{file.name}: more than 10 bins"):
+            read_histogram(file) if file.name.endswith(ENDING) else read(file)
+
+
+def test_pipes_and_devices_are_refused_at_once(tmp_path, capsys):
+    pipe = tmp_path / "pipe.log"
+    os.mkfifo(pipe)
+    for path in (pipe, Path("/dev/zero")):
+        assert main(["import", str(path), "--out", str(tmp_path / "out")]) == 2
+        assert f"{path}: not a regular file" in capsys.readouterr().err
+
+
+def test_a_renamed_log_of_a_oneshot_timer_is_read_after_its_import(tmp_path):
+    log = tmp_path / "kept.log"
+    shutil.copy(LOGS_2014 / "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log", log)
+    adopt(log, tmp_path / "out", emulated=False)
+    (group,) = study(tmp_path / "out").groups
+    assert group.n == 200
 
 
 def test_what_was_emulated_stays_so(tmp_path):
@@ -134,11 +221,21 @@ def test_one_bad_file_does_not_stop_the_others(tmp_path, capsys):
         ),
         ("fall.txt", "# Histogram\n000005 000002\n000004 1\n# Total: 3\n", "fall.txt:3: 4 does not rise"),
         ("nan.txt", "# Histogram\n000005 nan\n# Total: 3\n", "nan.txt:2: expected a bin"),
-        ("x.json", '{"cpu": {"0": {"histogram": {"5": NaN}}}}', "NaN is no number"),
+        ("x.json", '{"cpu": {"0": {"histogram": {"5": NaN}}}}', "expected a number, got 'NaN'"),
         ("y.json", '{"cpu": {"0": {"histogram": {"5": -1}, "count": 1, "max": 5}}}', "cpu.0.5|cpu.0.histogram.5"),
         ("z.json", '{"cpu": {"0": {"histogram": {"5": 9}, "count": 1, "max": 5}}}', "but the bins hold 9"),
         ("n.json", "[" * 100_000, "expected"),
-        ("o.json", "{" + '"a":{' * 50_000, "not JSON"),
+        ("o.json", "{" + '"a":{' * 50_000, "not JSON|nested"),
+        (
+            "digits.txt",
+            "# Histogram\n000001 000002\n# Total: " + "9" * 5000 + "\n",
+            "digits.txt:3: expected a whole number",
+        ),
+        ("digits2.txt", "# Histogram\n000001 " + "9" * 5000 + "\n# Total: 9\n", "digits2.txt:2: expected a whole"),
+        ("nul.json", '{"cmdline": "cyclictest", "thread": {"\\u0000": {}}}', "thread.*expected a number"),
+        ("up.json", '{"cmdline": "cyclictest", "thread": {"/../x": {}}}', "thread.*expected a number"),
+        ("cpu.json", '{"cpu": {"\\u0000": {}}}', "cpu.*expected a number"),
+        ("half.json", '{"cpu": {"\\ud800": {}}}', "half of a character"),
         ("tl.txt", TIMERLAT.replace("count:     1000", "count:     1001"), "IRQ-001: a count of 1001"),
         ("tl2.txt", TIMERLAT[: TIMERLAT.index("over:")], "cut off"),
         ("tl3.txt", TIMERLAT.replace("944       134", "944"), "tl3.txt:5: 5 values for 6 columns"),
