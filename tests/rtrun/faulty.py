@@ -57,6 +57,8 @@ data["counts"]["missing"] += wish == "miscounted"
 data["counts"]["asked"] += wish == "misheard"
 path.write_text(json.dumps(data))
 print("\\tINFO: done")
+if wish == "commands":
+    Path(output + ".log").write_text('set ylabel "`touch obeyed`"\\n# Plot data for gnuplot\\nend\\n')
 if wish == "incomplete":
     data = json.loads(path.read_text())
     data.update(complete=False, incomplete_reason="the publisher ended")

@@ -4,8 +4,10 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
+from rtfiles.errors import UsageError
 from rtrun.plan import suites
 from rtrun.results import partial_samples
+from rtrun.results.gnuplot_lines import check_commands
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
 from rtrun.target.ssh import Connection
@@ -45,6 +47,8 @@ def expected_files(
 def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[str, int]) -> dict[str, str]:
     """Copy the files of a run that are there and expected; return those that were not taken, name to reason.
 
+    A log with commands that no suite writes is kept as ``<name>.refused``: gnuplot would execute them.
+
     Raises TargetError when a file arrives with another SHA-256 than it has on the target.
     """
     present = link.do(lambda connection: connection.list_files(source))
@@ -61,6 +65,13 @@ def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[s
     for name in wanted:
         if name.endswith(partial_samples.ENDING):
             partial_samples.salvage(destination / name)
+        if name.endswith(".log"):
+            try:
+                check_commands(destination / name)
+            except UsageError as error:
+                # Not under a name that somebody gives to gnuplot.
+                (destination / name).rename(destination / f"{name}.refused")
+                refused[name] = f"kept as {name}.refused: {str(error).replace(f'{destination}/', '')}"
     return refused
 
 

@@ -1,7 +1,8 @@
 """The lines of a gnuplot log, taken apart: what stands in them, not yet what it means (see gnuplot_log).
 
 The file is untrusted: its size and its lines' are limited, and memory goes by the bins that hold something, not by the
-range of the values. Anything that cannot stand in such a log is refused with ``file:line: what must stand here``.
+range of the values. Anything that cannot stand in such a log is refused with ``file:line: what must stand here``: so no
+command gets through that gnuplot would execute for somebody else (``system``, backquotes, a pipe as output).
 """
 
 import re
@@ -18,6 +19,16 @@ MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
 MAX_LINE_BYTES = 1 << 20
 MAX_VALUE_US = 10**15 - 1  # 31 years
 
+# In double quotes gnuplot executes what stands between backquotes.
+_WORDS = r"[^\"`\\\x00-\x1f\x7f]*"
+_OUTPUT = re.compile(rf'set output "(?!\|)({_WORDS})\.jpg"')
+_COMMANDS = re.compile(
+    rf'set (?:title|xlabel|ylabel) "{_WORDS}"'
+    r"|set yrange \[0\.7:1?\]|set xrange \[-?[0-9]{1,16}:[0-9]{1,16}\]"
+    r"|set logscale y|set xtics add\(500, 1000\)|set terminal jpeg size 1920,1080"
+    r"""|plot "-" u 1:2 t '[A-Za-z_]+' w steps""",
+    re.ASCII,
+)
 _BIN = re.compile(r"(#?)(-?[0-9]{1,15})[ \t]+([0-9]{1,12})[ \t]*", re.ASCII)
 _NUMBER = r"(-?[0-9]{1,15}(?:\.[0-9]{1,6})?)"
 _BOUNDS = re.compile(rf"MIN:\s*{_NUMBER}us\s+AVG:\s*{_NUMBER}us\s+MAX:\s*{_NUMBER}us")
@@ -88,6 +99,8 @@ class _Lines:
 
 def read_text(path: Path) -> Text:
     """Take a log apart. Raises UsageError ``file:line: what is wrong``."""
+    if path.exists() and not path.is_file():
+        raise UsageError(f"{path}: not a regular file")
     try:
         with path.open("rb") as stream:
             stream.seek(0, 2)
@@ -105,8 +118,6 @@ def _read(path: Path, stream: BinaryIO) -> Text:
     for line in numbered:
         if line == "# Plot data for gnuplot":
             break
-        if not line.startswith(("set ", "plot ")):
-            lines.refuse(f"no log of a suite: 'set ...' or 'plot ...' must stand here, not {_cut(line)}")
         _read_command(lines, text, line)
     else:
         lines.refuse("no log of a suite: '# Plot data for gnuplot' is missing")
@@ -131,10 +142,22 @@ def _cut(line: str) -> str:
 
 
 def _read_command(lines: _Lines, text: Text, line: str) -> None:
-    if line.startswith("set xlabel ") and (found := _BOUNDS.search(line)):
-        text.summaries["xlabel"] = _printed(found, lines.number)
-    elif found := re.fullmatch(r'set output "(.*)\.jpg"', line):
+    if found := _OUTPUT.fullmatch(line):
         text.output = found[1]
+    elif not _COMMANDS.fullmatch(line):
+        lines.refuse(f"no log of a suite: no suite writes the command {_cut(line)}")
+    elif line.startswith("set xlabel ") and (found := _BOUNDS.search(line)):
+        text.summaries["xlabel"] = _printed(found, lines.number)
+
+
+def check_commands(path: Path) -> None:
+    """Refuse a log that gnuplot cannot be trusted with: other commands than a suite writes, or another picture.
+
+    Raises UsageError ``file[:line]: what is wrong``.
+    """
+    output = read_text(path).output
+    if output != path.stem:
+        raise UsageError(f"{path}: it would draw {output}.jpg, not {path.stem}.jpg")
 
 
 def _printed(found: re.Match[str], line: int) -> Printed:

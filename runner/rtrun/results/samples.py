@@ -170,6 +170,8 @@ def read_samples(path: Path) -> Samples:
 
 def _read_rows(path: Path, kind: Suite) -> Int64s:
     """Map the rows, shape (rows, columns)."""
+    if path.exists() and not path.is_file():
+        raise UsageError(f"{path}: not a regular file")
     try:
         size = path.stat().st_size
         if size > MAX_NPY_BYTES:

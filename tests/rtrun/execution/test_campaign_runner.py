@@ -105,6 +105,17 @@ def test_a_trace_that_is_too_large_is_named_and_costs_the_run_nothing(target, tm
     assert written["refused"] == {name: f"{name} has 134217728 bytes, at most 67108864 were expected: it was not taken"}
 
 
+def test_a_log_with_commands_is_kept_under_another_name(target, tmp_path, watching, wishes):
+    wishes.will("commands")
+    (run,) = runs = runs_of(1)
+    assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["failed"]
+    written = record(tmp_path / "results", run)
+    name = "cyclic_timer_tests_l10_fq100.log"
+    assert name not in written["files"] and f"{name}.refused" in written["files"]
+    assert written["reason"] == written["refused"][name]
+    assert written["reason"].startswith(f"kept as {name}.refused: {name}:1: no log of a suite: no suite writes the")
+
+
 def test_programs_of_2014_write_logs_only(target, tmp_path, watching, wishes):
     wishes.will("2014", "2014")
     runs = runs_of(1, repetitions=300, frequency_hz=1000, policy=["0", "RR"])

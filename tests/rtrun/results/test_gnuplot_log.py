@@ -186,7 +186,7 @@ def altered(tmp_path: Path, name: str, old: str, new: str) -> Path:
         ("000015 \t000000", "000015 nan", ":33: a bin must stand here, 'value <TAB>count', not '000015 nan'"),
         ("000015", "9" * 400, ":33: a bin must stand here"),
         ("\nend", "\nend\n1", ": nothing may follow 'end', got '1'"),
-        ("# Plot data", "# Data", ":11: no log of a suite: 'set ...' or 'plot ...' must stand here"),
+        ("# Plot data", "# Data", ":11: no log of a suite: no suite writes the command '# Data for gnuplot'"),
         ("a loop length", "a length", ": no log of a suite: the summary is none of oneshot_timer_tests"),
         ("set xlabel", "exit #", ":2: no log of a suite"),
     ],
@@ -230,6 +230,39 @@ def test_lists_of_another_series_lend_no_index(tmp_path: Path) -> None:
     assert log.remarks == ("the list of top values does not belong to the bins: its indices are left out",)
     assert figures_of(log).top[0].value_ns == 273_000
     assert figures_of(log).top[0].index is None
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        'set ylabel "`touch obeyed`"',
+        'set title "a\\',
+        'set title "a"; system("touch obeyed")',
+        'set output "|touch obeyed; echo .jpg"',
+        "system('touch obeyed')",
+        "!touch obeyed",
+        'load "other"',
+        'set xlabel "a\r`touch obeyed`"',
+        'plot "< touch obeyed" u 1:2',
+        "set xrange [0:system('touch obeyed')]",
+        "",
+    ],
+)
+def test_a_command_that_no_suite_writes_is_refused(tmp_path: Path, command: str) -> None:
+    path = tmp_path / ONESHOT
+    path.write_text(f"{command}\n" + (DATA / ONESHOT).read_text())
+    with pytest.raises(UsageError, match=r":1: no log of a suite: no suite writes the command"):
+        read_log(path)
+
+
+def test_gnuplot_is_trusted_with_real_logs_of_their_own_picture(tmp_path: Path) -> None:
+    for path in (*DATA.glob("*.log"), *(DATA.parent / "suites").glob("*.log")):
+        gnuplot_lines.check_commands(path)
+    for wrong in ("other.jpg", "/etc/x.jpg", f"../{ONESHOT.removesuffix('.log')}.jpg"):
+        path = tmp_path / ONESHOT
+        path.write_text((DATA / ONESHOT).read_text().replace(f"{ONESHOT.removesuffix('.log')}.jpg", wrong))
+        with pytest.raises(UsageError, match="it would draw"):
+            gnuplot_lines.check_commands(path)
 
 
 def test_a_log_cut_off_anywhere_is_refused(tmp_path: Path) -> None:
