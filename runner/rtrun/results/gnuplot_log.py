@@ -21,7 +21,7 @@ MAX_TOTAL = 10**12  # measurements in one log
 TOLERANCE_US = 1  # between a printed number, however it was rounded, and the bins
 MEAN_TOLERANCE_US = 2  # as the mean's own rounding comes on top
 # Logs count from after the timer was armed, as in 2014.
-_SERIES_OF_ONESHOT = {"measured": "measured_2014", "reported": "reported", "diff": "difference_2014"}
+SERIES_OF_ONESHOT_LOGS = {"measured": "measured_2014", "reported": "reported", "diff": "difference_2014"}
 SENTINEL_US = -1  # what stood for a missing message in 2014
 
 
@@ -115,7 +115,7 @@ def _interpret(path: Path, text: Text) -> Log:
 
 def _series(suite: str, name: LogName | None) -> str:
     if suite == "oneshot_timer_tests":
-        return _SERIES_OF_ONESHOT[name.log if name else "measured"]
+        return SERIES_OF_ONESHOT_LOGS[name.log if name else "measured"]
     return "jitter" if suite == "cyclic_timer_tests" else "latency"
 
 

@@ -12,7 +12,7 @@ from rtfiles.untrusted import read_bytes
 from rtrun.plan.suites import Value
 from rtrun.results import run_directory
 from rtrun.results.gnuplot_lines import MAX_SIZE_BYTES
-from rtrun.results.gnuplot_log import read_log
+from rtrun.results.gnuplot_log import SERIES_OF_ONESHOT_LOGS, read_log
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, Imported, histogram_text
 from rtrun.results.record import RunRecord, RunStatus, TargetFacts
@@ -35,7 +35,7 @@ def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tupl
         record = _record(name, results, log.suite, log.parameters, [output], emulated)
         folder = _new(results, name)
         # A log may have been renamed: under this name it is read as that log of the output.
-        kind = {"measured": "-measured", "reported": "-reported", "difference": "-diff"}.get(log.series, "")
+        kind = {series: f"-{kind}" for kind, series in SERIES_OF_ONESHOT_LOGS.items()}.get(log.series, "")
         with run_directory.filling(folder) as partial:
             shutil.copyfile(path, partial / f"{output}{kind}.log")
             run_directory.close(partial, folder, record)
