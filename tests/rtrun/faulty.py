@@ -77,7 +77,7 @@ if wish == "link":
     path.symlink_to("/etc/passwd")
 if wish == "2014":
     log = Path({data!r}, "cyclic_timer_tests_l300_fq1000-tnRTRR.log")
-    Path(output + ".log").write_bytes(log.read_bytes())
+    Path(output + ".log").write_text(log.read_text().replace(log.stem, output))
     path.unlink()
     path.with_suffix(".npy").unlink()
 if wish == "deep json":
