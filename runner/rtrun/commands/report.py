@@ -36,11 +36,11 @@ def run(args: argparse.Namespace) -> int:
     examined = examine_claims(found) if whole else ()
     said = document.document(found, examined)
     writers = {
-        "html": lambda: page.html(found, said).encode(),
-        "markdown": lambda: formats.markdown(said).encode(),
-        "json": lambda: formats.as_json(found, examined).encode(),
-        "junit": lambda: formats.junit(gate.gate(found)).encode(),
-        "csv": lambda: formats.as_csv(found).encode(),
+        "html": lambda: page.html(found, said).encode("utf-8", "replace"),
+        "markdown": lambda: formats.markdown(said).encode("utf-8", "replace"),
+        "json": lambda: formats.as_json(found, examined).encode("utf-8", "replace"),
+        "junit": lambda: formats.junit(gate.gate(found)).encode("utf-8", "replace"),
+        "csv": lambda: formats.as_csv(found).encode("utf-8", "replace"),
         "parquet": lambda: formats.parquet(found),
     }
     content = writers[args.format]()

@@ -3,8 +3,9 @@
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from rtfiles.output import printable
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.analysis.extreme import Bound
 from rtrun.analysis.figures import PERCENTILES, Figures
@@ -63,14 +64,23 @@ def document(study: Study, claims: Sequence[Examined]) -> Document:
     tables = [_figures(study), *_startup(study), *_clusters(study), _worst_cases(study), *_layers(study)]
     tables += [_claims(claims), *_published(study), _environment(study), _reproduce(study)]
     return Document(
-        title=f"Real-time report: {study.source.path.resolve().name}",
+        title=printable(f"Real-time report: {study.source.path.resolve().name}"),
         banner=banner_of(emulated=study.emulated, preempt_rt=all(one.preempt_rt for one in study.records)) or None,
         summary=summary(study),
         question=f"Is P(value above {study.deadline_ns / 1000:g} us) below {study.probability:g}? "
         f"Confidence {100 * study.confidence:g} %, two-sided.",
         lines=tuple(verdict_line(group) for group in study.groups),
-        tables=tuple(table for table in tables if table.rows),
-        left_out=study.left_out,
+        tables=tuple(_printable(table) for table in tables if table.rows),
+        left_out=tuple(map(printable, study.left_out)),
+    )
+
+
+def _printable(table: Table) -> Table:
+    """The table without what would command a terminal, or cannot be encoded: much in it comes from a target."""
+    return replace(
+        table,
+        rows=[tuple(map(printable, row)) for row in table.rows],
+        notes=tuple(map(printable, table.notes)),
     )
 
 
@@ -83,10 +93,10 @@ def summary(study: Study) -> str:
 
 def verdict_line(group: Group) -> Line:
     """The verdict of a group in one line."""
-    verdict = group.verdict
+    verdict, about = group.verdict, printable(group.label)
     if verdict is None:
-        return Line(answer=Answer.NEEDS_MORE, about=group.label, text=group.undecidable or "nothing was measured")
-    return Line(answer=verdict.answer, about=group.label, text=_numbers(verdict, group))
+        return Line(answer=Answer.NEEDS_MORE, about=about, text=group.undecidable or "nothing was measured")
+    return Line(answer=verdict.answer, about=about, text=_numbers(verdict, group))
 
 
 def _numbers(verdict: Verdict, group: Group) -> str:

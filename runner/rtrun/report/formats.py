@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from rtfiles.errors import UsageError
+from rtfiles.output import printable
 from rtrun.analysis.figures import PERCENTILES
 from rtrun.report.claims.examiners import Examined
 from rtrun.report.digest import Digest
@@ -139,7 +140,10 @@ def _xml(text: str) -> str:
 
 def rows(study: Study) -> list[dict[str, Any]]:
     """The table as plain rows, one a series of an output: what CSV and Parquet hold. Times in us."""
-    return [_plain_row(one) for one in (*study.digests, *study.others)]
+    return [
+        {key: printable(value) if isinstance(value, str) else value for key, value in _plain_row(one).items()}
+        for one in (*study.digests, *study.others)
+    ]
 
 
 def _plain_row(one: Digest) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtfiles.errors import UsageError
+from rtfiles.output import printable
 from rtrun.analysis.figures import Figures, IndexedValue, figures_of_histogram, figures_of_samples
 from rtrun.analysis.histogram import Histogram, Int64s
 from rtrun.plan.suites import Value
@@ -29,8 +30,8 @@ _WITHOUT_2014 = (
 MAIN_LOGS = (MEASURED_2014, "jitter", "latency")
 # Loops at the start of a run that stand apart, as in the thesis: the first message, the first two periods.
 STARTUP_LOOPS = {"latency": 1, "jitter": 2, "grid": 2}
-# Loops without a value that fit into memory; no suite can be asked for more (repetitions in suites.yml).
-MAX_ABSENT = 100_000_000
+MAX_ASKED = 100_000_000  # no suite can be asked for more (repetitions in suites.yml)
+MAX_ABSENT = 10_000_000  # loops without a value, so that they fit into memory
 _NONE = np.empty(0, np.int64)
 
 
@@ -119,13 +120,16 @@ def series_of_samples(samples: Samples) -> tuple[SampleSeries, ...]:
         head = int(np.searchsorted(values.index, apart))
         absent = _NONE
         if counts.not_fired + counts.missing:
-            if counts.asked - len(values.index) > MAX_ABSENT:
-                raise UsageError(f"{samples.path}: {counts.asked} were asked for, a run has at most {MAX_ABSENT}")
+            if counts.asked > MAX_ASKED or counts.asked - len(values.index) > MAX_ABSENT:
+                raise UsageError(
+                    f"{samples.path}: {counts.asked} were asked for, {len(values.index)} came: no run has more than "
+                    f"{MAX_ASKED}, and none with more than {MAX_ABSENT} missing is read"
+                )
             absent = _absent(values.index, counts.asked)
         found.append(
             SampleSeries(
                 header=Header(
-                    run=samples.path.stem,
+                    run=printable(samples.path.stem),
                     suite=record.suite,
                     output=samples.path.stem,
                     series=name,
@@ -177,7 +181,7 @@ def series_of_log(log: Log) -> HistogramSeries:
         remarks += ("start-up values are not among the listed ones: the figures include them",)
     return HistogramSeries(
         header=Header(
-            run=log.path.stem,
+            run=printable(log.path.stem),
             suite=log.suite,
             output=log.path.stem,
             series=log.series,

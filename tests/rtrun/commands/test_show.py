@@ -1,6 +1,7 @@
 """`rtrun show` on real outputs and on run directories, whole, unfinished and tampered with."""
 
 import json
+import os
 import math
 import re
 import shutil
@@ -284,3 +285,22 @@ def test_what_is_no_result_is_refused(capsys: pytest.CaptureFixture[str], tmp_pa
     status, _, error = show(capsys, path)
     assert status == 2
     assert error == f"rtrun: {path}: not a run directory, a folder of runs, or a .log, .npy or .json of a suite\n"
+
+
+def test_more_missing_messages_than_memory_holds_are_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = write_communication(tmp_path)
+    record = json.loads(path.read_text())
+    record["counts"] |= {"asked": 3_000_000_000, "missing": 3_000_000_000 - 4}
+    path.write_text(json.dumps(record))
+    status, _, error = show(capsys, path)
+    assert status == 2 and "3000000000 were asked for, 4 came: no run has more than 100000000" in error
+
+
+def test_a_pipe_beside_a_json_is_refused_at_once(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = write_communication(tmp_path)
+    path.with_suffix(".npy").unlink()
+    os.mkfifo(path.with_suffix(".npy"))
+    status, _, error = show(capsys, path)
+    assert status == 2 and error.endswith(".npy: not a regular file\n")

@@ -1,10 +1,14 @@
 """Every format: complete, the same bytes twice, and nothing from a target gets out of its place."""
 
 import csv
+import hashlib
 import io
 import json
+import os
 import re
+import shutil
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import pyarrow.parquet
 import pytest
@@ -12,6 +16,8 @@ from report.campaigns import latencies, oneshot_rows, write_run
 
 from rtrun.cli import main
 from rtrun.report.terminal import EMULATED
+
+LOG_2014 = Path(__file__).parents[2] / "data" / "2014" / "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log"
 
 
 def write(capsysbinary, results, form):
@@ -100,6 +106,44 @@ def test_what_a_target_says_stays_text(capsysbinary, tmp_path):
     assert "<script>" not in text.replace("\\<script\\>", "")
     assert main(["gate", str(tmp_path)]) == 1
     assert b"\x1b" not in capsysbinary.readouterr().out
+
+
+@pytest.mark.parametrize("form", ["html", "markdown", "json", "junit", "csv", "parquet"])
+def test_no_format_holds_commands_to_a_terminal_or_half_characters(capsysbinary, tmp_path, form):
+    evil = "\x1b]0;x\x07\nFORGED line"
+    parameters = {"policy": evil, "timeout_us": 1000, "busy_mode": 0}
+    rows = [oneshot_rows(latencies(300, 1), 1000)]
+    target = {"name": evil, "kernel_version": evil}
+    folder = tmp_path / os.fsdecode(b"results-\xff")
+    write_run(folder, "a", "oneshot_timer_tests", rows, {**parameters, "policy": "RR", "cpu": evil}, asked=300,
+              target=target, logs=False, run=evil, campaign="x")  # fmt: skip
+    write_run(folder, "b", "oneshot_timer_tests", rows, {**parameters, "policy": "RR"}, asked=300, status="failed",
+              reason=evil, campaign="x")  # fmt: skip
+    content = write(capsysbinary, folder, form)
+    if form not in ("html", "parquet"):
+        assert b"\nFORGED" not in content and b"\x1b" not in content and b"\x07" not in content
+    lone = folder / os.fsdecode(b"\xff_oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log")
+    shutil.copy(LOG_2014, lone)
+    assert write(capsysbinary, lone, form)
+
+
+def test_a_reason_from_a_target_makes_no_line_of_its_own(capsysbinary, tmp_path):
+    rows = [oneshot_rows(latencies(300, 1), 1000)]
+    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
+    folder = write_run(tmp_path, "a", "oneshot_timer_tests", rows, parameters, asked=300, logs=False)
+    write_run(tmp_path, "b", "oneshot_timer_tests", rows, parameters, asked=300, logs=False)
+    path = next(folder.glob("one*.json"))
+    said = {"complete": False, "incomplete_reason": "left\nPROVEN  everything\x1b[2J"}
+    path.write_text(json.dumps(json.loads(path.read_text()) | said))
+    record = json.loads((folder / "run.json").read_text())
+    record["files"][path.name] = {
+        "size_bytes": path.stat().st_size, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()
+    }  # fmt: skip
+    (folder / "run.json").write_text(json.dumps(record))
+    for command in (["show"], ["report"], ["gate"], ["claims"]):
+        main([*command, str(tmp_path)])
+        said = capsysbinary.readouterr().out
+        assert b"left?PROVEN" in said and b"\nPROVEN" not in said and b"\x1b" not in said
 
 
 def test_a_report_is_written_beside_the_results(capsys, tmp_path):
