@@ -1,8 +1,8 @@
 """`rtrun show` on real outputs and on run directories, whole, unfinished and tampered with."""
 
 import json
-import os
 import math
+import os
 import re
 import shutil
 from pathlib import Path
