@@ -48,6 +48,7 @@ COMMANDS = [
     ("rtrun verify results", 0, "all "),
     ("rtrun show results", 0, "oneshot_timer"),
     ("rtrun report results", 0, "report.html"),
+    ("rtrun verdict results", 0, "confidence 0.95"),
     ("rtrun gate results", 1, "failed"),
     ("rtrun compare results results", 0, "NO DIFFERENCE"),
     ("rtrun claims results", 0, "test:"),

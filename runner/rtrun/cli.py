@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from rtfiles.command import dispatch
-from rtrun.commands import check_rt, claims, compare, gate, import_, plan, probe, report, run, show, verify
+from rtrun.commands import check_rt, claims, compare, gate, import_, plan, probe, report, run, show, verdict, verify
 
 COMMANDS: tuple[ModuleType, ...] = (
     plan,
@@ -14,6 +14,7 @@ COMMANDS: tuple[ModuleType, ...] = (
     check_rt,
     show,
     verify,
+    verdict,
     report,
     gate,
     compare,

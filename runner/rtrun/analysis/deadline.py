@@ -62,7 +62,8 @@ class Verdict:
     """The answer to one deadline.
 
     ``lower`` and ``upper`` bound P(miss) at ``confidence``, however often somebody looks (`anytime_interval`).
-    ``boots`` counts the boots that were measured, None where they are not known. ``longest_burst`` is the mean length
+    ``boots`` counts the boots that were measured, None where they are not known; the answer is to rest on
+    ``boots_wanted``. ``longest_burst`` is the mean length
     of bursts of misses, none of which was seen, up to which PROVEN would hold; ``further_for_bursts`` gives (length,
     measurements without a miss that would cover it).
 
@@ -85,6 +86,7 @@ class Verdict:
     design_effect: float
     n_effective: float
     boots: int | None
+    boots_wanted: int
     longest_burst: float
     further_for_bursts: tuple[tuple[int, int], ...]
     further: int | None
@@ -98,6 +100,11 @@ class Verdict:
     def misses(self) -> int:
         """Measurements that did not meet the deadline."""
         return self.late + self.absent
+
+    @property
+    def boots_missing(self) -> int:
+        """How many more boots the answer is to rest on, as far as boots are known."""
+        return 0 if self.boots is None else max(0, self.boots_wanted - self.boots)
 
     def hours(self, measurements: int) -> float | None:
         """How long so many measurements take; None when the period is not known."""
@@ -169,11 +176,13 @@ def judge(
     clock_step_ns: int | None = None,
     emulated: bool = False,
     measurements_per_event: int = 1,
+    boots_wanted: int = 1,
 ) -> Verdict:
     """Answer for runs of one set of parameters: is P(miss) below `probability`, at this confidence?
 
     PROVEN: the interval's upper end is below it, and no run shows a change. IF_INDEPENDENT: the same, from counts that
-    kept no order. REFUTED: the lower end is above it. Else NEEDS MORE, with how many.
+    kept no order. REFUTED: the lower end is above it. Else, and with fewer than `boots_wanted` boots, NEEDS MORE, with
+    how many.
     `measurements_per_event` measurements of one event (the subscribers of one message) count as one measurement.
     Numbers from an emulated board, or for a deadline below two clock steps, are no real-time statement.
     Raises ValueError when probability or confidence is not between 0 and 1.
@@ -194,8 +203,11 @@ def judge(
         refused = "measured on an emulated board"
     elif clock_step_ns is not None and deadline_ns < 2 * clock_step_ns:
         refused = f"the deadline of {deadline_ns} ns is finer than two steps of the clock ({clock_step_ns} ns each)"
+    boots = len({run.boot for run in runs}) if all(run.boot for run in runs) else None
     if refused:
         answer = Answer.NO_STATEMENT
+    elif boots is not None and boots < boots_wanted:
+        answer = Answer.NEEDS_MORE
     elif n and upper < probability and change is None:
         answer = Answer.PROVEN if ordered else Answer.IF_INDEPENDENT
     elif n and lower > probability:
@@ -223,7 +235,8 @@ def judge(
         upper=upper,
         design_effect=effect,
         n_effective=n / effect,
-        boots=len({run.boot for run in runs}) if all(run.boot for run in runs) else None,
+        boots=boots,
+        boots_wanted=boots_wanted,
         longest_burst=n / needed if needed else 0.0,
         further_for_bursts=tuple((length, more) for length in BURSTS if proven and (more := further(length))),
         further=further(1.0),
@@ -235,6 +248,29 @@ def judge(
         change=change,
         refused=refused,
     )
+
+
+def plan_measurements(*, probability: float, confidence: float, rate: float = 0.0) -> tuple[Answer, int] | None:
+    """Answer and independent measurements that nine times in ten are enough, if misses come at this rate.
+
+    Without misses it is the fewest that prove it. None where no number decides.
+    """
+    from scipy.special import pdtrik
+
+    if not rate:
+        total = _smallest(lambda total: anytime_interval(0, total, confidence)[1] < probability, 0)
+        return None if total is None else (Answer.PROVEN, total)
+
+    def decided(total: int) -> bool:
+        # The LIKELY quantile of the Poisson number of misses, on the side that delays the answer.
+        if rate < probability:
+            misses = math.ceil(max(0.0, float(pdtrik(LIKELY, rate * total))))
+            return anytime_interval(misses, total, confidence)[1] < probability
+        misses = math.floor(max(0.0, float(pdtrik(1 - LIKELY, rate * total))))
+        return anytime_interval(misses, total, confidence)[0] > probability
+
+    total = _smallest(decided, 0)
+    return None if total is None else (Answer.PROVEN if rate < probability else Answer.REFUTED, total)
 
 
 def _strongest_change(runs: Sequence[Trials]) -> Change | None:

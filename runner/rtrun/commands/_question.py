@@ -1,58 +1,95 @@
-"""The question that report, gate and claims ask of results: which deadline, how often, how sure."""
+"""The question that commands ask of results: which deadline, how often, how sure, from how many boots."""
 
 import argparse
-import re
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from rtrun.plan.goal import read_probability, read_time_ns
 
 if TYPE_CHECKING:
     from rtrun.report.study import Study
 
-_UNITS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+T = TypeVar("T")
+CONFIDENCE = 0.95
 
 
-def time_ns(text: str) -> int:
-    """Read a time with its unit, as 400us or 1.5ms, into ns."""
-    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)(ns|us|ms|s)", text)
-    if not found or float(found[1]) <= 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no time above 0 with its unit, as 400us or 1.5ms")
-    return round(float(found[1]) * _UNITS[found[2]])
+def _argument(read: Callable[[object], T]) -> Callable[[str], T]:
+    """Let argparse say what is wrong with a value, in the words of the one who reads it."""
+
+    def read_argument(text: str) -> T:
+        try:
+            return read(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
+
+    return read_argument
 
 
-def share(text: str) -> float:
-    """Read a probability, both ends excluded."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 < value < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number between 0 and 1, as 1e-6 or 0.95")
-    return value
+time_argument = _argument(read_time_ns)
+probability_argument = _argument(read_probability)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """Is P(miss) of this deadline below `probability`, at this confidence, on at least so many boots?"""
+
+    deadline_ns: int
+    probability: float
+    confidence: float
+    boots: int
 
 
 def add_question(parser: argparse.ArgumentParser) -> None:
-    """The deadline, the probability of missing it, the confidence."""
+    """The deadline, the probability of missing it, the confidence; by default the goal of the campaign."""
+    goal = "default: the goal of the campaign, else"
     parser.add_argument(
-        "--deadline", type=time_ns, default=400_000, metavar="TIME", help="deadline with its unit [400us, the thesis']"
+        "--deadline", type=time_argument, metavar="TIME", help=f"deadline with its unit [{goal} 400us, the thesis']"
     )
     parser.add_argument(
-        "--probability", type=share, default=1e-6, metavar="P", help="P(miss) that must not be reached [1e-6]"
+        "--probability", type=probability_argument, metavar="P", help=f"P(miss) that must not be reached [{goal} 1e-6]"
     )
-    add_confidence(parser)
+    parser.add_argument(
+        "--confidence", type=probability_argument, metavar="C", help=f"of every interval [{goal} {CONFIDENCE}]"
+    )
 
 
 def add_confidence(parser: argparse.ArgumentParser) -> None:
-    """The confidence of every interval and verdict."""
-    parser.add_argument("--confidence", type=share, default=0.95, metavar="C", help="of every interval [0.95]")
+    """The confidence of every interval."""
+    parser.add_argument(
+        "--confidence",
+        type=probability_argument,
+        default=CONFIDENCE,
+        metavar="C",
+        help=f"of every interval [{CONFIDENCE}]",
+    )
+
+
+def question(args: argparse.Namespace, results: Path) -> Question:
+    """What the arguments ask; what they leave open is the goal of the campaign, or else the thesis' question."""
+    from rtrun.report.study import DEADLINE_NS, PROBABILITY
+    from rtrun.results.goal_file import read_goal
+
+    goal = read_goal(results)
+    return Question(
+        deadline_ns=args.deadline or (goal.deadline_ns if goal else DEADLINE_NS),
+        probability=args.probability or (goal.probability if goal else PROBABILITY),
+        confidence=args.confidence or (goal.confidence if goal else CONFIDENCE),
+        boots=goal.boots if goal else 1,
+    )
 
 
 def ask(args: argparse.Namespace, *, bounds: bool = True) -> "Study":
     """Examine what the arguments name."""
     from rtrun.report.study import study
 
+    asked = question(args, args.results)
     return study(
         args.results,
-        deadline_ns=args.deadline,
-        probability=args.probability,
-        confidence=args.confidence,
+        deadline_ns=asked.deadline_ns,
+        probability=asked.probability,
+        confidence=asked.confidence,
+        boots=asked.boots,
         bounds=bounds,
     )

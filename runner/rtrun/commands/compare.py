@@ -2,19 +2,31 @@
 
 import argparse
 from pathlib import Path
+from typing import TypedDict
 
-from rtrun.commands._question import add_question, time_ns
+from rtrun.commands._question import add_question, question, time_argument
 
 NAME = "compare"
-HELP = "compare two folders of runs: what shifted, and how sure that is"
+HELP = "compare two folders of runs, or two variants of one campaign: what shifted, and how sure that is"
+
+
+class _Words(TypedDict):
+    deadline_ns: int
+    probability: float
+    confidence: float
+    margin_ns: float | None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The two sets, the margin, the question."""
     parser.add_argument("a", type=Path, help="folder of runs, run directory, .log or .npy: before")
-    parser.add_argument("b", type=Path, help="the same: after")
+    parser.add_argument("b", type=Path, nargs="?", help="the same: after [the other variant of the campaign in A]")
+    parser.add_argument("--variants", nargs=2, default=(), metavar="NAME", help="which two, where A has more")
     parser.add_argument(
-        "--margin", type=time_ns, metavar="TIME", help="a shift that is of no concern, as 5us [5 %% of A's figure]"
+        "--margin",
+        type=time_argument,
+        metavar="TIME",
+        help="a shift that is of no concern, as 5us [5 %% of A's figure]",
     )
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")
     add_question(parser)
@@ -23,21 +35,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the answer for every group that both sets have. Raises UsageError when there is none."""
     from rtfiles.errors import UsageError
-    from rtfiles.output import print_text
+    from rtfiles.output import print_line, print_text
     from rtrun.report import compare
 
-    found = compare.compare_sets(
-        args.a,
-        args.b,
-        deadline_ns=args.deadline,
-        probability=args.probability,
-        confidence=args.confidence,
-        margin_ns=args.margin,
-    )
+    asked = question(args, args.a)
+    words: _Words = {
+        "deadline_ns": asked.deadline_ns,
+        "probability": asked.probability,
+        "confidence": asked.confidence,
+        "margin_ns": args.margin,
+    }
+    sides = (str(args.a), str(args.b))
+    if args.b is None:
+        sides, found = compare.compare_variants(args.a, args.variants, **words)
+        if not args.json:
+            print_line(f"A: {sides[0]}, B: {sides[1]}")
+    elif args.variants:
+        raise UsageError("--variants: goes with one folder, that of a campaign with variants")
+    else:
+        found = compare.compare_sets(args.a, args.b, **words)
     if not found.changes:
         if found.ambiguous:
             raise UsageError("\n".join(found.ambiguous))
-        raise UsageError(f"{args.a} and {args.b} have no suite with the same parameters in common")
+        raise UsageError(f"{sides[0]} and {sides[1]} have no suite with the same parameters in common")
     if args.json:
         print_text(compare.as_json(found))
     else:

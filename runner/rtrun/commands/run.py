@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import InfrastructureError
     from rtfiles.output import console, print_line
     from rtrun.execution import campaign_runner, progress
-    from rtrun.plan.campaign import read_campaign
+    from rtrun.plan.campaign import read_campaign, variants_of
     from rtrun.report import terminal
     from rtrun.results import run_directory
     from rtrun.results.reading import read_runs
@@ -33,6 +33,10 @@ def run(args: argparse.Namespace) -> int:
     if args.fresh:
         results = _fresh(results)
     run_directory.make_results(results)
+    if campaign.until is not None:
+        from rtrun.commands._until import measure_until
+
+        return measure_until(args.campaign, campaign, campaign.until, runs, config, args.target.parent, results)
     statuses: dict[str, RunStatus] = {}
     try:
         with progress.showing(runs, console()) as shown:
@@ -41,7 +45,14 @@ def run(args: argparse.Namespace) -> int:
                 statuses = {each.name: RunStatus.OK for each in runs}
             else:
                 with connect(config, args.target.parent, results / "console.log") as target:
-                    statuses = campaign_runner.run_campaign(target, campaign.name, runs, results, shown)
+                    statuses = campaign_runner.run_campaign(
+                        target,
+                        campaign.name,
+                        runs,
+                        results,
+                        shown,
+                        variants=variants_of(campaign, args.campaign.parent),
+                    )
     except (KeyboardInterrupt, InfrastructureError):
         done = campaign_runner.count_finished(results, runs)
         kept = f"{done} of {len(runs)} runs are finished and kept in {results}; the same command goes on there"

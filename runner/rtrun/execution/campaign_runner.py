@@ -4,7 +4,7 @@ import contextlib
 import fcntl
 import functools
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -12,19 +12,23 @@ from typing import Protocol, Self
 
 from rtfiles.errors import UsageError
 from rtrun.execution import journal, preparation, resumption, run_execution
+from rtrun.execution.goal import Round
 from rtrun.execution.run_state import RunEvent, RunLife, RunState
 from rtrun.plan import campaign_digest
-from rtrun.plan.campaign import Run
+from rtrun.plan.campaign import Run, Variant
 from rtrun.results import run_directory
 from rtrun.results.record import RunRecord, RunStatus, read_record, verify
 from rtrun.target.config import Target
 from rtrun.target.kernel_trace import tracing
 from rtrun.target.link import Link, TargetRebooted
+from rtrun.target.restart import restart
 
 # A board that restarts during each of so many attempts will not complete this run.
 ATTEMPTS = 3
 
 Clock = Callable[[], datetime]
+# From the time spent so far, in seconds, to the rounds.
+PlanRounds = Callable[[Callable[[], float]], Iterable[Round]]
 
 
 def utc_now() -> datetime:
@@ -50,6 +54,13 @@ def find_unfinished(results: Path, name: str, runs: Sequence[Run], target_name: 
         return _unfinished(results, runs)
 
 
+def has_rounds(results: Path, name: str, groups: Sequence[Run], target_name: str, rounds: PlanRounds) -> bool:
+    """Whether there is something left to measure for a campaign with rounds. Raises UsageError as `find_unfinished`."""
+    run_directory.make_results(results)
+    with _lock(results), _open_journal(results, name, groups, target_name) as log:
+        return next(iter(rounds(lambda: log.spent_s(utc_now()))), None) is not None
+
+
 def run_campaign(
     target: Target,
     name: str,
@@ -57,33 +68,51 @@ def run_campaign(
     results: Path,
     observer: Observer,
     *,
+    variants: Mapping[str, Variant] | None = None,
+    rounds: PlanRounds | None = None,
     now: Clock = utc_now,
 ) -> dict[str, RunStatus]:
     """Measure every run that is not finished yet and return run name to status.
 
+    `rounds` plans what is measured instead, from the runs as their groups; the statuses are those of this call then.
     Raises UsageError when the folder holds another campaign, TargetError when the target cannot go on. What was
     finished before is kept in either case, and another call continues after it.
     """
     run_directory.make_results(results)
     with _lock(results), _open_journal(results, name, runs, target.name) as log:
-        unfinished = _unfinished(results, runs)
-        statuses = {run.name: RunStatus.OK for run in runs}
-        if not unfinished:
-            return statuses
-        if len(unfinished) < len(runs):
-            observer.note(f"going on in {results}: {len(runs) - len(unfinished)} of {len(runs)} runs are finished")
+        needed = list(runs)
+        if rounds is None:
+            needed = [run for _, run in _unfinished(results, runs)]
+            statuses = {run.name: RunStatus.OK for run in runs}
+            if not needed:
+                return statuses
+            if len(needed) < len(runs):
+                observer.note(f"going on in {results}: {len(runs) - len(needed)} of {len(runs)} runs are finished")
+            planned: Iterable[Round] = [Round(runs=tuple(needed))]
+        else:
+            statuses = {}
+            planned = rounds(lambda: log.spent_s(now()))
+        numbers = {run.name: number for number, run in enumerate(runs)}
         remote = target.work_dir / "runs" / log.uid
+        log.begin_session(now().isoformat())
         with (
             Link(target, observer.note) as link,
-            _PreparedTarget(link, log.uid, [run for _, run in unfinished]) as prepared,
+            _PreparedTarget(link, log.uid, needed, variants or {}) as prepared,
         ):
             # Runs that an earlier call left on the target come first: two runs at once would disturb each other.
             started = resumption.list_folders(link, remote)
-            for number, run in sorted(unfinished, key=lambda each: each[1].name not in started):
-                observer.began(number, run)
-                record = _measure(prepared, log, name, run, results / run.name, observer, now)
-                statuses[run.name] = record.status
-                observer.ended(number, run, record.status, record.reason)
+            for each in planned:
+                if link.boot_id in each.used_boots:
+                    observer.note("restarting the target: the next round is to be measured on another boot")
+                    prepared.drop()
+                    restart(link)
+                for run in sorted(each.runs, key=lambda run: run.name not in started):
+                    # In a round the name of a run is not that of its group.
+                    number = numbers.get(run.name, 0)
+                    observer.began(number, run)
+                    record = _measure(prepared, log, name, run, results / run.name, observer, now)
+                    statuses[run.name] = record.status
+                    observer.ended(number, run, record.status, record.reason)
             # A runner that was killed may have left something of runs that it had closed.
             with contextlib.suppress(TargetRebooted):
                 link.check(["rm", "-rf", str(remote)])
@@ -103,7 +132,7 @@ def _measure(
     for attempts_left in reversed(range(ATTEMPTS)):
         life = RunLife(lambda state, reason: log.note(now().isoformat(), run.name, state, reason))
         try:
-            ready = prepared.get()
+            ready = prepared.get().for_run(run)
             with tracing(ready.link, ready.scripts, run.parameters):
                 return run_execution.measure(ready, log.uid, campaign, run, folder, life, now)
         except TargetRebooted as error:
@@ -120,8 +149,8 @@ def _measure(
 class _PreparedTarget:
     """The target, prepared while the context lasts: at its begin, and anew when it was restarted."""
 
-    def __init__(self, link: Link, owner: str, runs: Sequence[Run]) -> None:
-        self._prepare = functools.partial(preparation.prepared, link, owner, runs)
+    def __init__(self, link: Link, owner: str, runs: Sequence[Run], variants: Mapping[str, Variant]) -> None:
+        self._prepare = functools.partial(preparation.prepared, link, owner, runs, variants)
         self._stack = contextlib.ExitStack()
         self._ready: preparation.Prepared | None = None
 

@@ -4,11 +4,13 @@ import re
 import secrets
 import sqlite3
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from rtfiles.errors import InfrastructureError, UsageError
 
 NAME = "journal.sqlite"
+SESSION = "session"
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS campaign (uid TEXT NOT NULL, name TEXT NOT NULL, plan TEXT NOT NULL, target TEXT NOT NULL);
@@ -36,6 +38,29 @@ class Journal:
         # SQLite takes no half of a character.
         reason = None if reason is None else reason.encode("utf-8", "backslashreplace").decode("utf-8")
         self._write("INSERT INTO event VALUES (?, ?, ?, ?)", (time, run, what, reason))
+
+    def begin_session(self, time: str) -> None:
+        """Record that a runner takes up the campaign. Raises InfrastructureError."""
+        self._write("INSERT INTO event VALUES (?, ?, ?, ?)", (time, "", SESSION, None))
+
+    def spent_s(self, now: datetime) -> float:
+        """The time, in seconds, that runners have worked on the campaign until now; pauses between them do not count.
+
+        Raises UsageError when a time is none.
+        """
+        spent_s = 0.0
+        before: datetime | None = None
+        rows = self.database.execute("SELECT time, what FROM event ORDER BY rowid").fetchall()
+        for text, what in [*rows, (now.isoformat(), "")]:
+            try:
+                time = datetime.fromisoformat(text)
+                if before is not None and what != SESSION:
+                    # The clock may have been set back in between.
+                    spent_s += max(0.0, (time - before).total_seconds())
+            except (TypeError, ValueError) as error:
+                raise UsageError(f"{self.path}: {error}: {_REMEDY}") from error
+            before = time
+        return spent_s
 
     def replace_plan(self, plan: str) -> None:
         """Record the digest of the runs in its present form. Raises InfrastructureError."""

@@ -2,12 +2,12 @@
 
 import contextlib
 import gzip
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import PurePosixPath
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
 
 from rtrun.plan import conditions, suites
-from rtrun.plan.campaign import Run
+from rtrun.plan.campaign import Run, Variant
 from rtrun.target import deploy, inspection, ros_master
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
@@ -23,42 +23,66 @@ class Prepared:
     programs: dict[str, str]
     kernel_config: bytes
     own_master: bool
+    variants: Mapping[str, "Prepared"] = field(default_factory=dict)
+    """The same target with the suites and the ROS of each variant, by its name."""
+
+    def for_run(self, run: Run) -> "Prepared":
+        """The target with what the run's variant needs."""
+        return self.variants.get(run.variant, self)
 
 
 @contextlib.contextmanager
-def prepared(link: Link, owner: str, runs: Sequence[Run]) -> Iterator[Prepared]:
+def prepared(
+    link: Link, owner: str, runs: Sequence[Run], variants: Mapping[str, Variant] | None = None
+) -> Iterator[Prepared]:
     """Deploy scripts and suites, and see to it that a ROS master answers while the context lasts."""
     target = link.target
     equipment = inspection.inspect(link)
     inspection.check_suites(target, equipment)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
-    programs = equipment.programs
-    if target.suites is not None:
-        tree = deploy.deploy(link, target.suites, "suites")
-        programs = {
-            program: str(tree / "lib" / suite / program)
-            for suite, described in suites.suites().suites.items()
-            for program in described.programs
-        }
+    installed = equipment.programs if target.suites is None else _deploy_suites(link, target.suites)
     kernel_config = inspection.read_kernel_config(link)
-    programs = programs | _tools(link, scripts, runs, kernel_config)
+    tools = _tools(link, scripts, runs, kernel_config)
+    programs = {
+        name: (_deploy_suites(link, variant.suites) if variant.suites else installed) | tools
+        for name, variant in ({"": Variant()} | dict(variants or {})).items()
+    }
     for run in runs:
         for program in (*suites.suite(run.suite).programs, *conditions.suites_programs(run.condition)):
-            if program not in programs:
+            if program not in programs[run.variant]:
                 raise TargetError(
                     f"{target.address}: {program} is not installed on the target: "
                     "name a folder of `rtgen suites build` as suites in the target file"
                 )
     priorities = [int(run.parameters["priority"] or 0) for run in runs if run.parameters.get("policy", "0") != "0"]
     with ros_master.running(link, scripts, equipment, owner, max(priorities) + 1 if priorities else None) as own_master:
-        yield Prepared(
+        ready = Prepared(
             link=link,
             equipment=equipment,
             scripts=scripts,
-            programs=programs,
+            programs=programs[""],
             kernel_config=kernel_config,
             own_master=own_master,
         )
+        by_name = {
+            name: replace(
+                ready,
+                programs=programs[name],
+                equipment=replace(equipment, setup=variant.ros_setup or equipment.setup),
+            )
+            for name, variant in (variants or {}).items()
+        }
+        yield replace(ready, variants=by_name)
+
+
+def _deploy_suites(link: Link, folder: Path) -> dict[str, str]:
+    """Put a folder of suites on the target; return the paths of its programs there, by name."""
+    tree = deploy.deploy(link, folder, "suites")
+    return {
+        program: str(tree / "lib" / suite / program)
+        for suite, described in suites.suites().suites.items()
+        for program in described.programs
+    }
 
 
 def _tools(link: Link, scripts: PurePosixPath, runs: Sequence[Run], kernel_config: bytes) -> dict[str, str]:

@@ -9,7 +9,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
-from rtfiles.output import print_line, print_note
+from rtfiles.output import print_line, print_note, print_status
 from rtrun.plan.campaign import Run
 from rtrun.results.record import RunStatus
 
@@ -60,6 +60,30 @@ class PlainProgress:
         tail = f": {reason}" if reason else ""
         width = len(str(self._total))
         print_line(f"[{number + 1:{width}}/{self._total}] {status:10} {run.name}  {elapsed_s:.1f} s{tail}")
+
+    def note(self, text: str) -> None:
+        """Print a remark."""
+        print_note(f"rtrun: {text}")
+
+
+class RoundProgress:
+    """A line when a run of a round ends; how many there will be is not known."""
+
+    def __init__(self) -> None:
+        self._began = time.monotonic()
+
+    def began(self, number: int, run: Run) -> None:
+        """Show what is measured."""
+        del number
+        self._began = time.monotonic()
+        print_status(f"measuring {run.name}, {_duration(run.expected_s)}")
+
+    def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None:
+        """Print what became of the run."""
+        del number
+        print_status("")
+        tail = f": {reason}" if reason else ""
+        print_line(f"{status:10} {run.name}  {time.monotonic() - self._began:.1f} s{tail}")
 
     def note(self, text: str) -> None:
         """Print a remark."""

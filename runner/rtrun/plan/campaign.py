@@ -3,7 +3,7 @@
 import hashlib
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,6 +13,7 @@ from pydantic import Field
 from rtfiles.config import Config, parse, read_yaml
 from rtfiles.errors import UsageError
 from rtrun.plan import conditions, suites
+from rtrun.plan.goal import Goal
 
 SUBSCRIBERS_MAX = 64
 # The ROS master needs the priority above the suites' (thesis 4.4), and 99 belongs to the kernel.
@@ -23,14 +24,21 @@ RUNS_MAX = 100_000
 # Set by the runner alone.
 RESERVED = ("prefix", "out_dir")
 
+# What a variant may name beside values of a run: a folder of `rtgen suites build`, relative to the campaign file, and a
+# shell file on the target that sets up ROS; those of the target file where it names none.
+VARIANT_KEYS = ("suites", "ros_setup")
+# It measures no deadline.
+GAP_SEARCH = "hwlatdetect"
+
 Entry = dict[str, Any]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
 
 
 class Campaign(Config):
     """A campaign file. A run's value may be a list: one run is planned for each combination, in the order listed."""
 
     schema_: Literal[1] = Field(alias="schema")
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    name: Name
     order: Literal["listed", "interleaved"] = "listed"
     """interleaved: blocks of one repeat of every combination, each block in an order drawn with `seed`."""
     seed: Annotated[int, Field(ge=0)] | None = None
@@ -41,13 +49,26 @@ class Campaign(Config):
     """Combinations to leave out of `runs`: those that have all of the values of one of these."""
     include: list[Entry] = Field(default_factory=list)
     """Runs on top of that; nothing is left out of them."""
+    variants: dict[Name, Entry] = Field(default_factory=dict)
+    """Every run is planned for each of them: other suites or another ROS (`VARIANT_KEYS`), other values of a run."""
+    until: Goal | None = None
+    """Measure each run again, round by round, until its deadline is proven or refuted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variant:
+    """What a variant has of its own: a folder of suites here, a shell file on the target that sets up ROS."""
+
+    suites: Path | None = None
+    ros_setup: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
     """One planned run: `parameters` holds every parameter of its suite, and `subscribers` where it has some.
 
-    `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order.
+    `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order; `variant` is
+    empty in a campaign that has none.
     """
 
     name: str
@@ -57,6 +78,7 @@ class Run:
     settings: Mapping[str, suites.Value] = field(default_factory=dict)
     repeat: int = 1
     seed: int | None = None
+    variant: str = ""
 
     @property
     def expected_s(self) -> float:
@@ -81,21 +103,35 @@ def read_campaign(path: Path) -> tuple[Campaign, tuple[Run, ...]]:
     return campaign, plan(campaign, str(path))
 
 
+def variants_of(campaign: Campaign, folder: Path) -> dict[str, Variant]:
+    """The variants of a campaign by name; `folder` is that of its file."""
+    return {
+        name: Variant(
+            suites=folder / Path(entry["suites"]).expanduser() if "suites" in entry else None,
+            ros_setup=entry.get("ros_setup"),
+        )
+        for name, entry in campaign.variants.items()
+    }
+
+
 def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
     """Return the runs in their order. Raises UsageError ``origin: runs.0.key: what is wrong, what is allowed``."""
     errors: list[str] = []
     _check_common(campaign, origin, errors)
+    _check_variants(campaign, origin, errors)
     if (campaign.order == "interleaved") != (campaign.seed is not None):
         errors.append(f"{origin}: seed: give one, a whole number, with order: interleaved, and only then")
-    listed = _runs_of(campaign.runs, campaign.common, f"{origin}: runs", errors)
+    listed = _runs_of(campaign.runs, campaign, f"{origin}: runs", errors)
     for number, pattern in enumerate(campaign.exclude):
         kept = [run for run in listed if not _matches(run, pattern)]
         if not pattern or len(kept) == len(listed):
             errors.append(f"{origin}: exclude.{number}: no run has all of {pattern}, so there is nothing to leave out")
         listed = kept
-    listed += _runs_of(campaign.include, campaign.common, f"{origin}: include", errors)
+    listed += _runs_of(campaign.include, campaign, f"{origin}: include", errors)
     if len(listed) > RUNS_MAX:
         errors.append(f"{origin}: makes {len(listed)} runs, at most {RUNS_MAX} are allowed")
+    if campaign.until:
+        _check_goal(campaign, listed, origin, errors)
     if not errors and not listed:
         errors.append(f"{origin}: exclude: leaves no run")
     errors += dict.fromkeys(f"{origin}: {wrong}" for run in listed if (wrong := _too_short(run)))
@@ -103,20 +139,22 @@ def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
         raise UsageError("\n".join(errors))
     width = max(3, len(str(len(listed))))
     named = [replace(run, name=f"{number:0{width}}-{_label(run)}") for number, run in enumerate(listed, start=1)]
-    if campaign.seed is None:
-        return tuple(named)
+    return tuple(named) if campaign.seed is None else interleave(named, campaign.seed)
+
+
+def interleave(runs: Iterable[Run], seed: int) -> tuple[Run, ...]:
+    """Order runs by repeat, and those of one repeat as drawn with a seed."""
     # By a hash, so that a seed gives the same order with every version of Python.
-    seed = campaign.seed
-    draw = {run.name: hashlib.sha256(f"{seed} {run.name}".encode()).digest() for run in named}
-    return tuple(replace(run, seed=seed) for run in sorted(named, key=lambda run: (run.repeat, draw[run.name])))
+    draw = {run.name: hashlib.sha256(f"{seed} {run.name}".encode()).digest() for run in runs}
+    return tuple(replace(run, seed=seed) for run in sorted(runs, key=lambda run: (run.repeat, draw[run.name])))
 
 
-def _runs_of(entries: Sequence[Entry], common: Entry, where: str, errors: list[str]) -> list[Run]:
+def _runs_of(entries: Sequence[Entry], campaign: Campaign, where: str, errors: list[str]) -> list[Run]:
     """The runs of these entries; no more than one entry's above the limit."""
     runs: list[Run] = []
     for number, entry in enumerate(entries):
         if len(runs) <= RUNS_MAX:
-            runs += _combinations(entry, common, f"{where}.{number}", errors)
+            runs += _of_variants(entry, campaign, f"{where}.{number}", errors)
     return runs
 
 
@@ -141,8 +179,20 @@ def _too_short(run: Run) -> str | None:
     )
 
 
-def _combinations(entry: Entry, common: Entry, where: str, errors: list[str]) -> Iterator[Run]:
-    """Yield the runs of an entry, all of their names empty."""
+def _of_variants(entry: Entry, campaign: Campaign, where: str, errors: list[str]) -> Iterator[Run]:
+    """Yield the runs of an entry for each variant, or just once where there are none."""
+    if not campaign.variants:
+        yield from _combinations(entry, campaign.common, where, errors)
+    for name, variant in campaign.variants.items():
+        values = {key: value for key, value in variant.items() if key not in VARIANT_KEYS}
+        for run in _combinations(entry, campaign.common, where, errors, values):
+            yield replace(run, variant=name)
+
+
+def _combinations(
+    entry: Entry, common: Entry, where: str, errors: list[str], overrides: Entry | None = None
+) -> Iterator[Run]:
+    """Yield the runs of an entry, all of their names empty; `overrides` win over its values where it takes them."""
     try:
         suite = suites.suite(str(entry.get("suite", "")))
     except UsageError as error:
@@ -154,7 +204,7 @@ def _combinations(entry: Entry, common: Entry, where: str, errors: list[str]) ->
     if unknown := [key for key in entry if key not in ("suite", *keys)]:
         names = ", ".join(map(repr, unknown))
         errors.append(f"{where}: unknown key {names}, {entry['suite']} takes: suite, {', '.join(keys)}")
-    merged = common | entry
+    merged = common | entry | (overrides or {})
     axes = {key: _axis(f"{where}.{key}", key, merged[key], errors) for key in merged if key in keys}
     repeats = axes.pop("repeats", [1])
     if len(repeats) > 1:
@@ -183,7 +233,7 @@ def _combinations(entry: Entry, common: Entry, where: str, errors: list[str]) ->
 
 
 def _matches(run: Run, pattern: Entry) -> bool:
-    has = {"suite": run.suite, "condition": run.condition, **run.parameters, **run.settings}
+    has = {"suite": run.suite, "condition": run.condition, "variant": run.variant, **run.parameters, **run.settings}
     return all(
         key in has and str(has[key]) in map(str, value if isinstance(value, list) else [value])
         for key, value in pattern.items()
@@ -196,10 +246,40 @@ def _takes(suite: suites.Suite) -> tuple[str, ...]:
 
 
 def _check_common(campaign: Campaign, origin: str, errors: list[str]) -> None:
-    known = [*(key for key in suites.options() if key not in RESERVED), "subscribers"]
-    known += ["condition", "repeats", *conditions.conditions().settings]
+    known = _common_keys()
     if unknown := [key for key in campaign.common if key not in known]:
         errors.append(f"{origin}: common: unknown key {', '.join(map(repr, unknown))}, allowed: {', '.join(known)}")
+
+
+def _common_keys() -> list[str]:
+    known = [*(key for key in suites.options() if key not in RESERVED), "subscribers"]
+    return [*known, "condition", "repeats", *conditions.conditions().settings]
+
+
+def _check_variants(campaign: Campaign, origin: str, errors: list[str]) -> None:
+    known = [*VARIANT_KEYS, *(key for key in _common_keys() if key != "repeats")]
+    for name, variant in campaign.variants.items():
+        where = f"{origin}: variants.{name}"
+        if unknown := [key for key in variant if key not in known]:
+            errors.append(f"{where}: unknown key {', '.join(map(repr, unknown))}, allowed: {', '.join(known)}")
+        for key, value in variant.items():
+            if key in VARIANT_KEYS and not (isinstance(value, str) and value):
+                errors.append(f"{where}.{key}: takes a path, got {value!r}")
+            if isinstance(value, list):
+                errors.append(f"{where}.{key}: one value, not a list: each variant is one of two sides")
+    if len(campaign.variants) == 1:
+        errors.append(f"{origin}: variants: give at least two, or none")
+    if campaign.variants and campaign.order != "interleaved":
+        errors.append(f"{origin}: variants: give order: interleaved and a seed, else time is compared with time")
+
+
+def _check_goal(campaign: Campaign, runs: Sequence[Run], origin: str, errors: list[str]) -> None:
+    if campaign.order != "interleaved":
+        errors.append(f"{origin}: until: give order: interleaved and a seed: its rounds are drawn with it")
+    if any(run.repeat > 1 for run in runs):
+        errors.append(f"{origin}: until: takes no repeats: each round is one")
+    if any(run.suite == GAP_SEARCH for run in runs):
+        errors.append(f"{origin}: until: {GAP_SEARCH} measures no deadline, leave it out")
 
 
 def _axis(where: str, key: str, value: Any, errors: list[str]) -> list[suites.Value]:
@@ -237,4 +317,5 @@ def _label(run: Run) -> str:
     words += [run.condition] if run.condition != conditions.IDLE else []
     settings = conditions.conditions().settings
     words += [f"{key}{value}" for key, value in run.settings.items() if value != settings[key].default]
+    words += [run.variant] if run.variant else []
     return "-".join([*words, *([f"r{run.repeat}"] if run.repeat > 1 else [])])

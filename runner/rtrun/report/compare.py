@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from rtrun.analysis.comparison import Change, Comparison, Ratio, compare, ratio_
 from rtrun.report.claims.examination import us
 from rtrun.report.study import Group, Study, study
 from rtrun.report.terminal import EMULATED
+from rtrun.report.variants import split_variants
 from rtrun.results.series import MEASURED_2014
 
 
@@ -41,17 +43,37 @@ class Compared:
 def compare_sets(
     a: Path, b: Path, *, deadline_ns: int, probability: float, confidence: float, margin_ns: float | None
 ) -> Compared:
-    """Compare what two paths hold, group by group.
+    """Compare what two paths hold, group by group, as `compare_studies` does."""
+    first, second = (
+        study(path, deadline_ns=deadline_ns, probability=probability, confidence=confidence, bounds=False)
+        for path in (a, b)
+    )
+    return compare_studies(first, second, margin_ns=margin_ns)
+
+
+def compare_variants(
+    path: Path,
+    names: Sequence[str],
+    *,
+    deadline_ns: int,
+    probability: float,
+    confidence: float,
+    margin_ns: float | None,
+) -> tuple[tuple[str, str], Compared]:
+    """Compare two variants of one campaign; return their names too. Raises UsageError as `split_variants` does."""
+    whole = study(path, deadline_ns=deadline_ns, probability=probability, confidence=confidence, bounds=False)
+    chosen, (first, second) = split_variants(whole, names)
+    return chosen, compare_studies(first, second, margin_ns=margin_ns)
+
+
+def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> Compared:
+    """Compare two studies of the same question, group by group.
 
     Groups of the same suite and parameters are compared if they are of the same target, or if each side has one such
     group: then the target is what changed. Where one side has results of the programs of 2014, one-shot timers are
     compared by measured_2014 on both sides, and the label says so. Groups that are not compared are in ``ambiguous``,
     ``only_a`` or ``only_b``.
     """
-    first, second = (
-        study(path, deadline_ns=deadline_ns, probability=probability, confidence=confidence, bounds=False)
-        for path in (a, b)
-    )
     pairs: list[tuple[Group, Group]] = []
     ambiguous: list[str] = []
     only: tuple[list[str], list[str]] = ([], [])
@@ -73,9 +95,9 @@ def compare_sets(
     counts = Counter(x.label for x, _ in pairs)
     return Compared(
         emulated=first.emulated or second.emulated,
-        deadline_ns=deadline_ns,
+        deadline_ns=first.deadline_ns,
         changes=tuple(
-            _changed(_label(x, of_several=counts[x.label] > 1), x, y, confidence, margin_ns) for x, y in pairs
+            _changed(_label(x, of_several=counts[x.label] > 1), x, y, first.confidence, margin_ns) for x, y in pairs
         ),
         only_a=tuple(only[0]),
         only_b=tuple(only[1]),

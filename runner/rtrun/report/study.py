@@ -99,6 +99,7 @@ class Study:
     deadline_ns: int
     probability: float
     confidence: float
+    boots: int
     groups: tuple[Group, ...]
     groups_2014: tuple[Group, ...]
     others: tuple[Digest, ...]
@@ -144,10 +145,14 @@ def study(
     deadline_ns: int = DEADLINE_NS,
     probability: float = PROBABILITY,
     confidence: float = CONFIDENCE,
+    boots: int = 1,
     bounds: bool = True,
+    known: dict[Path, tuple[Digest, ...]] | None = None,
 ) -> Study:
-    """Examine what is at a path: a folder of runs, one run, a log or an npy.
+    """Examine what is at a path: a folder of runs, one run, a log or an npy. Answers are to rest on so many boots.
 
+    `known` holds the runs of an earlier call for the same deadline and is extended: they are not read again. What only
+    bounds and comparisons need is not in there.
     Raises UsageError when there is nothing to examine; a run that is refused is told in ``left_out``.
     """
     source = reading.find_source(path)
@@ -160,7 +165,13 @@ def study(
         try:
             record = read_record(folder)
             records.append(record)
-            digests += list(_digests_of_run(folder, record, deadline_ns, left_out))
+            if known is not None and folder in known:
+                digests += known[folder]
+                continue
+            of_run = list(_digests_of_run(folder, record, deadline_ns, left_out))
+            if known is not None and record.status is RunStatus.OK:
+                known[folder] = tuple(replace(one, tail=None, blocks=None, course=None) for one in of_run)
+            digests += of_run
         except UsageError as error:
             left_out.append(str(error))
     by_run = {record.run: record for record in records}
@@ -169,7 +180,9 @@ def study(
         by_key: dict[str, list[Digest]] = {}
         for one in members:
             by_key.setdefault(_key(one), []).append(one)
-        groups = [_group(alike, by_run, deadline_ns, probability, confidence, bounds) for alike in by_key.values()]
+        groups = [
+            _group(alike, by_run, deadline_ns, probability, confidence, boots, bounds) for alike in by_key.values()
+        ]
         return tuple(sorted(groups, key=lambda group: (group.suite, group.target)))
 
     others = tuple(one for one in digests if not one.header.main)
@@ -178,6 +191,7 @@ def study(
         deadline_ns=deadline_ns,
         probability=probability,
         confidence=confidence,
+        boots=boots,
         groups=grouped((one for one in digests if one.header.main), bounds=bounds),
         groups_2014=grouped((one for one in others if one.header.series == MEASURED_2014), bounds=False),
         others=others,
@@ -213,6 +227,7 @@ def _group(
     deadline_ns: int,
     probability: float,
     confidence: float,
+    boots: int,
     bounds: bool,
 ) -> Group:
     first = alike[0].header
@@ -233,6 +248,7 @@ def _group(
             clock_step_ns=max(steps, default=None),
             emulated=first.emulated,
             measurements_per_event=round(side_by_side) if "subscribers" in first.parameters else 1,
+            boots_wanted=boots,
         )
     found, no_bound = _bounds(alike, probability, confidence, max(steps, default=1)) if bounds else ((), None)
     return Group(

@@ -67,6 +67,8 @@ class TargetFacts(Config):
     clocksource: Fact = None
     governor: Fact = None
     roscpp_version: Fact = None
+    ros_setup: Fact = None
+    """The shell file that set up ROS for the run."""
     clock: Clock | None = None
 
 
@@ -123,6 +125,8 @@ class RunRecord(Config):
     settings: dict[str, Value] = Field(default_factory=dict)
     repeat: int = 1
     seed: int | None = None
+    variant: str = ""
+    """Of a campaign with variants: which of them this run is of."""
     emulated: bool
     status: Annotated[RunStatus, Field(strict=False)]
     reason: str | None
@@ -147,7 +151,8 @@ class RunRecord(Config):
         """The parameters, and what was there beside the suite where there was something: runs of one are alike."""
         condition: dict[str, Value] = {} if self.condition == IDLE else {"condition": self.condition}
         settings = {key: value for key, value in self.settings.items() if value not in (None, "")}
-        return self.parameters | condition | settings
+        variant: dict[str, Value] = {"variant": self.variant} if self.variant else {}
+        return self.parameters | condition | settings | variant
 
     def to_json(self) -> str:
         """The text of run.json: what was set, without what is left at its default."""

@@ -61,6 +61,8 @@ def test_another_campaign_has_another_digest(change):
 def test_a_journal_of_before_is_known_again():
     """Its digest was that of all fields as they were then."""
     runs = runs_of()
-    old = hashlib.sha256(json.dumps([dataclasses.asdict(run) for run in runs], sort_keys=True).encode()).hexdigest()
+    then = ("name", "suite", "parameters", "condition", "settings", "repeat", "seed")
+    fields = [{key: dataclasses.asdict(run)[key] for key in then} for run in runs]
+    old = hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
     assert is_digest_of(old, runs) and is_digest_of(digest(runs), runs)
     assert not is_digest_of(old, runs[1:])

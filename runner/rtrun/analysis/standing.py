@@ -1,0 +1,29 @@
+"""How far one group of runs is from a sure answer to the goal of its campaign."""
+
+from dataclasses import dataclass
+
+from rtrun.analysis.deadline import Answer, Verdict
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Standing:
+    """A group of runs alike and its verdict so far; without one, `undecidable` says why none is possible.
+
+    `measured_s` is the time that its runs took, in seconds.
+    """
+
+    label: str
+    runs: tuple[str, ...]
+    verdict: Verdict | None
+    undecidable: str | None
+    measured_s: float
+
+    @property
+    def answer(self) -> Answer:
+        """The answer of the verdict."""
+        return Answer.NO_STATEMENT if self.verdict is None else self.verdict.answer
+
+    @property
+    def is_final(self) -> bool:
+        """Whether measuring on would not change the answer, or need not."""
+        return self.answer is not Answer.NEEDS_MORE

@@ -1,0 +1,93 @@
+"""``rtrun run`` of a campaign with a goal: rounds until every group has its answer or the time is over."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.output import print_line, print_note
+from rtrun.analysis.deadline import plan_measurements
+from rtrun.commands.verdict import print_answers
+from rtrun.execution import campaign_runner
+from rtrun.execution.goal import Progress, Round, read_findings, rounds
+from rtrun.execution.progress import RoundProgress
+from rtrun.plan.campaign import Campaign, Run, variants_of
+from rtrun.plan.goal import Goal
+from rtrun.report.standings import duration, evaluator, progress_line
+from rtrun.report.study import study
+from rtrun.results.goal_file import write_goal
+from rtrun.results.record import RunStatus
+from rtrun.target.config import TargetConfig, connect
+
+Tell = Callable[[Sequence[Progress], float], None]
+
+
+def measure_until(
+    file: Path,
+    campaign: Campaign,
+    goal: Goal,
+    groups: Sequence[Run],
+    config: TargetConfig,
+    config_folder: Path,
+    results: Path,
+) -> int:
+    """Measure, print how far it is after each round and the answers at the end; return the exit status.
+
+    0: it was measured as planned, whatever the answers are (`rtrun gate` judges them), 3: some run failed or the target
+    did.
+    """
+    best = plan_measurements(probability=goal.probability, confidence=goal.confidence)
+    if best is None:
+        raise UsageError(f"{file}: until: no number of measurements proves P(miss) below {goal.probability:g}")
+    if goal.boots > 1 and config.kind == "ssh" and config.restart is None:
+        raise UsageError(
+            f"{file}: until.boots: asks for {goal.boots} boots, but the file of target {config.name} does not say how "
+            "to restart it: add restart: [systemctl, reboot], or whatever restarts it"
+        )
+    measurements = best[1]
+    evaluate = evaluator(results, goal)
+
+    def plan(spent_s: Callable[[], float], tell: Tell) -> Iterator[Round]:
+        write_goal(results, goal)
+        findings = read_findings(results, evaluate, spent_s)
+        return rounds(groups, goal, campaign.seed or 0, measurements, findings, tell)
+
+    def tell(progress: Sequence[Progress], spent_s: float) -> None:
+        if all(each.standing is None for each in progress):
+            return
+        print_line(f"-- {duration(spent_s)} of at most {duration(goal.at_most_ns / 1e9)}")
+        for each in progress:
+            print_line(f"   {progress_line(each, goal)}")
+
+    statuses: dict[str, RunStatus] = {}
+    if not campaign_runner.has_rounds(
+        results, campaign.name, groups, config.name, lambda spent_s: plan(spent_s, lambda *_: None)
+    ):
+        print_note(f"rtrun: nothing is left to measure in {results}; --fresh measures again beside it")
+    else:
+        try:
+            with connect(config, config_folder, results / "console.log") as target:
+                statuses = campaign_runner.run_campaign(
+                    target,
+                    campaign.name,
+                    groups,
+                    results,
+                    RoundProgress(),
+                    variants=variants_of(campaign, file.parent),
+                    rounds=lambda spent_s: plan(spent_s, tell),
+                )
+        except (KeyboardInterrupt, InfrastructureError):
+            print_line(f"what was measured is kept in {results}; the same command goes on there")
+            raise
+    found = study(
+        results,
+        deadline_ns=goal.deadline_ns,
+        probability=goal.probability,
+        confidence=goal.confidence,
+        boots=goal.boots,
+        bounds=False,
+    )
+    print_answers(found)
+    bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
+    for line in bad:
+        print_line(line)
+    return InfrastructureError.exit_status if bad else 0

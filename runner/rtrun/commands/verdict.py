@@ -1,0 +1,51 @@
+"""rtrun verdict: the answer of each group of runs, what it rests on, and what is still missing."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rtrun.commands._question import add_question, ask
+
+if TYPE_CHECKING:
+    from rtrun.report.study import Study
+
+NAME = "verdict"
+HELP = "say for each group of runs whether the deadline is met, and what is still missing to be sure"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The results, how to print, the question."""
+    parser.add_argument("results", type=Path, help="folder of runs, run directory, .log or .npy of a suite")
+    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    add_question(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the table. Raises UsageError when there is nothing to judge."""
+    import json
+
+    from rtfiles.output import print_text
+    from rtrun.report import standings
+
+    study = ask(args, bounds=False)
+    if args.json:
+        groups = standings.as_data(standings.standings(study))
+        data = {"schema": 1, "emulated": study.emulated, "groups": groups, "left_out": study.left_out}
+        print_text(json.dumps(data, indent=1, allow_nan=False))
+    else:
+        print_answers(study)
+    return 0
+
+
+def print_answers(study: "Study") -> None:
+    """Print the answers of a study as a table."""
+    from rtfiles.output import console, print_line
+    from rtrun.report import standings
+    from rtrun.report.terminal import EMULATED
+
+    if study.emulated:
+        print_line(EMULATED)
+    print_line(standings.question(study))
+    console().print(standings.table(standings.standings(study)), crop=False)
+    for text in study.left_out:
+        print_line(f"not analysed: {text}")

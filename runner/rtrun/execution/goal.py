@@ -1,0 +1,180 @@
+"""Measuring until it is certain: which runs come next, from what the finished ones say.
+
+Nothing but the results is remembered: a campaign that was stopped goes on in the round that it was in.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rtfiles.errors import UsageError
+from rtrun.analysis.standing import Standing
+from rtrun.plan.campaign import Run
+from rtrun.plan.goal import Goal
+from rtrun.plan.rounds import boot_of_round, plan_round, rounds_a_boot, rounds_for, run_in_round
+from rtrun.results.record import RunStatus, verify
+
+# A run that fails so often in its round will not succeed: its group is given up.
+TRIES = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Round:
+    """Runs to measure now. Where the target is on one of `used_boots`, it is to be restarted first."""
+
+    runs: tuple[Run, ...]
+    used_boots: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Findings:
+    """What the rounds ask of the results: a finished run's boot (None: not finished), answers, seconds spent so far."""
+
+    boot_of: Callable[[Run], str | None]
+    evaluate: Callable[[], Sequence[Standing]]
+    spent_s: Callable[[], float]
+
+
+def read_findings(results: Path, evaluate: Callable[[], Sequence[Standing]], spent_s: Callable[[], float]) -> Findings:
+    """What the rounds ask, of a results folder. A run that was found finished is not looked at again."""
+    boots: dict[str, str] = {}
+
+    def boot_of(run: Run) -> str | None:
+        if run.name not in boots:
+            try:
+                record = verify(results / run.name)
+            except UsageError:
+                return None
+            if record.status is not RunStatus.OK:
+                return None
+            boots[run.name] = str(record.target.boot_id or "")
+        return boots[run.name]
+
+    return Findings(boot_of=boot_of, evaluate=evaluate, spent_s=spent_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Progress:
+    """How far a group is (None: nothing is measured), and the time to its answer if misses go on at the rate seen.
+
+    `left_s` holds what lies between runs as well, as far as it was seen; None where no time is long enough.
+    """
+
+    group: Run
+    standing: Standing | None
+    left_s: float | None
+
+
+def rounds(
+    groups: Sequence[Run],
+    goal: Goal,
+    seed: int,
+    measurements: int,
+    findings: Findings,
+    tell: Callable[[Sequence[Progress], float], None],
+) -> Iterator[Round]:
+    """Yield what to measure next, until every group has its answer or the time is over.
+
+    `measurements` are those of a proof without a miss. Whoever measures a round asks for the next one when its runs are
+    closed. A group with a final answer leaves the rounds; so does one whose run failed `TRIES` times. `tell` is called
+    with the seconds spent so far before each new round and at the end.
+    """
+    a_boot = rounds_a_boot(groups, measurements, goal.boots)
+    number = _latest_round(groups, findings)
+    tries: Counter[str] = Counter()
+    given_up: set[str] = set()
+    while True:
+        standings = standings_of(groups, findings.evaluate())
+        open_groups = [
+            group for group in groups if group.name not in given_up and not _is_final(standings.get(group.name))
+        ]
+        planned = plan_round(open_groups, number, seed)
+        todo = [run for run in planned if findings.boot_of(run) is None]
+        if not todo and open_groups:
+            number += 1
+            planned = plan_round(open_groups, number, seed)
+            todo = list(planned)
+        if len(todo) == len(planned):
+            spent_s = findings.spent_s()
+            tell(_progress(groups, standings, measurements, a_boot, spent_s), spent_s)
+            if not todo or spent_s + sum(run.expected_s for run in todo) > goal.at_most_ns / 1e9:
+                return
+        yield Round(
+            runs=tuple(todo),
+            used_boots=_used_boots(groups, number, a_boot, findings) if goal.boots > 1 else frozenset(),
+        )
+        tries.update(run.name for run in todo if findings.boot_of(run) is None)
+        given_up |= {group.name for group in open_groups if tries[run_in_round(group, number).name] >= TRIES}
+
+
+def _is_final(standing: Standing | None) -> bool:
+    return standing is not None and standing.is_final
+
+
+def standings_of(groups: Sequence[Run], standings: Sequence[Standing]) -> dict[str, Standing]:
+    """The standing of each group by the group's name; where its runs were told apart, that of the latest run.
+
+    Runs of a campaign are not pooled when the target's kernel changed in between.
+    """
+    latest: dict[str, tuple[int, Standing]] = {}
+    for standing in standings:
+        for group in groups:
+            number = max((_round_of(run, group) for run in standing.runs), default=0)
+            if number > latest.get(group.name, (0,))[0]:
+                latest[group.name] = (number, standing)
+    return {name: standing for name, (_, standing) in latest.items()}
+
+
+def _round_of(run: str, group: Run) -> int:
+    """The round that a run of this name belongs to; 0 when it is of another group."""
+    if run == group.name:
+        return 1
+    number = run.removeprefix(f"{group.name}-r")
+    return int(number) if number != run and number.isdecimal() else 0
+
+
+def _latest_round(groups: Sequence[Run], findings: Findings) -> int:
+    number = 1
+    while any(findings.boot_of(run_in_round(group, number + 1)) is not None for group in groups):
+        number += 1
+    return number
+
+
+def _used_boots(groups: Sequence[Run], number: int, a_boot: int, findings: Findings) -> frozenset[str]:
+    """The boots that runs of earlier rounds were on, of all rounds that are not to share a boot with this one."""
+    earlier = [each for each in range(1, number) if boot_of_round(each, a_boot) != boot_of_round(number, a_boot)]
+    boots = {findings.boot_of(run_in_round(group, each)) for each in earlier for group in groups}
+    return frozenset(boot for boot in boots if boot)
+
+
+def _progress(
+    groups: Sequence[Run], standings: Mapping[str, Standing], measurements: int, a_boot: int, spent_s: float
+) -> list[Progress]:
+    counts = {group.name: len(standings[group.name].runs) for group in groups if group.name in standings}
+    measured_s = sum(counts.get(group.name, 0) * group.expected_s for group in groups)
+    overhead_s = max(0.0, spent_s - measured_s) / max(1, sum(counts.values()))
+    progress = []
+    for group in groups:
+        standing = standings.get(group.name)
+        number = runs_left(group, standing, measurements, a_boot)
+        left_s = None if number is None else number * (group.expected_s + overhead_s)
+        progress.append(Progress(group=group, standing=standing, left_s=left_s))
+    return progress
+
+
+def runs_left(group: Run, standing: Standing | None, measurements: int, a_boot: int) -> int | None:
+    """How many more runs bring a group to its answer if misses go on at the rate seen; None where no number does."""
+    verdict = standing.verdict if standing else None
+    if standing is not None and standing.is_final:
+        return 0
+    if standing is None or verdict is None or not verdict.n:
+        return rounds_for(group, measurements)
+    if verdict.change is not None:
+        return None
+    likely = verdict.further_likely[1] if verdict.further_likely else None
+    further = likely if verdict.misses else verdict.further
+    if further is None:
+        return None
+    return max(verdict.boots_missing * a_boot, math.ceil(further * len(standing.runs) / verdict.n))

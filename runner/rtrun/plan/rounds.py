@@ -1,0 +1,70 @@
+"""The rounds of a campaign that has a goal: one run of every group whose answer is open, in an order drawn anew.
+
+A group is a planned run of the campaign. Its run in a round is that run repeated, and the round's number is the repeat.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from rtrun.plan.campaign import Run, interleave
+
+# Start-up values are in no verdict: at most two a run (thesis 4.2).
+STARTUP_VALUES = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outlook:
+    """How long a campaign takes: rounds, boots of the target, seconds of measuring alone."""
+
+    rounds: int
+    boots: int
+    measuring_s: float
+
+
+def run_in_round(group: Run, number: int) -> Run:
+    """The run of a group in a round; the first round has number 1."""
+    return group if number == 1 else replace(group, name=f"{group.name}-r{number}", repeat=number)
+
+
+def plan_round(groups: Iterable[Run], number: int, seed: int) -> tuple[Run, ...]:
+    """The runs of a round in their order: one of each of these groups."""
+    return interleave([run_in_round(group, number) for group in groups], seed)
+
+
+def measurements_of(group: Run) -> int:
+    """How many measurements one run of a group adds to its verdict. At least 1."""
+    return max(1, int(group.parameters.get("repetitions") or 0) - STARTUP_VALUES)
+
+
+def rounds_for(group: Run, measurements: int) -> int:
+    """How many rounds give a group so many measurements."""
+    return math.ceil(measurements / measurements_of(group))
+
+
+def rounds_a_boot(groups: Sequence[Run], measurements: int, boots: int) -> int:
+    """How many rounds are measured on one boot, so that so many measurements of each group need so many boots.
+
+    At least 1: where fewer rounds than boots would do, each round is on a boot of its own.
+    """
+    return max(1, max(rounds_for(group, measurements) for group in groups) // boots)
+
+
+def boot_of_round(number: int, rounds_a_boot: int) -> int:
+    """The boot that a round is measured on, counted from 0."""
+    return (number - 1) // rounds_a_boot
+
+
+def outlook(groups: Sequence[Run], measurements: int, *, boots: int, a_boot: int) -> Outlook:
+    """How long it takes until each group has so many measurements, on at least so many boots of `a_boot` rounds.
+
+    A group leaves the rounds when it has them.
+    """
+    least = (boots - 1) * a_boot + 1
+    rounds = {group.name: max(least, rounds_for(group, measurements)) for group in groups}
+    most = max(rounds.values())
+    return Outlook(
+        rounds=most,
+        boots=boot_of_round(most, a_boot) + 1,
+        measuring_s=sum(rounds[group.name] * group.expected_s for group in groups),
+    )

@@ -1,0 +1,174 @@
+"""The answers to the goal of a campaign, group by group: what the rounds go by, and what `rtrun verdict` prints."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from rtfiles.output import printable
+from rtrun.analysis.deadline import Answer, Verdict
+from rtrun.analysis.standing import Standing
+from rtrun.execution.goal import Progress
+from rtrun.plan.goal import Goal
+from rtrun.report.digest import Digest
+from rtrun.report.study import Group, Study, study
+from rtrun.results.record import is_closed
+
+
+def standings(study: Study) -> tuple[Standing, ...]:
+    """How far each group of a study is."""
+    times_s = {record.run: _seconds(record.start_time, record.end_time) for record in study.records}
+    return tuple(_standing(group, times_s) for group in study.groups)
+
+
+def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
+    """What reads the answers of a campaign from its results so far; a closed run is read only once."""
+    known: dict[Path, tuple[Digest, ...]] = {}
+
+    def evaluate() -> tuple[Standing, ...]:
+        if not any(is_closed(folder) for folder in results.iterdir()):
+            return ()
+        return standings(
+            study(
+                results,
+                deadline_ns=goal.deadline_ns,
+                probability=goal.probability,
+                confidence=goal.confidence,
+                boots=goal.boots,
+                bounds=False,
+                known=known,
+            )
+        )
+
+    return evaluate
+
+
+def _standing(group: Group, times_s: dict[str, float]) -> Standing:
+    return Standing(
+        label=group.label,
+        runs=group.runs,
+        verdict=group.verdict,
+        undecidable=group.undecidable,
+        measured_s=sum(times_s.get(run, 0.0) for run in group.runs),
+    )
+
+
+def _seconds(start: str, end: str) -> float:
+    try:
+        return max(0.0, (datetime.fromisoformat(end) - datetime.fromisoformat(start)).total_seconds())
+    except (ValueError, TypeError):  # an imported file has no times
+        return 0.0
+
+
+def question(study: Study) -> str:
+    """What the answers are to."""
+    return (
+        f"P(miss) of a deadline of {study.deadline_ns / 1000:g} us below {study.probability:g}, "
+        f"confidence {study.confidence:g}, on at least {_count(study.boots, 'boot', '')}"
+    )
+
+
+def table(found: Sequence[Standing]) -> Table:
+    """A row for each group: its answer, what it rests on, and what is still missing."""
+    made = Table(box=box.SIMPLE, padding=(0, 1), show_edge=False)
+    for heading in ("group", "answer"):
+        made.add_column(heading)
+    for heading in ("P(miss)", "measured", "boots", "time"):
+        made.add_column(heading, justify="right")
+    made.add_column("missing")
+    for standing in found:
+        verdict = standing.verdict
+        made.add_row(
+            Text(printable(standing.label)),
+            str(standing.answer),
+            bound(verdict) if verdict else "-",
+            _number(verdict.n) if verdict else "-",
+            "-" if verdict is None or verdict.boots is None else str(verdict.boots),
+            duration(standing.measured_s),
+            Text(printable(missing(standing))),
+        )
+    return made
+
+
+def progress_line(progress: Progress, goal: Goal) -> str:
+    """How far a group is, in one line that is read while it is measured."""
+    standing = progress.standing
+    if standing is None or standing.verdict is None:
+        return f"{progress.group.name}: nothing is measured yet"
+    verdict = standing.verdict
+    parts = [f"P(miss) {bound(verdict)}, to be below {goal.probability:g}", f"{_number(verdict.n)} measured"]
+    if goal.boots > 1 and verdict.boots is not None:
+        parts.append(f"{verdict.boots} of {goal.boots} boots")
+    if not standing.is_final:
+        left = "no end in sight" if progress.left_s is None else f"about {duration(progress.left_s)} left"
+        parts.append(left)
+    return f"{standing.answer}  {standing.label}: {'; '.join(parts)}"
+
+
+def bound(verdict: Verdict) -> str:
+    """The interval of P(miss), its upper end alone where there is no lower one."""
+    return f"<= {verdict.upper:.2g}" if verdict.lower == 0 else f"{verdict.lower:.2g} to {verdict.upper:.2g}"
+
+
+def missing(standing: Standing) -> str:
+    """What a group lacks for its answer, and how long that takes to measure; empty when it has one."""
+    verdict = standing.verdict
+    if verdict is None:
+        return standing.undecidable or "nothing was measured"
+    if verdict.refused:
+        return verdict.refused
+    if standing.answer is not Answer.NEEDS_MORE:
+        return ""
+    if verdict.change is not None:
+        return f"no answer: it did not stay the same: {verdict.change.text}"
+    parts = [_count(verdict.boots_missing, "boot")] if verdict.boots_missing else []
+    if not verdict.misses and verdict.further:
+        parts.append(f"{_measurements(verdict, verdict.further)} without a miss")
+    elif verdict.further_likely is None:
+        parts.append("at the rate seen, no number is likely to decide it")
+    elif verdict.further_likely[1]:
+        answer, further = verdict.further_likely
+        parts.append(f"{_measurements(verdict, further)} at the rate seen, then {answer}")
+    return "; ".join(parts)
+
+
+def _count(number: int, noun: str, more: str = "more ") -> str:
+    return f"{number} {more}{noun}{'' if number == 1 else 's'}"
+
+
+def _measurements(verdict: Verdict, number: int) -> str:
+    hours = verdict.hours(number)
+    return f"{_number(number)} more" + ("" if hours is None else f" ({duration(hours * 3600)})")
+
+
+def _number(number: int) -> str:
+    return f"{number:,}".replace(",", " ")
+
+
+def duration(seconds: float) -> str:
+    """A time in the two units that tell most of it."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours >= 48:
+        return f"{hours // 24} d {hours % 24} h"
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {rest:02} s" if minutes else f"{rest} s"
+
+
+def as_data(found: Sequence[Standing]) -> list[dict[str, Any]]:
+    """The same as plain data, for programs."""
+    return [
+        {
+            "group": standing.label,
+            "answer": standing.answer,
+            "runs": list(standing.runs),
+            "measured_s": standing.measured_s,
+            "missing": missing(standing),
+            "verdict": None if standing.verdict is None else asdict(standing.verdict),
+        }
+        for standing in found
+    ]

@@ -1,0 +1,44 @@
+"""How many measurements an answer takes, and from how many boots it must come."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rtrun.analysis.deadline import Answer, count_misses, judge, plan_measurements
+from rtrun.analysis.intervals import anytime_interval
+
+
+def test_without_a_miss_it_is_the_plain_interval():
+    assert plan_measurements(probability=1e-6, confidence=0.95) == (Answer.PROVEN, 3_688_878)
+
+
+@pytest.mark.parametrize(("rate", "answer"), [(2e-4, Answer.PROVEN), (5e-4, Answer.PROVEN), (3e-3, Answer.REFUTED)])
+def test_the_number_is_enough_nine_times_in_ten(rate, answer):
+    planned = plan_measurements(probability=1e-3, confidence=0.95, rate=rate)
+    assert planned is not None and planned[0] is answer
+    misses = np.random.default_rng(3).poisson(rate * planned[1], 2000)
+    decided = 0
+    for count in misses:
+        lower, upper = anytime_interval(int(count), planned[1], 0.95)
+        decided += upper < 1e-3 if answer is Answer.PROVEN else lower > 1e-3
+    assert 0.87 <= decided / 2000 <= 0.99
+
+
+def test_a_rate_at_the_target_is_never_decided():
+    assert plan_measurements(probability=1e-3, confidence=0.95, rate=1e-3) is None
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_an_answer_waits_for_its_boots(late):
+    values = np.full(4000, 500_000 if late else 0, np.int64) + np.arange(4000) % 7
+    trials = count_misses(values, 400_000)
+
+    def answer(boots, wanted):
+        runs = [replace(trials, run=f"r{n}", boot=f"b{n}", start_time=str(n)) for n in range(boots)]
+        verdict = judge(runs, deadline_ns=400_000, probability=1e-3, confidence=0.95, boots_wanted=wanted)
+        return verdict.answer, verdict.boots_missing
+
+    certain = Answer.REFUTED if late else Answer.PROVEN
+    assert answer(3, 1) == (certain, 0) and answer(3, 3) == (certain, 0)
+    assert answer(3, 4) == (Answer.NEEDS_MORE, 1)

@@ -1,0 +1,198 @@
+"""Measuring until it is certain, on a simulated target whose true probability of a miss is known."""
+
+import dataclasses
+import zlib
+
+import numpy as np
+import pytest
+
+from rtrun.analysis.deadline import Answer, count_misses, judge
+from rtrun.analysis.standing import Standing
+from rtrun.execution.goal import TRIES, Findings, rounds, runs_left, standings_of
+from rtrun.plan.campaign import Campaign, plan
+from rtrun.plan.goal import Goal
+from rtrun.plan.rounds import plan_round
+
+DEADLINE_NS = 400_000
+LENGTH = 1002
+NEEDED = 3688  # measurements without a miss that prove P < 1e-3 at 95 %
+OVERHEAD_S = 2.0
+
+
+def goal(**keys):
+    return Goal(**{"deadline": "400us", "probability": "1e-3", "at_most": "1h", **keys})
+
+
+def groups_of(*frequencies):
+    entry = {"suite": "cyclic_timer_tests", "repetitions": LENGTH, "frequency_hz": list(frequencies)}
+    return plan(Campaign(schema=1, name="test", order="interleaved", seed=7, runs=[entry]), "test")
+
+
+class Killed(Exception):
+    """The runner was killed."""
+
+
+class Board:
+    """A target: `misses` holds the true P(miss) of each frequency; what it measured outlives the runner."""
+
+    def __init__(self, misses, *, wanted, fails=(), emulated=False):
+        self.misses, self.wanted, self.fails, self.emulated = misses, wanted, fails, emulated
+        self.boot = 0
+        self.boots = {}
+        self.trials = {}
+        self.calls = []
+        self.spent_s = 0.0
+        self.told = []
+
+    def measure(self, run):
+        self.calls.append(run.name)
+        self.spent_s += run.expected_s + OVERHEAD_S
+        if run.parameters["frequency_hz"] in self.fails:
+            return
+        # The same run measures the same, whenever it is made.
+        generator = np.random.default_rng(zlib.crc32(run.name.encode()))
+        late = generator.random(LENGTH - 2) < self.misses[run.parameters["frequency_hz"]]
+        values = np.where(late, 500_000, generator.integers(50_000, 90_000, LENGTH - 2)).astype(np.int64)
+        self.trials[run.name] = count_misses(values, DEADLINE_NS)
+        self.boots[run.name] = f"boot{self.boot}"
+
+    def evaluate(self, groups):
+        standings = []
+        for group in groups:
+            names = [name for name in self.trials if name.split("-r")[0] == group.name]
+            trials = [self._place(name) for name in names]
+            if names:
+                verdict = judge(
+                    trials,
+                    deadline_ns=DEADLINE_NS,
+                    probability=1e-3,
+                    confidence=0.95,
+                    emulated=self.emulated,
+                    boots_wanted=self.wanted.boots,
+                )
+                standings.append(
+                    Standing(
+                        label=group.name,
+                        runs=tuple(names),
+                        verdict=verdict,
+                        undecidable=None,
+                        measured_s=0.0,
+                    )
+                )
+        return standings
+
+    def _place(self, name):
+        return dataclasses.replace(self.trials[name], run=name, boot=self.boots[name], start_time=name)
+
+
+def measure(board, groups, wanted, *, calls=10**9):
+    """Follow the rounds as the campaign runner does, and be killed before call number `calls`; return the standings."""
+    findings = Findings(
+        boot_of=lambda run: board.boots.get(run.name),
+        evaluate=lambda: board.evaluate(groups),
+        spent_s=lambda: board.spent_s,
+    )
+    for each in rounds(groups, wanted, 7, NEEDED, findings, lambda told, _: board.told.append(told)):
+        if f"boot{board.boot}" in each.used_boots:
+            board.boot += 1
+        for run in each.runs:
+            if len(board.calls) >= calls:
+                raise Killed
+            board.measure(run)
+    return {name: standing.answer for name, standing in standings_of(groups, board.evaluate(groups)).items()}
+
+
+def test_it_is_proven_in_the_fewest_rounds_and_on_the_boots_that_were_asked_for():
+    groups, wanted = groups_of(1000, 500), goal(boots=4)
+    board = Board({1000: 0.0, 500: 0.0}, wanted=wanted)
+    assert set(measure(board, groups, wanted).values()) == {Answer.PROVEN}
+    assert len(board.calls) == 2 * 4, "four runs of 1000 hold the 3688 measurements that are needed"
+    assert len(set(board.boots.values())) == 4 and board.boot == 3
+
+
+def test_an_answer_waits_for_its_boots():
+    groups, wanted = groups_of(1000), goal(boots=6)
+    board = Board({1000: 0.0}, wanted=wanted)
+    assert set(measure(board, groups, wanted).values()) == {Answer.PROVEN}
+    assert len(board.calls) == 6 and board.boot == 5
+
+
+def test_it_is_refuted():
+    groups, wanted = groups_of(1000), goal(boots=2)
+    board = Board({1000: 0.02}, wanted=wanted)
+    assert set(measure(board, groups, wanted).values()) == {Answer.REFUTED}
+    assert board.spent_s < 600
+
+
+def test_a_group_with_its_answer_gives_its_time_to_the_others():
+    groups, wanted = groups_of(1000, 500), goal(at_most="200s")
+    board = Board({1000: 0.0, 500: 1e-3}, wanted=wanted)
+    answers = measure(board, groups, wanted)
+    assert sorted(answers.values()) == [Answer.NEEDS_MORE, Answer.PROVEN]
+    fast = [name for name in board.calls if "fq1000" in name]
+    assert len(fast) == 4 and not any("fq1000" in name for name in board.calls[8:])
+    assert len(board.calls) - len(fast) > 30
+
+
+def test_it_ends_when_the_time_is_over_and_not_later():
+    groups, wanted = groups_of(1000), goal(at_most="100s")
+    board = Board({1000: 1e-3}, wanted=wanted)
+    assert set(measure(board, groups, wanted).values()) == {Answer.NEEDS_MORE}
+    assert 100 - LENGTH / 1000 - OVERHEAD_S <= board.spent_s <= 100 + OVERHEAD_S
+    assert board.told[-1][0].left_s is None or board.told[-1][0].left_s > 0
+
+
+@pytest.mark.parametrize("misses", [{1000: 0.0, 500: 0.02, 250: 0.0}, {1000: 4e-4, 500: 0.0, 250: 3e-3}])
+def test_a_runner_that_is_killed_anywhere_goes_on_as_if_nothing_had_happened(misses):
+    groups, wanted = groups_of(*misses), goal(boots=3)
+    whole = Board(misses, wanted=wanted)
+    answers = measure(whole, groups, wanted)
+    for calls in (1, 2, 3, 5, 8, len(whole.calls) - 1):
+        board = Board(misses, wanted=wanted)
+        with pytest.raises(Killed):
+            measure(board, groups, wanted, calls=calls)
+        restarts = board.boot
+        assert measure(board, groups, wanted) == answers
+        assert sorted(board.calls) == sorted(whole.calls), "no run is lost, none is made twice"
+        assert board.boot == whole.boot and restarts <= board.boot, "no restart more than without the kill"
+
+
+def test_a_run_that_always_fails_does_not_stop_the_others():
+    groups, wanted = groups_of(1000, 500), goal()
+    board = Board({1000: 0.0, 500: 0.0}, wanted=wanted, fails=(500,))
+    answers = measure(board, groups, wanted)
+    assert list(answers.values()) == [Answer.PROVEN]
+    assert len([name for name in board.calls if "fq500" in name]) == TRIES
+
+
+def test_an_emulated_board_is_measured_once():
+    groups, wanted = groups_of(1000), goal(boots=3)
+    board = Board({1000: 0.0}, wanted=wanted, emulated=True)
+    assert set(measure(board, groups, wanted).values()) == {Answer.NO_STATEMENT}
+    assert len(board.calls) == 1
+
+
+def test_what_is_left_falls_from_round_to_round():
+    groups, wanted = groups_of(1000), goal(boots=2)
+    board = Board({1000: 0.0}, wanted=wanted)
+    measure(board, groups, wanted)
+    run_s = groups[0].expected_s + OVERHEAD_S
+    first, *others = [told[0].left_s for told in board.told]
+    assert first == pytest.approx(4 * groups[0].expected_s), "what lies between runs is not known yet"
+    assert others == pytest.approx([3 * run_s, 2 * run_s, run_s, 0])
+    assert runs_left(groups[0], None, NEEDED, 2) == 4
+
+
+def test_a_group_is_known_by_the_names_of_its_runs():
+    groups = groups_of(1000, 500)
+
+    def standing(*runs):
+        return Standing(label="", runs=runs, verdict=None, undecidable="", measured_s=0.0)
+
+    names = [[run.name for run in sorted(plan_round(groups, n, 7), key=lambda run: run.name)] for n in (1, 2, 12)]
+    old, new, other = standing(names[0][0]), standing(names[2][0], names[1][0]), standing(names[0][1])
+    assert standings_of(groups, [new, old, other]) == {groups_by_name(groups)[0]: new, groups_by_name(groups)[1]: other}
+
+
+def groups_by_name(groups):
+    return sorted(group.name for group in groups)

@@ -1,0 +1,40 @@
+"""The time that a campaign has taken, from its journal: pauses between runners do not count."""
+
+from contextlib import closing
+from datetime import UTC, datetime
+
+import pytest
+
+from rtfiles.errors import UsageError
+from rtrun.execution.journal import open_journal
+
+
+def at(seconds):
+    return datetime.fromtimestamp(1_800_000_000 + seconds, UTC)
+
+
+@pytest.fixture
+def log(tmp_path):
+    with closing(open_journal(tmp_path, "test", "plan", "board")) as log:
+        yield log
+
+
+def test_the_time_of_all_sessions_until_now(log):
+    assert log.spent_s(at(50)) == 0
+    log.begin_session(at(0).isoformat())
+    log.note(at(10).isoformat(), "001", "measuring")
+    log.note(at(70).isoformat(), "001", "closed")
+    assert log.spent_s(at(75)) == 75
+    log.begin_session(at(5000).isoformat())
+    assert log.spent_s(at(5003)) == 73, "the runner was killed at 70, or later"
+    log.note(at(4990).isoformat(), "001", "measuring")
+    assert log.spent_s(at(4995)) == 75, "a clock that is set back takes nothing off"
+
+
+def test_what_is_no_time_is_refused(log):
+    log.begin_session("yesterday")
+    with pytest.raises(UsageError, match="the journal is damaged"):
+        log.spent_s(at(0))
+    log.begin_session("2026-01-01T00:00:00")
+    with pytest.raises(UsageError, match="the journal is damaged"):
+        log.spent_s(at(0))

@@ -1,0 +1,109 @@
+"""What a campaign states as its goal, and the variants that it measures side by side."""
+
+import pytest
+
+from rtfiles.errors import UsageError
+from rtrun.cli import main
+from rtrun.plan.campaign import read_campaign
+from rtrun.plan.goal import read_time_ns
+
+INTERLEAVED = "order: interleaved\nseed: 7\n"
+UNTIL = "until: {deadline: 400us, probability: 1e-6, confidence: 0.95, at_most: 8h, boots: 8}\n"
+RUNS = "runs: [{suite: cyclic_timer_tests, policy: [RR, FIFO]}]\n"
+
+
+def write(folder, text):
+    path = folder / "campaign.yml"
+    path.write_text("schema: 1\nname: test\n" + text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "time_ns"),
+    [("400us", 400_000), ("1.5ms", 1_500_000), ("8h", 28_800_000_000_000), ("90 min", 5_400_000_000_000), ("1ns", 1)],
+)
+def test_a_time_has_a_unit(text, time_ns):
+    assert read_time_ns(text) == time_ns
+
+
+@pytest.mark.parametrize("text", ["400", "0us", "-1ms", "1e3us", "400 u", "", 400, None, "9999999h", "٤us", "0.1ns"])
+def test_what_is_no_time(text):
+    with pytest.raises(ValueError, match="no time above 0 with its unit"):
+        read_time_ns(text)
+
+
+def test_the_goal_of_a_campaign(tmp_path):
+    campaign, runs = read_campaign(write(tmp_path, INTERLEAVED + UNTIL + RUNS))
+    goal = campaign.until
+    assert (goal.deadline_ns, goal.probability, goal.confidence) == (400_000, 1e-6, 0.95)
+    assert (goal.at_most_ns, goal.boots) == (28_800_000_000_000, 8)
+    assert [run.repeat for run in runs] == [1, 1]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (UNTIL + RUNS, "until: give order: interleaved and a seed"),
+        (INTERLEAVED + UNTIL + "runs: [{suite: cyclic_timer_tests, repeats: 2}]", "until: takes no repeats"),
+        (INTERLEAVED + UNTIL + "runs: [{suite: hwlatdetect}]", "until: hwlatdetect measures no deadline"),
+        (INTERLEAVED + UNTIL.replace("400us", "400") + RUNS, "until.deadline: '400' is no time above 0"),
+        (INTERLEAVED + UNTIL.replace("1e-6", "2") + RUNS, "until.probability: '2' is no number between 0 and 1"),
+        (INTERLEAVED + UNTIL.replace("boots: 8", "boots: 0") + RUNS, "until.boots: "),
+        (INTERLEAVED + "until: {deadline: 1ms, probability: 0.1}\n" + RUNS, "until.at_most: Field required"),
+        (INTERLEAVED + UNTIL.replace("boots", "reboots") + RUNS, "until: unknown key 'reboots', allowed: deadline"),
+    ],
+)
+def test_bad_goals_are_usage_errors_that_name_the_key(tmp_path, text, message):
+    with pytest.raises(UsageError, match=message):
+        read_campaign(write(tmp_path, text))
+
+
+VARIANTS = "variants: {old: {suites: ../old}, new: {suites: ../new, ros_setup: /opt/ros/x/setup.sh, priority: 90}}\n"
+
+
+def test_every_run_is_planned_for_each_variant_in_one_order(tmp_path):
+    campaign, runs = read_campaign(
+        write(tmp_path, INTERLEAVED + VARIANTS + "runs: [{suite: cyclic_timer_tests, policy: RR, repeats: 5}]\n")
+    )
+    assert [run.repeat for run in runs] == [1, 1, 2, 2, 3, 3, 4, 4, 5, 5], "each block has each variant once"
+    assert all({a.variant, b.variant} == {"old", "new"} for a, b in zip(runs[::2], runs[1::2], strict=True))
+    assert {run.variant: run.parameters["priority"] for run in runs} == {"old": 95, "new": 90}
+    assert all(f"-{run.variant}" in run.name for run in runs)
+    assert campaign.variants["new"]["suites"] == "../new"
+
+
+def test_a_variants_value_counts_for_the_runs_that_take_it(tmp_path):
+    text = "variants: {a: {}, b: {timeout_us: 5000}}\nruns: [{suite: cyclic_timer_tests}, {suite: oneshot_timer_tests}]"
+    _, runs = read_campaign(write(tmp_path, INTERLEAVED + text + "\n"))
+    assert len(runs) == 4
+    assert {run.parameters.get("timeout_us") for run in runs if run.variant == "b"} == {None, 5000}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (VARIANTS + RUNS, "variants: give order: interleaved and a seed"),
+        (INTERLEAVED + "variants: {a: {}}\n" + RUNS, "variants: give at least two, or none"),
+        (INTERLEAVED + "variants: {a: {}, b: {speed: 5}}\n" + RUNS, "variants.b: unknown key 'speed', allowed: suites"),
+        (INTERLEAVED + "variants: {a: {}, b: {suites: 5}}\n" + RUNS, "variants.b.suites: takes a path, got 5"),
+        (INTERLEAVED + "variants: {a: {}, b: {policy: [RR]}}\n" + RUNS, "variants.b.policy: one value, not a list"),
+        (INTERLEAVED + "variants: {a: {}, b: {repeats: 2}}\n" + RUNS, "variants.b: unknown key 'repeats'"),
+        (INTERLEAVED + "variants: {../a: {}, b: {}}\n" + RUNS, "variants"),
+    ],
+)
+def test_bad_variants_are_usage_errors_that_name_the_key(tmp_path, text, message):
+    with pytest.raises(UsageError, match=message):
+        read_campaign(write(tmp_path, text))
+
+
+def test_the_plan_says_how_long_it_takes(tmp_path, capsys):
+    text = INTERLEAVED + UNTIL + "runs: [{suite: cyclic_timer_tests, repetitions: 250002, policy: [RR, FIFO]}]\n"
+    path = write(tmp_path, text)
+    assert main(["plan", str(path), "--assume-rate", "1e-7"]) == 0
+    best, assumed = capsys.readouterr().out.splitlines()[-2:]
+    assert best == "without a miss: PROVEN after 15 rounds, 7500 s of measuring (2.1 h) and 14 restarts"
+    assert assumed.startswith("if 1e-07 of all measurements miss it: PROVEN after 38 rounds nine times in ten, ")
+    assert main(["plan", str(path), "--assume-rate", "1e-6"]) == 0
+    assert "no number of measurements is likely to decide it" in capsys.readouterr().out
+    assert main(["plan", str(write(tmp_path, RUNS)), "--assume-rate", "1e-6"]) == 2
+    assert "the campaign has no goal (until)" in capsys.readouterr().err

@@ -1,0 +1,49 @@
+"""The rounds of a campaign that measures until it is certain."""
+
+import pytest
+
+from rtrun.plan.campaign import Campaign, plan
+from rtrun.plan.rounds import boot_of_round, outlook, plan_round, rounds_a_boot, rounds_for
+
+CAMPAIGN = {
+    "schema": 1,
+    "name": "test",
+    "order": "interleaved",
+    "seed": 7,
+    "runs": [{"suite": "cyclic_timer_tests", "repetitions": 1002, "frequency_hz": [100, 200, 300, 400]}],
+}
+GROUPS = plan(Campaign(**CAMPAIGN), "test")
+
+
+def test_a_round_has_each_open_group_once_in_an_order_of_its_own():
+    rounds = [plan_round(GROUPS, number, 7) for number in range(1, 9)]
+    assert rounds[0] == GROUPS, "the first round is the campaign as it is planned without a goal"
+    for number, runs in enumerate(rounds, start=1):
+        assert {run.parameters["frequency_hz"] for run in runs} == {100, 200, 300, 400}
+        assert {run.repeat for run in runs} == {number}
+    assert len({tuple(run.parameters["frequency_hz"] for run in runs) for runs in rounds}) > 4, "the order is drawn"
+    names = [run.name for runs in rounds for run in runs]
+    assert len(set(names)) == len(names) and "001-cyclic_timer_tests_l1002_fq100-r3" in names
+    assert len(plan_round(GROUPS[:1], 5, 7)) == 1
+
+
+@pytest.mark.parametrize(("measurements", "rounds"), [(1, 1), (1000, 1), (1001, 2), (10_000, 10)])
+def test_start_up_values_do_not_count(measurements, rounds):
+    assert rounds_for(GROUPS[0], measurements) == rounds
+
+
+@pytest.mark.parametrize(
+    ("measurements", "boots", "a_boot"), [(16_000, 8, 2), (16_000, 1, 16), (1000, 8, 1), (15_999, 8, 2), (15_000, 8, 1)]
+)
+def test_the_rounds_of_the_best_case_are_spread_over_the_boots(measurements, boots, a_boot):
+    assert rounds_a_boot(GROUPS, measurements, boots) == a_boot
+    assert boot_of_round(1, a_boot) == 0 and boot_of_round(a_boot + 1, a_boot) == 1
+    assert outlook(GROUPS, measurements, boots=boots, a_boot=a_boot).boots >= boots
+
+
+def test_the_outlook_counts_rounds_boots_and_seconds():
+    found = outlook(GROUPS, 16_000, boots=8, a_boot=2)
+    assert (found.rounds, found.boots) == (16, 8)
+    assert found.measuring_s == pytest.approx(16 * 1002 * (1 / 100 + 1 / 200 + 1 / 300 + 1 / 400))
+    few = outlook(GROUPS, 1, boots=8, a_boot=1)
+    assert (few.rounds, few.boots) == (8, 8), "the boots that the answer must rest on take a round each"
