@@ -46,6 +46,7 @@ COMMANDS = [
     ("rtrun probe --target target.yml", 3, "127.0.0.1"),
     ("rtrun check-rt --target target.yml", 3, "127.0.0.1"),
     ("rtrun verify results", 0, "all "),
+    ("rtrun verify results", 0, "whole"),
     ("rtrun show results", 0, "oneshot_timer"),
     ("rtrun report results", 0, "report.html"),
     ("rtrun verdict results", 0, "confidence 0.95"),
