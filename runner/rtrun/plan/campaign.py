@@ -63,6 +63,9 @@ class Variant:
     ros_setup: str | None = None
 
 
+MEASUREMENT_COST_S = 200e-6  # of one measurement on a slow board: what counts with -t 0 or a high -f
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
     """One planned run: `parameters` holds every parameter of its suite, and `subscribers` where it has some.
@@ -90,6 +93,12 @@ class Run:
             if key in number:
                 return number["repetitions"] * number[key] / 1e6
         return number["repetitions"] / number["frequency_hz"] + number.get("start_delay_s", 0)
+
+    @property
+    def slowest_s(self) -> float:
+        """How long the measuring may take on a slow board, whose measurements cost time beside timeout or period."""
+        repetitions = self.parameters.get("repetitions")
+        return self.expected_s + (repetitions if isinstance(repetitions, int) else 0) * MEASUREMENT_COST_S
 
     @property
     def settle_s(self) -> float:

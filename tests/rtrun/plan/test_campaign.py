@@ -42,6 +42,14 @@ runs:
     assert runs[5].expected_s == pytest.approx(10 / 100 + 1)
 
 
+def test_a_run_without_timeout_still_takes_time(tmp_path):
+    _, runs = read_campaign(
+        write(tmp_path, "runs: [{suite: oneshot_timer_tests, timeout_us: 0, repetitions: 1000000}]\n")
+    )
+    assert runs[0].expected_s == 0
+    assert runs[0].slowest_s == pytest.approx(200)
+
+
 def test_a_run_wins_over_common(tmp_path):
     _, runs = read_campaign(
         write(tmp_path, "common: {policy: RR}\nruns: [{suite: cyclic_timer_tests, policy: FIFO}]\n")
