@@ -2,7 +2,7 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test test-loads test-kernel test-yocto lint coverage bench setup board suites clean
+.PHONY: demo test fuzz test-loads test-kernel test-yocto lint coverage bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -22,6 +22,10 @@ test-kernel: setup
 # A profile against the real layers: DIR holds checkouts of its repositories (docs/layer.md).
 test-yocto: setup
 	RT_TESTS_LAYERS=$(abspath $(LAYERS)) $(BIN)/pytest -s tests/bitbake/real_layers.py
+
+# Mutated files for every reader of tests/hostile/fuzz.py: SECONDS of them, from SEED on.
+fuzz: setup
+	$(BIN)/python tests/hostile/fuzz.py --seconds $(or $(SECONDS),3600) --seed $(or $(SEED),1)
 
 lint: setup
 	$(BIN)/ruff check .
