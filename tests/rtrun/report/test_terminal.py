@@ -124,3 +124,9 @@ def test_one_timer_is_not_many() -> None:
     assert [line.partition(": ")[2] for line in lines if "timer" in line] == [
         "1 timer did not fire, it is in no figure"
     ]
+
+
+def test_messages_that_came_again_are_told() -> None:
+    one = result(WIDE)
+    lines = drawn(answer([replace(one, header=replace(one.header, duplicate=3))], emulated=False), 200)
+    assert any(line.endswith(": 3 messages came again, only the first arrival counts") for line in lines)
