@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "rtrun" / "report"))
 from campaigns import communication_rows, latencies, write_run  # type: ignore[import-not-found]
 
-from rtrun.analysis.figures import figures_of_samples
-from rtrun.analysis.histogram import from_samples
+from rtrun.analysis.figures import PERCENTILES, figures_of_samples
+from rtrun.analysis.histogram import Int64s, from_samples
 
 Check = tuple[str, float, float, str]
 _BARE = "python -c ''"
@@ -42,22 +42,50 @@ def median_s(work: Callable[[], object], times: int) -> float:
     return statistics.median(taken)
 
 
+def least_s(works: Sequence[Callable[[], object]], times: int) -> list[float]:
+    """Least processor seconds of each, taken in turn: what else runs on the machine slows all of them, now and then."""
+    taken = [[float("inf")] for _ in works]
+    for _ in range(times + 1):
+        for work, seconds in zip(works, taken, strict=True):
+            start = time.process_time()
+            work()
+            seconds.append(time.process_time() - start)
+    return [min(seconds) for seconds in taken]
+
+
+def kinds(n: int) -> dict[str, Int64s]:
+    """Samples of several kinds: narrow, wide, and narrow with one value of 50 ms."""
+    narrow = latencies(n, 1)
+    outlier = narrow.copy()
+    outlier[n // 3] = 50_000_000
+    wide = (50_000 * np.random.default_rng(3).lognormal(0, 1.5, n)).astype(np.int64)
+    return {"narrow": narrow, "wide lognormal": wide, "one value of 50 ms": outlier}
+
+
 def figures(n: int) -> list[Check]:
-    """All figures of the table against pandas on the same samples."""
+    """All figures and counts in 1 us bins against pandas, which does the same on the same samples."""
     import pandas
 
-    values = latencies(n, 1)
-    ours = median_s(lambda: figures_of_samples(values), 9)
-    series = pandas.Series(values)
-    theirs = median_s(lambda: (series.describe(), series.value_counts()), 5)
-    larger = latencies(4 * n, 2)
-    whole = median_s(lambda: figures_of_samples(larger), 5)
-    return [
-        (f"figures of {n} samples", 1000 * ours, 25.0, "ms"),
-        ("figures, share of pandas describe + value_counts", ours / theirs, 0.25, ""),
-        ("figures, 4 times the samples take so many times as long", whole / ours, 6.0, ""),
-        (f"histogram of {n} samples in 1 us bins", 1000 * median_s(lambda: from_samples(values), 9), 25.0, "ms"),
-    ]
+    shares = [p / 100 for p in PERCENTILES]
+    checks: list[Check] = []
+    for kind, values in kinds(n).items():
+        series = pandas.Series(values)
+
+        def ours(values: Int64s = values) -> object:
+            return figures_of_samples(values), from_samples(values)
+
+        def theirs(series: "pandas.Series[int]" = series) -> object:
+            return series.describe(shares), series.nlargest(10), series.nsmallest(10), (series // 1000).value_counts()
+
+        together_s, pandas_s = least_s([ours, theirs], 5)
+        figures_s = median_s(lambda values=values: figures_of_samples(values), 9)  # type: ignore[misc]
+        checks.append((f"figures of {n} samples, {kind}", 1000 * figures_s, 25.0, "ms"))
+        checks.append((f"figures and counts, {kind}, share of pandas", together_s / pandas_s, 0.25, ""))
+    small, large = latencies(n, 1), latencies(4 * n, 2)
+    one_s, four_s = least_s([lambda: figures_of_samples(small), lambda: figures_of_samples(large)], 7)
+    checks.append(("figures, 4 times the samples take so many times as long", four_s / one_s, 6.0, ""))
+    counting_ms = 1000 * median_s(lambda: from_samples(small), 9)
+    return [*checks, (f"histogram of {n} samples in 1 us bins", counting_ms, 25.0, "ms")]
 
 
 def linked_campaign(root: Path, runs: int, n: int) -> None:
