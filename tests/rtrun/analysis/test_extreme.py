@@ -68,7 +68,9 @@ def test_a_step_in_the_middle_is_refused() -> None:
 
 
 def test_a_tail_narrower_than_the_resolution_is_refused() -> None:
-    refused_for(exponential(scale=500.0) // 1000 * 1000, "quantisation", quantum_ns=1000)
+    # The third opinion needs 500 independent high values, and steps this coarse leave fewer.
+    coarse = exponential(scale=500.0) // 1000 * 1000
+    refused_for(coarse, "quantisation", "fewer than 500 independent high values", quantum_ns=1000)
 
 
 def test_constant_values_are_refused() -> None:
