@@ -96,8 +96,9 @@ def serving(
 
 
 # What the runner does with the target, in a process of its own: its highest memory is measured.
+# getrusage would tell the highest memory of the test runner too, from the moment of its fork.
 CLIENT = """
-import json, resource, sys, time
+import json, re, sys, time
 from pathlib import Path, PurePosixPath
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.target.address import Address
@@ -114,7 +115,7 @@ try:
 except (InfrastructureError, UsageError) as error:
     outcome = f"{type(error).__name__}: {error}"
 print(json.dumps({"outcome": outcome, "seconds": time.monotonic() - started,
-    "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}))
+    "peak_mib": int(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024}))
 """
 
 
