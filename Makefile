@@ -2,7 +2,7 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test fuzz test-loads test-kernel test-yocto lint coverage bench setup board suites clean
+.PHONY: demo test fuzz test-slow test-kernel test-yocto lint coverage bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -11,8 +11,9 @@ demo: setup
 test: setup
 	$(BIN)/pytest -m "not kernel and not slow"
 
-# Each load of conditions.yml for two and a half minutes beside a suite: twenty minutes.
-test-loads: setup
+# What takes long: each load of conditions.yml for two and a half minutes beside a suite (twenty minutes), and campaigns
+# with a goal on the emulated board.
+test-slow: setup
 	$(BIN)/pytest -m slow
 
 # Builds the kernel (five minutes on two idle cores) unless one of the same inputs is in the cache, and boots it.

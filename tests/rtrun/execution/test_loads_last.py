@@ -1,4 +1,4 @@
-"""Every load lasts as long as a run does: minutes of each, with the real suites (`make test-loads`)."""
+"""Every load lasts as long as a run does: minutes of each, with the real suites (`make test-slow`)."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,0 +1,89 @@
+"""Campaigns with a goal on the rehearsal board: through a restart of the board and a killed runner."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import rtgen.cli
+from rtrun.cli import main
+
+pytestmark = [pytest.mark.qemu, pytest.mark.slow, pytest.mark.ros, pytest.mark.timeout(900)]
+TOP = Path(__file__).parents[2]
+BOARD = TOP / "build" / "board" / "qemu-armv7"
+
+
+@pytest.fixture
+def target(tmp_path, monkeypatch):
+    """The rehearsal board, of which this test alone says that it is no emulated one."""
+    monkeypatch.chdir(TOP)
+    assert rtgen.cli.main(["board", "build", "--machine", "qemu-armv7"]) == 0
+    assert rtgen.cli.main(["suites", "build", "--machine", "qemu-armv7"]) == 0
+    folder = tmp_path / "board"
+    folder.mkdir()
+    for path in BOARD.iterdir():
+        (folder / path.name).symlink_to(path.resolve())
+    board = json.loads((BOARD / "board.json").read_text())
+    (folder / "board.json").unlink()
+    (folder / "board.json").write_text(json.dumps(board | {"emulated": False}))
+    monkeypatch.chdir(tmp_path)
+    text = f"schema: 1\nname: board\nkind: qemu\nboard: board\nsuites: {TOP / 'build' / 'suites' / 'qemu-armv7'}\n"
+    (tmp_path / "target.yml").write_text(text)
+    return tmp_path / "target.yml"
+
+
+def write_campaign(text):
+    Path("campaign.yml").write_text("schema: 1\nname: goal\norder: interleaved\nseed: 3\n" + text)
+    return ["run", "campaign.yml", "--target", "target.yml"]
+
+
+def answers(capsys):
+    capsys.readouterr()
+    assert main(["verdict", "results/goal", "--json"]) == 0
+    return {group["runs"][0][:3]: group["answer"] for group in json.loads(capsys.readouterr().out)["groups"]}
+
+
+def closed():
+    return sorted(Path("results/goal").glob("0*/run.json"))
+
+
+@pytest.mark.usefixtures("target")
+def test_proven_on_three_boots_through_a_killed_runner_and_a_restart_of_the_board(capsys):
+    words = write_campaign(
+        "runs: [{suite: cyclic_timer_tests, frequency_hz: 50, repetitions: 42, policy: RR}]\n"
+        "until: {deadline: 10s, probability: 0.05, at_most: 1h, boots: 3}\n"
+    )
+    process = subprocess.Popen([sys.executable, "-m", "rtrun.cli", *words], env=os.environ)
+    while not closed():
+        assert process.poll() is None
+        time.sleep(0.1)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert main(words) == 0
+    assert capsys.readouterr().err.count("restarting the target") == 1, "the killed runner's board was another boot"
+    assert len({json.loads(path.read_text())["target"]["boot_id"] for path in closed()}) == 3
+    assert len(closed()) == 3
+    assert answers(capsys) == {"001": "PROVEN"}
+    assert main(["gate", "results/goal"]) == 0
+
+
+@pytest.mark.usefixtures("target")
+def test_one_group_is_refuted_and_the_other_runs_out_of_time(capsys):
+    """No message takes less than 1 us; of a timer's jitter, which lies around 0, some is above 1 us and some below."""
+    words = write_campaign(
+        "common: {frequency_hz: 20, policy: RR}\n"
+        "runs: [{suite: communication_tests, repetitions: 22}, {suite: cyclic_timer_tests, repetitions: 10}]\n"
+        "until: {deadline: 1us, probability: 0.4, at_most: 40s}\n"
+    )
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    assert "REFUTED" in out and "NEEDS MORE" in out
+    assert answers(capsys) == {"001": "REFUTED", "002": "NEEDS MORE"}
+    names = [path.parent.name[:3] for path in closed()]
+    assert names.count("002") > names.count("001"), "the time of the group with its answer went to the other one"
+    assert main(["gate", "results/goal"]) == 1
