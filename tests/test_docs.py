@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -79,6 +80,8 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(TOP / "kas.yml", folder)
     for name in ("results/demo", "results/before", "results/after", "RESULTS", "A", "B"):
         write_campaign(folder / name, n=500)
+    goal = (TOP / "README.md").read_text().partition("and no longer:\n")[2].partition("`rtrun plan CAMPAIGN.yml")[0]
+    (folder / "CAMPAIGN.yml").write_text(f"schema: 1\nname: goal\n{textwrap.dedent(goal)}")
     for name in ("X.log", LOG):
         shutil.copy(TOP / "tests/data/2014" / LOG, folder / name)
     return folder

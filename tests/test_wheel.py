@@ -42,7 +42,7 @@ COMMANDS = [
     ("rtgen flash --image none.wic --device /dev/null", 2, "none.wic: No such file"),
     ("rtrun --help", 0, "Measure"),
     ("rtrun plan campaign.yml", 0, "1 runs"),
-    ("rtrun run campaign.yml --target target.yml", 3, "127.0.0.1"),
+    ("rtrun run campaign.yml --target target.yml --results measured", 3, "127.0.0.1"),
     ("rtrun probe --target target.yml", 3, "127.0.0.1"),
     ("rtrun check-rt --target target.yml", 3, "127.0.0.1"),
     ("rtrun verify results", 0, "all "),
