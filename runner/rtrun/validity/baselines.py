@@ -12,7 +12,8 @@ from rtrun.results.importers.histogram_file import ENDING, histogram_text
 def check_baseline_output(run: Run, text: str) -> str | None:
     """Say what does not add up in the standard output of a baseline, or None.
 
-    Each thread of cyclictest must have measured as often as it was asked to, in a bin of the histogram or above it.
+    Cyclictest ends all its threads as soon as one of them has measured as often as it was asked to, in a bin of the
+    histogram or above it. On a busy target the others have then measured less.
     """
     if run.suite != "cyclictest":
         return None if "Max Latency" in text else "hwlatdetect printed no result (a line with Max Latency)"
@@ -22,7 +23,7 @@ def check_baseline_output(run: Run, text: str) -> str | None:
         return str(error)
     measured = [each.histogram.n for each in histograms]
     threads, asked = int(run.parameters["threads"] or 1), int(run.parameters["repetitions"] or 0)
-    if len(measured) != threads or min(measured) < asked:
+    if len(measured) != threads or min(measured) == 0 or max(measured) < asked:
         return f"{threads} threads were asked for {asked} measurements each, they made {measured}"
     return None
 
