@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 from pathlib import Path
 
@@ -18,6 +19,7 @@ import rtgen.cli
 import rtrun.cli
 
 TOP = Path(__file__).parents[1]
+VERSION = tomllib.loads((TOP / "pyproject.toml").read_text())["project"]["version"]
 CHECKOUT = "rtgen: this needs a checkout of meta-rt-tests, not the Python package alone: run make there\n"
 CAMPAIGN = "schema: 1\nname: test\nruns: [{suite: cyclic_timer_tests, frequency_hz: 100, repetitions: 100}]\n"
 # Nothing listens on the discard port of loopback.
@@ -26,6 +28,7 @@ TARGET = "schema: 1\nname: none\nkind: ssh\nhost: 127.0.0.1\nport: 9\nuser: root
 # Arguments, exit status, and words on standard output or standard error.
 COMMANDS = [
     ("rtgen --help", 0, "Generate images"),
+    ("rtgen --version", 0, f"rtgen {VERSION}\n"),
     ("rtgen profiles", 0, "scarthgap-noetic"),
     ("rtgen new-profile mine.yml", 0, "mine.yml: a copy of"),
     ("rtgen explain", 2, CHECKOUT),
@@ -41,7 +44,10 @@ COMMANDS = [
     ("rtgen board build", 0, "build/board/qemu-armv7"),
     ("rtgen flash --image none.wic --device /dev/null", 2, "none.wic: No such file"),
     ("rtrun --help", 0, "Measure"),
+    ("rtrun --version", 0, f"rtrun {VERSION}\n"),
+    ("rtrun --print-completion bash", 0, "complete "),
     ("rtrun plan campaign.yml", 0, "1 runs"),
+    ("rtrun plan campaign.yml --json", 0, '"schema": 1'),
     ("rtrun run campaign.yml --target target.yml --results measured", 3, "127.0.0.1"),
     ("rtrun probe --target target.yml", 3, "127.0.0.1"),
     ("rtrun check-rt --target target.yml", 3, "127.0.0.1"),

@@ -7,10 +7,15 @@ import signal
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from rtfiles.errors import DEFECT_STATUS, INTERRUPTED_STATUS, InfrastructureError, UsageError
-from rtfiles.output import print_note, surviving_output
+from rtfiles.output import print_line, print_note, print_text, surviving_output
+
+DISTRIBUTION = "meta-rt-tests"  # the name in pyproject.toml
+SHELLS = ("bash", "zsh")
 
 
 def dispatch(prog: str, description: str, commands: Sequence[ModuleType], argv: Sequence[str] | None) -> int:
@@ -72,9 +77,42 @@ def _interruptible() -> Iterator[None]:
 def parser_of(prog: str, description: str, commands: Sequence[ModuleType]) -> argparse.ArgumentParser:
     """The parser of a program with these commands."""
     parser = argparse.ArgumentParser(prog=prog, description=description)
+    parser.add_argument("--version", action=_PrintVersion, nargs=0, help="print the version")
+    parser.add_argument(
+        "--print-completion", action=_PrintCompletion, choices=SHELLS, help="print the completion script of a shell"
+    )
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for command in commands:
         subparser = subparsers.add_parser(command.NAME, help=command.HELP, description=command.HELP)
         command.add_arguments(subparser)
         subparser.set_defaults(run=command.run)
     return parser
+
+
+class _PrintVersion(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from importlib.metadata import version
+
+        print_line(f"{parser.prog} {version(DISTRIBUTION)}")
+        parser.exit()
+
+
+class _PrintCompletion(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, _namespace: Any, shell: Any, _option: Any = None) -> None:
+        import shtab
+
+        _complete_paths(parser)
+        print_text(shtab.complete(parser, shell))
+        parser.exit()
+
+
+def _complete_paths(parser: argparse.ArgumentParser) -> None:
+    """Let a shell complete file names for every argument that is a path, those of the commands included."""
+    import shtab
+
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for subparser in action.choices.values():
+                _complete_paths(subparser)
+        elif action.type is Path:
+            action.complete = shtab.FILE  # type: ignore[attr-defined]

@@ -1,19 +1,29 @@
 """``rtrun plan``: every run of a campaign and how long it takes, without a target."""
 
 import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rtrun.commands._question import probability_argument
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rtrun.plan.campaign import Run
+    from rtrun.plan.campaign import Campaign, Run
     from rtrun.plan.goal import Goal
+    from rtrun.plan.rounds import Outlook
 
 NAME = "plan"
 HELP = "print every run of a campaign and how long it takes, without a target"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Forecast:
+    """What a goal comes to at a rate of misses; without answer and outlook no number of measurements decides it."""
+
+    assumed_rate: float
+    answer: str | None = None
+    outlook: "Outlook | None" = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,17 +35,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="with a goal (until): how long it takes if so many measurements miss the deadline",
     )
+    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the plan. Raises UsageError for a rate without a goal."""
+    import json
+
     from rtfiles.errors import UsageError
-    from rtfiles.output import print_line
+    from rtfiles.output import print_line, print_text
     from rtrun.plan.campaign import read_campaign
 
     campaign, runs = read_campaign(args.campaign)
     if args.assume_rate is not None and campaign.until is None:
         raise UsageError(f"{args.campaign}: --assume-rate: the campaign has no goal (until), so its length is known")
+    forecasts = tuple(_forecasts(campaign.until, runs, args.assume_rate)) if campaign.until else ()
+    if args.json:
+        print_text(json.dumps(_as_data(campaign, runs, forecasts), indent=1, allow_nan=False))
+        return 0
     for each in runs:
         settling = f" + {each.settle_s:g} s for the load to settle" if each.settle_s else ""
         print_line(f"{each.name}  {each.expected_s:.1f} s{settling}")
@@ -44,37 +61,73 @@ def run(args: argparse.Namespace) -> int:
     settling = f", {settling_s:.0f} s for loads to settle" if settling_s else ""
     print_line(f"{len(runs)} runs, {measuring_s:.0f} s of measuring ({measuring_s / 3600:.1f} h){settling}")
     if campaign.until:
-        for line in _goal_lines(campaign.until, runs, args.assume_rate):
+        for line in _goal_lines(campaign.until, forecasts):
             print_line(line)
     return 0
 
 
-def _goal_lines(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> list[str]:
-    """How long the goal takes in the best case, and at a rate of misses."""
+def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Iterator[_Forecast]:
+    """How long the goal takes in the best case, and at a rate of misses where one is given."""
     from rtrun.analysis.deadline import plan_measurements
     from rtrun.plan.rounds import outlook, rounds_a_boot
 
-    at_most_h = goal.at_most_ns / 3.6e12
-    lines = [
-        f"until P(miss) of {goal.deadline_ns / 1000:g} us is proven or refuted to be below {goal.probability:g}, "
-        f"confidence {goal.confidence:g}, in at most {at_most_h:.3g} h: each round repeats these runs"
-    ]
     best = plan_measurements(probability=goal.probability, confidence=goal.confidence)
-    for name, assumed in (("without a miss", 0.0), (f"if {rate} of all measurements miss it", rate)):
-        if assumed is None:
-            continue
+    for assumed in (0.0,) if rate is None else (0.0, rate):
         planned = plan_measurements(probability=goal.probability, confidence=goal.confidence, rate=assumed)
         if planned is None or best is None:
-            lines.append(f"{name}: no number of measurements is likely to decide it")
+            yield _Forecast(assumed_rate=assumed)
             continue
         answer, measurements = planned
         a_boot = rounds_a_boot(groups, best[1], goal.boots)
         expected = outlook(groups, measurements, boots=goal.boots, a_boot=a_boot)
-        restarts = f" and {expected.boots - 1} restarts" if goal.boots > 1 else ""
-        longer = ", longer than at_most" if expected.measuring_s / 3600 > at_most_h else ""
-        chance = " nine times in ten" if assumed else ""
-        lines.append(
-            f"{name}: {answer} after {expected.rounds} rounds{chance}, {expected.measuring_s:.0f} s of measuring "
-            f"({expected.measuring_s / 3600:.1f} h){restarts}{longer}"
+        yield _Forecast(assumed_rate=assumed, answer=answer, outlook=expected)
+
+
+def _goal_lines(goal: "Goal", forecasts: Sequence[_Forecast]) -> Iterator[str]:
+    at_most_s = goal.at_most_ns / 1e9
+    yield (
+        f"until P(miss) of {goal.deadline_ns / 1000:g} us is proven or refuted to be below {goal.probability:g}, "
+        f"confidence {goal.confidence:g}, in at most {at_most_s / 3600:.3g} h: each round repeats these runs"
+    )
+    for each in forecasts:
+        name = f"if {each.assumed_rate} of all measurements miss it" if each.assumed_rate else "without a miss"
+        if each.outlook is None:
+            yield f"{name}: no number of measurements is likely to decide it"
+            continue
+        restarts = f" and {each.outlook.boots - 1} restarts" if goal.boots > 1 else ""
+        longer = ", longer than at_most" if each.outlook.measuring_s > at_most_s else ""
+        chance = " nine times in ten" if each.assumed_rate else ""
+        yield (
+            f"{name}: {each.answer} after {each.outlook.rounds} rounds{chance}, {each.outlook.measuring_s:.0f} s of "
+            f"measuring ({each.outlook.measuring_s / 3600:.1f} h){restarts}{longer}"
         )
-    return lines
+
+
+def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_Forecast]) -> dict[str, Any]:
+    """The plan as docs/formats.md has it."""
+    from dataclasses import asdict
+
+    goal = campaign.until
+    return {
+        "schema": 1,
+        "campaign": campaign.name,
+        "order": campaign.order,
+        "seed": campaign.seed,
+        "measuring_s": sum(each.expected_s for each in runs),
+        "settling_s": sum(each.settle_s for each in runs),
+        "runs": [
+            {
+                "run": each.name,
+                "suite": each.suite,
+                "parameters": dict(each.parameters),
+                "condition": each.condition,
+                "settings": dict(each.settings),
+                "repeat": each.repeat,
+                "variant": each.variant,
+                "expected_s": each.expected_s,
+                "settle_s": each.settle_s,
+            }
+            for each in runs
+        ],
+        "goal": goal and {**goal.model_dump(), "forecasts": [asdict(each) for each in forecasts]},
+    }

@@ -1,5 +1,7 @@
 """What a campaign states as its goal, and the variants that it measures side by side."""
 
+import json
+
 import pytest
 
 from rtfiles.errors import UsageError
@@ -107,3 +109,28 @@ def test_the_plan_says_how_long_it_takes(tmp_path, capsys):
     assert "no number of measurements is likely to decide it" in capsys.readouterr().out
     assert main(["plan", str(write(tmp_path, RUNS)), "--assume-rate", "1e-6"]) == 2
     assert "the campaign has no goal (until)" in capsys.readouterr().err
+
+
+def test_the_plan_for_programs(tmp_path, capsys):
+    text = INTERLEAVED + UNTIL + "runs: [{suite: cyclic_timer_tests, repetitions: 250002, policy: [RR, FIFO]}]\n"
+    path = write(tmp_path, text)
+    assert main(["plan", str(path), "--json", "--assume-rate", "1e-6"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    _, runs = read_campaign(path)
+    assert [run["run"] for run in data["runs"]] == [run.name for run in runs]
+    assert {run["parameters"]["policy"] for run in data["runs"]} == {"RR", "FIFO"}
+    assert (data["schema"], data["campaign"], data["order"], data["seed"]) == (1, "test", "interleaved", 7)
+    assert data["measuring_s"] == sum(run["expected_s"] for run in data["runs"]) == pytest.approx(500.004)
+    assert data["goal"]["deadline_ns"] == 400_000
+    assert data["goal"]["forecasts"] == [
+        {
+            "assumed_rate": 0.0,
+            "answer": "PROVEN",
+            "outlook": {"rounds": 15, "boots": 15, "measuring_s": pytest.approx(7500.06)},
+        },
+        {"assumed_rate": 1e-6, "answer": None, "outlook": None},
+    ]
+    assert main(["plan", str(write(tmp_path, RUNS.replace("policy", "condition: cpu80, policy"))), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["goal"] is None and data["seed"] is None
+    assert data["settling_s"] == sum(run["settle_s"] for run in data["runs"]) > 0
