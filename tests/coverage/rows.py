@@ -40,15 +40,20 @@ class Row:
     reported: str = ""
     remedy: tuple[str, object] | None = None
 
-    def share(self, rounds: int, seed: int = SEED) -> tuple[float, int]:
-        """The share in percent over so many draws, and how many of them count."""
-        rng = np.random.default_rng(seed)
-        counted = [happened for _ in range(rounds) if (happened := self.draw(rng)) is not None]
-        return 100 * sum(counted) / max(1, len(counted)), len(counted)
+    def events(self, draws: int, part: int = 0) -> tuple[int, int]:
+        """In how many of so many draws the event happened, and how many of them count; each part has its own seed."""
+        rng = np.random.default_rng([SEED, part])
+        counted = [happened for _ in range(draws) if (happened := self.draw(rng)) is not None]
+        return sum(counted), len(counted)
 
     def holds(self, share: float) -> bool:
         """Whether a share is within the bounds."""
         return self.at_least <= share <= self.at_most
+
+
+def percent(events: int, counted: int) -> float:
+    """The share of events among the draws that count."""
+    return 100 * events / max(1, counted)
 
 
 def trials_of(values: Int64s, number: int, boot: str) -> Trials:
@@ -131,7 +136,6 @@ ROWS = [
             draw=partial(proven_of_boots, number, n),
             at_most=7.0 if number < 5 else 5.0,
             quick=60 if n == 200_000 else 0,
-            long=1000,
             reported={2: "38", 3: "36", 5: "30", 7: "26"}.get(number, ""),
             remedy=("_effect_between", _never_between) if n == 200_000 and number == 2 else None,
         )
@@ -179,7 +183,7 @@ ROWS = [
             draw=partial(proven_at_any_look, looks, 2000),
             at_most=5.0,
             quick={20: 60}.get(looks, 0),
-            long=1000 if looks < 100 else 400,
+            long=2000 if looks < 100 else 1000,
             reported={1: "2", 5: "6", 20: "10", 100: "17"}[looks],
             remedy=("anytime_interval", clopper_pearson) if looks == 20 else None,
         )
@@ -223,10 +227,10 @@ ROWS = [
             draw=partial(enough, processes.DEPENDENT[name], rate),
             at_least=90.0,
             quick=0,
-            long=1000,
+            long=draws,
             reported="11" if name == "AR(0.9)" else "",
         )
-        for name, rate in (("independent", P / 2), ("AR(0.5)", P / 2), ("AR(0.9)", P / 5))
+        for name, rate, draws in (("independent", P / 2, 1000), ("AR(0.5)", P / 2, 2000), ("AR(0.9)", P / 5, 6000))
     ),
     Row(
         name="independent, P(miss) a tenth of the target, n = 1e4",
