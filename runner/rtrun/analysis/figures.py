@@ -1,7 +1,7 @@
 """The figures of one series: n, min, mean, max, standard deviation, percentiles, ten highest and ten lowest values.
 
-Two million samples take a few passes over memory: one counting pass finds the bin of every order statistic, and only
-the values in those bins are read again. Nothing is sorted whole.
+Two million samples take a few passes over memory: one counts values in coarse bins, and only the values in the bins of
+the order statistics are read again. Nothing is sorted whole.
 """
 
 import math
@@ -10,15 +10,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.analysis.histogram import LIMIT_NS, PIECE, Histogram, Int64s, pieces, range_of
 
 PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9, 99.99, 99.999)
 PERCENTILE_METHOD = "inverted_cdf"
 LISTED = 10
-# Beyond this no difference of two values can overflow an int64; it is 146 years.
-LIMIT_NS = 1 << 62
-_BINS = 1 << 21
-_PIECE = 1 << 13  # stays in the cache, and is too short for BLAS to start threads
+_BINS = 1 << 13
+_THIN = 4096
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -71,89 +69,78 @@ def figures_of_samples(values_ns: Int64s, indices: NDArray[np.int64] | None = No
     n = values_ns.size
     if n == 0:
         return Figures(n=0)
-    low, high = int(values_ns.min()), int(values_ns.max())
-    if low < -LIMIT_NS or high > LIMIT_NS:
-        raise ValueError(f"a value of {low if low < -LIMIT_NS else high} ns is no measured time")
-
-    offsets = values_ns - low
-    total = int(offsets.sum()) if high - low < LIMIT_NS // n else sum(map(int, offsets))
-    variance = _squares(offsets, total / n) / (n - 1) if n > 1 else 0.0
-    order = _OrderStatistics(offsets, high - low)
+    low, high = range_of(values_ns)
+    start, stop = _thin_range(values_ns)
+    places, counts, squares = _bins(values_ns, start, stop)
     listed = min(LISTED, n)
+    ranks = [*range(1, listed + 1), *range(n - listed + 1, n + 1), *(rank(n, p) for p in PERCENTILES)]
+    ordered, positions = _order_statistics(values_ns, places, counts, ranks)
+    lowest, highest, percentiles = ordered[:listed], ordered[listed : 2 * listed], ordered[2 * listed :]
+    total = int(values_ns.sum()) if max(-low, high) < LIMIT_NS // n else sum(values_ns.tolist())
+    from_start = total - start * n
+    variance = max(0.0, squares - from_start**2 / n) / (n - 1) if n > 1 else 0.0
 
-    def extreme(positions: NDArray[np.intp]) -> tuple[IndexedValue, ...]:
-        loop = positions if indices is None else indices[positions]
-        return tuple(
-            IndexedValue(value_ns=int(v), index=int(i)) for v, i in zip(values_ns[positions], loop, strict=True)
-        )
+    def extreme(limit: int, sign: int) -> tuple[IndexedValue, ...]:
+        """The highest (sign 1) or lowest (-1) values, equal ones by position."""
+        beyond = positions[sign * values_ns[positions] >= sign * limit]
+        beyond = beyond[np.argsort(-sign * values_ns[beyond], kind="stable")][:listed]
+        loop = beyond if indices is None else indices[beyond]
+        return tuple(IndexedValue(value_ns=int(v), index=int(i)) for v, i in zip(values_ns[beyond], loop, strict=True))
 
     return Figures(
         n=n,
         min_ns=low,
-        mean_ns=(low * n + total) / n,  # in whole numbers: nothing cancels
+        mean_ns=total / n,  # from a whole number: nothing cancels
         max_ns=high,
         std_ns=math.sqrt(variance),
-        percentiles_ns={p: low + order.at(rank(n, p)) for p in PERCENTILES},
-        top=extreme(_first(offsets, offsets >= order.at(n - listed + 1), listed, -1)),
-        lowest=extreme(_first(offsets, offsets <= order.at(listed), listed, 1)),
+        percentiles_ns=dict(zip(PERCENTILES, percentiles, strict=True)),
+        top=extreme(highest[0], 1),
+        lowest=extreme(lowest[-1], -1),
     )
 
 
-def _squares(offsets: Int64s, mean: float) -> float:
-    """Sum of squared distances from the mean, in pieces that stay in the cache."""
-    piece = np.empty(min(_PIECE, offsets.size))
-    total = 0.0
-    for start in range(0, offsets.size, _PIECE):
-        part = offsets[start : start + _PIECE]
-        spread = np.subtract(part, mean, out=piece[: part.size])
-        total += float(np.dot(spread, spread))
-    return total
+def _thin_range(values: Int64s) -> tuple[int, int]:
+    """Where nearly all of the values lie, by a thin sample: one value of an hour does not make it wide."""
+    thin = np.sort(values[:: max(1, values.size // _THIN)])
+    beyond = thin.size // 1000
+    return int(thin[beyond]), int(thin[-1 - beyond])
 
 
-def _first(offsets: Int64s, within: NDArray[np.bool_], count: int, sign: int) -> NDArray[np.intp]:
-    """Positions of the `count` lowest (sign 1) or highest (-1) offsets among those `within`, equal ones by position."""
-    candidates = np.flatnonzero(within)
-    return candidates[np.argsort(sign * offsets[candidates], kind="stable")][:count]
+def _bins(values: Int64s, start: int, stop: int) -> tuple[NDArray[np.uint16], Int64s, float]:
+    """The bin of each value, the values in each bin, and the sum of the squared distances from `start`.
 
-
-class _OrderStatistics:
-    """Order statistics of non-negative offsets, from the counts of ``(offsets - start) >> shift``.
-
-    The bins cover where a thin sample of the values lies; the first and last also hold everything beyond, so that one
-    value of an hour does not make the bins of the others coarse.
+    Bins are equally wide from `start` to `stop`; the first and the last also hold all beyond. Rounding may move an
+    edge, but a higher value is never in a lower bin, which is all that order statistics need.
     """
+    places, counts, squares = np.empty(values.size, np.uint16), np.zeros(_BINS, np.int64), 0.0
+    size = min(PIECE, values.size)
+    integers, floats = np.empty(size, np.int64), np.empty(size)
+    for piece in pieces(values.size):
+        part, place = values[piece], places[piece]
+        # Whole numbers are subtracted: a float64 holds no time of half a year to the ns.
+        whole, distances = np.subtract(part, start, out=integers[: part.size]), floats[: part.size]
+        np.copyto(distances, whole)
+        squares += float(np.einsum("i,i", distances, distances))  # BLAS would start threads
+        np.multiply(distances, _BINS / (stop - start + 1), out=distances)
+        np.clip(distances, 0, _BINS - 1, out=distances)
+        np.copyto(place, distances, casting="unsafe")
+        counts += np.bincount(place, minlength=_BINS)
+    return places, counts, squares
 
-    def __init__(self, offsets: Int64s, span: int) -> None:
-        self._offsets = offsets
-        self._start, stop = 0, span
-        if span >= _BINS:
-            thin = offsets[:: max(1, offsets.size // 4096)]
-            first, last = int(thin.min()), int(thin.max())
-            self._start, stop = first, last
-        self._shift = max(0, (stop - self._start).bit_length() - (_BINS.bit_length() - 1))
-        bins = offsets - self._start if self._start else offsets
-        if self._shift:
-            bins = bins >> self._shift
-        self._last = (stop - self._start) >> self._shift
-        if self._start or stop < span:
-            bins = np.clip(bins, 0, self._last)
-        self._exact = bins is offsets
-        self._below = np.cumsum(np.bincount(bins))
-        self._sorted_bins: dict[int, Int64s] = {}
 
-    def at(self, rank: int) -> int:
-        """The rank-th smallest offset, rank from 1."""
-        index = int(np.searchsorted(self._below, rank))
-        if not self._shift and (self._exact or 0 < index < self._last):
-            return self._start + index
-        if index not in self._sorted_bins:
-            edge = self._start + (index << self._shift)
-            inside = self._offsets < edge + (1 << self._shift) if index < self._last else self._offsets >= edge
-            if 0 < index < self._last:
-                inside &= self._offsets >= edge
-            self._sorted_bins[index] = np.sort(self._offsets[inside])
-        before = int(self._below[index - 1]) if index else 0
-        return int(self._sorted_bins[index][rank - 1 - before])
+def _order_statistics(
+    values: Int64s, places: NDArray[np.uint16], counts: Int64s, ranks: list[int]
+) -> tuple[list[int], NDArray[np.intp]]:
+    """The values of these ranks, from 1 in ascending order, and the positions of all values in their bins."""
+    of_ranks = np.searchsorted(np.cumsum(counts), ranks)
+    wanted = np.zeros(_BINS, np.bool_)
+    wanted[of_ranks] = True
+    positions = np.flatnonzero(wanted.take(places, mode="clip"))  # which needs no copy of the places as indices
+    # A rank among these values is lower by the values of lower bins that are not wanted.
+    left_out = np.cumsum(np.where(wanted, 0, counts))
+    among = np.array(ranks) - 1 - left_out[of_ranks]
+    ordered = np.partition(values[positions], np.unique(among))
+    return ordered[among].tolist(), positions
 
 
 def figures_of_histogram(

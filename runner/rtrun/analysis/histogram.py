@@ -1,12 +1,15 @@
 """Counts of values: all that is left of a measurement when only its log remains."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 Int64s = NDArray[np.int64]
+# The difference of two values from -LIMIT_NS to LIMIT_NS - 1 fits into an int64; it is 146 years.
+LIMIT_NS = 1 << 62
+PIECE = 1 << 16  # values that stay in the cache
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,22 +43,42 @@ class Histogram:
             return 0
         if self.overflow and (self.overflow_from_ns is None or limit_ns > self.overflow_from_ns):
             raise ValueError("the deadline lies beyond the histogram's last bin, where values are only counted")
-        return int(self.counts[self.values_ns + self.bin_ns - 1 > limit_ns].sum()) + self.overflow
+        return int(self.counts[self.values_ns > limit_ns - self.bin_ns + 1].sum()) + self.overflow
 
 
 def from_samples(values_ns: Int64s, bin_ns: int = 1000) -> Histogram:
-    """The histogram of int64 samples of any shape; bins start at whole multiples of `bin_ns` (floor)."""
+    """The histogram of int64 samples of any shape; bins start at whole multiples of `bin_ns` (floor).
+
+    Raises ValueError for a value beyond 146 years.
+    """
     if values_ns.size == 0:
         return Histogram(values_ns=np.empty(0, np.int64), counts=np.empty(0, np.int64), bin_ns=bin_ns)
-    bins = np.floor_divide(values_ns.ravel(), bin_ns)
-    low, high = int(bins.min()), int(bins.max())
-    if high - low < max(1 << 20, 4 * values_ns.size):
-        bins -= low
-        counts = np.bincount(bins)
-        filled = np.flatnonzero(counts)
-        return Histogram(values_ns=(filled + low) * bin_ns, counts=counts[filled].astype(np.int64), bin_ns=bin_ns)
-    found, counts = np.unique(bins, return_counts=True)
-    return Histogram(values_ns=found * bin_ns, counts=counts.astype(np.int64), bin_ns=bin_ns)
+    values = values_ns.ravel()
+    low, high = (value // bin_ns for value in range_of(values))
+    if high - low >= max(1 << 20, 4 * values.size):
+        edges, counts = np.unique(np.floor_divide(values, bin_ns), return_counts=True)
+        return Histogram(values_ns=edges * bin_ns, counts=counts.astype(np.int64), bin_ns=bin_ns)
+    counts = np.zeros(high - low + 1, np.int64)
+    # A piece has as many values as there are bins at least, so that adding up the bins costs no more than filling them.
+    for piece in pieces(values.size, counts.size):
+        bins = np.floor_divide(values[piece], bin_ns)
+        counts += np.bincount(np.subtract(bins, low, out=bins), minlength=counts.size)
+    filled = np.flatnonzero(counts)
+    return Histogram(values_ns=(filled + low) * bin_ns, counts=counts[filled], bin_ns=bin_ns)
+
+
+def range_of(values_ns: Int64s) -> tuple[int, int]:
+    """The lowest and the highest of int64 samples. Raises ValueError for a value beyond 146 years."""
+    low, high = int(values_ns.min()), int(values_ns.max())
+    if low < -LIMIT_NS or high >= LIMIT_NS:
+        raise ValueError(f"a value of {low if low < -LIMIT_NS else high} ns is no measured time")
+    return low, high
+
+
+def pieces(n: int, least: int = PIECE) -> Iterator[slice]:
+    """Cut n values into pieces of PIECE, or of `least` where that is more."""
+    length = max(PIECE, least)
+    return (slice(start, start + length) for start in range(0, n, length))
 
 
 def merge(parts: Iterable[Histogram]) -> Histogram:

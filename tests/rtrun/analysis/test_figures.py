@@ -1,10 +1,11 @@
 """Figures of samples and histograms against slow ways to reach them."""
 
 import statistics
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtrun.analysis.figures import PERCENTILES, IndexedValue, figures_of_histogram, figures_of_samples, rank
@@ -55,6 +56,40 @@ def test_the_index_is_the_loop_not_the_position() -> None:
 def test_nothing_has_no_figures() -> None:
     found = figures_of_samples(np.empty(0, np.int64))
     assert (found.n, found.min_ns, found.mean_ns, found.std_ns, found.percentiles_ns) == (0, None, None, None, {})
+
+
+@given(st.integers(20_000, 30_000), st.integers(0, 10**6), st.sampled_from([1, 1000, 30_517, 10**9]))
+@settings(max_examples=20)
+def test_figures_of_many_values_are_those_of_the_sorted_ones(n: int, seed: int, clock_step_ns: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = (50_000 * rng.lognormal(0, rng.uniform(0, 4), n)).astype(np.int64) // clock_step_ns * clock_step_ns
+    found, rising = figures_of_samples(values), np.sort(values)
+    assert (found.min_ns, found.max_ns) == (rising[0], rising[-1])
+    assert [found.percentiles_ns[p] for p in PERCENTILES] == [rising[rank(n, p) - 1] for p in PERCENTILES]
+    assert found.std_ns == pytest.approx(values.std(ddof=1), rel=1e-9, abs=1e-6)
+    highest, lowest = np.argsort(-values, kind="stable")[:10], np.argsort(values, kind="stable")[:10]
+    assert [(e.value_ns, e.index) for e in found.top] == [(values[at], at) for at in highest]
+    assert [(e.value_ns, e.index) for e in found.lowest] == [(values[at], at) for at in lowest]
+
+
+def test_the_widest_span_that_is_taken_does_not_overflow() -> None:
+    found = figures_of_samples(np.array([-(2**62), 0, 2**62 - 1], dtype=np.int64))
+    assert (found.min_ns, found.max_ns, found.percentiles_ns[50.0]) == (-(2**62), 2**62 - 1, 0)
+    assert found.std_ns == pytest.approx(2.0**62)
+
+
+@pytest.mark.parametrize(
+    "extremes", [(-(2**62), 2**62), (-(2**63), 2**63 - 1)], ids=["span of 2^63", "the whole of int64"]
+)
+@pytest.mark.parametrize("reduce", [figures_of_samples, from_samples])
+def test_a_span_beyond_int64_is_refused(reduce: Callable[[np.ndarray], object], extremes: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match="no measured time"):
+        reduce(np.array(extremes, dtype=np.int64))
+
+
+def test_a_bin_at_the_end_of_int64_is_above_a_deadline() -> None:
+    bins = Histogram(values_ns=np.array([0, 2**63 - 808], dtype=np.int64), counts=np.array([1, 1]))
+    assert bins.above(400_000) == 1
 
 
 @pytest.mark.parametrize(
