@@ -275,7 +275,7 @@ def test_suites_are_patched_configured_and_compiled(yocto):
     _configure(yocto, build, [*yocto.layers, yocto.layer], yocto.machine)
     # To be added to: links would do so to the one in the cache.
     stage = build / "sysroot"
-    shutil.copytree(sysroot.build(), stage, symlinks=True)
+    shutil.copytree(sysroot.build("armhf"), stage, symlinks=True)
     with (build / "conf" / "local.conf").open("a") as conf:
         python, languages = rtgen.suites.SYSTEM_PYTHON, rtgen.suites.ROS_LANG_DISABLE
         conf.write(DEBIAN.format(tools=TOOLS, python=python, sysroot=stage, languages=languages))

@@ -27,9 +27,9 @@ runs:
 
 
 def test_programs_of_the_recipes_measure_on_the_board(make_build, tmp_path, monkeypatch):
-    toolchain = Path(rtgen.suites.__file__).with_name("armhf.cmake")
+    toolchain = Path(rtgen.suites.__file__).with_name("debian.cmake")
     local = (
-        f'SYSROOT = "{sysroot.build()}"\nTOOLCHAIN_FILE = "{toolchain}"\n'
+        f'SYSROOT = "{sysroot.build("armhf")}"\nTOOLCHAIN_FILE = "{toolchain}"\n'
         f'BUILD_PYTHON = "{rtgen.suites.SYSTEM_PYTHON}"\n'
         f'export ROS_LANG_DISABLE = "{rtgen.suites.ROS_LANG_DISABLE}"\n'
     )

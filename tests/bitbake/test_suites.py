@@ -15,7 +15,7 @@ from rtgen.profile import load_profile
 pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(900)]
 
 TASKS = ("do_fetch", "do_unpack", "do_configure", "do_compile", "do_install")
-TOOLCHAIN = Path(rtgen.suites.__file__).with_name("armhf.cmake")
+TOOLCHAIN = Path(rtgen.suites.__file__).with_name("debian.cmake")
 PROGRAMS = {
     "oneshot-timer-tests": ["oneshot_timer_tests"],
     "cyclic-timer-tests": ["cyclic_timer_tests"],
@@ -25,7 +25,7 @@ PROGRAMS = {
 
 def tools() -> str:
     return (
-        f'SYSROOT = "{sysroot.build()}"\nTOOLCHAIN_FILE = "{TOOLCHAIN}"\n'
+        f'SYSROOT = "{sysroot.build("armhf")}"\nTOOLCHAIN_FILE = "{TOOLCHAIN}"\n'
         f'BUILD_PYTHON = "{rtgen.suites.SYSTEM_PYTHON}"\n'
         f'export ROS_LANG_DISABLE = "{rtgen.suites.ROS_LANG_DISABLE}"\n'
     )

@@ -126,6 +126,6 @@ def test_package_that_does_not_exist_leaves_nothing(tmp_path: Path, monkeypatch:
     folder = tmp_path / "tree"
     folder.mkdir()
     with pytest.raises(InfrastructureError, match="no-such-package"):
-        debian.extract(["no-such-package"], folder)
+        debian.extract(["no-such-package"], folder, "armhf")
     assert list(folder.iterdir()) == []
     assert list(temporary.iterdir()) == []

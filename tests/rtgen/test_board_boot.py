@@ -14,7 +14,7 @@ import pytest
 
 from rtgen.board import sysroot
 from rtgen.board.build import build
-from rtgen.board.machine import machines
+from rtgen.board.machine import architectures, find, machines
 
 pytestmark = pytest.mark.qemu
 
@@ -46,14 +46,14 @@ int main(int argc, char** argv) {
 """
 
 
-@pytest.fixture(scope="module")
-def hello(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def compile_hello(machine: str, place: Path) -> Path:
     """A ROS program for the board, compiled and linked against the sysroot."""
-    source = tmp_path_factory.mktemp("hello") / "hello.cpp"
+    name = find(machine).architecture
+    compiler = f"{architectures()[name].triplet}-g++"
+    source, program = place / "hello.cpp", place / "hello"
     source.write_text(HELLO)
-    program = source.with_suffix("")
     libraries = ["-lroscpp", "-lrosconsole", "-lroscpp_serialization", "-lrostime"]
-    command = ["arm-linux-gnueabihf-g++", f"--sysroot={sysroot.build()}", "-std=c++17", str(source), "-o", str(program)]
+    command = [compiler, f"--sysroot={sysroot.build(name)}", "-std=c++17", str(source), "-o", str(program)]
     subprocess.run([*command, *libraries], check=True)
     return program
 
@@ -127,8 +127,9 @@ def booted(machine: str, place: Path) -> Iterator[Board]:
         board.hang_up()
 
 
-@pytest.mark.parametrize("machine", list(machines().machines))
-def test_board_serves_runner_and_suites(machine: str, hello: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("machine", list(machines()))
+def test_board_serves_runner_and_suites(machine: str, tmp_path: Path) -> None:
+    hello = compile_hello(machine, tmp_path)
     with booted(machine, tmp_path) as board:
         check_system(board)
         check_ssh(board, hello, tmp_path)

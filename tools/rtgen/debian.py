@@ -1,4 +1,4 @@
-"""Debian packages of another architecture, unpacked into a folder: nothing is installed, run or emulated."""
+"""Debian packages of any architecture, unpacked into a folder: nothing is installed, run or emulated."""
 
 import os
 import platform
@@ -9,8 +9,6 @@ from urllib.parse import unquote
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen.process import run
-
-ARCHITECTURE = "armhf"
 
 # Folders that neither a board nor a compiler reads: a third of all bytes.
 DROPPED = ("usr/share/doc", "usr/share/man", "usr/share/locale", "usr/share/info", "usr/share/lintian", "dev")
@@ -23,7 +21,7 @@ def source() -> tuple[str, str | None]:
     """The suite to take packages from, and the mirror as a line of sources.list.
 
     On Debian these are the machine's own release and mirror. Only the main suite is used: it has everything, and the
-    security suite's armhf index may not match it. On other systems the suite is Debian 12's, and the mirror is None:
+    security suite's index may not match it. On other systems the suite is Debian 12's, and the mirror is None:
     mmdebstrap then uses its default.
     """
     system = platform.freedesktop_os_release()
@@ -65,8 +63,8 @@ def extraction_mode() -> str:
     return "unshare"
 
 
-def extract(names: list[str], folder: Path, dropped: Iterable[str] = ()) -> None:
-    """Unpack packages and their dependencies into an existing folder; the caller owns every file.
+def extract(names: list[str], folder: Path, architecture: str, dropped: Iterable[str] = ()) -> None:
+    """Unpack packages of an architecture and their dependencies into an existing folder; the caller owns every file.
 
     Documentation, translations and files that match `dropped` (patterns of tar) are left out. Absolute symbolic links
     become relative, so that they stay in the folder. Raises UsageError when this user may not unpack,
@@ -75,7 +73,7 @@ def extract(names: list[str], folder: Path, dropped: Iterable[str] = ()) -> None
     mode = extraction_mode()
     suite, mirror = source()
     archive = folder / "packages.tar"
-    command = ["mmdebstrap", "--quiet", "--variant=extract", f"--mode={mode}", f"--architectures={ARCHITECTURE}"]
+    command = ["mmdebstrap", "--quiet", "--variant=extract", f"--mode={mode}", f"--architectures={architecture}"]
     command += [f'--extract-hook=ls "$1"/var/cache/apt/archives > "$1"/{LIST}']
     command += ["--format=tar", f"--include={','.join(names)}", suite, str(archive)]
     try:

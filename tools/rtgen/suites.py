@@ -12,14 +12,16 @@ from rtfiles import atomic, cache
 from rtfiles.config import read_yaml
 from rtfiles.errors import UsageError
 from rtgen.board import sysroot
-from rtgen.board.machine import machines
+from rtgen.board.machine import Architecture, architectures, machines
 from rtgen.checkout import checkout
 from rtgen.process import run
 
 SCHEMA = 1
-HERE = Path(__file__).parent
+TOOLCHAIN_FILE = Path(__file__).with_name("debian.cmake")
 FLAGS = "-O2"
 SUPPORT = "rt_tests_support"
+# The name of this machine among those that suites are built for.
+HOST = "host"
 
 # Debian packages whose versions change the result of a native build.
 HOST_PACKAGES = ("catkin", "libroscpp-dev", "python3-gencpp", "ros-message-generation")
@@ -31,9 +33,10 @@ ROS_LANG_DISABLE = "genlisp:genpy"
 
 @dataclass(frozen=True)
 class Toolchain:
-    """The compiler, the sysroot of a cross compiler, and words that identify both in the cache."""
+    """The compiler, the architecture and sysroot of a board (None: this machine), what identifies them in the cache."""
 
     compiler: str
+    architecture: Architecture | None
     sysroot: Path | None
     identity: tuple[str, ...]
 
@@ -49,20 +52,22 @@ def packages() -> list[str]:
 
 
 def names() -> list[str]:
-    """The known machines: this one, and the emulated boards."""
-    return ["host", *machines().machines]
+    """The known machines: this one, and those of `rtgen board`."""
+    return [HOST, *machines()]
 
 
 def toolchain(machine: str) -> Toolchain:
     """Find or make the tools of a machine's build. Raises UsageError for an unknown machine, InfrastructureError."""
     if machine not in names():
         raise UsageError(f"unknown machine {machine!r}, known: {', '.join(names())}")
-    if machine != "host":
-        compiler = "arm-linux-gnueabihf-g++"
-        root = sysroot.build()
-        return Toolchain(compiler, root, (version(compiler), str(root)))
-    listing = run(["dpkg-query", "--show", *HOST_PACKAGES])
-    return Toolchain("g++", None, (version("g++"), listing))
+    if machine == HOST:
+        listing = run(["dpkg-query", "--show", *HOST_PACKAGES])
+        return Toolchain("g++", None, None, (version("g++"), listing))
+    name = machines()[machine].architecture
+    architecture = architectures()[name]
+    compiler = f"{architecture.triplet}-g++"
+    root = sysroot.build(name)
+    return Toolchain(compiler, architecture, root, (version(compiler), repr(architecture), str(root)))
 
 
 def build(machine: str, place: Path) -> Path:
@@ -75,7 +80,7 @@ def build(machine: str, place: Path) -> Path:
     folder = sources()
     inputs = [folder / name for name in (*packages(), "suites.yml")]
     source_hash = cache.digest(inputs)
-    key = cache.digest([source_hash, FLAGS, *tools.identity, Path(__file__), HERE / "armhf.cmake"])
+    key = cache.digest([source_hash, FLAGS, *tools.identity, Path(__file__), TOOLCHAIN_FILE])
 
     def build_in(result: Path) -> None:
         with tempfile.TemporaryDirectory(prefix="rtgen-suites-") as temporary:
@@ -111,9 +116,11 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
         "CATKIN_ENABLE_TESTING": "OFF",
         "PYTHON_EXECUTABLE": SYSTEM_PYTHON,
     }
-    if tools.sysroot is not None:
+    if tools.architecture is not None:
         options |= {
-            "CMAKE_TOOLCHAIN_FILE": str(HERE / "armhf.cmake"),
+            "CMAKE_TOOLCHAIN_FILE": str(TOOLCHAIN_FILE),
+            "META_TRIPLET": tools.architecture.triplet,
+            "META_PROCESSOR": tools.architecture.processor,
             "META_SYSROOT": str(tools.sysroot),
             "META_WORK": str(temporary),
         }

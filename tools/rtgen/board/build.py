@@ -9,7 +9,7 @@ from rtfiles import atomic, cache
 from rtgen import debian
 from rtgen.board import disk, initrd
 from rtgen.board.kernel import Kernel, built_kernel, debian_kernel
-from rtgen.board.machine import Machine, find, machines
+from rtgen.board.machine import Machine, find
 
 SCHEMA = 1
 HERE = Path(__file__).parent
@@ -22,7 +22,8 @@ def build(name: str, place: Path, built: bool = False) -> Path:
     that of the kernel; an unchanged board is taken from the cache. Raises UsageError for an unknown machine or when
     this user may not unpack packages, InfrastructureError when a package or tool fails.
     """
-    folder = assemble(name, find(name), built_kernel(name) if built else debian_kernel())
+    machine = find(name)
+    folder = assemble(name, machine, built_kernel(name) if built else debian_kernel(machine))
     atomic.replace_link(place / name, folder)
     return place / name
 
@@ -30,16 +31,16 @@ def build(name: str, place: Path, built: bool = False) -> Path:
 def assemble(name: str, machine: Machine, kernel: Kernel) -> Path:
     """The folder of a board in the cache: this machine with this kernel."""
     recipe = [HERE / name for name in ("disk.py", "kernel.py", "packages.yml", "applets.txt", "root")]
-    modules = list(machines().modules)
-    identity = [*map(str, debian.source()), kernel.release, *modules]
+    modules = list(machine.modules)
+    identity = [*map(str, debian.source()), machine.architecture, kernel.release, *modules]
     root = cache.entry(
         "disk",
         cache.digest([*identity, kernel.config, kernel.image, Path(debian.__file__), *recipe]),
-        lambda folder: disk.build(kernel, modules, folder),
+        lambda folder: disk.build(kernel, machine.architecture, modules, folder),
     )
 
     def build_in(folder: Path) -> None:
-        # The disk is the same for every machine: linked, not copied.
+        # Machines with the same packages and modules share the disk: linked, not copied.
         for file in (disk.IMAGE, disk.KEY, f"{disk.KEY}.pub"):
             os.link(root / file, folder / file)
         os.link(kernel.image, folder / "vmlinuz")
@@ -63,12 +64,7 @@ def board_record(
         "schema": SCHEMA,
         "machine": name,
         "emulated": True,
-        "qemu": {
-            "binary": "qemu-system-arm",
-            "arguments": machine.arguments,
-            "disk_device": "virtio-blk-device",
-            "network_device": "virtio-net-device",
-        },
+        "qemu": machine.qemu.model_dump(),
         "kernel": "vmlinuz",
         "initrd": "initrd",
         "dtb": machine.dtb,

@@ -1,4 +1,4 @@
-"""The root file system of the emulated board: Debian's packages, files that their scripts would make, keys."""
+"""The root file system of a board: Debian's packages, files that their scripts would make, keys."""
 
 import compileall
 import os
@@ -24,12 +24,12 @@ REQUIRED = ("bin/busybox", "bin/sh", "sbin/init", "usr/sbin/sshd", "usr/lib/open
 IMAGE, KEY, HOST_KEY, LIST, BUSYBOX = "root.img", "id_ed25519", "host_key.pub", "packages.list", "busybox"
 
 
-def build(kernel: Kernel, modules: list[str], folder: Path) -> None:
+def build(kernel: Kernel, architecture: str, modules: list[str], folder: Path) -> None:
     """Make root.img, its login key id_ed25519, and the public part of its host key in an empty folder."""
     tree = folder / "tree"
     tree.mkdir()
     extracted = packages()
-    debian.extract(sorted(extracted.root), tree, extracted.dropped)
+    debian.extract(sorted(extracted.root), tree, architecture, extracted.dropped)
     add_places(tree)
     add_tools(tree)
     add_modules(tree, kernel, modules)

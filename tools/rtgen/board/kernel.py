@@ -1,4 +1,4 @@
-"""The kernel that a emulated board runs: Debian's ready-made one, or the one built from our fragment."""
+"""The kernel that a board runs: Debian's ready-made one, or the one built from our fragment."""
 
 import json
 import re
@@ -9,7 +9,7 @@ from rtfiles import cache
 from rtfiles.errors import InfrastructureError
 from rtgen import debian
 from rtgen import kernel as kernel_build
-from rtgen.board.packages import packages
+from rtgen.board.machine import Machine
 from rtgen.kconfig import data as kconfig
 from rtgen.process import run
 
@@ -33,20 +33,20 @@ class Kernel:
         return module_files((self.modules / "modules.dep").read_text(encoding="utf-8"), modules)
 
 
-def debian_kernel() -> Kernel:
-    """Debian's PREEMPT_RT kernel, from the cache or downloaded (about 10 s)."""
-    names = sorted(packages().kernel)
-    key = cache.digest(["kernel", *names, *map(str, debian.source()), Path(debian.__file__), Path(__file__)])
+def debian_kernel(machine: Machine) -> Kernel:
+    """The kernel of a machine's Debian package, from the cache or downloaded (about 10 s)."""
+    identity = [machine.kernel, machine.architecture, *map(str, debian.source())]
+    key = cache.digest(["kernel", *identity, Path(debian.__file__), Path(__file__)])
 
     def build(folder: Path) -> None:
-        debian.extract(names, folder)
+        debian.extract([machine.kernel], folder, machine.architecture)
         for release in (folder / "lib/modules").iterdir():
             run(["depmod", "--basedir", str(folder), release.name])
 
     folder = cache.entry("kernel", key, build)
     releases = [path.name for path in (folder / "lib/modules").iterdir()]
     if len(releases) != 1:
-        raise InfrastructureError(f"{', '.join(names)}: expected one kernel in {folder}, found {releases}")
+        raise InfrastructureError(f"{machine.kernel}: expected one kernel in {folder}, found {releases}")
     release = releases[0]
     return Kernel(
         release=release,

@@ -1,4 +1,4 @@
-"""The folder against which programs for the emulated board are compiled and linked."""
+"""The folder against which programs for a board are compiled and linked."""
 
 from pathlib import Path
 
@@ -7,16 +7,17 @@ from rtgen import debian
 from rtgen.board.packages import packages
 
 
-def build() -> Path:
-    """Return a sysroot for ``arm-linux-gnueabihf-g++ --sysroot=``, with roscpp and the C library of the board.
+def build(architecture: str) -> Path:
+    """Return a folder for ``g++ --sysroot=``, with roscpp and the C library of Debian's architecture.
 
     Built once (about 30 s, network) and kept in the cache. Raises UsageError or InfrastructureError as
     `debian.extract` does.
     """
     names = sorted(packages().sysroot)
-    key = cache.digest(["sysroot", *names, *map(str, debian.source()), Path(debian.__file__), Path(__file__)])
+    identity = [architecture, *names, *map(str, debian.source())]
+    key = cache.digest(["sysroot", *identity, Path(debian.__file__), Path(__file__)])
 
     def build_in(folder: Path) -> None:
-        debian.extract(names, folder)
+        debian.extract(names, folder, architecture)
 
     return cache.entry("sysroot", key, build_in)

@@ -1,19 +1,20 @@
-"""``rtgen board``: the emulated board."""
+"""``rtgen board``: boards made of Debian's packages."""
 
 import argparse
 from pathlib import Path
 
 NAME = "board"
-HELP = "make an emulated ARM board with a PREEMPT_RT kernel, ROS and SSH, from Debian's packages"
+HELP = "make a board with a PREEMPT_RT kernel, ROS and SSH, from Debian's packages"
 
 PLACE = Path("build/board")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare ``build --machine NAME --kernel KIND``."""
+    """Declare ``machines`` and ``build --machine NAME --kernel KIND``."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    actions.add_parser("machines", help="list the machines that a board can be built for")
     build = actions.add_parser("build", help=f"build it into {PLACE}/MACHINE (network the first time)")
-    build.add_argument("--machine", help="board to emulate; without it the default of docs/board.md")
+    build.add_argument("--machine", help="one of rtgen board machines; without it the default there")
     build.add_argument(
         "--kernel",
         choices=("debian", "built"),
@@ -23,10 +24,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the board and print its folder."""
+    """List the machines, or build the board and print its folder."""
     from rtfiles.output import print_line
     from rtgen.board.build import build
+    from rtgen.board.machine import default_machine
+
+    if args.action == "machines":
+        _list_machines()
+        return 0
+    print_line(str(build(args.machine or default_machine(), PLACE, built=args.kernel == "built")))
+    return 0
+
+
+def _list_machines() -> None:
+    from rtfiles.output import print_line
     from rtgen.board.machine import machines
 
-    print_line(str(build(args.machine or machines().default, PLACE, built=args.kernel == "built")))
-    return 0
+    known = machines()
+    width = max(map(len, known))
+    for name, machine in known.items():
+        default = " (default)" if machine.default else ""
+        print_line(f"{name:{width}}  {machine.architecture:5}  {machine.summary}{default}")

@@ -21,14 +21,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     text = "write kconfig/fragments/<machine>-<kernel>.cfg from kconfig/options"
     render = commands.add_parser("render", help=text, description=text)
-    render.add_argument("--machine", help="pandaboard-es, qemu-armv7 (default: every machine)")
+    render.add_argument("--machine", help="one of kconfig/machines.yml (default: every machine)")
     render.add_argument("--kernel", help="3.4, 6.1, ... (default: every version)")
     render.add_argument(
         "--check", action="store_true", help="write nothing, show differences; exit status 1 if there are any"
     )
     text = "compare the .config that the kernel makes from a fragment, or a finished .config, with kconfig/options"
     verify = commands.add_parser("verify", help=text, description=text)
-    verify.add_argument("--machine", help="pandaboard-es, qemu-armv7 (default with --source: every machine)")
+    verify.add_argument("--machine", help="one of kconfig/machines.yml (default with --source: every machine)")
     verify.add_argument(
         "--source", metavar="TREE", help="a kernel tree, a Kconfig-only tree, or 'debian', which downloads one"
     )

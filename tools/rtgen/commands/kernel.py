@@ -11,7 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     text = "build Debian's pinned kernel with its RT patches (five minutes on two idle cores, then cached)"
     build = commands.add_parser("build", help=text, description=text)
-    build.add_argument("--machine", required=True, help="qemu-armv7 (for vexpress-a9 as well), pandaboard-es")
+    build.add_argument("--machine", required=True, help="a machine of kconfig/machines.yml, or a board listed there")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,11 +1,12 @@
-# Cross-compile against a sysroot of Debian armhf packages (META_SYSROOT); the message generators run on this machine.
+# Compile with Debian's compiler of an architecture (META_TRIPLET, META_PROCESSOR) against a sysroot of its packages
+# (META_SYSROOT); the message generators run on this machine.
 set(CMAKE_SYSTEM_NAME Linux)
-set(CMAKE_SYSTEM_PROCESSOR armv7l)
-set(CMAKE_C_COMPILER arm-linux-gnueabihf-gcc)
-set(CMAKE_CXX_COMPILER arm-linux-gnueabihf-g++)
-set(CMAKE_LIBRARY_ARCHITECTURE arm-linux-gnueabihf)
+set(CMAKE_SYSTEM_PROCESSOR "${META_PROCESSOR}")
+set(CMAKE_C_COMPILER "${META_TRIPLET}-gcc")
+set(CMAKE_CXX_COMPILER "${META_TRIPLET}-g++")
+set(CMAKE_LIBRARY_ARCHITECTURE "${META_TRIPLET}")
 
-set(CMAKE_TRY_COMPILE_PLATFORM_VARIABLES META_SYSROOT META_WORK)
+set(CMAKE_TRY_COMPILE_PLATFORM_VARIABLES META_TRIPLET META_PROCESSOR META_SYSROOT META_WORK)
 set(CMAKE_SYSROOT "${META_SYSROOT}")
 # CMake finds the packages of this build in its working folder and all others in the sysroot. The absolute paths in Debian's
 # CMake files would otherwise lead to /usr of this machine.
