@@ -6,7 +6,7 @@ BIN := .venv/bin
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
-	$(BIN)/rtrun run campaigns/demo.yml --target targets/qemu.yml --fresh
+	@tools/demo
 
 test: setup
 	$(BIN)/pytest -m "not kernel and not slow"

@@ -2,6 +2,13 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rtrun.plan.campaign import Campaign, Run
+    from rtrun.target.config import TargetConfig
 
 NAME = "run"
 HELP = "measure a campaign on a target; goes on where an earlier call stopped"
@@ -16,16 +23,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, then print the table. 0: every run is ok, 3: some run failed or the target did."""
-    from rtfiles.errors import InfrastructureError
-    from rtfiles.output import console, print_line
-    from rtrun.execution import campaign_runner, progress
-    from rtrun.plan.campaign import read_campaign, variants_of
-    from rtrun.report import terminal
+    """Measure, print what came out and the next command. 0: every run is ok, 3: some run failed or the target did."""
+    import shlex
+
+    from rtfiles.invocation import as_called
+    from rtfiles.output import print_line
+    from rtrun.plan.campaign import read_campaign
     from rtrun.results import run_directory
-    from rtrun.results.reading import read_runs
-    from rtrun.results.record import RunStatus
-    from rtrun.target.config import connect, read_target
+    from rtrun.target.config import read_target
 
     campaign, runs = read_campaign(args.campaign)
     config = read_target(args.target)
@@ -33,10 +38,30 @@ def run(args: argparse.Namespace) -> int:
     if args.fresh:
         results = _fresh(results)
     run_directory.make_results(results)
-    if campaign.until is not None:
+    if campaign.until is None:
+        status = _measure(campaign, runs, config, args, results)
+    else:
         from rtrun.commands._until import measure_until
 
-        return measure_until(args.campaign, campaign, campaign.until, runs, config, args.target.parent, results)
+        status = measure_until(args.campaign, campaign, campaign.until, runs, config, args.target.parent, results)
+    if status == 0:
+        print_line(f"next: {as_called('rtrun')} report {shlex.quote(str(results))}")
+    return status
+
+
+def _measure(
+    campaign: "Campaign", runs: "Sequence[Run]", config: "TargetConfig", args: argparse.Namespace, results: Path
+) -> int:
+    """Measure each run that is not finished, and print the table of all."""
+    from rtfiles.errors import InfrastructureError
+    from rtfiles.output import console, print_line
+    from rtrun.execution import campaign_runner, progress
+    from rtrun.plan.campaign import variants_of
+    from rtrun.report import terminal
+    from rtrun.results.reading import read_runs
+    from rtrun.results.record import RunStatus
+    from rtrun.target.config import connect
+
     statuses: dict[str, RunStatus] = {}
     try:
         with progress.showing(runs, console()) as shown:

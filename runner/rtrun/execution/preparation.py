@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
+from rtfiles.invocation import as_called
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Run, Variant
 from rtrun.target import deploy, inspection, ros_master
@@ -52,7 +53,7 @@ def prepared(
             if program not in programs[run.variant]:
                 raise TargetError(
                     f"{target.address}: {program} is not installed on the target: "
-                    "name a folder of `rtgen suites build` as suites in the target file"
+                    f"name a folder of {as_called('rtgen')} suites build as suites in the target file"
                 )
     priorities = [int(run.parameters["priority"] or 0) for run in runs if run.parameters.get("policy", "0") != "0"]
     with ros_master.running(link, scripts, equipment, owner, max(priorities) + 1 if priorities else None) as own_master:

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field
 
 from rtfiles.config import Config, UserPath, parse, read_yaml
 from rtfiles.errors import UsageError
+from rtfiles.invocation import as_called
 from rtrun.target import qemu
 from rtrun.target.address import Address
 from rtrun.target.errors import ConnectionLost, TargetGone
@@ -112,11 +113,9 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
     """
     suites = _resolve(folder, config.suites) if config.suites is not None else None
     if suites is not None and not suites.is_dir():
-        raise UsageError(f"{suites}: no such folder; suites are built with: rtgen suites build")
+        raise UsageError(f"{suites}: no such folder; suites are built with: {as_called('rtgen')} suites build")
     if suites is not None and not (suites / "build.json").is_file():
-        raise UsageError(
-            f"{suites}: has no build.json, so it is no folder of `rtgen suites build`: name the one it printed"
-        )
+        raise UsageError(f"{suites}: has no build.json: name the folder that {as_called('rtgen')} suites build printed")
     with contextlib.ExitStack() as stack:
         if isinstance(config, QemuConfig):
             board = _resolve(folder, config.board)

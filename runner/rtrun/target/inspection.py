@@ -12,6 +12,7 @@ from pydantic import Field
 
 from rtfiles.config import Config
 from rtfiles.errors import UsageError
+from rtfiles.invocation import as_called
 from rtfiles.untrusted import INT64_MAX, whole_number
 from rtrun.plan.conditions import CPUS_MAX
 from rtrun.target import architecture
@@ -142,7 +143,7 @@ def check_suites(target: Target, equipment: Equipment) -> None:
     if made_for is not None and equipment.architecture not in (None, made_for):
         raise UsageError(
             f"{target.suites}: suites for {made_for}, but {target.address} is {equipment.architecture}: "
-            "name suites that were built for its machine (rtgen suites build --machine)"
+            f"name suites that were built for its machine by {as_called('rtgen')} suites build --machine"
         )
 
 

@@ -14,6 +14,7 @@ from pydantic import Field
 
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
+from rtfiles.invocation import as_called
 from rtrun.target import qmp
 from rtrun.target.address import Address
 from rtrun.target.errors import TargetError, TargetGone
@@ -83,7 +84,7 @@ def read_board(folder: Path) -> Board:
     """Read `board.json`. Raises UsageError that says how to make one."""
     path = folder / "board.json"
     if not path.is_file():
-        raise UsageError(f"{folder}: no board there, make one: rtgen board build")
+        raise UsageError(f"{folder}: no board there, make one: {as_called('rtgen')} board build")
     board = load(path, Board)
     if board.schema_ != 1:
         raise UsageError(f"{path}: schema: {board.schema_} is unknown, this program reads 1")

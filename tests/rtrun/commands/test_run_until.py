@@ -76,6 +76,7 @@ def test_one_group_is_proven_and_one_refuted_on_two_boots(campaign, wishes, caps
     assert re.search(r"NEEDS MORE  cyclic_timer .*1 of 2 boots; about \d+ s left", out), out
     end = out.partition("confidence 0.95, on at least 2 boots")[2]
     assert " PROVEN " in end and " REFUTED " in end and "NEEDS MORE" not in end
+    assert end.endswith("rtrun report results/brakes\n")
     assert answers(capsys) == {"001": "PROVEN", "002": "REFUTED"}
     assert len(boots()) == 2
     assert main(["gate", "results/brakes"]) == 1, "the goal is the question of the gate as well"

@@ -20,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from rtfiles import atomic
     from rtfiles.errors import UsageError
+    from rtfiles.invocation import as_called
     from rtfiles.output import print_line
     from rtgen.profile import load_profile, profile_path
 
@@ -32,5 +33,6 @@ def run(args: argparse.Namespace) -> int:
     load_profile(args.origin)  # an invalid profile is not copied
     text = profile_path(args.origin).read_text(encoding="utf-8")
     atomic.write_text(args.file, f"# Derived from {args.origin}.\n{text}")
-    print_line(f"{args.file}: a copy of {args.origin}; edit it, then: rtgen render --profile {args.file} --out DIR")
+    next_command = f"{as_called('rtgen')} render --profile {args.file} --out DIR"
+    print_line(f"{args.file}: a copy of {args.origin}; edit it, then: {next_command}")
     return 0

@@ -15,6 +15,7 @@ import yaml
 
 from rtfiles.config import read_yaml
 from rtfiles.errors import UsageError
+from rtfiles.invocation import as_called
 from rtgen.checkout import checkout
 from rtgen.profile import LAYER, Machine, Profile, Release, key_pattern
 
@@ -214,7 +215,7 @@ def _fragment(name: str, machine: Machine) -> tuple[str, str]:
     try:
         return f"kconfig/{path}", _kconfig(path)
     except FileNotFoundError as error:
-        remedy = "`rtgen kconfig render` writes one for each kernel of kconfig/kernels.yml"
+        remedy = f"{as_called('rtgen')} kconfig render writes one for each kernel of kconfig/kernels.yml"
         raise UsageError(f"{error.filename}: {error.strerror}, {remedy}") from error
 
 
