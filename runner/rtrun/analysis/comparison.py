@@ -215,8 +215,8 @@ def _quantiles(counts: NDArray[np.generic], columns: Int64s, width: int, q: floa
     rank = q * below[:, -1:]
     column = (below >= rank).argmax(axis=1)[:, None]
     inside = np.take_along_axis(counts, column, axis=1)
-    share = 1 - (np.take_along_axis(below, column, axis=1) - rank) / np.maximum(inside, 1)
-    return np.asarray((columns[column] + width * share)[:, 0], dtype=np.float64)
+    within = 1 - (np.take_along_axis(below, column, axis=1) - rank) / np.maximum(inside, 1)
+    return np.asarray((columns[column] + width * within)[:, 0], dtype=np.float64)
 
 
 def _units(a: Sequence[Blocks], b: Sequence[Blocks]) -> tuple[list[str], list[str], str]:

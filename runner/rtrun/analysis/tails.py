@@ -75,9 +75,9 @@ def fit(family: Family, sample: Sample) -> tuple[Parameters, float]:
     best = None
     for shape in (first[0], 0.2, -0.2):
         begin = np.array([shape, math.log(first[1]), *first[2:]])
-        found = minimize(cost, begin, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-6, "maxiter": 1500})
-        if best is None or found.fun < best.fun - 1e-9:
-            best = found
+        optimum = minimize(cost, begin, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-6, "maxiter": 1500})
+        if best is None or optimum.fun < best.fun - 1e-9:
+            best = optimum
     assert best is not None
     return (float(best.x[0]), math.exp(best.x[1]), *map(float, best.x[2:])), float(best.fun)
 
@@ -112,10 +112,10 @@ def profile_interval(
             return negative_log_likelihood(family, sample, family.with_level(level, chance, free.tolist()))
 
         spread = np.vstack([guess, *(np.array(guess) + step for step in np.eye(len(guess)) * 0.05)])
-        found = minimize(
+        optimum = minimize(
             cost, guess, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-4, "initial_simplex": spread}
         )
-        return float(found.fun) - least - drop, found.x.tolist()
+        return float(optimum.fun) - least - drop, optimum.x.tolist()
 
     base = float(sample.edges[0])
 
@@ -173,8 +173,8 @@ def _gpd_log_sf(x: Float64s, p: Parameters) -> Float64s:
 
 
 def _gpd_interval(x: Float64s, step: float, p: Parameters) -> Float64s:
-    left = _gpd_log_sf(x, p)
-    return left + np.log(-np.expm1(_gpd_log_sf(x + step, p) - left))
+    log_above = _gpd_log_sf(x, p)
+    return log_above + np.log(-np.expm1(_gpd_log_sf(x + step, p) - log_above))
 
 
 def _power(log_x: float, shape: float) -> float:

@@ -18,7 +18,7 @@ from rtrun.results.goal_file import write_goal
 from rtrun.results.record import RunStatus
 from rtrun.target.config import TargetConfig, connect
 
-Tell = Callable[[Sequence[Progress], float], None]
+ReportProgress = Callable[[Sequence[Progress], float], None]
 
 
 def measure_until(
@@ -46,12 +46,12 @@ def measure_until(
     measurements = best[1]
     evaluate = evaluator(results, goal)
 
-    def plan(spent_s: Callable[[], float], tell: Tell) -> Iterator[Round]:
+    def plan(spent_s: Callable[[], float], report_progress: ReportProgress) -> Iterator[Round]:
         write_goal(results, goal)
         findings = read_findings(results, evaluate, spent_s)
-        return rounds(groups, goal, campaign.seed or 0, measurements, findings, tell)
+        return rounds(groups, goal, campaign.seed or 0, measurements, findings, report_progress)
 
-    def tell(progress: Sequence[Progress], spent_s: float) -> None:
+    def print_progress(progress: Sequence[Progress], spent_s: float) -> None:
         if all(each.standing is None for each in progress):
             return
         print_line(f"-- {duration(spent_s)} of at most {duration(goal.at_most_ns / 1e9)}")
@@ -73,12 +73,12 @@ def measure_until(
                     results,
                     RoundProgress(),
                     variants=variants_of(campaign, file.parent),
-                    rounds=lambda spent_s: plan(spent_s, tell),
+                    rounds=lambda spent_s: plan(spent_s, print_progress),
                 )
         except (KeyboardInterrupt, InfrastructureError):
             print_line(f"what was measured is kept in {results}; the same command goes on there")
             raise
-    found = study(
+    measured = study(
         results,
         deadline_ns=goal.deadline_ns,
         probability=goal.probability,
@@ -86,7 +86,7 @@ def measure_until(
         boots=goal.boots,
         bounds=False,
     )
-    print_answers(found)
+    print_answers(measured)
     bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
     for line in bad:
         print_line(line)

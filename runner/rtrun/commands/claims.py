@@ -26,13 +26,13 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report.study import study
     from rtrun.report.terminal import EMULATED
 
-    found = study(args.results, confidence=args.confidence, bounds=False)
-    examined = examine_claims(found)
+    analysed = study(args.results, confidence=args.confidence, bounds=False)
+    examined = examine_claims(analysed)
     if args.json:
-        data = {"schema": 1, "emulated": found.emulated, "claims": [dataclasses.asdict(claim) for claim in examined]}
+        data = {"schema": 1, "emulated": analysed.emulated, "claims": [dataclasses.asdict(claim) for claim in examined]}
         print_text(json.dumps(data, indent=1, allow_nan=False))
         return 0
-    if found.emulated:
+    if analysed.emulated:
         print_line(EMULATED)
     for claim in examined:
         result = claim.result
@@ -41,6 +41,6 @@ def run(args: argparse.Namespace) -> int:
         if result.runs:
             shown = ", ".join(result.runs[:4]) + (f" and {len(result.runs) - 4} more" if len(result.runs) > 4 else "")
             print_line(f"           test: {result.test}; runs: {shown}")
-    for text in found.left_out:
+    for text in analysed.left_out:
         print_line(f"not analysed: {text}")
     return 0

@@ -47,19 +47,19 @@ def run(args: argparse.Namespace) -> int:
     }
     sides = (str(args.a), str(args.b))
     if args.b is None:
-        sides, found = compare.compare_variants(args.a, args.variants, **words)
+        sides, compared = compare.compare_variants(args.a, args.variants, **words)
         if not args.json:
             print_line(f"A: {sides[0]}, B: {sides[1]}")
     elif args.variants:
         raise UsageError("--variants: goes with one folder, that of a campaign with variants")
     else:
-        found = compare.compare_sets(args.a, args.b, **words)
-    if not found.changes:
-        if found.ambiguous:
-            raise UsageError("\n".join(found.ambiguous))
+        compared = compare.compare_sets(args.a, args.b, **words)
+    if not compared.changes:
+        if compared.ambiguous:
+            raise UsageError("\n".join(compared.ambiguous))
         raise UsageError(f"{sides[0]} and {sides[1]} have no suite with the same parameters in common")
     if args.json:
-        print_text(compare.as_json(found))
+        print_text(compare.as_json(compared))
     else:
-        print_text(compare.as_text(found))
+        print_text(compare.as_text(compared))
     return 0

@@ -30,9 +30,9 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report.gate import gate
     from rtrun.report.terminal import EMULATED
 
-    found = ask(args, bounds=False)
-    judged = gate(found, assume_independent=args.assume_independent)
-    if found.emulated:
+    analysed = ask(args, bounds=False)
+    judged = gate(analysed, assume_independent=args.assume_independent)
+    if analysed.emulated:
         print_line(EMULATED)
     print_line("passed" if judged.passed else "failed")
     for case in judged.cases:

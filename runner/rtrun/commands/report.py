@@ -32,16 +32,16 @@ def run(args: argparse.Namespace) -> int:
 
     # The other formats hold neither worst cases nor claims.
     whole = args.format in ("html", "markdown", "json")
-    found = ask(args, bounds=whole)
-    examined = examine_claims(found) if whole else ()
-    said = document.document(found, examined)
+    analysed = ask(args, bounds=whole)
+    examined = examine_claims(analysed) if whole else ()
+    report_document = document.document(analysed, examined)
     writers = {
-        "html": lambda: page.html(found, said).encode("utf-8", "replace"),
-        "markdown": lambda: formats.markdown(said).encode("utf-8", "replace"),
-        "json": lambda: formats.as_json(found, examined).encode("utf-8", "replace"),
-        "junit": lambda: formats.junit(gate.gate(found)).encode("utf-8", "replace"),
-        "csv": lambda: formats.as_csv(found).encode("utf-8", "replace"),
-        "parquet": lambda: formats.parquet(found),
+        "html": lambda: page.html(analysed, report_document).encode("utf-8", "replace"),
+        "markdown": lambda: formats.markdown(report_document).encode("utf-8", "replace"),
+        "json": lambda: formats.as_json(analysed, examined).encode("utf-8", "replace"),
+        "junit": lambda: formats.junit(gate.gate(analysed)).encode("utf-8", "replace"),
+        "csv": lambda: formats.as_csv(analysed).encode("utf-8", "replace"),
+        "parquet": lambda: formats.parquet(analysed),
     }
     content = writers[args.format]()
     if args.output == Path("-"):
@@ -55,15 +55,17 @@ def run(args: argparse.Namespace) -> int:
         atomic.write_bytes(output, content)
     except OSError as error:
         raise UsageError(f"{output}: {error.strerror}") from error
-    logs = [log for place in found.source.folders for log in sorted(place.glob("*.log")) if log.name != "console.log"]
+    logs = [
+        log for place in analysed.source.folders for log in sorted(place.glob("*.log")) if log.name != "console.log"
+    ]
     for trouble in pictures.draw_all(logs or ([args.results] if args.results.suffix == ".log" else [])):
         print_note(f"not drawn: {trouble}")
-    if said.banner:
-        print_line(said.banner)
-    print_line(said.summary)
-    for line in said.lines:
+    if report_document.banner:
+        print_line(report_document.banner)
+    print_line(report_document.summary)
+    for line in report_document.lines:
         print_line(f"{line.answer}  {line.about}: {line.text}")
-    for text in said.left_out:
+    for text in report_document.left_out:
         print_line(f"not analysed: {text}")
     print_line(str(output))
     return 0

@@ -83,8 +83,8 @@ def _measure(
         kept = f"{done} of {len(runs)} runs are finished and kept in {results}; the same command goes on there"
         print_line(kept)
         raise
-    found = read_runs(results)
-    console().print(terminal.answer_of_runs(found), crop=False)
+    measured = read_runs(results)
+    console().print(terminal.answer_of_runs(measured), crop=False)
     bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
     for line in bad:
         print_line(line)

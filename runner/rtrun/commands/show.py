@@ -51,14 +51,14 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
         if is_closed(path) or not any(child.is_dir() for child in path.iterdir()):
             one = reading.read_run(path)
             return {"schema": 1, **_run_data(one)}, terminal.answer_of_run(one), ()
-        found = reading.read_runs(path)
+        of_folder = reading.read_runs(path)
         data = {
             "schema": 1,
-            "emulated": any(one.record.emulated for one in found.runs),
-            "runs": [_run_data(one) for one in found.runs],
-            "incomplete": list(found.incomplete),
+            "emulated": any(one.record.emulated for one in of_folder.runs),
+            "runs": [_run_data(one) for one in of_folder.runs],
+            "incomplete": list(of_folder.incomplete),
         }
-        return data, terminal.answer_of_runs(found), found.refused
+        return data, terminal.answer_of_runs(of_folder), of_folder.refused
     if not path.is_file():
         raise UsageError(f"{path}: no such file or directory")
     results = reading.results_of(reading.read_file(path))

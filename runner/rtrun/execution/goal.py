@@ -73,13 +73,13 @@ def rounds(
     seed: int,
     measurements: int,
     findings: Findings,
-    tell: Callable[[Sequence[Progress], float], None],
+    report_progress: Callable[[Sequence[Progress], float], None],
 ) -> Iterator[Round]:
     """Yield what to measure next, until every group has its answer or the time is over.
 
     `measurements` are those of a proof without a miss. Whoever measures a round asks for the next one when its runs are
-    closed. A group with a final answer leaves the rounds; so does one whose run failed `TRIES` times. `tell` is called
-    with the seconds spent so far before each new round and at the end.
+    closed. A group with a final answer leaves the rounds; so does one whose run failed `TRIES` times.
+    `report_progress` is called with the seconds spent so far before each new round and at the end.
     """
     a_boot = rounds_a_boot(groups, measurements, goal.boots)
     number = _latest_round(groups, findings)
@@ -98,7 +98,7 @@ def rounds(
             todo = list(planned)
         if len(todo) == len(planned):
             spent_s = findings.spent_s()
-            tell(_progress(groups, standings, measurements, a_boot, spent_s), spent_s)
+            report_progress(_progress(groups, standings, measurements, a_boot, spent_s), spent_s)
             if not todo or spent_s + sum(run.expected_s for run in todo) > goal.at_most_ns / 1e9:
                 return
         yield Round(

@@ -118,21 +118,21 @@ class Suites(Config):
 @functools.cache
 def suites() -> Suites:
     """The suites of this version, read once."""
-    found = load(SUITES_FILE, Suites)
-    _check_options(found, found.options)
-    return found
+    loaded = load(SUITES_FILE, Suites)
+    _check_options(loaded, loaded.options)
+    return loaded
 
 
 @functools.cache
 def baselines() -> Suites:
     """The baselines that the suites are compared with, read once."""
-    found = load(BASELINES_FILE, Suites)
-    _check_options(found, suites().options | found.options)
-    return found
+    loaded = load(BASELINES_FILE, Suites)
+    _check_options(loaded, suites().options | loaded.options)
+    return loaded
 
 
-def _check_options(found: Suites, known: Mapping[str, Option]) -> None:
-    for name, described in found.suites.items():
+def _check_options(described_suites: Suites, known: Mapping[str, Option]) -> None:
+    for name, described in described_suites.suites.items():
         for key in described.parameters:
             if key not in known:
                 raise UsageError(f"suites.{name}: unknown option {key!r}, known: {', '.join(known)}")
@@ -215,29 +215,29 @@ def log_names(suite_name: str, parameters: Mapping[str, Value]) -> list[str]:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LogName:
-    """What the name of a log tells; `log` is empty for a suite that writes one log only."""
+class LogFacts:
+    """What can be read from the name of a log; `log` is empty for a suite that writes one log only."""
 
     suite: str
     log: str
     parameters: dict[str, Value]
 
 
-def read_log_name(name: str) -> LogName | None:
+def read_log_name(name: str) -> LogFacts | None:
     """Read suite, parameters and log from the name of a log; None for a name that no suite gives."""
     for suite_name in suites().suites:
-        if found := _log_pattern(suite_name).fullmatch(name):
+        if match := _log_pattern(suite_name).fullmatch(name):
             parameters: dict[str, Value] = {}
-            for key, text in found.groupdict(default="").items():
+            for key, text in match.groupdict(default="").items():
                 if key == "busy_suffix":
                     parameters["busy_mode"] = 1 if text else 0
                 elif key == "policy_suffix":
                     parameters["policy"] = text.removeprefix("-tnRT") or "0"
                 elif key not in ("log", "prefix"):
                     parameters[key] = int(text)
-            if found["prefix"]:
-                parameters["prefix"] = found["prefix"]
-            return LogName(suite=suite_name, log=found.groupdict().get("log") or "", parameters=parameters)
+            if match["prefix"]:
+                parameters["prefix"] = match["prefix"]
+            return LogFacts(suite=suite_name, log=match.groupdict().get("log") or "", parameters=parameters)
     return None
 
 

@@ -111,16 +111,16 @@ def _by_circumstances(side: Study, as_in_2014: set[str]) -> dict[str, list[Group
 
     Of the suites in `as_in_2014` the groups are those of 2014's series, and those of runs that have no such series.
     """
-    found: dict[str, list[Group]] = {}
+    groups: dict[str, list[Group]] = {}
     of_2014 = [group for group in side.as_in_2014 if group.suite in as_in_2014]
     covered = {run for group in of_2014 for run in group.runs}
     judged = [g for g in side.groups if not (g.suite in as_in_2014 and covered.issuperset(g.runs))]
     for group in (*judged, *of_2014):
         if group.blocks:
-            found.setdefault(json.dumps([group.suite, group.series, sorted(group.parameters.items())]), []).append(
+            groups.setdefault(json.dumps([group.suite, group.series, sorted(group.parameters.items())]), []).append(
                 group
             )
-    return found
+    return groups
 
 
 def _origin(group: Group) -> tuple[str, bool, int]:
@@ -152,10 +152,10 @@ def _changed(label: str, a: Group, b: Group, confidence: float, margin_ns: float
     )
 
 
-def as_text(found: Compared) -> str:
+def as_text(compared: Compared) -> str:
     """The answer for people."""
-    lines = [EMULATED] if found.emulated else []
-    for change in found.changes:
+    lines = [EMULATED] if compared.emulated else []
+    for change in compared.changes:
         c = change.comparison
         lines.append(f"{c.answer}  {change.label}: {_why(c)}")
         for shift in c.shifts:
@@ -167,11 +167,11 @@ def as_text(found: Compared) -> str:
                 f"{100 * c.confidence:g} % CI of the shift "
                 f"{shift.low_ns / 1000:+.1f} to {shift.high_ns / 1000:+.1f} us, margin {us(shift.margin_ns)} us: {mark}"
             )
-        lines.append(f"    P(> {us(found.deadline_ns)} us) {_ratio(change.misses, c.confidence)}")
+        lines.append(f"    P(> {us(compared.deadline_ns)} us) {_ratio(change.misses, c.confidence)}")
         lines += [f"    assumes {text}" for text in c.assumes]
-    lines += [f"not compared: {text}" for text in found.ambiguous]
-    lines += [f"only in A: {label}" for label in found.only_a] + [f"only in B: {label}" for label in found.only_b]
-    lines += [f"not analysed: {text}" for text in found.left_out]
+    lines += [f"not compared: {text}" for text in compared.ambiguous]
+    lines += [f"only in A: {label}" for label in compared.only_a] + [f"only in B: {label}" for label in compared.only_b]
+    lines += [f"not analysed: {text}" for text in compared.left_out]
     return "\n".join(lines) + "\n"
 
 
@@ -200,9 +200,9 @@ def _ratio(ratio: Ratio | None, confidence: float) -> str:
     return f"{value}, {100 * confidence:g} % CI {ratio.low:.2g} to {high}"
 
 
-def as_json(found: Compared) -> str:
+def as_json(compared: Compared) -> str:
     """The answer for programs; infinite ends are null."""
-    return json.dumps({"schema": 1, **_finite(dataclasses.asdict(found))}, indent=1, allow_nan=False) + "\n"
+    return json.dumps({"schema": 1, **_finite(dataclasses.asdict(compared))}, indent=1, allow_nan=False) + "\n"
 
 
 def _finite(value: Any) -> Any:

@@ -19,10 +19,10 @@ CLUSTER_BELOW_NS = -500_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cluster:
-    """Values below -500 us of a jitter series: their share of all, and where they lie."""
+    """Values below -500 us of a jitter series: the fraction of all values that they are, and where they lie."""
 
     n: int
-    share: float
+    fraction: float
     median_ns: int | None
     low_ns: int | None
     high_ns: int | None
@@ -118,11 +118,11 @@ def _cluster(histogram: Histogram) -> Cluster:
     inside = histogram.values_ns < CLUSTER_BELOW_NS
     values, counts = histogram.values_ns[inside], histogram.counts[inside]
     n = int(counts.sum())
-    share = n / histogram.n if histogram.n else 0.0
+    fraction = n / histogram.n if histogram.n else 0.0
     if not n:
-        return Cluster(n=0, share=share, median_ns=None, low_ns=None, high_ns=None)
+        return Cluster(n=0, fraction=fraction, median_ns=None, low_ns=None, high_ns=None)
     middle = int(values[np.searchsorted(np.cumsum(counts), (n + 1) // 2)])
-    return Cluster(n=n, share=share, median_ns=middle, low_ns=int(values[0]), high_ns=int(values[-1]))
+    return Cluster(n=n, fraction=fraction, median_ns=middle, low_ns=int(values[0]), high_ns=int(values[-1]))
 
 
 def _course(values: NDArray[np.int64]) -> Course:

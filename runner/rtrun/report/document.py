@@ -16,7 +16,7 @@ from rtrun.report.claims.examination import is_rt, select, us
 from rtrun.report.claims.examiners import Examined
 from rtrun.report.claims.reference import oneshot_rows, published
 from rtrun.report.digest import Digest
-from rtrun.report.study import Group, Study, environment, told
+from rtrun.report.study import Group, Study, environment, format_parameters
 from rtrun.report.terminal import banner_of
 from rtrun.results.samples import NON_MEASURING_THREADS
 from rtrun.results.series import MEASURED_2014, NOTE_2014
@@ -86,9 +86,9 @@ def _printable(table: Table) -> Table:
 
 def summary(study: Study) -> str:
     """How many groups got which answer, the worst first."""
-    found = [verdict_line(group).answer for group in study.groups]
+    answers = [verdict_line(group).answer for group in study.groups]
     order = (Answer.REFUTED, Answer.NEEDS_MORE, Answer.IF_INDEPENDENT, Answer.PROVEN, Answer.NO_STATEMENT)
-    return ", ".join(f"{answer} {found.count(answer)} of {len(found)}" for answer in order if answer in found)
+    return ", ".join(f"{answer} {answers.count(answer)} of {len(answers)}" for answer in order if answer in answers)
 
 
 def verdict_line(group: Group) -> Line:
@@ -188,7 +188,7 @@ def _figures(study: Study) -> Table:
 
 def _row(one: Digest) -> tuple[str, ...]:
     f: Figures = one.figures
-    label = f"{one.header.suite.removesuffix('_tests')} {told(one.header.parameters)}"
+    label = f"{one.header.suite.removesuffix('_tests')} {format_parameters(one.header.parameters)}"
     cells = [one.run, one.header.series, str(f.n), _time(f.min_ns), _time(f.mean_ns), _time(f.std_ns)]
     cells += [_time(f.percentiles_ns.get(p)) for p in PERCENTILES]
     cells += [_time(f.max_ns), str(one.header.missing), str(one.header.out_of_order), str(one.header.not_fired)]
@@ -220,7 +220,7 @@ def _clusters(study: Study) -> list[Table]:
             c = one.cluster
             place = [_time(value) for value in (c.median_ns, c.low_ns, c.high_ns)]
             rows.append(
-                (one.run, "successive" if one.header.series == "jitter" else "grid", f"{100 * c.share:.3f}", *place)
+                (one.run, "successive" if one.header.series == "jitter" else "grid", f"{100 * c.fraction:.3f}", *place)
             )
     columns = ("run", "jitter", "share %", "median us", "lowest us", "highest us")
     return [Table(id="cluster", title="Negative cluster (below -500 us)", columns=columns, rows=rows, numbers=2)]

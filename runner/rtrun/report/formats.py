@@ -23,14 +23,14 @@ _PARAMETERS = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscri
 _NOT_XML = dict.fromkeys([*(c for c in range(32) if chr(c) not in "\t\n\r"), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF])
 
 
-def markdown(said: Document) -> str:
+def markdown(document: Document) -> str:
     """The report as Markdown; the banner is its first line."""
-    parts = [f"**{said.banner}**", ""] if said.banner else []
-    parts += [f"# {_plain(said.title)}", "", said.question, "", said.summary, ""]
-    parts += [f"- **{line.answer}** {_plain(line.about)}: {_plain(line.text)}" for line in said.lines]
-    if said.left_out:
-        parts += ["", "Not analysed:", "", *(f"- {_plain(text)}" for text in said.left_out)]
-    for table in said.tables:
+    parts = [f"**{document.banner}**", ""] if document.banner else []
+    parts += [f"# {_plain(document.title)}", "", document.question, "", document.summary, ""]
+    parts += [f"- **{line.answer}** {_plain(line.about)}: {_plain(line.text)}" for line in document.lines]
+    if document.left_out:
+        parts += ["", "Not analysed:", "", *(f"- {_plain(text)}" for text in document.left_out)]
+    for table in document.tables:
         parts += ["", f"## {table.title}", "", *_markdown_table(table)]
     return "\n".join(parts) + "\n"
 

@@ -11,7 +11,7 @@ _FOLDER = Path(__file__).parent
 _LAST = ("published", "environment", "reproduce")
 
 
-def html(study: Study, said: Document) -> str:
+def html(study: Study, document: Document) -> str:
     """Return the page. Everything that came from a target is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -25,13 +25,13 @@ def html(study: Study, said: Document) -> str:
         if data is not None:
             turned.append({"suite": suite, "data": data, "still": long_term_still(data, f"Long-term plot of {suite}")})
     return environment.get_template("page.html.j2").render(
-        title=said.title,
-        banner=said.banner,
-        summary=said.summary,
-        question=said.question,
-        lines=said.lines,
-        tables=said.tables,
-        left_out=said.left_out,
+        title=document.title,
+        banner=document.banner,
+        summary=document.summary,
+        question=document.question,
+        lines=document.lines,
+        tables=document.tables,
+        left_out=document.left_out,
         last=_LAST,
         plots=[(label, figures) for label, figures in drawn if figures],
         long_term=turned,

@@ -73,7 +73,7 @@ def question(study: Study) -> str:
     )
 
 
-def table(found: Sequence[Standing]) -> Table:
+def table(standings: Sequence[Standing]) -> Table:
     """A row for each group: its answer, what it rests on, and what is still missing."""
     made = Table(box=box.SIMPLE, padding=(0, 1), show_edge=False)
     for heading in ("group", "answer"):
@@ -81,7 +81,7 @@ def table(found: Sequence[Standing]) -> Table:
     for heading in ("P(miss)", "measured", "boots", "time"):
         made.add_column(heading, justify="right")
     made.add_column("missing")
-    for standing in found:
+    for standing in standings:
         verdict = standing.verdict
         made.add_row(
             Text(printable(standing.label)),
@@ -105,8 +105,8 @@ def progress_line(progress: Progress, goal: Goal) -> str:
     if goal.boots > 1 and verdict.boots is not None:
         parts.append(f"{verdict.boots} of {goal.boots} boots")
     if not standing.is_final:
-        left = "no end in sight" if progress.left_s is None else f"about {duration(progress.left_s)} left"
-        parts.append(left)
+        remaining = "no end in sight" if progress.left_s is None else f"about {duration(progress.left_s)} left"
+        parts.append(remaining)
     return f"{standing.answer}  {standing.label}: {'; '.join(parts)}"
 
 
@@ -159,7 +159,7 @@ def duration(seconds: float) -> str:
     return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {rest:02} s" if minutes else f"{rest} s"
 
 
-def as_data(found: Sequence[Standing]) -> list[dict[str, Any]]:
+def as_data(standings: Sequence[Standing]) -> list[dict[str, Any]]:
     """The same as plain data, for programs."""
     return [
         {
@@ -170,5 +170,5 @@ def as_data(found: Sequence[Standing]) -> list[dict[str, Any]]:
             "missing": missing(standing),
             "verdict": None if standing.verdict is None else asdict(standing.verdict),
         }
-        for standing in found
+        for standing in standings
     ]

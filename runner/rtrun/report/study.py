@@ -50,7 +50,7 @@ class Group:
     def label(self) -> str:
         """Suite and parameters in a few words; the series, too, where it is the one of 2014."""
         words = [self.suite.removesuffix("_tests"), self.series if self.series == MEASURED_2014 else ""]
-        return " ".join(filter(None, [*words, told(self.parameters)]))
+        return " ".join(filter(None, [*words, format_parameters(self.parameters)]))
 
     @property
     def emulated(self) -> bool:
@@ -122,7 +122,7 @@ class Study:
         return tuple(one for group in self.groups for one in group.digests)
 
 
-def told(parameters: dict[str, Value]) -> str:
+def format_parameters(parameters: dict[str, Value]) -> str:
     """Parameters in a few words: policy first, what is not the default, units behind the number."""
     words: list[str] = []
     options = suites().options
@@ -250,7 +250,7 @@ def _group(
             measurements_per_event=round(side_by_side) if "subscribers" in first.parameters else 1,
             boots_wanted=boots,
         )
-    found, no_bound = _bounds(alike, probability, confidence, max(steps, default=1)) if bounds else ((), None)
+    worst_cases, no_bound = _bounds(alike, probability, confidence, max(steps, default=1)) if bounds else ((), None)
     return Group(
         suite=first.suite,
         series=first.series,
@@ -260,7 +260,7 @@ def _group(
         trials=trials,
         verdict=verdict,
         undecidable=undecidable,
-        bounds=found,
+        bounds=worst_cases,
         no_bound=no_bound,
         records=tuple(records[run] for run in dict.fromkeys(one.run for one in alike) if run in records),
     )

@@ -157,15 +157,15 @@ def answer_of_run(run: Run) -> Group:
     return answer(run.results, emulated=run.record.emulated, preempt_rt=run.record.preempt_rt, notes=_notes(run))
 
 
-def answer_of_runs(found: Runs) -> Group:
+def answer_of_runs(folder: Runs) -> Group:
     """The answer of all runs in a folder: a row for every output, and what was not analysed and why."""
-    results = [result for run in found.runs for result in run.results if result.header.main]
-    notes = [note for run in found.runs for note in _notes(run)]
-    notes += [f"{name}: incomplete: it has no {FILE}, nothing in it is analysed" for name in found.incomplete]
+    results = [result for run in folder.runs for result in run.results if result.header.main]
+    notes = [note for run in folder.runs for note in _notes(run)]
+    notes += [f"{name}: incomplete: it has no {FILE}, nothing in it is analysed" for name in folder.incomplete]
     return answer(
         results,
-        emulated=any(run.record.emulated for run in found.runs),
-        preempt_rt=all(run.record.preempt_rt for run in found.runs),
+        emulated=any(run.record.emulated for run in folder.runs),
+        preempt_rt=all(run.record.preempt_rt for run in folder.runs),
         notes=notes,
     )
 

@@ -142,12 +142,12 @@ def _cut(line: str) -> str:
 
 
 def _read_command(lines: _Lines, text: Text, line: str) -> None:
-    if found := _OUTPUT.fullmatch(line):
-        text.output = found[1]
+    if match := _OUTPUT.fullmatch(line):
+        text.output = match[1]
     elif not _COMMANDS.fullmatch(line):
         lines.refuse(f"no log of a suite: no suite writes the command {_cut(line)}")
-    elif line.startswith("set xlabel ") and (found := _BOUNDS.search(line)):
-        text.summaries["xlabel"] = _printed(found, lines.number)
+    elif line.startswith("set xlabel ") and (match := _BOUNDS.search(line)):
+        text.summaries["xlabel"] = _printed(match, lines.number)
 
 
 def check_commands(path: Path) -> None:
@@ -160,23 +160,23 @@ def check_commands(path: Path) -> None:
         raise UsageError(f"{path}: it would draw {output}.jpg, not {path.stem}.jpg")
 
 
-def _printed(found: re.Match[str], line: int) -> Printed:
-    return Printed(min_us=float(found[1]), avg_us=float(found[2]), max_us=float(found[3]), line=line)
+def _printed(match: re.Match[str], line: int) -> Printed:
+    return Printed(min_us=float(match[1]), avg_us=float(match[2]), max_us=float(match[3]), line=line)
 
 
 def _read_comment(lines: _Lines, text: Text, line: str) -> None:
-    if found := _BOUNDS.search(line):
-        label = line[: found.start()].strip()
-        text.summaries[_LABELS.get(label, "latency")] = _printed(found, lines.number)
+    if match := _BOUNDS.search(line):
+        label = line[: match.start()].strip()
+        text.summaries[_LABELS.get(label, "latency")] = _printed(match, lines.number)
     for suite, pattern in SUITES.items():
-        if found := pattern.search(line):
+        if match := pattern.search(line):
             text.suite = suite
-            text.counts["asked"] = (int(found[1]), lines.number)
+            text.counts["asked"] = (int(match[1]), lines.number)
     for name, pattern in COUNTS.items():
-        if found := pattern.search(line):
-            text.counts[name] = (int(found[1]), lines.number)
-    if found := _INCOMPLETE.fullmatch(line):
-        text.incomplete = (int(found[1]), found[2])
+        if match := pattern.search(line):
+            text.counts[name] = (int(match[1]), lines.number)
+    if match := _INCOMPLETE.fullmatch(line):
+        text.incomplete = (int(match[1]), match[2])
     for mark, name in _LISTS.items():
         if line.startswith(mark):
             # The first piece is the explanation in front of the first bar.
@@ -187,15 +187,15 @@ def _read_comment(lines: _Lines, text: Text, line: str) -> None:
 
 
 def _read_bin(lines: _Lines, text: Text, line: str) -> None:
-    found = _BIN.fullmatch(line)
-    if not found:
+    match = _BIN.fullmatch(line)
+    if not match:
         lines.refuse(f"a bin must stand here, 'value <TAB>count', not {_cut(line)}")
-    value, number = int(found[2]), int(found[3])
-    if found[1] and value >= 0:
+    value, number = int(match[2]), int(match[3])
+    if match[1] and value >= 0:
         lines.refuse(f"only a negative value is commented out, not {_cut(line)}")
-    if value <= text.last.get(found[1], -MAX_VALUE_US - 1):
-        lines.refuse(f"the bins must rise, {value} follows {text.last[found[1]]}")
-    text.last[found[1]] = value
+    if value <= text.last.get(match[1], -MAX_VALUE_US - 1):
+        lines.refuse(f"the bins must rise, {value} follows {text.last[match[1]]}")
+    text.last[match[1]] = value
     if number:
         text.values.append(value)
         text.numbers.append(number)

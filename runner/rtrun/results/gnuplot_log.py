@@ -14,7 +14,7 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import LISTED, IndexedValue
 from rtrun.analysis.histogram import Int64s
-from rtrun.plan.suites import LogName, Value, read_log_name
+from rtrun.plan.suites import LogFacts, Value, read_log_name
 from rtrun.results.gnuplot_lines import COUNTS, SUITES, Printed, Text, read_text
 
 MAX_TOTAL = 10**12  # measurements in one log
@@ -113,7 +113,7 @@ def _interpret(path: Path, text: Text) -> Log:
     )
 
 
-def _series(suite: str, name: LogName | None) -> str:
+def _series(suite: str, name: LogFacts | None) -> str:
     if suite == "oneshot_timer_tests":
         return SERIES_OF_ONESHOT_LOGS[name.log if name else "measured"]
     return "jitter" if suite == "cyclic_timer_tests" else "latency"
@@ -135,19 +135,20 @@ def _check_summaries(path: Path, text: Text, series: str, value_us: Int64s, coun
     """Refuse a log whose summary was not made from its bins."""
     if not count.size:
         return
-    found = [text.summaries[key] for key in ("xlabel", series) if key in text.summaries]
-    if not found:
+    summaries = [text.summaries[key] for key in ("xlabel", series) if key in text.summaries]
+    if not summaries:
         raise UsageError(f"{path}:{text.lines}: no summary with MIN, AVG and MAX of the bins")
     mean = float(np.dot(value_us.astype(np.float64), count)) / int(count.sum())
-    for printed in found:
-        for name, says, holds, tolerance in (
+    for printed in summaries:
+        for name, printed_us, computed_us, tolerance in (
             ("MIN", printed.min_us, float(value_us[0]), TOLERANCE_US),
             ("MAX", printed.max_us, float(value_us[-1]), TOLERANCE_US),
             ("AVG", printed.avg_us, mean, MEAN_TOLERANCE_US),
         ):
-            if abs(says - holds) > tolerance:
+            if abs(printed_us - computed_us) > tolerance:
                 raise UsageError(
-                    f"{path}:{printed.line}: the summary's {name} is {says:.0f} us, that of the bins {holds:.0f} us"
+                    f"{path}:{printed.line}: the summary's {name} is {printed_us:.0f} us, "
+                    f"that of the bins {computed_us:.0f} us"
                 )
 
 

@@ -22,14 +22,14 @@ class GoalFile(Config):
 
 def write_goal(results: Path, goal: Goal) -> None:
     """Write the goal of a campaign into its results folder."""
-    until = {
+    written = {
         "deadline": f"{goal.deadline_ns}ns",
         "probability": goal.probability,
         "confidence": goal.confidence,
         "at_most": f"{goal.at_most_ns}ns",
         "boots": goal.boots,
     }
-    atomic.write_text(results / FILE, json.dumps({"schema": 1, "until": until}, indent=2) + "\n")
+    atomic.write_text(results / FILE, json.dumps({"schema": 1, "until": written}, indent=2) + "\n")
 
 
 def read_goal(results: Path) -> Goal | None:

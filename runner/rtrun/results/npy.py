@@ -29,12 +29,12 @@ def read_header(stream: BinaryIO) -> NpyHeader:
         raise ValueError("not in NumPy format 1.0, whose first bytes are \\x93NUMPY\\x01\\x00")
     start = 10 + int.from_bytes(lead[8:], "little")
     text = stream.read(start - 10).decode("latin-1")
-    found = _HEADER.fullmatch(text)
-    if not found:
+    match = _HEADER.fullmatch(text)
+    if not match:
         raise ValueError(f"its header is not that of one plain array: {text[:80]!r}")
     return NpyHeader(
-        dtype=found["dtype"],
-        fortran_order=found["fortran"] == "True",
-        shape=tuple(int(number) for number in found["shape"].split(",") if number.strip()),
+        dtype=match["dtype"],
+        fortran_order=match["fortran"] == "True",
+        shape=tuple(int(number) for number in match["shape"].split(",") if number.strip()),
         start_bytes=start,
     )

@@ -59,9 +59,9 @@ def read_file(path: Path) -> tuple[Series, ...]:
     raise UsageError(f"{path}: not a run directory, a folder of runs, or a .log, .npy or .json of a suite")
 
 
-def results_of(found: Iterable[Series]) -> tuple[Result, ...]:
+def results_of(every_series: Iterable[Series]) -> tuple[Result, ...]:
     """The figures of every series."""
-    return tuple(Result(header=one.header, figures=one.figures()) for one in found)
+    return tuple(Result(header=one.header, figures=one.figures()) for one in every_series)
 
 
 def read_run(folder: Path) -> Run:

@@ -114,7 +114,7 @@ def series_of_samples(samples: Samples) -> tuple[SampleSeries, ...]:
     counts = record.counts
     first = samples.rows[:, 0]
     period_ns = float(int(first[-1]) - int(first[0])) / (first.size - 1) if first.size > 1 else 0.0
-    found = []
+    sample_series = []
     for name, values in samples.series.items():
         apart = STARTUP_LOOPS.get(name, 0)
         head = int(np.searchsorted(values.index, apart))
@@ -126,7 +126,7 @@ def series_of_samples(samples: Samples) -> tuple[SampleSeries, ...]:
                     f"{MAX_ASKED}, and none with more than {MAX_ABSENT} missing is read"
                 )
             absent = _absent(values.index, counts.asked)
-        found.append(
+        sample_series.append(
             SampleSeries(
                 header=Header(
                     run=printable(samples.path.stem),
@@ -154,7 +154,7 @@ def series_of_samples(samples: Samples) -> tuple[SampleSeries, ...]:
                 absent=absent[absent >= apart] - apart,
             )
         )
-    return tuple(found)
+    return tuple(sample_series)
 
 
 def _absent(index: Int64s, asked: int) -> Int64s:

@@ -89,8 +89,8 @@ def _of_outputs(
         return (RunStatus.INVALID, wrong) if wrong else None
     for output in outputs:
         names = (f"{output}.json", f"{output}.npy")
-        if found := [why for name, why in refused.items() if name in names or _is_log(name, output)]:
-            return RunStatus.FAILED, found[0]
+        if reasons := [why for name, why in refused.items() if name in names or _is_log(name, output)]:
+            return RunStatus.FAILED, reasons[0]
         missing = [name for name in names if not (folder / name).exists()]
         log_paths = [path for path in sorted(folder.glob("*.log")) if _is_log(path.name, output)]
         # The programs of 2014 write logs and nothing else.
@@ -133,5 +133,5 @@ def _text(path: Path) -> str:
 
 
 def _last_word(folder: Path, program: str) -> str:
-    said = _text(folder / f"{program}.stderr")
-    return next((line.strip()[:500] for line in reversed(said.splitlines()) if line.strip()), "it said nothing")
+    stderr = _text(folder / f"{program}.stderr")
+    return next((line.strip()[:500] for line in reversed(stderr.splitlines()) if line.strip()), "it said nothing")

@@ -98,8 +98,8 @@ def test_the_two_definitions_of_jitter_and_the_cluster(tmp_path):
     found = study(tmp_path)
     (jitter,) = found.digests
     grid = next(one for one in found.others if one.header.series == "grid")
-    assert jitter.cluster is not None and jitter.cluster.share == pytest.approx(1 / 8, abs=0.002)
-    assert grid.cluster is not None and grid.cluster.share == pytest.approx(1 / 8, abs=0.002)
+    assert jitter.cluster is not None and jitter.cluster.fraction == pytest.approx(1 / 8, abs=0.002)
+    assert grid.cluster is not None and grid.cluster.fraction == pytest.approx(1 / 8, abs=0.002)
     assert grid.cluster.median_ns == pytest.approx(-810_000, abs=5000)
     assert len(jitter.header.startup) == 2
 

@@ -11,7 +11,7 @@ from rtrun.analysis.comparison import Change, Comparison, Shift, compare
 from rtrun.analysis.effects import Effect, examine_effect, holm
 from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.layers import figure_of
-from rtrun.report.study import Group, Study, told
+from rtrun.report.study import Group, Study, format_parameters
 
 # Fewer runs a side do not show how much runs differ by themselves.
 LEAST_RUNS = 5
@@ -89,9 +89,9 @@ def compared(pair: tuple[Group, Group], confidence: float) -> Comparison | None:
     return None if comparison.answer == Change.UNDECIDED else comparison
 
 
-def shift_of(found: Comparison, figure: str) -> Shift | None:
+def shift_of(comparison: Comparison, figure: str) -> Shift | None:
     """The shift of one figure, None where the sets are too small for it."""
-    return next((shift for shift in found.shifts if shift.figure == figure), None)
+    return next((shift for shift in comparison.shifts if shift.figure == figure), None)
 
 
 def describe_shift(shift: Shift, confidence: float) -> str:
@@ -149,7 +149,7 @@ def examine_shift(
     return Result(
         finding=finding,
         numbers="; ".join(
-            f"{told(pair[0].parameters)}: {figure} {us(effect.a_ns)} -> {us(effect.b_ns)} us "
+            f"{format_parameters(pair[0].parameters)}: {figure} {us(effect.a_ns)} -> {us(effect.b_ns)} us "
             f"(as claimed: p = {effect.p_above:.1g}, not: p = {effect.p_below:.1g})"
             for pair, effect in effects
         ),

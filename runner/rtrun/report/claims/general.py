@@ -157,28 +157,28 @@ def comm_nothing_lost(study: Study) -> Result:
 
 def rr_equals_fifo(study: Study) -> Result:
     """RR and FIFO give the same distribution."""
-    found = []
+    compared_pairs = []
     for suite in SUITES:
         for pair in pairs(select(study.as_in_2014, suite, rt=True), "policy", "RR", "FIFO"):
             comparison = compared(pair, study.confidence)
             if comparison is not None:
-                found.append((pair, comparison))
-    if not found:
+                compared_pairs.append((pair, comparison))
+    if not compared_pairs:
         return no_runs("pair of runs with RR and FIFO")
-    apart = [c.answer == Change.DIFFERENT and not all(s.within_margin for s in c.shifts) for _, c in found]
-    alike = [all(s.within_margin for s in c.shifts) for _, c in found]
+    apart = [c.answer == Change.DIFFERENT and not all(s.within_margin for s in c.shifts) for _, c in compared_pairs]
+    alike = [all(s.within_margin for s in c.shifts) for _, c in compared_pairs]
     finding = Finding.REFUTED if any(apart) else Finding.CONFIRMED if all(alike) else Finding.UNDECIDED
-    if any(apart) and any(c.units == "blocks" for _, c in found):
+    if any(apart) and any(c.units == "blocks" for _, c in compared_pairs):
         # One boot or run may differ from the next whatever the policy: too few runs to blame the policy.
         finding = Finding.UNDECIDED
     return Result(
         finding=finding,
         numbers="; ".join(
             f"{pair[0].label}: {c.answer} (mean {c.shifts[0].shift_ns / 1000:+.1f} us, p = {c.p_value:.2g})"
-            for pair, c in found
+            for pair, c in compared_pairs
         ),
         test="permutation of blocks or runs, and equivalence within 5 %; refuted with five runs a side only",
-        runs=runs_of(group for pair, _ in found for group in pair),
+        runs=runs_of(group for pair, _ in compared_pairs for group in pair),
     )
 
 

@@ -16,7 +16,7 @@ from rtrun.report.claims.examination import (
     select,
     us,
 )
-from rtrun.report.study import Group, Study, told
+from rtrun.report.study import Group, Study, format_parameters
 
 ONESHOT, CYCLIC = "oneshot_timer_tests", "cyclic_timer_tests"
 _MS = 1_000_000
@@ -34,7 +34,7 @@ def oneshot_sub_millisecond(study: Study) -> Result:
         sooner = sum(int(d.histogram.counts[d.histogram.values_ns < least - 1000].sum()) for d in group.digests)
         low, high = clopper_pearson(sooner, group.n, study.confidence)
         shares.append((low, high))
-        words.append(f"{told(group.parameters)}: {sooner} of {group.n} latencies below {least // 1000} us")
+        words.append(f"{format_parameters(group.parameters)}: {sooner} of {group.n} latencies below {least // 1000} us")
         for pair in pairs(select(study.as_in_2014, ONESHOT), "timeout_us", 1000, group.parameters["timeout_us"]):
             comparison = compared(pair, study.confidence)
             if comparison is not None and pair[1] is group:
@@ -82,9 +82,11 @@ def oneshot_ignored_without_rt(study: Study) -> Result:
 
 def oneshot_reported_accurate(study: Study) -> Result:
     """With real-time priority, what the timer reports is what was measured; without, milliseconds apart."""
-    found = [d for d in study.others if d.header.suite == ONESHOT and d.header.series == "difference_2014" and d.n]
-    rt = [d for d in found if d.header.parameters.get("policy", "0") != "0"]
-    without = [d for d in found if d.header.parameters.get("policy", "0") == "0"]
+    differences = [
+        d for d in study.others if d.header.suite == ONESHOT and d.header.series == "difference_2014" and d.n
+    ]
+    rt = [d for d in differences if d.header.parameters.get("policy", "0") != "0"]
+    without = [d for d in differences if d.header.parameters.get("policy", "0") == "0"]
     if not rt:
         return no_runs("one-shot run with real-time priority and reported values")
     mean, peak = max(d.mean_abs_ns or 0.0 for d in rt), max(d.max_abs_ns or 0 for d in rt)
@@ -102,7 +104,7 @@ def oneshot_reported_accurate(study: Study) -> Result:
         "(claimed: below 10 and 80 us); "
         f"without: {words} (claimed: milliseconds)",
         test="largest mean and peak of all runs",
-        runs=tuple(dict.fromkeys(d.run for d in found)),
+        runs=tuple(dict.fromkeys(d.run for d in differences)),
     )
 
 
@@ -182,23 +184,23 @@ def cyclic_first_two_negative(study: Study) -> Result:
 def cyclic_frequency_kept(study: Study) -> Result:
     """The last call comes within one period of where it belongs: the jitter adds up to nothing."""
     groups = [group for group in select(study.as_in_2014, CYCLIC) if _number(group, "frequency_hz")]
-    found = []
+    drifts = []
     for group in groups:
         period = 1e9 / _number(group, "frequency_hz")
         for d in group.digests:
             if d.figures.mean_ns is not None:
                 drift = d.figures.mean_ns * d.n + sum(value.value_ns for value in d.header.startup)
-                found.append((d, drift, abs(drift) <= max(period, _MS), drift / (d.n + len(d.header.startup))))
-    if not found:
+                drifts.append((d, drift, abs(drift) <= max(period, _MS), drift / (d.n + len(d.header.startup))))
+    if not drifts:
         return no_runs("cyclic run whose frequency is known")
-    kept = [fits for _, _, fits, _ in found]
-    worst = max(found, key=lambda item: abs(item[1]))
+    kept = [fits for _, _, fits, _ in drifts]
+    worst = max(drifts, key=lambda item: abs(item[1]))
     return Result(
         finding=Finding.CONFIRMED if all(kept) else Finding.REFUTED,
-        numbers=f"in {sum(kept)} of {len(found)} runs the last call came within one period (at least 1 ms) of where it "
-        f"belongs; worst: {us(worst[1])} us off, mean jitter {worst[3] / 1000:.2f} us",
+        numbers=f"in {sum(kept)} of {len(drifts)} runs the last call came within one period (at least 1 ms) of where "
+        f"it belongs; worst: {us(worst[1])} us off, mean jitter {worst[3] / 1000:.2f} us",
         test="sum of all jitter values against one period",
-        runs=tuple(d.run for d, *_ in found),
+        runs=tuple(d.run for d, *_ in drifts),
     )
 
 

@@ -22,17 +22,17 @@ def plots(group: Group, deadline_ns: int) -> list[tuple[str, str]]:
     if group.n == 0 or not any(one.histogram.values_ns.size for one in group.digests):
         return []
     what = f"{group.series} in us"
-    found = [("How often each value occurred", _histograms(group, what, deadline_ns))]
-    found.append(("Value that a share of all does not exceed", _quantiles(group, what)))
+    charts = [("How often each value occurred", _histograms(group, what, deadline_ns))]
+    charts.append(("Value that a share of all does not exceed", _quantiles(group, what)))
     with_course = [one for one in group.digests if one.course is not None and one.figures.max_ns is not None]
     if with_course:
         worst = max(with_course, key=lambda one: one.figures.max_ns or 0)
-        found.append((f"Values over the loop index, highest ten marked, of {worst.run}", _course(worst, what)))
+        charts.append((f"Values over the loop index, highest ten marked, of {worst.run}", _course(worst, what)))
     shown = merge(one.histogram for one in slowest(group.digests))
     if shown.values_ns.size:
         caption = "Share of values above, with the fitted tail where there is one"
-        found.append((caption, _ccdf(group, shown, what, deadline_ns)))
-    return found
+        charts.append((caption, _ccdf(group, shown, what, deadline_ns)))
+    return charts
 
 
 def _span(group: Group, deadline_ns: int) -> tuple[float, float]:

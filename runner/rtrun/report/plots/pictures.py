@@ -33,7 +33,7 @@ def draw_all(logs: Iterable[Path]) -> list[str]:
         return None
 
     with ThreadPoolExecutor(max_workers=min(2, os.cpu_count() or 1)) as pool:
-        return [said for said in pool.map(attempt, stale) if said]
+        return [problem for problem in pool.map(attempt, stale) if problem]
 
 
 def _is_stale(log: Path) -> bool:
@@ -62,8 +62,8 @@ def draw(path: Path) -> Path:
             check=False,
         )
         if done.returncode or not temporary.stat().st_size:
-            said = done.stderr.strip().splitlines() or ["no message"]
-            raise InfrastructureError(f"{path}: gnuplot failed: {said[-1]}")
+            messages = done.stderr.strip().splitlines() or ["no message"]
+            raise InfrastructureError(f"{path}: gnuplot failed: {messages[-1]}")
         temporary.chmod(0o644)
         temporary.replace(picture)
     except FileNotFoundError as error:

@@ -25,7 +25,7 @@ class Axis:
     log: bool = False
     ticks: tuple[tuple[float, str], ...] = ()
 
-    def share(self, value: float) -> float:
+    def position(self, value: float) -> float:
         """Where a value lies between the ends, 0 to 1; values beyond an end lie on it."""
         low, high = float(self.low), float(self.high)
         if self.log:
@@ -64,8 +64,8 @@ def chart(title: str, x: Axis, y: Axis, marks: Sequence[Mark]) -> str:
     """Return one chart as an SVG element; its title is what a screen reader says."""
 
     def at(point: Point) -> tuple[str, str]:
-        across = _LEFT + x.share(point[0]) * (WIDTH - _LEFT - _RIGHT)
-        down = HEIGHT - _BOTTOM - y.share(point[1]) * (HEIGHT - _TOP - _BOTTOM)
+        across = _LEFT + x.position(point[0]) * (WIDTH - _LEFT - _RIGHT)
+        down = HEIGHT - _BOTTOM - y.position(point[1]) * (HEIGHT - _TOP - _BOTTOM)
         return _short(across), _short(down)
 
     named = [mark for mark in marks if mark.name]
@@ -108,8 +108,8 @@ def _draw(mark: Mark, at: Callable[[Point], tuple[str, str]]) -> str:
     if mark.kind == "dots":
         drawn = []
         for (px, py), title in zip(places, [*mark.titles, *[""] * len(places)], strict=False):
-            told = f"<title>{escape(title)}</title>" if title else ""
-            drawn.append(f'<circle cx="{px}" cy="{py}" r="3" fill="none" {style}>{told}</circle>')
+            tooltip = f"<title>{escape(title)}</title>" if title else ""
+            drawn.append(f'<circle cx="{px}" cy="{py}" r="3" fill="none" {style}>{tooltip}</circle>')
         return "".join(drawn)
     if mark.kind == "band":
         lines = "".join(f"M{a[0]} {a[1]}V{b[1]}" for a, b in zip(places[::2], places[1::2], strict=True))

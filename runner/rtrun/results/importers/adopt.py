@@ -40,10 +40,10 @@ def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tupl
             shutil.copyfile(path, partial / f"{output}{kind}.log")
             run_directory.close(partial, folder, record)
         return [(folder, ("the samples, and their order but for the listed extremes", *log.remarks))]
-    found = read(path)
+    histograms = read(path)
     made = []
     contexts: dict[str, list[Imported]] = {}
-    for one in found:
+    for one in histograms:
         contexts.setdefault(str(one.parameters.get("context", "")), []).append(one)
     for context, members in contexts.items():
         run = f"{name}-{context}" if context else name

@@ -59,12 +59,12 @@ def bins_of(path: Path, where: str, data: object) -> dict[int, int]:
     if not isinstance(data, dict):
         raise UsageError(f"{path}: {where}: expected a mapping of value to count")
     check_bins(path, len(data))
-    found: dict[int, int] = {}
+    bins: dict[int, int] = {}
     for key, count in data.items():
         if not (key.isascii() and key.isdigit() and len(key) <= 15):
             raise UsageError(f"{path}: {where}: {key[:40]!r} is no bin")
-        found[int(key)] = whole(path, f"{where}.{key}", count)
-    return found
+        bins[int(key)] = whole(path, f"{where}.{key}", count)
+    return bins
 
 
 def mean_of(path: Path, where: str, value: object) -> float | None:

@@ -62,9 +62,9 @@ def _parts(path: Path, text: str) -> _Text:
         line = raw.rstrip()
         if line.startswith("# Histogram") and ":" not in line:
             started = True
-        elif found := _SUMMARY.fullmatch(line):
-            parts.summary[found[1]] = numbers_in(path, number, found[2])
-            parts.line_of_totals = number if found[1] == "Total" else parts.line_of_totals
+        elif match := _SUMMARY.fullmatch(line):
+            parts.summary[match[1]] = numbers_in(path, number, match[2])
+            parts.line_of_totals = number if match[1] == "Total" else parts.line_of_totals
         elif started and line and not line.startswith("#"):
             if not _ROW.fullmatch(line):
                 raise UsageError(f"{path}:{number}: expected a bin, 'value count count ...', got {line[:40]!r}")
@@ -126,7 +126,7 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
     unit = 1 if nanoseconds else 1000
     asked = _LIMIT_OPTION.search(command)
     interval = _INTERVAL_OPTION.search(command)
-    found = []
+    imported = []
     for name, thread in numbered(path, "thread", threads).items():
         where = f"thread.{name}"
         bins = bins_of(path, f"{where}.histogram", thread.get("histogram", {}))
@@ -144,7 +144,7 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
             left_out.append(
                 f"{overflow} values of {limit} {'ns' if unit == 1 else 'us'} and more: only the largest is known"
             )
-        found.append(
+        imported.append(
             Imported(
                 source="cyclictest",
                 name=f"cyclictest-t{name}",
@@ -162,4 +162,4 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
                 parameters={},
             )
         )
-    return tuple(found)
+    return tuple(imported)

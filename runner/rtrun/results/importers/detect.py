@@ -21,8 +21,8 @@ def read(path: Path) -> tuple[Imported, ...]:
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: not text, expected {READS}") from error
     if text.lstrip().startswith("{"):
-        found = cyclictest.read_json_results(path, text)
-        return found if found is not None else jitterdebugger.read_results(path, text)
+        imported = cyclictest.read_json_results(path, text)
+        return imported if imported is not None else jitterdebugger.read_results(path, text)
     if "# Histogram" in text:
         return cyclictest.read_text(path, text)
     if "RTLA timerlat histogram" in text:

@@ -50,12 +50,12 @@ class Imported:
     parameters: dict[str, str | int | None]
 
 
-def histogram_text(found: Imported) -> str:
+def histogram_text(imported: Imported) -> str:
     """The file's text; the same histogram gives the same bytes."""
-    bins = found.histogram
+    bins = imported.histogram
     data = {
         "schema": 1,
-        "source": found.source,
+        "source": imported.source,
         "bin_ns": bins.bin_ns,
         "values_ns": bins.values_ns.tolist(),
         "counts": bins.counts.tolist(),
@@ -63,8 +63,8 @@ def histogram_text(found: Imported) -> str:
         "overflow_from_ns": bins.overflow_from_ns,
         "max_ns": bins.max_ns,
         "mean_ns": bins.mean_ns,
-        "period_ns": found.period_ns,
-        "left_out": list(found.left_out),
+        "period_ns": imported.period_ns,
+        "left_out": list(imported.left_out),
     }
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 

@@ -18,7 +18,7 @@ def read_results(path: Path, text: str) -> tuple[Imported, ...]:
     resolution = system.get("resolution_in_ns", 1000) if isinstance(system, dict) else 1000
     if resolution not in (1, 1000):
         raise UsageError(f"{path}: sysinfo.resolution_in_ns: expected 1 or 1000, got {str(resolution)[:40]!r}")
-    found = []
+    imported = []
     for name, cpu in numbered(path, "cpu", cpus).items():
         where = f"cpu.{name}"
         bins = bins_of(path, f"{where}.histogram", cpu.get("histogram", {}))
@@ -30,7 +30,7 @@ def read_results(path: Path, text: str) -> tuple[Imported, ...]:
         left_out = [NO_ORDER, "the interval"]
         if overflow:
             left_out.append(f"{overflow} values beyond the last bin: only the largest is known")
-        found.append(
+        imported.append(
             Imported(
                 source="jitterdebugger",
                 name=f"jitterdebugger-cpu{name}",
@@ -48,4 +48,4 @@ def read_results(path: Path, text: str) -> tuple[Imported, ...]:
                 parameters={},
             )
         )
-    return tuple(found)
+    return tuple(imported)

@@ -48,9 +48,9 @@ def read_text(path: Path, text: str) -> tuple[Imported, ...]:
     return tuple(_column(path, k, name, rows, summary, unit_ns, width) for k, name in enumerate(columns))
 
 
-def _expect(path: Path, line: int, found: int, columns: int) -> None:
-    if found != columns:
-        raise UsageError(f"{path}:{line}: {found} values for {columns} columns")
+def _expect(path: Path, line: int, count: int, columns: int) -> None:
+    if count != columns:
+        raise UsageError(f"{path}:{line}: {count} values for {columns} columns")
 
 
 def _column(
