@@ -42,7 +42,7 @@ def test_a_thread_that_lagged_when_the_first_was_done_has_measured_less():
             r"asked for 10 measurements each, they made \[9, 9\]",
         ),
         (
-            PRINTED.replace("000008\t", "000000\t").replace("09", "00").replace("00001 00000", "00000 00000"),
+            re.sub("00000[18]\t", "000000\t", PRINTED).replace("09", "00").replace("00001 00000", "00000 00000"),
             r"asked for 10 measurements each, they made \[0, 10\]",
         ),
         (PRINTED.replace("000008\t", "000007\t"), "thread 0: a total of 9, but the bins hold 8"),
