@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from rtrun.plan.campaign import Run
+from rtrun.plan.run import Run
 
 
 class Watching:

@@ -6,7 +6,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rtrun.plan.campaign import Campaign, Run, plan
+from rtrun.plan.campaign import Campaign, plan
+from rtrun.plan.run import Run
 
 PROGRAM = """#!{python}
 import json, os, sys, time

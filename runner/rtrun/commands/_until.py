@@ -10,8 +10,9 @@ from rtrun.commands.verdict import print_answers
 from rtrun.execution import campaign_runner
 from rtrun.execution.goal import Progress, Round, read_findings, rounds
 from rtrun.execution.progress import RoundProgress
-from rtrun.plan.campaign import Campaign, Run, variants_of
+from rtrun.plan.campaign import Campaign, variants_of
 from rtrun.plan.goal import Goal
+from rtrun.plan.run import Run
 from rtrun.report.standings import duration, evaluator, progress_line
 from rtrun.report.study import study
 from rtrun.results.goal_file import write_goal

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 from rtrun.commands._question import probability_argument
 
 if TYPE_CHECKING:
-    from rtrun.plan.campaign import Campaign, Run
+    from rtrun.plan.campaign import Campaign
     from rtrun.plan.goal import Goal
     from rtrun.plan.rounds import Outlook
+    from rtrun.plan.run import Run
 
 NAME = "plan"
 HELP = "print every run of a campaign and how long it takes, without a target"

@@ -15,7 +15,8 @@ from rtrun.execution import journal, preparation, resumption, run_execution
 from rtrun.execution.goal import Round
 from rtrun.execution.run_state import RunEvent, RunLife, RunState
 from rtrun.plan import campaign_digest
-from rtrun.plan.campaign import Run, Variant
+from rtrun.plan.campaign import Variant
+from rtrun.plan.run import Run
 from rtrun.results import run_directory
 from rtrun.results.record import RunRecord, RunStatus, read_record, verify
 from rtrun.target.config import Target

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.standing import Standing
-from rtrun.plan.campaign import Run
 from rtrun.plan.goal import Goal
 from rtrun.plan.rounds import boot_of_round, plan_round, rounds_a_boot, rounds_for, run_in_round
+from rtrun.plan.run import Run
 from rtrun.results.record import RunStatus, verify
 
 # A run that fails so often in its round will not succeed: its group is given up.

@@ -8,7 +8,8 @@ from pathlib import Path, PurePosixPath
 
 from rtfiles.invocation import as_called
 from rtrun.plan import conditions, suites
-from rtrun.plan.campaign import Run, Variant
+from rtrun.plan.campaign import Variant
+from rtrun.plan.run import Run
 from rtrun.target import deploy, inspection, ros_master
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link

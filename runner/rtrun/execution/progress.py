@@ -10,7 +10,7 @@ from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from rtfiles.output import print_line, print_note, print_status
-from rtrun.plan.campaign import Run
+from rtrun.plan.run import Run
 from rtrun.results.record import RunStatus
 
 # Until a run has ended: time for starting, stopping and copying, in addition to the measuring.

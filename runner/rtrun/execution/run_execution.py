@@ -16,8 +16,8 @@ from rtrun.execution.resumption import Attempt
 from rtrun.execution.run_programs import RunPrograms, programs_of
 from rtrun.execution.run_state import RunEvent, RunLife, RunState, must_give_up
 from rtrun.plan import suites
-from rtrun.plan.campaign import Run
 from rtrun.plan.program import Exit
+from rtrun.plan.run import Run
 from rtrun.results import run_directory
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
 from rtrun.target import inspection, processes, ros_master

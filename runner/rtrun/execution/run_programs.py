@@ -7,8 +7,8 @@ from pathlib import PurePosixPath
 from rtrun.execution import download
 from rtrun.execution.preparation import Prepared
 from rtrun.plan import conditions, suites
-from rtrun.plan.campaign import Run
 from rtrun.plan.program import Program
+from rtrun.plan.run import Run
 from rtrun.target.kernel_trace import OPTIONS as TRACE_OPTIONS
 
 SUBSCRIBER = "ct_subscriber"

@@ -1,10 +1,9 @@
 """A campaign file, and its plan: every run with all of its parameters, made without a target."""
 
-import hashlib
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,6 +13,7 @@ from rtfiles.config import Config, parse, read_yaml
 from rtfiles.errors import UsageError
 from rtrun.plan import conditions, suites
 from rtrun.plan.goal import Goal
+from rtrun.plan.run import Run, interleave, label, too_short
 
 SUBSCRIBERS_MAX = 64
 # The ROS master needs the priority above the suites' (thesis 4.4), and 99 belongs to the kernel.
@@ -23,7 +23,6 @@ REPEATS_MAX = 10_000
 RUNS_MAX = 100_000
 # Set by the runner alone.
 RESERVED = ("prefix", "out_dir")
-
 # What a variant may name beside values of a run: a folder of `rtgen suites build`, relative to the campaign file, and a
 # shell file on the target that sets up ROS; those of the target file where it names none.
 VARIANT_KEYS = ("suites", "ros_setup")
@@ -63,49 +62,6 @@ class Variant:
     ros_setup: str | None = None
 
 
-MEASUREMENT_COST_S = 200e-6  # of one measurement on a slow board: what counts with -t 0 or a high -f
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
-    """One planned run: `parameters` holds every parameter of its suite, and `subscribers` where it has some.
-
-    `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order; `variant` is
-    empty in a campaign that has none.
-    """
-
-    name: str
-    suite: str
-    parameters: Mapping[str, suites.Value]
-    condition: str = conditions.IDLE
-    settings: Mapping[str, suites.Value] = field(default_factory=dict)
-    repeat: int = 1
-    seed: int | None = None
-    variant: str = ""
-
-    @property
-    def expected_s(self) -> float:
-        """How long the measuring alone should take, in seconds."""
-        number = {key: value for key, value in self.parameters.items() if isinstance(value, int)}
-        if "duration_s" in number:
-            return float(number["duration_s"])
-        for key in ("timeout_us", "interval_us"):
-            if key in number:
-                return number["repetitions"] * number[key] / 1e6
-        return number["repetitions"] / number["frequency_hz"] + number.get("start_delay_s", 0)
-
-    @property
-    def slowest_s(self) -> float:
-        """How long the measuring may take on a slow board, whose measurements cost time beside timeout or period."""
-        repetitions = self.parameters.get("repetitions")
-        return self.expected_s + (repetitions if isinstance(repetitions, int) else 0) * MEASUREMENT_COST_S
-
-    @property
-    def settle_s(self) -> float:
-        """How long the background programs are waited for before the suite starts, in seconds."""
-        return conditions.settle_s(self.condition, self.settings)
-
-
 def read_campaign(path: Path) -> tuple[Campaign, tuple[Run, ...]]:
     """Read a campaign file and plan it. Raises UsageError with every mistake found, one a line."""
     campaign = parse(read_yaml(path), Campaign, str(path))
@@ -143,19 +99,12 @@ def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
         _check_goal(campaign, listed, origin, errors)
     if not errors and not listed:
         errors.append(f"{origin}: exclude: leaves no run")
-    errors += dict.fromkeys(f"{origin}: {wrong}" for run in listed if (wrong := _too_short(run)))
+    errors += dict.fromkeys(f"{origin}: {wrong}" for run in listed if (wrong := too_short(run)))
     if errors:
         raise UsageError("\n".join(errors))
     width = max(3, len(str(len(listed))))
-    named = [replace(run, name=f"{number:0{width}}-{_label(run)}") for number, run in enumerate(listed, start=1)]
+    named = [replace(run, name=f"{number:0{width}}-{label(run)}") for number, run in enumerate(listed, start=1)]
     return tuple(named) if campaign.seed is None else interleave(named, campaign.seed)
-
-
-def interleave(runs: Iterable[Run], seed: int) -> tuple[Run, ...]:
-    """Order runs by repeat, and those of one repeat as drawn with a seed."""
-    # By a hash, so that a seed gives the same order with every version of Python.
-    draw = {run.name: hashlib.sha256(f"{seed} {run.name}".encode()).digest() for run in runs}
-    return tuple(replace(run, seed=seed) for run in sorted(runs, key=lambda run: (run.repeat, draw[run.name])))
 
 
 def _runs_of(entries: Sequence[Entry], campaign: Campaign, where: str, errors: list[str]) -> list[Run]:
@@ -165,27 +114,6 @@ def _runs_of(entries: Sequence[Entry], campaign: Campaign, where: str, errors: l
         if len(runs) <= RUNS_MAX:
             runs += _of_variants(entry, campaign, f"{where}.{number}", errors)
     return runs
-
-
-def _too_short(run: Run) -> str | None:
-    """Say why a run can never be valid because it ends before it is observed, or None."""
-    if run.expected_s >= conditions.FIRST_OBSERVATION_S:
-        return None
-    suite = suites.suite(run.suite)
-    observed = {key: value for key, value in run.settings.items() if value and key in conditions.conditions().pinned}
-    if conditions.conditions().conditions[run.condition].loads:
-        observed["condition"] = run.condition
-    # A suite writes down its own policy and CPUs, a baseline does not.
-    if suite.is_baseline:
-        keys = ("cpu", "policy")
-        observed |= {key: value for key in keys if (value := run.parameters.get(key)) not in (None, "", "0")}
-    if not observed:
-        return None
-    what = ", ".join(f"{key} {value}" for key, value in observed.items())
-    return (
-        f"{run.suite} measures {run.expected_s:.3g} s, but {what} must be observed, for which it must measure "
-        f"{conditions.FIRST_OBSERVATION_S:g} s at least"
-    )
 
 
 def _of_variants(entry: Entry, campaign: Campaign, where: str, errors: list[str]) -> Iterator[Run]:
@@ -318,13 +246,3 @@ def _check(where: str, key: str, value: Any) -> suites.Value:
     accepted = suites.check(key, value, where)
     conditions.check_cpus(key, accepted, where)
     return accepted
-
-
-def _label(run: Run) -> str:
-    subscribers = run.parameters.get("subscribers")
-    words = [suites.output_name(run.suite, run.parameters), *([f"{subscribers}sub"] if subscribers else [])]
-    words += [run.condition] if run.condition != conditions.IDLE else []
-    settings = conditions.conditions().settings
-    words += [f"{key}{value}" for key, value in run.settings.items() if value != settings[key].default]
-    words += [run.variant] if run.variant else []
-    return "-".join([*words, *([f"r{run.repeat}"] if run.repeat > 1 else [])])

@@ -7,7 +7,7 @@ from dataclasses import MISSING, asdict, fields
 from typing import Any
 
 from rtrun.plan import conditions, suites
-from rtrun.plan.campaign import Run
+from rtrun.plan.run import Run
 
 # Increased when the canonical form changes, or the default of a field or an option: a default is not in the form.
 VERSION = 2

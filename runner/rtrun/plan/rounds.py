@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from rtrun.plan.campaign import Run, interleave
+from rtrun.plan.run import Run, interleave
 
 # Start-up values are in no verdict: at most two a run (thesis 4.2).
 STARTUP_VALUES = 2

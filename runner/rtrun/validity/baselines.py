@@ -4,7 +4,7 @@ from pathlib import Path
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
-from rtrun.plan.campaign import Run
+from rtrun.plan.run import Run
 from rtrun.results.importers import cyclictest
 from rtrun.results.importers.histogram_file import ENDING, histogram_text
 

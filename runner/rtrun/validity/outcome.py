@@ -7,9 +7,9 @@ from pathlib import Path
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
 from rtrun.plan import suites
-from rtrun.plan.campaign import Run
 from rtrun.plan.conditions import Background
 from rtrun.plan.program import Exit, Program
+from rtrun.plan.run import Run
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.record import Observed, RunStatus
 from rtrun.results.samples import Record, read_samples

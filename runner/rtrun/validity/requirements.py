@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from rtrun.plan import conditions, suites
-from rtrun.plan.campaign import Run
 from rtrun.plan.conditions import Background, cpu_set
+from rtrun.plan.run import Run
 from rtrun.results.record import Requested
 from rtrun.results.samples import NON_MEASURING_THREADS, Record
 from rtrun.validity.observations import Observation, ThreadState, busy_percent, while_measuring

@@ -8,8 +8,9 @@ from collections.abc import Mapping
 import pytest
 
 from rtrun.plan import suites
-from rtrun.plan.campaign import Campaign, Run, plan
+from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.campaign_digest import digest, is_digest_of
+from rtrun.plan.run import Run
 from rtrun.plan.suites import Option
 
 DIGEST = "2:460e44bad51c66814997697dbc01cf7bcb76c07d20a7705288aac94c3286e7d3"

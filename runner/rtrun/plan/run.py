@@ -1,0 +1,89 @@
+"""One planned run: what is measured, how long that takes, what it is called, and the order of several."""
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+from rtrun.plan import conditions, suites
+
+# Of one measurement on a slow board, beside its timeout or period: what counts with -t 0 or a high -f.
+MEASUREMENT_COST_S = 200e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """One planned run: `parameters` holds every parameter of its suite, and `subscribers` where it has some.
+
+    `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order; `variant` is
+    empty in a campaign that has none.
+    """
+
+    name: str
+    suite: str
+    parameters: Mapping[str, suites.Value]
+    condition: str = conditions.IDLE
+    settings: Mapping[str, suites.Value] = field(default_factory=dict)
+    repeat: int = 1
+    seed: int | None = None
+    variant: str = ""
+
+    @property
+    def expected_s(self) -> float:
+        """How long the measuring alone should take, in seconds."""
+        number = {key: value for key, value in self.parameters.items() if isinstance(value, int)}
+        if "duration_s" in number:
+            return float(number["duration_s"])
+        for key in ("timeout_us", "interval_us"):
+            if key in number:
+                return number["repetitions"] * number[key] / 1e6
+        return number["repetitions"] / number["frequency_hz"] + number.get("start_delay_s", 0)
+
+    @property
+    def slowest_s(self) -> float:
+        """How long the measuring may take on a slow board, whose measurements cost time beside timeout or period."""
+        repetitions = self.parameters.get("repetitions")
+        return self.expected_s + (repetitions if isinstance(repetitions, int) else 0) * MEASUREMENT_COST_S
+
+    @property
+    def settle_s(self) -> float:
+        """How long the background programs are waited for before the suite starts, in seconds."""
+        return conditions.settle_s(self.condition, self.settings)
+
+
+def interleave(runs: Iterable[Run], seed: int) -> tuple[Run, ...]:
+    """Order runs by repeat, and those of one repeat as drawn with a seed."""
+    # By a hash, so that a seed gives the same order with every version of Python.
+    draw = {run.name: hashlib.sha256(f"{seed} {run.name}".encode()).digest() for run in runs}
+    return tuple(replace(run, seed=seed) for run in sorted(runs, key=lambda run: (run.repeat, draw[run.name])))
+
+
+def too_short(run: Run) -> str | None:
+    """Say why a run can never be valid because it ends before it is observed, or None."""
+    if run.expected_s >= conditions.FIRST_OBSERVATION_S:
+        return None
+    suite = suites.suite(run.suite)
+    observed = {key: value for key, value in run.settings.items() if value and key in conditions.conditions().pinned}
+    if conditions.conditions().conditions[run.condition].loads:
+        observed["condition"] = run.condition
+    # A suite writes down its own policy and CPUs, a baseline does not.
+    if suite.is_baseline:
+        keys = ("cpu", "policy")
+        observed |= {key: value for key in keys if (value := run.parameters.get(key)) not in (None, "", "0")}
+    if not observed:
+        return None
+    what = ", ".join(f"{key} {value}" for key, value in observed.items())
+    return (
+        f"{run.suite} measures {run.expected_s:.3g} s, but {what} must be observed, for which it must measure "
+        f"{conditions.FIRST_OBSERVATION_S:g} s at least"
+    )
+
+
+def label(run: Run) -> str:
+    """What tells a run from the others of its campaign, for its name."""
+    subscribers = run.parameters.get("subscribers")
+    words = [suites.output_name(run.suite, run.parameters), *([f"{subscribers}sub"] if subscribers else [])]
+    words += [run.condition] if run.condition != conditions.IDLE else []
+    settings = conditions.conditions().settings
+    words += [f"{key}{value}" for key, value in run.settings.items() if value != settings[key].default]
+    words += [run.variant] if run.variant else []
+    return "-".join([*words, *([f"r{run.repeat}"] if run.repeat > 1 else [])])
