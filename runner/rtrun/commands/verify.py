@@ -39,4 +39,6 @@ def run(args: argparse.Namespace) -> int:
         print_line(f"damaged  {line}")
     for line in whole:
         print_line(f"whole    {line}")
+    for name in source.repeated:
+        print_line(f"repeated {name}: cut off by a restart of the target, then measured again")
     return 1 if damaged else 0

@@ -33,7 +33,8 @@ def gate(study: Study, *, assume_independent: bool = False) -> Gate:
     """Judge a study. Only a proof passes: neither too little data nor an emulated board is one.
 
     What is proven if measurements are independent, from counts without order, passes only with `assume_independent`.
-    A run that failed, is incomplete or was refused does not pass: what it hides is not known.
+    A run that failed, is incomplete or was refused does not pass: what it hides is not known. An attempt that a restart
+    of the target cut off is named, and passes when its run was measured again.
     """
     passing = {Answer.PROVEN, Answer.IF_INDEPENDENT} if assume_independent else {Answer.PROVEN}
     lines = [verdict_line(group) for group in study.groups]
@@ -43,5 +44,9 @@ def gate(study: Study, *, assume_independent: bool = False) -> Gate:
     cases += [
         Case(about=text.split(":", 1)[0], answer="NOT ANALYSED", text=text.split(":", 1)[-1].strip(), passed=False)
         for text in study.left_out
+    ]
+    cases += [
+        Case(about=name, answer="REPEATED", text="cut off by a restart of the target, then measured again", passed=True)
+        for name in study.source.repeated
     ]
     return Gate(cases=tuple(cases))

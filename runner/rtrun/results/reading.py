@@ -18,6 +18,7 @@ from rtrun.results.samples import read_samples
 from rtrun.results.series import Header, Series, period_of, series_of_histogram, series_of_log, series_of_samples
 
 _PUT_ASIDE = re.compile(r"^\.|\.old-[0-9]+$")
+_CUT_OFF = re.compile(r"(.+)\.incomplete-[0-9]+")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -126,11 +127,15 @@ def log_names(record: RunRecord, output: str) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Source:
-    """What a path holds: closed runs and the names of others, or one file; then `folders` is empty."""
+    """What a path holds: closed runs and the names of others, or one file; then `folders` is empty.
+
+    ``repeated`` are incomplete attempts, cut off by a restart of the target, at runs that were closed later.
+    """
 
     path: Path
     folders: tuple[Path, ...]
     incomplete: tuple[str, ...] = ()
+    repeated: tuple[str, ...] = ()
 
 
 def find_source(path: Path) -> Source:
@@ -155,9 +160,11 @@ def find_source(path: Path) -> Source:
         raise UsageError(
             f"{path}: no finished run (one with {FILE}) in it{', give ' if below else ''}{' or '.join(below)}"
         )
-    return Source(
-        path=path, folders=closed, incomplete=tuple(folder.name for folder in folders if folder not in closed)
-    )
+    names = {folder.name for folder in closed}
+    others = [folder.name for folder in folders if folder.name not in names]
+    repeated = tuple(name for name in others if (cut_off := _CUT_OFF.fullmatch(name)) and cut_off[1] in names)
+    incomplete = tuple(name for name in others if name not in repeated)
+    return Source(path=path, folders=closed, incomplete=incomplete, repeated=repeated)
 
 
 def read_runs(folder: Path) -> Runs:

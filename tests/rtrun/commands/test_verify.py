@@ -27,6 +27,12 @@ def test_results_that_are_whole(results, capsys):
     assert main(["verify", str(results / "001-a")]) == 0
 
 
+def test_an_attempt_that_was_repeated_is_no_damage(results, capsys):
+    (results / "001-a.incomplete-1").mkdir()
+    assert main(["verify", str(results)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("repeated 001-a.incomplete-1: cut off")
+
+
 @pytest.mark.parametrize("damage", ["removed", "altered", "schema", "no record"])
 def test_results_that_are_not(results, capsys, damage):
     (npy,) = (results / "001-a").glob("*.npy")

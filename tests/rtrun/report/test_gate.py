@@ -59,6 +59,25 @@ def test_a_failed_run_does_not_pass_unseen(tmp_path, capsys):
     assert "NOT ANALYSED" in capsys.readouterr().out
 
 
+def test_what_a_restart_cut_off_passes_once_it_was_measured_again(tmp_path, capsys):
+    write_oneshot(tmp_path, "a")
+    (tmp_path / "a.incomplete-1").mkdir()
+    question = ["gate", str(tmp_path), "--probability", "1e-3"]
+    assert main(question) == 0
+    assert "pass  REPEATED  a.incomplete-1: cut off by a restart" in capsys.readouterr().out
+    (tmp_path / "b.incomplete-1").mkdir()
+    assert main(question) == 1
+    assert "FAIL  NOT ANALYSED  b.incomplete-1" in capsys.readouterr().out
+
+
+def test_a_run_that_failed_when_it_was_repeated_does_not_pass(tmp_path, capsys):
+    write_oneshot(tmp_path, "a")
+    write_oneshot(tmp_path, "b", status="failed", reason="the link was lost")
+    (tmp_path / "b.incomplete-1").mkdir()
+    assert main(["gate", str(tmp_path), "--probability", "1e-3"]) == 1
+    assert "FAIL  NOT ANALYSED  b: failed" in capsys.readouterr().out
+
+
 def test_wrong_questions_are_usage_errors(tmp_path, capsys):
     write_oneshot(tmp_path)
     for wrong in (["--deadline", "400"], ["--deadline", "0us"], ["--probability", "0"], ["--confidence", "nan"]):
