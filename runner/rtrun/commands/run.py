@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rtrun.plan.campaign import Campaign, Run
+    from rtrun.plan.campaign import Campaign
+    from rtrun.plan.run import Run
     from rtrun.target.config import TargetConfig
 
 NAME = "run"
