@@ -42,17 +42,18 @@ class Build:
         )
 
 
-@pytest.fixture
-def make_build(tmp_path: Path) -> Callable[..., Build]:
-    """Render a profile and set up a build of it for a machine; `local` is more for local.conf."""
+@pytest.fixture(scope="session")
+def make_build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Build]:
+    """Render a profile and set up a build of it for a machine, in a new folder; `local` is more for local.conf."""
 
     def make(name: str, machine: str, local: str = "", separator: str | None = None) -> Build:
+        place = tmp_path_factory.mktemp("bitbake")
         profile, release = load_profile(name)
         if separator:
             release = release.model_copy(update={"separator": separator})
-        project = tmp_path / name
+        project = place / name
         output.write(render(name, profile, release), project)
-        folder = tmp_path / f"build-{name}-{machine}"
+        folder = place / f"build-{name}-{machine}"
         (folder / "conf").mkdir(parents=True)
         layers = f"{STUBS} {project / 'meta-rt-tests'}"
         (folder / "conf" / "bblayers.conf").write_text(

@@ -1,18 +1,25 @@
-"""The tasks of the suites' recipes, run by the real BitBake with Debian's cross compiler and ROS sysroot."""
+"""The tasks of the suites' recipes, run by the real BitBake with Debian's cross compiler and ROS sysroot.
 
+What they install for one release measures on the emulated board.
+"""
+
+import functools
+import json
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
+import rtgen.cli
 import rtgen.suites
+import rtrun.cli
 from rtgen.board import sysroot
 from rtgen.checkout import checkout
 from rtgen.layer.render import suite_recipes
-from rtgen.profile import load_profile
+from rtgen.profile import DEFAULT_PROFILE, load_profile
 
-pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(1200)]
 
 TASKS = ("do_fetch", "do_unpack", "do_configure", "do_compile", "do_install")
 TOOLCHAIN = Path(rtgen.suites.__file__).with_name("debian.cmake")
@@ -35,28 +42,71 @@ def tasks(*recipes: str) -> list[list[str]]:
     return [[recipe, task] for recipe in recipes for task in TASKS]
 
 
+@pytest.fixture(scope="module")
+def build_suites(make_build):
+    """A function that builds the suites of a profile once for a machine; it returns the build and files by package."""
+
+    @functools.cache
+    def build_suites(name, machine):
+        build = make_build(name, machine, local=tools())
+        suites = [suite["package"] for suite in suite_recipes(load_profile(name)[0])]
+        return build, build.bitbake(tasks=tasks(*suites))["files"]
+
+    return build_suites
+
+
 # scarthgap unpacks into WORKDIR as kirkstone does, wrynose into UNPACKDIR.
-@pytest.mark.parametrize("name", ["scarthgap-noetic", "wrynose-noetic"])
-def test_fetch_to_install(make_build, name):
-    build = make_build(name, "pandaboard-es", local=tools())
-    suites = [suite["package"] for suite in suite_recipes(load_profile(name)[0])]
-    files = build.bitbake(tasks=tasks(*suites))["files"]
+@pytest.mark.parametrize(("name", "machine"), [(DEFAULT_PROFILE, "qemuarm"), ("wrynose-noetic", "pandaboard-es")])
+def test_fetch_to_install(build_suites, name, machine):
+    build, files = build_suites(name, machine)
     for suite, programs in PROGRAMS.items():
         package = suite.replace("-", "_")
         for program in programs:
             path = f"/opt/ros/noetic/lib/{package}/{program}"
             assert files[suite][path] == suite
             binary = next(build.folder.glob(f"tmp/work/{suite}/*/image{path}"))
-            said = subprocess.run(["file", "-b", binary], capture_output=True, text=True, check=True).stdout
-            assert "ELF 32-bit" in said and "ARM" in said and "EABI5" in said
+            kind = subprocess.run(["file", "-b", binary], capture_output=True, text=True, check=True).stdout
+            assert "ELF 32-bit" in kind and "ARM" in kind and "EABI5" in kind
         assert files[suite][f"/opt/ros/noetic/share/{package}/package.xml"] == suite
         launch = [path for path in files[suite] if path.endswith(".launch")]
         assert launch and all(files[suite][path] == suite for path in launch)
-    for suite in suites:
-        assert [path for path, package in files[suite].items() if not package] == []
+    for of_suite in files.values():
+        assert [path for path, package in of_suite.items() if not package] == []
     library = [path for path, package in files["rt-tests-support"].items() if package == "rt-tests-support"]
     assert not [path for path in library if path.endswith((".a", ".h", ".so"))]
     assert files["rt-tests-support"]["/opt/ros/noetic/lib/librt_tests_support.a"] == "rt-tests-support-staticdev"
+
+
+CAMPAIGN = """schema: 1
+name: recipes
+common: {repetitions: 20, policy: RR}
+runs:
+  - {suite: oneshot_timer_tests}
+  - {suite: cyclic_timer_tests, frequency_hz: 50}
+  - {suite: communication_tests, frequency_hz: 50}
+"""
+
+
+@pytest.mark.qemu
+@pytest.mark.ros
+def test_programs_of_the_recipes_measure_on_the_board(build_suites, tmp_path, monkeypatch):
+    build, _ = build_suites(DEFAULT_PROFILE, "qemuarm")
+    suites = tmp_path / "suites"
+    suites.mkdir()
+    rtgen.suites.collect(build.folder / "tmp" / "stage" / "opt" / "ros" / "noetic", suites)
+    shutil.copyfile(checkout() / "recipes-tests" / "suites.yml", suites / "suites.yml")
+    (suites / "build.json").write_text(json.dumps({"schema": 1, "machine": "qemu-armv7"}))
+
+    monkeypatch.chdir(tmp_path)
+    assert rtgen.cli.main(["board", "build", "--machine", "qemu-armv7"]) == 0
+    (tmp_path / "target.yml").write_text(
+        "schema: 1\nname: qemu-armv7\nkind: qemu\nboard: build/board/qemu-armv7\nsuites: suites\n"
+    )
+    (tmp_path / "campaign.yml").write_text(CAMPAIGN)
+    assert rtrun.cli.main(["run", "campaign.yml", "--target", "target.yml"]) == 0
+    records = [json.loads(path.read_text()) for path in (tmp_path / "results" / "recipes").glob("*/run.json")]
+    assert len(records) == 3
+    assert {record["status"] for record in records} == {"ok"}
 
 
 def test_layer_works_outside_the_repository(make_build):
