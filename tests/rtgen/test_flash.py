@@ -1,5 +1,6 @@
 """Writing an image to a card: loop devices are the cards, /sys and /proc are real but for injected faults."""
 
+import contextlib
 import hashlib
 import os
 import pty
@@ -65,21 +66,27 @@ def test_written_and_verified(image, attach, capsys):
         assert stream.read(image.stat().st_size) == image.read_bytes()
 
 
-def test_refuses_a_mounted_card(image, attach, tmp_path, capsys):
-    device, backing = attach(16 * MIB)
-    run("mkfs.ext4", "-q", device)
-    mount = tmp_path / "mnt"
+@contextlib.contextmanager
+def mounted(device, place):
+    mount = place / "mnt"
     mount.mkdir()
     run("mount", device, mount)
     try:
+        yield mount
+    finally:
+        run("umount", mount)
+
+
+def test_refuses_a_mounted_card(image, attach, tmp_path, capsys):
+    device, backing = attach(16 * MIB)
+    run("mkfs.ext4", "-q", device)
+    with mounted(device, tmp_path) as mount:
         assert flash_it(image, device, "--yes") == 2
         assert f"{device}: in use: {device} is mounted on {mount}" in capsys.readouterr().err
         # Mounted between the check and the writing: the kernel refuses.
         card = flash.Card(path=device, name=device.name, model="loop", size_bytes=16 * MIB)
         with pytest.raises(InfrastructureError, match="busy"):
             flash.write(image, card, lambda *_: None)
-    finally:
-        run("umount", mount)
     assert backing.read_bytes()[1080:1082] == b"\x53\xef"  # ext4 is still there
 
 
@@ -91,14 +98,9 @@ def test_refuses_a_card_whose_partition_is_mounted(image, attach, tmp_path, caps
     assert flash_it(image, partition, "--yes") == 2
     assert f"{partition}: a partition, give the whole card: {device}" in capsys.readouterr().err
     run("mkfs.ext4", "-q", partition)
-    mount = tmp_path / "mnt"
-    mount.mkdir()
-    run("mount", partition, mount)
-    try:
+    with mounted(partition, tmp_path) as mount:
         assert flash_it(image, device, "--yes") == 2
         assert f"in use: {partition} is mounted on {mount}" in capsys.readouterr().err
-    finally:
-        run("umount", mount)
 
 
 def test_refuses_swap(image, attach, capsys):

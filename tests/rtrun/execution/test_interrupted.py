@@ -46,6 +46,19 @@ def measure(tmp_path):
     return measure
 
 
+@pytest.fixture
+def interrupt(monkeypatch, measure):
+    """Measure until one step of the runner, which is replaced meanwhile, raises `error`."""
+
+    def interrupt(target, runs, step, error, *, module=run_execution.processes, name="wait", match=None):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, step)
+            with pytest.raises(error, match=match):
+                measure(target, runs)
+
+    return interrupt
+
+
 def failing(wishes, error):
     """Stands in for the waiting: an error once the suite runs; a lost link stays lost."""
 
@@ -64,56 +77,45 @@ def out_of_reach(wishes):
 
 
 @pytest.mark.parametrize("end", [Stop, KeyboardInterrupt])
-def test_after_the_sampler_was_ended(bare_target, wishes, monkeypatch, measure, end):
+def test_after_the_sampler_was_ended(bare_target, wishes, measure, interrupt, end):
     """What we ended ourselves, sampler and ROS master, is not taken for dead."""
     runs = runs_of(1)
 
     def pull(*_, **__):
         raise end
 
-    with monkeypatch.context() as patch:
-        patch.setattr(run_execution.download, "pull", pull)
-        with pytest.raises(end):
-            measure(bare_target, runs)
+    interrupt(bare_target, runs, pull, end, module=run_execution.download, name="pull")
     assert measure(bare_target, runs) == ["ok"]
     assert len(wishes.calls()) == 1
 
 
-def test_an_error_of_ours_leaves_the_run_and_its_master_alone(bare_target, wishes, monkeypatch, measure):
+def test_an_error_of_ours_leaves_the_run_and_its_master_alone(bare_target, wishes, measure, interrupt):
     wishes.will("sleep 2")
     runs = runs_of(1)
-    with monkeypatch.context() as patch:
-        patch.setattr(run_execution.processes, "wait", failing(wishes, TargetError("sh: cannot fork")))
-        with pytest.raises(TargetError, match="cannot fork; the run goes on and is picked up by the next call"):
-            measure(bare_target, runs)
+    message = "cannot fork; the run goes on and is picked up by the next call"
+    interrupt(bare_target, runs, failing(wishes, TargetError("sh: cannot fork")), TargetError, match=message)
     assert measure(bare_target, runs) == ["ok"]
     assert len(wishes.calls()) == 1
 
 
-def test_what_the_target_should_have_ended_is_given_up(target, wishes, monkeypatch, measure):
+def test_what_the_target_should_have_ended_is_given_up(target, wishes, interrupt):
     wishes.will("sleep 60")
     runs = runs_of(1)
-    with monkeypatch.context() as patch:
-        patch.setattr(run_execution.processes, "wait", failing(wishes, DeadlineExpired("took longer")))
-        with pytest.raises(DeadlineExpired):
-            measure(target, runs)
+    interrupt(target, runs, failing(wishes, DeadlineExpired("took longer")), DeadlineExpired)
     assert not list(Path(target.work_dir).glob("runs/*/*"))
 
 
-def test_before_the_suite_was_started(target, tmp_path, wishes, monkeypatch, measure):
+def test_before_the_suite_was_started(target, tmp_path, wishes, measure, interrupt):
     """Nothing measured yet: it begins anew, with the state of the target that it then finds."""
     runs = runs_of(1)
-    with monkeypatch.context() as patch:
-        patch.setattr(run_execution, "_start_suite", stop)
-        with pytest.raises(Stop):
-            measure(target, runs)
-    (left,) = Path(target.work_dir).glob("runs/*/*/attempt.json")
-    uid = json.loads(left.read_text())["uid"]
+    interrupt(target, runs, stop, Stop, module=run_execution, name="_start_suite")
+    (attempt_file,) = Path(target.work_dir).glob("runs/*/*/attempt.json")
+    uid = json.loads(attempt_file.read_text())["uid"]
     assert measure(target, runs) == ["ok"]
     assert record(tmp_path / "results", runs[0])["attempt"] != uid
 
 
-def test_what_goes_on_comes_first(target, tmp_path, wishes, monkeypatch, measure):
+def test_what_goes_on_comes_first(target, tmp_path, wishes, measure, interrupt):
     """A failed run is repeated after the one that an earlier call left, not beside it."""
     wishes.will("fail", "sleep 4")
     runs = runs_of(2)
@@ -125,26 +127,20 @@ def test_what_goes_on_comes_first(target, tmp_path, wishes, monkeypatch, measure
         wishes.await_calls(2)
         return out_of_reach(wishes)(link)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(run_execution.processes, "wait", wait)
-        with pytest.raises(ConnectionLost):
-            measure(target, runs)
+    interrupt(target, runs, wait, ConnectionLost)
     assert measure(target, runs) == ["ok", "ok"]
     ends = [record(tmp_path / "results", run) for run in runs]
     assert ends[1]["end_time"] < ends[0]["start_time"]
     assert len(wishes.calls()) == 3
 
 
-def test_a_load_that_ended_while_nobody_looked(target, wishes, monkeypatch, measure):
+def test_a_load_that_ended_while_nobody_looked(target, wishes, monkeypatch, measure, interrupt):
     """It outlived the suite: the run is whole."""
     monkeypatch.setattr(run_programs, "DEADLINE_EXTRA_S", 8.0)
     monkeypatch.setattr(run_programs.conditions, "OUTLIVE_S", 1.0)
     wishes.will("sleep 3")
     runs = runs_of(1, condition="io", repetitions=100)
-    with monkeypatch.context() as patch:
-        patch.setattr(run_execution.processes, "wait", stop)
-        with pytest.raises(Stop):
-            measure(target, runs)
+    interrupt(target, runs, stop, Stop)
     while not list(Path(target.work_dir).rglob("stress.exit")):
         time.sleep(0.1)
     assert measure(target, runs) == ["ok"]
@@ -171,12 +167,9 @@ def test_a_link_lost_in_a_call_of_the_master(target, monkeypatch, measure, call)
     assert any("connecting again" in note for note in watching.notes)
 
 
-def test_a_run_of_another_campaign_is_not_disturbed(target, tmp_path, wishes, monkeypatch, measure):
+def test_a_run_of_another_campaign_is_not_disturbed(target, tmp_path, wishes, interrupt):
     wishes.will("sleep 60")
-    with monkeypatch.context() as patch:
-        patch.setattr(run_execution.processes, "wait", out_of_reach(wishes))
-        with pytest.raises(ConnectionLost):
-            measure(target, runs_of(1))
+    interrupt(target, runs_of(1), out_of_reach(wishes), ConnectionLost)
     with pytest.raises(TargetError, match=r"another run is still going on: .*cyclic_timer_tests"):
         campaign_runner.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching())
     assert len(wishes.calls()) == 1
@@ -189,23 +182,17 @@ def test_a_run_of_another_campaign_is_not_disturbed(target, tmp_path, wishes, mo
 
 
 @pytest.mark.parametrize("who", ["killed", "interrupted"])
-def test_another_master_than_the_run_began_with(bare_target, tmp_path, wishes, monkeypatch, measure, who):
+def test_another_master_than_the_run_began_with(bare_target, tmp_path, wishes, measure, interrupt, who):
     wishes.will("sleep 6")
     runs = runs_of(1)
-    with monkeypatch.context() as patch:
-        patch.setattr(run_execution.processes, "wait", out_of_reach(wishes))
-        with pytest.raises(ConnectionLost):
-            measure(bare_target, runs)
+    interrupt(bare_target, runs, out_of_reach(wishes), ConnectionLost)
     if who == "killed":
         (pid,) = Path(bare_target.work_dir).glob("master/*/rosmaster.pid")
         os.killpg(int(pid.read_text()), signal.SIGKILL)
         assert measure(bare_target, runs) == ["failed"]
         assert record(tmp_path / "results", runs[0])["reason"].startswith("the ROS master died during the run")
         return
-    with monkeypatch.context() as patch:
-        patch.setattr(run_execution.processes, "wait", lambda *_, **__: os.kill(os.getpid(), signal.SIGINT))
-        with pytest.raises(KeyboardInterrupt):
-            measure(bare_target, runs)
+    interrupt(bare_target, runs, lambda *_, **__: os.kill(os.getpid(), signal.SIGINT), KeyboardInterrupt)
     assert not list(Path(bare_target.work_dir).glob("runs/*/*")), "given up with its master"
 
 
@@ -236,7 +223,7 @@ def test_a_run_whose_giving_up_was_cut_short_is_begun_anew(target, tmp_path, wis
     assert not list((tmp_path / "results").glob("*.old-*"))
 
 
-def test_a_failed_run_that_was_closed_is_repeated_and_not_read_again(target, tmp_path, wishes, monkeypatch, measure):
+def test_a_failed_run_that_was_closed_is_repeated_and_not_read_again(target, tmp_path, wishes, measure, interrupt):
     wishes.will("fail")
     runs = runs_of(1)
     real = run_directory.close
@@ -245,10 +232,7 @@ def test_a_failed_run_that_was_closed_is_repeated_and_not_read_again(target, tmp
         real(*args)
         raise Stop
 
-    with monkeypatch.context() as patch:
-        patch.setattr(run_execution.run_directory, "close", close)
-        with pytest.raises(Stop):
-            measure(target, runs)
+    interrupt(target, runs, close, Stop, module=run_execution.run_directory, name="close")
     assert measure(target, runs) == ["ok"]
     assert len(wishes.calls()) == 2
 
@@ -289,14 +273,11 @@ def test_nothing_is_done_on_a_boot_that_is_not_known(target, monkeypatch, error)
 
 
 def test_the_record_is_of_what_ran_and_not_of_what_is_there_now(
-    target, tmp_path, suites_folder, wishes, monkeypatch, measure
+    target, tmp_path, suites_folder, wishes, measure, interrupt
 ):
     wishes.will("sleep 2")
     runs = runs_of(1)
-    with monkeypatch.context() as patch:
-        patch.setattr(run_execution.processes, "wait", out_of_reach(wishes))
-        with pytest.raises(ConnectionLost):
-            measure(target, runs)
+    interrupt(target, runs, out_of_reach(wishes), ConnectionLost)
     (before,) = Path(target.work_dir).glob("suites/*")
     shutil.copy(suites_folder / "build.json", suites_folder / "of_a_newer_build.json")
     assert measure(target, runs) == ["ok"]

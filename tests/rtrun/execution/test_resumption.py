@@ -83,36 +83,33 @@ def proxied(loopback, sshd, suites_folder, wishes, ros_master):
         yield proxy, replace(loopback, address=address, suites=suites_folder, ros_master_port=ros_master)
 
 
-def test_a_cut_link_that_comes_back(proxied, tmp_path, wishes):
-    proxy, target = proxied
-    watching = Watching()
-    wishes.will("sleep 3")
+def break_and_mend(break_link, proxy, mended_after_s):
+    """An observer under which the link breaks during the first run; the times are those from the begin of that run."""
 
     def act(number):
         if number == 0:
-            threading.Timer(1.5, proxy.cut).start()
-            threading.Timer(4.0, proxy.mend).start()
+            threading.Timer(1.5, break_link).start()
+            threading.Timer(mended_after_s, proxy.mend).start()
 
-    watching.at_start = act
-    statuses = campaign_runner.run_campaign(target, "test", runs_of(2), tmp_path / "results", watching)
+    return Watching(act)
+
+
+def test_a_cut_link_that_comes_back(proxied, tmp_path, wishes):
+    proxy, target = proxied
+    wishes.will("sleep 3")
+    observer = break_and_mend(proxy.cut, proxy, 4.0)
+    statuses = campaign_runner.run_campaign(target, "test", runs_of(2), tmp_path / "results", observer)
     assert list(statuses.values()) == ["ok", "ok"]
     assert len(wishes.calls()) == 2
-    assert any("connecting again" in note for note in watching.notes)
+    assert any("connecting again" in note for note in observer.notes)
 
 
 def test_a_frozen_link_is_noticed_and_left(proxied, tmp_path, wishes, monkeypatch):
     monkeypatch.setattr(run_execution.processes, "WAIT_S", 2.0)
     proxy, target = proxied
-    watching = Watching()
     wishes.will("sleep 4")
-
-    def act(number):
-        if number == 0:
-            threading.Timer(1.5, proxy.freeze).start()
-            threading.Timer(10.0, proxy.mend).start()
-
-    watching.at_start = act
-    statuses = campaign_runner.run_campaign(target, "test", runs_of(2), tmp_path / "results", watching)
+    observer = break_and_mend(proxy.freeze, proxy, 10.0)
+    statuses = campaign_runner.run_campaign(target, "test", runs_of(2), tmp_path / "results", observer)
     assert list(statuses.values()) == ["ok", "ok"]
     assert len(wishes.calls()) == 2
 
@@ -167,12 +164,12 @@ def test_a_reboot_while_nobody_looked(loopback, suites_folder, ros_master, tmp_p
     with pytest.raises(Stop):
         campaign_runner.run_campaign(target, "test", runs, results, watching)
     log = campaign_runner.journal.open_journal(results, "test", "", "")
-    left = Path(target.work_dir) / "runs" / log.uid / run.name
+    leftover = Path(target.work_dir) / "runs" / log.uid / run.name
     log.close()
-    left.mkdir(parents=True)
-    (left / "cyclic_timer_tests.boot_id").write_text("11111111-2222-3333-4444-555555555555\n")
-    (left / "cyclic_timer_tests.stdout").write_text("\tINFO: as far as it came\n")
-    write_npy(left / "cyclic_timer_tests_l10_fq100.npy.part", [(n,) for n in range(1, 7)], announced=11)
+    leftover.mkdir(parents=True)
+    (leftover / "cyclic_timer_tests.boot_id").write_text("11111111-2222-3333-4444-555555555555\n")
+    (leftover / "cyclic_timer_tests.stdout").write_text("\tINFO: as far as it came\n")
+    write_npy(leftover / "cyclic_timer_tests_l10_fq100.npy.part", [(n,) for n in range(1, 7)], announced=11)
     watching.at_start = lambda number: None
     assert campaign_runner.run_campaign(target, "test", runs, results, watching) == {run.name: "ok"}
     kept = results / f"{run.name}.incomplete-1"
