@@ -103,9 +103,10 @@ def test_overhead(sshd, ros_master, tmp_path, monkeypatch):
     start = time.monotonic()
     runs = plan(Campaign(schema=1, name="long", runs=[entry]), "long")
     campaign_runner.run_campaign(target, "long", runs, tmp_path / "long", clock)
-    share = LONG_RUNS * LONG_RUN_S / (time.monotonic() - start)
+    measuring_share = LONG_RUNS * LONG_RUN_S / (time.monotonic() - start)
     print(
-        f"measuring: {share:.1%} of the wall time of a campaign of {LONG_RUNS} runs of {LONG_RUN_S} s, set-up included"
+        f"measuring: {measuring_share:.1%} of the wall time of a campaign of {LONG_RUNS} runs of {LONG_RUN_S} s, "
+        "set-up included"
     )
     runs = plan(Campaign(schema=1, name="mixed", runs=[entry | {"repeats": 2} for entry in MIXED]), "mixed")
     mixed = Clock()
@@ -121,5 +122,7 @@ def test_overhead(sshd, ros_master, tmp_path, monkeypatch):
         pytest.fail(f"a mixed campaign takes {mixed_s:.2f} s a run more, at most {MIXED_LIMIT_S} s were promised")
     if overhead_s > LIMIT_S:
         pytest.fail(f"the runner adds {overhead_s:.2f} s a run, at most {LIMIT_S} s were promised")
-    if share < MEASURING_SHARE:
-        pytest.fail(f"{share:.1%} of the campaign was measuring, at least {MEASURING_SHARE:.0%} were promised")
+    if measuring_share < MEASURING_SHARE:
+        pytest.fail(
+            f"{measuring_share:.1%} of the campaign was measuring, at least {MEASURING_SHARE:.0%} were promised"
+        )

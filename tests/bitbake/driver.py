@@ -94,18 +94,18 @@ def run(store, file, task):
 def packages_of(store):
     """Every installed file and the package that takes it, as do_package does: the first whose FILES match."""
     top = Path(store.getVar("D"))
-    found = {}
+    package_of = {}
     for path in sorted(top.rglob("*")):
         if path.is_dir() and not path.is_symlink():
             continue
         name = "/" + path.relative_to(top).as_posix()
-        found[name] = ""
+        package_of[name] = ""
         for package in store.getVar("PACKAGES").split():
             patterns = (store.getVar(f"FILES:{package}") or "").split()
             if any(fnmatch.fnmatchcase(name, pattern) or name.startswith(pattern + "/") for pattern in patterns):
-                found[name] = package
+                package_of[name] = package
                 break
-    return found
+    return package_of
 
 
 if __name__ == "__main__":

@@ -103,14 +103,14 @@ class Yocto:
 
     def variables(self, recipe: str, *names: str) -> dict[str, str]:
         """Variables of a recipe, expanded, as `bitbake -e` gives them."""
-        said = self.run("bitbake", "-e", recipe)
-        found = {}
+        output = self.run("bitbake", "-e", recipe)
+        values = {}
         for name in names:
-            match = re.search(rf'^(?:export )?{re.escape(name)}="((?:[^"\\]|\\.)*)"$', said, re.MULTILINE)
+            match = re.search(rf'^(?:export )?{re.escape(name)}="((?:[^"\\]|\\.)*)"$', output, re.MULTILINE)
             # kirkstone shows what it runs in the root file system as a function.
-            match = match or re.search(rf"^{re.escape(name)}\(\) {{\n(.*)$", said, re.MULTILINE)
-            found[name] = re.sub(r"\\\n", " ", match[1]) if match else ""
-        return found
+            match = match or re.search(rf"^{re.escape(name)}\(\) {{\n(.*)$", output, re.MULTILINE)
+            values[name] = re.sub(r"\\\n", " ", match[1]) if match else ""
+        return values
 
     def _python2(self) -> Path:
         python = os.environ.get("RT_TESTS_PYTHON2") or shutil.which("python2.7")
@@ -190,19 +190,19 @@ def _write(path: Path, text: str) -> None:
 
 
 def test_parses_without_a_warning(yocto):
-    said = yocto.run("bitbake", "-p")
+    output = yocto.run("bitbake", "-p")
     # BitBake 1.20 counts nothing when all of it comes from its cache.
-    counted = re.search(r"Parsing of (\d+) .bb files complete .* (\d+) errors", said)
-    cached = re.search(r"Loaded (\d+) entries from dependency cache", said)
+    counted = re.search(r"Parsing of (\d+) .bb files complete .* (\d+) errors", output)
+    cached = re.search(r"Loaded (\d+) entries from dependency cache", output)
     if counted:
         assert counted[2] == "0"
     assert int((counted or cached)[1]) > 1000
     print((counted or cached)[0])
 
 
-def licence_is_as_recorded(found: dict[str, str]) -> bool:
+def licence_is_as_recorded(variables: dict[str, str]) -> bool:
     """Whether LIC_FILES_CHKSUM, where a recipe has it and the file is there, is that file's."""
-    file, _, checksum = found["LIC_FILES_CHKSUM"].removeprefix("file://").partition(";md5=")
+    file, _, checksum = variables["LIC_FILES_CHKSUM"].removeprefix("file://").partition(";md5=")
     return not Path(file).is_file() or hashlib.md5(Path(file).read_bytes()).hexdigest() == checksum
 
 
@@ -210,26 +210,26 @@ def test_recipes_resolve(yocto):
     assert licence_is_as_recorded(yocto.variables("packagegroup-rt-tests", "LIC_FILES_CHKSUM"))
     for suite in suite_recipes(yocto.profile):
         recipe = suite["package"]
-        found = yocto.variables(recipe, "S", "SRC_URI", "LIC_FILES_CHKSUM", "FILE", "DEPENDS", "PV")
-        assert found["FILE"].startswith(str(yocto.layer)), recipe
-        assert found["S"].endswith("/" + recipe.replace("-", "_"))
-        assert "${" not in "".join(found.values())
-        assert {*suite["build"]} <= set(found["DEPENDS"].split())
-        assert licence_is_as_recorded(found)
+        variables = yocto.variables(recipe, "S", "SRC_URI", "LIC_FILES_CHKSUM", "FILE", "DEPENDS", "PV")
+        assert variables["FILE"].startswith(str(yocto.layer)), recipe
+        assert variables["S"].endswith("/" + recipe.replace("-", "_"))
+        assert "${" not in "".join(variables.values())
+        assert {*suite["build"]} <= set(variables["DEPENDS"].split())
+        assert licence_is_as_recorded(variables)
 
 
 def test_kernel_and_image_resolve(yocto):
     kernel = yocto.profile.machines[yocto.machine].kernel
-    found = yocto.variables(kernel.recipe, "SRC_URI", "PV", "SRCREV", "KBUILD_DEFCONFIG", "KERNEL_DEVICETREE")
-    assert found["PV"].startswith(kernel.version)
-    assert f"file://rt-tests-{yocto.machine}.cfg" in found["SRC_URI"].split()
+    variables = yocto.variables(kernel.recipe, "SRC_URI", "PV", "SRCREV", "KBUILD_DEFCONFIG", "KERNEL_DEVICETREE")
+    assert variables["PV"].startswith(kernel.version)
+    assert f"file://rt-tests-{yocto.machine}.cfg" in variables["SRC_URI"].split()
     if kernel.rt == "branch":
-        assert "preempt-rt" in found["SRC_URI"]
+        assert "preempt-rt" in variables["SRC_URI"]
     else:
-        assert kernel.source.rt_patch in found["SRC_URI"] and found["SRCREV"] == kernel.source.commit
+        assert kernel.source.rt_patch in variables["SRC_URI"] and variables["SRCREV"] == kernel.source.commit
     if yocto.machine == "pandaboard-es":
-        assert found["KBUILD_DEFCONFIG"] == "omap2plus_defconfig"
-        assert "omap4-panda-es-rt.dtb" in found["KERNEL_DEVICETREE"]
+        assert variables["KBUILD_DEFCONFIG"] == "omap2plus_defconfig"
+        assert "omap4-panda-es-rt.dtb" in variables["KERNEL_DEVICETREE"]
     looked_at = ("IMAGE_INSTALL", "IMAGE_FEATURES", "ROOTFS_POSTPROCESS_COMMAND", "WKS_FULL_PATH")
     image = yocto.variables(yocto.profile.image.name, *looked_at)
     assert {"packagegroup-rt-tests", "openssh-sftp-server", *yocto.profile.image.packages} <= set(
@@ -291,16 +291,16 @@ def test_suites_are_patched_configured_and_compiled(yocto):
     for suite, described in read_yaml(checkout() / "recipes-tests/suites.yml")["suites"].items():
         for program in described["programs"]:
             binary = stage / "opt" / "ros" / "noetic" / "lib" / suite / program
-            said = subprocess.run(["file", "-b", binary], capture_output=True, text=True, check=True).stdout
-            assert "ELF 32-bit" in said and "ARM" in said and "EABI5" in said
+            kind = subprocess.run(["file", "-b", binary], capture_output=True, text=True, check=True).stdout
+            assert "ELF 32-bit" in kind and "ARM" in kind and "EABI5" in kind
 
 
 def test_dry_run_of_the_image(yocto):
     if not yocto.release.modern:
         pytest.skip("BitBake 1.20 starts pseudo even for a dry run, and pseudo is not built")
-    said = yocto.run("bitbake", "-n", yocto.profile.image.name)
-    counted = re.search(r"Attempted (\d+) tasks of which \d+ didn't need to be rerun and all succeeded", said)
-    assert counted and int(counted[1]) > 1000, said[-2000:]
+    output = yocto.run("bitbake", "-n", yocto.profile.image.name)
+    counted = re.search(r"Attempted (\d+) tasks of which \d+ didn't need to be rerun and all succeeded", output)
+    assert counted and int(counted[1]) > 1000, output[-2000:]
     print(counted[0])
 
 
@@ -319,12 +319,12 @@ def test_yocto_check_layer(yocto):
         line for line in local.read_text().splitlines() if "PREFERRED" not in line and "MACHINE_FEATURES" not in line
     ]
     _write(local, "\n".join([*kept, f'BBMASK = "{mask}"']) + "\n")
-    said = yocto.run(
+    output = yocto.run(
         "yocto-check-layer", str(yocto.layer), "--dependency", *map(str, others), "--no-auto", "--no-auto-dependency",
         "--machines", *yocto.profile.machines, build=build,
     )  # fmt: skip
-    print(said)
-    assert re.search(r"meta-rt-tests \.\.\. PASS", said)
+    print(output)
+    assert re.search(r"meta-rt-tests \.\.\. PASS", output)
 
 
 def _needless(yocto: Yocto) -> str:

@@ -25,7 +25,7 @@ def policy(build):
     return build.try_bitbake(functions=[["rt-tests-image", "rt_tests_ssh_policy"]])
 
 
-def said(build, done):
+def output_of(build, done):
     logs = build.folder.glob("tmp/work/rt-tests-image/*/temp/log.*")
     return done.stdout + done.stderr + "".join(log.read_text() for log in logs)
 
@@ -81,7 +81,7 @@ def test_servers_of_2014_know_rsa_only(make_build, keys, message):
     build = make_build("thesis-2014", "pandaboard", f'RT_TESTS_AUTHORIZED_KEYS = "{keys}"\n', separator=":")
     done = policy(build)
     assert (done.returncode == 0) == (not message)
-    assert message in said(build, done)
+    assert message in output_of(build, done)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_an_image_nobody_should_have_is_not_built(make_build, keys, features, me
     _, build = image(make_build, keys, features)
     done = policy(build)
     assert done.returncode != 0
-    assert message in said(build, done)
+    assert message in output_of(build, done)
 
 
 def test_command_line_of_2014_reaches_the_kernel(make_build):

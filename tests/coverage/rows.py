@@ -80,8 +80,8 @@ def proven_of_boots(number: int, n: int, rng: Rng) -> bool:
 
 def proven_for(length: float, n: int, rng: Rng) -> bool:
     """PROVEN, and said to hold for bursts of this length."""
-    found = verdict_on([processes.bursts(n, P, rng, length=length)])
-    return found.answer == Answer.PROVEN and found.longest_burst >= length
+    verdict = verdict_on([processes.bursts(n, P, rng, length=length)])
+    return verdict.answer == Answer.PROVEN and verdict.longest_burst >= length
 
 
 def proven_at_any_look(looks: int, n: int, rng: Rng) -> bool:
@@ -104,10 +104,10 @@ def enough(process: processes.Process, rate: float, rng: Rng) -> bool | None:
     """Whether the number said to be likely enough was; None where none was said, or one too long to simulate."""
     n = 20_000
     first = process(n, rate, rng)
-    said = verdict_on([first]).further_likely
-    if said is None or said[0] != Answer.PROVEN or said[1] > 400_000:
+    further_likely = verdict_on([first]).further_likely
+    if further_likely is None or further_likely[0] != Answer.PROVEN or further_likely[1] > 400_000:
         return None
-    whole = process(n + said[1], rate, rng)
+    whole = process(n + further_likely[1], rate, rng)
     whole[:n] = first
     return verdict_on([whole]).answer == Answer.PROVEN
 

@@ -21,8 +21,8 @@ def some_kernel(tmp_path: Path) -> kernel.Kernel:
 
 def test_unknown_machine_is_a_usage_error_that_lists_the_known(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["board", "build", "--machine", "pandaboard"]) == 2
-    said = capsys.readouterr().err.strip()
-    assert said == "rtgen: unknown machine 'pandaboard', known: qemu-armv7, vexpress-a9"
+    message = capsys.readouterr().err.strip()
+    assert message == "rtgen: unknown machine 'pandaboard', known: qemu-armv7, vexpress-a9"
 
 
 def test_board_record_is_what_formats_md_promises(some_kernel: kernel.Kernel) -> None:
@@ -39,7 +39,7 @@ def test_board_record_is_what_formats_md_promises(some_kernel: kernel.Kernel) ->
 
 
 @pytest.mark.parametrize(
-    ("listing", "found"),
+    ("listing", "line"),
     [
         ("Debian|http://mirror/debian/|bookworm|main", "deb http://mirror/debian/ bookworm main"),
         ("$(ORIGIN)|http://mirror/debian|bookworm|main", "deb http://mirror/debian bookworm main"),
@@ -49,8 +49,8 @@ def test_board_record_is_what_formats_md_promises(some_kernel: kernel.Kernel) ->
         ("", None),
     ],
 )
-def test_only_the_main_suite_of_debian_itself_is_a_source(listing: str, found: str | None) -> None:
-    assert debian.mirror_line(listing, "bookworm") == found
+def test_only_the_main_suite_of_debian_itself_is_a_source(listing: str, line: str | None) -> None:
+    assert debian.mirror_line(listing, "bookworm") == line
 
 
 def test_versions_come_from_archive_names() -> None:

@@ -73,7 +73,7 @@ class Board:
         arguments = ["ssh", *self.options, *self.login, "-p", str(self.port), "root@127.0.0.1", command]
         return subprocess.run(arguments, input=stdin, capture_output=True, text=True, timeout=COMMAND_S)
 
-    def said(self, command: str, stdin: str = "") -> str:
+    def output_of(self, command: str, stdin: str = "") -> str:
         done = self.ssh(command, stdin)
         assert done.returncode == 0, f"{command}: {done.stderr}"
         return done.stdout.strip()
@@ -143,24 +143,24 @@ def test_board_serves_runner_and_suites(machine: str, tmp_path: Path) -> None:
 
 
 def check_system(board: Board) -> None:
-    assert "PREEMPT_RT" in board.said("uname -v")
-    assert board.said("uname -r") == board.record["kernel_release"]
-    assert "CONFIG_PREEMPT_RT=y" in board.said("grep PREEMPT_RT /boot/config-$(uname -r)")
-    assert board.said("nproc") == "2"
-    mounts = {line.split()[1]: line.split()[2] for line in board.said("cat /proc/mounts").splitlines()}
+    assert "PREEMPT_RT" in board.output_of("uname -v")
+    assert board.output_of("uname -r") == board.record["kernel_release"]
+    assert "CONFIG_PREEMPT_RT=y" in board.output_of("grep PREEMPT_RT /boot/config-$(uname -r)")
+    assert board.output_of("nproc") == "2"
+    mounts = {line.split()[1]: line.split()[2] for line in board.output_of("cat /proc/mounts").splitlines()}
     wanted = {"/": "ext4", "/dev": "devtmpfs", "/dev/pts": "devpts", "/dev/shm": "tmpfs", "/proc": "proc"}
     wanted |= {"/sys": "sysfs", "/sys/kernel/debug": "debugfs", "/sys/kernel/tracing": "tracefs"}
     assert mounts.items() >= wanted.items()
-    assert board.said("cat /proc/sys/kernel/sched_rt_runtime_us") == "950000"
-    free_kib = int(board.said("df -k / | tail -1").split()[3])
+    assert board.output_of("cat /proc/sys/kernel/sched_rt_runtime_us") == "950000"
+    free_kib = int(board.output_of("df -k / | tail -1").split()[3])
     assert 256 * 1024 < free_kib < 512 * 1024
-    board.said("touch /var/lib/rt-tests/x /tmp/x && rm /var/lib/rt-tests/x /tmp/x")
-    assert "(127.0.0.1)" in board.said("ping -c 1 $(hostname)")
+    board.output_of("touch /var/lib/rt-tests/x /tmp/x && rm /var/lib/rt-tests/x /tmp/x")
+    assert "(127.0.0.1)" in board.output_of("ping -c 1 $(hostname)")
     # The clock comes from QEMU's real-time clock, so the board knows the day.
-    assert abs(int(board.said("date +%s")) - time.time()) < 3600
+    assert abs(int(board.output_of("date +%s")) - time.time()) < 3600
     # init takes over orphans and buries them.
-    board.said("sh -c '(sleep 0.1 &) ; exit 0'; sleep 1")
-    assert "Z" not in {line.split()[0][0] for line in board.said("ps -eo stat | tail -n +2").splitlines()}
+    board.output_of("sh -c '(sleep 0.1 &) ; exit 0'; sleep 1")
+    assert "Z" not in {line.split()[0][0] for line in board.output_of("ps -eo stat | tail -n +2").splitlines()}
 
 
 def check_ssh(board: Board, hello: Path, place: Path) -> None:
@@ -187,30 +187,30 @@ def check_ssh(board: Board, hello: Path, place: Path) -> None:
 
 
 def check_ros(board: Board) -> None:
-    board.said("setsid rosmaster --core -p 11311 > /tmp/master.log 2>&1 < /dev/null &")
-    assert board.said("python3 -", ASK_MASTER) == "1"
+    board.output_of("setsid rosmaster --core -p 11311 > /tmp/master.log 2>&1 < /dev/null &")
+    assert board.output_of("python3 -", ASK_MASTER) == "1"
     # A roscpp program finds its libraries and the master. It came over SSH.
-    assert board.said("ROS_MASTER_URI=http://localhost:11311 /var/lib/rt-tests/hello") == "/greeting 1"
+    assert board.output_of("ROS_MASTER_URI=http://localhost:11311 /var/lib/rt-tests/hello") == "/greeting 1"
 
 
 def check_measuring(board: Board) -> None:
-    measured = board.said("cyclictest --quiet --mlockall --priority=80 --policy=fifo --loops=100 --threads=1")
+    measured = board.output_of("cyclictest --quiet --mlockall --priority=80 --policy=fifo --loops=100 --threads=1")
     assert "P:80" in measured
     assert "C:    100" in measured
-    assert board.said("chrt -f 50 chrt -p 0 | head -1").endswith("SCHED_FIFO")
+    assert board.output_of("chrt -f 50 chrt -p 0 | head -1").endswith("SCHED_FIFO")
     assert "successful run" in board.ssh("stress-ng --cpu 1 --timeout 1 2>&1").stdout
 
 
 def check_reboot_keeps_the_disk(board: Board) -> None:
-    boot = board.said("cat /proc/sys/kernel/random/boot_id")
-    board.said("echo kept > /var/lib/rt-tests/kept; echo lost > /tmp/lost")
+    boot = board.output_of("cat /proc/sys/kernel/random/boot_id")
+    board.output_of("echo kept > /var/lib/rt-tests/kept; echo lost > /tmp/lost")
     board.ssh("reboot")
     board.hang_up()
     deadline = time.monotonic() + BOOT_S
     while board.ssh("cat /proc/sys/kernel/random/boot_id").stdout.strip() in (boot, ""):
         assert time.monotonic() < deadline, board.console.read_text(errors="replace")
         time.sleep(0.5)
-    assert board.said("cat /var/lib/rt-tests/kept") == "kept"
-    assert board.said("ls /tmp") == ""
+    assert board.output_of("cat /var/lib/rt-tests/kept") == "kept"
+    assert board.output_of("ls /tmp") == ""
     # It was put down properly: nothing to recover.
-    assert "recovery" not in board.said("dmesg | grep EXT4")
+    assert "recovery" not in board.output_of("dmesg | grep EXT4")

@@ -76,62 +76,64 @@ def broken(data, tree, change, machine="pandaboard-es"):
 
 def test_expert_dropped(data, tree):
     # omap2plus_defconfig and multi_v7_defconfig have EXPERT themselves.
-    found = broken(data, tree, lambda text: text.replace("CONFIG_EXPERT=y\n", ""), "qemu-armv7")
-    assert found["EXPERT"][:2] == ("y", "n") and found["EXPERT"][2].startswith("not in mine.cfg; ")
-    assert found["PREEMPT_RT"] == ("y", "n", "unmet dependency EXPERT (is n)")
+    mismatches = broken(data, tree, lambda text: text.replace("CONFIG_EXPERT=y\n", ""), "qemu-armv7")
+    assert mismatches["EXPERT"][:2] == ("y", "n") and mismatches["EXPERT"][2].startswith("not in mine.cfg; ")
+    assert mismatches["PREEMPT_RT"] == ("y", "n", "unmet dependency EXPERT (is n)")
 
 
 def test_hotplug_cpu_dropped(data, tree):
-    found = broken(data, tree, lambda text: text.replace("CONFIG_HOTPLUG_CPU=y\n", ""))
-    assert found.keys() == {"HOTPLUG_CPU"}
-    want, got, reason = found["HOTPLUG_CPU"]
+    mismatches = broken(data, tree, lambda text: text.replace("CONFIG_HOTPLUG_CPU=y\n", ""))
+    assert mismatches.keys() == {"HOTPLUG_CPU"}
+    want, got, reason = mismatches["HOTPLUG_CPU"]
     assert (want, got) == ("y", "n") and reason.startswith("not in mine.cfg; is not set, and its default is n")
     assert "PM_SLEEP_SMP (is n)" in reason
 
 
 def test_erratum_of_single_platform_kernels_added(data, tree):
-    found = broken(data, tree, lambda text: text + "CONFIG_ARM_ERRATA_743622=y\n")
-    assert found == {"ARM_ERRATA_743622": ("y", "n", "unmet dependency !ARCH_MULTIPLATFORM")}
+    mismatches = broken(data, tree, lambda text: text + "CONFIG_ARM_ERRATA_743622=y\n")
+    assert mismatches == {"ARM_ERRATA_743622": ("y", "n", "unmet dependency !ARCH_MULTIPLATFORM")}
 
 
 def test_misspelt_symbol(data, tree):
-    found = broken(data, tree, lambda text: text.replace("CONFIG_PREEMPT_RT=", "CONFIG_PREMPT_RT="))
-    assert found["PREMPT_RT"][1:] == (
+    mismatches = broken(data, tree, lambda text: text.replace("CONFIG_PREEMPT_RT=", "CONFIG_PREMPT_RT="))
+    assert mismatches["PREMPT_RT"][1:] == (
         "nothing",
         f"undefined symbol in {tree.name}, did you mean PREEMPT_RT?",
     )
-    assert found["PREEMPT_RT"][2].startswith("not in mine.cfg; ")
+    assert mismatches["PREEMPT_RT"][2].startswith("not in mine.cfg; ")
 
 
 def test_misspelt_symbol_that_is_to_be_off(data, tree):
-    found = broken(data, tree, lambda text: text + "# CONFIG_KSMM is not set\n")
-    assert found["KSMM"][1:] == ("nothing", f"undefined symbol in {tree.name}, did you mean KSM?")
+    mismatches = broken(data, tree, lambda text: text + "# CONFIG_KSMM is not set\n")
+    assert mismatches["KSMM"][1:] == ("nothing", f"undefined symbol in {tree.name}, did you mean KSM?")
 
 
 def test_choice_lost(data, tree):
-    found = broken(data, tree, lambda text: text + "CONFIG_HZ_1000=y\n")
-    assert found == {"HZ_250": ("y", "n", 'choice lost: HZ_1000 was chosen in "Timer frequency"')}
+    mismatches = broken(data, tree, lambda text: text + "CONFIG_HZ_1000=y\n")
+    assert mismatches == {"HZ_250": ("y", "n", 'choice lost: HZ_1000 was chosen in "Timer frequency"')}
 
 
 def test_selected_by(data, tree):
-    found = broken(data, tree, lambda text: text + "# CONFIG_PM_OPP is not set\n")
-    assert found["PM_OPP"][:2] == ("n", "y") and re.match(r"selected by .*ARCH_OMAP4 \(is y\)", found["PM_OPP"][2])
+    mismatches = broken(data, tree, lambda text: text + "# CONFIG_PM_OPP is not set\n")
+    assert mismatches["PM_OPP"][:2] == ("n", "y") and re.match(
+        r"selected by .*ARCH_OMAP4 \(is y\)", mismatches["PM_OPP"][2]
+    )
 
 
 def test_fragment_contradicts_the_data(data, tree):
-    found = broken(data, tree, lambda text: text.replace("# CONFIG_KSM is not set", "CONFIG_KSM=y"))
-    want, got, reason = found["KSM"]
+    mismatches = broken(data, tree, lambda text: text.replace("# CONFIG_KSM is not set", "CONFIG_KSM=y"))
+    want, got, reason = mismatches["KSM"]
     assert (want, got) == ("n", "y") and re.match(r"mine\.cfg:\d+ says y; ", reason)
 
 
 def test_dependency_that_is_only_a_module(data, tree):
-    found = broken(data, tree, lambda text: text.replace("CONFIG_USB=y", "CONFIG_USB=m"))
-    assert found["USB_EHCI_HCD"] == ("y", "m", "unmet dependency USB (is m)")
+    mismatches = broken(data, tree, lambda text: text.replace("CONFIG_USB=y", "CONFIG_USB=m"))
+    assert mismatches["USB_EHCI_HCD"] == ("y", "m", "unmet dependency USB (is m)")
 
 
 def test_number_out_of_range(data, tree):
-    found = broken(data, tree, lambda text: text.replace("CONFIG_NR_CPUS=2", "CONFIG_NR_CPUS=99"))
-    assert found["NR_CPUS"][0] == "2" and "mine.cfg:" in found["NR_CPUS"][2]
+    mismatches = broken(data, tree, lambda text: text.replace("CONFIG_NR_CPUS=2", "CONFIG_NR_CPUS=99"))
+    assert mismatches["NR_CPUS"][0] == "2" and "mine.cfg:" in mismatches["NR_CPUS"][2]
 
 
 def test_tree_without_the_rt_patches(data, copy):
@@ -139,8 +141,8 @@ def test_tree_without_the_rt_patches(data, copy):
     arch.write_text(re.sub(r"\tselect ARCH_SUPPORTS_RT.*\n", "", arch.read_text()))
     fragment = parse_fragment(render(data, "pandaboard-es", "6.1"), "rendered")
     verdict = verify_tree(data, open_tree(copy), "pandaboard-es", "omap2plus_defconfig", fragment, None)
-    found = {item.symbol: item.reason for item in verdict.mismatches}
-    assert found["PREEMPT_RT"].startswith("this tree lacks the patch series 6.1-rt")
+    mismatches = {item.symbol: item.reason for item in verdict.mismatches}
+    assert mismatches["PREEMPT_RT"].startswith("this tree lacks the patch series 6.1-rt")
 
 
 def test_command_on_a_tree(copy, capsys):
@@ -238,8 +240,8 @@ class TestFinishedConfig:
         text = finished.replace("CONFIG_PREEMPT_RT=y\n", "# CONFIG_PREEMPT_RT is not set\n")
         text = text.replace("# CONFIG_KSM is not set", "CONFIG_KSM=y")
         verdict = verify_config(data, "qemu-armv7", text, "theirs")
-        found = {item.symbol: (item.want, item.got) for item in verdict.mismatches}
-        assert found == {"PREEMPT_RT": ("y", "n"), "KSM": ("n", "y")}
+        mismatches = {item.symbol: (item.want, item.got) for item in verdict.mismatches}
+        assert mismatches == {"PREEMPT_RT": ("y", "n"), "KSM": ("n", "y")}
         assert "merged pages fault again" in verdict.mismatches[-1].reason
 
     def test_cut_gzip(self, finished, tmp_path, capsys):

@@ -53,9 +53,9 @@ def test_a_file_with_another_checksum_is_refused(data, monkeypatch, tmp_path):
             (folder / data.debian.tree.file).write_bytes(b"other")
 
     monkeypatch.setattr(debian_source, "run", other_bytes)
-    found = hashlib.sha256(b"other").hexdigest()
+    digest = hashlib.sha256(b"other").hexdigest()
     with pytest.raises(
-        InfrastructureError, match=f"{data.debian.tree.file}: sha256 is {found}, kconfig/sources.yml pins"
+        InfrastructureError, match=f"{data.debian.tree.file}: sha256 is {digest}, kconfig/sources.yml pins"
     ):
         debian_source.downloads(data.debian)
 

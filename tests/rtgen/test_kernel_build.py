@@ -121,12 +121,12 @@ def test_it_boots_proves_itself_and_measures(built, machine, clockevent, tmp_pat
     saved = tmp_path / "config.gz"
     capsys.readouterr()
     rtrun.cli.main(["check-rt", "--target", str(target), "--json", "--save-config", str(saved)])
-    told = json.loads(capsys.readouterr().out)
+    printed = json.loads(capsys.readouterr().out)
     release = json.loads((built / "kernel.json").read_text())["release"]
-    assert told["kernel"].startswith(f"{release} ") and " PREEMPT_RT " in told["kernel"]
-    assert told["emulated"] is True and told["ready"] is True
-    assert any(line.endswith(clockevent) for line in told["clockevent"])
-    checks = {each["name"]: each["status"] for each in told["checks"]}
+    assert printed["kernel"].startswith(f"{release} ") and " PREEMPT_RT " in printed["kernel"]
+    assert printed["emulated"] is True and printed["ready"] is True
+    assert any(line.endswith(clockevent) for line in printed["clockevent"])
+    checks = {each["name"]: each["status"] for each in printed["checks"]}
     assert (checks["PREEMPT_RT"], checks["real-time scheduling"], checks["high-resolution timers"]) == (
         "ok",
         "ok",

@@ -154,8 +154,8 @@ def test_the_sources_are_beside_the_layer(tmp_path, capsys):
     (theirs / "recipes-tests").mkdir(parents=True)
     for out in (ours, theirs):
         assert main(["render", "--out", str(out)]) == 0
-        said = capsys.readouterr().out
-        assert (f"{out}/recipes-tests: now a link to {checkout()}/recipes-tests;" in said) == (out == ours)
+        printed = capsys.readouterr().out
+        assert (f"{out}/recipes-tests: now a link to {checkout()}/recipes-tests;" in printed) == (out == ours)
         assert (out / SUITES / "files").readlink() == Path("../../../recipes-tests")
         assert (out / SUITES / "files").resolve() == (out / "recipes-tests").resolve()
     assert not (theirs / "recipes-tests").is_symlink()

@@ -74,5 +74,5 @@ def test_a_change_is_built_and_a_mistake_leaves_nothing(tmp_path: Path, monkeypa
     with pytest.raises(InfrastructureError, match=r"(?s)exit status 1 of ninja .*json.cpp:1:1: error"):
         suites.build("host", tmp_path / "place")
     assert not (tmp_path / "place").exists()
-    left = [path for path in (tmp_path / "cache" / "suites").iterdir() if path.suffix != ".lock"]
-    assert left == []
+    remaining = [path for path in (tmp_path / "cache" / "suites").iterdir() if path.suffix != ".lock"]
+    assert remaining == []

@@ -37,7 +37,7 @@ def suites(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return builder.build("host", tmp_path_factory.mktemp("suites"))
 
 
-def say(*command: str) -> str:
+def output_of(*command: str) -> str:
     """What a tool says; a failure shows it."""
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}"
@@ -48,8 +48,8 @@ def say(*command: str) -> str:
 def unit_build() -> Path:
     """The folder of the compiled unit tests; what did not change is not compiled again."""
     launcher = ["-DCMAKE_CXX_COMPILER_LAUNCHER=ccache"] if shutil.which("ccache") else []
-    say("cmake", "-G", "Ninja", "-S", str(UNIT_SOURCE), "-B", str(UNIT_BUILD), *launcher)
-    say("ninja", "-C", str(UNIT_BUILD), "-j", "2")
+    output_of("cmake", "-G", "Ninja", "-S", str(UNIT_SOURCE), "-B", str(UNIT_BUILD), *launcher)
+    output_of("ninja", "-C", str(UNIT_BUILD), "-j", "2")
     return UNIT_BUILD
 
 
@@ -89,7 +89,7 @@ class Bench:
     def communicate(self, *arguments: str, subscriber: tuple[str, ...] = ()) -> tuple["Ended", "Ended"]:
         """One subscriber and one publisher with the same arguments; what both said, the subscriber first."""
         receiver = self.start("communication_tests_subscriber", *arguments, *subscriber)
-        until(lambda: self.subscribers() == 1, receiver)
+        wait_until(lambda: self.subscribers() == 1, receiver)
         sender = self.run("communication_tests_publisher", *arguments, "-d", "1")
         return end(receiver), sender
 
@@ -110,7 +110,7 @@ def end(process: "subprocess.Popen[str]", timeout: float = 60) -> Ended:
     return Ended(process.returncode, out, err)
 
 
-def until(condition: Callable[[], bool], process: "subprocess.Popen[str]", timeout: float = 30) -> None:
+def wait_until(condition: Callable[[], bool], process: "subprocess.Popen[str]", timeout: float = 30) -> None:
     """Wait for a condition while a process runs."""
     deadline = time.monotonic() + timeout
     while not condition():

@@ -10,7 +10,7 @@ import pytest
 from rtfiles.config import read_yaml
 from rtgen import suites as builder
 
-from .conftest import Bench, check_outputs, end, is_measuring, until
+from .conftest import Bench, check_outputs, end, is_measuring, wait_until
 
 pytestmark = pytest.mark.ros
 
@@ -49,9 +49,9 @@ def test_in_real_time_with_payload(bench: Bench) -> None:
 
 def test_publisher_killed(bench: Bench) -> None:
     receiver = bench.start("communication_tests_subscriber", "-r", "100000", "--idle-timeout", "10")
-    until(lambda: bench.subscribers() == 1, receiver)
+    wait_until(lambda: bench.subscribers() == 1, receiver)
     sender = bench.start("communication_tests_publisher", "-r", "100000", "-d", "1")
-    until(lambda: is_measuring(sender), sender)
+    wait_until(lambda: is_measuring(sender), sender)
     with pytest.raises(subprocess.TimeoutExpired):
         sender.wait(2)
     sender.kill()
@@ -65,9 +65,9 @@ def test_publisher_killed(bench: Bench) -> None:
 
 def test_publisher_stopped_before_its_last_message(bench: Bench) -> None:
     receiver = bench.start("communication_tests_subscriber", "-r", "100000")
-    until(lambda: bench.subscribers() == 1, receiver)
+    wait_until(lambda: bench.subscribers() == 1, receiver)
     sender = bench.start("communication_tests_publisher", "-r", "100000", "-d", "1")
-    until(lambda: is_measuring(sender), sender)
+    wait_until(lambda: is_measuring(sender), sender)
     with pytest.raises(subprocess.TimeoutExpired):
         sender.wait(2)
     sender.send_signal(signal.SIGINT)
@@ -89,7 +89,7 @@ def test_nothing_ever_comes(bench: Bench) -> None:
 
 def test_subscriber_ends_on_a_signal(bench: Bench) -> None:
     process = bench.start("communication_tests_subscriber")
-    until(lambda: is_measuring(process), process)
+    wait_until(lambda: is_measuring(process), process)
     process.terminate()
     assert end(process).status == 0
     assert check_outputs(bench.folder, "ct_gnuplot_l1000_fq1000_pl0")["incomplete_reason"].startswith(
@@ -99,7 +99,7 @@ def test_subscriber_ends_on_a_signal(bench: Bench) -> None:
 
 def test_publisher_of_more_messages_than_expected(bench: Bench) -> None:
     receiver = bench.start("communication_tests_subscriber", "-r", "10")
-    until(lambda: bench.subscribers() == 1, receiver)
+    wait_until(lambda: bench.subscribers() == 1, receiver)
     assert bench.run("communication_tests_publisher", "-r", "50", "-d", "1").status == 0
     assert end(receiver).status == 0
     record = check_outputs(bench.folder, "ct_gnuplot_l10_fq1000_pl0")
@@ -125,12 +125,12 @@ def test_five_subscribers_by_the_launch_file(bench: Bench) -> None:
         text=True,
     )
     try:
-        said, _ = process.communicate(timeout=60)
+        output, _ = process.communicate(timeout=60)
     finally:
         if process.poll() is None:
             process.terminate()
             process.communicate()
-    assert process.returncode == 0, said
+    assert process.returncode == 0, output
     for number in range(5):
         record = check_outputs(bench.folder, f"n{number}ct_gnuplot_l200_fq500_pl64-tnRTRR")
         assert record["complete"] is True

@@ -37,12 +37,12 @@ def test_help_and_suites_yml_agree(offline: Bench, program: str) -> None:
     assert set(lines) == {known["options"][key]["flag"] for key in keys} | {"--help", "--version"}
     for key in keys:
         option = known["options"][key]
-        takes, said = re.fullmatch(r"(\S+) +(.*)", lines[option["flag"]]).groups()  # type: ignore[union-attr]
+        takes, description = re.fullmatch(r"(\S+) +(.*)", lines[option["flag"]]).groups()  # type: ignore[union-attr]
         if option["type"] == "int":
             assert takes == f"{option['min']}..{option['max']}"
         elif option["type"] == "choice":
             assert takes == "|".join(option["choices"])
-        default = re.fullmatch(r".*? \[(.*)\]", said)
+        default = re.fullmatch(r".*? \[(.*)\]", description)
         assert (default[1] if default else "") == str(option["default"] if option["default"] is not None else "")
 
 

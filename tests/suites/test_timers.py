@@ -12,7 +12,7 @@ import pytest
 from rtfiles.config import read_yaml
 from rtgen import suites as builder
 
-from .conftest import Bench, check_outputs, end, is_measuring, until
+from .conftest import Bench, check_outputs, end, is_measuring, wait_until
 
 pytestmark = pytest.mark.ros
 
@@ -137,7 +137,7 @@ def page_faults(process: "subprocess.Popen[str]") -> int:
 def test_locked_memory_is_bounded_and_never_faults(bench: Bench, command: tuple[str, ...]) -> None:
     """A board may have 256 MiB. Libraries, heap, and 256 KiB of stack for each thread stay in memory."""
     process = bench.start(*command, "-s", "RR", "-r", "4000")
-    until(lambda: is_measuring(process), process)
+    wait_until(lambda: is_measuring(process), process)
     time.sleep(0.5)
     before = page_faults(process)
     time.sleep(1)
@@ -172,7 +172,7 @@ def test_a_signal_ends_it_with_what_it_has(bench: Bench, program: str, number: s
     # Ten seconds a shot: the signal finds the program waiting.
     slow = ("-t", "10000000") if program == "oneshot_timer_tests" else ("-f", "1")
     process = bench.start(program, *slow, "-r", "1000")
-    until(lambda: is_measuring(process), process)
+    wait_until(lambda: is_measuring(process), process)
     process.send_signal(number)
     ended = end(process, timeout=10)
     assert (ended.status, ended.err) == (0, "")
@@ -187,7 +187,7 @@ def test_a_signal_ends_it_with_what_it_has(bench: Bench, program: str, number: s
 
 def test_busy_mode_ends_on_a_signal(bench: Bench) -> None:
     process = bench.start("oneshot_timer_tests", "-b", "1", "-r", "1000000")
-    until(lambda: is_measuring(process), process)
+    wait_until(lambda: is_measuring(process), process)
     process.terminate()
     assert end(process, timeout=10).status == 0
     assert check_outputs(bench.folder, "oneshot_timer_tests_l1000000_tm1000-bm")["complete"] is False
@@ -223,7 +223,7 @@ def test_ros_ends_it(bench: Bench) -> None:
     }.items():
         slow = ("-t", "10000000") if program == "oneshot_timer_tests" else ("-f", "1")
         first = bench.start(program, *slow)
-        until(lambda first=first: is_measuring(first), first)
+        wait_until(lambda first=first: is_measuring(first), first)
         second = bench.start(program, *slow, "-p", "second_")
         assert end(first, timeout=20).status == 0
         assert check_outputs(bench.folder, base)["incomplete_reason"] == "ended by ROS"
@@ -324,7 +324,7 @@ def test_blocks_survive_a_kill(bench: Bench) -> None:
     process = bench.start("cyclic_timer_tests", "-s", "FIFO", "-r", "100000")
     base = "cyclic_timer_tests_l100000_fq1000-tnRTFIFO"
     part = bench.folder / f"{base}.npy.part"
-    until(lambda: part.exists() and part.stat().st_size > 128, process)
+    wait_until(lambda: part.exists() and part.stat().st_size > 128, process)
     process.kill()
     process.communicate()
     assert bench.files() == [part.name]

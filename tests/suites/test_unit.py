@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import UNIT_SOURCE, say
+from .conftest import UNIT_SOURCE, output_of
 
 PROGRAMS = (
     "options",
@@ -26,6 +26,6 @@ def test_every_program_is_run() -> None:
 
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_gtest(unit_build: Path, name: str) -> None:
-    said = say(str(unit_build / f"test_{name}"))
-    print(said)
-    assert "[  PASSED  ]" in said
+    output = output_of(str(unit_build / f"test_{name}"))
+    print(output)
+    assert "[  PASSED  ]" in output

@@ -37,9 +37,9 @@ def test_a_test_for_independent_data_would_call_them_different() -> None:
 
 def test_a_shift_is_seen_and_its_interval_holds_it() -> None:
     rng = np.random.default_rng(3)
-    found = [compare([cut(process(20_000, rng))], [cut(process(20_000, rng, 63_000))]) for _ in range(40)]
-    assert sum(c.answer == Change.RUNS_DIFFER for c in found) >= 38
-    assert sum(c.shifts[0].low_ns <= 3000 <= c.shifts[0].high_ns for c in found) >= 34
+    comparisons = [compare([cut(process(20_000, rng))], [cut(process(20_000, rng, 63_000))]) for _ in range(40)]
+    assert sum(c.answer == Change.RUNS_DIFFER for c in comparisons) >= 38
+    assert sum(c.shifts[0].low_ns <= 3000 <= c.shifts[0].high_ns for c in comparisons) >= 34
 
 
 def test_none_seen_is_not_none() -> None:
@@ -57,9 +57,9 @@ def boots(rng: np.random.Generator, number: int = 6, mean_ns: float = 60_000) ->
 
 def test_five_runs_a_side_put_the_difference_between_boots_into_the_interval() -> None:
     rng = np.random.default_rng(5)
-    found = [compare(in_turn(boots(rng), 0), in_turn(boots(rng), 1)) for _ in range(40)]
-    assert all(c.units == "runs" and c.unit_counts == (6, 6) and c.interleaved for c in found)
-    assert sum(c.answer == Change.DIFFERENT for c in found) <= 5
+    comparisons = [compare(in_turn(boots(rng), 0), in_turn(boots(rng), 1)) for _ in range(40)]
+    assert all(c.units == "runs" and c.unit_counts == (6, 6) and c.interleaved for c in comparisons)
+    assert sum(c.answer == Change.DIFFERENT for c in comparisons) <= 5
     apart = compare(in_turn(boots(rng), 0), in_turn(boots(rng, mean_ns=90_000), 1))
     assert apart.answer == Change.DIFFERENT
 
@@ -75,15 +75,15 @@ def test_few_runs_may_differ_but_not_what_they_are_of(number: int) -> None:
 
 def test_sets_measured_one_after_the_other_are_never_different() -> None:
     rng = np.random.default_rng(6)
-    found = compare(in_turn(boots(rng), 0, 1), in_turn(boots(rng, mean_ns=90_000), 6, 1))
-    assert found.answer == Change.RUNS_DIFFER and not found.interleaved
+    comparison = compare(in_turn(boots(rng), 0, 1), in_turn(boots(rng, mean_ns=90_000), 6, 1))
+    assert comparison.answer == Change.RUNS_DIFFER and not comparison.interleaved
 
 
 def test_sets_without_a_common_boot_have_boots_as_units() -> None:
     rng = np.random.default_rng(7)
     a, b = in_turn(boots(rng), 0, boot="a"), in_turn(boots(rng, mean_ns=90_000), 1, boot="b")
-    found = compare(a, b)
-    assert found.answer == Change.RUNS_DIFFER and "boots alike: with 1 and 1" in found.assumes[0]
+    comparison = compare(a, b)
+    assert comparison.answer == Change.RUNS_DIFFER and "boots alike: with 1 and 1" in comparison.assumes[0]
     a, b = ([replace(run, boot=f"{side}{k}") for k, run in enumerate(runs)] for side, runs in (("a", a), ("b", b)))
     assert compare(a, b).units == "boots" and compare(a, b).answer == Change.DIFFERENT
 
@@ -130,11 +130,11 @@ def test_the_same_sets_give_the_same_answer() -> None:
 @pytest.mark.parametrize("n", [1, 5, 64, 1000])
 def test_blocks_lose_nothing(n: int) -> None:
     values = process(n, np.random.default_rng(8))
-    found = cut(values)
-    assert found.n == n and found.sums_ns.sum() == pytest.approx(values.sum())
+    blocks = cut(values)
+    assert blocks.n == n and blocks.sums_ns.sum() == pytest.approx(values.sum())
     parts = split_randomly(from_samples(values))
     assert parts.n == n and not parts.ordered
-    assert add_outputs([found, found]).n == 2 * n
+    assert add_outputs([blocks, blocks]).n == 2 * n
 
 
 def test_wide_values_are_put_into_fewer_columns() -> None:
@@ -183,8 +183,8 @@ def test_layers_that_were_not_measured_in_turn_are_refused() -> None:
     rng = np.random.default_rng(11)
     lower, upper = ([cut(process(2000, rng)) for _ in range(3)] for _ in range(2))
     for a, b in ((in_turn(lower, 0, 1), in_turn(upper, 3, 1)), (lower, upper)):
-        found = attribute(a, b)
-        assert found.added == () and found.refused is not None and "in turn" in found.refused
+        layers = attribute(a, b)
+        assert layers.added == () and layers.refused is not None and "in turn" in layers.refused
     few = attribute(in_turn(lower[:2], 0), in_turn(upper[:2], 1))
     assert few.refused is not None and "at least 3" in few.refused
 

@@ -42,11 +42,11 @@ def test_three_answers() -> None:
 
 
 def test_the_number_still_needed_is_exact() -> None:
-    found = verdict(count_misses(with_misses(1000), DEADLINE), period_ns=1e6)
-    assert found.further is not None
-    enough = 1000 + found.further
+    judged = verdict(count_misses(with_misses(1000), DEADLINE), period_ns=1e6)
+    assert judged.further is not None
+    enough = 1000 + judged.further
     assert anytime_interval(0, enough, 0.95)[1] < 1e-3 <= anytime_interval(0, enough - 1, 0.95)[1]
-    assert found.hours(found.further) == pytest.approx(found.further / 3.6e6)
+    assert judged.hours(judged.further) == pytest.approx(judged.further / 3.6e6)
 
 
 def test_a_rate_that_goes_on_decides_one_way_or_the_other() -> None:
@@ -63,17 +63,17 @@ def test_late_is_above_the_deadline_not_on_it() -> None:
 
 
 def test_what_never_came_met_no_deadline() -> None:
-    found = count_misses(with_misses(8, 2), DEADLINE, absent=np.array([0, 5]))
-    assert (found.n, found.late, found.absent) == (10, 1, 2)
-    assert found.misses is not None and found.misses.count == 3
+    trials = count_misses(with_misses(8, 2), DEADLINE, absent=np.array([0, 5]))
+    assert (trials.n, trials.late, trials.absent) == (10, 1, 2)
+    assert trials.misses is not None and trials.misses.count == 3
     # The third sample to come is loop 3: misses at 0, 3 and 5, each in a pair of its own, two in the first four.
-    assert found.misses.blocks[0] == (5, 3, 3)
-    assert found.misses.blocks[1] == (2, 3, 5)
+    assert trials.misses.blocks[0] == (5, 3, 3)
+    assert trials.misses.blocks[1] == (2, 3, 5)
 
 
 def test_emulated_numbers_are_no_statement() -> None:
-    found = verdict(count_misses(with_misses(9000), DEADLINE), emulated=True)
-    assert found.answer == Answer.NO_STATEMENT and found.refused == "measured on an emulated board"
+    judged = verdict(count_misses(with_misses(9000), DEADLINE), emulated=True)
+    assert judged.answer == Answer.NO_STATEMENT and judged.refused == "measured on an emulated board"
 
 
 def test_a_deadline_finer_than_the_clock_is_refused() -> None:
@@ -82,8 +82,8 @@ def test_a_deadline_finer_than_the_clock_is_refused() -> None:
 
 
 def test_a_histogram_says_what_it_assumes() -> None:
-    found = verdict(count_misses_in_histogram(from_samples(with_misses(5000)), DEADLINE))
-    assert found.answer == Answer.IF_INDEPENDENT and "independent" in found.assumes[0]
+    judged = verdict(count_misses_in_histogram(from_samples(with_misses(5000)), DEADLINE))
+    assert judged.answer == Answer.IF_INDEPENDENT and "independent" in judged.assumes[0]
 
 
 def test_subscribers_of_one_message_count_once() -> None:
@@ -132,9 +132,9 @@ def test_two_misses_one_after_the_other_are_a_burst() -> None:
 
 
 def test_the_longest_burst_that_a_proof_holds_for() -> None:
-    found = verdict(count_misses(with_misses(10_000), DEADLINE))
-    assert found.longest_burst == pytest.approx(10_000 * 1e-3 / 3.689, rel=1e-3)
-    lengths = dict(found.further_for_bursts)
+    judged = verdict(count_misses(with_misses(10_000), DEADLINE))
+    assert judged.longest_burst == pytest.approx(10_000 * 1e-3 / 3.689, rel=1e-3)
+    lengths = dict(judged.further_for_bursts)
     assert set(lengths) == {20, 50}
     assert lengths[20] + 10_000 == pytest.approx(20 * 3689, rel=1e-3)
     longer = verdict(count_misses(with_misses(10_000 + lengths[20]), DEADLINE))
@@ -142,12 +142,12 @@ def test_the_longest_burst_that_a_proof_holds_for() -> None:
 
 
 def test_misses_that_gather_at_the_end_prove_nothing() -> None:
-    found = verdict(count_misses(with_misses(50_000, 48_000, 48_700, 49_300, 49_999), DEADLINE))
-    assert found.upper < 1e-3 and found.answer == Answer.NEEDS_MORE
-    assert found.change is not None and "4 of 4 misses lie in the last 4 %" in found.change.text
+    judged = verdict(count_misses(with_misses(50_000, 48_000, 48_700, 49_300, 49_999), DEADLINE))
+    assert judged.upper < 1e-3 and judged.answer == Answer.NEEDS_MORE
+    assert judged.change is not None and "4 of 4 misses lie in the last 4 %" in judged.change.text
 
 
 def test_values_that_rise_prove_nothing() -> None:
     values = with_misses(50_000) + np.linspace(0, 40_000, 50_000).astype(np.int64)
-    found = verdict(count_misses(values, DEADLINE))
-    assert found.answer == Answer.NEEDS_MORE and found.change is not None and "high values" in found.change.text
+    judged = verdict(count_misses(values, DEADLINE))
+    assert judged.answer == Answer.NEEDS_MORE and judged.change is not None and "high values" in judged.change.text

@@ -20,10 +20,10 @@ from rtrun.analysis.dependence import (
 
 @given(st.sets(st.integers(0, 199)), st.integers(200, 260))
 def test_block_sums_are_those_of_counting(positions: set[int], loops: int) -> None:
-    found = locate(np.array(sorted(positions), dtype=np.int64), loops)
+    located = locate(np.array(sorted(positions), dtype=np.int64), loops)
     events = np.zeros(loops, dtype=np.int64)
     events[sorted(positions)] = 1
-    for scale, (whole, count, squares) in enumerate(found.blocks):
+    for scale, (whole, count, squares) in enumerate(located.blocks):
         size = 2 << scale
         sums = events[: loops // size * size].reshape(-1, size).sum(axis=1)
         assert (whole, count, squares) == (len(sums), sums.sum(), (sums**2).sum())

@@ -11,16 +11,16 @@ from rtrun.analysis.periods import burst_peaks, find_period
 def test_the_chances_are_those_of_welch() -> None:
     rng = np.random.default_rng(1)
     a, b = rng.normal(100, 5, 6), rng.normal(130, 9, 8)
-    found = examine_effect(a, b, sign=1, least_ns=20, refuting_ns=25)
-    assert found.p_above == pytest.approx(ttest_ind(b - 20, a, equal_var=False, alternative="greater").pvalue)
-    assert found.p_below == pytest.approx(ttest_ind(b - 25, a, equal_var=False, alternative="less").pvalue)
+    effect = examine_effect(a, b, sign=1, least_ns=20, refuting_ns=25)
+    assert effect.p_above == pytest.approx(ttest_ind(b - 20, a, equal_var=False, alternative="greater").pvalue)
+    assert effect.p_below == pytest.approx(ttest_ind(b - 25, a, equal_var=False, alternative="less").pvalue)
     mirrored = examine_effect(b, a, sign=-1, least_ns=20, refuting_ns=25)
-    assert mirrored.p_above == pytest.approx(found.p_above) and mirrored.p_below == pytest.approx(found.p_below)
+    assert mirrored.p_above == pytest.approx(effect.p_above) and mirrored.p_below == pytest.approx(effect.p_below)
 
 
 def test_runs_that_are_all_equal() -> None:
-    found = examine_effect(np.full(5, 1.0), np.full(5, 3.0), sign=1, least_ns=1, refuting_ns=0)
-    assert (found.p_above, found.p_below) == (0.0, 1.0)
+    effect = examine_effect(np.full(5, 1.0), np.full(5, 3.0), sign=1, least_ns=1, refuting_ns=0)
+    assert (effect.p_above, effect.p_below) == (0.0, 1.0)
 
 
 def test_holm() -> None:

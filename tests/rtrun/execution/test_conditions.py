@@ -35,7 +35,7 @@ def measure(target, tmp_path, act=lambda: None, **values):
 
 def session_of(target, name):
     """The processes in the session of a program of the run that is under way: pid to command."""
-    found = {}
+    workers = {}
     for file in Path(target.work_dir, "runs").rglob(f"{name}.pid"):
         leader = file.read_text().strip()
         for stat in Path("/proc").glob("[0-9]*/stat"):
@@ -44,8 +44,8 @@ def session_of(target, name):
             except OSError:
                 continue
             if tail.split()[3] == leader:
-                found[int(stat.parent.name)] = head.partition("(")[2]
-    return found
+                workers[int(stat.parent.name)] = head.partition("(")[2]
+    return workers
 
 
 def when(condition, then):
@@ -53,11 +53,11 @@ def when(condition, then):
 
     def wait():
         deadline = time.monotonic() + 60
-        while not (found := condition()):
+        while not (value := condition()):
             if time.monotonic() > deadline:
                 return
             time.sleep(0.05)
-        then(found)
+        then(value)
 
     threading.Thread(target=wait, daemon=True).start()
 
@@ -188,9 +188,9 @@ def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
     assert (record["status"], record["reason"]) == ("ok", None)
     assert "--interval=1000" in record["programs"][0]["argv"] and "--policy=rr" in record["programs"][0]["argv"]
     assert "RR" in record["in_effect"]["policy"] and 80 in record["in_effect"]["priority"]
-    said = (tmp_path / "results" / run.name / "cyclictest.stdout").read_text()
+    printed = (tmp_path / "results" / run.name / "cyclictest.stdout").read_text()
     # A value above the histogram counts apart: how many there are is up to how busy the machine is.
-    totals = [int(word) for word in re.search(r"# Total: (.*)", said)[1].split()]
+    totals = [int(word) for word in re.search(r"# Total: (.*)", printed)[1].split()]
     results = read_run(tmp_path / "results" / run.name).results
     assert [(each.header.suite, each.figures.n) for each in results] == [("cyclictest", total) for total in totals]
     assert len(totals) == 2 and min(totals) > 1000

@@ -92,7 +92,7 @@ def measure(board, groups, wanted, *, calls=10**9):
         evaluate=lambda: board.evaluate(groups),
         spent_s=lambda: board.spent_s,
     )
-    for each in rounds(groups, wanted, 7, NEEDED, findings, lambda told, _: board.told.append(told)):
+    for each in rounds(groups, wanted, 7, NEEDED, findings, lambda progress, _: board.told.append(progress)):
         if f"boot{board.boot}" in each.used_boots:
             board.boot += 1
         for run in each.runs:

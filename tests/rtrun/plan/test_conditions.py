@@ -43,8 +43,8 @@ def test_nodes_send_for_longer_than_the_suite_measures():
 
 
 def test_a_load_runs_on_its_cpus_and_a_setting_is_no_load():
-    hold, load = background("cpu80", load_cpu="1-2", governor="performance")
-    assert hold.program.argv == ("/scripts/pin_setting.sh", "governor", "performance") and not hold.is_load
+    pinning, load = background("cpu80", load_cpu="1-2", governor="performance")
+    assert pinning.program.argv == ("/scripts/pin_setting.sh", "governor", "performance") and not pinning.is_load
     assert load.program.argv[:3] == ("taskset", "-c", "1-2")
     assert load.processes == 1 + 2
 

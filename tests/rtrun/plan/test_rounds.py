@@ -42,8 +42,8 @@ def test_the_rounds_of_the_best_case_are_spread_over_the_boots(measurements, boo
 
 
 def test_the_outlook_counts_rounds_boots_and_seconds():
-    found = outlook(GROUPS, 16_000, boots=8, a_boot=2)
-    assert (found.rounds, found.boots) == (16, 8)
-    assert found.measuring_s == pytest.approx(16 * 1002 * (1 / 100 + 1 / 200 + 1 / 300 + 1 / 400))
+    times = outlook(GROUPS, 16_000, boots=8, a_boot=2)
+    assert (times.rounds, times.boots) == (16, 8)
+    assert times.measuring_s == pytest.approx(16 * 1002 * (1 / 100 + 1 / 200 + 1 / 300 + 1 / 400))
     few = outlook(GROUPS, 1, boots=8, a_boot=1)
     assert (few.rounds, few.boots) == (8, 8), "the boots that the answer must rest on take a round each"

@@ -43,12 +43,12 @@ def test_names_are_those_of_2014() -> None:
 def test_a_log_name_gives_back_its_parameters(name: str, prefix: str, **parameters: str | int) -> None:
     given_parameters = {key: value for key, value in parameters.items() if key in suite(name).parameters}
     for log_name in log_names(name, given_parameters | {"prefix": prefix}):
-        found = read_log_name(log_name)
-        assert found is not None
-        assert found.suite == name
-        assert found.parameters.get("prefix", "") == prefix
+        facts = read_log_name(log_name)
+        assert facts is not None
+        assert facts.suite == name
+        assert facts.parameters.get("prefix", "") == prefix
         visible = {key: value for key, value in given_parameters.items() if f"{{{key}}}" in suite(name).output}
-        assert found.parameters | visible | {"policy": given_parameters["policy"]} == found.parameters
+        assert facts.parameters | visible | {"policy": given_parameters["policy"]} == facts.parameters
 
 
 def test_a_foreign_name_is_no_log_name() -> None:
@@ -58,7 +58,7 @@ def test_a_foreign_name_is_no_log_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "says"),
+    ("key", "value", "message"),
     [
         ("repetitions", -1, "a whole number from 1 to 100000000, got -1"),
         ("repetitions", True, "got True"),
@@ -70,11 +70,11 @@ def test_a_foreign_name_is_no_log_name() -> None:
         ("timeout", 5, "unknown parameter 'timeout', known: policy, repetitions"),
     ],
 )
-def test_a_wrong_value_is_refused_and_told_what_is_right(key: str, value: object, says: str) -> None:
+def test_a_wrong_value_is_refused_and_told_what_is_right(key: str, value: object, message: str) -> None:
     with pytest.raises(UsageError) as error:
         check(key, value, f"campaign.yml: runs.0.{key}")
     assert str(error.value).startswith(f"campaign.yml: runs.0.{key}: ")
-    assert says in str(error.value)
+    assert message in str(error.value)
 
 
 def test_yaml_numbers_are_taken_for_a_choice() -> None:

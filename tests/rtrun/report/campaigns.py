@@ -12,19 +12,19 @@ NOT_FIRED = -(2**63)
 Int64s = NDArray[np.int64]
 
 
-def lot(seed: int = 1) -> np.random.Generator:
+def random_numbers(seed: int = 1) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
 def latencies(n: int, seed: int, mean_us: float = 90.0, spread_us: float = 8.0) -> Int64s:
     """Independent latencies with a tail of exponential kind."""
-    values = mean_us + spread_us * (lot(seed).gamma(4.0, 0.5, n) - 2)
+    values = mean_us + spread_us * (random_numbers(seed).gamma(4.0, 0.5, n) - 2)
     return (1000 * values).astype(np.int64)
 
 
 def bursty(n: int, seed: int, mean_us: float = 90.0) -> Int64s:
     """Latencies that remember the ones before them (first order, 0.95)."""
-    noise = lot(seed).normal(size=n)
+    noise = random_numbers(seed).normal(size=n)
     state = np.empty(n)
     level = 0.0
     for i, step in enumerate(noise):
@@ -58,7 +58,7 @@ def communication_rows(latency_ns: Int64s, frequency_hz: int, lost: tuple[int, .
 def write_log(path: Path, suite: str, values_ns: Int64s, *, label: str, asked: int) -> None:
     """A log as suites.md has it."""
     us = np.floor_divide(values_ns, 1000)
-    found, counts = np.unique(us, return_counts=True)
+    values_us, counts = np.unique(us, return_counts=True)
     low, high, mean = int(us.min()), int(us.max()), int(us.mean())
     summary = f"MIN: {low}us AVG: {mean}us MAX: {high}us"
     head = {
@@ -82,9 +82,9 @@ def write_log(path: Path, suite: str, values_ns: Int64s, *, label: str, asked: i
         *([f"# {asked - us.size} timers didn't fire"] if suite.startswith("oneshot") and asked > us.size else []),
         "# Indices of top values(|latency:index|): |" + "".join(f"{us[i]}:{i}|" for i in top),
     ]
-    filled = dict(zip(found.tolist(), counts.tolist(), strict=True))
+    filled = dict(zip(values_us.tolist(), counts.tolist(), strict=True))
     first = low if suite == "cyclic_timer_tests" else 0
-    ordered = [value for value in found.tolist() if value < 0] if suite != "cyclic_timer_tests" else []
+    ordered = [value for value in values_us.tolist() if value < 0] if suite != "cyclic_timer_tests" else []
     lines += [
         f"{'-' if value < 0 else ''}{abs(value):06d} \t{filled.get(value, 0):06d}" for value in range(first, high + 1)
     ]

@@ -43,12 +43,12 @@ def claim_of(claims: tuple[Examined, ...], name: str) -> Examined:
 
 def test_ours_is_judged_and_that_of_2014_is_compared_with_what_was_published(tmp_path: Path) -> None:
     write_oneshot(tmp_path)
-    found = study(tmp_path)
-    (judged,), (of_2014,) = found.groups, found.groups_2014
+    analysed = study(tmp_path)
+    (judged,), (of_2014,) = analysed.groups, analysed.groups_2014
     assert (judged.series, of_2014.series) == ("measured", "measured_2014")
     ours, theirs = judged.digests[0].figures.mean_ns, of_2014.digests[0].figures.mean_ns
     assert ours is not None and theirs == pytest.approx(ours - ARMED_AFTER_NS)
-    tables = {table.id: table for table in document(found, examine_claims(found)).tables}
+    tables = {table.id: table for table in document(analysed, examine_claims(analysed)).tables}
     assert {row[0] for row in tables["published"].rows} == {"oneshot_timer measured_2014 RR 1000 us"}
     assert tables["published"].rows[0][3] == f"{theirs / 1000:.1f}"
     assert NOTE_2014 in tables["figures"].notes
@@ -64,23 +64,23 @@ def test_the_claim_on_accuracy_counts_from_the_armed_timer(tmp_path: Path) -> No
 
 def test_results_of_2014_are_judged_by_what_they_have(tmp_path: Path) -> None:
     write_oneshot_of_2014(tmp_path, 91.0)
-    found = study(tmp_path)
-    assert [group.series for group in found.groups] == ["measured_2014"]
-    assert found.groups[0].verdict is not None
-    assert "measured_2014" in found.groups[0].label
-    assert found.groups_2014 == ()
+    analysed = study(tmp_path)
+    assert [group.series for group in analysed.groups] == ["measured_2014"]
+    assert analysed.groups[0].verdict is not None
+    assert "measured_2014" in analysed.groups[0].label
+    assert analysed.groups_2014 == ()
 
 
 def test_compare_with_results_of_2014_is_by_their_series(tmp_path: Path) -> None:
     write_oneshot(tmp_path / "ours", 98.0)
     write_oneshot_of_2014(tmp_path / "theirs", 91.0)
     for a, b in (("ours", "theirs"), ("theirs", "ours")):
-        found = compared(tmp_path / a, tmp_path / b)
-        assert [change.label for change in found.changes] == ["oneshot_timer measured_2014 RR 1000 us"]
-        mean = next(shift for shift in found.changes[0].comparison.shifts if shift.figure == "mean")
+        comparison = compared(tmp_path / a, tmp_path / b)
+        assert [change.label for change in comparison.changes] == ["oneshot_timer measured_2014 RR 1000 us"]
+        mean = next(shift for shift in comparison.changes[0].comparison.shifts if shift.figure == "mean")
         # The 7 us between the stamps are not in it; the log is cut to whole microseconds.
         assert abs(mean.shift_ns) < 1000
-        assert (found.only_a, found.only_b) == ((), ())
+        assert (comparison.only_a, comparison.only_b) == ((), ())
 
 
 def test_compare_of_ours_is_by_ours_alone(tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_samples_of_an_earlier_version_are_not_compared_with_2014(tmp_path: Path
     folder = write_oneshot(tmp_path)
     path = next(folder.glob("*.npy"))
     np.save(path, np.load(path)[:, :4])
-    found = study(path)
-    assert [group.series for group in found.groups] == ["measured"]
-    assert found.as_in_2014 == ()
-    assert "not compared with what was published in 2014" in found.groups[0].digests[0].header.remarks[0]
+    analysed = study(path)
+    assert [group.series for group in analysed.groups] == ["measured"]
+    assert analysed.as_in_2014 == ()
+    assert "not compared with what was published in 2014" in analysed.groups[0].digests[0].header.remarks[0]

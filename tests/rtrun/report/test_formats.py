@@ -133,8 +133,8 @@ def test_a_reason_from_a_target_makes_no_line_of_its_own(capsysbinary, tmp_path)
     folder = write_run(tmp_path, "a", "oneshot_timer_tests", rows, parameters, asked=300, logs=False)
     write_run(tmp_path, "b", "oneshot_timer_tests", rows, parameters, asked=300, logs=False)
     path = next(folder.glob("one*.json"))
-    said = {"complete": False, "incomplete_reason": "left\nPROVEN  everything\x1b[2J"}
-    path.write_text(json.dumps(json.loads(path.read_text()) | said))
+    header = {"complete": False, "incomplete_reason": "left\nPROVEN  everything\x1b[2J"}
+    path.write_text(json.dumps(json.loads(path.read_text()) | header))
     record = json.loads((folder / "run.json").read_text())
     record["files"][path.name] = {
         "size_bytes": path.stat().st_size, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()
@@ -142,8 +142,8 @@ def test_a_reason_from_a_target_makes_no_line_of_its_own(capsysbinary, tmp_path)
     (folder / "run.json").write_text(json.dumps(record))
     for command in (["show"], ["report"], ["gate"], ["claims"]):
         main([*command, str(tmp_path)])
-        said = capsysbinary.readouterr().out
-        assert b"left?PROVEN" in said and b"\nPROVEN" not in said and b"\x1b" not in said
+        header = capsysbinary.readouterr().out
+        assert b"left?PROVEN" in header and b"\nPROVEN" not in header and b"\x1b" not in header
 
 
 def test_a_report_is_written_beside_the_results(capsys, tmp_path):
@@ -151,8 +151,8 @@ def test_a_report_is_written_beside_the_results(capsys, tmp_path):
     parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
     folder = write_run(tmp_path, "a", "oneshot_timer_tests", rows, parameters, asked=300)
     assert main(["report", str(tmp_path)]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert said[0] == "NEEDS MORE 1 of 1" and said[-1] == str(tmp_path / "report.html")
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "NEEDS MORE 1 of 1" and printed[-1] == str(tmp_path / "report.html")
     assert "<html" in (tmp_path / "report.html").read_text()
     pictures = sorted(path.name for path in folder.glob("*.jpg"))
     assert pictures == [path.with_suffix(".jpg").name for path in sorted(folder.glob("*.log"))] and pictures

@@ -41,15 +41,15 @@ def test_a_log_without_order_passes_only_when_told_to(tmp_path, capsys):
 def test_too_little_and_too_late_fail(tmp_path, capsys, question, answer):
     write_oneshot(tmp_path)
     assert main(["gate", str(tmp_path), *question]) == 1
-    said = capsys.readouterr().out.splitlines()
-    assert said[0] == "failed" and answer in said[1]
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "failed" and answer in printed[1]
 
 
 def test_emulated_results_never_pass(tmp_path, capsys):
     write_oneshot(tmp_path, emulated=True)
     assert main(["gate", str(tmp_path), "--probability", "1e-2"]) == 1
-    said = capsys.readouterr().out
-    assert said.startswith("EMULATED") and "FAIL  not a real-time statement" in said
+    printed = capsys.readouterr().out
+    assert printed.startswith("EMULATED") and "FAIL  not a real-time statement" in printed
 
 
 def test_a_failed_run_does_not_pass_unseen(tmp_path, capsys):
@@ -91,12 +91,12 @@ def test_compare_tells_what_changed(tmp_path, capsys):
     write_oneshot(tmp_path / "b", n=20_000, mean_us=95.0, seed=2)
     write_oneshot(tmp_path / "c", n=20_000, seed=3)
     assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b"), "--margin", "1us"]) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     assert (
-        said.startswith(
+        printed.startswith(
             "THESE RUNS DIFFER  oneshot_timer RR 1000 us: fewer than five runs or boots a side; not measured"
         )
-        and "us, margin 1.0 us: shifted" in said
+        and "us, margin 1.0 us: shifted" in printed
     )
     assert main(["compare", str(tmp_path / "a"), str(tmp_path / "c"), "--margin", "50us"]) == 0
     assert capsys.readouterr().out.startswith("NO DIFFERENCE  ")
@@ -127,9 +127,9 @@ def test_compare_refuses_what_could_be_matched_in_two_ways(tmp_path, capsys):
     assert "first in A, second and third in B: no target is in both" in capsys.readouterr().err
     write_oneshot(tmp_path / "a", "y", target={"name": "second"})
     assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert "only in A: oneshot_timer RR 1000 us on first" in said
-    assert "only in B: oneshot_timer RR 1000 us on third" in said
+    printed = capsys.readouterr().out.splitlines()
+    assert "only in A: oneshot_timer RR 1000 us on first" in printed
+    assert "only in B: oneshot_timer RR 1000 us on third" in printed
 
 
 def test_compare_needs_something_in_common(tmp_path, capsys):
@@ -142,7 +142,7 @@ def test_compare_needs_something_in_common(tmp_path, capsys):
 
 def test_claims_are_printed_with_their_numbers(campaign, capsys):
     assert main(["claims", str(campaign)]) == 0
-    said = capsys.readouterr().out
-    assert sum(line.startswith(("confirmed", "refuted", "undecided")) for line in said.splitlines()) == 19
+    printed = capsys.readouterr().out
+    assert sum(line.startswith(("confirmed", "refuted", "undecided")) for line in printed.splitlines()) == 19
     assert main(["claims", str(campaign), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["claims"]) == 19

@@ -95,9 +95,9 @@ def test_the_two_definitions_of_jitter_and_the_cluster(tmp_path):
     lateness[::8] -= 900_000
     parameters = {"policy": "RR", "frequency_hz": 100}
     write_run(tmp_path, "a", "cyclic_timer_tests", [cyclic_rows(lateness, 100)], parameters, asked=4000, logs=False)
-    found = study(tmp_path)
-    (jitter,) = found.digests
-    grid = next(one for one in found.others if one.header.series == "grid")
+    analysed = study(tmp_path)
+    (jitter,) = analysed.digests
+    grid = next(one for one in analysed.others if one.header.series == "grid")
     assert jitter.cluster is not None and jitter.cluster.fraction == pytest.approx(1 / 8, abs=0.002)
     assert grid.cluster is not None and grid.cluster.fraction == pytest.approx(1 / 8, abs=0.002)
     assert grid.cluster.median_ns == pytest.approx(-810_000, abs=5000)
@@ -114,10 +114,10 @@ def test_five_subscribers_are_one_group_whose_messages_count_once(tmp_path):
 
 
 def test_an_emulated_board_gets_no_verdict_and_no_worst_case(emulated):
-    found = study(emulated)
-    assert found.emulated
-    assert {verdict_line(group).answer for group in found.groups} == {Answer.NO_STATEMENT}
-    assert all(not group.bounds and group.no_bound == "measured on an emulated board" for group in found.groups)
+    analysed = study(emulated)
+    assert analysed.emulated
+    assert {verdict_line(group).answer for group in analysed.groups} == {Answer.NO_STATEMENT}
+    assert all(not group.bounds and group.no_bound == "measured on an emulated board" for group in analysed.groups)
 
 
 def test_what_cannot_be_analysed_is_told_and_the_rest_is(tmp_path):
@@ -127,12 +127,12 @@ def test_what_cannot_be_analysed_is_told_and_the_rest_is(tmp_path):
     data = next(cut.glob("*.npy"))
     data.write_bytes(data.read_bytes()[:-8])
     (tmp_path / "open").mkdir()
-    found = study(tmp_path)
-    assert [group.runs for group in found.groups] == [("good",)]
-    told = "\n".join(found.left_out)
-    assert "failed: failed: the board rebooted" in told
-    assert "altered since the run was closed" in told and ".npy" in told
-    assert "open: incomplete" in told
+    analysed = study(tmp_path)
+    assert [group.runs for group in analysed.groups] == [("good",)]
+    left_out = "\n".join(analysed.left_out)
+    assert "failed: failed: the board rebooted" in left_out
+    assert "altered since the run was closed" in left_out and ".npy" in left_out
+    assert "open: incomplete" in left_out
 
 
 def test_logs_alone_are_read_as_histograms(tmp_path):
@@ -180,5 +180,5 @@ def test_a_record_with_names_that_leave_the_folder_is_refused(tmp_path):
     write_oneshot(tmp_path, "b", latencies(100, 1))
     record = json.loads((folder / "run.json").read_text())
     (folder / "run.json").write_text(json.dumps(record | {"outputs": ["../b/x"]}))
-    found = study(tmp_path)
-    assert len(found.groups) == 1 and "no name of a file" in found.left_out[0]
+    analysed = study(tmp_path)
+    assert len(analysed.groups) == 1 and "no name of a file" in analysed.left_out[0]

@@ -15,7 +15,7 @@ from rtrun.results.reading import Result
 from rtrun.results.series import Header
 
 
-def result(found: Figures, remarks: tuple[str, ...] = (), run: str = "001-x", **parameters: Value) -> Result:
+def result(figures: Figures, remarks: tuple[str, ...] = (), run: str = "001-x", **parameters: Value) -> Result:
     header = Header(
         run=run,
         suite="communication_tests",
@@ -29,7 +29,7 @@ def result(found: Figures, remarks: tuple[str, ...] = (), run: str = "001-x", **
         out_of_order=1234,
         remarks=remarks,
     )  # fmt: skip
-    return Result(header=header, figures=found)
+    return Result(header=header, figures=figures)
 
 
 def drawn(what: object, width: int) -> list[str]:

@@ -132,18 +132,18 @@ def test_negative_bins_after_the_others_in_comments_are_read(tmp_path: Path) -> 
 
 
 def test_every_real_log_of_2014_is_read() -> None:
-    found = {path.name: read_log(path) for path in DATA.glob("*.log")}
-    assert len(found) == 9
-    for name, log in found.items():
+    logs = {path.name: read_log(path) for path in DATA.glob("*.log")}
+    assert len(logs) == 9
+    for name, log in logs.items():
         assert int(log.count.sum()) + log.missing == log.parameters["repetitions"], name
         assert log.printed is not None
         assert figures_of(log).max_ns == 1000 * log.printed.max_us
-    log = found[ONESHOT]
+    log = logs[ONESHOT]
     assert log.parameters == {"repetitions": 200, "timeout_us": 1000, "policy": "RR", "busy_mode": 0}
     assert (log.suite, log.series, log.remarks) == ("oneshot_timer_tests", "measured_2014", ())
     assert (log.printed.min_us, log.printed.avg_us, log.printed.max_us) == (14, 42, 273) if log.printed else False
     assert (figures_of(log).top[0].index, figures_of(log).lowest[0].index) == (33, 122)
-    assert found["oneshot_timer_tests_l50_tm500-tnRTFIFO-bm-measured.log"].parameters["busy_mode"] == 1
+    assert logs["oneshot_timer_tests_l50_tm500-tnRTFIFO-bm-measured.log"].parameters["busy_mode"] == 1
 
 
 def test_the_sentinel_of_2014_is_taken_out_and_told() -> None:
@@ -175,7 +175,7 @@ def altered(tmp_path: Path, name: str, old: str, new: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ("000014 \t000001", "000014 \t000002", ":12: the summary speaks of 200 measurements, 0 missing, 0 not fired"),
         ("000014 \t000001", "000014 \t000000", ":2: the summary's MIN is 14 us, that of the bins 33 us"),
@@ -191,12 +191,12 @@ def altered(tmp_path: Path, name: str, old: str, new: str) -> Path:
         ("set xlabel", "exit #", ":2: no log of a suite"),
     ],
 )
-def test_an_altered_log_is_refused_at_its_line(tmp_path: Path, old: str, new: str, says: str) -> None:
+def test_an_altered_log_is_refused_at_its_line(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = altered(tmp_path, ONESHOT, old, new)
     with pytest.raises(UsageError) as error:
         read_log(path)
     assert str(error.value).startswith(str(path))
-    assert says in str(error.value)
+    assert message in str(error.value)
 
 
 def test_counts_that_contradict_the_missing_messages_are_refused(tmp_path: Path) -> None:
@@ -211,8 +211,8 @@ def test_an_incomplete_log_holds_as_many_as_it_says(tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(UsageError, match=r"the summary speaks of 9 measurements, 0 missing, 0 not fired, .* hold 2"):
         read_log(path)
-    said = "# Incomplete: 2 of 9 measured, the publisher left, last message seen: 1\n000000"
-    path.write_text(text.replace("000000", said, 1))
+    incomplete = "# Incomplete: 2 of 9 measured, the publisher left, last message seen: 1\n000000"
+    path.write_text(text.replace("000000", incomplete, 1))
     assert read_log(path).incomplete == "the publisher left, last message seen: 1"
 
 

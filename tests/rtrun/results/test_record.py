@@ -11,7 +11,7 @@ from rtrun.results.record import RunRecord, RunStatus, TargetFacts, read_record,
 
 
 def record_of(**changed):
-    told = {
+    raw = {
         "schema": 1,
         "run": "001-run",
         "campaign": "demo",
@@ -27,7 +27,7 @@ def record_of(**changed):
         "target": TargetFacts(name="board", governor=["performance", "performance"]),
         "files": {},
     }
-    return RunRecord(**told | changed)
+    return RunRecord(**raw | changed)
 
 
 def test_what_is_written_is_what_is_read(tmp_path):

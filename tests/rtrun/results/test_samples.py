@@ -21,32 +21,32 @@ def as_pairs(series: IndexedValues) -> list[tuple[int, int]]:
 
 
 def test_oneshot_leaves_out_what_did_not_fire_and_keeps_the_indices(tmp_path: Path) -> None:
-    found = read_samples(write_oneshot(tmp_path))
-    assert as_pairs(found.series["measured"]) == [(0, 50_000), (1, 60_000), (3, 100)]
-    assert as_pairs(found.series["reported"]) == [(0, 58_000), (1, 67_500), (3, -400)]
-    assert as_pairs(found.series["difference"]) == [(0, 8000), (1, 7500), (3, -500)]
+    samples = read_samples(write_oneshot(tmp_path))
+    assert as_pairs(samples.series["measured"]) == [(0, 50_000), (1, 60_000), (3, 100)]
+    assert as_pairs(samples.series["reported"]) == [(0, 58_000), (1, 67_500), (3, -400)]
+    assert as_pairs(samples.series["difference"]) == [(0, 8000), (1, 7500), (3, -500)]
 
-    assert list(found.series) == ["measured", "reported", "difference"]  # samples of an earlier version
+    assert list(samples.series) == ["measured", "reported", "difference"]  # samples of an earlier version
 
 
 def test_oneshot_counts_from_before_and_from_after_the_timer_was_armed(tmp_path: Path) -> None:
-    found = read_samples(write_oneshot(tmp_path, armed_after_ns=7000))
-    assert list(found.series) == ["measured", "reported", "difference", "measured_2014", "difference_2014"]
-    assert as_pairs(found.series["measured"]) == [(0, 50_000), (1, 60_000), (3, 100)]
-    assert as_pairs(found.series["measured_2014"]) == [(0, 43_000), (1, 53_000), (3, -6_900)]
-    assert as_pairs(found.series["difference_2014"]) == [(0, 15_000), (1, 14_500), (3, 6_500)]
+    samples = read_samples(write_oneshot(tmp_path, armed_after_ns=7000))
+    assert list(samples.series) == ["measured", "reported", "difference", "measured_2014", "difference_2014"]
+    assert as_pairs(samples.series["measured"]) == [(0, 50_000), (1, 60_000), (3, 100)]
+    assert as_pairs(samples.series["measured_2014"]) == [(0, 43_000), (1, 53_000), (3, -6_900)]
+    assert as_pairs(samples.series["difference_2014"]) == [(0, 15_000), (1, 14_500), (3, 6_500)]
 
 
 def test_cyclic_counts_from_the_exact_period(tmp_path: Path) -> None:
-    found = read_samples(write_cyclic(tmp_path))
-    assert as_pairs(found.series["jitter"]) == [(0, 500), (1, -500), (2, 0)]
-    assert as_pairs(found.series["grid"]) == [(0, 500), (1, 0), (2, 0)]
+    samples = read_samples(write_cyclic(tmp_path))
+    assert as_pairs(samples.series["jitter"]) == [(0, 500), (1, -500), (2, 0)]
+    assert as_pairs(samples.series["grid"]) == [(0, 500), (1, 0), (2, 0)]
 
 
 def test_communication_comes_in_sequence_order(tmp_path: Path) -> None:
-    found = read_samples(write_communication(tmp_path).with_suffix(".npy"))
-    assert as_pairs(found.series["latency"]) == [(0, 200_000), (1, 400_000), (2, 300_000), (3, 100_000)]
-    counts = found.record.counts
+    samples = read_samples(write_communication(tmp_path).with_suffix(".npy"))
+    assert as_pairs(samples.series["latency"]) == [(0, 200_000), (1, 400_000), (2, 300_000), (3, 100_000)]
+    counts = samples.record.counts
     assert (counts.measured, counts.missing, counts.duplicate, counts.out_of_order) == (4, 1, 1, 1)
 
 
@@ -55,7 +55,7 @@ def change_record(path: Path, **changed: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("write", "count", "says"),
+    ("write", "count", "message"),
     [
         (write_oneshot, {"measured": 4}, "measured: 3 in the rows, 4 in the counts"),
         (write_oneshot, {"not_fired": 0}, "not fired: 1 in the rows, 0 in the counts"),
@@ -67,13 +67,13 @@ def change_record(path: Path, **changed: Any) -> None:
     ],
 )
 def test_rows_and_counts_that_disagree_are_refused_naming_both(
-    tmp_path: Path, write: Callable[[Path], Path], count: dict[str, int], says: str
+    tmp_path: Path, write: Callable[[Path], Path], count: dict[str, int], message: str
 ) -> None:
     path = write(tmp_path)
     change_record(path, counts=json.loads(path.read_text())["counts"] | count)
     with pytest.raises(UsageError) as error:
         read_samples(path)
-    assert str(error.value) == f"{path.with_suffix('.npy')} and {path.name} disagree: {says}"
+    assert str(error.value) == f"{path.with_suffix('.npy')} and {path.name} disagree: {message}"
 
 
 class Bomb:
@@ -106,7 +106,7 @@ def test_an_npy_cut_off_or_grown_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("array", "says"),
+    ("array", "message"),
     [
         (np.zeros((4, 4), dtype="<i4"), "values of type <i4, must be <i8"),
         (np.zeros((4, 4), dtype=">i8"), "values of type >i8, must be <i8"),
@@ -116,10 +116,10 @@ def test_an_npy_cut_off_or_grown_is_refused(tmp_path: Path) -> None:
         (np.zeros((4, 4), dtype="<i8", order="F"), "in Fortran order"),
     ],
 )
-def test_an_npy_of_another_shape_is_refused(tmp_path: Path, array: Any, says: str) -> None:
+def test_an_npy_of_another_shape_is_refused(tmp_path: Path, array: Any, message: str) -> None:
     path = write_oneshot(tmp_path).with_suffix(".npy")
     np.save(path, array)
-    with pytest.raises(UsageError, match=says):
+    with pytest.raises(UsageError, match=message):
         read_samples(path)
 
 
@@ -139,11 +139,11 @@ def test_junk_in_the_header_is_refused_and_nothing_else_happens(tmp_path: Path, 
     junk = data.draw(st.binary(max_size=8) | st.text("0123456789,-+()'{} <i8TrueFals", max_size=8).map(str.encode))
     path.write_bytes(good[:start] + junk + good[start + len(junk) :])
     try:
-        found = read_samples(path)
+        samples = read_samples(path)
     except UsageError as error:
         assert str(error).startswith(str(path))
     else:
-        assert found.rows.shape == (4, 1)
+        assert samples.rows.shape == (4, 1)
 
 
 def test_incomplete_samples_miss_what_nobody_knows_of(tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_times_that_cannot_be_are_refused_not_wrapped_around(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("changed", "says"),
+    ("changed", "message"),
     [
         ({"schema": 2}, "schema: Input should be 1, got 2"),
         ({"colour": "red"}, "unknown key 'colour', allowed: schema, suite"),
@@ -176,13 +176,13 @@ def test_times_that_cannot_be_are_refused_not_wrapped_around(tmp_path: Path) -> 
         ({"requested": {"frequency_hz": 0}}, "requested.frequency_hz: must be a whole number above 0, got 0"),
     ],
 )
-def test_a_record_that_breaks_the_format_is_refused(tmp_path: Path, changed: dict[str, Any], says: str) -> None:
+def test_a_record_that_breaks_the_format_is_refused(tmp_path: Path, changed: dict[str, Any], message: str) -> None:
     path = write_cyclic(tmp_path)
     change_record(path, **changed)
     with pytest.raises(UsageError) as error:
         read_samples(path)
     assert str(error.value).startswith(f"{path}: ")
-    assert says in str(error.value)
+    assert message in str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -156,5 +156,5 @@ def test_the_clock_on_the_wall_does_not_tell_who_died(link, folder):
     for name, uptime in (("sampler", "100.07"), ("suite", "100.08"), ("load", "100.10")):
         (folder / f"{name}.exit").write_text(f"0 {uptime}\n")
         os.utime(folder / f"{name}.exit", (1e9, 1e9 - float(uptime)))
-    died, _ = processes.end_background(link, PurePosixPath(folder), ["suite"], ["load"], ["sampler"], ["true"])
-    assert died == {"sampler": "0"}
+    ended_early, _ = processes.end_background(link, PurePosixPath(folder), ["suite"], ["load"], ["sampler"], ["true"])
+    assert ended_early == {"sampler": "0"}

@@ -127,21 +127,21 @@ def findings(text):
 
 
 def test_every_check_finds_its_fault_on_a_bad_system():
-    found = findings(BAD)
-    assert {each.check.name for each in found if each.status != "fault"} == set()
-    assert not rt_readiness.is_ready(found)
-    severities = [rt_readiness.SEVERITIES.index(each.check.severity) for each in found]
+    results = findings(BAD)
+    assert {each.check.name for each in results if each.status != "fault"} == set()
+    assert not rt_readiness.is_ready(results)
+    severities = [rt_readiness.SEVERITIES.index(each.check.severity) for each in results]
     assert severities == sorted(severities)
-    shown = {each.check.name: each.evidence for each in found}
+    shown = {each.check.name: each.evidence for each in results}
     assert shown["idle states"] == ("768 us to leave C2 (cpu0/cpuidle/state1)",)
     assert shown["threads at priority 99"] == ("99 program busy (node) x",)
     assert shown["swap"] == ("/dev/mmcblk0p3 partition 1048572 0 -2",)
 
 
 def test_no_check_finds_fault_on_a_good_system():
-    found = findings(GOOD)
-    assert [(each.check.name, each.evidence) for each in found if each.status != "ok"] == []
-    assert rt_readiness.is_ready(found)
+    results = findings(GOOD)
+    assert [(each.check.name, each.evidence) for each in results if each.status != "ok"] == []
+    assert rt_readiness.is_ready(results)
 
 
 @pytest.mark.parametrize("version", ["#1 SMP PREEMPT_RT Debian 6.1.176-1", "#1 SMP PREEMPT RT Thu Apr 24 2014"])
@@ -152,8 +152,8 @@ def test_both_ways_a_kernel_says_rt(version):
 
 def test_preempt_dynamic_is_not_rt():
     facts = rt_readiness.parse(GOOD) | {"kernel_version": ["#1 SMP PREEMPT_DYNAMIC"]}
-    found = rt_readiness.judge(rt_readiness.read_checks(), facts)
-    assert (found[0].check.name, found[0].status) == ("PREEMPT_RT", "fault")
+    results = rt_readiness.judge(rt_readiness.read_checks(), facts)
+    assert (results[0].check.name, results[0].status) == ("PREEMPT_RT", "fault")
 
 
 def test_a_target_that_tells_nothing_is_unknown_and_not_praised():
@@ -233,17 +233,17 @@ def target_file(sshd, folder):
 def test_command_over_ssh(sshd, tmp_path, capsys):
     path = target_file(sshd, tmp_path)
     status = main(["check-rt", "--target", str(path), "--json"])
-    told = json.loads(capsys.readouterr().out)
-    assert status == (0 if told["ready"] else 1)
-    assert len(told["checks"]) == len(rt_readiness.read_checks()) and told["emulated"] is False
-    assert all({"name", "severity", "status", "found", "why", "remedy"} == each.keys() for each in told["checks"])
-    rt = next(each for each in told["checks"] if each["name"] == "PREEMPT_RT")
+    printed = json.loads(capsys.readouterr().out)
+    assert status == (0 if printed["ready"] else 1)
+    assert len(printed["checks"]) == len(rt_readiness.read_checks()) and printed["emulated"] is False
+    assert all({"name", "severity", "status", "found", "why", "remedy"} == each.keys() for each in printed["checks"])
+    rt = next(each for each in printed["checks"] if each["name"] == "PREEMPT_RT")
     uname = subprocess.run(["uname", "-v"], capture_output=True, text=True, check=True).stdout
     assert (rt["status"] == "ok") == ("PREEMPT_RT" in uname)
     main(["check-rt", "--target", str(path)])
     out = capsys.readouterr().out
     assert out.startswith(f"loopback ({sshd.user}@127.0.0.1")
-    for each in told["checks"]:
+    for each in printed["checks"]:
         assert (f"\n{each['severity']}: {each['name']}\n" in out) == (each["status"] == "fault")
 
 

@@ -16,7 +16,7 @@ from rtrun.validity.requirements import find_unseen_option, find_violation, meas
 STAT = "cpu {busy} 0 0 {idle} 0 0 0 0 0 0"
 
 
-def look(at_s, *block, busy=0, idle=0):
+def sample(at_s, *block, busy=0, idle=0):
     lines = [f"at {at_s} 0.50 - 700000,920000 {STAT.format(busy=busy, idle=idle)}"]
     return "\n".join([*lines, *block, *(["end"] if block else [])]) + "\n"
 
@@ -53,41 +53,41 @@ def observed(run, *looks):
 
 
 def test_what_is_as_asked_for():
-    looks = (look(100, thread(), thread(), "governor -", "sched_rt_runtime_us 950000"), look(102), look(104))
+    looks = (sample(100, thread(), thread(), "governor -", "sched_rt_runtime_us 950000"), sample(102), sample(104))
     assert wrong(run_of(), *looks) is None
-    found = observed(run_of(), *looks)
-    assert (found.policy, found.priority, found.cpus, found.looks) == (["RR"], [95], [0, 1], 3)
-    assert found.sched_rt_runtime_us == [950000] and found.frequency_khz == [700000, 920000]
+    in_effect = observed(run_of(), *looks)
+    assert (in_effect.policy, in_effect.priority, in_effect.cpus, in_effect.looks) == (["RR"], [95], [0, 1], 3)
+    assert in_effect.sched_rt_runtime_us == [950000] and in_effect.frequency_khz == [700000, 920000]
     assert requested(run_of(), []).policy == "RR" and requested(run_of(policy=0), []).priority == 0
 
 
 @pytest.mark.parametrize("other", [thread(0, 0), thread(1, 95), thread(2, 94)])
 def test_a_policy_or_priority_that_was_lost_in_the_middle(other):
-    assert wrong(run_of(), look(100, thread()), look(102, other)) is not None
-    assert wrong(run_of(), look(100, thread()), look(102, thread(), other)) is not None, "every thread"
+    assert wrong(run_of(), sample(100, thread()), sample(102, other)) is not None
+    assert wrong(run_of(), sample(100, thread()), sample(102, thread(), other)) is not None, "every thread"
 
 
 def test_a_policy_that_never_was(tmp_path):
-    looks = read_observations(look(100, thread(0, 0)) + look(102))
+    looks = read_observations(sample(100, thread(0, 0)) + sample(102))
     record = read_json(write_cyclic(tmp_path), Record)
     assert find_violation(run_of(), [], looks, {"x": record}) is None, (
         "a program that starts, and says itself what it had"
     )
-    assert wrong(run_of(), look(100, thread(0, 0)), look(102)) == (
+    assert wrong(run_of(), sample(100, thread(0, 0)), sample(102)) == (
         "asked for RR 95, in effect was OTHER 0 on CPUs 0,1 in each of 2 observations"
     )
-    assert wrong(run_of(), look(100, thread(0, 0)), look(112)) == (
+    assert wrong(run_of(), sample(100, thread(0, 0)), sample(112)) == (
         "cyclic_timer_tests: asked for RR 95, after 12 s in effect was OTHER 0 on CPUs 0,1"
     )
 
 
 def test_what_was_seen_is_told_however_short_the_run():
     run = run_of(priority=80, repetitions=30)
-    assert wrong(run, look(100, thread(2, 95)), look(102)) == (
+    assert wrong(run, sample(100, thread(2, 95)), sample(102)) == (
         "asked for RR 80, in effect was RR 95 on CPUs 0,1 in each of 2 observations"
     )
     run = run_of(policy=0, cpu="1", repetitions=30)
-    assert wrong(run, look(100, thread(0, 0))) == (
+    assert wrong(run, sample(100, thread(0, 0))) == (
         "asked for OTHER 0 on CPUs 1, in effect was OTHER 0 on CPUs 0,1 in each of 1 observations"
     )
 
@@ -113,37 +113,37 @@ def test_what_nobody_saw_is_not_taken_for_good():
 
 def test_a_program_gives_its_priority_up_when_it_has_measured():
     run = run_of(repetitions=30)
-    looks = (look(100, thread()), look(103, thread(0, 0)))
+    looks = (sample(100, thread()), sample(103, thread(0, 0)))
     assert wrong(run, *looks) is None
     assert observed(run, *looks).policy == ["RR"], "while it measured"
-    assert wrong(run, look(100, thread()), look(100.5, thread(0, 0))) is not None
+    assert wrong(run, sample(100, thread()), sample(100.5, thread(0, 0))) is not None
 
 
 def test_a_run_that_stopped_early_gave_its_priority_up_early(tmp_path):
     record = read_json(write_cyclic(tmp_path), Record).model_copy(update={"complete": False})
-    looks = [look(100, thread()), look(102), look(104, thread(0, 0))]
+    looks = [sample(100, thread()), sample(102), sample(104, thread(0, 0))]
     run = run_of()
     assert wrong(run, *looks) is not None
     assert find_violation(run, background(run), read_observations("".join(looks)), {"x": record}) is None
-    looks.append(look(106, thread()))
+    looks.append(sample(106, thread()))
     assert find_violation(run, background(run), read_observations("".join(looks)), {"x": record}) is not None, (
         "it came back"
     )
 
 
 def test_a_run_without_policy_must_not_have_one():
-    assert wrong(run_of(policy=0), look(100, thread(0, 0)), look(102, thread())) is not None
+    assert wrong(run_of(policy=0), sample(100, thread(0, 0)), sample(102, thread())) is not None
 
 
 def test_affinity():
-    assert wrong(run_of(cpu="1"), look(100, thread(cpus="1")), look(102)) is None
-    assert "on CPUs 0,1" in wrong(run_of(cpu="1"), look(100, thread(cpus="1")), look(102, thread()))
+    assert wrong(run_of(cpu="1"), sample(100, thread(cpus="1")), sample(102)) is None
+    assert "on CPUs 0,1" in wrong(run_of(cpu="1"), sample(100, thread(cpus="1")), sample(102, thread()))
 
 
 def test_only_the_measuring_thread():
     run = run_of(rt_scope="measuring-thread")
-    assert wrong(run, look(100, thread(), thread(0, 0)), look(112)) is None
-    assert wrong(run, look(100, thread(0, 0), thread(0, 0)), look(112)) is not None
+    assert wrong(run, sample(100, thread(), thread(0, 0)), sample(112)) is None
+    assert wrong(run, sample(100, thread(0, 0), thread(0, 0)), sample(112)) is not None
 
 
 def test_the_main_thread_of_cyclictest_only_waits():
@@ -157,22 +157,27 @@ def test_the_main_thread_of_cyclictest_only_waits():
     )
     measuring = thread(program="cyclictest")
     main = thread(0, 0, program="cyclictest")
-    assert wrong(run, look(100, main, measuring, measuring), look(112)) is None
-    assert wrong(run, look(100, main, measuring), look(112)) is not None
+    assert wrong(run, sample(100, main, measuring, measuring), sample(112)) is None
+    assert wrong(run, sample(100, main, measuring), sample(112)) is not None
 
 
 def test_a_load_with_too_few_workers():
     run = run_of(condition="cpu80")
-    assert wrong(run, look(100, thread(), "load stress 3 0-1"), look(102)) is None
-    assert wrong(run, look(100, thread(), "load stress 3 0-1"), look(102, thread(), "load stress 2 0-1")) == (
+    assert wrong(run, sample(100, thread(), "load stress 3 0-1"), sample(102)) is None
+    assert wrong(run, sample(100, thread(), "load stress 3 0-1"), sample(102, thread(), "load stress 2 0-1")) == (
         "condition cpu80: stress had 2 of 3 processes while the suite ran"
     )
-    assert "0 of 3" in wrong(run, look(100, thread()))
-    assert wrong(run, look(100, thread(), "load stress 3 0-1"), look(102, "load stress 1 0-1")) is None, "suite ended"
+    assert "0 of 3" in wrong(run, sample(100, thread()))
+    after_the_suite = sample(102, "load stress 1 0-1")
+    assert wrong(run, sample(100, thread(), "load stress 3 0-1"), after_the_suite) is None
 
 
 def test_what_is_kept_of_a_load_is_its_fewest_processes():
-    looks = [look(100, thread(), "load stress 4 0-1"), look(102, thread(), "load stress 3 1"), look(104, thread())]
+    looks = [
+        sample(100, thread(), "load stress 4 0-1"),
+        sample(102, thread(), "load stress 3 1"),
+        sample(104, thread()),
+    ]
     assert observed(run_of(condition="cpu80"), *looks[:2]).loads == {"stress": 3}
     kept = observed(run_of(condition="cpu80"), *(each + "end\n" for each in looks))
     assert (kept.loads, kept.load_cpus, kept.looks) == ({"stress": 0}, [0, 1], 3), "it was gone in the end"
@@ -181,8 +186,8 @@ def test_what_is_kept_of_a_load_is_its_fewest_processes():
 def test_a_load_that_does_nothing():
     run = run_of(condition="cpu80")
     block = (thread(), "load stress 3 0-1")
-    assert wrong(run, look(100, *block, busy=0, idle=0), look(110, busy=81, idle=19)) is None
-    assert wrong(run, look(100, *block, busy=0, idle=0), look(110, busy=10, idle=90)) == (
+    assert wrong(run, sample(100, *block, busy=0, idle=0), sample(110, busy=81, idle=19)) is None
+    assert wrong(run, sample(100, *block, busy=0, idle=0), sample(110, busy=10, idle=90)) == (
         "condition cpu80: the CPUs were 10.0 % busy, below 60 %"
     )
 
@@ -191,15 +196,15 @@ def test_a_load_on_other_cpus():
     run = run_of(condition="cpu80", load_cpu="1")
     assert background(run)[0].program.argv[:3] == ("taskset", "-c", "1")
     assert background(run)[0].processes == 2, "one CPU, one worker"
-    assert wrong(run, look(100, thread(), "load stress 2 1"), look(102)) is None
-    assert "ran on CPUs [0, 1], not on [1]" in wrong(run, look(100, thread(), "load stress 2 0-1"))
+    assert wrong(run, sample(100, thread(), "load stress 2 1"), sample(102)) is None
+    assert "ran on CPUs [0, 1], not on [1]" in wrong(run, sample(100, thread(), "load stress 2 0-1"))
 
 
 def test_a_governor_that_changed():
     run = run_of(governor="performance")
-    held = "load hold-governor 1 0-1"
-    assert wrong(run, look(100, thread(), held, "governor performance,performance")) is None
-    assert "in effect was ondemand" in wrong(run, look(100, thread(), held, "governor performance,ondemand"))
+    pinned = "load hold-governor 1 0-1"
+    assert wrong(run, sample(100, thread(), pinned, "governor performance,performance")) is None
+    assert "in effect was ondemand" in wrong(run, sample(100, thread(), pinned, "governor performance,ondemand"))
 
 
 NINES = "9" * 6000
@@ -234,4 +239,4 @@ def test_what_sample_sh_never_wrote(line):
 
 
 def test_a_last_line_that_was_cut_off():
-    assert len(read_observations(look(100, thread()) + "at 10")) == 1
+    assert len(read_observations(sample(100, thread()) + "at 10")) == 1

@@ -39,7 +39,7 @@ def comm(root, name, outputs, policy="RR", hz=100, lost=(), **more):
     write_run(root, name, "communication_tests", rows, parameters, asked=outputs[0].size, logs=False, **more)
 
 
-def found(root, claim):
+def examine(root, claim):
     return next(examined.result for examined in examine_claims(study(root, bounds=False)) if examined.id == claim)
 
 
@@ -62,14 +62,14 @@ def test_every_claim_has_an_answer_and_none_without_runs(tmp_path):
 def test_timeouts_below_a_millisecond(tmp_path, mean_us, finding):
     oneshot(tmp_path, "a", latencies(3000, 1, mean_us), timeout_us=800)
     oneshot(tmp_path, "b", latencies(3000, 2, 95.0))
-    assert found(tmp_path, "oneshot-sub-millisecond").finding == finding
+    assert examine(tmp_path, "oneshot-sub-millisecond").finding == finding
 
 
 def test_a_slow_timer_alone_does_not_show_that_a_millisecond_was_waited(tmp_path):
     oneshot(tmp_path, "a", latencies(3000, 1, 900.0), timeout_us=800)
-    assert found(tmp_path, "oneshot-sub-millisecond").finding == UNDECIDED
+    assert examine(tmp_path, "oneshot-sub-millisecond").finding == UNDECIDED
     oneshot(tmp_path, "b", latencies(3000, 2, 890.0))
-    assert found(tmp_path, "oneshot-sub-millisecond").finding == UNDECIDED
+    assert examine(tmp_path, "oneshot-sub-millisecond").finding == UNDECIDED
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_timers_that_never_fire(tmp_path, rt, other, finding):
     for name, policy, index in (("a", "RR", rt), ("b", "0", other)):
         values = latencies(4000, 1)
         oneshot(tmp_path, name, values if index is None else with_values(values, (index, NOT_FIRED)), policy)
-    assert found(tmp_path, "oneshot-ignored-without-rt").finding == finding
+    assert examine(tmp_path, "oneshot-ignored-without-rt").finding == finding
 
 
 @pytest.mark.parametrize(
@@ -89,12 +89,12 @@ def test_timers_that_never_fire(tmp_path, rt, other, finding):
 def test_reported_latency(tmp_path, rt_ns, other_ns, finding):
     oneshot(tmp_path, "a", latencies(500, 1), "RR", off_ns=rt_ns)
     oneshot(tmp_path, "b", latencies(500, 2), "0", off_ns=other_ns)
-    assert found(tmp_path, "oneshot-reported-accurate").finding == finding
+    assert examine(tmp_path, "oneshot-reported-accurate").finding == finding
 
 
 def test_nothing_measured_is_no_probability(tmp_path):
     oneshot(tmp_path, "a", latencies(500, 1), "RR")
-    numbers = found(tmp_path, "oneshot-ignored-without-rt").numbers
+    numbers = examine(tmp_path, "oneshot-ignored-without-rt").numbers
     assert numbers == "not fired: no run without priority, 0 of 500 with it"
 
 
@@ -103,17 +103,17 @@ def test_a_cyclic_log_that_tells_no_frequency_decides_nothing(tmp_path):
     cyclic(tmp_path / "source", "a", latencies(500, 1), logs=True)
     text = next((tmp_path / "source" / "a").glob("*.log")).read_text()
     log.write_text("".join(line for line in text.splitlines(keepends=True) if not line.startswith("set output")))
-    result = found(log, "cyclic-frequency-kept")
+    result = examine(log, "cyclic-frequency-kept")
     assert (result.finding, result.numbers) == (UNDECIDED, "no cyclic run whose frequency is known in this campaign")
 
 
 def test_400_us_rarely_exceeded(tmp_path):
     oneshot(tmp_path / "few", "a", latencies(5000, 1))
-    assert found(tmp_path / "few", "oneshot-400us-rare").finding == UNDECIDED
+    assert examine(tmp_path / "few", "oneshot-400us-rare").finding == UNDECIDED
     oneshot(tmp_path / "late", "a", with_values(latencies(5000, 1), *((k, 500_000) for k in range(0, 5000, 500))))
-    assert found(tmp_path / "late", "oneshot-400us-rare").finding == REFUTED
+    assert examine(tmp_path / "late", "oneshot-400us-rare").finding == REFUTED
     oneshot(tmp_path / "many", "a", latencies(4_000_000, 1))
-    result = found(tmp_path / "many", "oneshot-400us-rare")
+    result = examine(tmp_path / "many", "oneshot-400us-rare")
     assert result.finding == CONFIRMED and "0 of 4000000" in result.numbers
 
 
@@ -127,7 +127,7 @@ def test_latency_grows_with_the_timeout(tmp_path, mean_us, runs, finding):
         spread = 3.0 * (k - 2) if finding == UNDECIDED else 0.0
         oneshot(tmp_path, f"a{k}", latencies(3000, 10 + k, 98.0))
         oneshot(tmp_path, f"b{k}", latencies(3000, 20 + k, mean_us + spread), timeout_us=10_000)
-    assert found(tmp_path, "oneshot-latency-grows-with-timeout").finding == finding
+    assert examine(tmp_path, "oneshot-latency-grows-with-timeout").finding == finding
 
 
 def test_where_the_peaks_lie(tmp_path):
@@ -136,16 +136,16 @@ def test_where_the_peaks_lie(tmp_path):
         early = with_values(latencies(2000, k), *((place, 300_000) for place in range(10)))
         oneshot(tmp_path / "early", f"{k}", early)
     oneshot(tmp_path / "few", "a", latencies(2000, 1))
-    assert found(tmp_path / "even", "peaks-random").finding == CONFIRMED
-    assert found(tmp_path / "early", "peaks-random").finding == REFUTED
-    assert found(tmp_path / "few", "peaks-random").finding == UNDECIDED
+    assert examine(tmp_path / "even", "peaks-random").finding == CONFIRMED
+    assert examine(tmp_path / "early", "peaks-random").finding == REFUTED
+    assert examine(tmp_path / "few", "peaks-random").finding == UNDECIDED
 
 
 def test_peaks_at_a_fixed_distance_are_a_pattern(tmp_path):
     for k in range(12):
         peaks = ((place, 300_000 + place) for place in range(77 + 100 * k, 20_000, 2000))
         oneshot(tmp_path, f"{k}", with_values(latencies(20_000, k), *peaks))
-    result = found(tmp_path, "peaks-random")
+    result = examine(tmp_path, "peaks-random")
     assert result.finding == REFUTED and "for no period" in result.numbers
 
 
@@ -155,7 +155,7 @@ def test_a_burst_is_one_peak_and_a_message_one_measurement(tmp_path):
         peaks = [int(start) + i for start in rng.integers(0, 19_900, 2) for i in range(5)]
         values = with_values(latencies(20_000, k), *((place, 300_000 + place) for place in peaks))
         comm(tmp_path, f"{k}", [values, values + 1000])
-    result = found(tmp_path, "peaks-random")
+    result = examine(tmp_path, "peaks-random")
     assert result.finding == CONFIRMED and "places of 1" in result.numbers and "in 60 runs" in result.numbers
 
 
@@ -176,7 +176,7 @@ def test_nanosleep_beside_the_timer(tmp_path):
         file = tmp_path / f"{name}.txt"
         file.write_text(text.format(most, most))
         adopt(file, root, emulated=False)
-        assert found(root, "nanosleep-better").finding == finding
+        assert examine(root, "nanosleep-better").finding == finding
 
 
 @pytest.mark.parametrize(("every", "finding"), [(8, CONFIRMED), (0, REFUTED), (30, UNDECIDED)])
@@ -185,7 +185,7 @@ def test_the_negative_cluster(tmp_path, every, finding):
     if every:
         lateness[::every] -= 900_000
     cyclic(tmp_path, "a", lateness)
-    assert found(tmp_path, "cyclic-negative-cluster").finding == finding
+    assert examine(tmp_path, "cyclic-negative-cluster").finding == finding
 
 
 def test_the_first_two_periods(tmp_path):
@@ -196,23 +196,23 @@ def test_the_first_two_periods(tmp_path):
         early[1] -= 9_900_000
         early[2:] -= 9_900_000
         cyclic(tmp_path / "yes", f"{k}", early, hz=100)
-    assert found(tmp_path / "yes", "cyclic-first-two-negative").finding == CONFIRMED
-    assert found(tmp_path / "no", "cyclic-first-two-negative").finding == REFUTED
+    assert examine(tmp_path / "yes", "cyclic-first-two-negative").finding == CONFIRMED
+    assert examine(tmp_path / "no", "cyclic-first-two-negative").finding == REFUTED
     cyclic(tmp_path / "one", "a", latencies(300, 1), hz=100)
-    assert found(tmp_path / "one", "cyclic-first-two-negative").finding == UNDECIDED
+    assert examine(tmp_path / "one", "cyclic-first-two-negative").finding == UNDECIDED
 
 
 @pytest.mark.parametrize(("drift_ns", "finding"), [(0, CONFIRMED), (20_000, REFUTED)])
 def test_the_frequency_is_kept(tmp_path, drift_ns, finding):
     cyclic(tmp_path, "a", latencies(1000, 1) + drift_ns * np.arange(1000))
-    assert found(tmp_path, "cyclic-frequency-kept").finding == finding
+    assert examine(tmp_path, "cyclic-frequency-kept").finding == finding
 
 
 def test_jitter_above_400_us(tmp_path):
     cyclic(tmp_path / "few", "a", latencies(3000, 1))
-    assert found(tmp_path / "few", "cyclic-400us-never").finding == UNDECIDED
+    assert examine(tmp_path / "few", "cyclic-400us-never").finding == UNDECIDED
     cyclic(tmp_path / "once", "a", with_values(latencies(3000, 1), (1500, 900_000)))
-    assert found(tmp_path / "once", "cyclic-400us-never").finding == REFUTED
+    assert examine(tmp_path / "once", "cyclic-400us-never").finding == REFUTED
 
 
 @pytest.mark.parametrize(("spread_us", "finding"), [(30.0, CONFIRMED), (3.0, REFUTED)])
@@ -220,7 +220,7 @@ def test_above_a_kilohertz(tmp_path, spread_us, finding):
     for k in range(5):
         cyclic(tmp_path, f"a{k}", latencies(5000, 10 + k))
         cyclic(tmp_path, f"b{k}", latencies(5000, 20 + k, spread_us=spread_us), hz=4000)
-    assert found(tmp_path, "cyclic-degrades-above-1khz").finding == finding
+    assert examine(tmp_path, "cyclic-degrades-above-1khz").finding == finding
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ def test_above_a_kilohertz(tmp_path, spread_us, finding):
 def test_the_first_message(tmp_path, first_ns, runs, finding):
     for k in range(runs):
         comm(tmp_path, f"{k}", [with_values(latencies(500, k, 220.0), (0, first_ns))])
-    assert found(tmp_path, "comm-first-message-worst").finding == finding
+    assert examine(tmp_path, "comm-first-message-worst").finding == finding
 
 
 @pytest.mark.parametrize(("step_us", "finding"), [(90.0, CONFIRMED), (40.0, UNDECIDED), (-30.0, REFUTED)])
@@ -238,7 +238,7 @@ def test_more_subscribers(tmp_path, step_us, finding):
         seeds = [10 * run + k for k in range(5)]
         comm(tmp_path, f"a{run}", [latencies(3000, 90 + run, 320.0)])
         comm(tmp_path, f"b{run}", [latencies(3000, seed, 320.0 + step_us * (k + 1)) for k, seed in enumerate(seeds)])
-    assert found(tmp_path, "comm-more-subscribers-broader").finding == finding
+    assert examine(tmp_path, "comm-more-subscribers-broader").finding == finding
 
 
 @pytest.mark.parametrize(("mean_us", "finding"), [(203.0, CONFIRMED), (260.0, REFUTED)])
@@ -246,13 +246,13 @@ def test_a_higher_frequency(tmp_path, mean_us, finding):
     for k in range(5):
         comm(tmp_path, f"a{k}", [latencies(3000, 10 + k, 224.0)])
         comm(tmp_path, f"b{k}", [latencies(3000, 20 + k, mean_us)], hz=1000)
-    assert found(tmp_path, "comm-higher-frequency-faster").finding == finding
+    assert examine(tmp_path, "comm-higher-frequency-faster").finding == finding
 
 
 @pytest.mark.parametrize(("n", "lost", "finding"), [(4000, (), CONFIRMED), (10, (), UNDECIDED), (300, (7,), REFUTED)])
 def test_lost_messages(tmp_path, n, lost, finding):
     comm(tmp_path, "a", [latencies(n, 1)], lost=lost)
-    assert found(tmp_path, "comm-nothing-lost").finding == finding
+    assert examine(tmp_path, "comm-nothing-lost").finding == finding
 
 
 def test_round_robin_beside_fifo(tmp_path):
@@ -263,15 +263,15 @@ def test_round_robin_beside_fifo(tmp_path):
         oneshot(tmp_path / "apart", f"f{k}", latencies(2000, 50 + k, 140.0), "FIFO")
     oneshot(tmp_path / "single", "r", latencies(2000, 1))
     oneshot(tmp_path / "single", "f", latencies(2000, 2, 140.0), "FIFO")
-    assert found(tmp_path / "same", "rr-equals-fifo").finding == CONFIRMED
-    assert found(tmp_path / "apart", "rr-equals-fifo").finding == REFUTED
-    assert found(tmp_path / "single", "rr-equals-fifo").finding == UNDECIDED
+    assert examine(tmp_path / "same", "rr-equals-fifo").finding == CONFIRMED
+    assert examine(tmp_path / "apart", "rr-equals-fifo").finding == REFUTED
+    assert examine(tmp_path / "single", "rr-equals-fifo").finding == UNDECIDED
 
 
 def test_a_single_cpu(tmp_path):
     target = {"name": "single", "cpus": 1}
     oneshot(tmp_path, "a", latencies(300, 1), target=target)
-    result = found(tmp_path, "single-cpu-shutdown-stuck")
+    result = examine(tmp_path, "single-cpu-shutdown-stuck")
     assert result.finding == UNDECIDED and result.runs == ("a",)
 
 
@@ -280,12 +280,12 @@ def test_without_priority(tmp_path, spread_us, finding):
     for k in range(5):
         oneshot(tmp_path, f"a{k}", latencies(3000, 10 + k))
         oneshot(tmp_path, f"b{k}", latencies(3000, 20 + k, spread_us=spread_us), "0")
-    assert found(tmp_path, "default-priority-unpredictable").finding == finding
+    assert examine(tmp_path, "default-priority-unpredictable").finding == finding
 
 
 def test_emulated_runs_decide_what_ros_does_not_how_fast(tmp_path):
     oneshot(tmp_path, "a", latencies(3000, 1, 90.0), timeout_us=800, emulated=True)
     oneshot(tmp_path, "b", latencies(3000, 1), "0", emulated=True)
-    assert found(tmp_path, "oneshot-sub-millisecond").finding == REFUTED
-    result = found(tmp_path, "oneshot-400us-rare")
+    assert examine(tmp_path, "oneshot-sub-millisecond").finding == REFUTED
+    result = examine(tmp_path, "oneshot-400us-rare")
     assert result.finding == UNDECIDED and "emulated" in result.numbers

@@ -70,17 +70,17 @@ def test_jitterdebugger_is_read(tmp_path):
     program = shutil.which("jitterdebugger", path="/usr/bin:/usr/sbin")
     assert program, "apt-get install jitterdebugger"
     subprocess.run([program, "-l", "500", "-p", "1", "-o", str(tmp_path)], capture_output=True, check=True, timeout=60)
-    found = read(tmp_path / "results.json")
+    imported = read(tmp_path / "results.json")
     raw = json.loads((tmp_path / "results.json").read_text())["cpu"]
-    assert [one.histogram.n for one in found] == [cpu["count"] for cpu in raw.values()]
-    assert [one.histogram.max_ns for one in found] == [1000 * cpu["max"] for cpu in raw.values()]
+    assert [one.histogram.n for one in imported] == [cpu["count"] for cpu in raw.values()]
+    assert [one.histogram.max_ns for one in imported] == [1000 * cpu["max"] for cpu in raw.values()]
 
 
 def test_timerlat_is_read_by_context(tmp_path):
     file = tmp_path / "tl.txt"
     file.write_text(TIMERLAT)
-    found = {one.name: one for one in read(file)}
-    thread = found["timerlat-Thr-001"].histogram
+    imported = {one.name: one for one in read(file)}
+    thread = imported["timerlat-Thr-001"].histogram
     assert (thread.n, thread.overflow, thread.bin_ns, thread.max_ns) == (1002, 2, 10_000, 210_000)
     assert thread.values_ns.tolist() == [0, 10_000, 20_000]
     made = adopt(file, tmp_path / "out", emulated=False)
@@ -105,8 +105,8 @@ def cyclictest_text(folder, text, **known):
 @pytest.mark.parametrize("log", sorted(LOGS_2014.glob("*.log")), ids=lambda path: path.name[:30])
 def test_logs_of_2014_become_runs(tmp_path, log, capsys):
     assert main(["import", str(log), "--out", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr().out
-    assert "not known: the samples" in said
+    printed = capsys.readouterr().out
+    assert "not known: the samples" in printed
     (group,) = study(tmp_path / "out").groups
     assert group.n + sum(len(one.header.startup) for one in group.digests) == int(read_log(log).count.sum())
 
@@ -265,11 +265,11 @@ def test_no_damage_crashes_a_reader(tmp_path_factory, cyclictest, data):
     file = tmp_path_factory.mktemp("fuzz") / "damaged.txt"
     file.write_bytes(damaged)
     try:
-        found = read(file)
+        imported = read(file)
     except UsageError as error:
         assert "damaged.txt" in str(error)
     else:
-        assert all(one.histogram.n >= 0 for one in found)
+        assert all(one.histogram.n >= 0 for one in imported)
 
 
 @pytest.mark.parametrize(
