@@ -47,18 +47,18 @@ def sshd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sshd]:
 
 
 @contextlib.contextmanager
-def serve(folder: Path, wrapper: tuple[str, ...] = ()) -> Iterator[Sshd]:
-    """Run an OpenSSH server whose files are in a folder; `wrapper` is the command that runs it."""
+def serve(folder: Path, wrapper: tuple[str, ...] = (), host: str = "127.0.0.1") -> Iterator[Sshd]:
+    """Run an OpenSSH server whose files are in a folder; `wrapper` is the command that runs it, `host` its address."""
     for name in ("host_key", "client_key"):
         subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", folder / name], check=True)
     shutil.copy(folder / "client_key.pub", folder / "authorized_keys")
     if os.geteuid() == 0:
         Path("/run/sshd").mkdir(exist_ok=True)
-    port = free_port()
+    port = free_port(host)
     # SHLVL: bash takes itself for no login, and does not read this user's .bashrc at every command.
     (folder / "config").write_text(
         f"""Port {port}
-ListenAddress 127.0.0.1
+ListenAddress {host}
 HostKey {folder}/host_key
 AuthorizedKeysFile {folder}/authorized_keys
 PidFile none
@@ -76,7 +76,7 @@ SetEnv SHLVL=1
         deadline = time.monotonic() + 30
         while True:
             try:
-                socket.create_connection(("127.0.0.1", port), timeout=1).close()
+                socket.create_connection((host, port), timeout=1).close()
                 break
             except OSError:
                 assert process.poll() is None and time.monotonic() < deadline, (folder / "log").read_text()

@@ -25,7 +25,7 @@ TOKENS = [b"\0", b"\xff", b"-1", b"9" * 5000, b"1e9999", b"\n", b"{", b"[" * 200
 
 
 def _known_hosts(path: Path) -> None:
-    host_keys.read_host_keys(Address(host="board", known_hosts=path))
+    host_keys.read_host_keys(Address(host="board", known_hosts=(path,)))
 
 
 def _state(path: Path) -> None:

@@ -91,17 +91,30 @@ class RoundProgress:
 
 
 class BarProgress(PlainProgress):
-    """The same lines above a bar that moves while a run measures."""
+    """The same lines above a bar that moves while a run measures.
+
+    The bar begins with the first run: before it a passphrase may be asked for, and the bar would overwrite that.
+    """
 
     def __init__(self, runs: Sequence[Run], bar: Progress) -> None:
         super().__init__(runs)
         self._bar = bar
-        self._task = bar.add_task("getting the target ready", total=None, left_s=None)
+        self._task = bar.add_task("", total=None, left_s=None)
+        print_status("getting the target ready")
 
     def began(self, number: int, run: Run) -> None:
         """Show the run's name."""
         super().began(number, run)
+        if not self._bar.live.is_started:
+            print_status("")
+            self._bar.start()
         self._bar.update(self._task, description=f"{number + 1}/{self._total} {run.name}", left_s=self._estimate.left_s)
+
+    def note(self, text: str) -> None:
+        """Print a remark."""
+        if not self._bar.live.is_started:
+            print_status("")
+        super().note(text)
 
 
 class _TimeBar(BarColumn):
@@ -136,5 +149,9 @@ def showing(runs: Sequence[Run], console: Console) -> Iterator[PlainProgress]:
         yield PlainProgress(runs)
         return
     columns = (_TimeBar(), TextColumn("{task.description}", markup=False), _TimeLeft())
-    with Progress(*columns, console=console, transient=True, refresh_per_second=2) as bar:
+    bar = Progress(*columns, console=console, transient=True, refresh_per_second=2)
+    try:
         yield BarProgress(runs, bar)
+    finally:
+        print_status("")
+        bar.stop()

@@ -2,22 +2,32 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Address:
     """An SSH server and the login to use there.
 
-    `host_key` is ``SHA256:…`` or ``type base64``; without it the `known_hosts` file decides. `key` is a private key
-    file; without it the SSH agent is asked.
+    `host_key` is ``SHA256:…`` or ``type base64``; without it the `known_hosts` files decide. `key` is a private key
+    file, and no other key is tried; without it the keys of the SSH agent are tried, then the files `identities`.
     """
 
     host: str
     port: int = 22
     user: str = "root"
     key: Path | None = None
+    identities: tuple[Path, ...] = ()
+    """Private key files, or public ones whose private part the agent has; those that do not exist are skipped."""
+    identities_only: bool = False
+    """Try no key of the agent that is not among the identities."""
+    agent: str = "SSH_AUTH_SOCK"
+    """IdentityAgent as in ssh_config(5): a socket, ``none``, or the environment variable that names the socket."""
     host_key: str | None = None
-    known_hosts: Path = Path("~/.ssh/known_hosts")
+    known_hosts: tuple[Path, ...] = (Path("~/.ssh/known_hosts"),)
+    jump: Self | None = None
+    """The SSH server through which this one is reached."""
 
     def __str__(self) -> str:
-        return f"{self.user}@{self.host}:{self.port}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.user}@{host}:{self.port}"

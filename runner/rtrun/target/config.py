@@ -17,6 +17,7 @@ from rtrun.target import qemu
 from rtrun.target.address import Address
 from rtrun.target.errors import ConnectionLost, TargetGone
 from rtrun.target.ssh import Connection
+from rtrun.target.ssh_config import address_of
 
 Word = Annotated[str, Field(min_length=1)]
 
@@ -48,15 +49,16 @@ class _Common(Config):
 
 
 class SshConfig(_Common):
-    """Any board that runs an SSH server."""
+    """Any board that runs an SSH server. What is None here is as ~/.ssh/config says, or else as `Address` has it."""
 
     kind: Literal["ssh"]
     host: Annotated[str, AfterValidator(_host)]
-    port: Annotated[int, Field(ge=1, le=65535)] = 22
-    user: str = "root"
+    """A name, an address, or an alias of ~/.ssh/config."""
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    user: Word | None = None
     key: UserPath | None = None
     host_key: str | None = None
-    known_hosts: UserPath = "~/.ssh/known_hosts"
+    known_hosts: UserPath | None = None
     emulated: bool = False
     """True for a virtual machine behind SSH: its timing is no real-time statement."""
     restart: Annotated[list[Word], Field(min_length=1)] | None = None
@@ -126,13 +128,13 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
             boot_s = 180.0
         else:
             emulated = config.emulated
-            address = Address(
-                host=config.host,
+            address = address_of(
+                config.host,
                 port=config.port,
                 user=config.user,
                 key=_resolve(folder, config.key) if config.key is not None else None,
                 host_key=config.host_key,
-                known_hosts=_resolve(folder, config.known_hosts),
+                known_hosts=_resolve(folder, config.known_hosts) if config.known_hosts is not None else None,
             )
             failure, console_log, boot_s = _no_failure, None, 0.0
             restart = functools.partial(_restart_by_command, config.restart) if config.restart else None

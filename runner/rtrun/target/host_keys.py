@@ -91,16 +91,16 @@ def read_host_keys(address: Address) -> HostKeys:
     """Return the host keys that are accepted from a target. Raises TargetError and, from known_hosts, UsageError."""
     if address.host_key is not None:
         return HostKeys(source="the target file", trusted=_pinned(address, address.host_key))
-    path = address.known_hosts.expanduser()
-    if not path.is_file():
-        return HostKeys(source=str(path), trusted={})
-    content = untrusted.read_bytes(path, max_bytes=KNOWN_HOSTS_BYTES_MAX)
+    paths = [path.expanduser() for path in address.known_hosts]
+    source = " and ".join(map(str, paths)) or "no known_hosts file"
+    files = (untrusted.read_bytes(path, max_bytes=KNOWN_HOSTS_BYTES_MAX) for path in paths if path.is_file())
+    content = b"\n".join(files)
     host = address.host.lower()
     if address.port == 22:
-        return _listed(str(path), content, host)
-    keys = _listed(str(path), content, f"[{host}]:{address.port}")
+        return _listed(source, content, host)
+    keys = _listed(source, content, f"[{host}]:{address.port}")
     # As OpenSSH: a host that is listed without its port is known on every port.
-    return keys if keys.trusted or keys.authorities else _listed(str(path), content, host)
+    return keys if keys.trusted or keys.authorities else _listed(source, content, host)
 
 
 def _pinned(address: Address, host_key: str) -> dict[str, str]:

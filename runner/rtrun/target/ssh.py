@@ -22,7 +22,7 @@ from rtfiles import untrusted
 from rtfiles.errors import InfrastructureError
 from rtrun.target.address import Address
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
-from rtrun.target.transport import connect, reason, shutting_down
+from rtrun.target.transport import FORBIDDEN, connect, reason, shutting_down
 
 # What a command on the target may take unless its caller says otherwise.
 COMMAND_S = 30.0
@@ -91,7 +91,7 @@ class Connection:
 
     def __init__(self, address: Address, *, timeout_s: float = 15.0) -> None:
         self.address = address
-        self._socket, self._transport = connect(address, timeout_s)
+        self._stream, self._transport = connect(address, timeout_s)
 
     def close(self) -> None:
         """Close the connection; what runs detached on the target goes on."""
@@ -183,7 +183,7 @@ class Connection:
             try:
                 channel = self._transport.open_channel("direct-tcpip", ("127.0.0.1", port), ("127.0.0.1", 0))
             except paramiko.ChannelException as error:
-                if error.code == 1:
+                if error.code == FORBIDDEN:
                     raise TargetError(
                         f"{self.address}: the SSH server forbids TCP forwarding, allow it (AllowTcpForwarding yes)"
                     ) from error
@@ -248,11 +248,11 @@ class Connection:
                 channel.recv_stderr(CHUNK_BYTES) if channel.recv_stderr_ready() else b"",
             )
             if any(chunks):
-                self._socket.unread_bytes -= len(chunks[0]) + len(chunks[1])
+                self._stream.unread_bytes -= len(chunks[0]) + len(chunks[1])
                 stdout(chunks[0])
                 stderr(chunks[1])
                 continue
-            self._socket.unread_bytes = 0
+            self._stream.unread_bytes = 0
             if ended:
                 # The exit status may come before or after the end of the streams.
                 channel.status_event.wait(remaining_s)
@@ -282,15 +282,15 @@ class Connection:
     @contextlib.contextmanager
     def _within(self, seconds: float) -> Iterator[None]:
         """Give the body a total deadline, and turn what paramiko raises in it into ConnectionLost or TargetError."""
-        self._socket.unread_bytes = 0
-        with shutting_down(self._socket, seconds) as expired:
+        self._stream.unread_bytes = 0
+        with shutting_down(self._stream, seconds) as expired:
             try:
                 yield
             except InfrastructureError:
                 raise
             except Exception as error:
                 # paramiko raises here whatever its reading thread has ended with.
-                if self._socket.is_exceeded:
+                if self._stream.is_exceeded:
                     raise TargetError(f"{self.address}: the target sends more than it was asked for") from error
                 if expired.is_set():
                     raise ConnectionLost(f"{self.address}: no answer within {seconds:g} s") from error

@@ -5,7 +5,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import time
 from pathlib import Path
 
@@ -158,7 +157,7 @@ def test_a_link_lost_in_a_call_of_the_master(target, monkeypatch, measure, call)
         with real(self, port, **more) as channel:
             calls.append(port)
             if len(calls) == call:
-                self._transport.sock.shutdown(socket.SHUT_RDWR)
+                self._transport.sock.shut_down()
             yield channel
 
     monkeypatch.setattr(Connection, "open_port", breaking)

@@ -101,7 +101,7 @@ def log_in(server, sshd, known_hosts):
         if server.process is None:
             server.start()
         known_hosts.write_text("\n".join(lines) + "\n")
-        address = replace(sshd.address, port=server.port, host_key=None, known_hosts=known_hosts)
+        address = replace(sshd.address, port=server.port, host_key=None, known_hosts=(known_hosts,))
         Connection(replace(address, **changed)).close()
         if not changed:
             # OpenSSH is of the same opinion.
@@ -204,7 +204,7 @@ def test_a_key_of_another_type_has_not_changed(sshd, tmp_path):
     known = tmp_path / "known_hosts"
     known.write_text(f"[127.0.0.1]:{sshd.port} {make_key(tmp_path / 'other', 'rsa')}\n")
     with pytest.raises(TargetError, match=r"unknown host key .*; .*known_hosts lists only ssh-rsa"):
-        Connection(replace(sshd.address, host_key=None, known_hosts=known))
+        Connection(replace(sshd.address, host_key=None, known_hosts=(known,)))
 
 
 @pytest.mark.parametrize("kind", ["ed25519", "ecdsa", "rsa"])
@@ -240,7 +240,7 @@ def test_lines_that_cannot_be_read_are_skipped(tmp_path, sshd, line):
     known = tmp_path / "known_hosts"
     good = f"[127.0.0.1]:22022 {sshd.host_key} ".encode() + b"caf\xe9\n"
     known.write_bytes(line + b"\n" + good + line)
-    address = Address(host="127.0.0.1", port=22022, known_hosts=known)
+    address = Address(host="127.0.0.1", port=22022, known_hosts=(known,))
     assert list(read_host_keys(address).trusted.values()) == ["ssh-ed25519"]
 
 

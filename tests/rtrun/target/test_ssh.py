@@ -63,7 +63,7 @@ def test_deadline_ends_everything_that_was_started(connection, tmp_path):
 
 
 def test_no_delay_and_authenticated_cipher(connection):
-    link = connection._transport.sock
+    link = connection._transport.sock.carrier
     assert link.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) == 1
     assert connection._transport.remote_cipher == "aes128-gcm@openssh.com"
 
@@ -118,7 +118,7 @@ def test_changed_host_key_is_refused(sshd):
 
 def test_known_hosts_decides_without_a_fingerprint(sshd, tmp_path):
     known = tmp_path / "known_hosts"
-    address = replace(sshd.address, host_key=None, known_hosts=known)
+    address = replace(sshd.address, host_key=None, known_hosts=(known,))
     with pytest.raises(TargetError, match=r"unknown host key SHA256:.*put 'host_key: SHA256:"):
         Connection(address)
     known.write_text(f"[127.0.0.1]:{sshd.port} {sshd.host_key}\n")
@@ -168,13 +168,13 @@ def test_agent(sshd, tmp_path, monkeypatch):
 
 
 def test_a_broken_link_is_a_lost_connection(connection):
-    connection._transport.sock.shutdown(socket.SHUT_RDWR)
+    connection._transport.sock.shut_down()
     with pytest.raises(ConnectionLost):
         connection.run(["true"])
 
 
 def test_a_link_that_breaks_in_the_middle(connection):
-    threading.Timer(0.3, lambda: connection._transport.sock.shutdown(socket.SHUT_RDWR)).start()
+    threading.Timer(0.3, lambda: connection._transport.sock.shut_down()).start()
     with pytest.raises(ConnectionLost):
         connection.run(["sleep", "20"])
 
