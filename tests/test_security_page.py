@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 PAGE = Path(__file__).parents[1] / "docs/security.md"
-UNITS = {"": 1, "KiB": 2**10, "MiB": 2**20, "s": 1, "bytes/s": 1}
+UNITS = {"": 1, "KiB": 2**10, "MiB": 2**20, "s": 1, "bytes/s": 1, "characters": 1}
 ROWS = re.findall(r"^\| [^|]+ \| ([0-9]+) ?([A-Za-z/]*) \| `([\w.]+)\.(\w+)` \|$", PAGE.read_text(), re.M)
 
 

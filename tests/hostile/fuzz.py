@@ -1,72 +1,53 @@
-"""Mutation fuzz of readers: whatever is in a file or comes from a target, the reader ends with a result or our error.
+"""Mutation fuzz of every reader: whatever it is given, it ends with a result or with an error of ours.
 
-python tests/hostile/fuzz.py --seconds 3600 --seed 7
+No traceback, no hang, at most MEMORY_MIB. Run: python tests/hostile/fuzz.py --seconds 3600 --seed 7 --only journal run
 """
 
 import argparse
+import contextlib
+import copy
+import itertools
+import json
 import random
 import re
+import shutil
+import signal
+import sqlite3
 import tempfile
 import time
-from collections.abc import Callable
+import traceback
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+import yaml
+from readers import READERS, Files
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtrun.plan.campaign import read_campaign
-from rtrun.target import architecture, host_keys, inspection, ros_master, rt_readiness
-from rtrun.target.address import Address
-from rtrun.target.config import read_target
 
 MEMORY_MIB = 300
-INPUT_S = 20.0
-TOP = Path(__file__).parents[2]
-KEY = b"ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIPJs62duJcZ1UDeiYfJh47Sob6aBR0zYBWGFxamj6gCK"
+INPUT_S = 60
 TOKENS = [b"\0", b"\xff", b"-1", b"9" * 5000, b"1e9999", b"\n", b"{", b"[" * 2000, b"\xc2\xb2", b"*", b"&a ", b": "]
+# What a value of JSON, YAML or SQL may become.
+VALUES: list[Any] = [
+    None, True, 0, -1, 2**63, 10**19, 10**30, 1e308, float("inf"), float("nan"), -0.5, "", "x" * 5000, "9" * 5000,
+    "\ud800", "\0", "\x1b[31m", "\u00b2", "\u2028", "../../x", "/", ".", "=1+1", "2026-11-21", "0-999999999", [], {},
+    [[]] * 100, {"x": "y"}, json.loads("[" * 100 + "]" * 100),
+]  # fmt: skip
 
 
-def _known_hosts(path: Path) -> None:
-    host_keys.read_host_keys(Address(host="board", known_hosts=(path,)))
+def damaged(random_: random.Random, name: str, data: bytes) -> bytes:
+    """A file with its bytes changed or, where it has a structure, with the structure whole and its values changed."""
+    if random_.random() < 0.5:
+        with contextlib.suppress(ValueError, yaml.YAMLError, sqlite3.Error, IndexError, OverflowError):
+            if name.endswith(".sqlite"):
+                return _with_other_cells(random_, data)
+            if name.endswith((".json", ".yml")):
+                return _with_other_values(random_, data)
+    return _with_other_bytes(random_, data)
 
 
-def _state(path: Path) -> None:
-    inspection.parse_state(path.read_text(errors="replace"))
-
-
-def _facts(path: Path) -> None:
-    rt_readiness.judge(rt_readiness.read_checks(), rt_readiness.parse(path.read_text(errors="replace")))
-
-
-def _reply(path: Path) -> None:
-    try:
-        ros_master._parse_reply(path.read_bytes())
-    except ValueError:
-        return
-
-
-def _certificate(path: Path) -> None:
-    try:
-        host_keys.parse_certificate(path.read_bytes())
-    except ValueError:
-        return
-
-
-STATE = b"== governor\nperformance\n== threads\n12 (a) b) S " + b"0 " * 36 + b"95 1 0\n== machine\narmv7l\n"
-FACTS = b"== kernel_version\n#1 SMP PREEMPT_RT\n== swap\n/dev/a x\n== threads\n99 program a\n"
-REPLY = b"<methodResponse><params><param><value><array><data><value><int>1</int></value></data></array></value></param>"
-READERS: dict[str, tuple[Callable[[Path], object], list[bytes]]] = {
-    "known_hosts": (_known_hosts, [b"board,*.x " + KEY + b" me\n@revoked * " + KEY + b"\n|1|AAAA|AAAA " + KEY + b"\n"]),
-    "target": (read_target, [path.read_bytes() for path in sorted((TOP / "targets").glob("*.yml"))]),
-    "campaign": (read_campaign, [path.read_bytes() for path in sorted((TOP / "campaigns").glob("*.yml"))]),
-    "state": (_state, [STATE]),
-    "facts": (_facts, [FACTS]),
-    "reply": (_reply, [REPLY]),
-    "certificate": (_certificate, [b"\0\0\0\x20ssh-ed25519-cert-v01@openssh.com" + b"\0\0\0\4abcd" * 20]),
-    "program": (lambda path: architecture.name(path.read_bytes()), [b"\x7fELF\2\1\1" + bytes(13)]),
-}
-
-
-def mutate(random_: random.Random, data: bytes) -> bytes:
-    """Change, cut, repeat and insert at a few places."""
+def _with_other_bytes(random_: random.Random, data: bytes) -> bytes:
     for _ in range(random_.randint(1, 6)):
         start = random_.randint(0, len(data))
         end = min(len(data), start + random_.randint(0, 40))
@@ -75,33 +56,120 @@ def mutate(random_: random.Random, data: bytes) -> bytes:
     return data
 
 
-def fuzz(seconds: float, seed: int) -> int:
-    """Feed mutated files to every reader in turn; return how many. Whatever is no error of ours goes through."""
-    random_, count, end = random.Random(seed), 0, time.monotonic() + seconds
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "input"
-        while time.monotonic() < end:
-            for name, (read, seeds) in READERS.items():
-                path.write_bytes(mutate(random_, random_.choice(seeds)))
-                started = time.monotonic()
-                try:
-                    read(path)
-                except (UsageError, InfrastructureError):
-                    pass
-                except BaseException as error:
-                    error.add_note(f"reader {name}, seed {seed}, input {path.read_bytes()[:2000]!r}")
-                    raise
-                assert time.monotonic() - started < INPUT_S, (name, path.read_bytes()[:2000])
-                count += 1
-    # getrusage would tell the highest memory of the process that forked this one too.
+def _with_other_values(random_: random.Random, data: bytes) -> bytes:
+    tree = yaml.load(data, Loader=yaml.CSafeLoader)
+    for _ in range(random_.randint(1, 3)):
+        places = list(_places(tree))
+        parent, key = random_.choice(places)
+        if random_.random() < 0.2:
+            del parent[key]
+        elif isinstance(parent, dict) and random_.random() < 0.2:
+            parent[str(random_.choice(VALUES))] = parent.pop(key)
+        else:
+            parent[key] = copy.deepcopy(random_.choice([*VALUES, random_.choice(places)[0]]))
+    return json.dumps(tree).encode()
+
+
+def _places(tree: Any) -> Iterator[tuple[Any, Any]]:
+    """Every value of a tree, as what holds it and the key there."""
+    pairs = list(tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else [])
+    for key, value in pairs:
+        yield tree, key
+        yield from _places(value)
+
+
+def _with_other_cells(random_: random.Random, data: bytes) -> bytes:
+    with contextlib.closing(sqlite3.connect(":memory:")) as database:
+        database.deserialize(data)
+        table, columns = random_.choice(
+            [("event", ["time", "run", "what", "reason"]), ("campaign", ["uid", "name", "plan", "target"])]
+        )
+        value = random_.choice([each for each in VALUES if not isinstance(each, list | dict)] + [b"\xff\0"])
+        limit = random_.randint(1, 20)
+        database.execute(f"UPDATE {table} SET {random_.choice(columns)} = ? WHERE rowid <= ?", (value, limit))
+        if random_.random() < 0.1:
+            database.execute(f"DROP TABLE {table}")
+        database.commit()
+        return database.serialize()
+
+
+class Hang(Exception):
+    """A reader took longer than INPUT_S."""
+
+
+def _hang(*_: object) -> None:
+    raise Hang
+
+
+def peak_mib() -> int:
+    """The highest memory of this process so far. getrusage would tell that of its parent too."""
     peak = re.search(r"VmHWM:\s*(\d+)", Path("/proc/self/status").read_text())
-    assert peak is not None and int(peak[1]) < MEMORY_MIB * 1024
+    assert peak is not None
+    return int(peak[1]) // 1024
+
+
+def feed(name: str, files: Files, folder: Path) -> None:
+    """Give damaged files to a reader. Whatever is no error of ours goes through, and so does too much memory."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for file, data in files.items():
+        (folder / file).write_bytes(data)
+    READERS[name].seal(folder)
+    signal.alarm(INPUT_S)
+    try:
+        READERS[name].read(folder)
+    except (UsageError, InfrastructureError) as error:
+        str(error).encode()
+    finally:
+        signal.alarm(0)
+    assert peak_mib() < MEMORY_MIB, f"{peak_mib()} MiB"
+
+
+def fuzz(rounds: Iterator[int], seed: int, names: list[str], failures: Path | None = None) -> int:
+    """Feed damaged files to readers; return how many. A round has one input for the costliest reader, more for others.
+
+    What goes wrong is raised. With a folder for `failures`, its input is kept there instead, and the fuzz goes on.
+    """
+    count = 0
+    signal.signal(signal.SIGALRM, _hang)
+    most = max(reader.cost for reader in READERS.values())
+    with tempfile.TemporaryDirectory() as temporary:
+        for place in ((number, name) for number in rounds for name in names):
+            for number in range(max(1, most // READERS[place[1]].cost)):
+                # An input depends on its own place only, not on the readers before it.
+                described = f"seed {seed}, round {place[0]}, reader {place[1]}, input {number}"
+                random_ = random.Random(described)
+                files = dict(random_.choice(READERS[place[1]].seeds))
+                file = random_.choice(sorted(files))
+                files[file] = damaged(random_, file, files[file])
+                count += 1
+                try:
+                    feed(place[1], files, Path(temporary) / "input")
+                except (Exception, Hang) as error:
+                    error.add_note(f"{described}: {file}: {files[file][:2000]!r}")
+                    if failures is None:
+                        raise
+                    kept = failures / re.sub(r"\W+", "-", described)
+                    shutil.copytree(Path(temporary) / "input", kept)
+                    (kept / "traceback").write_text("".join(traceback.format_exception(error)))
+                    print(f"{kept}: {error!r}"[:300], flush=True)
     return count
+
+
+def rounds_until(end: float) -> Iterator[int]:
+    """Numbers from 0 on, until that time of the monotonic clock."""
+    return itertools.takewhile(lambda _: time.monotonic() < end, itertools.count())
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60)
+    parser.add_argument("--rounds", type=int, metavar="N", help="so many rounds, however long they take")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", nargs="+", choices=list(READERS), default=list(READERS), metavar="READER")
+    parser.add_argument("--failures", type=Path, metavar="FOLDER", help="keep the inputs that fail there, and go on")
     arguments = parser.parse_args()
-    print(f"{fuzz(arguments.seconds, arguments.seed)} inputs")
+    rounds = (
+        rounds_until(time.monotonic() + arguments.seconds) if not arguments.rounds else iter(range(arguments.rounds))
+    )
+    print(f"{fuzz(rounds, arguments.seed, arguments.only, arguments.failures)} inputs")

@@ -9,7 +9,16 @@ import pytest
 
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
-from rtfiles.untrusted import JSON_DEPTH_MAX, parse_json, read_bytes, real_number, whole_number
+from rtfiles.untrusted import (
+    JSON_DEPTH_MAX,
+    LINE_CHARACTERS_MAX,
+    lines_of,
+    parse_json,
+    read_bytes,
+    read_end,
+    real_number,
+    whole_number,
+)
 
 
 class Record(Config):
@@ -90,3 +99,17 @@ parse_json('[' + ','.join(['{"":[]}'] * 160_000) + ']', "x")
 
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     subprocess.run([sys.executable, "-c", code], check=True, preexec_fn=limit, env=environment)
+
+
+def test_the_end_of_a_file_of_any_size(tmp_path):
+    path = tmp_path / "console.log"
+    for content, end in ((b"", b""), (b"abc", b"abc"), (b"abcdef", b"cdef")):
+        path.write_bytes(content)
+        assert read_end(path, max_bytes=4) == end
+
+
+def test_lines_come_without_their_ends_and_not_too_long():
+    assert list(lines_of("a\r\n\nb c", "x")) == ["a", "", "b c"]
+    assert list(lines_of("a\n", "x")) == ["a"]
+    with pytest.raises(UsageError, match="x:2: a line of more than 262144 characters"):
+        list(lines_of("a\n" + "b" * (LINE_CHARACTERS_MAX + 1), "x"))

@@ -9,6 +9,7 @@ import math
 import os
 import re
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ JSON_BYTES_MAX = 16 * MIB
 # An empty list takes 3 bytes of JSON and 64 of memory: the size of the text alone does not limit the memory.
 JSON_ITEMS_MAX = 500_000
 JSON_DEPTH_MAX = 32
+LINE_CHARACTERS_MAX = 262_144
 # Python refuses longer numbers only above 4300 digits, and those that it takes cost quadratic time.
 DIGITS_MAX = 20
 INT64_MAX = 2**63 - 1
@@ -41,12 +43,34 @@ def read_bytes(path: Path, *, max_bytes: int) -> bytes:
     return data
 
 
+def read_end(path: Path, *, max_bytes: int) -> bytes:
+    """Return the last bytes of a file that may have any size. Raises OSError."""
+    with path.open("rb") as stream:
+        stream.seek(max(0, stream.seek(0, os.SEEK_END) - max_bytes))
+        return stream.read(max_bytes)
+
+
 def read_text(path: Path, *, max_bytes: int) -> str:
     """Return the content of a regular file of UTF-8 text. Raises UsageError."""
     try:
         return read_bytes(path, max_bytes=max_bytes).decode("utf-8")
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: not UTF-8 text") from error
+
+
+def lines_of(text: str, origin: str) -> Iterator[str]:
+    """Yield the lines of a text without their ends. Raises UsageError for a line that is longer than any of ours.
+
+    One at a time, because a list of short lines or words takes 20 times the memory of their text.
+    """
+    start, number = 0, 1
+    while start < len(text):
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        if end - start > LINE_CHARACTERS_MAX:
+            raise UsageError(f"{origin}:{number}: a line of more than {LINE_CHARACTERS_MAX} characters")
+        yield text[start:end].removesuffix("\r")
+        start, number = end + 1, number + 1
 
 
 def parse_json(text: str, origin: str, *, max_bytes: int = JSON_BYTES_MAX, max_items: int = JSON_ITEMS_MAX) -> Any:

@@ -1,5 +1,6 @@
 """The journal of a campaign, a SQLite file in its results folder: by it a campaign is known again after a crash."""
 
+import itertools
 import re
 import secrets
 import sqlite3
@@ -46,20 +47,20 @@ class Journal:
     def spent_s(self, now: datetime) -> float:
         """The time, in seconds, that runners have worked on the campaign until now; pauses between them do not count.
 
-        Raises UsageError when a time is none.
+        Raises UsageError when the journal is damaged.
         """
         spent_s = 0.0
         before: datetime | None = None
-        rows = self.database.execute("SELECT time, what FROM event ORDER BY rowid").fetchall()
-        for text, what in [*rows, (now.isoformat(), "")]:
-            try:
+        try:
+            rows = self.database.execute("SELECT time, what FROM event ORDER BY rowid")
+            for text, what in itertools.chain(rows, [(now.isoformat(), "")]):
                 time = datetime.fromisoformat(text)
                 if before is not None and what != SESSION:
                     # The clock may have been set back in between.
                     spent_s += max(0.0, (time - before).total_seconds())
-            except (TypeError, ValueError) as error:
-                raise UsageError(f"{self.path}: {error}: {_REMEDY}") from error
-            before = time
+                before = time
+        except (sqlite3.Error, TypeError, ValueError) as error:
+            raise UsageError(f"{self.path}: {error}: {_REMEDY}") from error
         return spent_s
 
     def replace_plan(self, plan: str) -> None:

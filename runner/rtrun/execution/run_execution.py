@@ -10,6 +10,7 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
+from rtfiles.untrusted import MIB, read_end
 from rtrun.execution import clock_record, download, resumption
 from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt
@@ -30,6 +31,8 @@ TOPIC = "/communication_tests"
 SUBSCRIBED_S = 60.0
 # The target ends a program at its deadline; the runner waits this much longer for that.
 END_GRACE_S = 60.0
+# The end of the console of an emulated board, which may print without end.
+CONSOLE_LIMIT_BYTES = 16 * MIB
 # Facts of a target that run.json takes from its state under the same names.
 STATED = ("kernel_release", "kernel_version", "machine", "boot_id", "clocksource", "governor", "roscpp_version")
 
@@ -218,7 +221,7 @@ def _download(work: _Work, partial: Path, attempt: Attempt, end: _End) -> dict[s
     (partial / "target.json").write_text(json.dumps(states, indent=2) + "\n", encoding="utf-8")
     console = work.link.target.console
     if console is not None and console.exists():
-        (partial / "console.log").write_bytes(console.read_bytes())
+        (partial / "console.log").write_bytes(read_end(console, max_bytes=CONSOLE_LIMIT_BYTES))
     return refused
 
 

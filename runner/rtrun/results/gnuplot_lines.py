@@ -17,6 +17,7 @@ from rtrun.analysis.figures import IndexedValue
 
 MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
 MAX_LINE_BYTES = 1 << 20
+MAX_BINS = 2_000_000  # that hold something: those of values up to 2 s
 MAX_VALUE_US = 10**15 - 1  # 31 years
 
 # In double quotes gnuplot executes what stands between backquotes.
@@ -197,5 +198,7 @@ def _read_bin(lines: _Lines, text: Text, line: str) -> None:
         lines.refuse(f"the bins must rise, {value} follows {text.last[match[1]]}")
     text.last[match[1]] = value
     if number:
+        if len(text.values) == MAX_BINS:
+            lines.refuse(f"more than {MAX_BINS} bins that hold something")
         text.values.append(value)
         text.numbers.append(number)

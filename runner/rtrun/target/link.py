@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self, TypeVar
 
+from rtfiles.untrusted import read_end
 from rtrun.target.config import Target
 from rtrun.target.errors import ConnectionLost, TargetError, TargetGone
 from rtrun.target.ssh import COMMAND_S, Completed, Connection
@@ -14,6 +15,8 @@ CONNECT_S = 10.0
 BREAKS_MAX = 5
 # A booting emulated board accepts TCP connections long before its SSH server answers: give up early, try again.
 CONNECT_BOOTING_S = 3.0
+# Of a console that may have printed for days: its last line stands in here.
+CONSOLE_END_BYTES = 16 * 1024
 
 T = TypeVar("T")
 
@@ -132,5 +135,6 @@ class Link:
         console = self.target.console
         if console is None or not console.exists():
             return ""
-        lines = console.read_text(errors="replace").strip().splitlines()
+        end = read_end(console, max_bytes=CONSOLE_END_BYTES).decode(errors="replace")
+        lines = end.strip().splitlines()
         return f"; its console ended with: {lines[-1]!r}" if lines else f"; its console {console} is empty"

@@ -39,7 +39,7 @@ def keep_histograms(folder: Path, run: Run, output: str) -> list[str]:
     interval_us = run.parameters["interval_us"]
     histograms = cyclictest.read_text(
         printed,
-        printed.read_text(encoding="utf-8"),
+        printed.read_text(encoding="utf-8", errors="replace"),
         interval_us=interval_us if isinstance(interval_us, int) else None,
     )
     outputs = [f"{output}-t{thread}" for thread in range(len(histograms))]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rtfiles.errors import UsageError
-from rtfiles.untrusted import real_number, whole_number
+from rtfiles.untrusted import lines_of, real_number, whole_number
 from rtrun.plan.conditions import cpu_set
 from rtrun.results.record import Observed, Range, Rival
 from rtrun.results.samples import NON_MEASURING_THREADS
@@ -17,6 +17,7 @@ from rtrun.target.inspection import POLICIES
 REPORTED_RIVALS = 32
 # One observation every two seconds: those of a month. The text of a sampler is limited as well.
 OBSERVATIONS_MAX = 1_500_000
+_ORIGIN = "sampler.stdout"
 
 ThreadState = tuple[str, int, frozenset[int]]
 """Policy, priority and CPUs of a thread."""
@@ -45,7 +46,7 @@ def read_observations(text: str) -> list[Observation]:
     """Read what sample.sh printed; a last line that was cut off is left out. Raises UsageError."""
     observations: list[Observation] = []
     block: list[list[str]] = []
-    for number, line in enumerate(text[: text.rfind("\n") + 1].splitlines(), start=1):
+    for number, line in enumerate(lines_of(text[: text.rfind("\n") + 1], _ORIGIN), start=1):
         words = line.split()
         try:
             if words[:1] == ["at"]:
@@ -58,7 +59,7 @@ def read_observations(text: str) -> list[Observation]:
             else:
                 block.append(words)
         except (ValueError, IndexError, KeyError):
-            raise UsageError(f"sampler.stdout:{number}: not what sample.sh writes: {line[:80]!r}") from None
+            raise UsageError(f"{_ORIGIN}:{number}: not what sample.sh writes: {line[:80]!r}") from None
     return observations
 
 

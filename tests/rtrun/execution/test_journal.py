@@ -1,6 +1,8 @@
 """The journal of a campaign, whatever its file holds."""
 
 import sqlite3
+from contextlib import closing
+from datetime import UTC, datetime
 
 import pytest
 
@@ -36,6 +38,22 @@ def test_a_damaged_file_is_an_error_with_a_remedy(tmp_path, data):
         return
     with pytest.raises(UsageError, match="the journal is damaged: give another folder with --results, or --fresh"):
         open_in(tmp_path)
+
+
+def test_a_damaged_page_is_found_when_it_is_read(tmp_path):
+    with closing(open_journal(tmp_path, "test", "2:plan", "board")) as log:
+        for _ in range(200):
+            log.note("2026-11-21T10:00:00+00:00", "001-run", "measuring", "a reason")
+        log.database.execute("PRAGMA journal_mode=DELETE")
+        start = log.database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'event'").fetchone()[0] - 1
+    with (tmp_path / NAME).open("r+b") as file:
+        file.seek(start * 4096)
+        file.write(b"\xff" * 4096)
+    with (
+        closing(open_journal(tmp_path, "test", "2:plan", "board")) as log,
+        pytest.raises(UsageError, match=r"malformed: the journal is damaged: .*--fresh"),
+    ):
+        log.spent_s(datetime.now(UTC))
 
 
 @pytest.mark.parametrize(

@@ -295,6 +295,16 @@ def test_huge_values_take_no_memory_for_the_range(tmp_path: Path) -> None:
     assert figures_of(read_log(path)).max_ns == 1000 * top
 
 
+def test_more_bins_than_memory_holds_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    path = DATA / ONESHOT
+    filled = int((read_log(path).count > 0).sum())
+    monkeypatch.setattr(gnuplot_lines, "MAX_BINS", filled)
+    read_log(path)
+    monkeypatch.setattr(gnuplot_lines, "MAX_BINS", filled - 1)
+    with pytest.raises(UsageError, match=f": more than {filled - 1} bins that hold something"):
+        read_log(path)
+
+
 def test_a_file_too_large_is_refused_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gnuplot_lines, "MAX_SIZE_BYTES", 4000)
     with pytest.raises(UsageError, match="4985 bytes, a log has at most 4000"):

@@ -5,7 +5,8 @@ import re
 import pytest
 
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.validity.baselines import check_baseline_output
+from rtrun.results.importers.histogram_file import ENDING, read_histogram
+from rtrun.validity.baselines import check_baseline_output, keep_histograms
 
 PRINTED = """# /dev/cpu_dma_latency set to 0us
 # Histogram
@@ -54,6 +55,13 @@ def test_what_does_not_add_up(printed, message):
     problem = check_baseline_output(run_of("cyclictest", repetitions=10, threads=2), printed)
     assert problem is not None
     assert re.search(message, problem)
+
+
+def test_a_character_that_is_none_is_of_no_matter(tmp_path):
+    run = run_of("cyclictest", repetitions=10, threads=2)
+    (tmp_path / "cyclictest.stdout").write_bytes(b"# \xff\n" + PRINTED.encode())
+    outputs = keep_histograms(tmp_path, run, "cyclictest")
+    assert [read_histogram(tmp_path / f"{output}{ENDING}").histogram.n for output in outputs] == [10, 10]
 
 
 def test_hwlatdetect_must_have_a_result():

@@ -11,7 +11,7 @@ from rtfiles import config
 from rtfiles.errors import UsageError
 from rtgen.checkout import checkout
 
-_VERSION = r"\d+\.\d+"
+_VERSION = r"[0-9]{1,4}\.[0-9]{1,4}"
 _VALUE = re.compile(r'[ymn]|-?\d+|0x[0-9a-fA-F]+|"[^"]*"')
 
 

@@ -1,19 +1,23 @@
 """Config files of the kernel: fragments, defconfigs and finished .config files, read line by line."""
 
-import gzip
 import re
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 from rtfiles.errors import UsageError
+from rtfiles.untrusted import MIB, read_bytes
+
+# Of a config file, unpacked. A finished .config of an ARM kernel has 200 kB.
+CONFIG_BYTES_MAX = 4 * MIB
+_GZIP_WBITS = 31  # as zlib.decompressobj has it
 
 _SET = re.compile(r'CONFIG_(\w+)=([ymn]|-?\d+|0x[0-9a-fA-F]+|"(?:[^"\\]|\\.)*")')
 _UNSET = re.compile(r"# CONFIG_(\w+) is not set")
 # A comment that is meant as "not set", but that the kernel ignores.
 _NEARLY_UNSET = re.compile(r"#\s*(CONFIG_)?[A-Z0-9_]+ (is )?not set\b")
 _EXPANDED = re.compile(r"# Automatically generated file; DO NOT EDIT|CONFIG_CC_VERSION_TEXT=")
-_HEAD = re.compile(r"# Linux/(\w+) (\d+\.\d+)\S* Kernel Configuration")
+_HEAD = re.compile(r"# Linux/(\w+) ([0-9]{1,4}\.[0-9]{1,4})\S* Kernel Configuration")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,14 +31,18 @@ class Line:
 
 def read_text(path: Path) -> str:
     """The text of a config file, unpacked if it is gzip (as ``/proc/config.gz``). Raises UsageError."""
+    data = read_bytes(path, max_bytes=CONFIG_BYTES_MAX)
     try:
-        data = path.read_bytes()
         if data[:2] == b"\x1f\x8b":
-            data = gzip.decompress(data)
+            unpacking = zlib.decompressobj(_GZIP_WBITS)
+            data = unpacking.decompress(data, CONFIG_BYTES_MAX)
+            if unpacking.unconsumed_tail:
+                raise UsageError(f"{path}: larger than {CONFIG_BYTES_MAX} bytes when unpacked")
+            if not unpacking.eof:
+                raise zlib.error("cut off")
         return data.decode("utf-8")
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "neither a text nor a whole gzip file"
-        raise UsageError(f"{path}: {reason}") from error
+    except (zlib.error, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: neither a text nor a whole gzip file") from error
 
 
 def parse(text: str, origin: str) -> tuple[Line, ...]:
@@ -48,7 +56,7 @@ def parse(text: str, origin: str) -> tuple[Line, ...]:
             lines.append(Line(match[1], "n", number))
         elif line and (not line.startswith("#") or _NEARLY_UNSET.match(line)):
             raise UsageError(
-                f"{origin}:{number}: {line!r} is not a config line, "
+                f"{origin}:{number}: {line[:80]!r} is not a config line, "
                 "write CONFIG_NAME=value, # CONFIG_NAME is not set, or a # comment"
             )
     return tuple(lines)

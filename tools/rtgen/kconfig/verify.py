@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rtfiles.errors import UsageError
+from rtfiles.untrusted import read_text
 from rtgen.kconfig import explain
 from rtgen.kconfig.data import Data
-from rtgen.kconfig.fragment import Line, kernel_of, parse, parse_defconfig, parse_fragment, values
+from rtgen.kconfig.fragment import CONFIG_BYTES_MAX, Line, kernel_of, parse, parse_defconfig, parse_fragment, values
 from rtgen.kconfig.render import config_line
 from rtgen.kconfig.tree import Tree, run_conf
 
@@ -103,11 +104,7 @@ def verify_config(data: Data, machine: str, text: str, origin: str) -> Verdict:
 
 def load_fragment(path: Path) -> tuple[Line, ...]:
     """Read a fragment. Raises UsageError for a malformed or repeated line, with file and line."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: {getattr(error, 'strerror', None) or 'not UTF-8 text'}") from error
-    return parse_fragment(text, str(path))
+    return parse_fragment(read_text(path, max_bytes=CONFIG_BYTES_MAX), str(path))
 
 
 def _shown(name: str, got: Mapping[str, str], known: frozenset[str]) -> str:

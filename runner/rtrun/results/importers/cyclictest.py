@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rtfiles.errors import UsageError
+from rtfiles.untrusted import lines_of
 from rtrun.results.importers.counts import (
     NO_ORDER,
     bins_of,
@@ -58,7 +59,7 @@ def read_text(path: Path, text: str, *, interval_us: int | None = None) -> tuple
 
 def _parts(path: Path, text: str) -> _Text:
     parts, started, number, bins = _Text(), False, 0, 0
-    for number, raw in enumerate(text.splitlines(), start=1):
+    for number, raw in enumerate(lines_of(text, str(path)), start=1):
         line = raw.rstrip()
         if line.startswith("# Histogram") and ":" not in line:
             started = True

@@ -7,7 +7,7 @@ from rtfiles.untrusted import MIB, read_bytes
 from rtrun.results.importers import cyclictest, jitterdebugger, timerlat
 from rtrun.results.importers.histogram_file import Imported
 
-MAX_BYTES = 128 * MIB
+MAX_BYTES = 16 * MIB
 READS = "a log of 2014 or of a suite, cyclictest -h or --json, jitterdebugger's results.json, rtla timerlat hist"
 
 

@@ -6,6 +6,7 @@ from functools import reduce
 from pathlib import Path
 
 from rtfiles.errors import UsageError
+from rtfiles.untrusted import lines_of
 from rtrun.results.importers.counts import NO_ORDER, check_bins, histogram
 from rtrun.results.importers.histogram_file import Imported
 
@@ -20,7 +21,7 @@ def read_text(path: Path, text: str) -> tuple[Imported, ...]:
     unit_ns, columns, rows = 1000, [], list[tuple[int, list[int]]]()
     summary: dict[str, list[int | None]] = {}
     number = 0
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(lines_of(text, str(path)), start=1):
         words = line.split()
         if "Time unit is nanoseconds" in line:
             unit_ns = 1

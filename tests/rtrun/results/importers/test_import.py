@@ -175,6 +175,13 @@ def test_more_bins_than_any_program_has_are_refused(tmp_path, monkeypatch):
             read_histogram(file) if file.name.endswith(ENDING) else read(file)
 
 
+def test_a_line_with_more_columns_than_memory_holds_is_refused(tmp_path):
+    file = tmp_path / "wide.txt"
+    file.write_text("# Histogram\n0" + " 1" * 200_000 + "\n")
+    with pytest.raises(UsageError, match=r"wide.txt:2: a line of more than 262144 characters"):
+        read(file)
+
+
 def test_pipes_and_devices_are_refused_at_once(tmp_path, capsys):
     pipe = tmp_path / "pipe.log"
     os.mkfifo(pipe)

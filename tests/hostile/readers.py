@@ -1,0 +1,383 @@
+"""Every reader of what comes from a file or a target, each with whole inputs for the fuzz to damage."""
+
+import contextlib
+import gzip
+import hashlib
+import io
+import json
+import shutil
+import tempfile
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path, PurePosixPath
+from types import SimpleNamespace
+from typing import cast
+
+from rtfiles import config
+from rtgen.kconfig import data as kconfig
+from rtgen.kconfig import fragment, verify
+from rtgen.profile import load_profile
+from rtrun import cli
+from rtrun.execution import journal, resumption
+from rtrun.plan.campaign import Campaign, plan, read_campaign
+from rtrun.plan.goal import Goal
+from rtrun.results import goal_file, partial_samples, reading, run_directory
+from rtrun.results.gnuplot_lines import check_commands
+from rtrun.results.importers.adopt import adopt
+from rtrun.results.importers.detect import read
+from rtrun.results.importers.histogram_file import ENDING, histogram_text, read_histogram
+from rtrun.results.record import RunRecord, RunStatus, TargetFacts
+from rtrun.results.record import verify as verify_run
+from rtrun.target import architecture, host_keys, inspection, processes, qemu, ros_master, rt_readiness
+from rtrun.target.address import Address
+from rtrun.target.config import read_target
+from rtrun.target.link import Link
+from rtrun.target.ssh import Connection
+from rtrun.validity import baselines
+from rtrun.validity.observations import read_observations, summarize
+
+TOP = Path(__file__).parents[2]
+SUITES = TOP / "tests" / "data" / "suites"
+LOGS_2014 = TOP / "tests" / "data" / "2014"
+
+Files = dict[str, bytes]
+"""The files of one input, by name."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Reader:
+    """What reads the files of a folder, and whole inputs for it. `seal` makes damaged files belong together again.
+
+    `cost` is its time for an input in about 10 ms: a costly reader gets fewer inputs.
+    """
+
+    read: Callable[[Path], object]
+    seeds: Sequence[Files]
+    seal: Callable[[Path], None] = lambda folder: None
+    cost: int = 1
+
+
+def of_file(read: Callable[[Path], object], name: str, *seeds: bytes, cost: int = 1) -> Reader:
+    """A reader of one file of this name."""
+    return Reader(read=lambda folder: read(folder / name), seeds=[{name: seed} for seed in seeds], cost=cost)
+
+
+def of_answer(read: Callable[[Link], object], *seeds: str) -> Reader:
+    """A reader of what a command prints on the target, whatever the command is."""
+
+    def answer(folder: Path) -> object:
+        text = (folder / "answer").read_text(errors="replace")
+        target = SimpleNamespace(address=Address(host="board"), work_dir=PurePosixPath("/var/rt-tests"), ros_setup=None)
+        link = SimpleNamespace(
+            target=target,
+            boot_id="1-1",
+            check=lambda *_, **__: text,
+            address=target.address,
+            do=lambda step: step(link),
+        )
+        return read(cast(Link, link))
+
+    return Reader(read=answer, seeds=[{"answer": seed.encode()} for seed in seeds])
+
+
+def expecting_value_error(read: Callable[[bytes], object]) -> Callable[[Path], None]:
+    """A reader whose callers take a ValueError for an answer."""
+
+    def read_file(path: Path) -> None:
+        with contextlib.suppress(ValueError):
+            read(path.read_bytes())
+
+    return read_file
+
+
+def _contents(folder: Path, *patterns: str) -> list[bytes]:
+    return [path.read_bytes() for pattern in patterns for path in sorted(folder.glob(pattern))]
+
+
+# What other programs and the target print.
+
+KEY = b"ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIPJs62duJcZ1UDeiYfJh47Sob6aBR0zYBWGFxamj6gCK"
+KNOWN_HOSTS = b"board,*.x " + KEY + b" me\n@revoked * " + KEY + b"\n|1|AAAA|AAAA " + KEY + b"\n"
+STATE = f"== governor\nperformance\n== threads\n12 (a) b) S {'0 ' * 36}95 1 0\n== machine\narmv7l\n"
+FACTS = b"== kernel_version\n#1 SMP PREEMPT_RT\n== swap\n/dev/a x\n== threads\n99 program a\n"
+REPLY = b"<methodResponse><params><param><value><array><data><value><int>1</int></value></data></array></value></param>"
+INSPECTED = """setup /opt/ros/noetic/setup.sh
+master /opt/ros/noetic/bin/rosmaster
+program /opt/ros/noetic/lib/cyclic_timer_tests/cyclic_timer_tests
+elf 7f 45 4c 46 01 01 01 00 00 00 00 00 00 00 00 00 02 00 28 00
+cpus 2
+free_kib 100000
+foreign /var/rt-tests/x
+"""
+OBSERVED = """at 10.00 0.50 40000,41000 800000 cpu 1 2 3 4 5 6 7 8 0 0
+thread cyclic_timer_tests 12 1 95 0-1 cyclic_timer_te
+load stress-ng 2 0,1
+rival 5 1 99 migration/0
+governor performance,performance
+sched_rt_runtime_us 950000
+end
+at 12.00 0.50 - - cpu 11 12 13 14 15 16 17 18 0 0
+"""
+TIMERLAT = b"""# RTLA timerlat histogram
+# Time unit is microseconds (us)
+# Duration:   0 00:00:02
+Index   IRQ-001   Thr-001   Usr-001
+0             3         1         0
+10            0         2         3
+over:         0         1         0
+count:        3         4         3
+min:          0         3        12
+avg:          1         7        13
+max:          7       210        15
+ALL:        IRQ       Thr       Usr
+count:        3         4         3
+"""
+CYCLICTEST = b"""# /dev/cpu_dma_latency set to 0us
+# Histogram
+000014 000001\t000000
+000015 000008\t000010
+# Total: 000000009 000000010
+# Min Latencies: 00014 00015
+# Avg Latencies: 00015 00015
+# Max Latencies: 00062 00015
+# Histogram Overflows: 00001 00000
+"""
+_THREAD = {"histogram": {"3": 5, "12": 4}, "cycles": 10, "min": 3, "max": 70, "avg": 9.5}
+CYCLICTEST_JSON = json.dumps(
+    {"cmdline": "cyclictest -t1 -h 64 -i 200", "resolution_in_ns": 0, "thread": {"0": _THREAD}}
+).encode()
+JITTERDEBUGGER = json.dumps({"sysinfo": {"resolution_in_ns": 1000}, "cpu": {"0": {**_THREAD, "count": 10}}}).encode()
+BOARD = json.dumps(
+    {
+        "schema": 1, "machine": "qemu-armv7", "emulated": True, "kernel": "vmlinuz", "initrd": "initrd", "dtb": None,
+        "qemu": {"binary": "x", "arguments": ["-M", "virt"], "disk_device": "y", "network_device": "z"},
+        "cmdline": "quiet", "disk": "disk.img", "disk_format": "raw", "kernel_release": "6.1", "packages": {"a": "1"},
+        "ssh": {"user": "root", "key": "key", "host_key": "ssh-ed25519 AAAA"},
+    }
+).encode()  # fmt: skip
+KERNEL_CONFIG = b"""#
+# Automatically generated file; DO NOT EDIT.
+# Linux/arm 6.1.0 Kernel Configuration
+#
+CONFIG_HZ=1000
+CONFIG_PREEMPT_RT=y
+# CONFIG_CPU_IDLE is not set
+CONFIG_LOCALVERSION="-rt"
+"""
+
+
+def _check_facts(path: Path) -> None:
+    rt_readiness.judge(CHECKS, rt_readiness.parse(path.read_text(errors="replace")))
+
+
+def _observe(path: Path) -> None:
+    observations = read_observations(path.read_text(errors="replace"))
+    summarize(observations, [state for each in observations for states in each.threads.values() for state in states])
+
+
+def _baseline(folder: Path) -> None:
+    run = plan(Campaign(schema=1, name="x", runs=[{"suite": "cyclictest", "repetitions": 10, "threads": 2}]), "x")[0]
+    text = (folder / "cyclictest.stdout").read_text(errors="replace")
+    if baselines.check_baseline_output(run, text) is None:
+        baselines.keep_histograms(folder, run, "cyclictest")
+
+
+def _histogram() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x.txt"
+        path.write_bytes(CYCLICTEST)
+        return histogram_text(read(path)[0]).encode()
+
+
+# Files of ours.
+
+
+def _journal(path: Path) -> None:
+    with contextlib.closing(journal.open_journal(path.parent, "campaign", "1:abc", "board")) as log:
+        log.begin_session("2026-11-21T10:00:00+00:00")
+        log.spent_s(datetime.now(UTC))
+        log.note("2026-11-21T10:00:00+00:00", "run", "planned")
+
+
+def _new_journal() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        with contextlib.closing(journal.open_journal(Path(folder), "campaign", "1:abc", "board")) as log:
+            for number in range(20):
+                log.note(f"2026-11-21T10:00:{number:02}+00:00", "run", "measuring", "a reason")
+            log.database.execute("PRAGMA journal_mode=DELETE")
+        return (Path(folder) / journal.NAME).read_bytes()
+
+
+def _goal() -> bytes:
+    goal = Goal(deadline="400us", probability=1e-6, confidence=0.95, at_most="8h", boots=2)
+    with tempfile.TemporaryDirectory() as folder:
+        goal_file.write_goal(Path(folder), goal)
+        return (Path(folder) / goal_file.FILE).read_bytes()
+
+
+ATTEMPT = json.dumps(
+    {
+        "schema": 1,
+        "uid": "0123456789abcdef",
+        "start_time": "2026-11-21T10:00:00+00:00",
+        "master_pid": 12,
+        "own_master": True,
+        "argv": {"cyclic_timer_tests": ["cyclic_timer_tests", "-l", "10"]},
+        "before": {"boot_id": "1-1", "governor": ["a", "b"], "rt_threads": []},
+    }
+)
+LEFTOVERS = f"started cyclic_timer_tests 1-1\nstarted sampler 1-1\nattempt\n{ATTEMPT}"
+
+
+def _runs() -> list[Files]:
+    """Closed run directories with the samples and logs of tests/data."""
+    outputs = {
+        "cyclic_timer_tests": "cyclic_timer_tests_l100_fq700-tnRTFIFO",
+        "oneshot_timer_tests": "oneshot_timer_tests_l100_tm1000-tnRTRR",
+        "communication_tests": "1ct_gnuplot_l100_fq1000_pl0-tnRTRR",
+    }
+    runs = []
+    for suite, output in outputs.items():
+        with tempfile.TemporaryDirectory() as folder:
+            partial = Path(folder) / "partial"
+            partial.mkdir()
+            for path in SUITES.glob(f"{output}*"):
+                (partial / path.name).write_bytes(path.read_bytes())
+            record = RunRecord(
+                schema=1, run="run", campaign="campaign", attempt="0123456789abcdef", suite=suite,
+                parameters={"policy": "RR", "priority": 95, "repetitions": 100}, emulated=False, status=RunStatus.OK,
+                reason=None, start_time="2026-11-21T10:00:00+00:00", end_time="2026-11-21T10:00:01+00:00", programs=[],
+                outputs=[output], target=TargetFacts(name="board", cpus=2, boot_id="1-1"), files={},
+            )  # fmt: skip
+            run_directory.close(partial, Path(folder) / "run", record)
+            runs.append({path.name: path.read_bytes() for path in sorted((Path(folder) / "run").iterdir())})
+    return runs
+
+
+def _seal(folder: Path) -> None:
+    """Write the checksums of the files as they are into run.json, where that still is one."""
+    path = folder / "run.json"
+    with contextlib.suppress(ValueError, TypeError, RecursionError):
+        record = json.loads(path.read_text())
+        record["files"] = {
+            each.name: {
+                "size_bytes": each.stat().st_size,
+                "sha256": hashlib.sha256(each.read_bytes()).hexdigest(),
+            }
+            for each in folder.iterdir()
+            if each != path
+        }
+        path.write_text(json.dumps(record))
+
+
+def _commands(folder: Path) -> None:
+    """The front door: whatever is in a run directory, a command does not end with the status of a defect."""
+    commands = (
+        ["show"], ["show", "--json"], ["verdict"], ["gate"], ["compare", str(folder)], ["report", "--output", "-"],
+        ["report", "--output", "-", "--format", "csv"], ["report", "--output", "-", "--format", "junit"],
+    )  # fmt: skip
+    argv = commands[zlib.crc32((folder / "run.json").read_bytes()) % len(commands)]
+    stdout, stderr = (io.TextIOWrapper(io.BytesIO()) for _ in range(2))
+    with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
+        status = cli.main([argv[0], str(folder), *argv[1:]])
+    stderr.seek(0)
+    assert status in (0, 1, 2, 3), f"rtrun {argv}: {status}: {stderr.read()}"
+
+
+def _adopt(folder: Path) -> None:
+    shutil.rmtree(folder / "out", ignore_errors=True)
+    adopt(next(folder.glob("x.*")), folder / "out", emulated=False)
+
+
+def _outputs() -> list[Files]:
+    """Samples with the json beside them."""
+    return [
+        {f"x{ending}": path.with_suffix(ending).read_bytes() for ending in (".json", ".npy")}
+        for path in sorted(SUITES.glob("*.npy"))
+    ]
+
+
+def _kernel_config(path: Path) -> None:
+    text = fragment.read_text(path)
+    verify.verify_config(KCONFIG, "qemu-armv7", text, str(path))
+
+
+def _part(path: Path) -> None:
+    path.with_suffix("").unlink(missing_ok=True)
+    partial_samples.salvage(path)
+
+
+KCONFIG = kconfig.load()
+CHECKS = rt_readiness.read_checks()
+LOGS = [path.read_bytes() for path in (*sorted(SUITES.glob("*.log")), *sorted(LOGS_2014.glob("*.log")))]
+PROGRAMS = ["cyclic_timer_tests"]
+READERS: dict[str, Reader] = {
+    # Of the user, and of a network that may be another's.
+    "known_hosts": of_file(
+        lambda path: host_keys.read_host_keys(Address(host="board", known_hosts=(path,))), "known_hosts", KNOWN_HOSTS
+    ),
+    "certificate": of_file(
+        expecting_value_error(host_keys.parse_certificate),
+        "certificate",
+        b"\0\0\0\x20ssh-ed25519-cert-v01@openssh.com" + b"\0\0\0\4abcd" * 20,
+    ),
+    "target": of_file(read_target, "target.yml", *_contents(TOP / "targets", "*.yml")),
+    "campaign": of_file(read_campaign, "campaign.yml", *_contents(TOP / "campaigns", "*.yml"), cost=3),
+    "profile": of_file(
+        lambda path: load_profile(str(path)), "profile.yml", *_contents(TOP / "tools/rtgen/profiles", "*.yml"), cost=4
+    ),
+    "kernel options": of_file(
+        lambda path: [option.holds_for("6.1") for option in config.load(path, kconfig.Concern).options],
+        "options.yml",
+        *_contents(TOP / "kconfig/options", "*.yml"),
+        cost=2,
+    ),
+    "fragment": of_file(verify.load_fragment, "x.cfg", KERNEL_CONFIG),
+    "kernel config": of_file(_kernel_config, "config", KERNEL_CONFIG, gzip.compress(KERNEL_CONFIG, mtime=0)),
+    # Of the target.
+    "state": of_answer(lambda link: inspection.read_state(link, PurePosixPath("/state.sh")), STATE),
+    "equipment": of_answer(inspection.inspect, INSPECTED, INSPECTED.replace("foreign", "program")),
+    "leftovers": of_answer(
+        lambda link: resumption.inspect_leftovers(link, PurePosixPath("/runs/x"), PROGRAMS), LEFTOVERS
+    ),
+    "exit": of_answer(
+        lambda link: processes.wait(link, PurePosixPath("/x"), "x", deadline_s=1), "0 12.00\n", "expired"
+    ),
+    "ended": of_answer(
+        lambda link: processes.end_background(link, PurePosixPath("/x"), [], [], [], []),
+        f"load 1\n== ended\n{STATE}",
+    ),
+    "listing": of_answer(
+        lambda link: Connection.list_files(cast(Connection, link), PurePosixPath("/x")),
+        "total 4\n-rw-r--r-- 1 0 0 5 Nov 22 03:20 a b\ndrwxr-xr-x 2 0 0 4096 Nov 22 03:20 c\n",
+    ),
+    "facts": of_file(_check_facts, "facts", FACTS),
+    "master": of_file(expecting_value_error(ros_master._parse_reply), "reply", REPLY),
+    "observations": of_file(_observe, "sampler.stdout", OBSERVED.encode()),
+    "baseline": Reader(read=_baseline, seeds=[{"cyclictest.stdout": CYCLICTEST}]),
+    "part": of_file(_part, "x.npy.part", *_contents(SUITES, "*.npy")),
+    # Of results, which may come from a target or from another's hands.
+    "run": Reader(
+        read=lambda folder: (reading.read_run(folder), verify_run(folder)), seeds=_runs(), seal=_seal, cost=2
+    ),
+    "commands": Reader(read=_commands, seeds=_runs(), seal=_seal, cost=20),
+    "samples": Reader(read=lambda folder: reading.results_of(reading.read_file(folder / "x.npy")), seeds=_outputs()),
+    "log": of_file(lambda path: reading.results_of(reading.read_file(path)), "x.log", *LOGS),
+    "log commands": of_file(check_commands, "x.log", *LOGS),
+    "import": Reader(
+        read=_adopt,
+        seeds=[
+            *({"x.txt": text} for text in (CYCLICTEST, TIMERLAT)),
+            *({"x.json": text} for text in (CYCLICTEST_JSON, JITTERDEBUGGER)),
+            *({"x.log": text} for text in LOGS),
+        ],
+    ),
+    "histogram": of_file(read_histogram, f"x{ENDING}", _histogram()),
+    "journal": of_file(_journal, journal.NAME, _new_journal()),
+    "goal": Reader(read=goal_file.read_goal, seeds=[{goal_file.FILE: _goal()}]),
+    # Of a build.
+    "board": Reader(read=qemu.read_board, seeds=[{"board.json": BOARD}]),
+    "program": of_file(lambda path: architecture.name(path.read_bytes()), "program", b"\x7fELF\2\1\1" + bytes(13)),
+}
