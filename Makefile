@@ -2,7 +2,7 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test fuzz test-slow test-kernel test-yocto lint coverage bench setup board suites clean
+.PHONY: demo test fuzz soak test-slow test-kernel test-yocto lint coverage bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -27,6 +27,10 @@ test-yocto: setup
 # Mutated files for every reader of tests/hostile/fuzz.py: SECONDS of them, from SEED on.
 fuzz: setup
 	$(BIN)/python tests/hostile/fuzz.py --seconds $(or $(SECONDS),3600) --seed $(or $(SEED),1)
+
+# A campaign of RUNS through FAULTS (kills, stops, hang-ups, cut links, full disks, damaged files), drawn by SEED.
+soak: setup
+	SEED=$(SEED) RUNS=$(RUNS) FAULTS=$(FAULTS) $(BIN)/pytest -s tests/hostile/soak.py
 
 lint: setup
 	$(BIN)/ruff check .

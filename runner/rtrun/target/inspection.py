@@ -25,7 +25,9 @@ SCRIPT = ON_TARGET / "inspect.sh"
 _KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -r) 2>/dev/null; exit 0"
 # Numbers of sched_setscheduler(2), as in field 41 of /proc/<pid>/stat (proc(5)).
 POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
-# Sections kept as one text. Every other section is one value, or a list when it has several lines.
+# What inspect.sh prints a line of.
+_FACTS = frozenset(("missing", "foreign", "readonly", "setup", "master", "program", "elf", "cpus", "free_kib"))
+# Sections of state.sh kept as one text. Every other one is one value, or a list when it has several lines.
 _TEXTS = ("cpuinfo", "memory", "os_release")
 
 Fact = str | list[str] | None
@@ -90,7 +92,8 @@ def inspect(link: Link) -> Equipment:
     facts: dict[str, list[str]] = {}
     for line in output.splitlines():
         name, _, value = line.partition(" ")
-        facts.setdefault(name, []).append(value)
+        if name in _FACTS:
+            facts.setdefault(name, []).append(value)
     if "missing" in facts:
         raise TargetError(
             f"{target.address}: the target lacks {', '.join(facts['missing'])}: install util-linux, coreutils"

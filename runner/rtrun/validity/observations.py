@@ -17,6 +17,8 @@ from rtrun.target.inspection import POLICIES
 REPORTED_RIVALS = 32
 # One observation every two seconds: those of a month. The text of a sampler is limited as well.
 OBSERVATIONS_MAX = 1_500_000
+# Of the state at one moment: a line for each real-time thread, each load, and a few more.
+STATE_LINES_MAX = 50_000
 _ORIGIN = "sampler.stdout"
 
 ThreadState = tuple[str, int, frozenset[int]]
@@ -57,6 +59,8 @@ def read_observations(text: str) -> list[Observation]:
             elif words == ["end"]:
                 observations[-1] = _complete(observations[-1], block)
             else:
+                if len(block) == STATE_LINES_MAX:
+                    raise ValueError
                 block.append(words)
         except (ValueError, IndexError, KeyError):
             raise UsageError(f"{_ORIGIN}:{number}: not what sample.sh writes: {line[:80]!r}") from None
@@ -79,7 +83,7 @@ def _begin(words: list[str], before: Observation | None) -> Observation:
 
 
 def _complete(observation: Observation, block: list[list[str]]) -> Observation:
-    threads: dict[str, tuple[ThreadState, ...]] = {}
+    threads: dict[str, list[ThreadState]] = {}
     loads: dict[str, tuple[int, frozenset[int]]] = {}
     rivals: set[tuple[str, str, int]] = set()
     governor: tuple[str, ...] = ()
@@ -89,7 +93,7 @@ def _complete(observation: Observation, block: list[list[str]]) -> Observation:
             if " ".join(words[6:]) in NON_MEASURING_THREADS:
                 continue
             state = (_policy(words[3]), whole_number(words[4]), _cpus(words[5]))
-            threads[words[1]] = (*threads.get(words[1], ()), state)
+            threads.setdefault(words[1], []).append(state)
         elif words[0] == "load":
             loads[words[1]] = (whole_number(words[2], lowest=0), _cpus(words[3]))
         elif words[0] == "rival":
@@ -100,7 +104,7 @@ def _complete(observation: Observation, block: list[list[str]]) -> Observation:
             runtime_us = None if words[1] == "-" else whole_number(words[1])
     return replace(
         observation,
-        threads=threads,
+        threads={name: tuple(states) for name, states in threads.items()},
         loads=loads,
         rivals=frozenset(rivals),
         governor=governor,
