@@ -210,7 +210,7 @@ def test_every_run_is_finished_once(soak, tmp_path):
     began = time.monotonic()
     for number in range(FAULTS):
         soak.start()
-        time.sleep(soak.random.uniform(0, 5))
+        time.sleep(soak.random.uniform(0, 8))
         fault = soak.random.choice(soak.faults())
         print(f"{time.monotonic() - began:6.0f} s  {number + 1} of {FAULTS}: {fault.__name__}", flush=True)
         fault()

@@ -88,9 +88,18 @@ def _algorithms(kind: str) -> tuple[str, ...]:
 
 
 def read_host_keys(address: Address) -> HostKeys:
-    """Return the host keys that are accepted from a target. Raises TargetError and, from known_hosts, UsageError."""
-    if address.host_key is not None:
-        return HostKeys(source="the target file", trusted=_pinned(address, address.host_key))
+    """Return the host keys that are accepted from a target. Raises TargetError and, from known_hosts, UsageError.
+
+    A key of the target file is accepted unless known_hosts revokes it: as in OpenSSH, no other setting outweighs that.
+    """
+    listed = _read_known_hosts(address)
+    if address.host_key is None:
+        return listed
+    trusted = _pinned(address, address.host_key)
+    return HostKeys(source="the target file", trusted=trusted, revoked=listed.revoked)
+
+
+def _read_known_hosts(address: Address) -> HostKeys:
     paths = [path.expanduser() for path in address.known_hosts]
     source = " and ".join(map(str, paths)) or "no known_hosts file"
     files = (untrusted.read_bytes(path, max_bytes=KNOWN_HOSTS_BYTES_MAX) for path in paths if path.is_file())
@@ -199,12 +208,12 @@ def check_host_key(address: Address, key: paramiko.PKey, known: HostKeys) -> Non
         try:
             parsed = parse_certificate(certificate.key_blob)
             if fingerprint(parsed.authority) in known.revoked:
-                raise TargetError(f"{address}: the authority of the host certificate is revoked in {known.source}")
+                raise TargetError(f"{address}: the authority of the host certificate is revoked in known_hosts")
             objection = _objection(parsed, address.host.lower(), known)
         except ValueError as error:
             objection = f"its certificate cannot be read: {error}"
     if shown in known.revoked:
-        raise TargetError(f"{address}: the host key {shown} is revoked in {known.source}: somebody else may answer")
+        raise TargetError(f"{address}: the host key {shown} is revoked in known_hosts: somebody else may answer")
     if not objection or shown in known.trusted:
         return
     name = key.get_name()

@@ -159,6 +159,19 @@ def test_a_revoked_key_is_refused(server, log_in):
             log_in(*lines)
 
 
+@pytest.mark.parametrize("is_fingerprint", [False, True])
+def test_a_revoked_key_of_the_target_file_is_refused(sshd, tmp_path, is_fingerprint):
+    known = tmp_path / "known_hosts"
+    pinned = fingerprint(sshd.folder / "host_key.pub") if is_fingerprint else sshd.host_key
+    address = replace(sshd.address, host_key=pinned, known_hosts=(known,))
+    for line in (f"* {sshd.host_key}", f"@revoked elsewhere {sshd.host_key}", f"@revoked * {make_key(tmp_path / 'k')}"):
+        known.write_text(f"{line}\n")
+        Connection(address).close()
+    known.write_text(f"@revoked * {sshd.host_key}\n")
+    with pytest.raises(TargetError, match="is revoked in known_hosts: somebody else may answer"):
+        Connection(address)
+
+
 def test_a_revoked_authority_is_refused(server, log_in):
     server.certify("ed25519", "-h")
     authority = server.authority_public

@@ -157,3 +157,10 @@ def test_the_clock_on_the_wall_does_not_tell_who_died(link, folder):
         os.utime(folder / f"{name}.exit", (1e9, 1e9 - float(uptime)))
     ended_early, _ = processes.end_background(link, PurePosixPath(folder), ["suite"], ["load"], ["sampler"], ["true"])
     assert ended_early == {"sampler": "0"}
+
+
+@pytest.mark.parametrize("word", ["²", "9" * 6000, "-1", "256", "0x0", ""])
+def test_an_exit_status_that_is_none(link, scripts, folder, word):
+    """The file lies on the target, where anybody may have written it."""
+    (folder / "p.exit").write_text(f"{word} 12.34\n")
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=60).status is None
