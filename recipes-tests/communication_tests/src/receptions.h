@@ -41,8 +41,8 @@ class Receptions {
   bool last_came() const noexcept { return last_came_; }
 
   // To be called after the last reception. Messages above the highest number that came count as never sent.
-  rt_tests::Noted missing() const {
-    rt_tests::Noted result;
+  rt_tests::Events missing() const {
+    rt_tests::Events result;
     for (int64_t seq = 0; seq < std::min(sent_, asked_); ++seq) {
       if (!seen_[static_cast<std::size_t>(seq)]) result.note(seq);
     }
@@ -64,7 +64,7 @@ class Receptions {
     return "";
   }
 
-  rt_tests::Noted duplicate, out_of_order;
+  rt_tests::Events duplicate, out_of_order;
 
  private:
   Samples& samples_;

@@ -87,7 +87,7 @@ std::string receive(const rt_tests::Options& options, Session& session, Receptio
   return ended_by.empty() ? rt_tests::stop_reason() : ended_by;
 }
 
-void list_events(const rt_tests::Noted& noted, const std::string& kind, const std::string& heading,
+void list_events(const rt_tests::Events& noted, const std::string& kind, const std::string& heading,
                  std::vector<std::string>& lines) {
   if (noted.count() == 0) return;
   std::string list = heading + " messages: |";

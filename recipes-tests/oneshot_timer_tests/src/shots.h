@@ -96,7 +96,7 @@ using Samples = rt_tests::Samples<columns>;
 //   cancel()   stops the timer: afterwards the callback of this shot neither runs nor will run
 //   wait()     returns true when the box is settled, false if a stop is requested first
 template <class Trigger, class Cancel, class Wait>
-void measure(clockid_t clock, int64_t timeout_ns, ShotBox& box, Samples& samples, rt_tests::Noted& not_fired,
+void measure(clockid_t clock, int64_t timeout_ns, ShotBox& box, Samples& samples, rt_tests::Events& not_fired,
              rt_tests::OutlierTrace& outliers, Trigger trigger, Cancel cancel, Wait wait) {
   while (!samples.full()) {
     const auto index = static_cast<int64_t>(samples.size());

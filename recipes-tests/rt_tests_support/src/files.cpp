@@ -14,14 +14,14 @@
 namespace rt_tests {
 
 bool write_all(int file, const Bytes& piece, std::size_t offset) noexcept {
-  auto at = static_cast<const char*>(piece.first);
-  std::size_t left = piece.second;
-  while (left > 0) {
-    const ssize_t written = pwrite(file, at, std::min<std::size_t>(left, 1 << 24), static_cast<off_t>(offset));
+  auto next = static_cast<const char*>(piece.first);
+  std::size_t remaining = piece.second;
+  while (remaining > 0) {
+    const ssize_t written = pwrite(file, next, std::min<std::size_t>(remaining, 1 << 24), static_cast<off_t>(offset));
     if (written < 0 && errno == EINTR) continue;
     if (written <= 0) return false;
-    at += written;
-    left -= static_cast<std::size_t>(written);
+    next += written;
+    remaining -= static_cast<std::size_t>(written);
     offset += static_cast<std::size_t>(written);
   }
   return true;

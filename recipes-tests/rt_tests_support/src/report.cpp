@@ -97,7 +97,7 @@ std::string json_of(const Report& report, const Surroundings& surroundings, cons
   json.field("machine", std::string(names.machine)).close();
   json.field("start_time", surroundings.start_time).field("end_time", surroundings.end_time);
 
-  const std::vector<std::pair<const char*, const Noted*>> events = {{"not_fired", &report.not_fired},
+  const std::vector<std::pair<const char*, const Events*>> events = {{"not_fired", &report.not_fired},
                                                                     {"missing", &report.missing},
                                                                     {"duplicate", &report.duplicate},
                                                                     {"out_of_order", &report.out_of_order}};

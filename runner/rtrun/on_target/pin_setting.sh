@@ -1,5 +1,5 @@
 #!/bin/sh
-# Set a kernel setting, watch that it stays, and restore the old value on SIGTERM.
+# Change a kernel setting, check every two seconds that nobody else changes it, and restore the old value on SIGTERM.
 #
 #   pin_setting.sh governor NAME      the frequency governor of every CPU
 #   pin_setting.sh irq CPUS           the CPUs that serve interrupts; interrupts that the kernel does not let move keep theirs

@@ -24,7 +24,7 @@ joined() {
     echo "${joined:--}"
 }
 
-look() {
+read_processes() {
     for file in *.pid; do
         read -r pid <"$file" && echo "session ${file%.pid} $pid"
     done 2>/dev/null
@@ -33,7 +33,7 @@ look() {
 }
 
 threads() {
-    look | awk -v priority="$priority" -v loads="$loads" '
+    read_processes | awk -v priority="$priority" -v loads="$loads" '
         /^session / { program[$3] = $2; next }
         {
             path = $0; sub(/\/stat:.*/, "", path)
@@ -43,7 +43,7 @@ threads() {
             # From here $1 is field 3 of proc(5): $4 the session, $38 and $39 the real-time priority and the policy.
             owner = program[$4]
             if (owner == "") { if ($38 >= priority && $38 > 0) print "rival", part[5], $39, $38, name }
-            # Processes of supervise.sh itself are not the program.
+            # supervise.sh and its watchdog are not the program that they started.
             else if (owner == "sampler" || name == "supervise.sh" || name == "sleep") next
             else if (index(loads, " " owner " ")) { if (part[3] == part[5]) print "process", owner, path }
             else print "thread", owner, part[5], $39, $38, path, name
@@ -73,13 +73,13 @@ while :; do
     temperature=$(joined /sys/class/thermal/thermal_zone[0-9]*/temp)
     frequency=$(joined /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_cur_freq)
     echo "at $uptime $load $temperature $frequency $busy"
-    found=$(threads)
+    listed=$(threads)
     # The CPUs of one process of each load are enough: its other processes inherit them.
-    paths=$(echo "$found" | awk '$1 == "thread" { print $6 "/status" } $1 == "process" && !seen[$2]++ { print $3 "/status" }')
+    paths=$(echo "$listed" | awk '$1 == "thread" { print $6 "/status" } $1 == "process" && !seen[$2]++ { print $3 "/status" }')
     # shellcheck disable=SC2086 # the words of the list are wanted
     now=$({
         [ -z "$paths" ] || grep -sH Cpus_allowed_list: $paths | sed 's/^/cpus /; s/Cpus_allowed_list:/ x /'
-        echo "$found"
+        echo "$listed"
     } | affinity
         echo "governor $(joined /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor)"
         echo "sched_rt_runtime_us $(joined /proc/sys/kernel/sched_rt_runtime_us)")

@@ -68,7 +68,7 @@ TEST(Allocations, NoneInTheOneshotLoop) {
   rt_tests::OutlierTrace trace(no_options(), "", "", rt_tests::current_cpus(), {});
   oneshot::ShotBox box(clock_used, 1000000);
   oneshot::Samples samples(3000);
-  rt_tests::Noted not_fired;
+  rt_tests::Events not_fired;
   std::atomic<int> pending{0};
   std::atomic<bool> ended{false};
   std::thread spinner([&] {

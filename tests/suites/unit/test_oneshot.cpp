@@ -62,7 +62,7 @@ struct FakeTimer {
   }
 };
 
-void measure(const std::vector<Fate>& plan, oneshot::Samples& samples, rt_tests::Noted& not_fired, int& cancelled) {
+void measure(const std::vector<Fate>& plan, oneshot::Samples& samples, rt_tests::Events& not_fired, int& cancelled) {
   const rt_tests::Program program = {"", "", "", {"clock", "break_trace_us"}};
   const rt_tests::Options options(program);
   rt_tests::OutlierTrace trace(options, "", "", rt_tests::current_cpus(), {});
@@ -78,7 +78,7 @@ void measure(const std::vector<Fate>& plan, oneshot::Samples& samples, rt_tests:
 
 TEST(Oneshot, EveryShotHasOneRow) {
   oneshot::Samples samples(500);
-  rt_tests::Noted not_fired;
+  rt_tests::Events not_fired;
   int cancelled = 0;
   measure(std::vector<Fate>(500, Fate::fires), samples, not_fired, cancelled);
   ASSERT_EQ(samples.size(), 500u);
@@ -99,7 +99,7 @@ TEST(Oneshot, EveryShotHasOneRow) {
 // The 2014 programs cleared the flag after they had started the timer, and waited for ever for a quick one.
 TEST(Oneshot, CallbackBeforeTriggerReturnsIsNotLost) {
   oneshot::Samples samples(50);
-  rt_tests::Noted not_fired;
+  rt_tests::Events not_fired;
   int cancelled = 0;
   measure(std::vector<Fate>(50, Fate::fires_at_once), samples, not_fired, cancelled);
   EXPECT_EQ(not_fired.count(), 0);
@@ -110,7 +110,7 @@ TEST(Oneshot, CallbackBeforeTriggerReturnsIsNotLost) {
 // They threw a late callback away and repeated the shot, or took it for the next one.
 TEST(Oneshot, ShotsThatDoNotFireAreCountedAndLateCallbacksAreNobodyElses) {
   oneshot::Samples samples(6);
-  rt_tests::Noted not_fired;
+  rt_tests::Events not_fired;
   int cancelled = 0;
   measure({Fate::fires, Fate::never, Fate::late, Fate::fires, Fate::late, Fate::fires}, samples, not_fired, cancelled);
   ASSERT_EQ(samples.size(), 6u);
@@ -126,7 +126,7 @@ TEST(Oneshot, ShotsThatDoNotFireAreCountedAndLateCallbacksAreNobodyElses) {
 
 TEST(Oneshot, StopLeavesOnlyWholeRows) {
   oneshot::Samples samples(3);
-  rt_tests::Noted not_fired;
+  rt_tests::Events not_fired;
   const rt_tests::Program program = {"", "", "", {"clock", "break_trace_us"}};
   const rt_tests::Options options(program);
   rt_tests::OutlierTrace trace(options, "", "", rt_tests::current_cpus(), {});

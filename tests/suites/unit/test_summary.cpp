@@ -93,8 +93,8 @@ TEST(Samples, OnlyRowsWrittenCount) {
   EXPECT_EQ(std::vector<int64_t>(samples.data(), samples.data() + 6), std::vector<int64_t>({1, 2, 3, 4, 5, 6}));
 }
 
-TEST(Noted, CountsAllListsAThousand) {
-  Noted noted;
+TEST(Events, CountsAllListsAThousand) {
+  Events noted;
   for (int64_t i = 0; i < 1500; ++i) noted.note(i);
   EXPECT_EQ(noted.count(), 1500);
   EXPECT_EQ(noted.indices().size(), 1000u);

@@ -21,7 +21,7 @@ clockid_t clock_of(const std::string& option);  // "raw" or "monotonic"
 const char* clock_name(clockid_t clock);
 int64_t clock_resolution_ns(clockid_t clock);
 
-// The smallest nonzero difference seen between two readings; what clock_getres claims is often less.
+// The smallest difference between two successive readings that differ. clock_getres often claims a finer resolution.
 int64_t clock_step_ns(clockid_t clock);
 
 std::string utc_now();  // 2026-11-21T10:00:00Z

@@ -21,7 +21,7 @@ void info(const std::string& line);   // "\tINFO: ..." on standard output
 void warning(const std::string& line);  // "\tWARNING: ..." on standard error
 void error(const std::string& line);  // "\tERROR: ..." on standard error
 
-// Runs the body of a program and turns what it throws into one line and an exit status.
+// Runs the body of a program. Turns an exception into one line on standard error and an exit status.
 int guarded(const std::function<int()>& body);
 
 }  // namespace rt_tests

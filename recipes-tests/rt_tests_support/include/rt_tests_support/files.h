@@ -11,22 +11,24 @@ namespace rt_tests {
 
 using Bytes = std::pair<const void*, std::size_t>;
 
-// At an offset of an open file; false, and errno, if not all of it could be. Allocates nothing.
+// Writes a piece at an offset of an open file. Returns false, with errno set, unless all of it was written. Allocates
+// nothing.
 bool write_all(int file, const Bytes& piece, std::size_t offset) noexcept;
 
-void sync_folder(const std::string& folder);  // so that a new name in it survives a power cut
+void sync_folder(const std::string& folder);  // after a rename: the new name then survives a power cut
 
-// Writes the pieces under a temporary name, flushes them to disk, renames. Throws Failure; leaves nothing then.
+// Writes the pieces one after the other under a temporary name, flushes them to disk and renames the file. Throws
+// Failure, and then leaves no file.
 void write_file(const std::string& path, const std::vector<Bytes>& pieces);
 
-// NumPy format 1.0, int64, C order.
+// The header of a NumPy file: format 1.0, int64, C order.
 std::string npy_header(std::size_t rows, std::size_t columns);
 void write_npy(const std::string& path, const int64_t* data, std::size_t rows, std::size_t columns);
 
 std::string folder_of(const std::string& path);  // "." for a bare name
 std::string name_of(const std::string& path);
 
-// Before anything is measured: throws UsageError if the folder is not there or not writable.
+// Throws UsageError if the folder does not exist or cannot be written to. To be called before anything is measured.
 void require_writable_folder(const std::string& folder);
 
 }  // namespace rt_tests

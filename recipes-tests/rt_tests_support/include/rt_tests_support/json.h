@@ -1,4 +1,4 @@
-// A JSON text, written in order.
+// Builds a JSON text, field by field, in the order of the calls.
 #pragma once
 
 #include <cstdint>
@@ -10,7 +10,7 @@ namespace rt_tests {
 class Json {
  public:
   Json& open(char bracket);   // '{' or '['
-  Json& close();              // the innermost
+  Json& close();              // closes the bracket opened last
   Json& key(const std::string& name);
   Json& value(const std::string& text);
   Json& value(const char* text) { return value(std::string(text)); }

@@ -44,7 +44,7 @@ class Options {
   bool has(const std::string& key) const;
   const std::vector<Value>& values() const { return values_; }
 
-  // Throws UsageError, one line that names the option and what it takes.
+  // Throws UsageError with one line that names the option and the values it takes.
   void assign(const std::string& flag, const std::string& argument);
   bool knows(const std::string& flag) const;
 
@@ -57,7 +57,7 @@ class Options {
 // --help and --version. Throws UsageError.
 Options parse(const Program& program, int argc, char* argv[]);
 
-// "0-1,3" to {0, 1, 3}; throws UsageError for what is no such list or no CPU of this machine.
+// Turns "0-1,3" into {0, 1, 3}. Throws UsageError for any other text and for a CPU that this machine does not have.
 std::vector<int> parse_cpus(const std::string& list, int cpu_count);
 
 std::string help(const Program& program);

@@ -18,7 +18,7 @@ namespace rt_tests {
 // Where the outputs go: <out_dir>/<prefix><base>...
 struct Destination {
   std::string folder;  // --out-dir, empty or with a slash at the end
-  std::string name;    // prefix and base: also the name in the log, which gnuplot draws beside
+  std::string name;    // prefix and base; gnuplot names the picture of a log after it
   std::string path(const std::string& ending) const { return folder + name + ending; }
 };
 
@@ -27,7 +27,7 @@ std::string policy_suffix(const Options& options);  // "", "-tnRTRR", "-tnRTFIFO
 // Throws UsageError if the folder cannot be written to.
 Destination destination(const Options& options, const std::string& base);
 
-// What was in effect; taken while every thread still runs as it did when measuring.
+// What was in effect during the measurement. finish() reads it while every thread still runs as it did then.
 struct Surroundings {
   clockid_t clock;
   int64_t clock_step_ns;
@@ -53,7 +53,7 @@ struct Report {
   std::string incomplete_reason;  // empty: complete
   int64_t asked = 0;
   int64_t measured = 0;
-  Noted not_fired, missing, duplicate, out_of_order;
+  Events not_fired, missing, duplicate, out_of_order;
   const OutlierTrace* traces = nullptr;
   std::vector<const Series*> series;
   std::string title;

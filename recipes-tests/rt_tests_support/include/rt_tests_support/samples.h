@@ -18,7 +18,7 @@ class Samples {
 
   explicit Samples(std::size_t capacity) : rows_(capacity) {}
 
-  // False, and nothing kept, when every row is taken.
+  // Returns false, and keeps nothing, when all rows are in use.
   bool append(const Row& row) noexcept {
     const std::size_t size = size_.load(std::memory_order_relaxed);
     if (size == rows_.size()) return false;
@@ -38,12 +38,12 @@ class Samples {
   std::atomic<std::size_t> size_{0};
 };
 
-// An event that is counted always and listed for its first thousand.
-class Noted {
+// Events of one kind: all are counted, the indices of the first thousand are listed.
+class Events {
  public:
   static constexpr std::size_t listed = 1000;
 
-  Noted() { indices_.reserve(listed); }
+  Events() { indices_.reserve(listed); }
 
   void note(int64_t index) noexcept {
     ++count_;
