@@ -80,7 +80,7 @@ def figures_of_samples(values_ns: Int64s, indices: NDArray[np.int64] | None = No
     from_start = total - start * n
     variance = max(0.0, squares - from_start**2 / n) / (n - 1) if n > 1 else 0.0
 
-    def extreme(limit: int, sign: int) -> tuple[IndexedValue, ...]:
+    def indexed(limit: int, sign: int) -> tuple[IndexedValue, ...]:
         """The highest (sign 1) or lowest (-1) values, equal ones by position."""
         beyond = positions[sign * values_ns[positions] >= sign * limit]
         beyond = beyond[np.argsort(-sign * values_ns[beyond], kind="stable")][:listed]
@@ -94,8 +94,8 @@ def figures_of_samples(values_ns: Int64s, indices: NDArray[np.int64] | None = No
         max_ns=high,
         std_ns=math.sqrt(variance),
         percentiles_ns=dict(zip(PERCENTILES, percentiles, strict=True)),
-        top=extreme(highest[0], 1),
-        lowest=extreme(lowest[-1], -1),
+        top=indexed(highest[0], 1),
+        lowest=indexed(lowest[-1], -1),
     )
 
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from rtrun.analysis.extreme import (
+from rtrun.analysis.extreme_values import (
     Bound,
     Check,
     Tail,

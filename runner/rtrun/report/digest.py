@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rtrun.analysis.blocks import Blocks, cut, split_randomly
 from rtrun.analysis.deadline import Trials, count_misses, count_misses_in_histogram
-from rtrun.analysis.extreme import Tail, tail_of
+from rtrun.analysis.extreme_values import Tail, tail_of
 from rtrun.analysis.figures import Figures
 from rtrun.analysis.histogram import Histogram, Int64s, from_samples
 from rtrun.results.series import MEASURED_2014, Header, SampleSeries, Series

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from rtfiles.output import printable
 from rtrun.analysis.deadline import Answer, Verdict
-from rtrun.analysis.extreme import Bound
+from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.figures import PERCENTILES, Figures
 from rtrun.analysis.layers import attribute
 from rtrun.analysis.worst_case import disagreement

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rtrun.analysis.extreme import Bound
+from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.report.digest import Digest
 from rtrun.report.plots.svg import COLOURS, DASHES, FAINT, INK, Axis, Mark, Point, chart

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import genextreme, genpareto, norm
 
-from rtrun.analysis.extreme import Bound, tail_of
+from rtrun.analysis.extreme_values import Bound, tail_of
 from rtrun.analysis.tails import GEV, GPD, fit, sample_of
 from rtrun.analysis.worst_case import disagreement, exponential_tail, worst_case
 
