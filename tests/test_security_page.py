@@ -1,14 +1,60 @@
-"""Each limit in docs/security.md equals the constant that it names."""
+"""Each limit in docs/security.md equals the constant that it names, and each limit of the code stands there."""
 
+import ast
 import importlib
 import re
 from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).parents[1] / "docs/security.md"
+TOP = Path(__file__).parents[1]
+PAGE = TOP / "docs/security.md"
 UNITS = {"": 1, "KiB": 2**10, "MiB": 2**20, "s": 1, "bytes/s": 1, "characters": 1}
 ROWS = re.findall(r"^\| [^|]+ \| ([0-9]+) ?([A-Za-z/]*) \| `([\w.]+)\.(\w+)` \|$", PAGE.read_text(), re.M)
+
+# By its name a constant is a limit on size or number, and in the rooms that talk to a target also one on time.
+LIMIT = re.compile(r"_?MAX_\w+|\w+_MAX|\w*LIMIT_BYTES")
+TIME = re.compile(r"\w+_S")
+TIMED = ("rtrun.target.", "rtrun.execution.")
+NO_LIMITS = {
+    "ranges of numbers, which take no room": {
+        "rtfiles.untrusted.INT64_MAX",
+        "rtrun.plan.campaign.PRIORITY_MAX",
+        "rtrun.results.gnuplot_log.MAX_TOTAL",
+        "rtrun.results.gnuplot_lines.MAX_VALUE_US",
+        "rtrun.results.samples.MAX_TIME_NS",
+        "rtrun.results.importers.counts.MAX_COUNT",
+        "rtrun.validity.counts.LISTED_MAX",
+    },
+    "pauses between two attempts, and parts of a time that stands on the page": {
+        "rtrun.target.link.RETRY_S",
+        "rtrun.target.processes.POLL_S",
+        "rtrun.target.processes.SLICE_S",
+        "rtrun.target.processes.WAIT_S",
+        "rtrun.target.restart.POLL_S",
+        "rtrun.target.ssh.KILL_GRACE_S",
+    },
+    "times of programs of our own": {
+        "rtrun.execution.progress.OVERHEAD_GUESS_S",
+        "rtrun.execution.run_programs.DEADLINE_EXTRA_S",
+        "rtrun.target.qemu.STOP_S",
+    },
+}
+
+
+def limits() -> set[str]:
+    """The constants of the code that are limits by their names."""
+    names = set()
+    for package in (TOP / "tools/rtfiles", TOP / "tools/rtgen", TOP / "runner/rtrun"):
+        for path in package.rglob("*.py"):
+            module = ".".join(path.relative_to(package.parent).with_suffix("").parts)
+            for statement in ast.parse(path.read_text()).body:
+                if isinstance(statement, ast.Assign) and isinstance(statement.targets[0], ast.Name):
+                    name = statement.targets[0].id
+                    is_time = module.startswith(TIMED) and TIME.fullmatch(name)
+                    if is_time or LIMIT.fullmatch(name):
+                        names.add(f"{module}.{name}")
+    return names
 
 
 @pytest.mark.parametrize(("number", "unit", "module", "name"), ROWS, ids=[row[3] for row in ROWS])
@@ -18,3 +64,9 @@ def test_limit(number: str, unit: str, module: str, name: str) -> None:
 
 def test_every_row_of_the_table_is_read() -> None:
     assert len(ROWS) == PAGE.read_text().count("\n| ") - 1 > 30
+
+
+def test_every_limit_of_the_code_stands_on_the_page() -> None:
+    on_page = {f"{module}.{name}" for _, _, module, name in ROWS}
+    others = set().union(*NO_LIMITS.values())
+    assert limits() - on_page == others

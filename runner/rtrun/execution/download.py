@@ -20,6 +20,8 @@ NPY_HEADER_BYTES = 64 * 1024
 TRACE_LIMIT_BYTES = 64 * MIB
 # Traces that a suite keeps of each output.
 TRACES_MAX = 16
+# For the checksums of all files of a run.
+CHECKSUMS_S = 120.0
 _TRACES = "-trace-*.txt"
 _TRACE = re.compile(r"(.+)-trace-[0-9]{1,18}\.txt", re.ASCII)
 
@@ -85,7 +87,7 @@ def _traces(present: Iterable[str], limits: Mapping[str, int]) -> dict[str, int]
 def _copy(connection: Connection, source: PurePosixPath, destination: Path, wanted: Mapping[str, int]) -> None:
     names = sorted(wanted)
     command = ["sh", "-c", 'cd "$1" && shift && sha256sum -- "$@"', "sh", str(source), *names]
-    lines = connection.check(command, deadline_s=120.0).splitlines()
+    lines = connection.check(command, deadline_s=CHECKSUMS_S).splitlines()
     digests = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
     for name in names:
         with (destination / name).open("wb") as stream:

@@ -15,7 +15,7 @@ from rtrun.analysis.histogram import Histogram
 from rtrun.results.importers.counts import MAX_BINS, check_bins
 
 ENDING = ".histogram.json"
-_MAX_BYTES = 64 * MIB
+MAX_BYTES = 64 * MIB
 _LIMIT_NS = 1 << 61
 
 Natural = Annotated[int, Field(ge=0)]
@@ -71,7 +71,7 @@ def histogram_text(imported: Imported) -> str:
 
 def read_histogram(path: Path) -> Imported:
     """Read it back. Raises UsageError that names the file and what is wrong in it."""
-    file = read_json(path, _File, max_bytes=_MAX_BYTES, max_items=2 * MAX_BINS + 1000)
+    file = read_json(path, _File, max_bytes=MAX_BYTES, max_items=2 * MAX_BINS + 1000)
     check_bins(path, len(file.values_ns))
     if len(file.values_ns) != len(file.counts):
         raise UsageError(f"{path}: {len(file.values_ns)} values_ns, but {len(file.counts)} counts")
