@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     measuring_s = sum(each.expected_s for each in runs)
     settling_s = sum(each.settle_s for each in runs)
     settling = f", {settling_s:.0f} s for loads to settle" if settling_s else ""
-    print_line(f"{len(runs)} runs, {measuring_s:.0f} s of measuring ({measuring_s / 3600:.1f} h){settling}")
+    print_line(f"{len(runs)} runs, {_in_hours(measuring_s)} of measuring{settling}")
     if campaign.until:
         for line in _goal_lines(campaign.until, forecasts):
             print_line(line)
@@ -88,7 +88,7 @@ def _goal_lines(goal: "Goal", forecasts: Sequence[_Forecast]) -> Iterator[str]:
     at_most_s = goal.at_most_ns / 1e9
     yield (
         f"until P(miss) of {goal.deadline_ns / 1000:g} us is proven or refuted to be below {goal.probability:g}, "
-        f"confidence {goal.confidence:g}, in at most {at_most_s / 3600:.3g} h: each round repeats these runs"
+        f"confidence {goal.confidence:g}, in at most {_in_hours(at_most_s)}: each round repeats these runs"
     )
     for each in forecasts:
         name = f"if {each.assumed_rate} of all measurements miss it" if each.assumed_rate else "without a miss"
@@ -99,9 +99,14 @@ def _goal_lines(goal: "Goal", forecasts: Sequence[_Forecast]) -> Iterator[str]:
         longer = ", longer than at_most" if each.outlook.measuring_s > at_most_s else ""
         chance = " nine times in ten" if each.assumed_rate else ""
         yield (
-            f"{name}: {each.answer} after {each.outlook.rounds} rounds{chance}, {each.outlook.measuring_s:.0f} s of "
-            f"measuring ({each.outlook.measuring_s / 3600:.1f} h){restarts}{longer}"
+            f"{name}: {each.answer} after {each.outlook.rounds} rounds{chance}, {_in_hours(each.outlook.measuring_s)} "
+            f"of measuring{restarts}{longer}"
         )
+
+
+def _in_hours(seconds: float) -> str:
+    """Seconds, and hours where they are some."""
+    return f"{seconds:.0f} s" + (f" ({seconds / 3600:.1f} h)" if seconds >= 360 else "")
 
 
 def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_Forecast]) -> dict[str, Any]:

@@ -246,7 +246,7 @@ def test_the_plan_says_what_is_waited_for(tmp_path, capsys):
     assert main(["plan", str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].endswith("  1.0 s") and lines[2].endswith("  1.0 s + 1 s for the load to settle")
-    assert lines[-1] == "4 runs, 4 s of measuring (0.0 h), 2 s for loads to settle"
+    assert lines[-1] == "4 runs, 4 s of measuring, 2 s for loads to settle"
 
 
 def test_the_published_table_is_in_the_shipped_campaign():

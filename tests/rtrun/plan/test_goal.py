@@ -103,7 +103,7 @@ def test_the_plan_says_how_long_it_takes(tmp_path, capsys):
     path = write(tmp_path, text)
     assert main(["plan", str(path), "--assume-rate", "1e-7"]) == 0
     best, assumed = capsys.readouterr().out.splitlines()[-2:]
-    assert best == "without a miss: PROVEN after 15 rounds, 7500 s of measuring (2.1 h) and 14 restarts"
+    assert best == "without a miss: PROVEN after 15 rounds, 7500 s (2.1 h) of measuring and 14 restarts"
     assert assumed.startswith("if 1e-07 of all measurements miss it: PROVEN after 48 rounds nine times in ten, ")
     assert main(["plan", str(path), "--assume-rate", "1e-6"]) == 0
     assert "no number of measurements is likely to decide it" in capsys.readouterr().out
