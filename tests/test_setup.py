@@ -32,7 +32,7 @@ def setup(checkout: Path, status_of_install: int) -> subprocess.CompletedProcess
     programs.mkdir(exist_ok=True)
     for name, text in (
         ("apt-get", f'echo "noise of $1"; [ $1 = update ] || exit {status_of_install}'),
-        ("sudo", '[ "$1" = --validate ] || exec "$@"'),
+        ("sudo", 'exec "$@"'),
     ):
         (programs / name).write_text(f"#!/bin/sh\n{text}\n")
         (programs / name).chmod(0o755)
