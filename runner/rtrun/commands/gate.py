@@ -26,6 +26,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles import atomic
     from rtfiles.errors import UsageError
     from rtfiles.output import print_line
+    from rtrun.report.answers import print_answers
     from rtrun.report.formats import junit
     from rtrun.report.gate import gate
     from rtrun.report.terminal import EMULATED
@@ -35,8 +36,7 @@ def run(args: argparse.Namespace) -> int:
     if analysed.emulated:
         print_line(EMULATED)
     print_line("passed" if judged.passed else "failed")
-    for case in judged.cases:
-        print_line(f"{'pass' if case.passed else 'FAIL'}  {case.answer}  {case.about}: {case.text}")
+    print_answers(judged.cases, judged=True)
     if args.junit:
         try:
             atomic.write_text(args.junit, junit(judged))

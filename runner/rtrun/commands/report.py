@@ -6,7 +6,7 @@ from pathlib import Path
 from rtrun.commands._question import add_question, ask
 
 NAME = "report"
-HELP = "write what was found as one file: verdict, figures, claims, plots"
+HELP = "write one file: answer, plots, figures, claims"
 
 _ENDINGS = {"html": "html", "markdown": "md", "json": "json", "junit": "xml", "csv": "csv", "parquet": "parquet"}
 
@@ -26,18 +26,19 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles import atomic
     from rtfiles.errors import UsageError
     from rtfiles.output import print_bytes, print_line, print_note
-    from rtrun.report import document, formats, gate, page
+    from rtrun.report import answers, formats, gate, page
     from rtrun.report.claims.examiners import examine_claims
+    from rtrun.report.contents import contents
     from rtrun.report.plots import pictures
 
     # The other formats hold neither worst cases nor claims.
     whole = args.format in ("html", "markdown", "json")
     analysed = ask(args, bounds=whole)
     examined = examine_claims(analysed) if whole else ()
-    report_document = document.document(analysed, examined)
+    written = contents(analysed, examined)
     writers = {
-        "html": lambda: page.html(analysed, report_document).encode("utf-8", "replace"),
-        "markdown": lambda: formats.markdown(report_document).encode("utf-8", "replace"),
+        "html": lambda: page.html(analysed, written).encode("utf-8", "replace"),
+        "markdown": lambda: formats.markdown(written).encode("utf-8", "replace"),
         "json": lambda: formats.as_json(analysed, examined).encode("utf-8", "replace"),
         "junit": lambda: formats.junit(gate.gate(analysed)).encode("utf-8", "replace"),
         "csv": lambda: formats.as_csv(analysed).encode("utf-8", "replace"),
@@ -60,12 +61,9 @@ def run(args: argparse.Namespace) -> int:
     ]
     for trouble in pictures.draw_all(logs or ([args.results] if args.results.suffix == ".log" else [])):
         print_note(f"not drawn: {trouble}")
-    if report_document.banner:
-        print_line(report_document.banner)
-    print_line(report_document.summary)
-    for line in report_document.lines:
-        print_line(f"{line.answer}  {line.about}: {line.text}")
-    for text in report_document.left_out:
-        print_line(f"not analysed: {text}")
+    if written.banner:
+        print_line(written.banner)
+    print_line(written.answer)
+    answers.print_answers(gate.gate(analysed).cases, judged=False)
     print_line(str(output))
     return 0

@@ -13,32 +13,42 @@ from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtrun.analysis.figures import PERCENTILES
 from rtrun.report.claims.examiners import Examined
+from rtrun.report.contents import Contents
 from rtrun.report.digest import Digest
-from rtrun.report.document import Document, Table, fingerprint
+from rtrun.report.end_tables import fingerprint
 from rtrun.report.gate import Gate
 from rtrun.report.study import Study
+from rtrun.report.tables import Table
 
 _PARAMETERS = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
 # Characters that XML 1.0 cannot hold at all.
 _NOT_XML = dict.fromkeys([*(c for c in range(32) if chr(c) not in "\t\n\r"), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF])
 
 
-def markdown(document: Document) -> str:
+def markdown(contents: Contents) -> str:
     """The report as Markdown; the banner is its first line."""
-    parts = [f"**{document.banner}**", ""] if document.banner else []
-    parts += [f"# {_plain(document.title)}", "", document.question, "", document.summary, ""]
-    parts += [f"- **{line.answer}** {_plain(line.about)}: {_plain(line.text)}" for line in document.lines]
-    if document.left_out:
-        parts += ["", "Not analysed:", "", *(f"- {_plain(text)}" for text in document.left_out)]
-    for table in document.tables:
-        parts += ["", f"## {table.title}", "", *_markdown_table(table)]
+    parts = [f"**{contents.banner}**", ""] if contents.banner else []
+    parts += [f"# {_plain(contents.title)}", "", f"**{_plain(contents.answer)}**", "", contents.question, ""]
+    parts += [f"- {what}: {_plain(value)}" for what, value in contents.facts]
+    parts += ["", f"Next: {_plain(contents.next_step)}.", ""]
+    parts += [f"- **{one.answer}** {_plain(one.label)}: {_plain(one.text)}" for one in contents.scenarios]
+    if contents.left_out:
+        parts += ["", "Not analysed:", "", *(f"- {_plain(text)}" for text in contents.left_out)]
+    for one in contents.scenarios:
+        parts += ["", f"## {_plain(one.label)}"]
+        for table in one.tables:
+            parts += ["", f"### {table.title}", "", *_markdown_table(table)]
+    for table in contents.tables:
+        parts += ["", f"## {table.title}", "", f"{_plain(table.outcome)}.", "", *_markdown_table(table)]
     return "\n".join(parts) + "\n"
 
 
 def _markdown_table(table: Table) -> list[str]:
     lines = ["| " + " | ".join(table.columns) + " |"]
     lines.append("|" + "|".join("---:" if k >= table.numbers else "---" for k in range(len(table.columns))) + "|")
-    lines += ["| " + " | ".join(_plain(cell) for cell in row) + " |" for row in table.rows]
+    for place, row in enumerate(table.rows):
+        rows = (row, *table.parts.get(place, ()))
+        lines += ["| " + " | ".join(_plain(cell) for cell in cells) + " |" for cells in rows]
     return lines + ([""] + [f"{_plain(note)}  " for note in table.notes] if table.notes else [])
 
 

@@ -1,20 +1,24 @@
 """Does a campaign pass? One case for every group of runs alike, and one for whatever was not analysed."""
 
+from collections.abc import Container
 from dataclasses import dataclass
 
 from rtrun.analysis.deadline import Answer
-from rtrun.report.document import verdict_line
-from rtrun.report.study import Study
+from rtrun.report.study import Group, Study
+from rtrun.report.verdicts import verdict_line
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One answer that the gate depends on."""
+    """One answer that the gate depends on, with the numbers that it rests on; None where there are none."""
 
     about: str
     answer: str
     text: str
     passed: bool
+    n: int | None = None
+    misses: int | None = None
+    worst_ns: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +41,7 @@ def gate(study: Study, *, assume_independent: bool = False) -> Gate:
     of the target cut off is named, and passes when its run was measured again.
     """
     passing = {Answer.PROVEN, Answer.IF_INDEPENDENT} if assume_independent else {Answer.PROVEN}
-    lines = [verdict_line(group) for group in study.groups]
-    cases = [
-        Case(about=line.about, answer=line.answer, text=line.text, passed=line.answer in passing) for line in lines
-    ]
+    cases = [_case(group, passing) for group in study.groups]
     cases += [
         Case(about=text.split(":", 1)[0], answer="NOT ANALYSED", text=text.split(":", 1)[-1].strip(), passed=False)
         for text in study.left_out
@@ -50,3 +51,16 @@ def gate(study: Study, *, assume_independent: bool = False) -> Gate:
         for name in study.source.repeated
     ]
     return Gate(cases=tuple(cases))
+
+
+def _case(group: Group, passing: Container[str]) -> Case:
+    line, verdict = verdict_line(group), group.verdict
+    return Case(
+        about=line.about,
+        answer=line.answer,
+        text=line.text,
+        passed=line.answer in passing,
+        n=verdict.n if verdict else group.n,
+        misses=verdict.misses if verdict else None,
+        worst_ns=verdict.worst_ns if verdict else None,
+    )

@@ -1,56 +1,163 @@
 "use strict";
-// The long-term plot, turned by dragging: every run is a curve, drawn from the farthest to the nearest.
-for (const figure of document.querySelectorAll(".long-term")) {
-  const data = JSON.parse(figure.dataset.plot), canvas = figure.querySelector("canvas"), pen = canvas.getContext("2d");
-  const runs = data.rows.length, size = data.size, top = Math.max(1, ...data.rows.map((row) => Math.max(...row.log10)));
-  let turn = -0.3, tilt = 0.35, from = null;
-  const place = (x, y, z) => {
-    const u = x * Math.cos(turn) - y * Math.sin(turn), v = x * Math.sin(turn) + y * Math.cos(turn);
-    return [470 + 520 * u, 300 - 330 * z * Math.cos(tilt) - 520 * v * Math.sin(tilt), v];
-  };
-  const across = (i) => i / Math.max(1, size - 1) - 0.5, along = (k) => k / Math.max(1, runs - 1) - 0.5;
-  const lift = (log) => (log + 1) / (top + 1) - 0.4;
-  const stroke = (points, colour) => {
-    pen.beginPath();
-    points.forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
-    pen.strokeStyle = colour;
-    pen.stroke();
-  };
-  const say = (text, [x, y]) => pen.fillText(text, x, y);
-  const draw = () => {
-    pen.clearRect(0, 0, canvas.width, canvas.height);
-    pen.font = "20px sans-serif";
-    const order = [...Array(runs).keys()].sort((a, b) => place(0, along(b), 0)[2] - place(0, along(a), 0)[2]);
-    for (const k of order) {
-      const floor = [across(0), across(size - 1)].map((x) => place(x, along(k), lift(-1)));
-      const curve = data.rows[k].log10.map((log, i) => place(across(i), along(k), lift(log)));
-      pen.beginPath();
-      pen.moveTo(floor[0][0], floor[0][1]);
-      curve.forEach(([x, y]) => pen.lineTo(x, y));
-      pen.lineTo(floor[1][0], floor[1][1]);
-      pen.fillStyle = "rgba(255,255,255,.85)";
-      pen.fill();
-      stroke(curve, "#0072B2");
-    }
-    pen.fillStyle = "#222";
-    for (let t = 0; t <= 4; t++) {
-      const value = Math.round(data.low_us + (t / 4) * size * data.width_us);
-      say(value + " us", place(t / 4 - 0.5, -0.58, lift(-1)));
-    }
-    for (let z = 0; z <= top; z++) say("1e" + z, place(-0.58, -0.5, lift(z)));
-    say("first", place(0.56, -0.42, lift(-1)));
-    if (runs > 1) say("last of " + runs, place(0.53, 0.5, lift(-1)));
-  };
-  canvas.addEventListener("pointerdown", (event) => { from = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
-  canvas.addEventListener("pointerup", () => { from = null; });
-  canvas.addEventListener("pointercancel", () => { from = null; });
-  canvas.addEventListener("pointermove", (event) => {
-    if (!from) return;
-    turn += (event.clientX - from[0]) / 200;
-    tilt = Math.min(1.5, Math.max(0, tilt + (event.clientY - from[1]) / 200));
-    from = [event.clientX, event.clientY];
-    draw();
-  });
-  figure.classList.add("turning");
-  draw();
+// Plots are drawn by plotly when they come into view, and again when the colours of the page change.
+const root = document.documentElement;
+const wide = matchMedia("(min-width: 800px)");
+const config = { responsive: true, displayModeBar: false };
+root.classList.add("scripted");
+
+function colour(name) {
+  return name.startsWith("--") ? getComputedStyle(root).getPropertyValue(name).trim() : name;
 }
+
+// A colour in a figure is the name of a CSS variable, or a list of them.
+function parsed(text) {
+  return JSON.parse(text, (key, value) =>
+    key !== "color" ? value : Array.isArray(value) ? value.map(colour) : colour(value));
+}
+
+function framed(layout) {
+  const axis = { gridcolor: colour("--rule"), zerolinecolor: colour("--rule"), linecolor: colour("--soft"),
+    automargin: true, exponentformat: "none", separatethousands: true };
+  const flat = { paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", separators: ". ",
+    font: { color: colour("--ink"), family: "system-ui, sans-serif", size: 12 },
+    hoverlabel: { align: "left", namelength: -1 }, margin: { l: 50, r: 15, t: 10, b: 40 }, hovermode: "closest",
+    legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 }, showlegend: true };
+  for (const name of ["xaxis", "yaxis"]) flat[name] = { ...axis, ...layout[name] };
+  if (layout.scene) {
+    flat.scene = { ...layout.scene };
+    for (const name of ["xaxis", "yaxis", "zaxis"])
+      flat.scene[name] = { gridcolor: colour("--rule"), ...layout.scene[name] };
+  }
+  return { ...layout, ...flat };
+}
+
+function canTurn() {
+  return !root.classList.contains("paper") && !!document.createElement("canvas").getContext("webgl");
+}
+
+function draw(figure) {
+  const place = figure.querySelector(".plot"), { data, layout } = parsed(figure.querySelector("script").textContent);
+  const shown = framed(layout);
+  if (layout.scene) {
+    if (canTurn()) { delete shown.xaxis; delete shown.yaxis; shown.margin = { l: 0, r: 0, t: 0, b: 0 }; }
+    else { delete shown.scene; data[0].type = "heatmap"; }
+    shown.showlegend = false;
+    Plotly.purge(place);
+  }
+  Plotly.react(place, data, shown, config);
+}
+
+// A browser keeps few 3-D pictures at a time: what is out of view gives its picture back.
+const watcher = new IntersectionObserver((entries) => {
+  for (const { target, isIntersecting } of entries) {
+    const place = target.querySelector(".plot"), drawn = place.classList.contains("js-plotly-plot");
+    if (isIntersecting && !drawn) draw(target);
+    else if (!isIntersecting && drawn && place.querySelector("canvas")) { Plotly.purge(place); place.classList.remove("js-plotly-plot"); }
+  }
+}, { rootMargin: "200px" });
+for (const figure of document.querySelectorAll(".plots figure")) watcher.observe(figure);
+
+// The picture of all scenarios: a row each, as many as the filter leaves.
+const overview = document.querySelector("#overview"), filter = document.querySelector("#filter");
+const all = JSON.parse(document.querySelector("#overview-data").textContent);
+const MARKS = { min: "line-ns", median: "circle", p99: "diamond-open", "p99.99": "square-open", max: "line-ns" };
+
+// Text that plotly shows as it is: it obeys some HTML.
+function plain(text) {
+  return text.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
+}
+
+// A label in lines of at most so many characters, broken at spaces, or within a word that is longer.
+function inLines(text, most) {
+  const lines = [""];
+  for (const word of text.split(" ").flatMap((word) => word.match(new RegExp(`.{1,${most}}`, "gu")) || [])) {
+    if (lines.at(-1) && lines.at(-1).length + word.length >= most) lines.push("");
+    lines.push(`${lines.pop()} ${word}`.trim());
+  }
+  return lines;
+}
+
+function drawOverview() {
+  const rows = all.rows.filter((row) => !document.getElementById(row.id).hidden);
+  const beside = wide.matches && !root.classList.contains("paper");
+  overview.hidden = rows.length === 0;
+  if (!rows.length) return;
+  const positive = rows.flatMap((row) => Object.values(row.us)).filter((value) => value > 0).concat(all.deadline_us);
+  const low = Math.min(...positive) / 1.5, high = Math.max(...positive) * 1.5;
+  const at = (value) => value === null ? null : Math.max(value, low);
+  const tone = (row) => colour(`--${row.style}`), place = rows.map((_, k) => k), traces = [];
+  const mixed = { color: colour("--soft") };
+  for (const answer of new Set(rows.map((row) => row.answer))) {
+    const own = rows.map((row, k) => [row, k]).filter(([row]) => row.answer === answer);
+    traces.push({ type: "scatter", mode: "lines", name: answer, hoverinfo: "skip", connectgaps: false,
+      line: { color: tone(own[0][0]), width: 3 },
+      x: own.flatMap(([row]) => [at(row.us.min), at(row.us.max), null]), y: own.flatMap(([, k]) => [k, k, null]) });
+  }
+  for (const [name, symbol] of Object.entries(MARKS)) {
+    const below = (row) => row.us[name] !== null && row.us[name] < low;
+    traces.push({ type: "scatter", mode: "markers", name, showlegend: false, x: rows.map((row) => at(row.us[name])), y: place,
+      text: rows.map((row) => `${plain(row.label)}<br>${name} ${row.us[name]} us`), hovertemplate: "%{text}<extra></extra>",
+      customdata: rows.map((row) => row.id),
+      marker: { color: rows.map(tone), size: name === "max" || name === "min" ? 13 : 9, line: { color: rows.map(tone), width: 2 },
+        symbol: rows.map((row) => below(row) ? "triangle-left" : symbol) } });
+    traces.push({ type: "scatter", mode: "markers", name, x: [null], y: [null], marker: { ...mixed, symbol, size: 9, line: { ...mixed, width: 2 } } });
+  }
+  traces.push({ type: "scatter", mode: "lines", name: `deadline ${all.deadline_us} us`, x: [all.deadline_us, all.deadline_us],
+    y: [-0.6, rows.length - 0.4], line: { color: colour("--ink"), dash: "dash", width: 1.5 }, hovertemplate: `deadline ${all.deadline_us} us<extra></extra>` });
+  const most = beside ? 60 : Math.max(20, Math.floor((overview.clientWidth - 20) / 7.2));
+  const labels = rows.map((row) => inLines(`${row.mark} ${row.label}`, most));
+  const tallest = 15 * Math.max(...labels.map((lines) => lines.length));
+  const pitch = (beside ? 9 : 25) + tallest, top = beside ? 10 : 24, bottom = 84;
+  const layout = framed({ xaxis: { type: "log", range: [Math.log10(low), Math.log10(high)], title: { text: "us" }, side: "bottom", minorloglabels: "none", dtick: 1 },
+    yaxis: { range: [rows.length - 0.4, -0.6], showgrid: false, zeroline: false, showticklabels: false, fixedrange: false, automargin: false } });
+  const link = (row, k) => `<a href="#${row.id}" target="_self">${labels[k].map(plain).join("<br>")}</a>`;
+  const widest = beside ? 20 + 7.2 * Math.max(...labels.flat().map((line) => line.length)) : 10;
+  Object.assign(layout, { height: top + bottom + pitch * rows.length, margin: { l: widest, r: 15, t: top, b: bottom },
+    legend: { orientation: "h", y: 0, yref: "container", yanchor: "bottom", x: 0, xref: "container" },
+    annotations: rows.map((row, k) => ({ xref: "paper", x: 0, y: k, text: link(row, k), showarrow: false, xshift: beside ? -8 : 0, align: beside ? "right" : "left",
+      bgcolor: colour("--page"),
+      yshift: beside ? 0 : 7.5 + tallest / 2, xanchor: beside ? "right" : "left", font: { color: tone(row), size: 12.5 } })) });
+  const drawing = overview.firstElementChild;
+  Plotly.react(drawing, traces, layout, config);
+  if (!drawing.dataset.linked) {
+    drawing.dataset.linked = "yes";
+    drawing.on("plotly_click", ({ points: [point] }) => { if (point.customdata) location.hash = point.customdata; });
+  }
+}
+
+function applyFilter() {
+  const wanted = filter ? [...new FormData(filter)].filter(([, value]) => value) : [];
+  let count = 0;
+  for (const card of document.querySelectorAll("details[data-suite]")) {
+    card.hidden = !wanted.every(([key, value]) => card.dataset[key] === value);
+    count += !card.hidden;
+  }
+  if (filter) document.querySelector("#shown").textContent = `${count} scenarios`;
+  drawOverview();
+}
+
+function openTarget() {
+  const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  if (target && target.tagName === "DETAILS") { target.open = true; target.scrollIntoView(); }
+}
+
+function redraw() {
+  drawOverview();
+  for (const figure of document.querySelectorAll(".plots figure"))
+    if (figure.querySelector(".js-plotly-plot")) draw(figure);
+}
+
+if (filter) filter.addEventListener("change", applyFilter);
+addEventListener("hashchange", openTarget);
+// The hash stays where it is when the same link is followed again.
+document.addEventListener("click", (event) => { if (event.target.closest && event.target.closest("a")) setTimeout(openTarget); });
+wide.addEventListener("change", drawOverview);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+addEventListener("beforeprint", () => {
+  root.classList.add("paper");
+  for (const figure of document.querySelectorAll("details[open] .plots figure")) draw(figure);
+  drawOverview();
+});
+addEventListener("afterprint", () => { root.classList.remove("paper"); redraw(); });
+applyFilter();
+openTarget();

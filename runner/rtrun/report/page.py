@@ -1,39 +1,89 @@
-"""The report as one HTML file that needs no network: styles, script, plots and data are in it."""
+"""The report as one HTML file that needs no network: styles, script, plots, plotly and the data are in it."""
 
+import json
 from pathlib import Path
+from typing import Any
 
-from rtrun.report.document import Document
-from rtrun.report.plots.charts import long_term, long_term_still, plots
+from rtrun.report.contents import Contents
+from rtrun.report.plots.charts import Plot, plots
+from rtrun.report.scenarios import Scenario
 from rtrun.report.study import Study
+from rtrun.report.tables import time_us
 
 _FOLDER = Path(__file__).parent
-# What a reader looks up stands after the plots.
-_LAST = ("published", "environment", "reproduce")
+# The class of an answer in the styles, which give it its colour, and its mark, for eyes and paper without colours.
+_ANSWERS: dict[str, tuple[str, str]] = {
+    "PROVEN": ("proven", "✓"),
+    "PROVEN IF INDEPENDENT": ("more", "✓"),
+    "NEEDS MORE": ("more", "?"),
+    "REFUTED": ("refuted", "✗"),
+}
+_PICTURED = {"median": 50.0, "p99": 99.0, "p99.99": 99.99}
 
 
-def html(study: Study, document: Document) -> str:
+def html(study: Study, contents: Contents) -> str:
     """Return the page. Everything that came from a target is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from plotly.offline import get_plotlyjs
 
     environment = Environment(
-        loader=FileSystemLoader(_FOLDER), autoescape=True, undefined=StrictUndefined, trim_blocks=False
+        loader=FileSystemLoader(_FOLDER),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    drawn = [(group.label, plots(group, study.deadline_ns)) for group in study.groups]
-    turned = []
-    for suite in dict.fromkeys(group.suite for group in study.groups):
-        data = long_term(study, suite)
-        if data is not None:
-            turned.append({"suite": suite, "data": data, "still": long_term_still(data, f"Long-term plot of {suite}")})
+    environment.filters["time_us"] = time_us
+    cards = [_card(study, scenario) for scenario in contents.scenarios]
+    choices = {
+        key: sorted({str(getattr(scenario, key)) for scenario in contents.scenarios})
+        for key in ("suite", "policy", "condition", "answer")
+    }
+    overview = {
+        "deadline_us": study.deadline_ns / 1000,
+        "rows": [_row(scenario) for scenario in contents.scenarios if scenario.figures.max_ns is not None],
+    }
     return environment.get_template("page.html.j2").render(
-        title=document.title,
-        banner=document.banner,
-        summary=document.summary,
-        question=document.question,
-        lines=document.lines,
-        tables=document.tables,
-        left_out=document.left_out,
-        last=_LAST,
-        plots=[(label, figures) for label, figures in drawn if figures],
-        long_term=turned,
+        contents=contents,
+        cards=cards,
+        choices={key: values for key, values in choices.items() if len(values) > 1},
+        overview=_json(overview),
+        plotly=get_plotlyjs(),
         script=(_FOLDER / "page.js").read_text(encoding="utf-8"),
     )
+
+
+def _card(study: Study, scenario: Scenario) -> dict[str, Any]:
+    style, mark = _ANSWERS.get(scenario.answer, ("none", "–"))
+    drawn = plots(scenario, deadline_ns=study.deadline_ns, probability=study.probability)
+    return {
+        "scenario": scenario,
+        "style": style,
+        "mark": mark,
+        "plots": [{"caption": plot.caption, "json": _json(_figure(plot))} for plot in drawn],
+    }
+
+
+def _figure(plot: Plot) -> dict[str, Any]:
+    return {"data": plot.data, "layout": plot.layout}
+
+
+def _row(scenario: Scenario) -> dict[str, Any]:
+    """A row of the picture of all scenarios; times in us."""
+    figures = scenario.figures
+    style, mark = _ANSWERS.get(scenario.answer, ("none", "–"))
+    values_ns = [figures.min_ns, *(figures.percentiles_ns.get(p) for p in _PICTURED.values()), figures.max_ns]
+    values_us = [None if value_ns is None else value_ns / 1000 for value_ns in values_ns]
+    return {
+        "id": scenario.id,
+        "label": scenario.label,
+        "answer": scenario.answer,
+        "style": style,
+        "mark": mark,
+        "us": dict(zip(("min", *_PICTURED, "max"), values_us, strict=True)),
+    }
+
+
+def _json(value: Any) -> str:
+    """JSON that cannot end the script element that holds it."""
+    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -10,7 +10,7 @@ from report.campaigns import latencies, oneshot_rows, write_run
 from rtrun.report.claims.examination import Finding
 from rtrun.report.claims.examiners import Examined, examine_claims
 from rtrun.report.compare import Compared, as_text, compare_sets
-from rtrun.report.document import document
+from rtrun.report.contents import contents
 from rtrun.report.study import study
 from rtrun.results.series import NOTE_2014
 
@@ -48,7 +48,9 @@ def test_ours_is_judged_and_that_of_2014_is_compared_with_what_was_published(tmp
     assert (judged.series, of_2014.series) == ("measured", "measured_2014")
     ours, theirs = judged.digests[0].figures.mean_ns, of_2014.digests[0].figures.mean_ns
     assert ours is not None and theirs == pytest.approx(ours - ARMED_AFTER_NS)
-    tables = {table.id: table for table in document(analysed, examine_claims(analysed)).tables}
+    written = contents(analysed, examine_claims(analysed))
+    (scenario,) = written.scenarios
+    tables = {table.id: table for table in (*scenario.tables, *written.tables)}
     assert {row[0] for row in tables["published"].rows} == {"oneshot_timer measured_2014 RR 1000 us"}
     assert tables["published"].rows[0][3] == f"{theirs / 1000:.1f}"
     assert NOTE_2014 in tables["figures"].notes

@@ -10,8 +10,8 @@ from report.campaigns import bursty, communication_rows, cyclic_rows, latencies,
 from rtfiles.errors import UsageError
 from rtrun.analysis.deadline import Answer
 from rtrun.analysis.figures import IndexedValue
-from rtrun.report.document import verdict_line
 from rtrun.report.study import study
+from rtrun.report.verdicts import verdict_line
 
 ONESHOT = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
 

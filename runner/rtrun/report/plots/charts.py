@@ -1,278 +1,293 @@
-"""The report's plots: what of a group is drawn, and how it is thinned so that no peak is lost."""
+"""The plots of a scenario as plotly takes them, thinned so that no peak is lost.
+
+A colour is the name of a CSS variable of the page, so that a plot follows the page from light to dark and to paper.
+Text in a figure passes `plain` first: plotly obeys some HTML.
+"""
 
 import math
-from html import escape
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from rtfiles.output import printable
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.report.digest import Digest
-from rtrun.report.plots.svg import COLOURS, DASHES, FAINT, INK, Axis, Mark, Point, chart
-from rtrun.report.study import Group, Study, slowest
+from rtrun.report.plots.scale import Scale, rounded, scale_of
+from rtrun.report.scenarios import Scenario, output_labels
+from rtrun.report.study import slowest
 
 _BINS = 240
-_OVERLAID = len(COLOURS)
-_FLOOR = 0.7  # of the count axis, as in the logs: a count of one is seen
+_BINS_3D = 80
+_COLOURS = 8  # --series-0 to --series-7; so many outputs are drawn each on its own
+_DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot", "5px,2px", "2px,4px")
+_EMPTY = 0.7  # where a bin without a value lies on the logarithmic axis of counts
+_NUMBERED = 12  # outputs with a tick each
+_HOVER = "%{text}<extra></extra>"
+
+Trace = dict[str, Any]
 
 
-def plots(group: Group, deadline_ns: int) -> list[tuple[str, str]]:
-    """(caption, SVG) of every plot of a group that has values."""
-    if group.n == 0 or not any(one.histogram.values_ns.size for one in group.digests):
+@dataclass(frozen=True, kw_only=True)
+class Plot:
+    """A plot: what it shows in a sentence, and plotly's ``data`` and ``layout``."""
+
+    caption: str
+    data: list[Trace]
+    layout: dict[str, Any]
+
+
+def plots(scenario: Scenario, *, deadline_ns: int, probability: float) -> list[Plot]:
+    """Every plot of a scenario; none where it has no values."""
+    group = scenario.group
+    shown = [one for one in group.digests if one.histogram.values_ns.size]
+    if not shown:
         return []
+    limit_us = deadline_ns / 1000
     what = f"{group.series} in us"
-    charts = [("How often each value occurred", _histograms(group, what, deadline_ns))]
-    charts.append(("Value that a share of all does not exceed", _quantiles(group, what)))
-    with_course = [one for one in group.digests if one.course is not None and one.figures.max_ns is not None]
+    scale = scale_of(merge(one.histogram for one in shown), limit_us)
+    drawn = [_histograms(shown, scale, what, limit_us)]
+    slow = [one for one in slowest(group.digests) if one.histogram.values_ns.size]
+    if slow:
+        drawn.append(_exceedance(scenario, shown, slow, scale, what, limit_us, probability))
+    with_course = [one for one in shown if one.course is not None and one.figures.max_ns is not None]
     if with_course:
         worst = max(with_course, key=lambda one: one.figures.max_ns or 0)
-        charts.append((f"Values over the loop index, highest ten marked, of {worst.run}", _course(worst, what)))
-    shown = merge(one.histogram for one in slowest(group.digests))
-    if shown.values_ns.size:
-        caption = "Share of values above, with the fitted tail where there is one"
-        charts.append((caption, _ccdf(group, shown, what, deadline_ns)))
-    return charts
+        drawn.append(_course(worst, scale, what, limit_us))
+    if len(shown) > 1:
+        drawn.append(_outputs(shown, scale, what))
+    return drawn
 
 
-def _span(group: Group, deadline_ns: int) -> tuple[float, float]:
-    """The value axis in us: all values, and the deadline where it is not far beyond them."""
-    low = min(int(one.histogram.values_ns[0]) for one in group.digests if one.histogram.values_ns.size)
-    high = max(int(one.histogram.values_ns[-1]) for one in group.digests if one.histogram.values_ns.size) + 1000
-    if high < deadline_ns < low + 4 * (high - low):
-        high = deadline_ns
-    edge = 0.03 * (high - low)
-    return (low - edge) / 1000, (high + edge) / 1000
+def plain(text: str) -> str:
+    """Text that plotly shows as it is."""
+    return printable(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
-def _rule(deadline_ns: int, axis: Axis) -> list[Mark]:
-    at = deadline_ns / 1000
-    if not axis.low <= at <= axis.high:
-        return []
-    return [Mark(kind="rule", points=[(at, 1.0)], colour=INK, dash="5 3", name=f"deadline {at:g} us")]
+def _line(k: int, name: str, x: Any, y: Any, text: Sequence[str], **more: Any) -> Trace:
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": plain(name),
+        "x": rounded(x),
+        "y": rounded(y),
+        "text": list(text),
+        "hovertemplate": _HOVER,
+        "line": {"color": f"--series-{k}", "dash": _DASHES[k], "shape": "hv", "width": 1.6},
+    } | more
 
 
-def _steps(histogram: Histogram, low_us: float, high_us: float, bins: int) -> list[Point]:
-    """Counts in equal bins; the axis is drawn from there, so that bins of one microsecond stay what they are."""
-    width = max(1.0, math.ceil((high_us - low_us) / bins))
-    first = math.floor(low_us / width)
-    at = np.floor_divide(histogram.values_ns, int(width * 1000)) - first
-    size = math.ceil((high_us - low_us) / width) + 2
-    counts = np.bincount(np.clip(at, 0, size - 1), weights=histogram.counts, minlength=size)
-    points: list[Point] = []
-    for k in range(size):
-        count = max(float(counts[k]), _FLOOR)
-        if points and points[-1][1] == count and k < size - 1:
-            continue
-        points.append(((first + k) * width, count))
-    return points
+def _limit(limit_us: float, x: Any, y: Any) -> Trace:
+    name = f"deadline {limit_us:g} us"
+    line = {"color": "--ink", "dash": "dash", "width": 1.5}
+    return _line(0, name, x, y, [name, name]) | {"line": line}
 
 
-def _histograms(group: Group, what: str, deadline_ns: int) -> str:
-    low, high = _span(group, deadline_ns)
-    marks = []
-    shown = [one for one in group.digests if one.histogram.values_ns.size]
-    few = len(shown) <= _OVERLAID
-    for k, one in enumerate(shown):
-        steps = _steps(one.histogram, low, high, _BINS if few else _BINS // 2)
-        marks.append(
-            Mark(
-                kind="steps",
-                points=steps,
-                colour=COLOURS[k] if few else COLOURS[5],
-                dash=DASHES[k] if few else "",
-                name=_name(one) if few and len(shown) > 1 else "",
-                opacity=1.0 if few else 0.5,
-            )
-        )
-    top = max(point[1] for mark in marks for point in mark.points)
-    x = Axis(low=low, high=high, label=what)
-    if not few:
-        steps = _steps(group.histogram, low, high, _BINS)
-        top = max(top, *(point[1] for point in steps))
-        marks.append(Mark(kind="steps", points=steps, name=f"all {len(shown)} together; each run in light blue"))
-    y = Axis(low=_FLOOR, high=max(10.0, top * 1.5), label="count", log=True)
-    return chart(f"Histogram of {group.label}", x, y, [*marks, *_rule(deadline_ns, x)])
+def _histograms(shown: Sequence[Digest], scale: Scale, what: str, limit_us: float) -> Plot:
+    edges = scale.edges_us(_BINS)
+    named = [(label, one.histogram) for label, one in zip(output_labels(shown), shown, strict=True)]
+    if len(named) > _COLOURS:
+        named = [(f"all {len(shown)} outputs", merge(bins for _, bins in named))]
+    data = []
+    top = 1.0
+    for k, (name, bins) in enumerate(named):
+        counts = _counted(bins, edges)
+        # A step is told only where the count changes.
+        keep = np.flatnonzero(np.diff(counts, prepend=-1.0, append=-1.0)[:-1] != 0)
+        keep = np.append(keep, counts.size)
+        counts = np.append(counts, 0.0)
+        top = max(top, float(counts.max()))
+        text = [f"{_count(counts[i])} from {edges[i]:g} us to {edges[j]:g} us" for i, j in _pairs(keep, edges.size - 1)]
+        data.append(_line(k, name, scale.place(edges[keep]), np.maximum(counts[keep], _EMPTY), text))
+    place = float(scale.place(limit_us))
+    data.append(_limit(limit_us, [place, place], [_EMPTY, top]))
+    layout = {"xaxis": scale.axis(what), "yaxis": _log("count")}
+    return Plot(caption="How often each value occurred.", data=data, layout=layout)
 
 
-def _name(one: Digest) -> str:
-    return one.run if one.header.output in one.run else f"{one.run} {one.header.output}"
+def _pairs(keep: Any, last: int) -> list[tuple[int, int]]:
+    ends = [*keep[1:].tolist(), last]
+    return list(zip(keep.tolist(), ends, strict=True))
 
 
-def _quantiles(group: Group, what: str) -> str:
-    marks, most, low, high = [], 10.0, math.inf, -math.inf
-    shown = [one for one in group.digests if one.histogram.values_ns.size][:_OVERLAID]
-    for k, one in enumerate(shown):
-        bins = one.histogram
-        beyond = np.concatenate(([bins.n], bins.n - np.cumsum(bins.counts)))[:-1] / bins.n
-        # A value stands where the share that reaches it is: 1 / share is 1, 10, 100 at p0, p90, p99.
-        scale = 1 / beyond
-        keep = _thin(np.log10(scale), 160)
-        points = [(float(scale[i]), bins.values_ns[i] / 1000) for i in keep]
-        most, low, high = max(most, scale[-1]), min(low, points[0][1]), max(high, points[-1][1])
-        name = _name(one) if len(shown) > 1 else ""
-        marks.append(Mark(kind="steps", points=points, colour=COLOURS[k], dash=DASHES[k], name=name))
-    texts = ("p0", "p90", "p99", "p99.9", "p99.99", "p99.999", "p99.9999", "p99.99999")
-    x = Axis(
-        low=1.0,
-        high=float(most),
-        label="percentile",
-        log=True,
-        ticks=tuple((10.0**k, text) for k, text in enumerate(texts)),
+def _count(count: float) -> str:
+    return f"{count:,.0f} values".replace(",", " ") if count else "no value"
+
+
+def _counted(bins: Histogram, edges_us: Any) -> Any:
+    at = np.clip(np.searchsorted(edges_us, bins.values_ns / 1000, side="right") - 1, 0, edges_us.size - 2)
+    return np.bincount(at, weights=bins.counts, minlength=edges_us.size - 1)
+
+
+def _log(title: str) -> dict[str, Any]:
+    return {"title": {"text": title}, "type": "log", "dtick": 1}
+
+
+def _exceedance(
+    scenario: Scenario,
+    shown: Sequence[Digest],
+    slow: Sequence[Digest],
+    scale: Scale,
+    what: str,
+    limit_us: float,
+    probability: float,
+) -> Plot:
+    group = scenario.group
+    together = "all" if len(slow) == len(group.digests) else "slowest subscriber of each run"
+    data = [_share_above(0, "measured" if len(shown) == 1 else together, merge(one.histogram for one in slow), scale)]
+    if 1 < len(shown) < _COLOURS:
+        for k, (label, one) in enumerate(zip(output_labels(shown), shown, strict=True), start=1):
+            line = _share_above(k, label, one.histogram, scale)
+            line["line"]["width"] = 1
+            data.append(line)
+    floor = min(0.5 / max(one.n for one in shown), probability)
+    for bound in group.bounds:
+        if bound.refused is None and bound.method == "GPD" and bound.high_ns is not None:
+            data += _tail(bound, scale)
+            floor = min(floor, bound.probability)
+    place = float(scale.place(limit_us))
+    data.append(_limit(limit_us, [place, place], [floor, 1.0]))
+    ends = [min(min(trace["x"]) for trace in data), max(max(trace["x"]) for trace in data)]
+    name = f"P = {probability:g}, asked for"
+    line = {"color": "--ink", "dash": "dot", "width": 1.5}
+    data.append(_line(0, name, ends, [probability] * 2, [name] * 2) | {"line": line})
+    return Plot(
+        caption="Share of the values above each value, with the fitted tail where there is one. "
+        "What lies right of the deadline is late.",
+        data=data,
+        layout={"xaxis": scale.axis(what), "yaxis": _log("share above") | {"exponentformat": "power"}},
     )
-    if len(x.marks()) > 6:
-        x = Axis(low=1.0, high=float(most), label="percentile", log=True, ticks=x.ticks[::2])
-    edge = 0.05 * max(high - low, 1.0)
-    return chart(f"Quantiles of {group.label}", x, Axis(low=low - edge, high=high + edge, label=what), marks)
 
 
-def _thin(places: Any, most: int) -> list[int]:
+def _share_above(k: int, name: str, bins: Histogram, scale: Scale) -> Trace:
+    above = bins.n - np.cumsum(bins.counts)
+    # The last value has none above it, which a logarithm cannot show: half a value stands for it.
+    places = np.log10(bins.n / np.maximum(above, 0.5))
+    keep = _thin(places, 200)
+    values = (bins.values_ns[keep] + bins.bin_ns) / 1000
+    late = above[keep]
+    n = f"{bins.n:,}".replace(",", " ")
+    text = [f"all {n} above"] + [
+        f"{_count(count)} of {n} above {value:g} us" for count, value in zip(late, values, strict=True)
+    ]
+    x = np.concatenate(([bins.values_ns[0] / 1000], values))
+    return _line(k, name, scale.place(x), np.concatenate(([1.0], np.maximum(late, 0.5) / bins.n)), text)
+
+
+def _thin(places: Any, most: int) -> Any:
     """Indices of rising places, at most so many plus the last, evenly along the axis."""
     span = float(places[-1] - places[0]) or 1.0
     cell = np.floor((places - places[0]) / span * most)
-    keep = np.flatnonzero(np.diff(cell, prepend=-1.0)).tolist()
-    return keep if keep[-1] == len(places) - 1 else [*keep, len(places) - 1]
+    keep = np.flatnonzero(np.diff(cell, prepend=-1.0))
+    return keep if keep[-1] == len(places) - 1 else np.append(keep, len(places) - 1)
 
 
-def _course(one: Digest, what: str) -> str:
-    course = one.course
-    assert course is not None
-    points: list[Point] = []
-    for k, (low, high) in enumerate(zip(course.low_ns, course.high_ns, strict=True)):
-        middle = (k + 0.5) * course.width
-        points += [(middle, low / 1000), (middle, high / 1000)]
-    skipped = len(one.header.startup)
-    listed = [e for e in one.figures.top if e.index is not None]
-    dots = [((e.index or 0) - skipped, e.value_ns / 1000) for e in listed]
-    marks = [
-        Mark(kind="band", points=points, colour=COLOURS[5], name=f"lowest to highest of each {course.width} loops"),
-        Mark(
-            kind="dots",
-            points=dots,
-            colour=COLOURS[1],
-            name="ten highest",
-            titles=[f"{e.value_ns / 1000:g} us at loop {e.index}" for e in listed],
-        ),
-    ]
-    low, high = min(p[1] for p in points), max(p[1] for p in points)
-    edge = 0.05 * max(high - low, 1.0)
-    end = max(1.0, float(len(course.low_ns) * course.width))
-    x = Axis(low=0.0, high=end, label="loop index")
-    return chart(f"Values over time of {one.run}", x, Axis(low=low - edge, high=high + edge, label=what), marks)
-
-
-def _ccdf(group: Group, bins: Histogram, what: str, deadline_ns: int) -> str:
-    low, high = _span(group, deadline_ns)
-    n = bins.n
-    above = (n - np.cumsum(bins.counts)) / n
-    seen = above > 0
-    values, above = (bins.values_ns[seen] + bins.bin_ns) / 1000, above[seen]
-    keep = _thin(-np.log10(above), 200) if above.size else []
-    points: list[Point] = [(low, 1.0), *((float(values[i]), float(above[i])) for i in keep)]
-    points.append(((int(bins.values_ns[-1]) + bins.bin_ns) / 1000, 0.5 / n))
-    marks = [
-        Mark(
-            kind="steps",
-            points=points,
-            name="measured"
-            if len(slowest(group.digests)) == len(group.digests)
-            else "measured by the slowest subscriber",
-        )
-    ]
-    floor = 0.5 / n
-    for bound in group.bounds:
-        if bound.refused is None and bound.method == "GPD":
-            fitted = _fitted(bound)
-            floor = min(floor, bound.probability)
-            high = max(high, (bound.high_ns or 0) / 1000 * 1.03)
-            marks.append(
-                Mark(
-                    kind="line",
-                    points=fitted,
-                    colour=COLOURS[1],
-                    dash="6 2",
-                    name="fitted tail (GPD), bursts count once",
-                )
-            )
-            marks.append(
-                Mark(
-                    kind="dots",
-                    points=[((bound.high_ns or 0) / 1000, bound.probability)],
-                    colour=COLOURS[2],
-                    name=f"bound {(bound.high_ns or 0) / 1000:.0f} us at {bound.probability:g} "
-                    f"({100 * bound.confidence:g} %)",
-                )
-            )
-    x = Axis(low=low, high=high, label=what)
-    y = Axis(low=10 ** math.floor(math.log10(floor)), high=1.0, label="share above", log=True)
-    return chart(f"Exceedance of {group.label}", x, y, [*marks, *_rule(deadline_ns, x)])
-
-
-def _fitted(bound: Bound) -> list[Point]:
+def _tail(bound: Bound, scale: Scale) -> list[Trace]:
     from rtrun.analysis.tails import GPD
 
     assert bound.rate is not None and bound.shape is not None and bound.scale_ns is not None
-    base = float(bound.threshold_ns or 0)
+    assert bound.high_ns is not None
     chances = np.geomspace(1.0, bound.probability / bound.rate, 40)
-    parameters = (bound.shape, bound.scale_ns)
-    return [((base + GPD.level(float(c), parameters)) / 1000, float(c) * bound.rate) for c in chances]
+    base = float(bound.threshold_ns or 0)
+    values = [(base + GPD.level(float(c), (bound.shape, bound.scale_ns))) / 1000 for c in chances]
+    shares = chances * bound.rate
+    text = [f"{value:.1f} us at {share:.2g}" for value, share in zip(values, shares, strict=True)]
+    fitted = _line(1, "fitted tail (GPD), bursts count once", scale.place(values), shares, text)
+    fitted["line"] |= {"shape": "linear", "dash": "dash"}
+    high_us = bound.high_ns / 1000
+    name = f"bound {high_us:.0f} us at {bound.probability:g} ({100 * bound.confidence:g} %)"
+    dot = _line(2, name, scale.place([high_us]), [bound.probability], [name])
+    return [fitted, dot | {"mode": "markers", "marker": {"color": "--series-2", "size": 9, "symbol": "diamond"}}]
 
 
-def long_term(study: Study, suite: str) -> dict[str, Any] | None:
-    """Value x count x run of a suite, as thesis figures 5.2 to 5.4: plain data for the still and the turning picture.
+def _course(one: Digest, scale: Scale, what: str, limit_us: float) -> Plot:
+    course = one.course
+    assert course is not None
+    skipped, size = len(one.header.startup), len(course.low_ns)
+    loops = skipped + np.arange(size) * course.width
+    low, high = course.low_ns / 1000, course.high_ns / 1000
+    if course.width == 1:
+        text = [f"{value:g} us in loop {loop}" for value, loop in zip(high, loops, strict=True)]
+        values = _line(0, "values", loops, scale.place(high), text)
+        values["line"] |= {"shape": "linear", "width": 1}
+        data = [values | {"mode": "lines+markers", "marker": {"color": "--series-0", "size": 4}}]
+        caption = "Values over the loops"
+    else:
+        text = [
+            f"{a:g} us to {b:g} us in loops {loop} to {loop + course.width - 1}"
+            for a, b, loop in zip(low, high, loops, strict=True)
+        ]
+        name = f"lowest to highest of each {course.width} loops"
+        bottom = _line(0, name, loops, scale.place(low), text, showlegend=False, legendgroup="range")
+        top = _line(0, name, loops, scale.place(high), text, fill="tonexty", legendgroup="range")
+        data = [bottom, top]
+        caption = f"Lowest to highest of each {course.width} loops"
+    listed = [(e.index, e.value_ns / 1000) for e in one.figures.top if e.index is not None]
+    dots = _line(
+        1,
+        f"{len(listed)} highest",
+        [index for index, _ in listed],
+        scale.place([value for _, value in listed]),
+        [f"{value:g} us in loop {index}" for index, value in listed],
+    )
+    data.append(dots | {"mode": "markers", "marker": {"color": "--series-1", "size": 9, "symbol": "circle-open"}})
+    place = float(scale.place(limit_us))
+    data.append(_limit(limit_us, [skipped, skipped + max(1, size * course.width - 1)], [place, place]))
+    layout = {"xaxis": {"title": {"text": "loop"}}, "yaxis": scale.axis(what)}
+    return Plot(
+        caption=f"{caption} of {one.header.output} in {one.run}, where the highest value is.", data=data, layout=layout
+    )
 
-    ``values_us`` are lower edges of equal columns, ``rows`` one list of log10 counts (-1: none) for each output.
-    """
-    shown = [d for g in study.groups if g.suite == suite for d in g.digests if d.histogram.values_ns.size]
-    if not shown:
-        return None
-    low = min(int(d.histogram.values_ns[0]) for d in shown) // 1000
-    high = max(int(d.histogram.values_ns[-1]) for d in shown) // 1000 + 1
-    columns = 120
-    width = max(1, -(-(high - low) // columns))
-    size = (high - low) // width + 1
-    rows = []
-    for d in shown:
-        at = (d.histogram.values_ns // 1000 - low) // width
-        counts = np.bincount(at, weights=d.histogram.counts, minlength=size)
-        with np.errstate(divide="ignore"):
-            heights = np.where(counts > 0, np.log10(np.maximum(counts, 1e-9)), -1.0)
-        rows.append({"name": _name(d), "log10": [round(float(h), 2) for h in heights]})
-    return {"low_us": low, "width_us": width, "size": size, "rows": rows, "measurements": sum(d.n for d in shown)}
 
-
-def long_term_still(data: dict[str, Any], title: str) -> str:
-    """The long-term plot from the side as SVG: runs one behind the other, each hiding what lies behind it."""
-    rows, size = data["rows"], data["size"]
-    top = max(1.0, *(h for row in rows for h in row["log10"]))
-    width, height, depth = 400.0, 170.0, 110.0
-    parts = []
-    for k in range(len(rows) - 1, -1, -1):
-        back = k / max(1, len(rows) - 1)
-        left, floor = 40 + 60 * back, 270 - depth * back
-        run = "".join(
-            f"L{left + i / max(1, size - 1) * (width - 60):.1f} {floor - (h + 1) / (top + 1) * height * 0.8:.1f}"
-            for i, h in enumerate(rows[k]["log10"])
-        )
-        parts.append(
-            f'<path d="M{left:.1f} {floor:.1f}{run}L{left + width - 60:.1f} {floor:.1f}Z" fill="#fff" '
-            f'fill-opacity=".85" stroke="{COLOURS[0]}" stroke-width=".8">'
-            f"<title>{escape(rows[k]['name'])}</title></path>"
-        )
-    end = data["low_us"] + data["size"] * data["width_us"]
-    ticks = [data["low_us"] + (end - data["low_us"]) * k / 4 for k in range(5)]
-    for k, tick in enumerate(ticks):
-        x = 40 + k / 4 * (width - 60)
-        parts.append(f'<text x="{x:.1f}" y="286" text-anchor="middle">{tick:.0f}</text>')
-    for k in range(math.floor(top) + 1):
-        y = 270 - (k + 1) / (top + 1) * height * 0.8
-        parts.append(
-            f'<path d="M36 {y:.1f}H40" stroke="{FAINT}"/><text x="34" y="{y + 4:.1f}" text-anchor="end">1e{k}</text>'
-        )
-    return (
-        f'<svg viewBox="-8 0 488 310" role="img" aria-label="{escape(title)}" xmlns="http://www.w3.org/2000/svg" '
-        f'font-family="sans-serif" font-size="12" fill="{INK}">{"".join(parts)}'
-        '<text x="210" y="304" text-anchor="middle">value in us</text>'
-        '<text x="40" y="130" text-anchor="middle">count</text>'
-        f'<text x="425" y="215">{len(rows)} series</text></svg>'
+def _outputs(shown: Sequence[Digest], scale: Scale, what: str) -> Plot:
+    """Value, count and run, as figures 5.2 to 5.4 of the thesis; the page shows it flat where it cannot be turned."""
+    low = min(float(one.histogram.values_ns[0]) for one in shown) / 1000
+    high = max(float(one.histogram.values_ns[-1]) for one in shown) / 1000
+    part = Scale(division=scale.division, low_us=low, high_us=high)
+    edges = part.edges_us(_BINS_3D)
+    counts = np.array([_counted(one.histogram, edges) for one in shown])
+    heights = np.round(np.log10(np.maximum(counts, 0.5)), 2)
+    places = edges[:-1] if part.division.value == "linear" else np.sign(edges[:-1]) * np.log10(1 + np.abs(edges[:-1]))
+    ticks = np.linspace(0, len(places) - 1, 5).astype(int)
+    names = [plain(label) for label in output_labels(shown)]
+    text = [
+        [f"{name}<br>{edges[k]:g} us to {edges[k + 1]:g} us<br>{_count(row[k])}" for k in range(row.size)]
+        for name, row in zip(names, counts, strict=True)
+    ]
+    rows = list(range(1, len(shown) + 1))
+    top = math.ceil(float(heights.max()))
+    trace = {
+        "type": "surface",
+        "x": rounded(places),
+        "y": rows,
+        "z": heights.tolist(),
+        "text": text,
+        "hovertemplate": _HOVER,
+        "colorscale": "Cividis",
+        "colorbar": {
+            "title": {"text": "count"},
+            "tickvals": list(range(top + 1)),
+            "ticktext": [f"1e{k}" for k in range(top + 1)],
+            "thickness": 12,
+        },
+    }
+    x = {
+        "title": {"text": what},
+        "tickvals": rounded(places[ticks]),
+        "ticktext": [f"{edges[k]:.0f}" for k in ticks],
+    }
+    y: dict[str, Any] = {"title": {"text": "output"}}
+    if len(shown) <= _NUMBERED:
+        y["tickvals"] = rows
+    z = {"title": {"text": "count"}, "tickvals": list(range(top + 1)), "ticktext": [f"1e{k}" for k in range(top + 1)]}
+    return Plot(
+        caption=f"How often each value occurred in each of {len(shown)} outputs: the thesis' long-term picture.",
+        data=[trace],
+        layout={
+            "scene": {"xaxis": x, "yaxis": y, "zaxis": z, "camera": {"eye": {"x": 1.6, "y": 1.6, "z": 1.1}}},
+            "xaxis": x,
+            "yaxis": y,
+        },
     )

@@ -157,7 +157,7 @@ def test_histograms_of_different_length_are_reported_together(tmp_path, capsys):
         (tmp_path / f"{name}.txt").write_text(text)
         adopt(tmp_path / f"{name}.txt", tmp_path / "out", emulated=False)
     assert main(["report", str(tmp_path / "out")]) == 0
-    assert "Exceedance of" in (tmp_path / "out" / "report.html").read_text()
+    assert "Share of the values above" in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_more_bins_than_any_program_has_are_refused(tmp_path, monkeypatch):

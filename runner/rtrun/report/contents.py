@@ -1,0 +1,148 @@
+"""The contents of a report in the order in which it is read; the HTML and the Markdown format write them down."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from rtfiles.output import printable
+from rtrun.analysis.deadline import Answer
+from rtrun.report.claims.examiners import Examined
+from rtrun.report.end_tables import end_tables
+from rtrun.report.scenarios import Scenario, scenarios
+from rtrun.report.study import Study
+from rtrun.report.tables import Table, how
+from rtrun.report.terminal import banner_of
+from rtrun.report.verdicts import summary
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """A report: the answer, what it rests on, every scenario, then what is looked up.
+
+    `worst` is the scenario with the highest value, None where nothing was measured. `facts` are (what, value).
+    """
+
+    title: str
+    banner: str | None
+    answer: str
+    worst: Scenario | None
+    next_step: str
+    question: str
+    facts: tuple[tuple[str, str], ...]
+    scenarios: tuple[Scenario, ...]
+    tables: tuple[Table, ...]
+    left_out: tuple[str, ...]
+
+
+def contents(study: Study, claims: Sequence[Examined]) -> Contents:
+    """Put a study into words."""
+    made = scenarios(study)
+    measured = [one for one in made if one.figures.max_ns is not None]
+    return Contents(
+        title=printable(f"Real-time report: {study.source.path.resolve().name}"),
+        banner=banner_of(emulated=study.emulated, preempt_rt=all(one.preempt_rt for one in study.records)) or None,
+        answer=_answer(study, made),
+        worst=max(measured, key=lambda one: one.figures.max_ns or 0, default=None),
+        next_step=_next_step(made),
+        question=_question(study),
+        facts=tuple(_facts(study)),
+        scenarios=made,
+        tables=end_tables(study, claims),
+        left_out=tuple(map(printable, study.left_out)),
+    )
+
+
+def _question(study: Study) -> str:
+    boots = f", on at least {study.boots} boots" if study.boots > 1 else ""
+    return (
+        f"Is P(value above {study.deadline_ns / 1000:g} us) below {study.probability:g}{boots}? "
+        f"Confidence {100 * study.confidence:g} %, two-sided. {how('Deadline')}"
+    )
+
+
+def _answer(study: Study, made: Sequence[Scenario]) -> str:
+    """The answer to the question in one sentence."""
+    counts, total = Counter(one.answer for one in made), len(made)
+    deadline = f"the deadline of {study.deadline_ns / 1000:g} us"
+    if not made:
+        text = f"Nothing was measured that {deadline} could be held against"
+    elif counts[Answer.REFUTED]:
+        text = f"{deadline.capitalize()} is not met: {summary(study)}"
+    elif counts[Answer.PROVEN] + counts[Answer.IF_INDEPENDENT] == total:
+        condition = ", if measurements are independent" if counts[Answer.IF_INDEPENDENT] else ""
+        text = (
+            f"{deadline.capitalize()} is met in {_all(total)}{condition}: P(miss) is below {study.probability:g} "
+            f"at {100 * study.confidence:g} % confidence"
+        )
+    elif counts[Answer.NO_STATEMENT] == total:
+        reasons = dict.fromkeys(one.group.verdict.refused or "" for one in made if one.group.verdict)
+        text = f"No statement about {deadline} in any scenario: {'; '.join(reasons)}"
+    else:
+        text = f"It is not decided whether {deadline} is met: {summary(study)}"
+    if study.left_out:
+        text += f"; {len(study.left_out)} not analysed"
+    return text + "."
+
+
+def _all(total: int) -> str:
+    return "the one scenario" if total == 1 else f"all {total} scenarios"
+
+
+def _next_step(made: Sequence[Scenario]) -> str:
+    answers = {one.answer for one in made}
+    if Answer.REFUTED in answers:
+        return (
+            "rtrun check-rt --target TARGET.yml lists what stands in the way of real time on the target; "
+            "the plots below show when the late values came"
+        )
+    wanted = [verdict.further for one in made if (verdict := one.group.verdict) and verdict.further]
+    if Answer.NEEDS_MORE in answers and wanted:
+        return f"measure more: up to {max(wanted):,} measurements a scenario without another miss".replace(",", " ")
+    if answers and answers <= {Answer.NO_STATEMENT}:
+        return "measure where the time is real, on the board itself: rtrun run CAMPAIGN.yml --target BOARD.yml"
+    if answers == {Answer.PROVEN}:
+        return "keep it so: rtrun gate RESULTS fails as soon as the answer is another one"
+    if answers and answers <= {Answer.PROVEN, Answer.IF_INDEPENDENT}:
+        return "measure with samples, which show whether late values come in bursts; histograms and logs cannot"
+    return "see the scenarios below for what is missing"
+
+
+def _facts(study: Study) -> list[tuple[str, str]]:
+    """What was measured where."""
+    targets = [record.target for record in study.records]
+    real_time = {True: "PREEMPT_RT", False: "without PREEMPT_RT", None: "PREEMPT_RT not known"}
+    boots = {str(target.boot_id) for target in targets if target.boot_id}
+    seconds = sum(_seconds(record.start_time, record.end_time) for record in study.records)
+    measurements = f"{sum(group.n for group in study.groups):,}".replace(",", " ")
+    days = sorted({record.start_time[:10] for record in study.records if record.start_time})
+    kernels = [_text(target.kernel_release) for target in targets if target.kernel_release]
+    values = f"{measurements} values" + (f", {' to '.join(dict.fromkeys((days[0], days[-1])))}" if days else "")
+    facts = [
+        ("board", ", ".join(dict.fromkeys(target.name for target in targets))),
+        ("kernel", ", ".join(dict.fromkeys(kernels))),
+        ("real time", ", ".join(dict.fromkeys(real_time[target.preempt_rt] for target in targets))),
+        ("CPUs", ", ".join(dict.fromkeys(str(target.cpus) for target in targets if target.cpus))),
+        ("runs", str(len(study.records)) if study.records else ""),
+        ("boots", str(len(boots)) if boots else ""),
+        ("time", _duration(seconds) if seconds else ""),
+        ("measured", values),
+    ]
+    return [(what, printable(value)) for what, value in facts if value]
+
+
+def _text(fact: str | list[str] | None) -> str:
+    return " ".join(fact) if isinstance(fact, list) else str(fact)
+
+
+def _seconds(start: str, end: str) -> float:
+    try:
+        return max(0.0, (datetime.fromisoformat(end) - datetime.fromisoformat(start)).total_seconds())
+    except (ValueError, TypeError):  # an imported file has no times
+        return 0.0
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

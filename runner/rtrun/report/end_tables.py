@@ -1,0 +1,239 @@
+"""The tables behind the scenarios: worst cases, layers, claims, published figures, environment, reproduction."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+
+from rtrun.analysis.extreme_values import Bound
+from rtrun.analysis.layers import attribute
+from rtrun.analysis.worst_case import disagreement
+from rtrun.plan.conditions import IDLE
+from rtrun.plan.suites import suites
+from rtrun.report.claims.examination import is_rt, select, us
+from rtrun.report.claims.examiners import Examined
+from rtrun.report.claims.reference import oneshot_rows, published
+from rtrun.report.study import Group, Study, environment
+from rtrun.report.tables import Table, how, printable_table, time_us
+from rtrun.results.samples import NON_MEASURING_THREADS
+
+
+def end_tables(study: Study, claims: Sequence[Examined]) -> tuple[Table, ...]:
+    """What stands behind the scenarios, each table with what came out of it."""
+    tables = [_worst_cases(study), *_layers(study), _claims(claims), *_published(study)]
+    return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)
+
+
+def _worst_cases(study: Study) -> Table:
+    rows = []
+    for group in study.groups:
+        if group.no_bound:
+            rows.append((group.label, "-", "refused", group.no_bound))
+        rows += [(group.label, bound.method, *_bound(bound)) for bound in group.bounds]
+        if (text := disagreement(group.bounds)) is not None:
+            rows.append((group.label, "-", "doubtful", text))
+    return Table(
+        id="worst-case",
+        title="Worst case by extreme value theory",
+        columns=("suite and parameters", "method", f"level exceeded once in {1 / study.probability:.3g}", "found"),
+        rows=rows,
+        outcome=_bounds_outcome(study),
+        numbers=9,
+        notes=("A bound is printed only where every assumption was tested and held.", how("Worst case")),
+    )
+
+
+def _bounds_outcome(study: Study) -> str:
+    """In how many scenarios a bound may be given, and the highest one."""
+    given = [(one.high_ns, group) for group in study.groups for one in group.bounds if one.refused is None]
+    highest = max(((high_ns, group.label) for high_ns, group in given if high_ns is not None), default=None)
+    if highest is None:
+        return f"no bound in any of {len(study.groups)} scenarios"
+    scenarios = len({id(group) for _, group in given})
+    return f"a bound in {scenarios} of {len(study.groups)} scenarios, the highest {us(highest[0])} us for {highest[1]}"
+
+
+def _bound(bound: Bound) -> tuple[str, str]:
+    if bound.refused is not None or bound.level_ns is None or bound.low_ns is None or bound.high_ns is None:
+        return "refused", bound.refused or "no level"
+    return (
+        f"{us(bound.level_ns)} us ({100 * bound.confidence:g} % CI {us(bound.low_ns)} to {us(bound.high_ns)} us)",
+        f"shape {bound.shape:.3f}, {bound.points} points, "
+        + ", ".join(f"{c.name} p = {c.p_value:.2g}" for c in bound.checks if c.p_value is not None),
+    )
+
+
+# Parameters of a layer alone; all others must be the same in both.
+_OF_A_LAYER = {"timeout_us", "interval_us", "frequency_hz", "busy_mode", "threads", "payload_bytes", "subscribers"}
+
+
+def _layers(study: Study) -> list[Table]:
+    """What each layer adds to the one below, for every pair of groups that differ in nothing but the layer."""
+    if study.emulated:
+        return []
+    rows = []
+    for low_name, high_name in (("cyclictest", "oneshot_timer_tests"), ("oneshot_timer_tests", "communication_tests")):
+        for low in select(study.groups, low_name):
+            for high in select(study.groups, high_name):
+                if not _differ_in_layer(low, high):
+                    continue
+                attribution = attribute(low.blocks, high.blocks, confidence=study.confidence)
+                if attribution.refused:
+                    rows.append((low.label, high.label, "-", "-", "-", f"refused: {attribution.refused}"))
+                for added in attribution.added:
+                    interval = f"{added.low_ns / 1000:+.1f} to {added.high_ns / 1000:+.1f}"
+                    adds = f"{added.added_ns / 1000:+.1f}"
+                    rows.append((low.label, high.label, added.figure, adds, interval, added.method))
+    columns = ("layer", "layer above", "figure", "adds us", f"{100 * study.confidence:g} % CI us", "method")
+    outcome = f"{len({row[:2] for row in rows})} pairs of layers compared"
+    return [
+        Table(
+            id="layers",
+            title="What each layer adds",
+            columns=columns,
+            rows=rows,
+            outcome=outcome,
+            numbers=9,
+            notes=(how("Comparison"),),
+        )
+    ]
+
+
+def _differ_in_layer(low: Group, high: Group) -> bool:
+    """Whether two groups with real-time policy differ in the layer alone: same target, priority, condition, period."""
+    alike = low.target == high.target and _others(low) == _others(high) and _period_us(low) == _period_us(high)
+    means_known = all(one.figures.mean_ns is not None for group in (low, high) for one in group.digests)
+    one_event = all(group.parameters.get(key, 1) == 1 for group in (low, high) for key in ("subscribers", "threads"))
+    return alike and means_known and one_event and is_rt(high) and bool(low.blocks and high.blocks)
+
+
+def _others(group: Group) -> dict[str, object]:
+    """Parameters that are not of one layer alone and not the default: a suite without an option has its default."""
+    options = suites().options
+    given = {
+        key: value for key, value in group.parameters.items() if key not in _OF_A_LAYER and value not in (None, "")
+    }
+    return {key: value for key, value in given.items() if key not in options or value != options[key].default}
+
+
+def _period_us(group: Group) -> float | None:
+    """Time between two measurements as asked for."""
+    for key in ("timeout_us", "interval_us"):
+        value = group.parameters.get(key)
+        if isinstance(value, int):
+            return float(value)
+    frequency = group.parameters.get("frequency_hz")
+    return 1e6 / frequency if isinstance(frequency, int) and frequency else None
+
+
+def _claims(claims: Sequence[Examined]) -> Table:
+    rows = [
+        (str(c.result.finding), c.id, c.section, c.text, c.result.numbers, c.result.test, _few(c.result.runs))
+        for c in claims
+    ]
+    return Table(
+        id="claims",
+        title="Claims of the thesis, re-examined",
+        outcome=", ".join(f"{count} {finding}" for finding, count in Counter(row[0] for row in rows).items()),
+        columns=("found", "claim", "section", "text", "numbers", "test", "runs"),
+        rows=rows,
+        numbers=9,
+        notes=(how("Claims"),),
+    )
+
+
+def _few(runs: Sequence[str]) -> str:
+    return ", ".join(runs[:3]) + (f" and {len(runs) - 3} more" if len(runs) > 3 else "")
+
+
+# The load of the published tables, by the condition that makes the same load.
+_PUBLISHED_LOAD_PERCENT = {IDLE: 0, "cpu80": 80}
+
+
+def _published(study: Study) -> list[Table]:
+    rows: list[tuple[str, ...]] = []
+    for group in select(study.as_in_2014, "oneshot_timer_tests"):
+        timeout = group.parameters.get("timeout_us")
+        if not isinstance(timeout, int):
+            continue
+        load_percent = _PUBLISHED_LOAD_PERCENT.get(str(group.parameters.get("condition", IDLE)))
+        for row in oneshot_rows(str(group.parameters.get("policy", "0")), timeout):
+            if row["cpu_load_percent"] == load_percent:
+                there = f"PandaBoard ES 2014, {row['kernel']}, {load_percent} % load"
+                rows.append((group.label, there, *_here(group), *(str(row[k]) for k in ("min_us", "avg_us", "max_us"))))
+    for group in select(study.as_in_2014, "communication_tests", rt=True):
+        known = published()["thesis_figures"]["communication_fig_4_3"]
+        if (group.parameters.get("frequency_hz"), group.parameters.get("subscribers", 1)) == (100, 1):
+            numbers = [str(known[f"rest_{k}_us"]) for k in ("min", "avg", "max")]
+            rows.append((group.label, "PandaBoard ES 2014, figure 4.3", *_here(group), *numbers))
+    columns_here, columns_there = ("min us", "mean us", "max us"), ("2014 min us", "2014 mean us", "2014 max us")
+    return [
+        Table(
+            id="published",
+            title="Beside the published PandaBoard figures",
+            columns=("suite and parameters", "published", *columns_here, *columns_there),
+            rows=rows,
+            outcome=f"{len({row[0] for row in rows})} scenarios have a published row under the same load",
+            numbers=2,
+            notes=("Another board, kernel or ROS: a difference says nothing about any one of them alone.",),
+        )
+    ]
+
+
+def _here(group: Group) -> tuple[str, str, str]:
+    lows = [d.figures.min_ns for d in group.digests if d.figures.min_ns is not None]
+    highs = [d.figures.max_ns for d in group.digests if d.figures.max_ns is not None]
+    means = [(d.figures.mean_ns * d.n, d.n) for d in group.digests if d.figures.mean_ns is not None]
+    mean = sum(total for total, _ in means) / sum(n for _, n in means) if means else None
+    return time_us(min(lows, default=None)), time_us(mean), time_us(max(highs, default=None))
+
+
+def _environment(study: Study) -> Table:
+    rows = [(key.replace("_", " "), value) for key, value in environment(study.records)]
+    seen: dict[str, dict[str, None]] = {}
+    for one in study.digests:
+        effect = one.header.in_effect
+        if effect:
+            policies = {
+                f"{thread.policy} {thread.priority}": None
+                for thread in effect.threads
+                if thread.name not in NON_MEASURING_THREADS
+            }
+            asked = str(one.header.parameters.get("policy", "0"))
+            seen.setdefault(f"threads in effect, policy {asked} asked for", {}).update(policies)
+            for key in ("clock", "clock_step_ns", "mlockall"):
+                seen.setdefault(key.replace("_", " "), {})[str(getattr(effect, key))] = None
+    rows += [(key, "; ".join(sorted(values))) for key, values in seen.items()]
+    outcome = (
+        f"{len(rows)} facts about {', '.join(sorted({record.target.name for record in study.records})) or 'a file'}"
+    )
+    return Table(
+        id="environment", title="Environment", columns=("what", "found"), rows=rows, outcome=outcome, numbers=9
+    )
+
+
+def _reproduce(study: Study) -> Table:
+    rows = [
+        ("measured", f"{record.run}: {' ; '.join(' '.join(p.argv) for p in record.programs)}")
+        for record in study.records
+    ]
+    command = f"rtrun report RESULTS --deadline {study.deadline_ns / 1000:g}us"
+    rows.append(("examined", f"{command} --probability {study.probability:g} --confidence {study.confidence:g}"))
+    rows.append(("input", f"sha256 {fingerprint(study)} of all closing records"))
+    rows.append(("seed", "20140715 for every resampling"))
+    return Table(
+        id="reproduce",
+        title="How to reproduce",
+        columns=("what", "how"),
+        rows=rows,
+        outcome=f"{len(study.records)} runs, input sha256 {fingerprint(study)}",
+        numbers=9,
+    )
+
+
+def fingerprint(study: Study) -> str:
+    """A hash of what was examined: the closing records, which hold the checksum of every file."""
+    total = hashlib.sha256()
+    paths = [folder / "run.json" for folder in study.source.folders] or [study.source.path]
+    for path in paths:
+        total.update(path.read_bytes())
+    return total.hexdigest()[:16]

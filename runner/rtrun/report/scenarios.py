@@ -1,0 +1,234 @@
+"""The scenarios of a report: for each group of runs alike its verdict in words and its tables."""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rtfiles.output import printable
+from rtrun.analysis.deadline import Answer
+from rtrun.analysis.figures import PERCENTILES, Figures, rank
+from rtrun.analysis.histogram import merge
+from rtrun.plan.conditions import IDLE
+from rtrun.report.claims.examination import us
+from rtrun.report.digest import Digest
+from rtrun.report.study import Group, Study
+from rtrun.report.tables import Table, how, printable_table, time_us
+from rtrun.report.verdicts import WORST_FIRST, verdict_line
+from rtrun.results.series import MEASURED_2014, NOTE_2014
+
+_PERCENTILES = tuple(p for p in PERCENTILES if p != 95.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """A group of runs alike as the report shows it; `id` is unique in the report and holds only ``a-z0-9-``."""
+
+    id: str
+    label: str
+    answer: str
+    text: str
+    group: Group
+    figures: Figures
+    tables: tuple[Table, ...]
+
+    @property
+    def suite(self) -> str:
+        """The suite's name without its ending."""
+        return self.group.suite.removesuffix("_tests")
+
+    @property
+    def policy(self) -> str:
+        """The scheduling policy that was asked for, as the kernel calls it."""
+        policy = printable(str(self.group.parameters.get("policy", "0")))
+        return "OTHER" if policy == "0" else policy
+
+    @property
+    def condition(self) -> str:
+        """What ran beside the suite."""
+        return printable(str(self.group.parameters.get("condition", IDLE)))
+
+
+def scenarios(study: Study) -> tuple[Scenario, ...]:
+    """Every group of a study, the worst answer first, and within an answer the highest value first."""
+    made = [_scenario(group, label, study) for group, label in zip(study.groups, _labels(study), strict=True)]
+    made.sort(key=lambda one: (WORST_FIRST.index(Answer(one.answer)), -(one.figures.max_ns or -math.inf)))
+    seen: Counter[str] = Counter()
+    for place, one in enumerate(made):
+        seen[one.id] += 1
+        if seen[one.id] > 1:
+            made[place] = replace(one, id=f"{one.id}--{seen[one.id]}")
+    return tuple(made)
+
+
+def _labels(study: Study) -> list[str]:
+    """Suite and parameters, with the target and an idle condition where the scenarios of the study differ in them."""
+    targets = {group.target for group in study.groups}
+    loaded = any("condition" in group.parameters for group in study.groups)
+    labels = []
+    for group in study.groups:
+        words = [group.label.replace("condition=", "")]
+        words += [IDLE] * (loaded and "condition" not in group.parameters)
+        words += [f"on {group.target}"] * (len(targets) > 1)
+        labels.append(printable(" ".join(words)))
+    return labels
+
+
+def _scenario(group: Group, label: str, study: Study) -> Scenario:
+    line = verdict_line(group)
+    outputs = {(one.run, one.header.output) for one in group.digests}
+    others = [one for one in study.others if (one.run, one.header.output) in outputs]
+    every = [*group.digests, *others]
+    return Scenario(
+        id=re.sub("[^a-z0-9]+", "-", label.lower()).strip("-") or "scenario",
+        label=label,
+        answer=line.answer,
+        text=line.text,
+        group=group,
+        figures=pool_figures(group.digests),
+        tables=tuple(
+            printable_table(table) for table in (_figures(every), _startup(every), _clusters(every)) if table.rows
+        ),
+    )
+
+
+def pool_figures(digests: Sequence[Digest]) -> Figures:
+    """The figures of several outputs as if they were one; percentiles are lower edges of the histogram's bins.
+
+    The standard deviation is that of the pooled values: the sums of squares within the outputs and between their means
+    are added. The outputs have bins of one width.
+    """
+    if len(digests) == 1:
+        return digests[0].figures
+    parts = [one.figures for one in digests if one.n]
+    n = sum(part.n for part in parts)
+    lows = [part.min_ns for part in parts if part.min_ns is not None]
+    highs = [part.max_ns for part in parts if part.max_ns is not None]
+    means = [(part.n, part.mean_ns, part.std_ns) for part in parts if part.mean_ns is not None]
+    mean = std = None
+    if n and len(means) == len(parts):
+        mean = sum(count * value for count, value, _ in means) / n
+        within = sum((count - 1) * (spread or 0.0) ** 2 for count, _, spread in means)
+        squares = within + sum(count * (value - mean) ** 2 for count, value, _ in means)
+        std = math.sqrt(squares / (n - 1)) if n > 1 else 0.0
+    merged = merge(one.histogram for one in digests)
+    percentiles = {}
+    if merged.n and merged.values_ns.size:
+        below = np.cumsum(merged.counts)
+        wanted = {p: rank(merged.n, p) for p in PERCENTILES}
+        percentiles = {p: int(merged.values_ns[np.searchsorted(below, r)]) for p, r in wanted.items() if r <= below[-1]}
+    return Figures(
+        n=n,
+        min_ns=min(lows, default=None),
+        mean_ns=mean,
+        max_ns=max(highs) if highs and len(highs) == len(parts) else None,
+        std_ns=std,
+        percentiles_ns=percentiles,
+        bin_ns=merged.bin_ns,
+        overflow=sum(part.overflow for part in parts),
+    )
+
+
+def _figures(every: Sequence[Digest]) -> Table:
+    """A row for each series; the outputs it sums up are the row's parts. What got lost is told only where it did."""
+    losses = {
+        "missing": [one.header.missing for one in every],
+        "out of order": [one.header.out_of_order for one in every],
+        "again": [one.header.duplicate for one in every],
+        "not fired": [one.header.not_fired for one in every],
+    }
+    lost = {name: counts for name, counts in losses.items() if any(counts)}
+    labels = output_labels(every)
+    by_series: dict[str, list[int]] = {}
+    for place, one in enumerate(every):
+        by_series.setdefault(one.header.series, []).append(place)
+
+    def row(name: str, series: str, figures: Figures, places: Sequence[int]) -> tuple[str, ...]:
+        cells = [name, series, str(figures.n), *(time_us(v) for v in (figures.min_ns, figures.mean_ns, figures.std_ns))]
+        cells += [time_us(figures.percentiles_ns.get(p)) for p in _PERCENTILES]
+        return (*cells, time_us(figures.max_ns), *(str(sum(counts[k] for k in places)) for counts in lost.values()))
+
+    rows: list[tuple[str, ...]] = []
+    parts = {}
+    for series, places in by_series.items():
+        members = [every[k] for k in places]
+        if len(members) > 1:
+            parts[len(rows)] = tuple(row(labels[k], series, every[k].figures, [k]) for k in places)
+        rows.append(row(_pool_label(members), series, pool_figures(members), places))
+    notes = []
+    if any(one.header.startup for one in every):
+        notes.append("Start-up values (the first message, the first two periods) are in no figure: see below.")
+    if any(0 < one.n < 100_000 for one in every):
+        notes.append("A percentile of fewer values than it needs is their maximum.")
+    if parts:
+        notes.append("Percentiles of several outputs together are accurate to the width of a bin, 1 us.")
+    if any(one.header.series == MEASURED_2014 for one in every):
+        notes.append(NOTE_2014)
+    notes += [f"{one.header.output}: {remark}" for one in every for remark in one.header.remarks]
+    columns = ("run", "series", "n", "min us", "mean us", "std us")
+    return Table(
+        id="figures",
+        title="Figures",
+        columns=(*columns, *(f"p{p:g} us" for p in _PERCENTILES), "max us", *lost),
+        rows=rows,
+        parts=parts,
+        numbers=2,
+        notes=(*dict.fromkeys(notes), how("What counts as what")),
+    )
+
+
+def output_labels(digests: Sequence[Digest]) -> list[str]:
+    """What tells these outputs apart: their runs, their names where all are of one run, or both."""
+    runs = Counter(one.run for one in digests)
+    series = Counter((one.run, one.header.series) for one in digests)
+    if max(series.values(), default=0) < 2:
+        return [one.run for one in digests]
+    return [one.header.output if len(runs) == 1 else f"{one.run} {one.header.output}" for one in digests]
+
+
+def _pool_label(members: Sequence[Digest]) -> str:
+    runs = dict.fromkeys(one.run for one in members)
+    if len(members) == 1:
+        return members[0].run
+    what = "subscribers" if "subscribers" in members[0].header.parameters else "outputs"
+    count = f"{len(members)} {what}" if len(members) > len(runs) else ""
+    if len(runs) == 1:
+        return f"{next(iter(runs))}, {count}"
+    return f"all {len(runs)} runs" + (f", {count}" if count else "")
+
+
+def _startup(every: Sequence[Digest]) -> Table:
+    """A row for each series with the highest value; the outputs are the row's parts."""
+    by_series: dict[str, list[tuple[str, Digest]]] = {}
+    for label, one in zip(output_labels(every), every, strict=True):
+        if one.header.startup:
+            by_series.setdefault(one.header.series, []).append((label, one))
+    rows: list[tuple[str, ...]] = []
+    parts = {}
+    for series, members in by_series.items():
+        each = tuple(
+            (label, series, ", ".join(f"{us(v.value_ns)} (loop {v.index})" for v in one.header.startup))
+            for label, one in members
+        )
+        if len(each) == 1:
+            rows.append(each[0])
+            continue
+        parts[len(rows)] = each
+        values_ns = [value.value_ns for _, one in members for value in one.header.startup]
+        rows.append((_pool_label([one for _, one in members]), series, f"{us(min(values_ns))} to {us(max(values_ns))}"))
+    return Table(id="startup", title="Start-up", columns=("run", "series", "us"), rows=rows, parts=parts, numbers=2)
+
+
+def _clusters(every: Sequence[Digest]) -> Table:
+    rows = []
+    for one in every:
+        if one.cluster is not None and one.cluster.n:
+            c = one.cluster
+            place = [time_us(value) for value in (c.median_ns, c.low_ns, c.high_ns)]
+            jitter = "successive" if one.header.series == "jitter" else "grid"
+            rows.append((one.run, jitter, f"{100 * c.fraction:.3f}", *place))
+    columns = ("run", "jitter", "share %", "median us", "lowest us", "highest us")
+    return Table(id="cluster", title="Negative cluster (below -500 us)", columns=columns, rows=rows, numbers=2)

@@ -1,0 +1,50 @@
+"""A table of a report, as text that every format writes down."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from rtfiles.output import printable
+from rtrun.report.claims.examination import us
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table of text; cells from column `numbers` on hold numbers. ``notes`` stand below it.
+
+    `outcome` says in one line what came out. ``parts[k]`` are the rows that row k sums up, where it does.
+    """
+
+    id: str
+    title: str
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    outcome: str = ""
+    parts: Mapping[int, Sequence[tuple[str, ...]]] = field(default_factory=dict)
+    numbers: int = 1
+    notes: tuple[str, ...] = ()
+
+
+def printable_table(table: Table) -> Table:
+    """The table without what would command a terminal, or cannot be encoded: much in it comes from a target."""
+    return replace(
+        table,
+        rows=[_printable(row) for row in table.rows],
+        outcome=printable(table.outcome),
+        parts={place: [_printable(row) for row in rows] for place, rows in table.parts.items()},
+        notes=_printable(table.notes),
+    )
+
+
+def _printable(texts: Sequence[str]) -> tuple[str, ...]:
+    return tuple(map(printable, texts))
+
+
+def how(section: str) -> str:
+    """Where formulas stand with their sources: a section of docs/analysis.md."""
+    return f"Formulas and sources: docs/analysis.md, {section}."
+
+
+def time_us(value_ns: float | None) -> str:
+    """A time in us for a table; a dash where there is none."""
+    return "-" if value_ns is None or not math.isfinite(value_ns) else us(value_ns)

@@ -1,0 +1,107 @@
+"""What a report says before it has a form: its answer in a sentence, pooled figures, and where formulas stand."""
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report.campaigns import latencies, oneshot_rows, write_run
+
+from rtrun.analysis.figures import figures_of_samples
+from rtrun.report.claims.examiners import examine_claims
+from rtrun.report.contents import Contents, contents
+from rtrun.report.scenarios import pool_figures
+from rtrun.report.study import study
+
+TOP = Path(__file__).parents[3]
+PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
+LATENCIES_NS = (latencies(5000, 1), latencies(3000, 2, mean_us=120.0))
+
+
+def write(root: Path, **record) -> Path:
+    for name, values in zip("ab", LATENCIES_NS, strict=True):
+        rows = [oneshot_rows(values, 1000)]
+        write_run(root, name, "oneshot_timer_tests", rows, PARAMETERS, asked=values.size, **record)
+    return root
+
+
+def contents_of(root: Path, **question) -> Contents:
+    analysed = study(root, **question)
+    return contents(analysed, examine_claims(analysed))
+
+
+def texts(value: object) -> Iterator[str]:
+    """Every text in the contents but those of the study that they were made of."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        yield from texts(list(value.items()))
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from texts(item)
+    elif dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            if field.name != "group":
+                yield from texts(getattr(value, field.name))
+
+
+@pytest.mark.parametrize(
+    ("question", "answer", "step"),
+    [
+        (
+            {"probability": 1e-2},
+            "The deadline of 400 us is met in the one scenario: P(miss) is below 0.01",
+            "keep it so",
+        ),
+        ({}, "It is not decided whether the deadline of 400 us is met: NEEDS MORE 1 of 1.", "measure more"),
+        ({"deadline_ns": 90_000}, "The deadline of 90 us is not met: REFUTED 1 of 1.", "rtrun check-rt --target"),
+    ],
+)
+def test_the_answer_is_a_sentence_and_the_next_step_follows_from_it(tmp_path, question, answer, step):
+    written = contents_of(write(tmp_path), **question)
+    assert written.answer.startswith(answer)
+    assert written.next_step.startswith(step)
+    assert written.worst is not None and written.worst.figures.max_ns == max(v.max() for v in LATENCIES_NS)
+
+
+def test_an_emulated_board_says_nothing_about_a_deadline(tmp_path):
+    write_run(tmp_path, "a", "oneshot_timer_tests", [oneshot_rows(LATENCIES_NS[0], 1000)], PARAMETERS, asked=5000,
+              emulated=True)  # fmt: skip
+    written = contents_of(tmp_path)
+    assert written.banner is not None and written.banner.startswith("EMULATED")
+    assert written.answer == "No statement about the deadline of 400 us in any scenario: measured on an emulated board."
+
+
+def test_figures_of_several_runs_are_those_of_all_their_values(tmp_path):
+    (group,) = study(write(tmp_path)).groups
+    pooled, whole = pool_figures(group.digests), figures_of_samples(np.concatenate(LATENCIES_NS))
+    assert (pooled.n, pooled.min_ns, pooled.max_ns) == (whole.n, whole.min_ns, whole.max_ns)
+    assert pooled.mean_ns == pytest.approx(whole.mean_ns) and pooled.std_ns == pytest.approx(whole.std_ns)
+    for percentile, value_ns in whole.percentiles_ns.items():
+        assert pooled.percentiles_ns[percentile] <= value_ns < pooled.percentiles_ns[percentile] + pooled.bin_ns
+
+
+def test_the_sections_that_hold_the_formulas_are_there(tmp_path):
+    named = {
+        section
+        for text in texts(contents_of(write(tmp_path)))
+        for section in re.findall(r"docs/analysis\.md, (.+?)\.", text)
+    }
+    headings = set(re.findall(r"^## (.+)$", (TOP / "docs/analysis.md").read_text(), re.M))
+    assert {"Deadline", "What counts as what", "Worst case", "Claims"} <= named <= headings
+
+
+def test_no_text_holds_a_command_to_a_terminal(tmp_path):
+    evil = "\x1b]0;x\x07\nFORGED line"
+    target = {"name": evil, "kernel_release": evil, "kernel_version": evil}
+    rows = [oneshot_rows(LATENCIES_NS[0], 1000)]
+    for name, parameters in (("a", {"cpu": evil}), ("b", {"condition": evil})):
+        write_run(tmp_path, name, "oneshot_timer_tests", rows, {**PARAMETERS, **parameters}, asked=5000, logs=False,
+                  target=target, run=evil)  # fmt: skip
+    write_run(tmp_path, "c", "oneshot_timer_tests", rows, PARAMETERS, asked=5000, status="failed", reason=evil)
+    written = contents_of(tmp_path)
+    assert any("FORGED" in text for text in texts(written))
+    assert [text for text in texts(written) if not text.isprintable()] == []
+    assert all(re.fullmatch("[a-z0-9-]+", one.id) and one.condition.isprintable() for one in written.scenarios)
