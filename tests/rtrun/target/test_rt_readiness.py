@@ -138,6 +138,17 @@ def test_every_check_finds_its_fault_on_a_bad_system():
     assert shown["swap"] == ("/dev/mmcblk0p3 partition 1048572 0 -2",)
 
 
+@pytest.mark.parametrize(
+    ("severity", "is_ready"), [("fatal", False), ("high", False), ("medium", True), ("info", True)]
+)
+def test_a_fault_of_each_severity_alone(severity, is_ready):
+    check = next(each for each in rt_readiness.read_checks() if each.name == "swap")
+    alone = check.model_copy(update={"severity": severity})
+    (finding,) = rt_readiness.judge([alone], rt_readiness.parse(BAD))
+    assert finding.status == "fault"
+    assert rt_readiness.is_ready([finding]) is is_ready
+
+
 def test_no_check_finds_fault_on_a_good_system():
     results = findings(GOOD)
     assert [(each.check.name, each.evidence) for each in results if each.status != "ok"] == []

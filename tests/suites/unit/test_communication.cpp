@@ -38,6 +38,8 @@ TEST(Receptions, NumbersOutOfRangeAreNotBelieved) {
   EXPECT_EQ(samples.size(), 1u);
   EXPECT_EQ(receptions.incomplete_reason(""),
             "2 messages numbered 4 or more came: publisher and subscriber need the same -r");
+  // The number of the last message says that those before it were sent.
+  EXPECT_EQ(receptions.missing().indices(), std::vector<int64_t>({1, 2, 3}));
 }
 
 TEST(Receptions, LastMessageLost) {
