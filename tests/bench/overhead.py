@@ -15,7 +15,7 @@ import rtgen.cli
 from rtrun.execution import campaign_runner
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.target.config import Target
-from rtrun.target.ssh import Connection
+from rtrun.target.connection import Connection
 
 TOP = Path(__file__).parents[2]
 RUNS = 8

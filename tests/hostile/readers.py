@@ -33,8 +33,8 @@ from rtrun.results.record import verify as verify_run
 from rtrun.target import architecture, host_keys, inspection, processes, qemu, ros_master, rt_readiness
 from rtrun.target.address import Address
 from rtrun.target.config import read_target
+from rtrun.target.connection import Connection
 from rtrun.target.link import Link
-from rtrun.target.ssh import Connection
 from rtrun.validity import baselines
 from rtrun.validity.observations import read_observations, summarize
 

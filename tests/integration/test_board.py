@@ -22,8 +22,8 @@ from rtrun.results import run_directory
 from rtrun.results.reading import read_run
 from rtrun.target import qemu, qmp
 from rtrun.target.config import connect, read_target
+from rtrun.target.connection import Connection
 from rtrun.target.errors import TargetError, TargetGone
-from rtrun.target.ssh import Connection
 from watching import Watching
 
 # The time limit counts for the fixture too: a cold board and the suites for it take some minutes.

@@ -8,9 +8,9 @@ from rtfiles.errors import UsageError
 from rtrun.plan import suites
 from rtrun.results import partial_samples
 from rtrun.results.gnuplot_lines import check_commands
+from rtrun.target.connection import Connection
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
-from rtrun.target.ssh import Connection
 
 MIB = 1024 * 1024
 STREAM_LIMIT_BYTES = 16 * MIB

@@ -56,8 +56,8 @@ def prepared(
                     f"{target.address}: {program} is not installed on the target: "
                     f"name a folder of {as_called('rtgen')} suites build as suites in the target file"
                 )
-    priorities = [int(run.parameters["priority"] or 0) for run in runs if run.parameters.get("policy", "0") != "0"]
-    with ros_master.running(link, scripts, equipment, owner, max(priorities) + 1 if priorities else None) as own_master:
+    priority = _highest_priority(runs)
+    with ros_master.running(link, scripts, equipment, owner, priority + 1 if priority else None) as own_master:
         ready = Prepared(
             link=link,
             equipment=equipment,
@@ -87,6 +87,12 @@ def _deploy_suites(link: Link, folder: Path) -> dict[str, str]:
     }
 
 
+def _highest_priority(runs: Sequence[Run]) -> int:
+    """Return the highest real-time priority that runs ask for; 0 when none does."""
+    priorities = [int(run.parameters["priority"] or 0) for run in runs if run.parameters.get("policy", "0") != "0"]
+    return max(priorities, default=0)
+
+
 def _tools(link: Link, scripts: PurePosixPath, runs: Sequence[Run], kernel_config: bytes) -> dict[str, str]:
     """Return the tools of the target that are programs of a run, by name. Raises TargetError naming what it lacks."""
     baselines = {run.suite: suites.suite(run.suite) for run in runs if suites.suite(run.suite).is_baseline}
@@ -94,6 +100,8 @@ def _tools(link: Link, scripts: PurePosixPath, runs: Sequence[Run], kernel_confi
     needs = set(tools)
     for run in runs:
         needs |= conditions.needs(run.condition, run.settings)
+    if priority := _highest_priority(runs):
+        needs.add(f"rt_priority={priority}")
     lacks = []
     if needs:
         command = ["sh", str(scripts / "missing.sh"), *sorted(needs)]

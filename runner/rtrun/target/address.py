@@ -1,4 +1,4 @@
-"""Where a target listens, and how it and the runner prove to each other who they are."""
+"""Where a target is: behind an SSH server, with what both sides prove who they are by, or here."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,3 +31,11 @@ class Address:
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.user}@{host}:{self.port}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThisMachine:
+    """The machine that the runner itself runs on."""
+
+    def __str__(self) -> str:
+        return "this machine"

@@ -1,7 +1,8 @@
-"""Target files. A board over SSH and an emulated board become the same `Target`."""
+"""Target files. A board over SSH, an emulated board and this machine become the same `Target`."""
 
 import contextlib
 import functools
+import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,12 +15,16 @@ from rtfiles.config import Config, UserPath, parse, read_yaml
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
 from rtrun.target import qemu
-from rtrun.target.address import Address
+from rtrun.target.address import Address, ThisMachine
+from rtrun.target.connection import Connection
 from rtrun.target.errors import ConnectionLost, TargetGone
-from rtrun.target.ssh import Connection
 from rtrun.target.ssh_config import address_of
 
 Word = Annotated[str, Field(min_length=1)]
+
+
+# No part of it is . or ..: folders in it are removed.
+WorkDir = Annotated[str, Field(pattern=r"^(/\.?[A-Za-z0-9_-][A-Za-z0-9._-]*)+/?$")]
 
 
 def _host(name: str) -> str:
@@ -38,8 +43,7 @@ class _Common(Config):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
     suites: UserPath | None = None
     """Folder of `rtgen suites build` to deploy, relative to this file; none: those installed on the target."""
-    # No part of it is . or ..: folders in it are removed.
-    work_dir: Annotated[str, Field(pattern=r"^(/\.?[A-Za-z0-9_-][A-Za-z0-9._-]*)+/?$")] = "/var/lib/rt-tests"
+    work_dir: WorkDir = "/var/lib/rt-tests"
     """Folder on the target for deployed suites and running measurements."""
     ros_setup: str | None = None
     """Shell file on the target that sets up ROS; none: /opt/ros/<distro>/setup.sh when there is exactly one."""
@@ -73,8 +77,17 @@ class QemuConfig(_Common):
     """Folder of `rtgen board build`, relative to this file."""
 
 
-TargetConfig = SshConfig | QemuConfig
-_KINDS: dict[str, type[SshConfig] | type[QemuConfig]] = {"ssh": SshConfig, "qemu": QemuConfig}
+class LocalConfig(_Common):
+    """This machine itself, without SSH."""
+
+    kind: Literal["local"]
+    work_dir: WorkDir = Field(default_factory=lambda: str(_state_folder() / "rt-tests"))
+    emulated: bool = False
+    """True for a virtual machine: its timing is no real-time statement."""
+
+
+TargetConfig = SshConfig | QemuConfig | LocalConfig
+_KINDS: dict[str, type[TargetConfig]] = {"ssh": SshConfig, "qemu": QemuConfig, "local": LocalConfig}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +96,7 @@ class Target:
 
     name: str
     emulated: bool
-    address: Address
+    address: Address | ThisMachine
     suites: Path | None
     work_dir: PurePosixPath
     ros_setup: str | None
@@ -100,11 +113,15 @@ class Target:
 
 def read_target(path: Path) -> TargetConfig:
     """Read a target file. Raises UsageError with every mistake found."""
-    data = read_yaml(path)
+    return parse_target(read_yaml(path), str(path))
+
+
+def parse_target(data: object, origin: str) -> TargetConfig:
+    """Read what a target file holds. Raises UsageError with every mistake found."""
     kind = data.get("kind") if isinstance(data, dict) else None
     if not isinstance(kind, str) or kind not in _KINDS:
-        raise UsageError(f"{path}: kind: missing or unknown, allowed: {', '.join(_KINDS)}")
-    return parse(data, _KINDS[kind], str(path))
+        raise UsageError(f"{origin}: kind: missing or unknown, allowed: {', '.join(_KINDS)}")
+    return parse(data, _KINDS[kind], origin)
 
 
 @contextlib.contextmanager
@@ -118,14 +135,21 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
         raise UsageError(f"{suites}: no such folder; suites are built with: {as_called('rtgen')} suites build")
     if suites is not None and not (suites / "build.json").is_file():
         raise UsageError(f"{suites}: has no build.json: name the folder that {as_called('rtgen')} suites build printed")
+    address: Address | ThisMachine
+    failure: Callable[[], TargetGone | None] = _no_failure
+    restart: Callable[[Connection], None] | None = None
+    console_log, boot_s = None, 0.0
     with contextlib.ExitStack() as stack:
         if isinstance(config, QemuConfig):
             board = _resolve(folder, config.board)
             machine = stack.enter_context(qemu.boot(board, console))
             emulated = machine.emulated
             address, failure, console_log = machine.address, machine.failure, machine.console
-            restart: Callable[[Connection], None] | None = machine.reset
+            restart = machine.reset
             boot_s = 180.0
+        elif isinstance(config, LocalConfig):
+            emulated = config.emulated
+            address = ThisMachine()
         else:
             emulated = config.emulated
             address = address_of(
@@ -136,7 +160,6 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
                 host_key=config.host_key,
                 known_hosts=_resolve(folder, config.known_hosts) if config.known_hosts is not None else None,
             )
-            failure, console_log, boot_s = _no_failure, None, 0.0
             restart = functools.partial(_restart_by_command, config.restart) if config.restart else None
         yield Target(
             name=config.name,
@@ -152,6 +175,11 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
             restart=restart,
             failure=failure,
         )
+
+
+def _state_folder() -> Path:
+    """Where programs keep state of this user (XDG base directory specification); it survives a restart."""
+    return Path(os.environ.get("XDG_STATE_HOME") or "~/.local/state").expanduser()
 
 
 def _resolve(folder: Path, path: str) -> Path:

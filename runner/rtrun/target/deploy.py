@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import UsageError
+from rtrun.target.connection import Connection
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
-from rtrun.target.ssh import Connection
 
 ON_TARGET = Path(__file__).parents[1] / "on_target"
 UPLOAD_DEADLINE_S = 120.0

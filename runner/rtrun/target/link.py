@@ -7,8 +7,8 @@ from typing import Self, TypeVar
 
 from rtfiles.untrusted import read_end
 from rtrun.target.config import Target
+from rtrun.target.connection import COMMAND_S, Completed, Connection
 from rtrun.target.errors import ConnectionLost, TargetError, TargetGone
-from rtrun.target.ssh import COMMAND_S, Completed, Connection
 
 RETRY_S = 0.5
 CONNECT_S = 10.0

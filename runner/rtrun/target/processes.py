@@ -6,9 +6,9 @@ from pathlib import PurePosixPath
 
 from rtfiles.untrusted import whole_number
 from rtrun.plan.program import Exit, Program
+from rtrun.target.connection import join_commands
 from rtrun.target.errors import DeadlineExpired, TargetError
 from rtrun.target.link import Link
-from rtrun.target.ssh import join_commands
 
 # The longest single wait: between two waits the runner looks whether the target still exists.
 WAIT_S = 15.0

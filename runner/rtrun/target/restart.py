@@ -3,6 +3,7 @@
 import time
 
 from rtfiles.errors import UsageError
+from rtrun.target.address import ThisMachine
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link, TargetRebooted
 
@@ -13,6 +14,11 @@ POLL_S = 1.0
 
 def check_restart(link: Link) -> None:
     """Raise UsageError when this target cannot be restarted."""
+    if isinstance(link.target.address, ThisMachine):
+        raise UsageError(
+            f"{link.target.name}: the campaign asks for several boots, but the runner cannot restart the machine "
+            "that it runs on: ask for boots: 1, or measure this machine from another one (kind: ssh)"
+        )
     if link.target.restart is None:
         raise UsageError(
             f"{link.target.name}: the campaign asks for several boots, but the target file does not say how to restart "

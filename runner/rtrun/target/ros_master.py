@@ -11,10 +11,10 @@ from typing import Any
 from rtfiles.errors import InfrastructureError
 from rtrun.plan.program import Program
 from rtrun.target import processes
+from rtrun.target.connection import Connection
 from rtrun.target.errors import StillMeasuring, TargetError
 from rtrun.target.inspection import Equipment
 from rtrun.target.link import Link
-from rtrun.target.ssh import Connection
 
 NAME = "rosmaster"
 START_S = 60.0

@@ -143,6 +143,29 @@ def connect(address: Address, timeout_s: float) -> tuple[LimitedStream, paramiko
             raise unaccepted or ConnectionLost(f"{address}: SSH did not come up: {reason(error)}") from error
 
 
+def ask_host_key(address: Address, timeout_s: float) -> tuple[str, bytes]:
+    """Return type and public key that a server shows. Nobody has checked it: it is for a user to compare.
+
+    Raises ConnectionLost, and as `connect` does for the jump host before the server.
+    """
+    stream = _reach(address, timeout_s)
+    try:
+        with shutting_down(stream, CONNECT_STEPS * timeout_s):
+            transport = paramiko.Transport(cast("socket.socket", stream))
+            transport.banner_timeout = timeout_s
+            try:
+                transport.start_client(timeout=timeout_s)
+                key = transport.get_remote_server_key()
+                return key.get_name(), key.asbytes()
+            finally:
+                transport.close()
+    except Exception as error:
+        # paramiko raises here whatever its reading thread has ended with.
+        raise ConnectionLost(f"{address}: SSH did not come up: {reason(error)}") from error
+    finally:
+        stream.close()
+
+
 def _reach(address: Address, timeout_s: float) -> LimitedStream:
     """Return a stream to the port where the SSH server listens. Raises as `connect` does."""
     if address.jump is not None:

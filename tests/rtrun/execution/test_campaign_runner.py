@@ -156,7 +156,7 @@ def test_a_link_cut_in_the_middle_costs_nothing(target, tmp_path, watching, wish
 
     monkeypatch.setattr(Link, "__enter__", remembering)
     wishes.will("sleep 2")
-    cut = threading.Timer(1.2, lambda: seen[0]._connection._transport.sock.shut_down())
+    cut = threading.Timer(1.2, lambda: seen[0]._connection.shell.stream.shut_down())
     watching.at_start = lambda number: cut.start() if number == 0 else None
     assert list(measure(target, runs_of(2), tmp_path / "results", watching).values()) == ["ok", "ok"]
     assert len(wishes.calls()) == 2

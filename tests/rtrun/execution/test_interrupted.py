@@ -13,10 +13,10 @@ from faulty import record, runs_of
 
 from rtrun.execution import campaign_runner, run_execution, run_programs
 from rtrun.results import run_directory
-from rtrun.target import processes, ssh
+from rtrun.target import processes
+from rtrun.target.connection import Connection
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.target.link import Link, TargetRebooted
-from rtrun.target.ssh import Connection
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
@@ -157,7 +157,7 @@ def test_a_link_lost_in_a_call_of_the_master(target, monkeypatch, measure, call)
         with real(self, port, **more) as channel:
             calls.append(port)
             if len(calls) == call:
-                self._transport.sock.shut_down()
+                self.shell.stream.shut_down()
             yield channel
 
     monkeypatch.setattr(Connection, "open_port", breaking)
@@ -258,7 +258,7 @@ def test_nothing_is_done_on_a_boot_that_is_not_known(target, monkeypatch, error)
     with Link(target, lambda _: None) as link:
         link.boot_id = "another boot"
         link.drop()
-        real, failed = ssh.Connection.check, []
+        real, failed = Connection.check, []
 
         def check(self, argv, **more):
             if "boot_id" in argv[-1] and not failed:
@@ -266,7 +266,7 @@ def test_nothing_is_done_on_a_boot_that_is_not_known(target, monkeypatch, error)
                 raise error("x")
             return real(self, argv, **more)
 
-        monkeypatch.setattr(ssh.Connection, "check", check)
+        monkeypatch.setattr(Connection, "check", check)
         with pytest.raises(TargetRebooted):
             link.check(["true"])
 

@@ -6,8 +6,8 @@ import pytest
 
 from rtfiles.errors import UsageError
 from rtrun.target import deploy
+from rtrun.target.connection import Connection
 from rtrun.target.errors import TargetError
-from rtrun.target.ssh import Connection
 
 pytestmark = pytest.mark.sshd
 

@@ -13,9 +13,9 @@ import pytest
 from ports import free_port
 from rtrun.target import host_keys
 from rtrun.target.address import Address
+from rtrun.target.connection import Connection
 from rtrun.target.errors import TargetError
 from rtrun.target.host_keys import HostKeys, matches, parse_certificate, read_host_keys
-from rtrun.target.ssh import Connection
 
 SSHD = shutil.which("sshd", path="/usr/sbin:/usr/bin:/sbin") or "/usr/sbin/sshd"
 

@@ -12,8 +12,8 @@ import pytest
 
 from ports import free_port
 from rtrun.target import login
+from rtrun.target.connection import Connection
 from rtrun.target.errors import TargetError
-from rtrun.target.ssh import Connection
 
 pytestmark = pytest.mark.sshd
 

@@ -71,7 +71,7 @@ def test_starting_again_starts_nothing(link, scripts, folder):
 
 def test_it_survives_a_lost_link_and_is_found_again(link, scripts, folder, remarks):
     processes.start(link, scripts, PurePosixPath(folder), sh("sleep 1.5; exit 5"))
-    cut = threading.Timer(0.4, lambda: link._connection._transport.sock.shut_down())
+    cut = threading.Timer(0.4, lambda: link._connection.shell.stream.shut_down())
     cut.start()
     assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=60).status == 5
     assert any("connection broke" in remark for remark in remarks)

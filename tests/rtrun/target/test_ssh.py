@@ -11,8 +11,8 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 from rtrun.target.address import Address
+from rtrun.target.connection import Connection
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
-from rtrun.target.ssh import Connection
 
 pytestmark = pytest.mark.sshd
 
@@ -63,9 +63,9 @@ def test_deadline_ends_everything_that_was_started(connection, tmp_path):
 
 
 def test_no_delay_and_authenticated_cipher(connection):
-    link = connection._transport.sock.carrier
+    link = connection.shell.stream.carrier
     assert link.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) == 1
-    assert connection._transport.remote_cipher == "aes128-gcm@openssh.com"
+    assert connection.shell.transport.remote_cipher == "aes128-gcm@openssh.com"
 
 
 def test_files_both_ways(connection, tmp_path):
@@ -168,13 +168,13 @@ def test_agent(sshd, tmp_path, monkeypatch):
 
 
 def test_a_broken_link_is_a_lost_connection(connection):
-    connection._transport.sock.shut_down()
+    connection.shell.stream.shut_down()
     with pytest.raises(ConnectionLost):
         connection.run(["true"])
 
 
 def test_a_link_that_breaks_in_the_middle(connection):
-    threading.Timer(0.3, lambda: connection._transport.sock.shut_down()).start()
+    threading.Timer(0.3, lambda: connection.shell.stream.shut_down()).start()
     with pytest.raises(ConnectionLost):
         connection.run(["sleep", "20"])
 

@@ -13,8 +13,8 @@ import pytest
 from conftest import serve
 from rtfiles.errors import UsageError
 from rtrun.target import login
+from rtrun.target.connection import Connection
 from rtrun.target.errors import ConnectionLost, TargetError
-from rtrun.target.ssh import Connection
 from rtrun.target.ssh_config import JUMPS_MAX, address_of
 
 
@@ -249,7 +249,7 @@ def test_only_the_agent_has_the_key_of_a_public_file(sshd, myboard, write, home,
 
 LOGIN = """
 import sys
-from rtrun.target.ssh import Connection
+from rtrun.target.connection import Connection
 from rtrun.target.ssh_config import address_of
 from rtfiles.errors import InfrastructureError
 try:
@@ -343,7 +343,7 @@ def test_through_a_jump_host(behind, gate, tmp_path):
 @pytest.mark.sshd
 def test_a_jump_host_is_ended_with_its_connection(behind):
     connection = Connection(address_of("myboard"))
-    below = connection._stream.carrier.get_transport()
+    below = connection.shell.stream.carrier.get_transport()
     assert below.is_active()
     connection.close()
     assert not below.is_active()
@@ -352,7 +352,7 @@ def test_a_jump_host_is_ended_with_its_connection(behind):
 @pytest.mark.sshd
 def test_a_jump_host_that_ends(behind, gate):
     connection = Connection(address_of("myboard"))
-    connection._stream._jump.shut_down()
+    connection.shell.stream._jump.shut_down()
     with pytest.raises(ConnectionLost, match="the connection broke"):
         connection.check(["true"])
     connection.close()

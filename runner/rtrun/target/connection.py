@@ -1,0 +1,161 @@
+"""Commands, files and ports of a target, over SSH or on this machine.
+
+Commands are argument lists; they are quoted where they are sent and nowhere else. The target is not trusted: every
+operation has a total deadline, and what a command may print is limited.
+"""
+
+import contextlib
+import hashlib
+import shlex
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import IO, Any
+
+from rtfiles import untrusted
+from rtfiles.errors import InfrastructureError
+from rtrun.target.address import Address, ThisMachine
+from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
+from rtrun.target.local import LocalShell
+from rtrun.target.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, Collector, Shell
+from rtrun.target.ssh import SshShell
+
+# What a command on the target may take unless its caller says otherwise.
+COMMAND_S = 30.0
+# A transfer that is slower than this has failed.
+TRANSFER_S = 60.0
+TRANSFER_BYTES_PER_S = 50_000
+FILES_MAX = 10_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Completed:
+    """A remote command that ended: its exit status and what it printed."""
+
+    status: int
+    stdout: str
+    stderr: str
+
+
+class Connection:
+    """A target that answers. Every call has a deadline; every transport failure is a `ConnectionLost`."""
+
+    def __init__(self, address: Address | ThisMachine, *, timeout_s: float = 15.0) -> None:
+        self.address = address
+        self.shell: Shell = (
+            LocalShell(address) if isinstance(address, ThisMachine) else SshShell(address, timeout_s=timeout_s)
+        )
+
+    def close(self) -> None:
+        """Close the connection; what runs detached on the target goes on."""
+        self.shell.close()
+
+    def run(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> Completed:
+        """Run a command and wait for its end.
+
+        Raises DeadlineExpired after `deadline_s` seconds, once what was started has been killed; TargetError when it
+        prints more than 8 MiB; ConnectionLost.
+        """
+        stdout = Collector(OUTPUT_BYTES_MAX)
+        status, stderr = self.shell.execute(argv, [stdin.encode()] if stdin else [], stdout, deadline_s)
+        return Completed(status=status, stdout=stdout.text(), stderr=stderr)
+
+    def check(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> str:
+        """`run`, and return what it printed; a nonzero exit status is a TargetError with its last line of output."""
+        result = self.run(argv, deadline_s=deadline_s, stdin=stdin)
+        if result.status != 0:
+            last_line = _last_line(result.stderr) or _last_line(result.stdout) or "it printed nothing"
+            raise TargetError(f"{self.address}: {argv[0]} failed with exit status {result.status}: {last_line}")
+        return result.stdout
+
+    def check_promptly(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S) -> str:
+        """`check` of a command that any target answers at once: no answer in time is a ConnectionLost."""
+        try:
+            return self.check(argv, deadline_s=deadline_s)
+        except DeadlineExpired as error:
+            raise ConnectionLost(f"{self.address}: does not answer: {error}") from error
+
+    def upload(self, source: Path, destination: PurePosixPath) -> None:
+        """Copy a local file to the target. Raises TargetError when the target cannot hold it, ConnectionLost.
+
+        After a lost connection a part of the file may stand there.
+        """
+        argv = ["sh", "-c", 'cat >"$1"', "sh", str(destination)]
+        with _local_file(source), source.open("rb") as stream:
+            chunks = iter(lambda: _read_local(source, stream), b"")
+            size = source.stat().st_size
+            status, stderr = self.shell.execute(argv, chunks, Collector(OUTPUT_BYTES_MAX), _transfer_s(size))
+        if status != 0:
+            full = "; the target's disk is full (df -h)" if "No space left" in stderr else ""
+            raise TargetError(f"{self.address}: cannot write {destination}: {_last_line(stderr)}{full}")
+
+    def download(self, source: PurePosixPath, destination: IO[bytes], *, limit_bytes: int) -> str:
+        """Copy a file from the target and return its SHA-256 in hexadecimal.
+
+        Raises TargetError when it has more than `limit_bytes` bytes or cannot be read, ConnectionLost, and
+        InfrastructureError when the copy cannot be written.
+        """
+        digest, total = hashlib.sha256(), 0
+
+        def take(chunk: bytes) -> None:
+            nonlocal total
+            total += len(chunk)
+            if total > limit_bytes:
+                raise TargetError(f"{self.address}: {source} has more than the {limit_bytes} bytes that were expected")
+            digest.update(chunk)
+            with _local_file(Path(destination.name)):
+                destination.write(chunk)
+
+        status, stderr = self.shell.execute(["cat", str(source)], [], take, _transfer_s(limit_bytes))
+        if status != 0:
+            raise TargetError(f"{self.address}: cannot read {source}: {_last_line(stderr)}")
+        return digest.hexdigest()
+
+    def list_files(self, folder: PurePosixPath) -> dict[str, int]:
+        """Return name and size in bytes of each regular file in a folder of the target; links are not followed."""
+        files = {}
+        for line in self.check(["env", "LC_ALL=C", "ls", "-ln", f"{folder}/"]).splitlines():
+            # Mode, links, user, group, size, three words of the time, name.
+            words = line.split(None, 8)
+            if len(words) < 9 or not line.startswith("-"):
+                continue
+            with contextlib.suppress(ValueError):
+                files[words[8]] = untrusted.whole_number(words[4], lowest=0)
+            if len(files) > FILES_MAX:
+                raise TargetError(f"{self.address}: {folder} has more than {FILES_MAX} files")
+        return files
+
+    def open_port(self, port: int, *, deadline_s: float) -> AbstractContextManager[Any]:
+        """Yield a stream to a port of the target's own loopback, which is closed after `deadline_s` seconds.
+
+        Raises ConnectionRefusedError when nobody listens.
+        """
+        return self.shell.open_port(port, deadline_s)
+
+
+def join_commands(commands: Iterable[Sequence[str]]) -> list[str]:
+    """One command that runs these one after the other, up to the first that fails: one round trip, not many."""
+    return ["sh", "-c", " && ".join(map(shlex.join, commands))]
+
+
+@contextlib.contextmanager
+def _local_file(path: Path) -> Iterator[None]:
+    """A failure of a file of this machine is not one of the target."""
+    try:
+        yield
+    except OSError as error:
+        raise InfrastructureError(f"{path}: {error.strerror or error}") from error
+
+
+def _read_local(path: Path, stream: IO[bytes]) -> bytes:
+    with _local_file(path):
+        return stream.read(CHUNK_BYTES)
+
+
+def _transfer_s(size_bytes: int) -> float:
+    return TRANSFER_S + size_bytes / TRANSFER_BYTES_PER_S
+
+
+def _last_line(text: str) -> str:
+    return text.strip().rpartition("\n")[2][:500]

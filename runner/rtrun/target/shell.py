@@ -1,0 +1,50 @@
+"""What a connection needs of that which runs its commands, be it SSH or this machine: one command, one stream."""
+
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
+
+CHUNK_BYTES = 32768
+# What a command may print. The largest that is read whole is the kernel's configuration with some 300 KiB.
+OUTPUT_BYTES_MAX = 8 * 1024 * 1024
+
+
+class Shell(Protocol):
+    """Runs commands on a target, each within its deadline. Every transport failure is a `ConnectionLost`."""
+
+    def execute(
+        self, argv: Sequence[str], stdin: Iterable[bytes], take: Callable[[bytes], None], deadline_s: float
+    ) -> tuple[int, str]:
+        """Run a command, hand what it prints to `take`, and return its exit status and its standard error.
+
+        Raises DeadlineExpired once what was started has been killed; TargetError when `take` raises TooMuch.
+        """
+
+    def open_port(self, port: int, deadline_s: float) -> AbstractContextManager[Any]:
+        """Yield a stream with a socket's methods to a port of the target's loopback, open for `deadline_s` at most.
+
+        Raises ConnectionRefusedError when nobody listens.
+        """
+
+    def close(self) -> None:
+        """End the connection; what runs detached on the target goes on."""
+
+
+class TooMuch(Exception):
+    """A command printed more than is taken."""
+
+
+class Collector:
+    """Collects what a command prints, up to a limit."""
+
+    def __init__(self, limit_bytes: int) -> None:
+        self._data = bytearray()
+        self._limit_bytes = limit_bytes
+
+    def __call__(self, chunk: bytes) -> None:
+        self._data += chunk
+        if len(self._data) > self._limit_bytes:
+            raise TooMuch(f"{self._limit_bytes // 2**20} MiB")
+
+    def text(self) -> str:
+        return self._data.decode("utf-8", "replace")

@@ -1,0 +1,49 @@
+"""A campaign on this machine itself: the real suites and cyclictest, with report, gate and check-rt."""
+
+import json
+import os
+import shutil
+
+import pytest
+
+from ports import free_port
+from rtrun.cli import main
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.skipif(shutil.which("cyclictest") is None, reason="needs cyclictest (rt-tests)"),
+]
+
+CAMPAIGN = """
+schema: 1
+name: here
+runs:
+  - {suite: cyclic_timer_tests, repetitions: 200, frequency_hz: 100}
+  - {suite: communication_tests, repetitions: 100, frequency_hz: 100, subscribers: 2}
+  - {suite: cyclictest, repetitions: 1000}
+"""
+
+
+def test_a_campaign_on_this_machine(suites, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    (tmp_path / "campaign.yml").write_text(CAMPAIGN)
+    (tmp_path / "target.yml").write_text(
+        f"schema: 1\nname: here\nkind: local\nsuites: {suites}\nros_master_port: {free_port()}\n"
+    )
+    assert main(["run", "campaign.yml", "--target", "target.yml"]) == 0, capsys.readouterr()
+    records = [json.loads(path.read_text()) for path in (tmp_path / "results/here").glob("*/run.json")]
+    assert [record["status"] for record in records] == ["ok"] * 3
+    assert {record["target"]["kernel_release"] for record in records} == {os.uname().release}
+    assert not list((tmp_path / "state/rt-tests/runs").glob("*/*"))
+    assert main(["report", "results/here", "--output", "report.html"]) == 0
+    page = (tmp_path / "report.html").read_text()
+    assert "cyclictest" in page and "communication_tests" in page
+    assert main(["verify", "results/here"]) == 0
+    # So few measurements prove no such probability, and miss no deadline of a second.
+    assert main(["gate", "results/here", "--deadline", "1s", "--probability", "1e-9"]) == 1
+    question = ["--deadline", "1s", "--probability", "0.5", "--assume-independent"]
+    assert main(["gate", "results/here", *question]) == 0
+    capsys.readouterr()
+    assert main(["check-rt", "--target", "target.yml"]) in (0, 1)
+    assert capsys.readouterr().out.startswith("here (this machine): ")
