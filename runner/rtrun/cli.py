@@ -5,11 +5,26 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from rtfiles.command import dispatch
-from rtrun.commands import check_rt, claims, compare, gate, import_, plan, probe, report, run, show, verdict, verify
+from rtrun.commands import (
+    check_rt,
+    claims,
+    compare,
+    gate,
+    import_,
+    new_target,
+    plan,
+    probe,
+    report,
+    run,
+    show,
+    verdict,
+    verify,
+)
 
 COMMANDS: tuple[ModuleType, ...] = (
     plan,
     run,
+    new_target,
     probe,
     check_rt,
     show,

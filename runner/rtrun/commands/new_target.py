@@ -1,0 +1,177 @@
+"""``rtrun new-target``: from the name of a board to a target file that works."""
+
+import argparse
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rtrun.target.address import Address
+    from rtrun.target.link import Link
+
+NAME = "new-target"
+HELP = "write the target file of a board, after a look at its host key, and say what the board lacks"
+HOST_KEY_S = 15.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what `new-target` takes."""
+    parser.add_argument("--host", help="name or address of the board, or an alias of ~/.ssh/config [asked for]")
+    parser.add_argument("--user", help="[User of ~/.ssh/config, else root]")
+    parser.add_argument("--port", type=int, help="[Port of ~/.ssh/config, else 22]")
+    parser.add_argument("--key", metavar="FILE", help="private key to log in with [as ssh would choose]")
+    parser.add_argument(
+        "--host-key", metavar="SHA256:...", help="fingerprint that the board must show [known_hosts, else asked for]"
+    )
+    parser.add_argument("--name", help="name of the target, for the results [that of the host]")
+    parser.add_argument("--output", type=Path, metavar="TARGET.yml", help="file to write [NAME.yml]")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the file and print what the board lacks. 0: nothing, 3: something, or the board is out of reach."""
+    import sys
+    import tempfile
+
+    from rtfiles.errors import InfrastructureError, UsageError
+    from rtfiles.output import print_line, print_note
+    from rtrun.target.config import connect, parse_target
+    from rtrun.target.link import Link
+    from rtrun.target.ssh_config import address_of
+
+    asks = sys.stdin.isatty()
+    host = args.host or (_answer("host (name, address, or alias of ~/.ssh/config)") if asks else "")
+    if not host:
+        raise UsageError("new-target: no host: give --host, or call it on a terminal, where it asks")
+    key = args.key or (_answer("private key file (empty: as ssh would choose)") if asks and not args.host else "")
+    name = args.name or re.sub(r"[^A-Za-z0-9._-]+", "-", host).strip("-._") or "board"
+    output: Path = args.output or Path(f"{name}.yml")
+    if output.exists():
+        raise UsageError(f"{output}: exists already: name another file with --output")
+    values: dict[str, Any] = {"schema": 1, "name": name, "kind": "ssh", "host": host, "user": args.user}
+    values |= {"port": args.port, "key": _from_anywhere(key), "host_key": args.host_key}
+    values = {key: value for key, value in values.items() if value not in (None, "")}
+    # Before anything is asked of the network: what is wrong in it is said in the words of target files.
+    parse_target(values, "new-target")
+    if not args.host_key:
+        address = address_of(host, user=args.user, port=args.port, key=Path(key) if key else None)
+        values |= _host_key(address, asks)
+
+    def note(text: str) -> None:
+        print_note(f"rtrun: {text}")
+
+    with (
+        tempfile.TemporaryDirectory(prefix="rtrun-new-target-") as work,
+        connect(parse_target(values, "new-target"), Path.cwd(), Path(work) / "console.log") as target,
+        Link(target, note) as link,
+    ):
+        _write(output, values)
+        print_line(f"{output}: target {name} ({target.address})")
+        lacks = _lacks(link)
+        print_line(_readiness(link, output))
+    for line in lacks:
+        print_line(f"the board lacks {line}")
+    return InfrastructureError.exit_status if lacks else 0
+
+
+def _answer(question: str) -> str:
+    """Ask on the terminal; an empty answer is one."""
+    from rtfiles.errors import UsageError
+
+    try:
+        return input(f"{question}: ").strip()
+    except EOFError as error:
+        raise UsageError("new-target: the question was not answered") from error
+
+
+def _from_anywhere(path: str) -> str:
+    """A path that means the same in a target file, wherever that lies."""
+    return path if not path or path.startswith("~") else str(Path(path).absolute())
+
+
+def _host_key(address: "Address", asks: bool) -> dict[str, str]:
+    """Return the host key for the target file, once the user has compared it; nothing where known_hosts has one."""
+    from rtfiles.errors import UsageError
+    from rtfiles.output import print_line
+    from rtrun.target.errors import TargetError
+    from rtrun.target.host_keys import fingerprint, read_host_keys
+    from rtrun.target.transport import ask_host_key
+
+    known = read_host_keys(address)
+    if known.trusted or known.authorities:
+        return {}
+    kind, blob = ask_host_key(address, HOST_KEY_S)
+    shown = fingerprint(blob)
+    file = {"ssh-ed25519": "ed25519", "ssh-rsa": "rsa"}.get(kind, "ecdsa")
+    compare = f"compare it with what the board's own console says: ssh-keygen -lf /etc/ssh/ssh_host_{file}_key.pub"
+    if not asks:
+        raise TargetError(f"{address}: unknown host key {shown} ({kind}): {compare}; then add --host-key {shown}")
+    print_line(f"{address} shows the host key {shown} ({kind})")
+    print_line(compare)
+    answer = _answer("is it the board's? (yes, or the fingerprint that the board says)")
+    if answer not in ("yes", shown):
+        raise UsageError("new-target: the host key was not accepted: nothing was written")
+    return {"host_key": shown}
+
+
+def _write(output: Path, values: dict[str, Any]) -> None:
+    import yaml
+
+    from rtfiles import atomic
+    from rtfiles.errors import UsageError
+
+    try:
+        atomic.write_text(output, yaml.safe_dump(values, sort_keys=False, allow_unicode=True))
+    except OSError as error:
+        raise UsageError(f"{output}: cannot be written: {error.strerror}") from error
+
+
+def _lacks(link: "Link") -> list[str]:
+    """Return what the board lacks for campaigns."""
+    from rtfiles.invocation import as_called
+    from rtrun.plan import conditions, suites
+    from rtrun.target import inspection
+    from rtrun.target.deploy import ON_TARGET
+    from rtrun.target.errors import TargetError
+    from rtrun.target.link import OUT_OF_REACH
+
+    lacks = []
+    try:
+        equipment = inspection.inspect(link)
+    except OUT_OF_REACH:
+        raise
+    except TargetError as error:
+        lacks.append(f"something that every campaign needs: {error}")
+    else:
+        if equipment.master is None:
+            lacks.append("ROS 1: neither /opt/ros/*/bin/rosmaster nor /usr/bin/rosmaster is there")
+        needed = {program for each in suites.suites().suites.values() for program in each.programs}
+        if missing := sorted(needed - set(equipment.programs)):
+            lacks.append(
+                f"{', '.join(missing)}: build them with {as_called('rtgen')} suites build, and name the folder that it "
+                "prints as suites in the target file"
+            )
+    tools = {program for each in suites.baselines().suites.values() for program in each.programs}
+    for name in conditions.conditions().conditions:
+        tools |= conditions.needs(name, {})
+    priority = f"rt_priority={suites.options()['priority'].default}"
+    script = (ON_TARGET / "missing.sh").read_text(encoding="utf-8")
+    answer = link.check(["sh", "-s", *sorted(tools), priority], stdin=script).splitlines()
+    if missing := [line[:200] for line in answer if line in tools]:
+        lacks.append(f"{', '.join(missing)}, for the loads and yardsticks of campaigns (packages rt-tests, stress-ng)")
+    return lacks + [line[:200] for line in answer if line not in tools]
+
+
+def _readiness(link: "Link", output: Path) -> str:
+    """Say in a line what stands in the way of real time."""
+    from rtfiles.invocation import as_called
+    from rtrun.target import rt_readiness
+
+    facts = rt_readiness.parse(link.check(["sh", "-s"], stdin=rt_readiness.SCRIPT.read_text(encoding="utf-8")))
+    findings = rt_readiness.judge(rt_readiness.read_checks(), facts)
+    grave = [
+        each.check.name for each in findings if each.status == "fault" and each.check.severity in rt_readiness.GRAVE
+    ]
+    if not grave:
+        return "nothing grave stands in the way of real time"
+    explain = f"{as_called('rtrun')} check-rt --target {output}"
+    return f"in the way of real time: {', '.join(grave)}; {explain} says why, and the remedy"
