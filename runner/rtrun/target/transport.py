@@ -92,10 +92,12 @@ class LimitedStream:
                 self.carrier.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Close this and the connections to the jump hosts that it goes through."""
-        self.carrier.close()
+        """Close this and the connections to the jump hosts that it goes through. May be called from several threads."""
         if isinstance(self.carrier, paramiko.Channel):
+            # Ends the channel as well. To close the channel first would be to write to what may be closed already.
             self.carrier.get_transport().close()
+        else:
+            self.carrier.close()
 
 
 def connect(address: Address, timeout_s: float) -> tuple[LimitedStream, paramiko.Transport]:

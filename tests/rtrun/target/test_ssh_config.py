@@ -350,6 +350,14 @@ def test_a_jump_host_is_ended_with_its_connection(behind):
 
 
 @pytest.mark.sshd
+def test_closing_after_the_jump_host_is_gone(behind):
+    connection = Connection(address_of("myboard"))
+    connection.shell.stream._jump.carrier.close()
+    connection.close()
+    connection.shell.stream.close()
+
+
+@pytest.mark.sshd
 def test_a_jump_host_that_ends(behind, gate):
     connection = Connection(address_of("myboard"))
     connection.shell.stream._jump.shut_down()
