@@ -30,7 +30,7 @@ from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, histogram_text, read_histogram
 from rtrun.results.record import RunRecord, RunStatus, TargetFacts
 from rtrun.results.record import verify as verify_run
-from rtrun.target import architecture, host_keys, inspection, processes, qemu, ros_master, rt_readiness
+from rtrun.target import architecture, host_keys, inspection, processes, qemu, ros_master, rt_readiness, ssh_config
 from rtrun.target.address import Address
 from rtrun.target.config import read_target
 from rtrun.target.connection import Connection
@@ -92,6 +92,12 @@ def expecting_value_error(read: Callable[[bytes], object]) -> Callable[[Path], N
     return read_file
 
 
+def read_ssh_config(path: Path) -> None:
+    """What the damaged file says about a host."""
+    ssh_config.FILE = path
+    ssh_config.address_of("board")
+
+
 def _contents(folder: Path, *patterns: str) -> list[bytes]:
     return [path.read_bytes() for pattern in patterns for path in sorted(folder.glob(pattern))]
 
@@ -101,6 +107,10 @@ def _contents(folder: Path, *patterns: str) -> list[bytes]:
 KEY = b"ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIPJs62duJcZ1UDeiYfJh47Sob6aBR0zYBWGFxamj6gCK"
 KNOWN_HOSTS = b"board,*.x " + KEY + b" me\n@revoked * " + KEY + b"\n|1|AAAA|AAAA " + KEY + b"\n"
 STATE = f"== governor\nperformance\n== threads\n12 (a) b) S {'0 ' * 36}95 1 0\n== machine\narmv7l\n"
+SSH_CONFIG = (
+    b"Host *\n Port=22\n User %u\n IdentityFile ~/%h%%\n UserKnownHostsFile a b\nInclude x*\n"
+    b"Match host a,b !user c\n ProxyJump d@e:1,f\nMatch all\n IdentityAgent none\n"
+)
 FACTS = b"== kernel_version\n#1 SMP PREEMPT_RT\n== swap\n/dev/a x\n== threads\n99 program a\n"
 REPLY = b"<methodResponse><params><param><value><array><data><value><int>1</int></value></data></array></value></param>"
 INSPECTED = """setup /opt/ros/noetic/setup.sh
@@ -315,6 +325,7 @@ LOGS = [path.read_bytes() for path in (*sorted(SUITES.glob("*.log")), *sorted(LO
 PROGRAMS = ["cyclic_timer_tests"]
 READERS: dict[str, Reader] = {
     # Of the user, and of a network that may be another's.
+    "ssh_config": of_file(read_ssh_config, "ssh_config", SSH_CONFIG),
     "known_hosts": of_file(
         lambda path: host_keys.read_host_keys(Address(host="board", known_hosts=(path,))), "known_hosts", KNOWN_HOSTS
     ),

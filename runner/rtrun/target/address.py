@@ -1,5 +1,6 @@
 """Where a target is: behind an SSH server, with what both sides prove who they are by, or here."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -39,3 +40,14 @@ class ThisMachine:
 
     def __str__(self) -> str:
         return "this machine"
+
+
+def check_host(name: str) -> str:
+    """Return a name or an address that a resolver can look up. Raises ValueError for any other."""
+    try:
+        encoded = name.encode("idna")
+    except UnicodeError as error:
+        raise ValueError(f"expected the name or the address of a host: {error}") from error
+    if not re.fullmatch(rb"[A-Za-z0-9._:%-]+", encoded):
+        raise ValueError("expected the name or the address of a host")
+    return name

@@ -3,7 +3,6 @@
 import contextlib
 import functools
 import os
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -15,7 +14,7 @@ from rtfiles.config import Config, UserPath, parse, read_yaml
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
 from rtrun.target import qemu
-from rtrun.target.address import Address, ThisMachine
+from rtrun.target.address import Address, ThisMachine, check_host
 from rtrun.target.connection import Connection
 from rtrun.target.errors import ConnectionLost, TargetGone
 from rtrun.target.ssh_config import address_of
@@ -25,17 +24,6 @@ Word = Annotated[str, Field(min_length=1)]
 
 # No part of it is . or ..: folders in it are removed.
 WorkDir = Annotated[str, Field(pattern=r"^(/\.?[A-Za-z0-9_-][A-Za-z0-9._-]*)+/?$")]
-
-
-def _host(name: str) -> str:
-    """Refuse what no resolver can look up."""
-    try:
-        encoded = name.encode("idna")
-    except UnicodeError as error:
-        raise ValueError(f"expected the name or the address of a host: {error}") from error
-    if not re.fullmatch(rb"[A-Za-z0-9._:%-]+", encoded):
-        raise ValueError("expected the name or the address of a host")
-    return name
 
 
 class _Common(Config):
@@ -56,7 +44,7 @@ class SshConfig(_Common):
     """Any board that runs an SSH server. What is None here is as ~/.ssh/config says, or else as `Address` has it."""
 
     kind: Literal["ssh"]
-    host: Annotated[str, AfterValidator(_host)]
+    host: Annotated[str, AfterValidator(check_host)]
     """A name, an address, or an alias of ~/.ssh/config."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     user: Word | None = None

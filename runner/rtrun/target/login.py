@@ -59,7 +59,8 @@ def read_keys(address: Address) -> Keys:
         # A file may do; people have agents that ended long ago in their environment.
         held, failure = [], str(error)
     files = [path.expanduser() for path in address.identities]
-    files = [path for path in files if path.is_file()]
+    # Path.is_file raises where a folder may not be read.
+    files = [path for path in files if os.path.isfile(path)]  # noqa: PTH113
     listed = [key for path in files if (key := _held(path, held))]
     others = [] if address.identities_only else [key for key in held if key not in listed]
     source = ", ".join([*(["the keys of the SSH agent"] if held else []), *map(str, files)])

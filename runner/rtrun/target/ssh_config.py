@@ -4,6 +4,7 @@ Nothing in the file is executed: the lines under a `Match exec` are left out wit
 """
 
 import getpass
+import glob
 import os
 import re
 import shlex
@@ -14,7 +15,7 @@ from pathlib import Path
 from rtfiles import untrusted
 from rtfiles.errors import UsageError
 from rtfiles.output import print_note
-from rtrun.target.address import Address
+from rtrun.target.address import Address, check_host
 from rtrun.target.host_keys import matches
 
 FILE = Path("~/.ssh/config")
@@ -97,7 +98,10 @@ def _address(
             f"or give {alias} a Host section with ProxyCommand none"
         )
     user = user or lookup.first("user") or default_user
-    name = _expand(file, lookup.first("hostname") or "%h", {"h": alias})
+    try:
+        name = check_host(_expand(file, lookup.first("hostname") or "%h", {"h": alias}))
+    except ValueError as error:
+        raise UsageError(f"{file}: HostName of {alias}: {error}") from error
     tokens = {"h": name, "r": user, "u": _local_user(), "d": str(Path.home())}
     return Address(
         host=name,
@@ -146,7 +150,7 @@ def _read(file: Path, lookup: _Lookup, *, is_active: bool, depth: int) -> None:
         elif keyword == "include":
             if depth == INCLUDES_MAX:
                 raise UsageError(f"{where}: more than {INCLUDES_MAX} files include each other")
-            for included in _included(words):
+            for included in _included(words, where):
                 _read(included, lookup, is_active=True, depth=depth + 1)
         elif keyword == "identityfile":
             lookup.settings.setdefault(keyword, []).extend(words[:1])
@@ -163,18 +167,21 @@ def _lines(file: Path) -> Iterator[tuple[int, str, list[str]]]:
             continue
         parts = _LINE.fullmatch(line.strip())
         try:
-            if parts is None:
+            if parts is None or "\0" in line:
                 raise ValueError("expected a keyword and its value")
             yield number, parts[1].lower(), shlex.split(parts[2], comments=True)
         except ValueError as error:
             raise UsageError(f"{file}: line {number}: {error}") from error
 
 
-def _included(patterns: list[str]) -> Iterator[Path]:
-    folder = FILE.expanduser().parent
+def _included(patterns: list[str], where: str) -> Iterator[Path]:
     for pattern in patterns:
-        path = folder / Path(pattern).expanduser()
-        yield from sorted(Path(path.anchor).glob(str(path.relative_to(path.anchor))))
+        try:
+            path = FILE.expanduser().parent / Path(pattern).expanduser()
+        except RuntimeError as error:
+            raise UsageError(f"{where}: {error}") from error
+        # Unlike Path.glob it takes every text, and finds nothing where nothing can be.
+        yield from map(Path, sorted(glob.glob(str(path))))  # noqa: PTH207
 
 
 def _is_named(patterns: list[str], name: str) -> bool:

@@ -106,6 +106,11 @@ def test_lines_that_choose(write, line, matched):
     assert address_of("board", user="pi").port == (99 if matched else 22)
 
 
+def test_include_of_what_cannot_be(write):
+    write(f"Include {'9' * 5000} none*\nPort 2222\n")
+    assert address_of("board").port == 2222
+
+
 def test_include_keeps_to_its_section(home, write):
     write("Host other\n  Include no.conf\nHost board\n  Include [ab].conf\n  User last\n")
     write("Port 1\n", "no.conf")
@@ -121,6 +126,8 @@ def test_include_keeps_to_its_section(home, write):
         ("Port 70000\n", "port '70000': expected a number from 1 to 65535"),
         ("Port\n", "line 1: expected a keyword and its value"),
         ('User "me\n', "line 1: No closing quotation"),
+        ("HostName a/b\n", "HostName of board: expected the name or the address of a host"),
+        ("Include ~nosuchuser/x\n", "line 1: Could not determine home directory"),
         ("IdentityFile %Z\n", "the token %Z is not known here"),
         ("HostName %\n", "the token % is not known here"),
         ("IdentityFile ~nosuchuser/x\n", "Could not determine home directory"),
