@@ -133,7 +133,7 @@ def test_include_keeps_to_its_section(home, write):
         ("IdentityFile ~nosuchuser/x\n", "Could not determine home directory"),
         ("ProxyCommand touch /x\n", "ProxyCommand for board: rtrun runs no command to connect; write ProxyJump"),
         ("ProxyJump a:b:c\n", r"ProxyJump for board: 'a:b:c' is not \[user@\]host\[:port\]"),
-        ("ProxyJump gate\n", "ProxyJump leads in a circle: board -> gate -> gate"),
+        ("ProxyJump gate\n", "ProxyJump leads in a circle: board -> gate -> gate$"),
         ("Host a*\n ProxyJump %h\nHost board\n ProxyJump board\n", "in a circle: board -> board"),
     ],
 )
