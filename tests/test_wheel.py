@@ -49,6 +49,7 @@ COMMANDS = [
     ("rtrun plan campaign.yml", 0, "1 runs"),
     ("rtrun plan campaign.yml --json", 0, '"schema": 1'),
     ("rtrun run campaign.yml --target target.yml --results measured", 3, "127.0.0.1"),
+    ("rtrun new-target --host 127.0.0.1 --port 9 --user root", 3, "root@127.0.0.1:9: cannot connect"),
     ("rtrun probe --target target.yml", 3, "127.0.0.1"),
     ("rtrun check-rt --target target.yml", 3, "127.0.0.1"),
     ("rtrun verify results", 0, "all "),
