@@ -156,7 +156,7 @@ def test_probe(tmp_path, monkeypatch, capsys):
 @pytest.mark.skipif(os.geteuid() != 0, reason="takes its rights away from a process of root's")
 def test_what_needs_root_is_said_in_a_line_each():
     needs = ["rt_priority=50", "irq_cpu=0", "sed"]
-    drop = ["setpriv", "--bounding-set=-all", "--inh-caps=-all", "--reuid=65534", "--clear-groups"]
+    drop = ["prlimit", "--rtprio=0:0", "setpriv", "--reuid=65534", "--clear-groups"]
     script = (ON_TARGET / "missing.sh").read_text()
     done = subprocess.run(
         [*drop, "sh", "-s", *needs], input=script, capture_output=True, text=True, check=True, cwd="/"
