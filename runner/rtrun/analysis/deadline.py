@@ -42,7 +42,8 @@ class Trials:
     either. ``misses`` holds both by position; None where a log kept no order. ``first_misses`` are the positions of
     the first 20. ``level`` holds where the run passed a lower level often enough (about 200 times) to show whether its
     high values come in bursts. ``changes`` are the strongest signs that the run did not stay the same. ``worst_ns`` is
-    the highest value seen. ``run``, ``boot`` and ``start_time`` say where it belongs; "" where that is not known.
+    the highest value seen. ``unclear`` of the late ones lie in the bin of a histogram that holds the deadline, and may
+    have met it. ``run``, ``boot`` and ``start_time`` say where it belongs; "" where that is not known.
     """
 
     n: int
@@ -53,6 +54,7 @@ class Trials:
     level: Events | None
     changes: tuple[Change, ...]
     worst_ns: int | None
+    unclear: int = 0
     run: str = ""
     boot: str = ""
     start_time: str = ""
@@ -113,8 +115,9 @@ class Verdict:
 
 
 def count_misses(values_ns: Int64s, deadline_ns: int, absent: Int64s | None = None) -> Trials:
-    """Count what missed the deadline in one run's int64 samples, shape (n,) in loop order; late is above it.
+    """Count what missed the deadline in one run's int64 samples, shape (n,) in loop order.
 
+    A value above the deadline is late, one that equals it is not.
     `absent` gives the ascending loop positions of what was not fired or went missing; the samples fill the others.
     """
     if absent is None:
@@ -153,7 +156,10 @@ def _loop_positions(of_samples: Int64s, absent: Int64s) -> Int64s:
 
 
 def count_misses_in_histogram(histogram: Histogram, deadline_ns: int, absent: int = 0) -> Trials:
-    """Count what missed the deadline in a histogram. Raises ValueError when the deadline lies in the overflow."""
+    """Count what missed the deadline in a histogram: all in the bin that holds the deadline, unless it ends the bin.
+
+    Raises ValueError when the deadline lies in the overflow.
+    """
     top = int(histogram.values_ns[-1]) if histogram.values_ns.size and not histogram.overflow else histogram.max_ns
     return Trials(
         n=histogram.n + absent,
@@ -164,6 +170,7 @@ def count_misses_in_histogram(histogram: Histogram, deadline_ns: int, absent: in
         level=None,
         changes=(),
         worst_ns=top,
+        unclear=histogram.unclear(deadline_ns),
     )
 
 
@@ -198,6 +205,10 @@ def judge(
     effect, assumes = _effect_of_runs(runs, misses, confidence, measurements_per_event)
     effect = min(max(effect, float(measurements_per_event)), max(1.0, float(n)))
     lower, upper = anytime_interval(misses / effect, n / effect, confidence)
+    if unclear := sum(run.unclear for run in runs):
+        # What may have met the deadline counts against a proof, and not for the contrary.
+        lower = anytime_lower((misses - unclear) / effect, n / effect, confidence)
+        assumes = (*assumes, f"{unclear} values in the same bin of a log as the deadline are late")
     change = _strongest_change(runs)
     refused = None
     if emulated:

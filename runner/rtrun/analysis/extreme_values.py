@@ -1,4 +1,4 @@
-"""Worst case by extreme value theory: peaks over threshold and block maxima, or the reason why there is none."""
+"""Worst case by extreme value theory: block maxima, and what every opinion needs; or the reason why there is none."""
 
 import math
 from collections.abc import Sequence
@@ -12,12 +12,11 @@ from rtrun.analysis.histogram import Int64s
 
 _KEPT = 20_000
 _BLOCKS = 1024
-_LEAST_PEAKS = 50
+LEAST_PEAKS = 50
 _MOST_PEAKS = 5_000
 _SIGNIFICANT = 0.01
-_FIT_BELOW = 0.10
+FIT_BELOW = 0.10
 _DISTINCT = 10
-_LEAST_INDEX = 0.05
 _EXTRAPOLATION = 100
 
 
@@ -113,78 +112,6 @@ def decluster(values: Int64s, positions: Int64s, threshold: int) -> tuple[Int64s
     return np.maximum.reduceat(high, starts), where[starts], theta
 
 
-def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: float, quantum_ns: int) -> Bound:
-    """Fit a generalised Pareto distribution to declustered excesses (Pickands 1975; Coles 2001, chapters 4 and 5)."""
-
-    def refused(why: str, checks: Sequence[Check] = (), points: int = 0, threshold: int | None = None) -> Bound:
-        return refuse("GPD", why, probability, confidence, points, checks, threshold_ns=threshold)
-
-    n, values, positions = high_values(runs)
-    if values.size < 2 * _LEAST_PEAKS:
-        return refused(f"{n} measurements leave {values.size} high values, at least {2 * _LEAST_PEAKS} are needed")
-    if (far := too_far(n, probability)) is not None:
-        return refused(far)
-
-    last: Bound | None = None
-    for threshold in candidate_thresholds(values):
-        peaks, at, theta = decluster(values, positions, threshold)
-        if peaks.size < _LEAST_PEAKS:
-            break
-        rate = peaks.size / n
-        if probability >= rate:
-            last = last or refused("the probability asked for lies within the data: the percentiles answer it")
-            break
-        above = np.count_nonzero(values > threshold)
-        checks = [
-            Check(
-                name="dependence",
-                passed=theta >= _LEAST_INDEX,
-                p_value=None,
-                seen=f"extremal index {theta:.2f}, {peaks.size} bursts of {above} high values",
-            ),
-            *stays_the_same(peaks, at, n, quantum_ns),
-        ]
-        base = (threshold // quantum_ns + 1) * quantum_ns
-        excess = peaks - base
-        sample = tails.sample_of(excess, quantum_ns)
-        best = tails.fit(tails.GPD, sample)
-        checks.append(_fit_check(tails.GPD, sample, best[0]))
-        failed = next((check for check in checks if not check.passed), None)
-        if failed:
-            last = refused(f"{failed.name}: {failed.seen}", checks, peaks.size, threshold)
-            # Only a bad fit gets better further out; a trend or bursts would only be seen less.
-            if failed.name == "fit":
-                continue
-            return last
-        checks.append(_back_test(tails.GPD, excess, at, n, quantum_ns))
-        if not checks[-1].passed:
-            return refused(f"back-test: {checks[-1].seen}", checks, peaks.size, threshold)
-        chance = probability / rate
-        low, high_end = tails.profile_interval(tails.GPD, sample, best, chance, confidence)
-        if not math.isfinite(high_end):
-            return refused("the data do not bound the tail from above", checks, peaks.size, threshold)
-        if peaks.max() > base + high_end:
-            return refused(_above_bound(int(peaks.max()), base + high_end), checks, peaks.size, threshold)
-        return Bound(
-            method="GPD",
-            refused=None,
-            probability=probability,
-            confidence=confidence,
-            points=int(peaks.size),
-            threshold_ns=threshold,
-            block=None,
-            shape=best[0][0],
-            scale_ns=best[0][1],
-            location_ns=None,
-            rate=rate,
-            level_ns=base + tails.GPD.level(chance, best[0]),
-            low_ns=max(base + low, float(base)),
-            high_ns=base + high_end,
-            checks=tuple(checks),
-        )
-    return last or refused(f"bursts leave fewer than {_LEAST_PEAKS} independent high values")
-
-
 def block_maxima(runs: Sequence[Tail], probability: float, confidence: float, quantum_ns: int) -> Bound:
     """Fit a generalised extreme value distribution to maxima of equal blocks (Coles 2001, chapter 3)."""
 
@@ -195,13 +122,13 @@ def block_maxima(runs: Sequence[Tail], probability: float, confidence: float, qu
     if (far := too_far(n, probability)) is not None:
         return refused(far)
     fine = max((run.block for run in runs), default=1)
-    last = refused(f"{n} measurements are too few for {_LEAST_PEAKS} blocks of 20")
+    last = refused(f"{n} measurements are too few for {LEAST_PEAKS} blocks of 20")
     for per_run in (256, 128, 64, 32, 16, 8, 4, 2):
         block = max(fine, max((run.n for run in runs), default=0) // per_run)
         maxima = np.concatenate([_coarser(run, block) for run in runs]) if runs else np.empty(0, np.int64)
         if block < 20:
             continue
-        if maxima.size < _LEAST_PEAKS:
+        if maxima.size < LEAST_PEAKS:
             break
         if maxima.size > _MOST_PEAKS:
             continue
@@ -219,14 +146,14 @@ def block_maxima(runs: Sequence[Tail], probability: float, confidence: float, qu
             if failed.name == "fit":
                 continue
             return last
-        checks.append(_back_test(tails.GEV, maxima, at, maxima.size, quantum_ns))
+        checks.append(back_test(tails.GEV, maxima, at, maxima.size, quantum_ns))
         if not checks[-1].passed:
             return refused(f"back-test: {checks[-1].seen}", checks, maxima.size, block)
         low, high = tails.profile_interval(tails.GEV, sample, best, chance, confidence)
         if not math.isfinite(high):
             return refused("the data do not bound the tail from above", checks, maxima.size, block)
         if maxima.max() > high:
-            return refused(_above_bound(int(maxima.max()), high), checks, maxima.size, block)
+            return refused(above_bound(int(maxima.max()), high), checks, maxima.size, block)
         return Bound(
             method="GEV",
             refused=None,
@@ -287,16 +214,17 @@ def too_far(n: int, probability: float) -> str | None:
     )
 
 
-def _above_bound(seen_ns: int, bound_ns: float) -> str:
+def above_bound(seen_ns: int, bound_ns: float) -> str:
+    """Why a bound is none: a higher value was measured."""
     return f"a value of {seen_ns / 1000:.0f} us was seen above the fitted bound of {bound_ns / 1000:.0f} us"
 
 
 def candidate_thresholds(values: Int64s) -> list[int]:
-    """Candidates from many exceedances to few; the first whose fit is not rejected is taken."""
+    """Candidates from many exceedances to few."""
     ordered = np.sort(values)
     chosen = []
     count = min(values.size - 1, _MOST_PEAKS)
-    while count >= _LEAST_PEAKS:
+    while count >= LEAST_PEAKS:
         chosen.append(int(ordered[-count - 1]))
         count = int(count * 0.6)
     return list(dict.fromkeys(chosen))
@@ -308,21 +236,24 @@ def _coarser(run: Tail, block: int) -> Int64s:
     return np.maximum.reduceat(run.maxima_ns, np.arange(whole) * factor) if whole else run.maxima_ns[:0]
 
 
+def resolution(peaks: Int64s, quantum_ns: int) -> Check:
+    """Whether there are different values enough to fit anything."""
+    distinct = int(np.unique(peaks // quantum_ns).size)
+    return Check(
+        name="quantisation",
+        passed=distinct >= _DISTINCT,
+        p_value=None,
+        seen=f"{distinct} different values in steps of {quantum_ns / 1000:g} us, at least {_DISTINCT} are needed",
+    )
+
+
 def stays_the_same(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[Check]:
     """The checks of resolution, stationarity and dependence that every opinion needs."""
     from scipy.special import chdtrc
     from scipy.stats import spearmanr
 
-    distinct = int(np.unique(peaks // quantum_ns).size)
-    checks = [
-        Check(
-            name="quantisation",
-            passed=distinct >= _DISTINCT,
-            p_value=None,
-            seen=f"{distinct} different values in steps of {quantum_ns / 1000:g} us, at least {_DISTINCT} are needed",
-        )
-    ]
-    if distinct < 3:
+    checks = [resolution(peaks, quantum_ns)]
+    if np.unique(peaks).size < 3:
         return checks
     trend = spearmanr(np.arange(peaks.size), peaks)
     checks.append(
@@ -364,15 +295,15 @@ def _fit_check(family: tails.Family, sample: tails.Sample, parameters: tails.Par
     if p is None:
         return Check(name="fit", passed=False, p_value=None, seen="too few different values to test the fit")
     return Check(
-        name="fit", passed=p >= _FIT_BELOW, p_value=p, seen=f"chi-squared test of the {family.name} fit: p = {p:.2g}"
+        name="fit", passed=p >= FIT_BELOW, p_value=p, seen=f"chi-squared test of the {family.name} fit: p = {p:.2g}"
     )
 
 
-def _back_test(family: tails.Family, values: Int64s, at: Int64s, n: int, quantum_ns: int) -> Check:
+def back_test(family: tails.Family, values: Int64s, at: Int64s, n: int, quantum_ns: int) -> Check:
     """Fit the first half in time; its 99 % bound for the maximum of the second half must hold there."""
     early = at < n // 2
     first, rest = values[early], values[~early]
-    if first.size < _LEAST_PEAKS // 2 or rest.size == 0:
+    if first.size < LEAST_PEAKS // 2 or rest.size == 0:
         return Check(name="back-test", passed=False, p_value=None, seen="too few high values in one half of the time")
     sample = tails.sample_of(first, quantum_ns)
     best = tails.fit(family, sample)

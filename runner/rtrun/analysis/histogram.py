@@ -35,15 +35,21 @@ class Histogram:
         return int(self.counts.sum()) + self.overflow
 
     def above(self, limit_ns: int) -> int:
-        """Measurements above a limit; a bin that holds the limit is taken as above it unless the limit ends it.
+        """Measurements above a limit; those in the bin that holds it are taken as above it, unless it ends the bin.
 
+        A largest value that was printed is the lower edge of a bin, too.
         Raises ValueError when the limit lies in the overflow, where nothing is known.
         """
-        if self.overflow and self.max_ns is not None and self.max_ns <= limit_ns:
+        if self.overflow and self.max_ns is not None and self.max_ns <= limit_ns - self.bin_ns + 1:
             return 0
         if self.overflow and (self.overflow_from_ns is None or limit_ns > self.overflow_from_ns):
             raise ValueError("the deadline lies beyond the histogram's last bin, where values are only counted")
         return int(self.counts[self.values_ns > limit_ns - self.bin_ns + 1].sum()) + self.overflow
+
+    def unclear(self, limit_ns: int) -> int:
+        """How many of those above a limit may as well lie at or below it, in the same bin."""
+        holds_limit = (self.values_ns <= limit_ns) & (self.values_ns > limit_ns - self.bin_ns + 1)
+        return int(self.counts[holds_limit].sum())
 
 
 def from_samples(values_ns: Int64s, bin_ns: int = 1000) -> Histogram:

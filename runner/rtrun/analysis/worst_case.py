@@ -11,11 +11,11 @@ from rtrun.analysis.extreme_values import (
     candidate_thresholds,
     decluster,
     high_values,
-    peaks_over_threshold,
     refuse,
     stays_the_same,
     too_far,
 )
+from rtrun.analysis.peaks import peaks_over_threshold
 
 # Fewer excesses would not show that they vary more: a heavy tail would pass for an exponential one.
 _LEAST_PEAKS = 500

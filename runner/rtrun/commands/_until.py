@@ -16,7 +16,7 @@ from rtrun.plan.run import Run
 from rtrun.report.standings import duration, evaluator, progress_line
 from rtrun.report.study import study
 from rtrun.results.goal_file import write_goal
-from rtrun.results.record import RunStatus
+from rtrun.results.record import RunStatus, is_closed
 from rtrun.target.config import TargetConfig, connect
 
 ReportProgress = Callable[[Sequence[Progress], float], None]
@@ -79,6 +79,11 @@ def measure_until(
         except (KeyboardInterrupt, InfrastructureError):
             print_line(f"what was measured is kept in {results}; the same command goes on there")
             raise
+    if not any(is_closed(folder) for folder in results.iterdir()):
+        raise UsageError(
+            f"{file}: until.at_most: {duration(goal.at_most_ns / 1e9)} were over before a run was finished, "
+            "allow more: the start of the target counts too"
+        )
     measured = study(
         results,
         deadline_ns=goal.deadline_ns,

@@ -13,7 +13,7 @@ from rtrun.analysis.deadline import (
     count_misses_in_histogram,
     judge,
 )
-from rtrun.analysis.histogram import from_samples
+from rtrun.analysis.histogram import Histogram, from_samples
 from rtrun.analysis.intervals import anytime_interval
 
 DEADLINE = 400_000
@@ -151,3 +151,36 @@ def test_values_that_rise_prove_nothing() -> None:
     values = with_misses(50_000) + np.linspace(0, 40_000, 50_000).astype(np.int64)
     judged = verdict(count_misses(values, DEADLINE))
     assert judged.answer == Answer.NEEDS_MORE and judged.change is not None and "high values" in judged.change.text
+
+
+@pytest.mark.parametrize(("value_ns", "late"), [(DEADLINE - 1, 0), (DEADLINE, 0), (DEADLINE + 1, 1)])
+def test_a_value_that_equals_the_deadline_meets_it(value_ns: int, late: int) -> None:
+    values = np.array([value_ns, 50_000], dtype=np.int64)
+    assert count_misses(values, DEADLINE).late == late
+    assert count_misses_in_histogram(from_samples(values, 1), DEADLINE).late == late
+
+
+@pytest.mark.parametrize(
+    ("value_ns", "late", "unclear"), [(399_999, 0, 0), (400_000, 1, 1), (400_999, 1, 1), (401_000, 1, 0)]
+)
+def test_what_is_in_the_bin_of_the_deadline_is_late_and_said_to_be(value_ns: int, late: int, unclear: int) -> None:
+    trials = count_misses_in_histogram(from_samples(np.array([value_ns, 50_000], dtype=np.int64)), 400_000)
+    assert (trials.late, trials.unclear) == (late, unclear)
+    assert ("1 values in the same bin of a log as the deadline are late" in verdict(trials).assumes) is bool(unclear)
+
+
+def test_what_may_have_met_the_deadline_refutes_nothing() -> None:
+    values = np.full(5000, 400_500, dtype=np.int64)
+    assert verdict(count_misses_in_histogram(from_samples(values), 400_000)).answer == Answer.NEEDS_MORE
+    assert verdict(count_misses_in_histogram(from_samples(values), 399_999)).answer == Answer.REFUTED
+
+
+def test_a_deadline_that_ends_its_bin_leaves_no_doubt() -> None:
+    trials = count_misses_in_histogram(from_samples(np.array([400_000], dtype=np.int64)), 400_999)
+    assert (trials.late, trials.unclear) == (0, 0)
+
+
+def test_a_largest_value_that_was_printed_in_whole_bins_may_be_above_the_deadline() -> None:
+    bins = {"values_ns": np.array([1000]), "counts": np.array([9]), "overflow": 1, "overflow_from_ns": 400_000}
+    assert Histogram(**bins, max_ns=400_000).above(400_000) == 1
+    assert Histogram(**bins, max_ns=400_000).above(400_999) == 0
