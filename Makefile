@@ -2,23 +2,27 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test fuzz soak test-slow test-kernel test-yocto lint coverage bench setup board suites clean
+.PHONY: demo test fuzz soak test-slow test-boards test-kernel test-yocto lint coverage bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
 	@tools/demo
 
 test: setup
-	$(BIN)/pytest -m "not kernel and not slow"
+	$(BIN)/pytest -m "not kernel and not slow and not boards"
 
 # What takes long: each load of conditions.yml for two and a half minutes beside a suite (twenty minutes), and campaigns
 # with a goal on the emulated board.
 test-slow: setup
 	$(BIN)/pytest -m slow
 
+# Every machine of `rtgen board machines`, booted and measured on: some minutes each, more when they are built first.
+test-boards: setup
+	$(BIN)/pytest -m boards
+
 # Builds the kernel (five minutes on two idle cores) unless one of the same inputs is in the cache, and boots it.
 test-kernel: setup
-	$(BIN)/pytest -m "kernel and not slow"
+	$(BIN)/pytest -m "kernel and not slow and not boards"
 
 # A profile against the real layers: DIR holds checkouts of its repositories (docs/layer.md).
 test-yocto: setup

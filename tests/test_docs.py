@@ -31,6 +31,8 @@ COMMANDS = {"rtgen": rtgen.cli.COMMANDS, "rtrun": rtrun.cli.COMMANDS}
 # Commands that are only parsed here, and why.
 NOT_RUN = {
     "rtgen board build": "minutes; tests/rtgen/test_board_build.py",
+    "rtgen suites build --machine qemu-x86_64": "minutes; tests/integration/test_boards.py",
+    "rtgen suites build --machine pc-x86_64": "the same",
     "rtgen flash": "writes to a card; tests/rtgen/test_flash.py",
     "rtgen kconfig verify": "a kernel tree; tests/rtgen/test_kconfig_verify.py",
     "rtgen kernel build": "minutes; tests/rtgen/test_kernel_build.py",

@@ -23,7 +23,7 @@ def test_every_package_is_built() -> None:
 
 
 def test_unknown_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(UsageError, match=r"unknown machine 'vax', known: host, qemu-armv7"):
+    with pytest.raises(UsageError, match=r"unknown machine 'vax', known: host, "):
         suites.build("vax", tmp_path)
     assert cli.main(["suites", "build", "--machine", "vax"]) == 2
     assert capsys.readouterr().err.startswith("rtgen: unknown machine 'vax'")

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -15,18 +16,26 @@ from pydantic import Field
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
-from rtrun.target import qmp
+from rtrun.target import kvm, qmp
 from rtrun.target.address import Address
 from rtrun.target.errors import TargetError, TargetGone
 
 STOP_S = 5.0
 
 
+class Kvm(Config):
+    """The host's processor (as `uname -m` names it) on which KVM can run a board, and QEMU's arguments for it."""
+
+    processor: str
+    arguments: list[str]
+
+
 class Emulator(Config):
-    """How QEMU is called for this board."""
+    """How QEMU is called for this board. Arguments for KVM come after the others and win over them."""
 
     binary: str
     arguments: list[str]
+    kvm: Kvm | None = None
     disk_device: str
     network_device: str
 
@@ -91,12 +100,22 @@ def read_board(folder: Path) -> Board:
     return board
 
 
+def emulator(board: Board, folder: Path) -> tuple[str, ...]:
+    """QEMU's program and the arguments that make it the board: by KVM where that works, emulated where it does not."""
+    qemu = board.qemu
+    emulated = (qemu.binary, *qemu.arguments)
+    if qemu.kvm is None or qemu.kvm.processor != platform.machine():
+        return emulated
+    by_kvm = (*emulated, *qemu.kvm.arguments)
+    return by_kvm if kvm.works(by_kvm, folder / board.kernel) else emulated
+
+
 def command(board: Board, folder: Path, overlay: Path, monitor: Path, console: Path) -> list[str]:
     """Return the QEMU command line. The disk is the overlay; the SSH port is chosen by the kernel (port 0)."""
     argv = [
         # QEMU ends with the runner, however that ends.
         *("setpriv", "--pdeathsig", "KILL", "--"),
-        *(board.qemu.binary, *board.qemu.arguments),
+        *emulator(board, folder),
         *("-nodefaults", "-no-user-config", "-display", "none"),
         *("-kernel", str(folder / board.kernel), "-initrd", str(folder / board.initrd), "-append", board.cmdline),
         *("-drive", f"file={overlay},format=qcow2,if=none,id=disk"),
@@ -119,7 +138,9 @@ def boot(folder: Path, console: Path, overlay: Path | None = None) -> Iterator[M
     board = read_board(folder)
     for tool in (board.qemu.binary, "qemu-img", "setpriv"):
         if shutil.which(tool) is None:
-            raise UsageError(f"{tool} is not installed: apt-get install qemu-system-arm qemu-utils util-linux")
+            raise UsageError(
+                f"{tool} is not installed: apt-get install qemu-system-arm qemu-system-x86 qemu-utils util-linux"
+            )
     with contextlib.ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rtrun-qemu-")))
         overlay = overlay or work / "overlay.qcow2"

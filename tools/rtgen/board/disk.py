@@ -10,6 +10,7 @@ from pathlib import Path
 from rtfiles.errors import InfrastructureError
 from rtgen import debian
 from rtgen.board.kernel import Kernel
+from rtgen.board.machine import Machine
 from rtgen.board.packages import packages
 from rtgen.process import run
 
@@ -24,15 +25,20 @@ REQUIRED = ("bin/busybox", "bin/sh", "sbin/init", "usr/sbin/sshd", "usr/lib/open
 IMAGE, KEY, HOST_KEY, LIST, BUSYBOX = "root.img", "id_ed25519", "host_key.pub", "packages.list", "busybox"
 
 
-def build(kernel: Kernel, architecture: str, modules: list[str], folder: Path) -> None:
+def package_names(machine: Machine) -> list[str]:
+    """The packages of a machine's root file system, without their dependencies."""
+    known = packages()
+    return sorted([*known.root, *(known.card if machine.medium is not None else ())])
+
+
+def build(machine: Machine, kernel: Kernel, folder: Path) -> None:
     """Make root.img, its login key id_ed25519, and the public part of its host key in an empty folder."""
     tree = folder / "tree"
     tree.mkdir()
-    extracted = packages()
-    debian.extract(sorted(extracted.root), tree, architecture, extracted.dropped)
+    debian.extract(package_names(machine), tree, machine.architecture, packages().dropped)
     add_places(tree)
     add_tools(tree)
-    add_modules(tree, kernel, modules)
+    add_modules(tree, kernel, list(machine.modules))
     add_keys(tree, folder)
     add_bytecode(tree)
     missing = [name for name in REQUIRED if not os.path.lexists(tree / name)]

@@ -13,12 +13,18 @@ while read -r module; do
 done < /lib/modules.list
 root=$(busybox sed -n 's/.*\broot=\([^ ]*\).*/\1/p' /proc/cmdline)
 tries=100
-until [ -b "$root" ]; do
+while :; do
+    # A device, or UUID=... of a file system that may be on any disk.
+    case $root in
+        UUID=*) device=$(busybox findfs "$root" 2> /dev/null) ;;
+        *) device=$root ;;
+    esac
+    [ ! -b "$device" ] || break
     tries=$((tries - 1))
     [ "$tries" -gt 0 ] || give_up "no disk $root"
-    busybox sleep 0.1
+    busybox sleep 0.2
 done
-busybox mount -t ext4 -o noatime "$root" /root || give_up "cannot mount $root"
+busybox mount -t ext4 -o noatime "$device" /root || give_up "cannot mount $root"
 for place in dev proc sys; do
     busybox mount --move "/$place" "/root/$place"
 done

@@ -28,6 +28,11 @@ class Kernel:
     dtbs: Path
     packages: dict[str, str]
 
+    def device_tree(self, name: str) -> Path:
+        """The device tree of this name, or ours for real time (``<name>-rt.dtb``) if the kernel has one."""
+        ours = self.dtbs / f"{Path(name).stem}-rt.dtb"
+        return ours if ours.exists() else self.dtbs / name
+
     def files_of(self, modules: list[str]) -> list[str]:
         """Files below `modules` to load, in order, for these names; as `module_files` does."""
         return module_files((self.modules / "modules.dep").read_text(encoding="utf-8"), modules)

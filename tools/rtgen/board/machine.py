@@ -1,9 +1,9 @@
 """Machines that a board can be built for, each read from a file of its own in machines/."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import Field, StringConstraints, model_validator
 
 from rtfiles.config import Config, load, parse, read_yaml
 from rtfiles.errors import UsageError
@@ -16,19 +16,32 @@ Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$"
 
 
 class Architecture(Config):
-    """Debian's architecture: the prefix of its compiler, and the processor as ``uname -m`` names it."""
+    """Debian's architecture: the prefix of its compiler, the processor as ``uname -m`` names it, UEFI's name for it."""
 
     triplet: Name
     processor: Name
+    uefi: Name | None
 
 
 class Qemu(Config):
-    """How QEMU emulates a machine: its program and arguments, and the devices of the disk and the network."""
+    """How QEMU emulates a machine: its program and arguments, and the devices of the disk and the network.
+
+    `kvm` are further arguments with which KVM runs the machine on a host of the same processor; None: it cannot.
+    """
 
     binary: Name
     arguments: list[Text]
+    kvm: list[Text] | None = None
     disk_device: Text
     network_device: Text
+
+
+class UBoot(Config):
+    """Debian's package of U-Boot, its files that the ROM and U-Boot look for on a card, the kernel's device tree."""
+
+    package: Name
+    files: list[Text] = Field(min_length=1)
+    device_tree: Name
 
 
 class Machine(Config):
@@ -36,7 +49,8 @@ class Machine(Config):
 
     `kernel` is a package of Debian, `dtb` the file name of the kernel's device tree (None where the machine provides
     one), `cmdline` the kernel's arguments except the root file system, `modules` what the initial RAM disk loads, in
-    this order and after its dependencies, each with the reason.
+    this order and after its dependencies, each with the reason. A machine either runs in QEMU or starts from a medium
+    that is written to a card or stick; `medium` says what looks for the kernel on it.
     """
 
     summary: Text
@@ -46,7 +60,17 @@ class Machine(Config):
     dtb: Name | None = None
     cmdline: Text
     modules: dict[Name, Text] = Field(min_length=1)
-    qemu: Qemu
+    qemu: Qemu | None = None
+    medium: Literal["uefi", "u-boot"] | None = None
+    u_boot: UBoot | None = None
+
+    @model_validator(mode="after")
+    def _qemu_or_medium(self) -> "Machine":
+        if (self.qemu is None) == (self.medium is None):
+            raise ValueError("give qemu (how QEMU runs it) or medium (how it starts from a card), and not the other")
+        if (self.u_boot is not None) != (self.medium == "u-boot"):
+            raise ValueError("give u_boot (which U-Boot) with medium: u-boot, and only with it")
+        return self
 
 
 def architectures() -> dict[str, Architecture]:
@@ -66,6 +90,8 @@ def read_machine(path: Path) -> Machine:
     known = architectures()
     if machine.architecture not in known:
         raise UsageError(f"{path}: architecture: {machine.architecture!r} is unknown, known: {', '.join(known)}")
+    if machine.medium == "uefi" and known[machine.architecture].uefi is None:
+        raise UsageError(f"{path}: medium: {machine.architecture} has no name in UEFI, see {ARCHITECTURES}")
     return machine
 
 

@@ -14,6 +14,7 @@ class Packages(Config):
     """packages.yml: the name of each package, or a pattern of files that are left out, and the reason."""
 
     root: dict[str, Reason]
+    card: dict[str, Reason]
     sysroot: dict[str, Reason]
     dropped: dict[str, Reason]
 

@@ -16,6 +16,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     build = actions.add_parser("build", help=f"build it into {PLACE}/MACHINE (network the first time)")
     build.add_argument("--machine", help="one of rtgen board machines; without it the default there")
     build.add_argument(
+        "--authorized-key",
+        type=Path,
+        metavar="FILE",
+        help="public keys that may log in, for a card; without it a key that is made beside the image",
+    )
+    build.add_argument(
         "--kernel",
         choices=("debian", "built"),
         default="debian",
@@ -32,7 +38,8 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "machines":
         _list_machines()
         return 0
-    print_line(str(build(args.machine or default_machine(), PLACE, built=args.kernel == "built")))
+    machine = args.machine or default_machine()
+    print_line(str(build(machine, PLACE, built=args.kernel == "built", login=args.authorized_key)))
     return 0
 
 

@@ -1,15 +1,21 @@
-"""rtgen flash: an image onto an SD card."""
+"""rtgen flash: an image onto a card or stick."""
 
 import argparse
 import sys
 from pathlib import Path
 
 NAME = "flash"
-HELP = "write an image (.wic) to an SD card and read it back"
+HELP = "write an image to an SD card or USB stick and read it back"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--image", type=Path, required=True, metavar="FILE", help="the .wic file")
+    parser.add_argument(
+        "--image",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="the .wic file of BitBake, or card.img of rtgen board build",
+    )
     parser.add_argument(
         "--device", type=Path, required=True, metavar="/dev/sdX", help="the card, not a partition of it"
     )

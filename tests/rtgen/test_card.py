@@ -1,0 +1,171 @@
+"""Cards for real hardware: the layout that firmware looks for, and who can log in; with small file systems."""
+
+import json
+import struct
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from rtgen import cli, flash
+from rtgen.board import card, disk, uefi
+from rtgen.board.machine import architectures
+
+MIB = 2**20
+
+
+def output(*command: str | Path) -> str:
+    return subprocess.run([str(word) for word in command], capture_output=True, text=True, check=True).stdout
+
+
+@pytest.fixture
+def key(tmp_path: Path) -> Path:
+    """A key pair; the private half."""
+    path = tmp_path / "login"
+    output("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", path)
+    return path
+
+
+@pytest.fixture
+def system(tmp_path: Path) -> Path:
+    """A file system with the keys of the board that it was made for."""
+    tree = tmp_path / "tree"
+    (tree / "etc/ssh").mkdir(parents=True)
+    (tree / "root/.ssh").mkdir(parents=True)
+    disk.add_keys(tree, tmp_path)
+    image = tmp_path / "system.img"
+    with image.open("wb") as stream:
+        stream.truncate(8 * MIB)
+    output("mke2fs", "-q", "-t", "ext4", "-d", tree, image)
+    return image
+
+
+def test_a_card_has_what_uefi_looks_for(tmp_path: Path, system: Path) -> None:
+    program = tmp_path / "boot.efi"
+    program.write_bytes(b"EFI file")
+    image = tmp_path / "card.img"
+    card.write_card(image, "gpt", {"EFI/BOOT/BOOTX64.EFI": program}, system)
+    table = json.loads(output("sfdisk", "--json", image))["partitiontable"]
+    assert table["label"] == "gpt"
+    boot, root = table["partitions"]
+    # UEFI specification 2.10, table 5.7: the type of the EFI system partition.
+    assert boot["type"] == "C12A7328-F81F-11D2-BA4B-00A0C93EC93B"
+    assert (boot["start"], boot["size"]) == (card.START_MIB * 2048, card.BOOT_MIB * 2048)
+    assert root["start"] == boot["start"] + boot["size"]
+    assert root["size"] * 512 == system.stat().st_size
+    assert subprocess.run(["sfdisk", "--verify", image], capture_output=True, check=True).stderr == b""
+    assert output("mtype", "-i", f"{image}@@{card.START_MIB}M", "::/EFI/BOOT/BOOTX64.EFI") == "EFI file"
+    with image.open("rb") as stream:
+        stream.seek(root["start"] * 512)
+        assert stream.read()[: system.stat().st_size] == system.read_bytes()
+    assert flash.check_image(image) == image.stat().st_size
+    # Only what has content is on the disk.
+    assert image.stat().st_blocks * 512 < 16 * MIB
+
+
+@pytest.mark.parametrize("name", [name for name, each in architectures().items() if each.uefi is not None])
+def test_the_efi_file_holds_its_parts_where_the_stub_has_none(tmp_path: Path, name: str) -> None:
+    architecture = architectures()[name]
+    # A program in PE format without a stub's code: what objcopy needs to add sections.
+    stub = tmp_path / "stub.efi"
+    write_pe(stub, {"amd64": 0x8664, "arm64": 0xAA64}[name])
+    kernel, command_line = tmp_path / "kernel", tmp_path / "cmdline"
+    kernel.write_bytes(bytes(range(256)) * 40)
+    command_line.write_bytes(b"root=/dev/sda2")
+    result = tmp_path / "result.efi"
+    uefi.write_efi_file(result, stub, architecture.triplet, {".cmdline": command_line, ".linux": kernel})
+    end = uefi.image_end(stub.read_bytes())
+    at = sections(result)
+    assert at[".cmdline"] == (end, b"root=/dev/sda2")
+    address, content = at[".linux"]
+    assert address == end + 4096
+    assert content == kernel.read_bytes()
+
+
+def write_pe(path: Path, machine: int) -> None:
+    """The smallest PE32+ program with one section, for objcopy to read."""
+    optional = struct.pack("<HBBIIIII", 0x20B, 0, 0, 512, 0, 0, 0x1000, 0x1000)
+    optional += struct.pack("<QIIHHHHHHIIIIHHQQQQII", 0x10000, 0x1000, 512, 0, 0, 0, 0, 0, 0, 0, 0x2000, 512, 0, 10, 0,
+                            0, 0, 0, 0, 0, 16)  # fmt: skip
+    optional += bytes(16 * 8)
+    header = struct.pack("<HHIIIHH", machine, 1, 0, 0, 0, len(optional), 0x202)
+    section = struct.pack("<8sIIIIIIHHI", b".text", 512, 0x1000, 512, 512, 0, 0, 0, 0, 0x60000020)
+    dos = b"MZ" + bytes(0x3A) + struct.pack("<I", 0x40)
+    path.write_bytes((dos + b"PE\0\0" + header + optional + section).ljust(512, b"\0") + bytes(512))
+
+
+def sections(path: Path) -> dict[str, tuple[int, bytes]]:
+    """Address and content of each section of a PE program."""
+    data = path.read_bytes()
+    (header,) = struct.unpack_from("<I", data, 0x3C)
+    (count,) = struct.unpack_from("<H", data, header + 6)
+    (length,) = struct.unpack_from("<H", data, header + 20)
+    (base,) = struct.unpack_from("<Q", data, header + 24 + 24)
+    table = {}
+    for number in range(count):
+        name, size, address, stored, at = struct.unpack_from("<8sIIII", data, header + 24 + length + 40 * number)
+        table[name.rstrip(b"\0").decode()] = (base + address, data[at : at + min(size, stored)])
+    return table
+
+
+def test_a_card_has_no_host_key_and_takes_the_keys_given(tmp_path: Path, system: Path, key: Path) -> None:
+    card.set_keys(system, key.with_suffix(".pub"))
+    assert output("debugfs", "-R", "cat /root/.ssh/authorized_keys", system) == key.with_suffix(".pub").read_text()
+    status = output("debugfs", "-R", "stat /root/.ssh/authorized_keys", system)
+    assert "Mode:  0600" in status
+    assert "User:     0   Group:     0" in status
+    assert output("debugfs", "-R", "ls -p /etc/ssh", system).count("ssh_host") == 0
+    # What is left is a sound file system.
+    assert subprocess.run(["e2fsck", "-f", "-n", system], capture_output=True).returncode == 0
+
+
+def test_without_keys_the_one_of_the_image_stays(tmp_path: Path, system: Path) -> None:
+    card.set_keys(system, None)
+    public = (tmp_path / f"{disk.KEY}.pub").read_text()
+    assert output("debugfs", "-R", "cat /root/.ssh/authorized_keys", system) == public
+    assert output("debugfs", "-R", "ls -p /etc/ssh", system).count("ssh_host") == 0
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (None, "cannot be read"),
+        ("", "no public key in it"),
+        ("ssh-ed25519 AAAA me@here\n", "no public key in it"),
+        ("-----BEGIN OPENSSH PRIVATE KEY-----\n", "a private key, give the public one"),
+    ],
+)
+def test_a_file_without_public_keys_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None, expected: str
+) -> None:
+    path = tmp_path / "keys"
+    if content is not None:
+        path.write_text(content)
+    assert cli.main(["board", "build", "--machine", "pc-x86_64", "--authorized-key", str(path)]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 1
+    assert errors[0].startswith(f"rtgen: {path}: {expected}")
+
+
+def test_a_board_in_qemu_takes_no_key(capsys: pytest.CaptureFixture[str], key: Path) -> None:
+    assert cli.main(["board", "build", "--machine", "qemu-x86_64", "--authorized-key", f"{key}.pub"]) == 2
+    assert capsys.readouterr().err.endswith("--authorized-key is for cards\n")
+
+
+def test_a_card_has_what_the_rom_of_an_omap4_looks_for(tmp_path: Path, system: Path) -> None:
+    """OMAP4460 TRM (SWPU235), 27.4.7: MLO in the root folder of a FAT partition, which is the active one of an MBR."""
+    loader = tmp_path / "MLO"
+    loader.write_bytes(b"first stage")
+    configuration = tmp_path / "configuration"
+    configuration.write_text("label linux\n")
+    image = tmp_path / "card.img"
+    card.write_card(image, "dos", {"MLO": loader, "extlinux/extlinux.conf": configuration}, system)
+    table = json.loads(output("sfdisk", "--json", image))["partitiontable"]
+    assert table["label"] == "dos"
+    boot, root = table["partitions"]
+    assert (boot["type"], boot["bootable"]) == ("c", True)
+    assert root["type"] == "83"
+    assert "bootable" not in root
+    assert output("mtype", "-i", f"{image}@@{card.START_MIB}M", "::/MLO") == "first stage"
+    assert output("mtype", "-i", f"{image}@@{card.START_MIB}M", "::/extlinux/extlinux.conf") == "label linux\n"
+    assert flash.check_image(image) == image.stat().st_size

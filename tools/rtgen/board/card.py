@@ -1,0 +1,116 @@
+"""The image of a card or stick for real hardware, with which nobody but its owner can log in."""
+
+import shutil
+from pathlib import Path
+from typing import Literal
+
+from rtfiles.errors import InfrastructureError, UsageError
+from rtgen.board import disk, u_boot, uefi
+from rtgen.board.boot import Boot
+from rtgen.board.kernel import Kernel
+from rtgen.board.machine import Machine
+from rtgen.process import run
+
+IMAGE = "card.img"
+HOST_KEY = "/etc/ssh/ssh_host_ed25519_key"
+LOGIN_KEYS = "/root/.ssh/authorized_keys"
+MIB = 2**20
+# Room for several kernels.
+BOOT_MIB = 128
+# Erase blocks of cards are a few MiB at most; partitions begin on them.
+START_MIB = 4
+
+Table = Literal["gpt", "dos"]
+# The type of the boot partition in sfdisk's words: EFI system, or FAT32 (LBA) and active.
+BOOT_TYPE: dict[Table, str] = {"gpt": "type=U", "dos": "type=c, bootable"}
+ROOT_TYPE: dict[Table, str] = {"gpt": "type=L", "dos": "type=83"}
+
+
+def build(machine: Machine, kernel: Kernel, root: Path, ram_disk: bytes, login: Path | None, folder: Path) -> None:
+    """Write card.img into an empty folder, from the root file system in `root`, a folder of `disk.build`.
+
+    `login` is a file of public keys that may log in; without it a key made for this image lies beside it.
+    """
+    if login is None:
+        for name in (disk.KEY, f"{disk.KEY}.pub"):
+            shutil.copy(root / name, folder / name)
+    work = folder / "work"
+    work.mkdir()
+    system = work / disk.IMAGE
+    run(["cp", "--sparse=always", root / disk.IMAGE, system])
+    if login is not None:
+        shutil.copy(login, work / "login.pub")
+    set_keys(system, None if login is None else work / "login.pub")
+    (work / "initrd").write_bytes(ram_disk)
+    boot = Boot(
+        kernel=kernel.image,
+        ram_disk=work / "initrd",
+        command_line=f"{machine.cmdline} root=UUID={file_system_id(system)} quiet",
+    )
+    if machine.u_boot is not None:
+        files = u_boot.boot_files(
+            machine.architecture, machine.u_boot, boot, kernel.device_tree(machine.u_boot.device_tree), work
+        )
+        write_card(folder / IMAGE, "dos", files, system)
+    else:
+        run(["debugfs", "-R", "dump /usr/lib/os-release os-release", system], folder=work)
+        write_card(folder / IMAGE, "gpt", uefi.boot_files(machine, boot, work / "os-release", work), system)
+    shutil.rmtree(work)
+
+
+def write_card(image: Path, table: Table, files: dict[str, Path], root: Path) -> None:
+    """Write the image of a whole card: a FAT partition with files, by their paths on it, and a root file system."""
+    root_mib = -(-root.stat().st_size // MIB)
+    # The last MiB is for the second partition table of a GPT.
+    with image.open("wb") as stream:
+        stream.truncate((START_MIB + BOOT_MIB + root_mib + 1) * MIB)
+    layout = [f"label: {table}", f"start={START_MIB}MiB, size={BOOT_MIB}MiB, {BOOT_TYPE[table]}"]
+    layout += [f"size={root_mib}MiB, {ROOT_TYPE[table]}"]
+    run(["sfdisk", "--quiet", image], stdin="".join(f"{line}\n" for line in layout).encode())
+    boot = image.with_name("boot.fat")
+    with boot.open("wb") as stream:
+        stream.truncate(BOOT_MIB * MIB)
+    run(["mkfs.vfat", "-F", "32", "-n", "BOOT", boot])
+    for name, file in files.items():
+        parents = [f"::/{parent}" for parent in reversed(Path(name).parents) if parent != Path()]
+        if parents:
+            run(["mmd", "-D", "s", "-i", boot, *parents])
+        run(["mcopy", "-i", boot, file, f"::/{name}"])
+    for part, start_mib in ((boot, START_MIB), (root, START_MIB + BOOT_MIB)):
+        run(["dd", f"if={part}", f"of={image}", "bs=1M", f"seek={start_mib}", "conv=notrunc,sparse", "status=none"])
+    boot.unlink()
+
+
+def set_keys(system: Path, login: Path | None) -> None:
+    """Take the host key out of a root file system, as each board makes its own, and put keys for logging in."""
+    commands = [f"rm {HOST_KEY}", f"rm {HOST_KEY}.pub"]
+    if login is not None:
+        commands += [f"rm {LOGIN_KEYS}", f"write {login.name} {LOGIN_KEYS}", f"sif {LOGIN_KEYS} mode 0100600"]
+        commands += [f"sif {LOGIN_KEYS} {owner} 0" for owner in ("uid", "gid")]
+    # In the folder of the keys, as debugfs takes no path with blanks.
+    place = login.parent if login is not None else None
+    run(["debugfs", "-w", "-f", "-", system], stdin="".join(f"{line}\n" for line in commands).encode(), folder=place)
+    # debugfs ends with status 0 whatever happens.
+    if login is not None and run(["debugfs", "-R", f"cat {LOGIN_KEYS}", system]) != login.read_text(encoding="utf-8"):
+        raise InfrastructureError(f"{login}: debugfs could not write the keys into the image")
+    if run(["debugfs", "-R", f"cat {HOST_KEY}", system]):
+        raise InfrastructureError(f"{system}: debugfs could not remove the host key from the image")
+
+
+def file_system_id(system: Path) -> str:
+    """The UUID of an ext4 file system."""
+    return run(["blkid", "-p", "-o", "value", "-s", "UUID", system]).strip()
+
+
+def check_login(login: Path) -> None:
+    """Raise UsageError if this is no file of public keys."""
+    try:
+        text = login.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{login}: cannot be read: {error}") from error
+    if "PRIVATE KEY" in text:
+        raise UsageError(f"{login}: a private key, give the public one: {login}.pub")
+    try:
+        run(["ssh-keygen", "-l", "-f", login])
+    except InfrastructureError as error:
+        raise UsageError(f"{login}: no public key in it, ssh-keygen -t ed25519 makes one") from error

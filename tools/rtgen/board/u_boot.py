@@ -1,0 +1,43 @@
+"""What a card needs that starts by U-Boot: Debian's ready-made U-Boot, kernel, device tree and RAM disk as files.
+
+Where they have to be, for an OMAP4: the ROM reads MLO from the root folder of a FAT partition, the active one of an MBR
+(OMAP4460 TRM, SWPU235, 27.4.7 "MMC/SD Cards"). MLO is U-Boot's SPL and reads u-boot.img from there
+(CONFIG_SPL_FS_LOAD_PAYLOAD_NAME). U-Boot's distro_bootcmd looks for extlinux/extlinux.conf on the bootable partition
+(doc/develop/distro.rst of U-Boot).
+"""
+
+from pathlib import Path
+
+from rtfiles import cache
+from rtgen import debian
+from rtgen.board.boot import Boot
+from rtgen.board.machine import UBoot
+
+CONFIGURATION = """\
+default linux
+timeout 10
+label linux
+    kernel /zImage
+    initrd /initrd
+    fdt /board.dtb
+    append {command_line}
+"""
+
+
+def boot_files(architecture: str, u_boot: UBoot, boot: Boot, device_tree: Path, work: Path) -> dict[str, Path]:
+    """The files of the boot partition by their paths on it; those that U-Boot's package has come first."""
+    package = packaged(architecture, u_boot.package)
+    configuration = work / "extlinux.conf"
+    configuration.write_text(CONFIGURATION.format(command_line=boot.command_line), encoding="utf-8")
+    return {Path(name).name: package / name for name in u_boot.files} | {
+        "zImage": boot.kernel,
+        "initrd": boot.ram_disk,
+        "board.dtb": device_tree,
+        "extlinux/extlinux.conf": configuration,
+    }
+
+
+def packaged(architecture: str, package: str) -> Path:
+    """The unpacked U-Boot package, from the cache or downloaded."""
+    key = cache.digest(["u-boot", architecture, package, *map(str, debian.source()), Path(debian.__file__)])
+    return cache.entry("u-boot", key, lambda folder: debian.extract([package], folder, architecture))

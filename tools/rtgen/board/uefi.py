@@ -1,0 +1,59 @@
+"""What a card needs that starts by UEFI: one EFI file with kernel, RAM disk and command line in it.
+
+The EFI file is systemd's stub with the parts added as sections (UAPI group, "Unified Kernel Image"). Firmware finds it
+on a medium without boot entries by its path, ``EFI/BOOT/BOOT<architecture>.EFI`` (UEFI specification 2.10, 3.5.1.1), on
+a partition of type EFI system with a FAT file system.
+"""
+
+import struct
+from pathlib import Path
+
+from rtfiles import cache
+from rtgen import debian
+from rtgen.board.boot import Boot
+from rtgen.board.machine import Machine, architectures
+from rtgen.process import run
+
+PACKAGE = "systemd-boot-efi"
+SECTION_ALIGNMENT = 4096
+
+
+def boot_files(machine: Machine, boot: Boot, os_release: Path, work: Path) -> dict[str, Path]:
+    """The files of the boot partition by their paths on it."""
+    architecture = architectures()[machine.architecture]
+    command_line = work / "cmdline"
+    command_line.write_text(boot.command_line, encoding="utf-8")
+    parts = {".osrel": os_release, ".cmdline": command_line, ".linux": boot.kernel, ".initrd": boot.ram_disk}
+    stub = packaged(machine.architecture) / f"usr/lib/systemd/boot/efi/linux{architecture.uefi}.efi.stub"
+    write_efi_file(work / "boot.efi", stub, architecture.triplet, parts)
+    return {f"EFI/BOOT/BOOT{architecture.uefi}.EFI".upper(): work / "boot.efi"}
+
+
+def packaged(architecture: str) -> Path:
+    """The unpacked package of systemd's stub, from the cache or downloaded."""
+    key = cache.digest(["stub", architecture, *map(str, debian.source()), Path(debian.__file__)])
+    return cache.entry("stub", key, lambda folder: debian.extract([PACKAGE], folder, architecture))
+
+
+def write_efi_file(file: Path, stub: Path, triplet: str, parts: dict[str, Path]) -> None:
+    """Write the stub with a section for each part, by the section's name."""
+    address = image_end(stub.read_bytes())
+    command: list[str | Path] = [f"{triplet}-objcopy"]
+    for name, part in parts.items():
+        command += ["--add-section", f"{name}={part}", "--change-section-vma", f"{name}={address:#x}"]
+        address = aligned(address + part.stat().st_size)
+    run([*command, stub, file])
+
+
+def image_end(program: bytes) -> int:
+    """The first free address behind a program in PE format: ImageBase + SizeOfImage of its optional header (PE32+)."""
+    (header,) = struct.unpack_from("<I", program, 0x3C)
+    optional = header + 24
+    (base,) = struct.unpack_from("<Q", program, optional + 24)
+    (size,) = struct.unpack_from("<I", program, optional + 56)
+    return aligned(base + size)
+
+
+def aligned(address: int) -> int:
+    """The address, or the next one at which a section may begin."""
+    return -(-address // SECTION_ALIGNMENT) * SECTION_ALIGNMENT
