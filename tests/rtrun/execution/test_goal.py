@@ -117,6 +117,13 @@ def test_an_answer_waits_for_its_boots():
     assert len(board.calls) == 6 and board.boot == 5
 
 
+def test_rounds_that_share_a_boot_need_no_restart():
+    groups, wanted = groups_of(1000), goal(boots=2)
+    board = Board({1000: 0.0}, wanted=wanted)
+    assert set(measure(board, groups, wanted).values()) == {Answer.PROVEN}
+    assert len(board.calls) == 4 and board.boot == 1, "two rounds on each of two boots"
+
+
 def test_it_is_refuted():
     groups, wanted = groups_of(1000), goal(boots=2)
     board = Board({1000: 0.02}, wanted=wanted)

@@ -1,5 +1,8 @@
 #include <gtest/gtest.h>
 
+#include <chrono>
+#include <thread>
+
 #include "pace.h"
 #include "receptions.h"
 
@@ -70,5 +73,15 @@ TEST(Pace, NeverAheadOfTheGrid) {
   const int64_t before = rt_tests::now_ns(CLOCK_MONOTONIC);
   communication::Pace pace(7000);
   for (int i = 0; i < 70; ++i) EXPECT_TRUE(pace.wait());
+  EXPECT_GE(rt_tests::now_ns(CLOCK_MONOTONIC) - before, 10000000);
+}
+
+// The second message is due a period after the first one, which was late.
+TEST(Pace, ALateMessageIsNotFollowedByABurst) {
+  communication::Pace pace(100);
+  std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  const int64_t before = rt_tests::now_ns(CLOCK_MONOTONIC);
+  EXPECT_TRUE(pace.wait());
+  EXPECT_TRUE(pace.wait());
   EXPECT_GE(rt_tests::now_ns(CLOCK_MONOTONIC) - before, 10000000);
 }
