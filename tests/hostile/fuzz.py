@@ -93,7 +93,7 @@ def _with_other_cells(random_: random.Random, data: bytes) -> bytes:
         return database.serialize()
 
 
-class Hang(Exception):
+class Hang(BaseException):
     """A reader took longer than INPUT_S."""
 
 
@@ -134,25 +134,31 @@ def fuzz(rounds: Iterator[int], seed: int, names: list[str], failures: Path | No
     signal.signal(signal.SIGALRM, _hang)
     most = max(reader.cost for reader in READERS.values())
     with tempfile.TemporaryDirectory() as temporary:
-        for place in ((number, name) for number in rounds for name in names):
-            for number in range(max(1, most // READERS[place[1]].cost)):
-                # An input depends on its own place only, not on the readers before it.
-                described = f"seed {seed}, round {place[0]}, reader {place[1]}, input {number}"
-                random_ = random.Random(described)
-                files = dict(random_.choice(READERS[place[1]].seeds))
-                file = random_.choice(sorted(files))
-                files[file] = damaged(random_, file, files[file])
-                count += 1
-                try:
-                    feed(place[1], files, Path(temporary) / "input")
-                except (Exception, Hang) as error:
-                    error.add_note(f"{described}: {file}: {files[file][:2000]!r}")
-                    if failures is None:
-                        raise
-                    kept = failures / re.sub(r"\W+", "-", described)
-                    shutil.copytree(Path(temporary) / "input", kept)
-                    (kept / "traceback").write_text("".join(traceback.format_exception(error)))
-                    print(f"{kept}: {error!r}"[:300], flush=True)
+        folder = Path(temporary) / "input"
+        places = (
+            (round_, name, number)
+            for round_ in rounds
+            for name in names
+            for number in range(most // READERS[name].cost)
+        )
+        for round_, name, number in places:
+            # An input depends on its own place only, not on the readers before it.
+            place = f"seed {seed}, round {round_}, reader {name}, input {number}"
+            random_ = random.Random(place)
+            files = dict(random_.choice(READERS[name].seeds))
+            file = random_.choice(sorted(files))
+            files[file] = damaged(random_, file, files[file])
+            count += 1
+            try:
+                feed(name, files, folder)
+            except (Exception, Hang) as error:
+                error.add_note(f"{place}: {file}: {files[file][:2000]!r}")
+                if failures is None:
+                    raise
+                kept = failures / re.sub(r"\W+", "-", place)
+                shutil.copytree(folder, kept)
+                (kept / "traceback").write_text("".join(traceback.format_exception(error)))
+                print(f"{kept}: {error!r}"[:300], flush=True)
     return count
 
 
