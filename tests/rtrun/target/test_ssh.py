@@ -90,6 +90,16 @@ def test_a_listing_has_regular_files_only(connection, tmp_path):
     assert connection.list_files(PurePosixPath(tmp_path)) == {"file": 5}
 
 
+def test_a_listing_has_an_end(connection, tmp_path, monkeypatch):
+    monkeypatch.setattr("rtrun.target.connection.FILES_MAX", 2)
+    for name in ("a", "b"):
+        (tmp_path / name).touch()
+    assert len(connection.list_files(PurePosixPath(tmp_path))) == 2
+    (tmp_path / "c").touch()
+    with pytest.raises(TargetError, match="has more than 2 files"):
+        connection.list_files(PurePosixPath(tmp_path))
+
+
 def test_nobody_listens(sshd):
     with pytest.raises(ConnectionLost, match="cannot connect: Connection refused"):
         Connection(Address(host="127.0.0.1", port=1, key=sshd.key, host_key=sshd.host_key))
