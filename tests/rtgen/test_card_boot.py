@@ -35,6 +35,11 @@ FIRMWARE = {
         "ovmf",
         ("usr/share/OVMF/OVMF_CODE_4M.fd", "usr/share/OVMF/OVMF_VARS_4M.fd"),
     ),
+    "arm64": (
+        ["qemu-system-aarch64", "-M", "virt", "-cpu", "cortex-a72"],
+        "qemu-efi-aarch64",
+        ("usr/share/AAVMF/AAVMF_CODE.fd", "usr/share/AAVMF/AAVMF_VARS.fd"),
+    ),
 }
 # U-Boot 2023.01's environment for the OMAP4: where it loads what, and how much memory it uses (bootm_size).
 KERNEL_AT, DEVICE_TREE_AT, RAM_DISK_AT, MEMORY_END = 0x82000000, 0x88000000, 0x88080000, 0x80000000 + 0x10000000
