@@ -80,7 +80,7 @@ def as_values(log: Log) -> list[int]:
     return [value for value, count in zip(log.value_us.tolist(), log.count.tolist(), strict=True) for _ in range(count)]
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(values=st.lists(st.integers(-2000, 2000), min_size=1, max_size=40), old=st.booleans())
 def test_cyclic_logs_come_back(tmp_path: Path, values: list[int], old: bool) -> None:
     path = tmp_path / f"cyclic_timer_tests_l{len(values)}_fq50.log"
@@ -95,7 +95,7 @@ def test_cyclic_logs_come_back(tmp_path: Path, values: list[int], old: bool) -> 
     assert old or None not in [entry.index for entry in (*figures.top, *figures.lowest)]
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     values=st.lists(st.none() | st.integers(0, 500), min_size=1, max_size=40).filter(
         lambda values: set(values) != {None}
@@ -325,7 +325,7 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
 REAL = (DATA / "short_cyclic_timer_tests_l5_fq50.log").read_bytes()
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=300)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
 @given(data=st.data())
 def test_junk_is_refused_and_nothing_else_happens(tmp_path: Path, data: st.DataObject) -> None:
     start = data.draw(st.integers(0, len(REAL)))

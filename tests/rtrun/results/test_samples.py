@@ -130,7 +130,7 @@ def test_a_header_that_lies_about_its_size_takes_no_memory(tmp_path: Path) -> No
         read_samples(path)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_junk_in_the_header_is_refused_and_nothing_else_happens(tmp_path: Path, data: st.DataObject) -> None:
     path = write_cyclic(tmp_path).with_suffix(".npy")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from rtrun.analysis.comparison import Change
+from rtrun.analysis.effects import holm
 from rtrun.analysis.intervals import clopper_pearson
 from rtrun.analysis.periods import burst_peaks, find_period
 from rtrun.report.claims.examination import (
@@ -165,8 +166,12 @@ def rr_equals_fifo(study: Study) -> Result:
                 compared_pairs.append((pair, comparison))
     if not compared_pairs:
         return no_runs("pair of runs with RR and FIFO")
-    apart = [c.answer == Change.DIFFERENT and not all(s.within_margin for s in c.shifts) for _, c in compared_pairs]
     alike = [all(s.within_margin for s in c.shifts) for _, c in compared_pairs]
+    significant = holm([c.p_value for _, c in compared_pairs], 1 - study.confidence)
+    apart = [
+        c.answer == Change.DIFFERENT and beyond_chance and not within
+        for (_, c), beyond_chance, within in zip(compared_pairs, significant, alike, strict=True)
+    ]
     finding = Finding.REFUTED if any(apart) else Finding.CONFIRMED if all(alike) else Finding.UNDECIDED
     if any(apart) and any(c.units == "blocks" for _, c in compared_pairs):
         # One boot or run may differ from the next whatever the policy: too few runs to blame the policy.
@@ -177,7 +182,8 @@ def rr_equals_fifo(study: Study) -> Result:
             f"{pair[0].label}: {c.answer} (mean {c.shifts[0].shift_ns / 1000:+.1f} us, p = {c.p_value:.2g})"
             for pair, c in compared_pairs
         ),
-        test="permutation of blocks or runs, and equivalence within 5 %; refuted with five runs a side only",
+        test="permutation of blocks or runs, and equivalence within 5 %; refuted with five runs a side only, "
+        "after Holm over all pairs",
         runs=runs_of(group for pair, _ in compared_pairs for group in pair),
     )
 

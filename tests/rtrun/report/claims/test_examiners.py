@@ -1,5 +1,7 @@
 """Each claim of the thesis, confirmed and refuted by campaigns made to do so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from report.campaigns import (
@@ -11,7 +13,9 @@ from report.campaigns import (
     write_run,
 )
 
-from rtrun.report.claims.examination import Finding
+from rtrun.analysis.comparison import Change
+from rtrun.report.claims import general
+from rtrun.report.claims.examination import Finding, compared
 from rtrun.report.claims.examiners import EXAMINERS, examine_claims
 from rtrun.report.claims.reference import published
 from rtrun.report.study import study
@@ -266,6 +270,22 @@ def test_round_robin_beside_fifo(tmp_path):
     assert examine(tmp_path / "same", "rr-equals-fifo").finding == CONFIRMED
     assert examine(tmp_path / "apart", "rr-equals-fifo").finding == REFUTED
     assert examine(tmp_path / "single", "rr-equals-fifo").finding == UNDECIDED
+
+
+@pytest.mark.parametrize(("p_value", "finding"), [(0.03, UNDECIDED), (0.01, REFUTED)])
+def test_one_pair_of_three_refutes_only_beyond_the_chance_of_three(tmp_path, monkeypatch, p_value, finding):
+    for k in range(5):
+        for timeout_us in (500, 1000, 2000):
+            fifo_us = 140.0 if timeout_us == 1000 else 90.0
+            oneshot(tmp_path, f"r{k}-{timeout_us}", latencies(500, k), timeout_us=timeout_us)
+            oneshot(tmp_path, f"f{k}-{timeout_us}", latencies(500, 50 + k, fifo_us), "FIFO", timeout_us=timeout_us)
+
+    def with_p_value(pair, confidence):
+        comparison = compared(pair, confidence)
+        return replace(comparison, p_value=p_value if comparison.answer == Change.DIFFERENT else 0.5)
+
+    monkeypatch.setattr(general, "compared", with_p_value)
+    assert examine(tmp_path, "rr-equals-fifo").finding == finding
 
 
 def test_a_single_cpu(tmp_path):

@@ -55,9 +55,12 @@ def cyclictest(tmp_path_factory):
 def test_cyclictest_tells_the_same_in_text_and_json(cyclictest):
     text, data = read(cyclictest / "run.txt"), read(cyclictest / "run.json")
     assert [one.name for one in text] == [one.name for one in data] == ["cyclictest-t0", "cyclictest-t1"]
+    assert 1000 in [one.histogram.n for one in text]
     for a, b in zip(text, data, strict=True):
-        # cyclictest ends when the faster thread is done: the other has fewer.
-        assert a.histogram.n == b.histogram.n > 0
+        # cyclictest ends when the faster thread is done, and the other one may add values between the two outputs.
+        if max(a.histogram.n, b.histogram.n) < 1000:
+            continue
+        assert a.histogram.n == b.histogram.n
         assert a.histogram.counts.tolist() == b.histogram.counts.tolist()
         assert a.histogram.values_ns.tolist() == b.histogram.values_ns.tolist()
         assert (a.histogram.overflow, a.histogram.max_ns) == (b.histogram.overflow, b.histogram.max_ns)
@@ -256,7 +259,7 @@ def test_broken_files_are_refused_with_their_place(tmp_path, name, text, message
     assert name in str(refused.value)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.data())
 def test_no_damage_crashes_a_reader(tmp_path_factory, cyclictest, data):
     """Cut, flip and insert bytes anywhere: a result or one UsageError that names the file."""
