@@ -127,7 +127,8 @@ def test_programs_of_2014_write_logs_only(target, tmp_path, watching, wishes):
     (row,) = read_run(tmp_path / "results" / runs[0].name).results
     assert row.figures.n + len(row.header.startup) == 300
     reason = record(tmp_path / "results", runs[1])["reason"]
-    assert reason.startswith("nobody saw RR 95 in effect"), "they have no json that says so either"
+    # They have no json that says so either. The run is short: whether anybody sees its threads is chance.
+    assert reason.startswith(("nobody saw RR 95 in effect", "asked for RR 95, in effect was")), reason
 
 
 @pytest.mark.parametrize("option", [{"clock": "monotonic"}, {"rt_scope": "measuring-thread"}])
