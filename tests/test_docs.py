@@ -25,7 +25,7 @@ from rtrun.target.config import read_target
 
 TOP = Path(__file__).parents[1]
 PAGES = [TOP / "README.md", *sorted((TOP / "docs").glob("*.md"))]
-RUN_HERE = [page for page in PAGES if page.name != "tutorial.md"]  # its commands need a board
+RUN_HERE = [page for page in PAGES if page.name != "tutorial.md"]  # tests/test_tutorial.py
 COMMANDS = {"rtgen": rtgen.cli.COMMANDS, "rtrun": rtrun.cli.COMMANDS}
 
 # Commands that are only parsed here, and why.
