@@ -2,17 +2,13 @@
 
 import json
 import os
-import shutil
 
 import pytest
 
 from ports import free_port
 from rtrun.cli import main
 
-pytestmark = [
-    pytest.mark.ros,
-    pytest.mark.skipif(shutil.which("cyclictest") is None, reason="needs cyclictest (rt-tests)"),
-]
+pytestmark = pytest.mark.ros
 
 CAMPAIGN = """
 schema: 1

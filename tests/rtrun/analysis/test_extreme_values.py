@@ -170,8 +170,8 @@ def test_fits_are_those_of_scipy() -> None:
 
 
 def test_levels_are_those_of_pyextremes() -> None:
-    pyextremes = pytest.importorskip("pyextremes")
     import pandas
+    import pyextremes
 
     values = exponential(50_000)
     bound = bounds(values, probability=1e-5)[0]

@@ -160,4 +160,5 @@ def examine_shift(
 
 def us(value_ns: float) -> str:
     """Nanoseconds as microseconds, a decimal where it tells something."""
-    return f"{value_ns / 1000:.1f}" if abs(value_ns) < 1e6 else f"{value_ns / 1000:.0f}"
+    digits = 1 if abs(value_ns) < 1e6 else 0
+    return f"{round(value_ns / 1000, digits) + 0.0:.{digits}f}"  # + 0.0: no minus in front of a zero
