@@ -2,6 +2,7 @@
 // Plots are drawn by plotly when they come into view, and again when the colours of the page change.
 const root = document.documentElement;
 const wide = matchMedia("(min-width: 800px)");
+const PAPER = { overview: 680, width: 335, height: 290 };  // px: two plots side by side on a page of letter or A4 size
 const config = { responsive: true, displayModeBar: false };
 root.classList.add("scripted");
 
@@ -44,6 +45,7 @@ function draw(figure) {
     shown.showlegend = false;
     Plotly.purge(place);
   }
+  if (root.classList.contains("paper")) Object.assign(shown, { width: PAPER.width, height: PAPER.height });
   Plotly.react(place, data, shown, config);
 }
 
@@ -117,6 +119,7 @@ function drawOverview() {
     annotations: rows.map((row, k) => ({ xref: "paper", x: 0, y: k, text: link(row, k), showarrow: false, xshift: beside ? -8 : 0, align: beside ? "right" : "left",
       bgcolor: colour("--page"),
       yshift: beside ? 0 : 7.5 + tallest / 2, xanchor: beside ? "right" : "left", font: { color: tone(row), size: 12.5 } })) });
+  if (root.classList.contains("paper")) layout.width = PAPER.overview;
   const drawing = overview.firstElementChild;
   Plotly.react(drawing, traces, layout, config);
   if (!drawing.dataset.linked) {
@@ -158,6 +161,12 @@ addEventListener("beforeprint", () => {
   for (const figure of document.querySelectorAll("details[open] .plots figure")) draw(figure);
   drawOverview();
 });
-addEventListener("afterprint", () => { root.classList.remove("paper"); redraw(); });
+addEventListener("afterprint", () => {
+  root.classList.remove("paper");
+  // A plot that was given a width keeps it until it is made anew.
+  for (const place of document.querySelectorAll(".js-plotly-plot")) Plotly.purge(place);
+  delete overview.firstElementChild.dataset.linked;
+  redraw();
+});
 applyFilter();
 openTarget();
