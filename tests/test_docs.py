@@ -118,7 +118,7 @@ def test_make_has_the_targets(page: Path) -> None:
 
 def test_the_target_file_of_the_readme(tmp_path: Path) -> None:
     text = (TOP / "README.md").read_text()
-    block = text.partition("Write a target file:\n")[2].partition("\nthen\n")[0]
+    block = text.partition("what the board lacks. The file:\n")[2].partition("\nthen\n")[0]
     file = tmp_path / "my-board.yml"
     (tmp_path / "build/suites/qemu-armv7").mkdir(parents=True)
     file.write_text(block.replace("    ", "", 1).replace("\n    ", "\n").replace("SHA256:...", "SHA256:" + "A" * 43))
