@@ -24,26 +24,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the findings. 0: nothing fatal or high, 1: something, 3: the target cannot be reached."""
     import json
-    import tempfile
 
-    from rtfiles.output import print_note, print_text
+    from rtfiles.output import print_text
+    from rtrun.commands._link import linked
     from rtrun.target import rt_readiness
-    from rtrun.target.config import connect, read_target
-    from rtrun.target.link import Link
+    from rtrun.target.config import read_target
 
     config = read_target(args.target)
     checks = rt_readiness.read_checks()
-    script = rt_readiness.SCRIPT.read_text(encoding="utf-8")
 
-    def note(text: str) -> None:
-        print_note(f"rtrun: {text}")
-
-    with (
-        tempfile.TemporaryDirectory(prefix="rtrun-check-rt-") as work,
-        connect(config, args.target.parent, Path(work) / "console.log") as target,
-        Link(target, note) as link,
-    ):
-        facts = rt_readiness.parse(link.check(["sh", "-s"], stdin=script))
+    with linked(config, args.target.parent) as link:
+        target = link.target
+        facts = rt_readiness.read_facts(link)
         if args.save_config:
             _save_config(link, args.save_config)
     findings = rt_readiness.judge(checks, facts)

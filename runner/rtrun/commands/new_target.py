@@ -30,12 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the file and print what the board lacks. 0: nothing, 3: something, or the board is out of reach."""
     import sys
-    import tempfile
 
     from rtfiles.errors import InfrastructureError, UsageError
-    from rtfiles.output import print_line, print_note
-    from rtrun.target.config import connect, parse_target
-    from rtrun.target.link import Link
+    from rtfiles.output import print_line
+    from rtrun.commands._link import linked
+    from rtrun.target.config import parse_target
     from rtrun.target.ssh_config import address_of
 
     asks = sys.stdin.isatty()
@@ -56,16 +55,9 @@ def run(args: argparse.Namespace) -> int:
         address = address_of(host, user=args.user, port=args.port, key=Path(key) if key else None)
         values |= _host_key(address, asks)
 
-    def note(text: str) -> None:
-        print_note(f"rtrun: {text}")
-
-    with (
-        tempfile.TemporaryDirectory(prefix="rtrun-new-target-") as work,
-        connect(parse_target(values, "new-target"), Path.cwd(), Path(work) / "console.log") as target,
-        Link(target, note) as link,
-    ):
+    with linked(parse_target(values, "new-target"), Path.cwd()) as link:
         _write(output, values)
-        print_line(f"{output}: target {name} ({target.address})")
+        print_line(f"{output}: target {name} ({link.target.address})")
         lacks = _lacks(link)
         print_line(_readiness(link, output))
     for line in lacks:
@@ -166,11 +158,8 @@ def _readiness(link: "Link", output: Path) -> str:
     from rtfiles.invocation import as_called
     from rtrun.target import rt_readiness
 
-    facts = rt_readiness.parse(link.check(["sh", "-s"], stdin=rt_readiness.SCRIPT.read_text(encoding="utf-8")))
-    findings = rt_readiness.judge(rt_readiness.read_checks(), facts)
-    grave = [
-        each.check.name for each in findings if each.status == "fault" and each.check.severity in rt_readiness.GRAVE
-    ]
+    findings = rt_readiness.judge(rt_readiness.read_checks(), rt_readiness.read_facts(link))
+    grave = [each.check.name for each in rt_readiness.grave_faults(findings)]
     if not grave:
         return "nothing grave stands in the way of real time"
     explain = f"{as_called('rtrun')} check-rt --target {output}"

@@ -20,24 +20,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print what the target is. 0: ready, 2: its suites are for another machine, 3: out of reach or lacks something."""
     import json
-    import tempfile
     from dataclasses import asdict
 
-    from rtfiles.output import print_line, print_note, print_text
+    from rtfiles.output import print_line, print_text
+    from rtrun.commands._link import linked
     from rtrun.target import deploy, inspection, ros_master
-    from rtrun.target.config import connect, read_target
-    from rtrun.target.link import Link
+    from rtrun.target.config import read_target
 
     config = read_target(args.target)
 
-    def note(text: str) -> None:
-        print_note(f"rtrun: {text}")
-
-    with (
-        tempfile.TemporaryDirectory(prefix="rtrun-probe-") as work,
-        connect(config, args.target.parent, Path(work) / "console.log") as target,
-        Link(target, note) as link,
-    ):
+    with linked(config, args.target.parent) as link:
+        target = link.target
         equipment = inspection.inspect(link)
         inspection.check_suites(target, equipment)
         state = inspection.read_state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")

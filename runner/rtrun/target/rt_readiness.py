@@ -8,6 +8,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from rtfiles.config import Config, load
+from rtrun.target.link import Link
 
 DATA = Path(__file__).with_suffix(".yml")
 SCRIPT = Path(__file__).parents[1] / "on_target" / "check_rt.sh"
@@ -62,6 +63,11 @@ def read_checks() -> list[Check]:
     return load(DATA, Checks).checks
 
 
+def read_facts(link: Link) -> dict[str, list[str]]:
+    """Ask a target for the lines of each fact. Raises as `Link.check` does."""
+    return parse(link.check(["sh", "-s"], stdin=SCRIPT.read_text(encoding="utf-8")))
+
+
 def parse(text: str) -> dict[str, list[str]]:
     """Read the output of check_rt.sh into lines by fact; a fact that the target does not have has no lines."""
     parts = re.split(r"^== (\w+)$", text, flags=re.MULTILINE)
@@ -75,9 +81,14 @@ def judge(checks: list[Check], facts: dict[str, list[str]]) -> list[Finding]:
     return sorted(findings, key=lambda each: (order.index(each.status), SEVERITIES.index(each.check.severity)))
 
 
+def grave_faults(findings: list[Finding]) -> list[Finding]:
+    """The findings that are fatal or high."""
+    return [each for each in findings if each.status == "fault" and each.check.severity in GRAVE]
+
+
 def is_ready(findings: list[Finding]) -> bool:
     """Whether nothing fatal or high was found."""
-    return not any(each.status == "fault" and each.check.severity in GRAVE for each in findings)
+    return not grave_faults(findings)
 
 
 def _judge(check: Check, lines: list[str]) -> Finding:

@@ -1,0 +1,25 @@
+"""The link of a command that asks a target something, and measures nothing."""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from rtfiles.output import print_note
+from rtrun.target.config import TargetConfig, connect
+from rtrun.target.link import Link
+
+
+@contextlib.contextmanager
+def linked(config: TargetConfig, folder: Path) -> Iterator[Link]:
+    """Yield a link to the target. Relative paths of the config are relative to `folder`; no console is kept."""
+
+    def note(text: str) -> None:
+        print_note(f"rtrun: {text}")
+
+    with (
+        tempfile.TemporaryDirectory(prefix="rtrun-") as work,
+        connect(config, folder, Path(work) / "console.log") as target,
+        Link(target, note) as link,
+    ):
+        yield link
