@@ -36,11 +36,12 @@ def run(args: argparse.Namespace) -> int:
     analysed = ask(args, bounds=whole)
     examined = examine_claims(analysed) if whole else ()
     written = contents(analysed, examined)
+    judged = gate.gate(analysed)
     writers = {
         "html": lambda: page.html(analysed, written).encode("utf-8", "replace"),
         "markdown": lambda: formats.markdown(written).encode("utf-8", "replace"),
         "json": lambda: formats.as_json(analysed, examined).encode("utf-8", "replace"),
-        "junit": lambda: formats.junit(gate.gate(analysed)).encode("utf-8", "replace"),
+        "junit": lambda: formats.junit(judged).encode("utf-8", "replace"),
         "csv": lambda: formats.as_csv(analysed).encode("utf-8", "replace"),
         "parquet": lambda: formats.parquet(analysed),
     }
@@ -64,6 +65,6 @@ def run(args: argparse.Namespace) -> int:
     if written.banner:
         print_line(written.banner)
     print_line(written.answer)
-    answers.print_answers(gate.gate(analysed).cases, judged=False)
+    answers.print_answers(judged.cases, judged=False)
     print_line(str(output))
     return 0

@@ -7,6 +7,7 @@ from rtfiles.output import console, print_line, printable
 from rtrun.analysis.deadline import Answer
 from rtrun.report.claims.examination import us
 from rtrun.report.gate import Case
+from rtrun.report.tables import grouped
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -45,7 +46,7 @@ def _table(cases: Sequence[Case], *, judged: bool) -> "Table":
         rows.add_column(heading, justify="right", no_wrap=True)
     for case in cases:
         gate = Text("pass", style="green") if case.passed else Text("FAIL", style="bold red")
-        numbers = ["-" if count is None else f"{count:,}".replace(",", " ") for count in (case.n, case.misses)]
+        numbers = ["-" if count is None else grouped(count) for count in (case.n, case.misses)]
         numbers.append("-" if case.worst_ns is None else us(case.worst_ns))
         answer = Text(case.answer, style=_STYLES.get(case.answer, ""))
         rows.add_row(*[gate] * judged, answer, Text(printable(case.about)), *numbers)

@@ -11,9 +11,9 @@ from rtrun.report.claims.examiners import Examined
 from rtrun.report.end_tables import end_tables
 from rtrun.report.scenarios import Scenario, scenarios
 from rtrun.report.study import Study
-from rtrun.report.tables import Table, how
+from rtrun.report.tables import Table, grouped, how
 from rtrun.report.terminal import banner_of
-from rtrun.report.verdicts import summary
+from rtrun.report.verdicts import WORST_FIRST
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +64,12 @@ def _question(study: Study) -> str:
 def _answer(study: Study, made: Sequence[Scenario]) -> str:
     """The answer to the question in one sentence."""
     counts, total = Counter(one.answer for one in made), len(made)
+    summary = ", ".join(f"{answer} {counts[answer]} of {total}" for answer in WORST_FIRST if counts[answer])
     deadline = f"the deadline of {study.deadline_ns / 1000:g} us"
     if not made:
         text = f"Nothing was measured that {deadline} could be held against"
     elif counts[Answer.REFUTED]:
-        text = f"{deadline.capitalize()} is not met: {summary(study)}"
+        text = f"{deadline.capitalize()} is not met: {summary}"
     elif counts[Answer.PROVEN] + counts[Answer.IF_INDEPENDENT] == total:
         condition = ", if measurements are independent" if counts[Answer.IF_INDEPENDENT] else ""
         text = (
@@ -79,7 +80,7 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
         reasons = dict.fromkeys(one.group.verdict.refused or "" for one in made if one.group.verdict)
         text = f"No statement about {deadline} in any scenario: {'; '.join(reasons)}"
     else:
-        text = f"It is not decided whether {deadline} is met: {summary(study)}"
+        text = f"It is not decided whether {deadline} is met: {summary}"
     if study.left_out:
         text += f"; {len(study.left_out)} not analysed"
     return text + "."
@@ -98,7 +99,7 @@ def _next_step(made: Sequence[Scenario]) -> str:
         )
     wanted = [verdict.further for one in made if (verdict := one.group.verdict) and verdict.further]
     if Answer.NEEDS_MORE in answers and wanted:
-        return f"measure more: up to {max(wanted):,} measurements a scenario without another miss".replace(",", " ")
+        return f"measure more: up to {grouped(max(wanted))} measurements a scenario without another miss"
     if answers and answers <= {Answer.NO_STATEMENT}:
         return "measure where the time is real, on the board itself: rtrun run CAMPAIGN.yml --target BOARD.yml"
     if answers == {Answer.PROVEN}:
@@ -114,7 +115,7 @@ def _facts(study: Study) -> list[tuple[str, str]]:
     real_time = {True: "PREEMPT_RT", False: "without PREEMPT_RT", None: "PREEMPT_RT not known"}
     boots = {str(target.boot_id) for target in targets if target.boot_id}
     seconds = sum(_seconds(record.start_time, record.end_time) for record in study.records)
-    measurements = f"{sum(group.n for group in study.groups):,}".replace(",", " ")
+    measurements = grouped(sum(group.n for group in study.groups))
     days = sorted({record.start_time[:10] for record in study.records if record.start_time})
     kernels = [_text(target.kernel_release) for target in targets if target.kernel_release]
     values = f"{measurements} values" + (f", {' to '.join(dict.fromkeys((days[0], days[-1])))}" if days else "")

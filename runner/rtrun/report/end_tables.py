@@ -216,16 +216,17 @@ def _reproduce(study: Study) -> Table:
         ("measured", f"{record.run}: {' ; '.join(' '.join(p.argv) for p in record.programs)}")
         for record in study.records
     ]
+    digest = fingerprint(study)
     command = f"rtrun report RESULTS --deadline {study.deadline_ns / 1000:g}us"
     rows.append(("examined", f"{command} --probability {study.probability:g} --confidence {study.confidence:g}"))
-    rows.append(("input", f"sha256 {fingerprint(study)} of all closing records"))
+    rows.append(("input", f"sha256 {digest} of all closing records"))
     rows.append(("seed", "20140715 for every resampling"))
     return Table(
         id="reproduce",
         title="How to reproduce",
         columns=("what", "how"),
         rows=rows,
-        outcome=f"{len(study.records)} runs, input sha256 {fingerprint(study)}",
+        outcome=f"{len(study.records)} runs, input sha256 {digest}",
         numbers=9,
     )
 

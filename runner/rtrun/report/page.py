@@ -17,6 +17,7 @@ _ANSWERS: dict[str, tuple[str, str]] = {
     "PROVEN IF INDEPENDENT": ("more", "✓"),
     "NEEDS MORE": ("more", "?"),
     "REFUTED": ("refuted", "✗"),
+    "not a real-time statement": ("none", "–"),
 }
 _PICTURED = {"median": 50.0, "p99": 99.0, "p99.99": 99.99}
 
@@ -54,7 +55,7 @@ def html(study: Study, contents: Contents) -> str:
 
 
 def _card(study: Study, scenario: Scenario) -> dict[str, Any]:
-    style, mark = _ANSWERS.get(scenario.answer, ("none", "–"))
+    style, mark = _ANSWERS[scenario.answer]
     drawn = plots(scenario, deadline_ns=study.deadline_ns, probability=study.probability)
     return {
         "scenario": scenario,
@@ -71,7 +72,7 @@ def _figure(plot: Plot) -> dict[str, Any]:
 def _row(scenario: Scenario) -> dict[str, Any]:
     """A row of the picture of all scenarios; times in us."""
     figures = scenario.figures
-    style, mark = _ANSWERS.get(scenario.answer, ("none", "–"))
+    style, mark = _ANSWERS[scenario.answer]
     values_ns = [figures.min_ns, *(figures.percentiles_ns.get(p) for p in _PICTURED.values()), figures.max_ns]
     values_us = [None if value_ns is None else value_ns / 1000 for value_ns in values_ns]
     return {

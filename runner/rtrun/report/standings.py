@@ -17,6 +17,7 @@ from rtrun.execution.goal import Progress
 from rtrun.plan.goal import Goal
 from rtrun.report.digest import Digest
 from rtrun.report.study import Group, Study, study
+from rtrun.report.tables import grouped
 from rtrun.results.record import is_closed
 
 
@@ -87,7 +88,7 @@ def table(standings: Sequence[Standing]) -> Table:
             Text(printable(standing.label)),
             str(standing.answer),
             bound(verdict) if verdict else "-",
-            _number(verdict.n) if verdict else "-",
+            grouped(verdict.n) if verdict else "-",
             "-" if verdict is None or verdict.boots is None else str(verdict.boots),
             duration(standing.measured_s),
             Text(printable(missing(standing))),
@@ -101,7 +102,7 @@ def progress_line(progress: Progress, goal: Goal) -> str:
     if standing is None or standing.verdict is None:
         return f"{progress.group.name}: nothing is measured yet"
     verdict = standing.verdict
-    parts = [f"P(miss) {bound(verdict)}, to be below {goal.probability:g}", f"{_number(verdict.n)} measured"]
+    parts = [f"P(miss) {bound(verdict)}, to be below {goal.probability:g}", f"{grouped(verdict.n)} measured"]
     if goal.boots > 1 and verdict.boots is not None:
         parts.append(f"{verdict.boots} of {goal.boots} boots")
     if not standing.is_final:
@@ -143,11 +144,7 @@ def _count(number: int, noun: str, more: str = "more ") -> str:
 
 def _measurements(verdict: Verdict, number: int) -> str:
     hours = verdict.hours(number)
-    return f"{_number(number)} more" + ("" if hours is None else f" ({duration(hours * 3600)})")
-
-
-def _number(number: int) -> str:
-    return f"{number:,}".replace(",", " ")
+    return f"{grouped(number)} more" + ("" if hours is None else f" ({duration(hours * 3600)})")
 
 
 def duration(seconds: float) -> str:

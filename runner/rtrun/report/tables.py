@@ -45,6 +45,11 @@ def how(section: str) -> str:
     return f"Formulas and sources: docs/analysis.md, {section}."
 
 
+def grouped(number: float) -> str:
+    """A whole number, or the nearest one, with spaces between its thousands."""
+    return f"{round(number):,}".replace(",", " ")
+
+
 def time_us(value_ns: float | None) -> str:
     """A time in us for a table; a dash where there is none."""
     return "-" if value_ns is None or not math.isfinite(value_ns) else us(value_ns)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from rtfiles.output import printable
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.report.claims.examination import us
-from rtrun.report.study import Group, Study
+from rtrun.report.study import Group
+from rtrun.report.tables import grouped
 
 # Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5
@@ -22,14 +23,6 @@ class Line:
     text: str
 
 
-def summary(study: Study) -> str:
-    """How many groups got which answer, the worst first."""
-    answers = [verdict_line(group).answer for group in study.groups]
-    return ", ".join(
-        f"{answer} {answers.count(answer)} of {len(answers)}" for answer in WORST_FIRST if answer in answers
-    )
-
-
 def verdict_line(group: Group) -> Line:
     """The verdict of a group in one line."""
     verdict, about = group.verdict, printable(group.label)
@@ -39,14 +32,14 @@ def verdict_line(group: Group) -> Line:
 
 
 def _numbers(verdict: Verdict, group: Group) -> str:
-    parts = [f"{verdict.late:,} of {verdict.n:,} late".replace(",", " ")]
+    parts = [f"{grouped(verdict.late)} of {grouped(verdict.n)} late"]
     if verdict.absent:
         parts[0] += f" and {verdict.absent} never came"
     parts.append(f"P(miss) {_between(verdict)}")
     if verdict.worst_ns is not None:
         parts.append(f"worst {us(verdict.worst_ns)} us")
     if verdict.design_effect > 1.005:
-        parts.append(f"dependent values: worth {verdict.n_effective:,.0f} independent measurements".replace(",", " "))
+        parts.append(f"dependent values: worth {grouped(verdict.n_effective)} independent measurements")
     if verdict.refused:
         parts.insert(0, verdict.refused)
     elif verdict.change is not None:
@@ -104,6 +97,6 @@ def _more(verdict: Verdict) -> list[str]:
 
 def _amount(verdict: Verdict, count: int) -> str:
     hours = verdict.hours(count)
-    return f"{count:,} more measurements".replace(",", " ") + (
+    return f"{grouped(count)} more measurements" + (
         "" if hours is None else f" ({hours:.2g} h)" if hours < 10 else f" ({hours:.0f} h)"
     )

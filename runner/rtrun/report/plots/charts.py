@@ -6,7 +6,7 @@ Text in a figure passes `plain` first: plotly obeys some HTML.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,10 @@ from rtfiles.output import printable
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.report.digest import Digest
-from rtrun.report.plots.scale import Scale, rounded, scale_of
+from rtrun.report.plots.scale import Division, Scale, rounded, scale_of
 from rtrun.report.scenarios import Scenario, output_labels
 from rtrun.report.study import slowest
+from rtrun.report.tables import grouped
 
 _BINS = 240
 _BINS_3D = 80
@@ -113,7 +114,7 @@ def _pairs(keep: Any, last: int) -> list[tuple[int, int]]:
 
 
 def _count(count: float) -> str:
-    return f"{count:,.0f} values".replace(",", " ") if count else "no value"
+    return f"{grouped(count)} values" if count else "no value"
 
 
 def _counted(bins: Histogram, edges_us: Any) -> Any:
@@ -168,7 +169,7 @@ def _share_above(k: int, name: str, bins: Histogram, scale: Scale) -> Trace:
     keep = _thin(places, 200)
     values = (bins.values_ns[keep] + bins.bin_ns) / 1000
     late = above[keep]
-    n = f"{bins.n:,}".replace(",", " ")
+    n = grouped(bins.n)
     text = [f"all {n} above"] + [
         f"{_count(count)} of {n} above {value:g} us" for count, value in zip(late, values, strict=True)
     ]
@@ -246,10 +247,12 @@ def _outputs(shown: Sequence[Digest], scale: Scale, what: str) -> Plot:
     low = min(float(one.histogram.values_ns[0]) for one in shown) / 1000
     high = max(float(one.histogram.values_ns[-1]) for one in shown) / 1000
     part = Scale(division=scale.division, low_us=low, high_us=high)
+    # A surface has no logarithmic axis.
+    flat = part if part.division is Division.LINEAR else replace(part, division=Division.SIGNED)
     edges = part.edges_us(_BINS_3D)
     counts = np.array([_counted(one.histogram, edges) for one in shown])
     heights = np.round(np.log10(np.maximum(counts, 0.5)), 2)
-    places = edges[:-1] if part.division.value == "linear" else np.sign(edges[:-1]) * np.log10(1 + np.abs(edges[:-1]))
+    places = flat.place(edges[:-1])
     ticks = np.linspace(0, len(places) - 1, 5).astype(int)
     names = [plain(label) for label in output_labels(shown)]
     text = [

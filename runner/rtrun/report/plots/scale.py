@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtrun.analysis.histogram import Histogram
+from rtrun.report.tables import grouped
 
 Floats = NDArray[np.float64]
 # An even axis stays as long as the central 99.8 % of the values take this share of it.
@@ -63,7 +64,7 @@ class Scale:
             ticks = [tick for tick in ticks if self.low_us * 1.1 <= tick <= self.high_us * 1.1]
             return axis | {
                 "tickvals": rounded(self.place(ticks)),
-                "ticktext": [f"{tick:,.0f}".replace(",", " ") for tick in ticks],
+                "ticktext": [grouped(tick) for tick in ticks],
             }
         return axis
 
