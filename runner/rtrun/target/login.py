@@ -61,12 +61,13 @@ def read_keys(address: Address) -> Keys:
     files = [path.expanduser() for path in address.identities]
     # Path.is_file raises where a folder may not be read.
     files = [path for path in files if os.path.isfile(path)]  # noqa: PTH113
-    listed = [key for path in files if (key := _held(path, held))]
+    held_of = {path: key for path in files if (key := _held(path, held))}
+    listed = list(held_of.values())
     others = [] if address.identities_only else [key for key in held if key not in listed]
     source = ", ".join([*(["the keys of the SSH agent"] if held else []), *map(str, files)])
     keys = Keys(usable=[*listed, *others], locked=[], source=source)
     for path in files:
-        if _held(path, held):
+        if path in held_of:
             continue
         try:
             keys.usable += _read_key_file(path)
