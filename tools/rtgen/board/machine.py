@@ -1,5 +1,6 @@
 """Machines that a board can be built for, each read from a file of its own in machines/."""
 
+import functools
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -73,8 +74,9 @@ class Machine(Config):
         return self
 
 
+@functools.cache
 def architectures() -> dict[str, Architecture]:
-    """The known architectures, by Debian's name."""
+    """The known architectures, by Debian's name, read once."""
     data = read_yaml(ARCHITECTURES)
     return {name: parse(each, Architecture, f"{ARCHITECTURES}: {name}") for name, each in data.items()}
 

@@ -5,7 +5,9 @@ from typing import Annotated
 
 from pydantic import StringConstraints
 
+from rtfiles import cache
 from rtfiles.config import Config, load
+from rtgen import debian
 
 Reason = Annotated[str, StringConstraints(min_length=1)]
 
@@ -22,3 +24,9 @@ class Packages(Config):
 def packages() -> Packages:
     """Read packages.yml."""
     return load(Path(__file__).with_name("packages.yml"), Packages)
+
+
+def unpacked(package: str, architecture: str) -> Path:
+    """The folder of an unpacked package and its dependencies, from the cache or downloaded. Raises as `extract`."""
+    key = cache.digest([package, architecture, *map(str, debian.source()), Path(debian.__file__)])
+    return cache.entry("package", key, lambda folder: debian.extract([package], folder, architecture))

@@ -8,10 +8,9 @@ Where they have to be, for an OMAP4: the ROM reads MLO from the root folder of a
 
 from pathlib import Path
 
-from rtfiles import cache
-from rtgen import debian
 from rtgen.board.boot import Boot
 from rtgen.board.machine import UBoot
+from rtgen.board.packages import unpacked
 
 CONFIGURATION = """\
 default linux
@@ -26,7 +25,7 @@ label linux
 
 def boot_files(architecture: str, u_boot: UBoot, boot: Boot, device_tree: Path, work: Path) -> dict[str, Path]:
     """The files of the boot partition by their paths on it; those that U-Boot's package has come first."""
-    package = packaged(architecture, u_boot.package)
+    package = unpacked(u_boot.package, architecture)
     configuration = work / "extlinux.conf"
     configuration.write_text(CONFIGURATION.format(command_line=boot.command_line), encoding="utf-8")
     return {Path(name).name: package / name for name in u_boot.files} | {
@@ -35,9 +34,3 @@ def boot_files(architecture: str, u_boot: UBoot, boot: Boot, device_tree: Path, 
         "board.dtb": device_tree,
         "extlinux/extlinux.conf": configuration,
     }
-
-
-def packaged(architecture: str, package: str) -> Path:
-    """The unpacked U-Boot package, from the cache or downloaded."""
-    key = cache.digest(["u-boot", architecture, package, *map(str, debian.source()), Path(debian.__file__)])
-    return cache.entry("u-boot", key, lambda folder: debian.extract([package], folder, architecture))

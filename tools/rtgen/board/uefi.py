@@ -8,10 +8,9 @@ a partition of type EFI system with a FAT file system.
 import struct
 from pathlib import Path
 
-from rtfiles import cache
-from rtgen import debian
 from rtgen.board.boot import Boot
 from rtgen.board.machine import Machine, architectures
+from rtgen.board.packages import unpacked
 from rtgen.process import run
 
 PACKAGE = "systemd-boot-efi"
@@ -24,15 +23,9 @@ def boot_files(machine: Machine, boot: Boot, os_release: Path, work: Path) -> di
     command_line = work / "cmdline"
     command_line.write_text(boot.command_line, encoding="utf-8")
     parts = {".osrel": os_release, ".cmdline": command_line, ".linux": boot.kernel, ".initrd": boot.ram_disk}
-    stub = packaged(machine.architecture) / f"usr/lib/systemd/boot/efi/linux{architecture.uefi}.efi.stub"
+    stub = unpacked(PACKAGE, machine.architecture) / f"usr/lib/systemd/boot/efi/linux{architecture.uefi}.efi.stub"
     write_efi_file(work / "boot.efi", stub, architecture.triplet, parts)
     return {f"EFI/BOOT/BOOT{architecture.uefi}.EFI".upper(): work / "boot.efi"}
-
-
-def packaged(architecture: str) -> Path:
-    """The unpacked package of systemd's stub, from the cache or downloaded."""
-    key = cache.digest(["stub", architecture, *map(str, debian.source()), Path(debian.__file__)])
-    return cache.entry("stub", key, lambda folder: debian.extract([PACKAGE], folder, architecture))
 
 
 def write_efi_file(file: Path, stub: Path, triplet: str, parts: dict[str, Path]) -> None:
