@@ -8,6 +8,8 @@ from typing import Any
 
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.run import Run
+from rtrun.target.address import Address
+from rtrun.target.config import Target
 
 PROGRAM = """#!{python}
 import json, os, sys, time
@@ -136,6 +138,24 @@ class Wishes:
         """Wait until so many calls have been made."""
         while len(self.calls()) < count:
             time.sleep(0.05)
+
+
+def target_file(target: Target, ros_master: int) -> dict[str, Any]:
+    """The target file of a loopback target, whose ROS master listens on this port."""
+    address = target.address
+    assert isinstance(address, Address)
+    return {
+        "schema": 1,
+        "name": target.name,
+        "kind": "ssh",
+        "host": address.host,
+        "port": address.port,
+        "user": address.user,
+        "key": str(address.key),
+        "host_key": address.host_key,
+        "work_dir": str(target.work_dir),
+        "ros_master_port": ros_master,
+    }
 
 
 def runs_of(count: int, **parameters: Any) -> list[Run]:

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from faulty import target_file
 
 from rtrun.cli import main
 from rtrun.execution.journal import Journal
@@ -31,22 +32,9 @@ until: {{deadline: 400us, probability: {probability}, confidence: 0.95, at_most:
 def campaign(tmp_path, rebooting, suites_folder, wishes, ros_master, monkeypatch):
     """Writes campaign and target; returns the words of the command."""
     monkeypatch.chdir(tmp_path)
-    address = rebooting.address
     boot = "cat /proc/sys/kernel/random/uuid >" + str(tmp_path / "boot_id")
-    target = {
-        "schema": 1,
-        "name": "loopback",
-        "kind": "ssh",
-        "host": address.host,
-        "port": address.port,
-        "user": address.user,
-        "key": str(address.key),
-        "host_key": address.host_key,
-        "suites": str(suites_folder),
-        "work_dir": str(rebooting.work_dir),
-        "ros_master_port": ros_master,
-        "restart": ["sh", "-c", boot],
-    }
+    own = {"suites": str(suites_folder), "restart": ["sh", "-c", boot]}
+    target = target_file(rebooting, ros_master) | own
     (tmp_path / "target.yml").write_text(json.dumps(target))
 
     def write(frequencies, *, probability="0.02", at_most="10min", boots=2):

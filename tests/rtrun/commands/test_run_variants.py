@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from faulty import write_faulty_suites
+from faulty import target_file, write_faulty_suites
 
 from rtrun.cli import main
 
@@ -28,20 +28,7 @@ def builds(tmp_path, loopback, ros_master, monkeypatch):
     """Two builds of the suites beside a campaign and a target; what the stand-in of each is to do."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "setup.sh").write_text("export ROS_OF=new\n")
-    address = loopback.address
-    target = {
-        "schema": 1,
-        "name": "loopback",
-        "kind": "ssh",
-        "host": address.host,
-        "port": address.port,
-        "user": address.user,
-        "key": str(address.key),
-        "host_key": address.host_key,
-        "work_dir": str(loopback.work_dir),
-        "ros_master_port": ros_master,
-    }
-    (tmp_path / "target.yml").write_text(json.dumps(target))
+    (tmp_path / "target.yml").write_text(json.dumps(target_file(loopback, ros_master)))
     (tmp_path / "campaign.yml").write_text(CAMPAIGN.replace("setup.sh", str(tmp_path / "setup.sh")))
     return {name: write_faulty_suites(tmp_path / name) for name in ("old", "new")}
 

@@ -29,16 +29,6 @@ def connection():
     return Connection(ThisMachine())
 
 
-def test_arguments_arrive_as_they_are(connection):
-    words = ["a b", "$HOME", "'", '"', "*", "\\", "", "ä", "x\ny"]
-    assert connection.check(["printf", "%s\\0", *words]).split("\0")[:-1] == words
-
-
-def test_status_and_both_streams(connection):
-    done = connection.run(["sh", "-c", "echo out; echo err >&2; exit 7"])
-    assert (done.status, done.stdout, done.stderr) == (7, "out\n", "err\n")
-
-
 def test_a_program_that_is_not_there(connection):
     assert connection.run(["no-such-program"]).status == 127
     with pytest.raises(TargetError, match=r"this machine: no-such-program failed with exit status 127: .*not found"):
