@@ -16,8 +16,9 @@ import rtgen.suites
 import rtrun.cli
 from rtgen.board import sysroot
 from rtgen.checkout import checkout
+from rtgen.commands import DEFAULT_PROFILE
 from rtgen.layer.render import suite_recipes
-from rtgen.profile import DEFAULT_PROFILE, load_profile
+from rtgen.profile import load_profile
 
 pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(1200)]
 

@@ -9,7 +9,8 @@ import yaml
 
 from rtfiles.errors import UsageError
 from rtgen.cli import main
-from rtgen.profile import DEFAULT_PROFILE, load_profile, profile_names, profile_path
+from rtgen.commands import DEFAULT_PROFILE
+from rtgen.profile import load_profile, profile_names, profile_path
 
 ED25519 = f"ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAI{'x' * 43}"
 

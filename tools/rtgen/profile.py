@@ -16,7 +16,6 @@ from rtfiles.errors import UsageError
 
 PROFILES = Path(__file__).with_name("profiles")
 RELEASES_FILE = Path(__file__).parent / "layer" / "releases.yml"
-DEFAULT_PROFILE = "scarthgap-noetic"
 LAYER = "meta-rt-tests"  # the rendered folder
 
 Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only

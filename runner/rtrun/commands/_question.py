@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from rtrun.plan.goal import read_probability, read_time_ns
+from rtrun.plan.quantities import read_probability, read_time_ns
 
 if TYPE_CHECKING:
     from rtrun.report.study import Study

@@ -1,47 +1,11 @@
 """The goal of a campaign that measures until an answer is certain, as its file states it."""
 
-import re
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
 from rtfiles.config import Config
-
-_UNITS_NS = {
-    "ns": 1,
-    "us": 1_000,
-    "ms": 1_000_000,
-    "s": 1_000_000_000,
-    "min": 60_000_000_000,
-    "h": 3_600_000_000_000,
-}
-_TIME = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,9})?)\s?(ns|us|ms|s|min|h)", re.ASCII)
-# Above 30 years nobody waits for an answer, and 64 bits still hold the time in nanoseconds.
-_TIME_MAX_NS = 30 * 365 * 24 * _UNITS_NS["h"]
-
-
-def read_time_ns(text: object) -> int:
-    """Read a time with its unit, as ``400us``, ``1.5ms`` or ``8h``, into ns. Raises ValueError."""
-    parts = _TIME.fullmatch(text) if isinstance(text, str) else None
-    time_ns = round(float(parts[1]) * _UNITS_NS[parts[2]]) if parts else 0
-    if not 0 < time_ns <= _TIME_MAX_NS:
-        raise ValueError(
-            f"{str(text)[:40]!r} is no time above 0 with its unit ({', '.join(_UNITS_NS)}), as 400us or 8h"
-        )
-    return time_ns
-
-
-def read_probability(value: object) -> float:
-    """Read a probability, both ends excluded. Raises ValueError."""
-    # YAML 1.1 takes 1e-6 for a text, as it has no point.
-    try:
-        number = float(value) if isinstance(value, str | float) else -1.0
-    except ValueError:
-        number = -1.0
-    if not 0 < number < 1:
-        raise ValueError(f"{str(value)[:40]!r} is no number between 0 and 1, as 1e-6 or 0.95")
-    return number
-
+from rtrun.plan.quantities import read_probability, read_time_ns
 
 Time = Annotated[int, BeforeValidator(read_time_ns)]
 Probability = Annotated[float, BeforeValidator(read_probability)]

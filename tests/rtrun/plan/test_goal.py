@@ -7,7 +7,7 @@ import pytest
 from rtfiles.errors import UsageError
 from rtrun.cli import main
 from rtrun.plan.campaign import read_campaign
-from rtrun.plan.goal import read_time_ns
+from rtrun.plan.quantities import read_time_ns
 
 INTERLEAVED = "order: interleaved\nseed: 7\n"
 UNTIL = "until: {deadline: 400us, probability: 1e-6, confidence: 0.95, at_most: 8h, boots: 8}\n"

@@ -2,7 +2,7 @@
 
 import argparse
 
-from rtgen.profile import DEFAULT_PROFILE
+from rtgen.commands import DEFAULT_PROFILE
 
 NAME = "explain"
 HELP = "show layers, kernels, fragments and files of a profile"

@@ -4,7 +4,7 @@ import argparse
 import os
 from pathlib import Path
 
-from rtgen.profile import DEFAULT_PROFILE
+from rtgen.commands import DEFAULT_PROFILE
 
 NAME = "new-profile"
 HELP = "copy a profile to a file of your own, to edit"

@@ -12,7 +12,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from rtfiles.output import print_line
-    from rtgen.profile import DEFAULT_PROFILE, load_profile, profile_names
+    from rtgen.commands import DEFAULT_PROFILE
+    from rtgen.profile import load_profile, profile_names
 
     del args
     width = max(len(name) for name in profile_names())

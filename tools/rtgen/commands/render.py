@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtgen.profile import DEFAULT_PROFILE
+from rtgen.commands import DEFAULT_PROFILE
 
 NAME = "render"
 HELP = "write meta-rt-tests/ and kas.yml from a profile"
