@@ -141,7 +141,7 @@ def opening() -> list[Check]:
     """A report of 15 runs in Chromium, from the request until its scripts have drawn the picture of all scenarios."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        write_campaign(root / "demo", n=500, emulated=True)
+        write_campaign(root / "demo", n=500, platform="emulated")
         rtrun = str(Path(sys.executable).parent / "rtrun")
         command = [rtrun, "report", str(root / "demo"), "--output", str(root / "report.html")]
         subprocess.run(command, capture_output=True, check=True)

@@ -59,7 +59,6 @@ def test_overhead(sshd, ros_master, tmp_path, monkeypatch):
     suites = TOP / "build" / "suites" / "host"
     target = Target(
         name="loopback",
-        emulated=False,
         address=sshd.address,
         suites=suites,
         work_dir=PurePosixPath(tmp_path / "target"),

@@ -35,6 +35,7 @@ from rtrun.target.address import Address
 from rtrun.target.config import read_target
 from rtrun.target.connection import Connection
 from rtrun.target.link import Link
+from rtrun.target.platform import Platform
 from rtrun.validity import baselines
 from rtrun.validity.observations import read_observations, summarize
 
@@ -161,7 +162,7 @@ CYCLICTEST_JSON = json.dumps(
 JITTERDEBUGGER = json.dumps({"sysinfo": {"resolution_in_ns": 1000}, "cpu": {"0": {**_THREAD, "count": 10}}}).encode()
 BOARD = json.dumps(
     {
-        "schema": 1, "machine": "qemu-armv7", "emulated": True, "kernel": "vmlinuz", "initrd": "initrd", "dtb": None,
+        "schema": 2, "machine": "qemu-armv7", "kernel": "vmlinuz", "initrd": "initrd", "dtb": None,
         "qemu": {"binary": "x", "arguments": ["-M", "virt"], "disk_device": "y", "network_device": "z"},
         "cmdline": "quiet", "disk": "disk.img", "disk_format": "raw", "kernel_release": "6.1", "packages": {"a": "1"},
         "ssh": {"user": "root", "key": "key", "host_key": "ssh-ed25519 AAAA"},
@@ -256,8 +257,9 @@ def _runs() -> list[Files]:
             for path in SUITES.glob(f"{output}*"):
                 (partial / path.name).write_bytes(path.read_bytes())
             record = RunRecord(
-                schema=1, run="run", campaign="campaign", attempt="0123456789abcdef", suite=suite,
-                parameters={"policy": "RR", "priority": 95, "repetitions": 100}, emulated=False, status=RunStatus.OK,
+                schema=2, run="run", campaign="campaign", attempt="0123456789abcdef", suite=suite,
+                parameters={"policy": "RR", "priority": 95, "repetitions": 100}, platform=Platform.HARDWARE,
+                platform_evidence="no sign of a virtual machine", status=RunStatus.OK,
                 reason=None, start_time="2026-11-21T10:00:00+00:00", end_time="2026-11-21T10:00:01+00:00", programs=[],
                 outputs=[output], target=TargetFacts(name="board", cpus=2, boot_id="1-1"), files={},
             )  # fmt: skip
@@ -298,7 +300,7 @@ def _commands(folder: Path) -> None:
 
 def _adopt(folder: Path) -> None:
     shutil.rmtree(folder / "out", ignore_errors=True)
-    adopt(next(folder.glob("x.*")), folder / "out", emulated=False)
+    adopt(next(folder.glob("x.*")), folder / "out", platform=Platform.HARDWARE)
 
 
 def _outputs() -> list[Files]:

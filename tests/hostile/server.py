@@ -106,7 +106,7 @@ from rtrun.target.config import Target
 from rtrun.target.link import Link
 
 action, port, host_key, key, folder = sys.argv[1:]
-target = Target(name="hostile", emulated=False, work_dir=PurePosixPath("/tmp/rt-tests"), suites=None, ros_setup=None,
+target = Target(name="hostile", work_dir=PurePosixPath("/tmp/rt-tests"), suites=None, ros_setup=None,
     ros_master_port=11311, reconnect_s=1, boot_s=0, console=None, failure=lambda: None,
     address=Address(host="127.0.0.1", port=int(port), key=Path(key), host_key=host_key))
 outcome, started = "done", time.monotonic()

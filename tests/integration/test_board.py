@@ -83,7 +83,7 @@ def test_the_three_suites_on_the_board(measured, tmp_path):
     for run in runs_of(measured):
         folder = measured / "results" / "test" / run.name
         record = read_record(measured, run)
-        assert record["status"] == "ok" and record["emulated"] is True
+        assert record["status"] == "ok" and record["platform"] == "emulated"
         assert record["target"]["preempt_rt"] is True and "PREEMPT_RT" in record["target"]["kernel_version"]
         assert set(record["files"]) == {path.name for path in folder.iterdir()} - {"run.json"}
         assert {"target.json", "console.log"} <= set(record["files"])
@@ -261,7 +261,7 @@ def power_cut_in_the_second_run(board, machine, runs, results):
         if number == 1:
             when(machine, FIRST_BLOCK, lambda: qmp.execute(machine.monitor, "quit"))
 
-    with pytest.raises(TargetGone, match=r"the emulated board was switched off: QEMU ended \(exit status 0\)"):
+    with pytest.raises(TargetGone, match=r"the board in QEMU was switched off: QEMU ended \(exit status 0\)"):
         campaign_runner.run_campaign(board, "test", runs, results, Watching(act))
     assert campaign_runner.count_finished(results, runs) == 1, "what was finished is kept"
 

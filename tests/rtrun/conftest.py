@@ -17,7 +17,6 @@ from rtrun.target.link import Link
 def loopback(sshd, tmp_path):
     return Target(
         name="loopback",
-        emulated=False,
         address=sshd.address,
         suites=None,
         work_dir=PurePosixPath(tmp_path / "target"),

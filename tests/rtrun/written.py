@@ -115,12 +115,13 @@ def write_record(folder: Path, suite: str, outputs: list[str], parameters: dict[
         for path in sorted(folder.iterdir())
     }
     record = {
-        "schema": 1,
+        "schema": 2,
         "run": folder.name,
         "campaign": "demo",
         "suite": suite,
         "parameters": parameters,
-        "emulated": False,
+        "platform": "hardware",
+        "platform_evidence": "no sign of a virtual machine",
         "status": "ok",
         "reason": None,
         "start_time": "2026-11-21T10:00:00Z",

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rtrun.target.link import Link
+    from rtrun.target.platform import Platform
     from rtrun.target.rt_readiness import Finding
 
 NAME = "check-rt"
@@ -27,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import print_text
     from rtrun.commands._link import linked
-    from rtrun.target import rt_readiness
+    from rtrun.target import platform_signs, rt_readiness
     from rtrun.target.config import read_target
 
     config = read_target(args.target)
@@ -36,17 +37,18 @@ def run(args: argparse.Namespace) -> int:
     with linked(config, args.target.parent) as link:
         target = link.target
         facts = rt_readiness.read_facts(link)
+        known = platform_signs.find_platform(link)
         if args.save_config:
             _save_config(link, args.save_config)
     findings = rt_readiness.judge(checks, facts)
     ready = rt_readiness.is_ready(findings)
     if args.json:
         kernel = " ".join([*facts.get("kernel", []), *facts.get("kernel_version", [])])
-        head = {"schema": 1, "target": target.name, "emulated": target.emulated, "kernel": kernel, "ready": ready}
+        head = {"schema": 2, "target": target.name, "platform": known.platform, "kernel": kernel, "ready": ready}
         clock = {name: facts.get(name, []) for name in ("clocksource", "clockevent")}
         print_text(json.dumps({**head, **clock, "checks": [_as_json(each) for each in findings]}, indent=2))
     else:
-        _print(f"{target.name} ({target.address})", target.emulated, findings)
+        _print(f"{target.name} ({target.address})", known.platform, findings)
     return 0 if ready else 1
 
 
@@ -79,15 +81,17 @@ def _as_json(finding: "Finding") -> dict[str, Any]:
     }
 
 
-def _print(target: str, emulated: bool, findings: "list[Finding]") -> None:
+def _print(target: str, platform: "Platform", findings: "list[Finding]") -> None:
     from rtfiles.output import print_line
+    from rtrun.report.terminal import banner_of
     from rtrun.target.rt_readiness import SEVERITIES, SHOWN_LINES
 
     faults = [each for each in findings if each.status == "fault"]
     unknown = [each for each in findings if each.status == "unknown"]
     counts = [(len([each for each in faults if each.check.severity == name]), name) for name in SEVERITIES]
     summary = ", ".join(f"{count} {name}" for count, name in counts if count)
-    banner = " EMULATED: not a real-time statement." if emulated else ""
+    words = banner_of(platform)
+    banner = f" {words}." if words else ""
     if faults:
         print_line(f"{target}: {len(faults)} of {len(findings)} checks find fault: {summary}.{banner}")
     else:

@@ -24,16 +24,15 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.output import print_line, print_text
     from rtrun.report.claims.examiners import examine_claims
     from rtrun.report.study import study
-    from rtrun.report.terminal import EMULATED
+    from rtrun.report.terminal import print_banner
 
     analysed = study(args.results, confidence=args.confidence, bounds=False)
     examined = examine_claims(analysed)
     if args.json:
-        data = {"schema": 1, "emulated": analysed.emulated, "claims": [dataclasses.asdict(claim) for claim in examined]}
+        data = {"schema": 2, "platform": analysed.platform, "claims": [dataclasses.asdict(claim) for claim in examined]}
         print_text(json.dumps(data, indent=1, allow_nan=False))
         return 0
-    if analysed.emulated:
-        print_line(EMULATED)
+    print_banner(analysed.platform)
     for claim in examined:
         result = claim.result
         print_line(f"{result.finding:9}  {claim.id} ({claim.section}): {claim.text}")

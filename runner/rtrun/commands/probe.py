@@ -24,7 +24,8 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import print_line, print_text
     from rtrun.commands._link import linked
-    from rtrun.target import deploy, inspection, ros_master
+    from rtrun.report.terminal import print_banner
+    from rtrun.target import deploy, inspection, platform_signs, ros_master
     from rtrun.target.config import read_target
 
     config = read_target(args.target)
@@ -33,16 +34,23 @@ def run(args: argparse.Namespace) -> int:
         target = link.target
         equipment = inspection.inspect(link)
         inspection.check_suites(target, equipment)
+        known = platform_signs.find_platform(link)
         state = inspection.read_state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
         answers = ros_master.ask_pid(link) is not None
     if args.json:
-        facts = {"equipment": asdict(equipment), "ros_master_answers": answers, "state": state.model_dump()}
+        facts = {
+            "platform": asdict(known),
+            "equipment": asdict(equipment),
+            "ros_master_answers": answers,
+            "state": state.model_dump(),
+        }
         print_text(json.dumps(facts, indent=2))
         return 0
+    print_banner(known.platform)
     suites = target.suites or ", ".join(sorted(equipment.programs)) or "none installed"
-    banner = ", EMULATED: not a real-time statement" if target.emulated else ""
     lines = {
-        "target": f"{target.name} ({target.address}){banner}",
+        "target": f"{target.name} ({target.address})",
+        "platform": f"{known.platform}: {known.evidence}",
         "kernel": f"{_shown(state.kernel_release)} {_shown(state.kernel_version)}",
         "PREEMPT_RT": "yes" if inspection.is_preempt_rt(state) else "no",
         "CPUs": f"{equipment.cpus} x {_shown(state.machine)}",

@@ -46,15 +46,16 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
     from rtrun.report import terminal
     from rtrun.results import reading
     from rtrun.results.record import is_closed
+    from rtrun.target.platform import Platform, weakest
 
     if path.is_dir():
         if is_closed(path) or not any(child.is_dir() for child in path.iterdir()):
             one = reading.read_run(path)
-            return {"schema": 1, **_run_data(one)}, terminal.answer_of_run(one), ()
+            return {"schema": 2, **_run_data(one)}, terminal.answer_of_run(one), ()
         of_folder = reading.read_runs(path)
         data = {
-            "schema": 1,
-            "emulated": any(one.record.emulated for one in of_folder.runs),
+            "schema": 2,
+            "platform": weakest(one.record.platform for one in of_folder.runs),
             "runs": [_run_data(one) for one in of_folder.runs],
             "incomplete": list(of_folder.incomplete),
         }
@@ -63,12 +64,23 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
         raise UsageError(f"{path}: no such file or directory")
     results = reading.results_of(reading.read_file(path))
     data = {"results": [_result_data(one) for one in results]} if path.suffix != ".log" else _result_data(results[0])
-    return {"schema": 1, **data}, terminal.answer(results, emulated=False), ()
+    return {"schema": 1, **data}, terminal.answer(results, platform=Platform.HARDWARE), ()
 
 
 def _run_data(run: "Run") -> dict[str, Any]:
     record = run.record
-    keys = ("run", "campaign", "suite", "parameters", "emulated", "status", "reason", "start_time", "end_time")
+    keys = (
+        "run",
+        "campaign",
+        "suite",
+        "parameters",
+        "platform",
+        "platform_evidence",
+        "status",
+        "reason",
+        "start_time",
+        "end_time",
+    )
     return {**{key: getattr(record, key) for key in keys}, "results": [_result_data(one) for one in run.results]}
 
 

@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     study = ask(args, bounds=False)
     if args.json:
         groups = standings.as_data(standings.standings(study))
-        data = {"schema": 1, "emulated": study.emulated, "groups": groups, "left_out": study.left_out}
+        data = {"schema": 2, "platform": study.platform, "groups": groups, "left_out": study.left_out}
         print_text(json.dumps(data, indent=1, allow_nan=False))
     else:
         print_answers(study)
@@ -41,10 +41,9 @@ def print_answers(study: "Study") -> None:
     """Print the answers of a study as a table."""
     from rtfiles.output import console, print_line
     from rtrun.report import standings
-    from rtrun.report.terminal import EMULATED
+    from rtrun.report.terminal import print_banner
 
-    if study.emulated:
-        print_line(EMULATED)
+    print_banner(study.platform)
     print_line(standings.question(study))
     console().print(standings.table(standings.standings(study)), crop=False)
     for text in study.left_out:

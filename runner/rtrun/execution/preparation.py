@@ -10,9 +10,10 @@ from rtfiles.invocation import as_called
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import Run
-from rtrun.target import deploy, inspection, ros_master
+from rtrun.target import deploy, inspection, platform_signs, ros_master
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
+from rtrun.target.platform import KnownPlatform
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,6 +22,7 @@ class Prepared:
 
     link: Link
     equipment: inspection.Equipment
+    platform: KnownPlatform
     scripts: PurePosixPath
     programs: dict[str, str]
     kernel_config: bytes
@@ -61,6 +63,7 @@ def prepared(
         ready = Prepared(
             link=link,
             equipment=equipment,
+            platform=platform_signs.find_platform(link),
             scripts=scripts,
             programs=programs[""],
             kernel_config=kernel_config,

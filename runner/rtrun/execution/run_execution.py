@@ -31,7 +31,7 @@ TOPIC = "/communication_tests"
 SUBSCRIBED_S = 60.0
 # The target ends a program at its deadline; the runner waits this much longer for that.
 END_GRACE_S = 60.0
-# The end of the console of an emulated board, which may print without end.
+# The end of the console of a board in QEMU, which may print without end.
 CONSOLE_LIMIT_BYTES = 16 * MIB
 # Facts of a target that run.json takes from its state under the same names.
 STATED = ("kernel_release", "kernel_version", "machine", "boot_id", "clocksource", "governor", "roscpp_version")
@@ -256,7 +256,7 @@ def _record(
     if suites.suite(run.suite).is_baseline and verdict.status is RunStatus.OK:
         outputs = baselines.keep_histograms(partial, run, suites.output_name(run.suite, run.parameters))
     return RunRecord(
-        schema=1,
+        schema=2,
         run=run.name,
         campaign=work.campaign,
         attempt=attempt.uid,
@@ -267,7 +267,8 @@ def _record(
         repeat=run.repeat,
         seed=run.seed,
         variant=run.variant,
-        emulated=target.emulated,
+        platform=work.prepared.platform.platform,
+        platform_evidence=work.prepared.platform.evidence,
         status=verdict.status,
         reason=verdict.reason,
         requested=requirements.requested(run, work.programs.background),

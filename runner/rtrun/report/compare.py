@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rtfiles.errors import UsageError
 from rtrun.analysis.comparison import Change, Comparison, Ratio, compare, ratio_of_misses
 from rtrun.report.claims.examination import us
 from rtrun.report.study import Group, Study, study
-from rtrun.report.terminal import EMULATED
+from rtrun.report.terminal import banner_of
 from rtrun.report.variants import split_variants
 from rtrun.results.series import MEASURED_2014
+from rtrun.target.platform import Platform
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +33,7 @@ class Changed:
 class Compared:
     """Two sets: the groups that both have, what only one of them has, and what could be matched in several ways."""
 
-    emulated: bool
+    platform: Platform
     deadline_ns: int
     changes: tuple[Changed, ...]
     only_a: tuple[str, ...]
@@ -72,8 +74,13 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
     Groups of the same suite and parameters are compared if they are of the same target, or if each side has one such
     group: then the target is what changed. Where one side has results of the programs of 2014, one-shot timers are
     compared by measured_2014 on both sides, and the label says so. Groups that are not compared are in ``ambiguous``,
-    ``only_a`` or ``only_b``.
+    ``only_a`` or ``only_b``. Raises UsageError for two platforms.
     """
+    if first.platform is not second.platform and first.digests and second.digests:
+        raise UsageError(
+            f"{first.source.path} was measured on {first.platform.machine}, {second.source.path} on "
+            f"{second.platform.machine}: times of different platforms are not compared"
+        )
     pairs: list[tuple[Group, Group]] = []
     ambiguous: list[str] = []
     only: tuple[list[str], list[str]] = ([], [])
@@ -94,7 +101,7 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
                 unmatched += [_label(group, of_several=len(alike) > 1) for group in rest]
     counts = Counter(x.label for x, _ in pairs)
     return Compared(
-        emulated=first.emulated or second.emulated,
+        platform=first.platform,
         deadline_ns=first.deadline_ns,
         changes=tuple(
             _changed(_label(x, of_several=counts[x.label] > 1), x, y, first.confidence, margin_ns) for x, y in pairs
@@ -123,10 +130,10 @@ def _by_circumstances(side: Study, as_in_2014: set[str]) -> dict[str, list[Group
     return groups
 
 
-def _origin(group: Group) -> tuple[str, bool, int]:
-    """What else keeps groups apart: target, emulation, width of the bins."""
+def _origin(group: Group) -> tuple[str, int]:
+    """What else keeps groups apart: target, width of the bins."""
     first = group.digests[0]
-    return group.target, group.emulated, first.histogram.bin_ns
+    return group.target, first.histogram.bin_ns
 
 
 def _origin_text(group: Group) -> str:
@@ -154,7 +161,7 @@ def _changed(label: str, a: Group, b: Group, confidence: float, margin_ns: float
 
 def as_text(compared: Compared) -> str:
     """The answer for people."""
-    lines = [EMULATED] if compared.emulated else []
+    lines = list(filter(None, [banner_of(compared.platform)]))
     for change in compared.changes:
         c = change.comparison
         lines.append(f"{c.answer}  {change.label}: {_why(c)}")
@@ -202,7 +209,7 @@ def _ratio(ratio: Ratio | None, confidence: float) -> str:
 
 def as_json(compared: Compared) -> str:
     """The answer for programs; infinite ends are null."""
-    return json.dumps({"schema": 1, **_finite(dataclasses.asdict(compared))}, indent=1, allow_nan=False) + "\n"
+    return json.dumps({"schema": 2, **_finite(dataclasses.asdict(compared))}, indent=1, allow_nan=False) + "\n"
 
 
 def _finite(value: Any) -> Any:

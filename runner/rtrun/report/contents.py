@@ -41,7 +41,7 @@ def contents(study: Study, claims: Sequence[Examined]) -> Contents:
     measured = [one for one in made if one.figures.max_ns is not None]
     return Contents(
         title=printable(f"Real-time report: {study.source.path.resolve().name}"),
-        banner=banner_of(emulated=study.emulated, preempt_rt=all(one.preempt_rt for one in study.records)) or None,
+        banner=banner_of(study.platform, preempt_rt=all(one.preempt_rt for one in study.records)) or None,
         answer=_answer(study, made),
         worst=max(measured, key=lambda one: one.figures.max_ns or 0, default=None),
         next_step=_next_step(made),
@@ -121,6 +121,7 @@ def _facts(study: Study) -> list[tuple[str, str]]:
     values = f"{measurements} values" + (f", {' to '.join(dict.fromkeys((days[0], days[-1])))}" if days else "")
     facts = [
         ("board", ", ".join(dict.fromkeys(target.name for target in targets))),
+        ("platform", ", ".join(dict.fromkeys(f"{one.platform}: {one.platform_evidence}" for one in study.records))),
         ("kernel", ", ".join(dict.fromkeys(kernels))),
         ("real time", ", ".join(dict.fromkeys(real_time[target.preempt_rt] for target in targets))),
         ("CPUs", ", ".join(dict.fromkeys(str(target.cpus) for target in targets if target.cpus))),

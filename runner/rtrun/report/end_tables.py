@@ -15,6 +15,7 @@ from rtrun.report.claims.reference import oneshot_rows, published
 from rtrun.report.study import Group, Study, environment
 from rtrun.report.tables import Table, how, printable_table, time_us
 from rtrun.results.samples import NON_MEASURING_THREADS
+from rtrun.target.platform import Platform
 
 
 def end_tables(study: Study, claims: Sequence[Examined]) -> tuple[Table, ...]:
@@ -68,7 +69,7 @@ _OF_A_LAYER = {"timeout_us", "interval_us", "frequency_hz", "busy_mode", "thread
 
 def _layers(study: Study) -> list[Table]:
     """What each layer adds to the one below, for every pair of groups that differ in nothing but the layer."""
-    if study.emulated:
+    if study.platform is Platform.EMULATED:
         return []
     rows = []
     for low_name, high_name in (("cyclictest", "oneshot_timer_tests"), ("oneshot_timer_tests", "communication_tests")):

@@ -62,8 +62,8 @@ def _plain(text: str) -> str:
 def as_json(study: Study, claims: Sequence[Examined]) -> str:
     """Everything that was found, for programs; numbers that do not exist are null."""
     data = {
-        "schema": 1,
-        "emulated": study.emulated,
+        "schema": 2,
+        "platform": study.platform,
         "deadline_ns": study.deadline_ns,
         "probability": study.probability,
         "confidence": study.confidence,
@@ -110,7 +110,7 @@ def _series(one: Digest) -> dict[str, Any]:
         "output": one.header.output,
         "series": one.header.series,
         "parameters": one.header.parameters,
-        "emulated": one.header.emulated,
+        "platform": one.header.platform,
         "figures": _data(one.figures),
         "startup": _data(one.header.startup),
         "negative_cluster": _data(one.cluster),
@@ -167,7 +167,7 @@ def _plain_row(one: Digest) -> dict[str, Any]:
     row |= {
         key: None if one.header.parameters.get(key) is None else str(one.header.parameters[key]) for key in _PARAMETERS
     }
-    row |= {"emulated": one.header.emulated, "n": f.n, "min_us": _us(f.min_ns), "mean_us": _us(f.mean_ns)}
+    row |= {"platform": one.header.platform, "n": f.n, "min_us": _us(f.min_ns), "mean_us": _us(f.mean_ns)}
     row |= {"std_us": _us(f.std_ns)}
     row |= {f"p{p:g}_us": _us(f.percentiles_ns.get(p)) for p in PERCENTILES}
     row |= {"max_us": _us(f.max_ns), "missing": one.header.missing, "out_of_order": one.header.out_of_order}

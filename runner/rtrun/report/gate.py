@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from rtrun.analysis.deadline import Answer
 from rtrun.report.study import Group, Study
 from rtrun.report.verdicts import verdict_line
+from rtrun.target.platform import Platform, weakest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,15 +34,16 @@ class Gate:
         return bool(self.cases) and all(case.passed for case in self.cases)
 
 
-def gate(study: Study, *, assume_independent: bool = False) -> Gate:
+def gate(study: Study, *, assume_independent: bool = False, platform: Platform = Platform.HARDWARE) -> Gate:
     """Judge a study. Only a proof passes: neither too little data nor an emulated board is one.
 
-    What is proven if measurements are independent, from counts without order, passes only with `assume_independent`.
+    What was measured on a virtual machine passes only where `platform` is virtual. What is proven if measurements are
+    independent, from counts without order, passes only with `assume_independent`.
     A run that failed, is incomplete or was refused does not pass: what it hides is not known. An attempt that a restart
     of the target cut off is named, and passes when its run was measured again.
     """
     passing = {Answer.PROVEN, Answer.IF_INDEPENDENT} if assume_independent else {Answer.PROVEN}
-    cases = [_case(group, passing) for group in study.groups]
+    cases = [_case(group, passing, platform) for group in study.groups]
     cases += [
         Case(about=text.split(":", 1)[0], answer="NOT ANALYSED", text=text.split(":", 1)[-1].strip(), passed=False)
         for text in study.left_out
@@ -53,13 +55,19 @@ def gate(study: Study, *, assume_independent: bool = False) -> Gate:
     return Gate(cases=tuple(cases))
 
 
-def _case(group: Group, passing: Container[str]) -> Case:
+def _case(group: Group, passing: Container[str], platform: Platform) -> Case:
     line, verdict = verdict_line(group), group.verdict
+    text, passed = line.text, line.answer in passing
+    if passed and weakest((group.platform, platform)) is not platform:
+        text, passed = (
+            f"{text}; measured on {group.platform.machine}: passes only with --platform {group.platform}",
+            False,
+        )
     return Case(
         about=line.about,
         answer=line.answer,
-        text=line.text,
-        passed=line.answer in passing,
+        text=text,
+        passed=passed,
         n=verdict.n if verdict else group.n,
         misses=verdict.misses if verdict else None,
         worst_ns=verdict.worst_ns if verdict else None,

@@ -19,6 +19,7 @@ from rtrun.results import reading
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
 from rtrun.results.series import MEASURED_2014
+from rtrun.target.platform import Platform
 
 DEADLINE_NS = 400_000  # of the thesis, section 4.1.2
 PROBABILITY = 1e-6
@@ -53,9 +54,9 @@ class Group:
         return " ".join(filter(None, [*words, format_parameters(self.parameters)]))
 
     @property
-    def emulated(self) -> bool:
-        """Whether any of it was measured on an emulated board."""
-        return any(one.header.emulated for one in self.digests)
+    def platform(self) -> Platform:
+        """What it was measured on."""
+        return self.digests[0].header.platform
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -107,9 +108,9 @@ class Study:
     left_out: tuple[str, ...]
 
     @property
-    def emulated(self) -> bool:
-        """Whether any run was made on an emulated board."""
-        return any(one.header.emulated for one in (*self.digests, *self.others))
+    def platform(self) -> Platform:
+        """What the runs were made on."""
+        return next((one.header.platform for one in (*self.digests, *self.others)), Platform.HARDWARE)
 
     @property
     def as_in_2014(self) -> tuple[Group, ...]:
@@ -153,7 +154,8 @@ def study(
 
     `known` holds the runs of an earlier call for the same deadline and is extended: they are not read again. What only
     bounds and comparisons need is not in there.
-    Raises UsageError when there is nothing to examine; a run that is refused is told in ``left_out``.
+    Raises UsageError when there is nothing to examine, or runs of several platforms; a run that is refused is told in
+    ``left_out``.
     """
     source = reading.find_source(path)
     left_out = [f"{name}: incomplete, it has no run.json: nothing in it is analysed" for name in source.incomplete]
@@ -175,6 +177,11 @@ def study(
         except UsageError as error:
             left_out.append(str(error))
     by_run = {record.run: record for record in records}
+    if len(platforms := sorted({one.header.platform for one in digests})) > 1:
+        raise UsageError(
+            f"{path}: holds runs of several platforms ({', '.join(platforms)}), which say different things about time: "
+            "move the runs of each platform into a folder of their own"
+        )
 
     def grouped(members: Iterable[Digest], *, bounds: bool) -> tuple[Group, ...]:
         by_key: dict[str, list[Digest]] = {}
@@ -217,7 +224,7 @@ def _digests_of_run(folder: Path, record: RunRecord, deadline_ns: int, left_out:
 def _key(one: Digest) -> str:
     header = one.header
     telling = {key: value for key, value in header.parameters.items() if key not in _NOT_TELLING}
-    origin = [header.suite, header.series, header.target, header.emulated, one.histogram.bin_ns]
+    origin = [header.suite, header.series, header.target, one.histogram.bin_ns]
     return json.dumps([*origin, sorted(telling.items())])
 
 
@@ -246,7 +253,7 @@ def _group(
             confidence=confidence,
             period_ns=sum(periods) / len(periods) / side_by_side if periods else None,
             clock_step_ns=max(steps, default=None),
-            emulated=first.emulated,
+            emulated=first.platform is Platform.EMULATED,
             measurements_per_event=round(side_by_side) if "subscribers" in first.parameters else 1,
             boots_wanted=boots,
         )
@@ -283,7 +290,7 @@ def _located(trials: Trials, run: str, record: RunRecord | None) -> Trials:
 def _bounds(
     alike: Sequence[Digest], probability: float, confidence: float, step_ns: int
 ) -> tuple[tuple[Bound, ...], str | None]:
-    if alike[0].header.emulated:
+    if alike[0].header.platform is Platform.EMULATED:
         return (), "measured on an emulated board"
     tails = [one.tail for one in slowest(alike)]
     if any(tail is None for tail in tails):

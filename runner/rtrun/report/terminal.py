@@ -9,13 +9,17 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from rtfiles.output import printable
+from rtfiles.output import print_line, printable
 from rtrun.plan.suites import Value, output_name, suite, suites
 from rtrun.results.reading import Result, Run, Runs
 from rtrun.results.record import FILE
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header
+from rtrun.target.platform import Platform, weakest
 
-EMULATED = "EMULATED: not a real-time statement"
+BANNERS = {
+    Platform.EMULATED: "EMULATED: not a real-time statement",
+    Platform.VIRTUAL: "VIRTUAL: verdicts are for this virtual machine on this host",
+}
 NO_PREEMPT_RT = "NO PREEMPT_RT: this kernel promises no deadline"
 COARSE_NS = 10_000_000  # from here on a tenth of a microsecond is not worth its column
 
@@ -104,12 +108,20 @@ def _is_telling(suite_name: str, key: str, value: Value) -> bool:
     return option is None or value != option.default or f"{{{key}}}" in suite(suite_name).output
 
 
-def banner_of(*, emulated: bool, preempt_rt: bool) -> str:
+def banner_of(platform: Platform, *, preempt_rt: bool = True) -> str:
     """What has to be said before any number, in one line; empty when there is nothing to say."""
-    return "; ".join([EMULATED] * emulated + [NO_PREEMPT_RT] * (not preempt_rt))
+    return "; ".join(filter(None, [BANNERS.get(platform), NO_PREEMPT_RT if not preempt_rt else None]))
 
 
-def answer(results: Iterable[Result], *, emulated: bool, preempt_rt: bool = True, notes: Iterable[str] = ()) -> Group:
+def print_banner(platform: Platform) -> None:
+    """Print a platform's banner, if it has one."""
+    if words := banner_of(platform):
+        print_line(words)
+
+
+def answer(
+    results: Iterable[Result], *, platform: Platform, preempt_rt: bool = True, notes: Iterable[str] = ()
+) -> Group:
     """The banner if there is one to give, the table, and a line for every note and for every remark on a result."""
     results = list(results)
     lines = list(notes)
@@ -121,7 +133,7 @@ def answer(results: Iterable[Result], *, emulated: bool, preempt_rt: bool = True
         lines.append(NOTE_2014)
     if any(0 < result.figures.n < 1000 for result in results):
         lines.append("p99.9 of fewer than 1000 values is their maximum.")
-    words = banner_of(emulated=emulated, preempt_rt=preempt_rt)
+    words = banner_of(platform, preempt_rt=preempt_rt)
     banner = [Text(words, style="bold red")] if words else []
     body = [table(results)] if results else []
     return Group(
@@ -154,7 +166,7 @@ def remarks_of(header: Header) -> list[str]:
 
 def answer_of_run(run: Run) -> Group:
     """The answer of one run: every series of every output."""
-    return answer(run.results, emulated=run.record.emulated, preempt_rt=run.record.preempt_rt, notes=_notes(run))
+    return answer(run.results, platform=run.record.platform, preempt_rt=run.record.preempt_rt, notes=_notes(run))
 
 
 def answer_of_runs(folder: Runs) -> Group:
@@ -164,7 +176,7 @@ def answer_of_runs(folder: Runs) -> Group:
     notes += [f"{name}: incomplete: it has no {FILE}, nothing in it is analysed" for name in folder.incomplete]
     return answer(
         results,
-        emulated=any(run.record.emulated for run in folder.runs),
+        platform=weakest(run.record.platform for run in folder.runs),
         preempt_rt=all(run.record.preempt_rt for run in folder.runs),
         notes=notes,
     )

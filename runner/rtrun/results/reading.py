@@ -91,7 +91,7 @@ def read_series(folder: Path, record: RunRecord) -> Iterator[Series]:
                     suite=record.suite,
                     output=output,
                     parameters=record.circumstances,
-                    emulated=record.emulated,
+                    platform=record.platform,
                     period_ns=series.header.period_ns or period_of(record.parameters),
                 ),
             )

@@ -3,15 +3,16 @@
 import hashlib
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
 from rtrun.plan.conditions import IDLE
 from rtrun.plan.suites import Value
 from rtrun.target.inspection import Fact
+from rtrun.target.platform import Platform
 
 FILE = "run.json"
 
@@ -115,7 +116,7 @@ class Observed(Config):
 class RunRecord(Config):
     """run.json; `outputs` are the names, without ending, of what the programs wrote."""
 
-    schema_number: Literal[1] = Field(alias="schema")
+    schema_number: Literal[2] = Field(alias="schema")
     run: str
     campaign: str
     attempt: str = ""
@@ -127,7 +128,9 @@ class RunRecord(Config):
     seed: int | None = None
     variant: str = ""
     """Of a campaign with variants: which of them this run is of."""
-    emulated: bool
+    platform: Annotated[Platform, Field(strict=False)]
+    platform_evidence: str
+    """How the platform is known."""
     status: Annotated[RunStatus, Field(strict=False)]
     reason: str | None
     requested: Requested = Field(default_factory=Requested)
@@ -140,6 +143,18 @@ class RunRecord(Config):
     """Files that were not taken from the target, name to reason."""
     target: TargetFacts
     files: dict[Name, FileRecord]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_schema_1(cls, data: Any) -> Any:
+        """Of the first schema, which had `emulated`, as the target file stated it."""
+        if not isinstance(data, dict) or data.get("schema") != 1:
+            return data
+        if not isinstance(data.get("emulated"), bool):
+            raise ValueError("emulated: true or false is needed in a record of schema 1")
+        platform = Platform.EMULATED if data["emulated"] else Platform.HARDWARE
+        kept = {key: value for key, value in data.items() if key != "emulated"}
+        return kept | {"schema": 2, "platform": platform, "platform_evidence": "stated, not found on the target"}
 
     @property
     def preempt_rt(self) -> bool:

@@ -15,6 +15,7 @@ from rtrun.plan.suites import Value
 from rtrun.results.gnuplot_log import Log
 from rtrun.results.importers.histogram_file import Imported
 from rtrun.results.samples import InEffect, Samples
+from rtrun.target.platform import Platform
 
 MEASURED_2014 = "measured_2014"
 # What to say wherever such a series is shown.
@@ -53,7 +54,7 @@ class Header:
     series: str
     main: bool = True
     parameters: dict[str, Value]
-    emulated: bool = False
+    platform: Platform = Platform.HARDWARE
     startup: tuple[IndexedValue, ...] = ()
     missing: int = 0
     out_of_order: int = 0

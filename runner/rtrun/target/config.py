@@ -1,4 +1,4 @@
-"""Target files. A board over SSH, an emulated board and this machine become the same `Target`."""
+"""Target files. A board over SSH, a board in QEMU and this machine become the same `Target`."""
 
 import contextlib
 import functools
@@ -17,6 +17,7 @@ from rtrun.target import qemu
 from rtrun.target.address import Address, ThisMachine, check_host
 from rtrun.target.connection import Connection
 from rtrun.target.errors import ConnectionLost, TargetGone
+from rtrun.target.platform import KnownPlatform, Platform
 from rtrun.target.ssh_config import address_of
 
 Word = Annotated[str, Field(min_length=1)]
@@ -52,7 +53,7 @@ class SshConfig(_Common):
     host_key: str | None = None
     known_hosts: UserPath | None = None
     emulated: bool = False
-    """True for a virtual machine behind SSH: its timing is no real-time statement."""
+    """True for an emulated machine that looks like a real one. What looks virtual is found without it."""
     restart: Annotated[list[Word], Field(min_length=1)] | None = None
     """Command line on the target that restarts it, for campaigns that ask for several boots."""
 
@@ -71,7 +72,7 @@ class LocalConfig(_Common):
     kind: Literal["local"]
     work_dir: WorkDir = Field(default_factory=lambda: str(_state_folder() / "rt-tests"))
     emulated: bool = False
-    """True for a virtual machine: its timing is no real-time statement."""
+    """As for a board behind SSH."""
 
 
 TargetConfig = SshConfig | QemuConfig | LocalConfig
@@ -83,7 +84,8 @@ class Target:
     """A target that is switched on."""
 
     name: str
-    emulated: bool
+    known_platform: KnownPlatform | None = None
+    """What is known without asking the target, and not to be asked then."""
     address: Address | ThisMachine
     suites: Path | None
     work_dir: PurePosixPath
@@ -114,9 +116,9 @@ def parse_target(data: object, origin: str) -> TargetConfig:
 
 @contextlib.contextmanager
 def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Target]:
-    """Yield the target; an emulated board is booted, and ended when the context is left.
+    """Yield the target; a board in QEMU is booted, and ended when the context is left.
 
-    Relative paths of the config are relative to `folder`. The serial console of an emulated board goes to `console`.
+    Relative paths of the config are relative to `folder`. The serial console of a board in QEMU goes to `console`.
     """
     suites = _resolve(folder, config.suites) if config.suites is not None else None
     if suites is not None and not suites.is_dir():
@@ -127,19 +129,20 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
     failure: Callable[[], TargetGone | None] = _no_failure
     restart: Callable[[Connection], None] | None = None
     console_log, boot_s = None, 0.0
+    known_platform = None
+    if not isinstance(config, QemuConfig) and config.emulated:
+        known_platform = KnownPlatform(platform=Platform.EMULATED, evidence="stated in the target file")
     with contextlib.ExitStack() as stack:
         if isinstance(config, QemuConfig):
             board = _resolve(folder, config.board)
             machine = stack.enter_context(qemu.boot(board, console))
-            emulated = machine.emulated
+            known_platform = machine.platform
             address, failure, console_log = machine.address, machine.failure, machine.console
             restart = machine.reset
             boot_s = 180.0
         elif isinstance(config, LocalConfig):
-            emulated = config.emulated
             address = ThisMachine()
         else:
-            emulated = config.emulated
             address = address_of(
                 config.host,
                 port=config.port,
@@ -151,7 +154,7 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
             restart = functools.partial(_restart_by_command, config.restart) if config.restart else None
         yield Target(
             name=config.name,
-            emulated=emulated,
+            known_platform=known_platform,
             address=address,
             suites=suites,
             work_dir=PurePosixPath(config.work_dir),

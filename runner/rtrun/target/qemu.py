@@ -1,4 +1,4 @@
-"""An emulated board: booted from the folder that ``rtgen board build`` makes, and never outliving the runner."""
+"""A board in QEMU: booted from the folder that ``rtgen board build`` makes, and never outliving the runner."""
 
 import contextlib
 import os
@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field
 
@@ -19,6 +20,7 @@ from rtfiles.invocation import as_called
 from rtrun.target import kvm, qmp
 from rtrun.target.address import Address
 from rtrun.target.errors import TargetError, TargetGone
+from rtrun.target.platform import KnownPlatform, Platform
 
 STOP_S = 5.0
 
@@ -51,9 +53,8 @@ class Login(Config):
 class Board(Config):
     """`board.json`; file names are relative to its folder (see docs/formats.md)."""
 
-    schema_: int = Field(alias="schema")
+    schema_: Literal[2] = Field(alias="schema")
     machine: str
-    emulated: bool
     qemu: Emulator
     kernel: str
     initrd: str
@@ -70,7 +71,7 @@ class Board(Config):
 class Machine:
     """A booted board."""
 
-    emulated: bool
+    platform: KnownPlatform
     address: Address
     process: subprocess.Popen[bytes]
     monitor: Path
@@ -86,7 +87,7 @@ class Machine:
         if status is None:
             return None
         how = f"killed by signal {-status}" if status < 0 else f"exit status {status}"
-        return TargetGone(f"the emulated board was switched off: QEMU ended ({how}); console: {self.console}")
+        return TargetGone(f"the board in QEMU was switched off: QEMU ended ({how}); console: {self.console}")
 
 
 def read_board(folder: Path) -> Board:
@@ -94,20 +95,34 @@ def read_board(folder: Path) -> Board:
     path = folder / "board.json"
     if not path.is_file():
         raise UsageError(f"{folder}: no board there, make one: {as_called('rtgen')} board build")
-    board = load(path, Board)
-    if board.schema_ != 1:
-        raise UsageError(f"{path}: schema: {board.schema_} is unknown, this program reads 1")
-    return board
+    try:
+        return load(path, Board)
+    except UsageError as error:
+        raise UsageError(
+            f"{error}\n{path}: if another version made it, make it anew: {as_called('rtgen')} board build"
+        ) from error
 
 
 def emulator(board: Board, folder: Path) -> tuple[str, ...]:
     """QEMU's program and the arguments that make it the board: by KVM where that works, emulated where it does not."""
-    qemu = board.qemu
-    emulated = (qemu.binary, *qemu.arguments)
-    if qemu.kvm is None or qemu.kvm.processor != platform.machine():
-        return emulated
-    by_kvm = (*emulated, *qemu.kvm.arguments)
-    return by_kvm if kvm.works(by_kvm, folder / board.kernel) else emulated
+    by_kvm = _by_kvm(board)
+    return by_kvm if by_kvm and kvm.works(by_kvm, folder / board.kernel) else _by_tcg(board)
+
+
+def platform_of(board: Board, folder: Path) -> KnownPlatform:
+    """Virtual where KVM runs the board, else emulated."""
+    if emulator(board, folder) == _by_tcg(board):
+        return KnownPlatform(platform=Platform.EMULATED, evidence="QEMU emulates the processor (TCG)")
+    return KnownPlatform(platform=Platform.VIRTUAL, evidence="QEMU runs it by KVM")
+
+
+def _by_tcg(board: Board) -> tuple[str, ...]:
+    return (board.qemu.binary, *board.qemu.arguments)
+
+
+def _by_kvm(board: Board) -> tuple[str, ...] | None:
+    kvm = board.qemu.kvm
+    return None if kvm is None or kvm.processor != platform.machine() else (*_by_tcg(board), *kvm.arguments)
 
 
 def command(board: Board, folder: Path, overlay: Path, monitor: Path, console: Path) -> list[str]:
@@ -165,7 +180,9 @@ def boot(folder: Path, console: Path, overlay: Path | None = None) -> Iterator[M
             key=folder / board.ssh.key,
             host_key=board.ssh.host_key,
         )
-        yield Machine(emulated=board.emulated, address=address, process=process, monitor=monitor, console=console)
+        yield Machine(
+            platform=platform_of(board, folder), address=address, process=process, monitor=monitor, console=console
+        )
 
 
 def _quiet(*argv: str) -> None:

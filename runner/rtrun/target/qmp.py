@@ -1,4 +1,4 @@
-"""The QEMU machine protocol: just enough to ask an emulated board something and to pull its plug."""
+"""The QEMU machine protocol: just enough to ask a board in QEMU something and to pull its plug."""
 
 import json
 import socket

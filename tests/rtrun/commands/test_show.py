@@ -165,16 +165,16 @@ def test_a_run_has_a_row_for_each_subscriber(capsys: pytest.CaptureFixture[str],
     rows = [line for line in output.splitlines() if line.startswith("communication")]
     assert [re.search(r"RR 1000Hz 0B 2sub #[01] +99 ", row) is not None for row in rows] == [True, True]
     data = show_json(capsys, run)
-    assert data["emulated"] is False
+    assert data["platform"] == "hardware"
     assert [result["output"][:3] for result in data["results"]] == ["0ct", "1ct"]
 
 
 def test_an_emulated_run_says_so_in_the_first_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    run = communication_run(tmp_path / "demo" / "001-run", emulated=True)
+    run = communication_run(tmp_path / "demo" / "001-run", platform="emulated")
     for path in (run, run.parent):
         _, output, _ = show(capsys, path)
         assert output.splitlines()[0] == "EMULATED: not a real-time statement"
-        assert show_json(capsys, path)["emulated"] is True
+        assert show_json(capsys, path)["platform"] == "emulated"
 
 
 def test_a_run_without_its_record_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

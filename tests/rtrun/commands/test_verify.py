@@ -42,7 +42,7 @@ def test_results_that_are_not(results, capsys, damage):
     elif damage == "altered":
         npy.write_bytes(npy.read_bytes()[:-1] + b"x")
     elif damage == "schema":
-        record.write_text(record.read_text().replace('"schema": 1', '"schema": 2'))
+        record.write_text(record.read_text().replace('"schema": 2', '"schema": 3'))
     else:
         record.unlink()
     assert main(["verify", str(results)]) == 1

@@ -108,7 +108,7 @@ def write_run(
     parameters: dict[str, Any],
     *,
     asked: int,
-    emulated: bool = False,
+    platform: str = "hardware",
     logs: bool = True,
     **record: Any,
 ) -> Path:
@@ -128,12 +128,13 @@ def write_run(
         for path in sorted(folder.iterdir())
     }
     closing = {
-        "schema": 1,
+        "schema": 2,
         "run": name,
         "campaign": root.name,
         "suite": suite,
         "parameters": parameters,
-        "emulated": emulated,
+        "platform": platform,
+        "platform_evidence": "stated by the test",
         "status": "ok",
         "reason": None,
         "start_time": "2026-11-21T10:00:00Z",
@@ -203,7 +204,7 @@ def _write_output(
             write_log(folder / name, suite, values, label=label, asked=asked)
 
 
-def write_campaign(root: Path, *, n: int = 20_000, emulated: bool = False, seed: int = 0) -> Path:
+def write_campaign(root: Path, *, n: int = 20_000, platform: str = "hardware", seed: int = 0) -> Path:
     """One-shot, cyclic and communication runs with and without policy, one and five subscribers."""
     for k, policy in enumerate(("RR", "FIFO", "0"), start=1):
         spread = 8.0 if policy != "0" else 300.0
@@ -216,11 +217,11 @@ def write_campaign(root: Path, *, n: int = 20_000, emulated: bool = False, seed:
             name = f"{k:03d}-oneshot-tm{timeout}-{policy}"
             rows = oneshot_rows(values, timeout, 8000 if policy != "0" else 3_000_000)
             parameters = {"policy": policy, "timeout_us": timeout, "busy_mode": 0}
-            write_run(root, name, "oneshot_timer_tests", [rows], parameters, asked=n, emulated=emulated)
+            write_run(root, name, "oneshot_timer_tests", [rows], parameters, asked=n, platform=platform)
         name = f"{k:03d}-cyclic-{policy}"
         rows = cyclic_rows(latencies(n, seed + 50 + k, 90.0, spread), 1000)
         parameters = {"policy": policy, "frequency_hz": 1000}
-        write_run(root, name, "cyclic_timer_tests", [rows], parameters, asked=n, emulated=emulated)
+        write_run(root, name, "cyclic_timer_tests", [rows], parameters, asked=n, platform=platform)
         for subscribers in (1, 5):
             outputs = []
             for s in range(subscribers):
@@ -229,5 +230,5 @@ def write_campaign(root: Path, *, n: int = 20_000, emulated: bool = False, seed:
                 outputs.append(communication_rows(values, 100))
             name = f"{k:03d}-comm-{subscribers}sub-{policy}"
             parameters = {"policy": policy, "frequency_hz": 100, "payload_bytes": 200, "subscribers": subscribers}
-            write_run(root, name, "communication_tests", outputs, parameters, asked=n, emulated=emulated)
+            write_run(root, name, "communication_tests", outputs, parameters, asked=n, platform=platform)
     return root

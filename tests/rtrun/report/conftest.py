@@ -11,4 +11,4 @@ def campaign(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def emulated(tmp_path_factory):
-    return write_campaign(tmp_path_factory.mktemp("results") / "emulated", n=500, emulated=True)
+    return write_campaign(tmp_path_factory.mktemp("results") / "emulated", n=500, platform="emulated")

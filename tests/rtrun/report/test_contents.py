@@ -68,7 +68,7 @@ def test_the_answer_is_a_sentence_and_the_next_step_follows_from_it(tmp_path, qu
 
 def test_an_emulated_board_says_nothing_about_a_deadline(tmp_path):
     write_run(tmp_path, "a", "oneshot_timer_tests", [oneshot_rows(LATENCIES_NS[0], 1000)], PARAMETERS, asked=5000,
-              emulated=True)  # fmt: skip
+              platform="emulated")  # fmt: skip
     written = contents_of(tmp_path)
     assert written.banner is not None and written.banner.startswith("EMULATED")
     assert written.answer == "No statement about the deadline of 400 us in any scenario: measured on an emulated board."

@@ -16,7 +16,8 @@ from plotly.offline import get_plotlyjs
 from report.campaigns import latencies, oneshot_rows, write_run
 
 from rtrun.cli import main
-from rtrun.report.terminal import EMULATED
+from rtrun.report.terminal import BANNERS
+from rtrun.target.platform import Platform
 
 LOG_2014 = Path(__file__).parents[2] / "data" / "2014" / "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log"
 
@@ -40,17 +41,19 @@ def test_the_page_needs_no_network(capsysbinary, campaign):
 
 
 def test_emulated_is_the_first_thing_said(capsysbinary, emulated):
-    assert write(capsysbinary, emulated, "markdown").decode().splitlines()[0] == f"**{EMULATED}**"
+    assert write(capsysbinary, emulated, "markdown").decode().splitlines()[0] == f"**{BANNERS[Platform.EMULATED]}**"
     page = write(capsysbinary, emulated, "html").decode()
     body = re.sub(r"\s*<[^>]+>\s*", "\n", page[page.index("<body>") :]).split("\n")
-    assert next(line for line in body if line) == EMULATED
+    assert next(line for line in body if line) == BANNERS[Platform.EMULATED]
     data = json.loads(write(capsysbinary, emulated, "json"))
-    assert data["emulated"] and {g["verdict"]["answer"] for g in data["groups"]} == {"not a real-time statement"}
+    assert data["platform"] == "emulated" and {g["verdict"]["answer"] for g in data["groups"]} == {
+        "not a real-time statement"
+    }
 
 
 def test_json_holds_everything(capsysbinary, campaign):
     data = json.loads(write(capsysbinary, campaign, "json"), parse_constant=lambda name: pytest.fail(name))
-    assert data["schema"] == 1 and len(data["claims"]) == 19
+    assert data["schema"] == 2 and len(data["claims"]) == 19
     oneshot = next(s for s in data["series"] if s["series"] == "measured")
     assert set(oneshot["figures"]["percentiles_ns"]) >= {"p50", "p99.9", "p99.999"}
     assert len(oneshot["figures"]["top"]) == len(oneshot["figures"]["lowest"]) == 10

@@ -47,10 +47,45 @@ def test_too_little_and_too_late_fail(tmp_path, capsys, question, answer):
 
 
 def test_emulated_results_never_pass(tmp_path, capsys):
-    write_oneshot(tmp_path, emulated=True)
+    write_oneshot(tmp_path, platform="emulated")
     assert main(["gate", str(tmp_path), "--probability", "1e-2"]) == 1
     printed = capsys.readouterr().out
     assert printed.startswith("EMULATED") and "FAIL  not a real-time statement" in printed
+
+
+def test_a_proof_from_a_virtual_machine_passes_only_when_told_to(tmp_path, capsys):
+    write_oneshot(tmp_path, platform="virtual")
+    question = ["gate", str(tmp_path), "--probability", "1e-3"]
+    assert main(question) == 1
+    printed = capsys.readouterr().out
+    assert printed.startswith("VIRTUAL: verdicts are for this virtual machine on this host\nfailed\n")
+    assert re.search(r"^FAIL  PROVEN ", printed, re.M) and "passes only with --platform virtual" in printed
+    assert main([*question, "--platform", "virtual"]) == 0
+    assert capsys.readouterr().out.startswith("VIRTUAL: ")
+
+
+def test_virtual_is_no_pass_for_what_is_emulated_or_not_proven(tmp_path, capsys):
+    write_oneshot(tmp_path / "emulated", platform="emulated")
+    write_oneshot(tmp_path / "virtual", platform="virtual")
+    question = ["--platform", "virtual", "--probability"]
+    assert main(["gate", str(tmp_path / "emulated"), *question, "1e-2"]) == 1
+    assert main(["gate", str(tmp_path / "virtual"), *question, "1e-6"]) == 1
+    assert "--platform" not in capsys.readouterr().out, "what else is missing is not the platform"
+
+
+@pytest.mark.parametrize("command", ["gate", "verdict", "report", "claims"])
+def test_runs_of_two_platforms_are_not_examined_together(tmp_path, capsys, command):
+    write_oneshot(tmp_path, "a")
+    write_oneshot(tmp_path, "b", platform="virtual")
+    assert main([command, str(tmp_path)]) == 2
+    assert "holds runs of several platforms (hardware, virtual)" in capsys.readouterr().err
+
+
+def test_two_platforms_are_not_compared(tmp_path, capsys):
+    write_oneshot(tmp_path / "a")
+    write_oneshot(tmp_path / "b", platform="emulated")
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 2
+    assert "times of different platforms are not compared" in capsys.readouterr().err
 
 
 def test_a_failed_run_does_not_pass_unseen(tmp_path, capsys):

@@ -12,6 +12,7 @@ from rtrun.analysis.deadline import Answer
 from rtrun.analysis.figures import IndexedValue
 from rtrun.report.study import study
 from rtrun.report.verdicts import verdict_line
+from rtrun.target.platform import Platform
 
 ONESHOT = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
 
@@ -115,7 +116,7 @@ def test_five_subscribers_are_one_group_whose_messages_count_once(tmp_path):
 
 def test_an_emulated_board_gets_no_verdict_and_no_worst_case(emulated):
     analysed = study(emulated)
-    assert analysed.emulated
+    assert analysed.platform is Platform.EMULATED
     assert {verdict_line(group).answer for group in analysed.groups} == {Answer.NO_STATEMENT}
     assert all(not group.bounds and group.no_bound == "measured on an emulated board" for group in analysed.groups)
 

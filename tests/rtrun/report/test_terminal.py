@@ -10,9 +10,10 @@ from rich.console import Console
 
 from rtrun.analysis.figures import Figures, figures_of_samples
 from rtrun.plan.suites import Value
-from rtrun.report.terminal import EMULATED, NO_PREEMPT_RT, answer, table
+from rtrun.report.terminal import BANNERS, NO_PREEMPT_RT, answer, table
 from rtrun.results.reading import Result
 from rtrun.results.series import Header
+from rtrun.target.platform import Platform
 
 
 def result(figures: Figures, remarks: tuple[str, ...] = (), run: str = "001-x", **parameters: Value) -> Result:
@@ -82,25 +83,35 @@ def test_nothing_measured_is_a_dash_and_no_number() -> None:
 
 def test_the_answer_is_banner_table_and_what_has_to_be_said_once() -> None:
     remark = ("[red]incomplete[/red]: the publisher left",)
-    lines = drawn(answer([result(WIDE, remark), result(WIDE, remark)], emulated=True, notes=["002: failed: x"]), 100)
-    assert lines[0] == EMULATED
+    lines = drawn(
+        answer([result(WIDE, remark), result(WIDE, remark)], platform=Platform.EMULATED, notes=["002: failed: x"]), 100
+    )
+    assert lines[0] == BANNERS[Platform.EMULATED]
     assert lines[-3:] == [
         "002: failed: x",
         "4ct_gnuplot_l2000000_fq10000_pl10000-tnRTFIFO: [red]incomplete[/red]: the publisher left",
         "p99.9 of fewer than 1000 values is their maximum.",
     ]
-    assert drawn(answer([result(WIDE)], emulated=False), 100)[0] != EMULATED
-    assert drawn(answer([result(WIDE)], emulated=False, preempt_rt=False), 100)[0] == NO_PREEMPT_RT
-    assert drawn(answer([result(WIDE)], emulated=True, preempt_rt=False), 100)[0] == f"{EMULATED}; {NO_PREEMPT_RT}"
+
+    def banner(platform: Platform, *, preempt_rt: bool = True) -> str:
+        return drawn(answer([result(WIDE)], platform=platform, preempt_rt=preempt_rt), 100)[0]
+
+    emulated = "EMULATED: not a real-time statement"
+    assert banner(Platform.VIRTUAL) == "VIRTUAL: verdicts are for this virtual machine on this host"
+    assert banner(Platform.HARDWARE).split()[-1] == "missing", "the head of the table"
+    assert banner(Platform.HARDWARE, preempt_rt=False) == NO_PREEMPT_RT
+    assert banner(Platform.EMULATED, preempt_rt=False) == f"{emulated}; {NO_PREEMPT_RT}"
 
 
 def test_a_sentence_is_not_broken_where_a_program_reads_it() -> None:
-    lines = drawn(answer([], emulated=False, notes=["word " * 60]), 100)
+    lines = drawn(answer([], platform=Platform.HARDWARE, notes=["word " * 60]), 100)
     assert len(lines) == 1
 
 
 def test_a_target_does_not_command_the_terminal() -> None:
-    lines = drawn(answer([result(WIDE, ("\x1b[2Jgone\nnew line",), cpu="\x1b]0;x\x07")], emulated=False), 200)
+    lines = drawn(
+        answer([result(WIDE, ("\x1b[2Jgone\nnew line",), cpu="\x1b]0;x\x07")], platform=Platform.HARDWARE), 200
+    )
     assert lines[-2].endswith(": ?[2Jgone?new line")
     assert "cpu=?]0;x?" in lines[3]
 
@@ -120,7 +131,7 @@ def test_threads_of_one_run_are_told_apart_by_the_end_of_their_output() -> None:
 
 def test_one_timer_is_not_many() -> None:
     one = result(WIDE)
-    lines = drawn(answer([replace(one, header=replace(one.header, not_fired=1))], emulated=False), 200)
+    lines = drawn(answer([replace(one, header=replace(one.header, not_fired=1))], platform=Platform.HARDWARE), 200)
     assert [line.partition(": ")[2] for line in lines if "timer" in line] == [
         "1 timer did not fire, it is in no figure"
     ]
@@ -128,5 +139,5 @@ def test_one_timer_is_not_many() -> None:
 
 def test_messages_that_came_again_are_told() -> None:
     one = result(WIDE)
-    lines = drawn(answer([replace(one, header=replace(one.header, duplicate=3))], emulated=False), 200)
+    lines = drawn(answer([replace(one, header=replace(one.header, duplicate=3))], platform=Platform.HARDWARE), 200)
     assert any(line.endswith(": 3 messages came again, only the first arrival counts") for line in lines)

@@ -8,16 +8,18 @@ from written import write_cyclic, write_record
 from rtfiles.errors import UsageError
 from rtrun.results import run_directory
 from rtrun.results.record import RunRecord, RunStatus, TargetFacts, read_record, verify
+from rtrun.target.platform import Platform
 
 
 def record_of(**changed):
     raw = {
-        "schema": 1,
+        "schema": 2,
         "run": "001-run",
         "campaign": "demo",
         "suite": "cyclic_timer_tests",
         "parameters": {"policy": "RR", "cpu": "", "break_trace_us": None},
-        "emulated": False,
+        "platform": Platform.HARDWARE,
+        "platform_evidence": "no sign of a virtual machine",
         "status": RunStatus.OK,
         "reason": None,
         "start_time": "unknown",
@@ -43,15 +45,28 @@ def test_what_is_written_is_what_is_read(tmp_path):
 
 def test_the_file_holds_what_was_set_and_null_where_nothing_is(tmp_path):
     data = json.loads(record_of().to_json())
-    assert data["schema"] == 1 and data["status"] == "ok" and data["reason"] is None
+    assert data["schema"] == 2 and data["status"] == "ok" and data["reason"] is None
     assert data["target"] == {"name": "board", "governor": ["performance", "performance"]}
     assert "requested" not in data, "an imported file was asked for nothing"
+
+
+@pytest.mark.parametrize(("emulated", "platform"), [(True, Platform.EMULATED), (False, Platform.HARDWARE)])
+def test_a_record_of_the_first_schema_is_read_as_what_it_stated(tmp_path, emulated, platform):
+    path = write_record(tmp_path, "cyclic_timer_tests", [], {})
+    data = json.loads(path.read_text())
+    del data["platform"], data["platform_evidence"]
+    path.write_text(json.dumps(data | {"schema": 1, "emulated": emulated}))
+    record = read_record(tmp_path)
+    assert (record.platform, record.platform_evidence) == (platform, "stated, not found on the target")
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema": 2}, "schema: Input should be 1"),
+        ({"schema": 3}, "schema: Input should be 2"),
+        ({"schema": 1}, "emulated: true or false is needed in a record of schema 1"),
+        ({"schema": 1, "emulated": "no"}, "emulated: true or false is needed"),
+        ({"platform": "cloud"}, "platform: Input should be 'hardware', 'virtual' or 'emulated'"),
         ({"status": "good"}, "status: Input should be 'ok', 'failed', 'incomplete' or 'invalid'"),
         ({"target": {"cpus": 2}}, "target.name: Field required"),
         ({"target": {"name": "board", "cpus": -1}}, "target.cpus"),
@@ -72,7 +87,7 @@ def test_a_damaged_run_is_not_verified(tmp_path, damage):
     assert verify(tmp_path).status is RunStatus.OK
     npy = path.with_suffix(".npy")
     if damage == "schema":
-        record.write_text(record.read_text().replace('"schema": 1', '"schema": 2'))
+        record.write_text(record.read_text().replace('"schema": 2', '"schema": 3'))
     elif damage == "altered":
         npy.write_bytes(npy.read_bytes()[:-1] + b"x")
     else:

@@ -15,7 +15,7 @@ from rtgen.board import card, disk, initrd
 from rtgen.board.kernel import Kernel, built_kernel, debian_kernel
 from rtgen.board.machine import Machine, Qemu, architectures, find
 
-SCHEMA = 1
+SCHEMA = 2
 HERE = Path(__file__).parent
 
 
@@ -93,7 +93,6 @@ def board_record(
     return {
         "schema": SCHEMA,
         "machine": name,
-        "emulated": True,
         "qemu": qemu.model_dump() | {"kvm": kvm},
         "kernel": "vmlinuz",
         "initrd": "initrd",

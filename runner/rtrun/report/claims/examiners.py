@@ -10,6 +10,7 @@ from rtrun.report.claims import general, timers
 from rtrun.report.claims.examination import Finding, Result
 from rtrun.report.claims.reference import published
 from rtrun.report.study import Study
+from rtrun.target.platform import Platform
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,7 +60,7 @@ def examine_claims(study: Study) -> tuple[Examined, ...]:
     for claim in published()["claims"]:
         examiner = EXAMINERS[claim["id"]]
         result = examiner.examine(study)
-        if study.emulated and not examiner.functional and result.runs:
+        if study.platform is Platform.EMULATED and not examiner.functional and result.runs:
             result = Result(
                 finding=Finding.UNDECIDED,
                 numbers=f"measured on an emulated board, not a real-time statement ({result.numbers})",

@@ -16,9 +16,10 @@ from rtrun.results.gnuplot_log import SERIES_OF_ONESHOT_LOGS, read_log
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, Imported, histogram_text
 from rtrun.results.record import RunRecord, RunStatus, TargetFacts
+from rtrun.target.platform import Platform
 
 
-def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tuple[str, ...]]]:
+def adopt(path: Path, results: Path, *, platform: Platform) -> list[tuple[Path, tuple[str, ...]]]:
     """Import one file into `results`; returns each run directory made and what its format leaves out.
 
     A log keeps its name and is read as a log of its suite; other files become histograms, one run a context. Raises
@@ -32,7 +33,7 @@ def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tupl
         output = (
             re.sub(r"-(measured|reported|diff)$", "", path.stem) if log.suite == "oneshot_timer_tests" else path.stem
         )
-        record = _record(name, results, log.suite, log.parameters, [output], emulated)
+        record = _record(name, results, log.suite, log.parameters, [output], platform)
         folder = _new(results, name)
         # A log may have been renamed: under this name it is read as that log of the output.
         kind = {series: f"-{kind}" for kind, series in SERIES_OF_ONESHOT_LOGS.items()}.get(log.series, "")
@@ -49,7 +50,7 @@ def adopt(path: Path, results: Path, *, emulated: bool) -> list[tuple[Path, tupl
         run = f"{name}-{context}" if context else name
         folder = _new(results, run)
         first = members[0]
-        record = _record(run, results, first.source, first.parameters, [one.name for one in members], emulated)
+        record = _record(run, results, first.source, first.parameters, [one.name for one in members], platform)
         with run_directory.filling(folder) as partial:
             shutil.copyfile(path, partial / f"original{path.suffix}")
             for one in members:
@@ -67,15 +68,16 @@ def _new(results: Path, run: str) -> Path:
 
 
 def _record(
-    run: str, results: Path, suite: str, parameters: Mapping[str, Value], outputs: Sequence[str], emulated: bool
+    run: str, results: Path, suite: str, parameters: Mapping[str, Value], outputs: Sequence[str], platform: Platform
 ) -> RunRecord:
     return RunRecord(
-        schema=1,
+        schema=2,
         run=run,
         campaign=results.name,
         suite=suite,
         parameters=dict(parameters),
-        emulated=emulated,
+        platform=platform,
+        platform_evidence="stated when it was imported",
         status=RunStatus.OK,
         reason=None,
         start_time="unknown",

@@ -20,6 +20,7 @@ from rtrun.report.claims.examiners import EXAMINERS, examine_claims
 from rtrun.report.claims.reference import published
 from rtrun.report.study import study
 from rtrun.results.importers.adopt import adopt
+from rtrun.target.platform import Platform
 
 CONFIRMED, REFUTED, UNDECIDED = Finding.CONFIRMED, Finding.REFUTED, Finding.UNDECIDED
 IDS = [claim["id"] for claim in published()["claims"]]
@@ -179,7 +180,7 @@ def test_nanosleep_beside_the_timer(tmp_path):
         oneshot(root, "a", latencies(2001, 1))
         file = tmp_path / f"{name}.txt"
         file.write_text(text.format(most, most))
-        adopt(file, root, emulated=False)
+        adopt(file, root, platform=Platform.HARDWARE)
         assert examine(root, "nanosleep-better").finding == finding
 
 
@@ -304,8 +305,8 @@ def test_without_priority(tmp_path, spread_us, finding):
 
 
 def test_emulated_runs_decide_what_ros_does_not_how_fast(tmp_path):
-    oneshot(tmp_path, "a", latencies(3000, 1, 90.0), timeout_us=800, emulated=True)
-    oneshot(tmp_path, "b", latencies(3000, 1), "0", emulated=True)
+    oneshot(tmp_path, "a", latencies(3000, 1, 90.0), timeout_us=800, platform="emulated")
+    oneshot(tmp_path, "b", latencies(3000, 1), "0", platform="emulated")
     assert examine(tmp_path, "oneshot-sub-millisecond").finding == REFUTED
     result = examine(tmp_path, "oneshot-400us-rare")
     assert result.finding == UNDECIDED and "emulated" in result.numbers

@@ -19,6 +19,7 @@ from rtrun.results.importers.adopt import adopt
 from rtrun.results.importers.cyclictest import read_text
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
+from rtrun.target.platform import Platform
 
 LOGS_2014 = Path(__file__).parents[3] / "data" / "2014"
 
@@ -86,7 +87,7 @@ def test_timerlat_is_read_by_context(tmp_path):
     thread = imported["timerlat-Thr-001"].histogram
     assert (thread.n, thread.overflow, thread.bin_ns, thread.max_ns) == (1002, 2, 10_000, 210_000)
     assert thread.values_ns.tolist() == [0, 10_000, 20_000]
-    made = adopt(file, tmp_path / "out", emulated=False)
+    made = adopt(file, tmp_path / "out", platform=Platform.HARDWARE)
     assert [folder.name for folder, _ in made] == ["tl-interrupt", "tl-thread", "tl-user"]
     assert [group.n for group in study(tmp_path / "out").groups] == [1999, 2001, 1999]
 
@@ -94,7 +95,7 @@ def test_timerlat_is_read_by_context(tmp_path):
 def test_the_largest_value_decides_a_deadline_beyond_the_bins(tmp_path):
     file = tmp_path / "tl.txt"
     file.write_text(TIMERLAT)
-    adopt(file, tmp_path / "out", emulated=False)
+    adopt(file, tmp_path / "out", platform=Platform.HARDWARE)
     by_context = {g.parameters["context"]: g for g in study(tmp_path / "out", deadline_ns=400_000).groups}
     assert by_context["thread"].verdict is not None and by_context["thread"].verdict.late == 0
     by_context = {g.parameters["context"]: g for g in study(tmp_path / "out", deadline_ns=100_000).groups}
@@ -140,7 +141,7 @@ def test_cyclictest_is_read_whatever_the_order_of_its_parts(tmp_path):
 def test_the_mean_that_was_printed_is_shown_in_spite_of_an_overflow(tmp_path, capsys):
     file = tmp_path / "vendor.txt"
     file.write_text(VENDOR)
-    adopt(file, tmp_path / "out", emulated=False)
+    adopt(file, tmp_path / "out", platform=Platform.HARDWARE)
     assert main(["show", "--json", str(tmp_path / "out" / "vendor")]) == 0
     results = json.loads(capsys.readouterr().out)["results"]
     assert [(one["n"], one["mean_us"], one["max_us"]) for one in results] == [(7, 2.0, 200.0), (5, 2.2, 3.0)]
@@ -158,7 +159,7 @@ def test_histograms_of_different_length_are_reported_together(tmp_path, capsys):
     shorter = VENDOR.replace("00200", "00900").replace("000003 000000\t000003\n", "").replace("5  \t", "2  \t")
     for name, text in (("a", VENDOR), ("b", shorter)):
         (tmp_path / f"{name}.txt").write_text(text)
-        adopt(tmp_path / f"{name}.txt", tmp_path / "out", emulated=False)
+        adopt(tmp_path / f"{name}.txt", tmp_path / "out", platform=Platform.HARDWARE)
     assert main(["report", str(tmp_path / "out")]) == 0
     assert "Share of the values above" in (tmp_path / "out" / "report.html").read_text()
 
@@ -170,7 +171,7 @@ def test_more_bins_than_any_program_has_are_refused(tmp_path, monkeypatch):
     (tmp_path / "b.json").write_text(made)
     (tmp_path / "c.txt").write_text(TIMERLAT)
     files = sorted(tmp_path.iterdir())
-    adopt(files[0], tmp_path / "out", emulated=False)
+    adopt(files[0], tmp_path / "out", platform=Platform.HARDWARE)
     files.append(next((tmp_path / "out").glob(f"a/*{ENDING}")))
     monkeypatch.setattr(counts, "MAX_BINS", 10)
     for file in files:
@@ -196,7 +197,7 @@ def test_pipes_and_devices_are_refused_at_once(tmp_path, capsys):
 def test_a_renamed_log_of_a_oneshot_timer_is_read_after_its_import(tmp_path):
     log = tmp_path / "kept.log"
     shutil.copy(LOGS_2014 / "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log", log)
-    adopt(log, tmp_path / "out", emulated=False)
+    adopt(log, tmp_path / "out", platform=Platform.HARDWARE)
     (group,) = study(tmp_path / "out").groups
     assert group.n == 200
 
@@ -204,8 +205,8 @@ def test_a_renamed_log_of_a_oneshot_timer_is_read_after_its_import(tmp_path):
 def test_what_was_emulated_stays_so(tmp_path):
     file = tmp_path / "tl.txt"
     file.write_text(TIMERLAT)
-    assert main(["import", str(file), "--out", str(tmp_path / "out"), "--emulated"]) == 0
-    assert study(tmp_path / "out").emulated
+    assert main(["import", str(file), "--out", str(tmp_path / "out"), "--platform", "emulated"]) == 0
+    assert study(tmp_path / "out").platform is Platform.EMULATED
 
 
 def test_one_bad_file_does_not_stop_the_others(tmp_path, capsys):
