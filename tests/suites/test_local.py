@@ -41,7 +41,10 @@ def test_a_campaign_on_this_machine(suites, tmp_path, monkeypatch, capsys):
     assert main(["gate", "results/here", "--deadline", "1s", "--probability", "1e-9"]) == 1
     (histogram,) = (tmp_path / "results/here").glob("*-cyclictest_*")
     question = ["--deadline", "1s", "--probability", "0.5", "--assume-independent"]
-    assert main(["gate", str(histogram), *question]) == 0, capsys.readouterr()
+    assert main(["gate", str(histogram), *question, "--platform", "virtual"]) == 0, capsys.readouterr()
+    # On a virtual machine, as it is found to be, it passes only when told to.
+    (platform,) = {record["platform"] for record in records}
+    assert main(["gate", str(histogram), *question]) == (0 if platform == "hardware" else 1)
     capsys.readouterr()
     assert main(["check-rt", "--target", "target.yml"]) in (0, 1)
     assert capsys.readouterr().out.startswith("here (this machine): ")

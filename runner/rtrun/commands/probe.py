@@ -24,7 +24,6 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import print_line, print_text
     from rtrun.commands._link import linked
-    from rtrun.report.terminal import print_banner
     from rtrun.target import deploy, inspection, platform_signs, ros_master
     from rtrun.target.config import read_target
 
@@ -46,7 +45,6 @@ def run(args: argparse.Namespace) -> int:
         }
         print_text(json.dumps(facts, indent=2))
         return 0
-    print_banner(known.platform)
     suites = target.suites or ", ".join(sorted(equipment.programs)) or "none installed"
     lines = {
         "target": f"{target.name} ({target.address})",

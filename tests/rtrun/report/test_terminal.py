@@ -98,7 +98,7 @@ def test_the_answer_is_banner_table_and_what_has_to_be_said_once() -> None:
 
     emulated = "EMULATED: not a real-time statement"
     assert banner(Platform.VIRTUAL) == "VIRTUAL: verdicts are for this virtual machine on this host"
-    assert banner(Platform.HARDWARE).split()[-1] == "missing", "the head of the table"
+    assert not any(word in banner(Platform.HARDWARE) for word in ("HARDWARE", "VIRTUAL", "EMULATED"))
     assert banner(Platform.HARDWARE, preempt_rt=False) == NO_PREEMPT_RT
     assert banner(Platform.EMULATED, preempt_rt=False) == f"{emulated}; {NO_PREEMPT_RT}"
 
