@@ -34,18 +34,15 @@ echo attempt
 [ -e attempt.json ] && [ "$(wc -c <attempt.json)" -le "$2" ] && cat attempt.json
 exit 0
 """
-# The first program of any other run that lives: its lock is held as long as one of its processes is there.
-_BUSY = """
+# Prints the first program of any other run that lives, whose lock is held as long as one of its processes is there;
+# otherwise makes the folder. A lost link ends the input early: a file that is not complete does not get its name.
+_BEGIN = """
 for lock in "$1"/*/*/*.lock; do
     case $lock in "$2"/*) continue;; esac
     [ -e "$lock" ] || continue
-    flock -n -s "$lock" true || { echo "${lock%.lock}"; break; }
+    flock -n -s "$lock" true || { echo "${lock%.lock}"; exit 0; }
 done
-exit 0
-"""
-# A lost link ends the input early: a file that is not complete does not get its name.
-_WRITE = """
-mkdir -p "$1" && cd "$1" && cat >attempt.new && [ "$(wc -c <attempt.new)" -eq "$2" ] || exit 1
+mkdir -p "$2" && cd "$2" && cat >attempt.new && [ "$(wc -c <attempt.new)" -eq "$3" ] || exit 1
 sync attempt.new && mv attempt.new attempt.json
 """
 
@@ -139,12 +136,6 @@ def begin(
 
     Raises TargetError when a program of another run still lives on the target: each would disturb the other.
     """
-    command = ["sh", "-c", _BUSY, "sh", str(remote.parent.parent), str(remote)]
-    if busy := link.check(command).strip():
-        raise TargetError(
-            f"{link.target.address}: another run is still going on: {busy}; "
-            f"resume its campaign, or end it there: kill -- -$(cat {busy}.pid)"
-        )
     data = {
         "schema": 1,
         "uid": secrets.token_hex(8),
@@ -155,6 +146,10 @@ def begin(
         "before": before.model_dump(),
     }
     text = json.dumps(data)
-    keep = ["sh", "-c", _WRITE, "sh", str(remote), str(len(text.encode()))]
-    link.check(keep, stdin=text)
+    command = ["sh", "-c", _BEGIN, "sh", str(remote.parent.parent), str(remote), str(len(text.encode()))]
+    if busy := link.check(command, stdin=text).strip():
+        raise TargetError(
+            f"{link.target.address}: another run is still going on: {busy}; "
+            f"resume its campaign, or end it there: kill -- -$(cat {busy}.pid)"
+        )
     return parse(data, Attempt, FILE)
