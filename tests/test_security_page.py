@@ -35,7 +35,6 @@ NO_LIMITS = {
         "rtrun.target.ssh.KILL_GRACE_S",
     },
     "times of programs of our own": {
-        "rtrun.execution.progress.OVERHEAD_GUESS_S",
         "rtrun.execution.run_programs.DEADLINE_EXTRA_S",
         "rtrun.target.kvm.DEADLINE_S",
         "rtrun.target.qemu.STOP_S",

@@ -57,14 +57,28 @@ def run(args: argparse.Namespace) -> int:
     for each in runs:
         settling = f" + {each.settle_s:g} s for the load to settle" if each.settle_s else ""
         print_line(f"{each.name}  {each.expected_s:.1f} s{settling}")
-    measuring_s = sum(each.expected_s for each in runs)
-    settling_s = sum(each.settle_s for each in runs)
-    settling = f", {settling_s:.0f} s for loads to settle" if settling_s else ""
-    print_line(f"{len(runs)} runs, {_in_hours(measuring_s)} of measuring{settling}")
+    times = _times(runs)
+    settling = f", {times['settling_s']:.0f} s for loads to settle" if times["settling_s"] else ""
+    print_line(
+        f"{len(runs)} runs, {_in_hours(times['total_s'])}: {_in_hours(times['measuring_s'])} of measuring{settling}, "
+        f"about {times['start_and_end_s']:.0f} s for programs to start and end"
+    )
     if campaign.until:
         for line in _goal_lines(campaign.until, forecasts):
             print_line(line)
     return 0
+
+
+def _times(runs: "Sequence[Run]") -> dict[str, float]:
+    """How long runs take in all, and what for."""
+    from rtrun.plan.run import START_AND_END_S
+
+    return {
+        "total_s": sum(each.total_s for each in runs),
+        "measuring_s": sum(each.expected_s for each in runs),
+        "settling_s": sum(each.settle_s for each in runs),
+        "start_and_end_s": len(runs) * START_AND_END_S,
+    }
 
 
 def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Iterator[_Forecast]:
@@ -119,8 +133,7 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
         "campaign": campaign.name,
         "order": campaign.order,
         "seed": campaign.seed,
-        "measuring_s": sum(each.expected_s for each in runs),
-        "settling_s": sum(each.settle_s for each in runs),
+        **_times(runs),
         "runs": [
             {
                 "run": each.name,

@@ -13,12 +13,9 @@ from rtfiles.output import print_line, print_note, print_status
 from rtrun.plan.run import Run
 from rtrun.results.record import RunStatus
 
-# Until a run has ended: time for starting, stopping and copying, in addition to the measuring.
-OVERHEAD_GUESS_S = 2.0
-
 
 class _Estimate:
-    """The time left: what is planned, and per run the overhead seen so far."""
+    """The time left: what is planned, and once a run has ended, what runs have taken beyond their measuring."""
 
     def __init__(self, runs: Sequence[Run]) -> None:
         self._runs = runs
@@ -38,8 +35,9 @@ class _Estimate:
 
     def left_s(self) -> float:
         seen = self._overhead_s
-        overhead_s = sum(seen) / len(seen) if seen else OVERHEAD_GUESS_S
-        current_s, *rest_s = [run.expected_s + overhead_s for run in self._runs[self._number :]] or [0.0]
+        runs = self._runs[self._number :]
+        planned_s = [run.expected_s + sum(seen) / len(seen) if seen else run.total_s for run in runs]
+        current_s, *rest_s = planned_s or [0.0]
         return max(0.0, current_s - (time.monotonic() - self._began)) + sum(rest_s)
 
 

@@ -64,7 +64,7 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
 
     `token` makes the names of their ROS nodes unique to one attempt: a master remembers nodes that were killed.
     """
-    deadline_s = DEADLINE_FACTOR * run.slowest_s + DEADLINE_EXTRA_S
+    deadline_s = DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S
     port = prepared.link.target.ros_master_port
     environment = (("ROS_MASTER_URI", f"http://127.0.0.1:{port}"), ("ROS_IP", "127.0.0.1"))
     subscribers, measuring, outputs = _of_suite(prepared, run, environment, deadline_s, token)
@@ -75,7 +75,7 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
         programs=prepared.programs,
         scripts=prepared.scripts,
         environment=environment,
-        expected_s=run.slowest_s,
+        expected_s=run.expected_s,
         deadline_s=deadline_s,
     )
     names = [each.program.name for each in background]

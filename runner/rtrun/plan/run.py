@@ -6,8 +6,12 @@ from dataclasses import dataclass, field, replace
 
 from rtrun.plan import conditions, suites
 
-# Of one measurement on a slow board, beside its timeout or period: what counts with -t 0 or a high -f.
+# Of one measurement beside its timeout: the latency of the timer, and arming it again (75 to 170 us on a PC). No
+# measurement takes less, however short its period is.
 MEASUREMENT_COST_S = 200e-6
+# Of one run, where nothing better is known: ROS nodes start and end, the runner starts the programs and copies what
+# they wrote. A PC takes half of it, an emulated board more.
+START_AND_END_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,26 +32,34 @@ class Run:
     variant: str = ""
 
     @property
-    def expected_s(self) -> float:
-        """How long the measuring alone should take, in seconds."""
-        number = {key: value for key, value in self.parameters.items() if isinstance(value, int)}
-        if "duration_s" in number:
-            return float(number["duration_s"])
-        for key in ("timeout_us", "interval_us"):
-            if key in number:
-                return number["repetitions"] * number[key] / 1e6
-        return number["repetitions"] / number["frequency_hz"] + number.get("start_delay_s", 0)
+    def least_s(self) -> float:
+        """The least time that the measuring can take, in seconds: its timeouts or periods alone."""
+        return self._measuring_s(0.0)
 
     @property
-    def slowest_s(self) -> float:
-        """How long the measuring may take on a slow board, whose measurements cost time beside timeout or period."""
-        repetitions = self.parameters.get("repetitions")
-        return self.expected_s + (repetitions if isinstance(repetitions, int) else 0) * MEASUREMENT_COST_S
+    def expected_s(self) -> float:
+        """How long the measuring should take, in seconds."""
+        return self._measuring_s(MEASUREMENT_COST_S)
 
     @property
     def settle_s(self) -> float:
         """How long the background programs are waited for before the suite starts, in seconds."""
         return conditions.settle_s(self.condition, self.settings)
+
+    @property
+    def total_s(self) -> float:
+        """How long the run should take, with all that is waited for, in seconds."""
+        return self.expected_s + self.settle_s + START_AND_END_S
+
+    def _measuring_s(self, cost_s: float) -> float:
+        """How long the measuring takes, in seconds, where `cost_s` comes on top of a timeout, and no period is less."""
+        number = {key: value for key, value in self.parameters.items() if isinstance(value, int)}
+        if "duration_s" in number:
+            return float(number["duration_s"])
+        if "timeout_us" in number:
+            return number["repetitions"] * (number["timeout_us"] / 1e6 + cost_s)
+        period_s = number["interval_us"] / 1e6 if "interval_us" in number else 1 / number["frequency_hz"]
+        return number["repetitions"] * max(period_s, cost_s) + number.get("start_delay_s", 0)
 
 
 def interleave(runs: Iterable[Run], seed: int) -> tuple[Run, ...]:
@@ -59,7 +71,7 @@ def interleave(runs: Iterable[Run], seed: int) -> tuple[Run, ...]:
 
 def too_short(run: Run) -> str | None:
     """Say why a run can never be valid because it ends before it is observed, or None."""
-    if run.expected_s >= conditions.FIRST_OBSERVATION_S:
+    if run.least_s >= conditions.FIRST_OBSERVATION_S:
         return None
     suite = suites.suite(run.suite)
     observed = {key: value for key, value in run.settings.items() if value and key in conditions.conditions().pinned}
@@ -73,7 +85,7 @@ def too_short(run: Run) -> str | None:
         return None
     what = ", ".join(f"{key} {value}" for key, value in observed.items())
     return (
-        f"{run.suite} measures {run.expected_s:.3g} s, but {what} must be observed, for which it must measure "
+        f"{run.suite} measures {run.least_s:.3g} s, but {what} must be observed, for which it must measure "
         f"{conditions.FIRST_OBSERVATION_S:g} s at least"
     )
 

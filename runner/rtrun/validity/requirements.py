@@ -145,7 +145,7 @@ def _counted(
         states = [(each.uptime_s, each.threads[program]) for each in observations if program in each.threads]
         first_s, fitting_s = states[0][0], [uptime_s for uptime_s, threads in states if fits(threads)]
         begin_s = min([first_s + STARTING_S, *fitting_s])
-        end_s = max([first_s - APART_S + run.expected_s if complete else 0.0, *fitting_s])
+        end_s = max([first_s - APART_S + run.least_s if complete else 0.0, *fitting_s])
         for uptime_s, threads in states:
             if begin_s <= uptime_s <= end_s:
                 yield program, uptime_s - first_s, threads

@@ -2,6 +2,7 @@
 
 from rtrun.execution import progress
 from rtrun.plan.campaign import Campaign, plan
+from rtrun.plan.run import START_AND_END_S
 
 RUNS = plan(
     Campaign(
@@ -18,9 +19,9 @@ def test_a_run_that_takes_longer_leaves_the_others_their_time(monkeypatch):
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     estimate = progress._Estimate(RUNS)
     estimate.began(0)
-    assert estimate.left_s() == 60 + 3 * progress.OVERHEAD_GUESS_S
+    assert estimate.left_s() == 60 + 3 * START_AND_END_S
     now[0] = 25.0
-    assert estimate.left_s() == 50 + 2 * progress.OVERHEAD_GUESS_S, "late, but the rest still takes its time"
+    assert estimate.left_s() == 50 + 2 * START_AND_END_S, "late, but the rest still takes its time"
     assert estimate.ended() == 25.0
     assert estimate.left_s() == 20 + 30 + 2 * 15, "each of the rest is expected to cost what the first did"
 

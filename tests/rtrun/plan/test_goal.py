@@ -121,6 +121,8 @@ def test_the_plan_for_programs(tmp_path, capsys):
     assert {run["parameters"]["policy"] for run in data["runs"]} == {"RR", "FIFO"}
     assert (data["schema"], data["campaign"], data["order"], data["seed"]) == (1, "test", "interleaved", 7)
     assert data["measuring_s"] == sum(run["expected_s"] for run in data["runs"]) == pytest.approx(500.004)
+    assert data["total_s"] == data["measuring_s"] + data["settling_s"] + data["start_and_end_s"]
+    assert data["total_s"] == pytest.approx(sum(run.total_s for run in runs))
     assert data["goal"]["deadline_ns"] == 400_000
     assert data["goal"]["forecasts"] == [
         {
