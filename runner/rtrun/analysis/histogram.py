@@ -60,7 +60,9 @@ def from_samples(values_ns: Int64s, bin_ns: int = 1000) -> Histogram:
     if values_ns.size == 0:
         return Histogram(values_ns=np.empty(0, np.int64), counts=np.empty(0, np.int64), bin_ns=bin_ns)
     values = values_ns.ravel()
-    low, high = (value // bin_ns for value in range_of(values))
+    lowest, highest = int(values.min()), int(values.max())
+    check_range(lowest, highest)
+    low, high = lowest // bin_ns, highest // bin_ns
     if high - low >= max(1 << 20, 4 * values.size):
         edges, counts = np.unique(np.floor_divide(values, bin_ns), return_counts=True)
         return Histogram(values_ns=edges * bin_ns, counts=counts.astype(np.int64), bin_ns=bin_ns)
@@ -73,12 +75,10 @@ def from_samples(values_ns: Int64s, bin_ns: int = 1000) -> Histogram:
     return Histogram(values_ns=(filled + low) * bin_ns, counts=counts[filled], bin_ns=bin_ns)
 
 
-def range_of(values_ns: Int64s) -> tuple[int, int]:
-    """The lowest and the highest of int64 samples. Raises ValueError for a value beyond 146 years."""
-    low, high = int(values_ns.min()), int(values_ns.max())
+def check_range(low: int, high: int) -> None:
+    """Raise ValueError if the lowest or the highest value is beyond 146 years."""
     if low < -LIMIT_NS or high >= LIMIT_NS:
         raise ValueError(f"a value of {low if low < -LIMIT_NS else high} ns is no measured time")
-    return low, high
 
 
 def pieces(n: int, least: int = PIECE) -> Iterator[slice]:
