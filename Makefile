@@ -6,7 +6,7 @@ BIN := .venv/bin
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
-	@tools/demo
+	@MACHINE=$(MACHINE) tools/demo
 
 test: setup
 	$(BIN)/pytest -m "not kernel and not slow and not boards"

@@ -1,20 +1,25 @@
 """tools/demo: measures, reports, and names commands that the programs take. The board is that of tests/integration."""
 
+import platform
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from rtfiles.command import parser_of
+from rtgen.board.machine import machines
 from rtrun.cli import COMMANDS
 
 TOP = Path(__file__).parents[1]
 # Notes how it is called; `run` makes the results folder.
 RTRUN = """#!/bin/sh
 echo "$*" >>calls
-[ "$1" != run ] || mkdir -p results/demo
+[ "$1" != run ] || { mkdir -p results/demo/001-a results/demo/002-b
+    for run in results/demo/*/; do printf '{\\n  "platform_evidence": "by magic",\\n}\\n' >$run/run.json; done; }
 [ "$1" != {fails} ]
 """
 
@@ -24,13 +29,19 @@ def checkout(tmp_path: Path) -> Path:
     for folder in ("tools", ".venv/bin"):
         (tmp_path / folder).mkdir(parents=True)
     shutil.copy(TOP / "tools/demo", tmp_path / "tools")
+    shutil.copytree(TOP / "targets", tmp_path / "targets")
     return tmp_path
 
 
-def demo(checkout: Path, *, fails: str = "nothing") -> subprocess.CompletedProcess[str]:
-    (checkout / ".venv/bin/rtrun").write_text(RTRUN.format(fails=fails))
-    (checkout / ".venv/bin/rtrun").chmod(0o755)
-    return subprocess.run([checkout / "tools/demo"], capture_output=True, text=True, check=False)
+def demo(
+    checkout: Path, *, fails: str = "nothing", kvm_machine: str = "", machine: str = "qemu-armv7"
+) -> subprocess.CompletedProcess[str]:
+    """Run it; `kvm_machine` is what tools/kvm-machine prints."""
+    for name, script in (("rtrun", RTRUN.replace("{fails}", fails)), ("python", f"#!/bin/sh\necho {kvm_machine}\n")):
+        (checkout / ".venv/bin" / name).write_text(script)
+        (checkout / ".venv/bin" / name).chmod(0o755)
+    command = ["env", f"MACHINE={machine}", checkout / "tools/demo"]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def test_every_command_that_it_names_is_one(checkout: Path) -> None:
@@ -42,12 +53,51 @@ def test_every_command_that_it_names_is_one(checkout: Path) -> None:
         parser_of("rtrun", "", COMMANDS).parse_args(command.split())
     assert (checkout / "calls").read_text().splitlines() == named[:2]
     assert "results/demo/report.html" in done.stdout
+    assert "\nMeasured on qemu-armv7: by magic\n" in done.stdout
+    assert "MACHINE=" not in done.stdout
+
+
+def test_where_kvm_works_it_names_the_machine_with_a_real_clock(checkout: Path) -> None:
+    hint = "make demo MACHINE=qemu-x86_64  the same with a real clock"
+    assert hint in demo(checkout, kvm_machine="qemu-x86_64").stdout
+    assert hint not in demo(checkout, kvm_machine="qemu-x86_64", machine="qemu-x86_64").stdout
+
+
+@pytest.mark.parametrize("machine", [name for name, each in machines().items() if each.qemu is not None])
+def test_each_machine_in_qemu_has_a_target_of_its_own(checkout: Path, machine: str) -> None:
+    assert demo(checkout, machine=machine).returncode == 0
+    (target,) = re.findall(r"--target (\S+)", (checkout / "calls").read_text())
+    named = yaml.safe_load((TOP / target).read_text())
+    assert (named["kind"], named["name"], Path(named["suites"]).name) == ("qemu", machine, machine)
+
+
+def test_a_machine_without_a_target_is_a_clear_line(checkout: Path) -> None:
+    done = demo(checkout, machine="abacus")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "tools/demo: no file in targets/ has build/board/abacus as its board\n"
+
+
+@pytest.mark.parametrize(("status", "is_named"), [(0, True), (1, False)])
+def test_a_machine_is_named_where_a_guest_ends(tmp_path: Path, status: int, is_named: bool) -> None:
+    fitting = {name for name, each in machines().items() if each.qemu is not None and each.qemu.kvm}
+    for name in fitting:
+        binary = tmp_path / str(machines()[name].qemu.binary)  # type: ignore[union-attr]
+        binary.write_text(f"#!/bin/sh\nexit {status}\n")
+        binary.chmod(0o755)
+    (tmp_path / "kernel").touch()
+    command = ["env", f"PATH={tmp_path}:/usr/bin:/bin", sys.executable, TOP / "tools/kvm-machine", tmp_path / "kernel"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    if not is_named or platform.machine() not in ("x86_64", "aarch64"):
+        assert done.stdout == ""
+    else:
+        assert done.stdout.strip() in fitting
 
 
 def test_an_earlier_demo_is_kept(checkout: Path) -> None:
     (checkout / "results/demo/001-of-earlier").mkdir(parents=True)
     assert demo(checkout).returncode == 0
-    assert not list((checkout / "results/demo").iterdir())
+    assert not (checkout / "results/demo/001-of-earlier").exists()
     assert list((checkout / "results").glob("demo-*/001-of-earlier"))
 
 
