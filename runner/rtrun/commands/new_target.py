@@ -140,7 +140,7 @@ def _lacks(link: "Link") -> list[str]:
         if missing := sorted(needed - set(equipment.programs)):
             lacks.append(
                 f"{', '.join(missing)}: build them with {as_called('rtgen')} suites build, and name the folder that it "
-                "prints as suites in the target file"
+                "prints as suites in the target file, or build them on the board (docs/targets.md)"
             )
     tools = {program for each in suites.baselines().suites.values() for program in each.programs}
     for name in conditions.conditions().conditions:
