@@ -19,6 +19,7 @@ from rtrun.commands import (
     show,
     verdict,
     verify,
+    why,
 )
 
 COMMANDS: tuple[ModuleType, ...] = (
@@ -30,6 +31,7 @@ COMMANDS: tuple[ModuleType, ...] = (
     show,
     verify,
     verdict,
+    why,
     report,
     gate,
     compare,

@@ -23,6 +23,7 @@ from rtrun import cli
 from rtrun.execution import journal, resumption
 from rtrun.plan.campaign import Campaign, plan, read_campaign
 from rtrun.plan.goal import Goal
+from rtrun.report import causes
 from rtrun.results import goal_file, partial_samples, reading, run_directory
 from rtrun.results.gnuplot_lines import check_commands
 from rtrun.results.importers.adopt import adopt
@@ -287,8 +288,9 @@ def _seal(folder: Path) -> None:
 def _commands(folder: Path) -> None:
     """The front door: whatever is in a run directory, a command does not end with the status of a defect."""
     commands = (
-        ["show"], ["show", "--json"], ["verdict"], ["gate"], ["compare", str(folder)], ["report", "--output", "-"],
-        ["report", "--output", "-", "--format", "csv"], ["report", "--output", "-", "--format", "junit"],
+        ["show"], ["show", "--json"], ["why"], ["verdict"], ["gate"], ["compare", str(folder)],
+        ["report", "--output", "-"], ["report", "--output", "-", "--format", "csv"],
+        ["report", "--output", "-", "--format", "junit"],
     )  # fmt: skip
     argv = commands[zlib.crc32((folder / "run.json").read_bytes()) % len(commands)]
     stdout, stderr = (io.TextIOWrapper(io.BytesIO()) for _ in range(2))
@@ -296,6 +298,24 @@ def _commands(folder: Path) -> None:
         status = cli.main([argv[0], str(folder), *argv[1:]])
     stderr.seek(0)
     assert status in (0, 1, 2, 3), f"rtrun {argv}: {status}: {stderr.read()}"
+
+
+def _why(folder: Path) -> None:
+    causes.table(*causes.ranked(reading.find_source(folder))[:2])
+
+
+def _traced_run() -> Files:
+    """A run directory with the kernel trace of an outlier, and an outlier that shares it."""
+    lines = next((TOP / "tests/data/traces").glob("*-trace-1558.txt")).read_bytes().splitlines(keepends=True)
+    files = next(run for run in _runs() if b"cyclic_timer_tests" in run["run.json"])
+    output = next(name for name in files if name.endswith(".npy")).removesuffix(".npy")
+    files[f"{output}-trace-1558.txt"] = b"".join([lines[0], *lines[-320:]])
+    files[f"{output}-trace-1559.txt"] = lines[0] + f"# in {output}-trace-1558.txt\n".encode()
+    with tempfile.TemporaryDirectory() as folder:
+        for name, content in files.items():
+            (Path(folder) / name).write_bytes(content)
+        _seal(Path(folder))
+        return {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
 
 
 def _adopt(folder: Path) -> None:
@@ -371,6 +391,7 @@ READERS: dict[str, Reader] = {
     "observations": of_file(_observe, "sampler.stdout", OBSERVED.encode()),
     "baseline": Reader(read=_baseline, seeds=[{"cyclictest.stdout": CYCLICTEST}]),
     "part": of_file(_part, "x.npy.part", *_contents(SUITES, "*.npy")),
+    "trace": Reader(read=_why, seeds=[_traced_run()], seal=_seal, cost=10),
     # Of results, which may come from a target or from another's hands.
     "run": Reader(
         read=lambda folder: (reading.read_run(folder), verify_run(folder)), seeds=_runs(), seal=_seal, cost=2

@@ -1,8 +1,9 @@
 #!/bin/sh
 # The kernel trace that the suites copy from around an outlier: an instance of its own, so that nobody else's is touched.
 #
-#   trace.sh up CLOCK    set up, unless it is there already; CLOCK as in trace_clock: mono_raw, mono
-#   trace.sh down        take down; one that a suite still uses stays
+#   trace.sh up CLOCK EVENT...    set up, unless it is there already; CLOCK as in trace_clock: mono_raw, mono;
+#                                 EVENT below `events`, left out where the kernel does not have it
+#   trace.sh down                 take down; one that a suite still uses stays
 set -u
 tracing=/sys/kernel/tracing
 instance=$tracing/instances/rtrun
@@ -31,14 +32,15 @@ up() {
     fi
     mkdir -p $instance || fail "no kernel trace: $instance cannot be made"
     echo "$1" >$instance/trace_clock || fail "no kernel trace: the kernel has no trace clock $1"
+    shift
     # For each CPU: some tenths of a second of a busy one.
     echo 512 >$instance/buffer_size_kb
     # Where osnoise can do without its workload, which would keep every CPU busy: its events.
     if grep -q OSNOISE_WORKLOAD $osnoise 2>/dev/null; then
         echo NO_OSNOISE_WORKLOAD >$osnoise && echo osnoise >$instance/current_tracer
     fi
-    for group in sched irq timer osnoise; do
-        if [ -e $instance/events/$group/enable ]; then echo 1 >$instance/events/$group/enable; fi
+    for event; do
+        if [ -e "$instance/events/$event/enable" ]; then echo 1 >"$instance/events/$event/enable"; fi
     done
     # Memory for snapshots is taken now rather than at the first outlier.
     if [ -e $instance/snapshot ]; then
@@ -48,6 +50,6 @@ up() {
 }
 
 case $1 in
-    up) up "$2" ;;
+    up) shift && up "$@" ;;
     down) down ;;
 esac

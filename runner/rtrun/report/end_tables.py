@@ -3,12 +3,14 @@
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.layers import attribute
 from rtrun.analysis.worst_case import disagreement
 from rtrun.plan.conditions import IDLE
 from rtrun.plan.suites import suites
+from rtrun.report import causes
 from rtrun.report.claims.examination import is_rt, select, us
 from rtrun.report.claims.examiners import Examined
 from rtrun.report.claims.reference import oneshot_rows, published
@@ -20,8 +22,14 @@ from rtrun.target.platform import Platform
 
 def end_tables(study: Study, claims: Sequence[Examined]) -> tuple[Table, ...]:
     """What stands behind the scenarios, each table with what came out of it."""
-    tables = [_worst_cases(study), *_layers(study), _claims(claims), *_published(study)]
+    tables = [_causes(study), _worst_cases(study), *_layers(study), _claims(claims), *_published(study)]
     return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)
+
+
+def _causes(study: Study) -> Table:
+    ranking, explained, refused = causes.ranked(study.source)
+    table = causes.table(ranking, explained)
+    return replace(table, notes=(*table.notes, *refused))
 
 
 def _worst_cases(study: Study) -> Table:

@@ -2,8 +2,12 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Literal
 
+from pydantic import Field
+
+from rtfiles.config import Config, load
 from rtrun.plan.suites import Value
 from rtrun.target.errors import StillMeasuring, TargetError
 from rtrun.target.link import OUT_OF_REACH, Link
@@ -11,6 +15,19 @@ from rtrun.target.link import OUT_OF_REACH, Link
 OPTIONS = ("break_trace_us", "trace_threshold_us")
 # The trace uses the clock of the samples, so that their timestamps can be compared.
 CLOCKS = {"raw": "mono_raw", "monotonic": "mono"}
+DATA = Path(__file__).with_name("trace_events.yml")
+
+
+class TraceEvents(Config):
+    """trace_events.yml: each event is a folder below `events` of tracefs, a group or one event of it."""
+
+    schema_number: Literal[1] = Field(alias="schema")
+    events: list[Annotated[str, Field(pattern=r"^[a-z0-9_]+(/[a-z0-9_]+)?$")]]
+
+
+def read_events() -> list[str]:
+    """The events that a trace has, where the kernel knows them."""
+    return load(DATA, TraceEvents).events
 
 
 @contextlib.contextmanager
@@ -25,7 +42,7 @@ def tracing(link: Link, scripts: PurePosixPath, parameters: Mapping[str, Value])
         return
     script = str(scripts / "trace.sh")
     clock = CLOCKS[str(parameters["clock"])]
-    link.check([script, "up", clock])
+    link.check([script, "up", clock, *read_events()])
     try:
         yield
     except (*OUT_OF_REACH, StillMeasuring):

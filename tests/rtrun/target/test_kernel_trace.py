@@ -10,6 +10,7 @@ from rtrun.execution import campaign_runner
 from rtrun.target import processes
 from rtrun.target.deploy import ON_TARGET
 from rtrun.target.errors import TargetError
+from rtrun.target.kernel_trace import read_events
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
@@ -99,11 +100,15 @@ def test_a_trace_in_use_stays(target):
     assert not INSTANCE.exists()
 
 
-def test_every_group_of_events_is_recorded():
-    subprocess.run([SCRIPT, "up", "mono_raw"], check=True)
+def test_every_event_of_the_list_is_recorded():
+    events = read_events()
+    subprocess.run([SCRIPT, "up", "mono_raw", *events], check=True)
     try:
-        for group in ("sched", "irq", "timer"):
-            assert (INSTANCE / "events" / group / "enable").read_text().strip() == "1"
+        there = [INSTANCE / "events" / event / "enable" for event in events]
+        known = [path for path in there if path.exists()]
+        assert INSTANCE / "events/sched/sched_switch/enable" in known
+        assert [path.read_text().strip() for path in known] == ["1"] * len(known)
+        assert (INSTANCE / "events/sched/enable").read_text().strip() == "X", "events that nobody reads are recorded"
         assert (INSTANCE / "tracing_on").read_text().strip() == "1"
     finally:
         subprocess.run([SCRIPT, "down"], check=True)

@@ -1,0 +1,62 @@
+"""The time before an outlier in windows of its length, in which nothing was late: who had a CPU then, and how long."""
+
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from rtrun.causes.events import Event
+from rtrun.causes.timeline import Timeline
+
+WINDOWS_MAX = 200
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Windows:
+    """Windows of one length: for each CPU and window the nanoseconds of each thread, interrupt or softirq by name."""
+
+    count: int = 0
+    times_ns: Mapping[int, Sequence[Mapping[str, int]]] = field(default_factory=dict)
+
+    def mean_ns(self, cpu: int | None, name: str) -> int:
+        """The mean time that somebody had a CPU in a window."""
+        times = self.times_ns.get(-1 if cpu is None else cpu, ())
+        return sum(one.get(name, 0) for one in times) // self.count if self.count else 0
+
+    def with_at_least(self, cpu: int | None, name: str, least_ns: int) -> int:
+        """The number of windows in which somebody had a CPU for at least a time."""
+        times = self.times_ns.get(-1 if cpu is None else cpu, ())
+        return sum(one.get(name, 0) >= max(1, least_ns) for one in times)
+
+
+def windows_before(
+    timeline: Timeline, events: Sequence[Event], *, begin_ns: int, length_ns: int, late: Sequence[tuple[int, int]]
+) -> Windows:
+    """Windows of a length that end at `begin_ns` or before, at most `WINDOWS_MAX`.
+
+    Left out are windows that meet one of `late`, and those in which no CPU had an event: recording was paused.
+    """
+    times: dict[int, list[Mapping[str, int]]] = {cpu: [] for cpu in timeline.cpus}
+    count, end_ns = 0, begin_ns
+    while count < WINDOWS_MAX and length_ns > 0 and end_ns - length_ns >= timeline.begin_ns:
+        start_ns, stop_ns = end_ns - length_ns, end_ns
+        end_ns = start_ns
+        place = bisect_left(events, start_ns, key=lambda event: event.at_ns)
+        if place == len(events):
+            continue
+        if events[place].at_ns >= stop_ns:
+            # Nothing was recorded here: go on at the last event before.
+            if place == 0:
+                break
+            end_ns = min(end_ns, events[place - 1].at_ns + 1)
+            continue
+        if any(start_ns < at_ns and due_ns < stop_ns for due_ns, at_ns in late):
+            continue
+        count += 1
+        for cpu, windows in times.items():
+            window: Counter[str] = Counter()
+            for span in timeline.spans(cpu, start_ns, stop_ns):
+                if span.occupant is not None:
+                    window[span.occupant.name] += span.end_ns - span.begin_ns
+            windows.append(window)
+    return Windows(count=count, times_ns=times)

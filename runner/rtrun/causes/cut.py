@@ -1,0 +1,270 @@
+"""The time between when a thread should have run and when it did, cut into what took it.
+
+The cut goes backwards. It begins where the measured thread has its value. While the thread ran, the time is its own, or
+that of an interrupt within it. While it waited for a CPU, the time is that of whoever had the CPU. While it slept, the
+time is that of what woke it in the end: a timer, whose interrupt may have been late; an interrupt; or a thread, which
+is followed in the same way, also into another process.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+from rtrun.causes.events import Context
+from rtrun.causes.timeline import IDLE_PID, Change, Span, State, Timeline, Waker, Why
+
+# The longest way from one thread to the one that woke it: a trace in a circle ends there.
+STEPS_MAX = 10_000
+TIMER = "the timer's own"
+
+
+class Kind(StrEnum):
+    """What took a part of the time."""
+
+    TIMER_LATE = "timer interrupt late"
+    TIMER_SLACK = "timer slack"
+    INTERRUPT = "interrupt"
+    SOFTIRQ = "softirq"
+    HIGHER = "thread of higher priority"
+    EQUAL = "thread of the same priority"
+    NOT_PREEMPTED = "thread of lower priority, not preempted"
+    THROTTLED = "throttled: a thread of lower priority was chosen"
+    IDLE_EXIT = "idle CPU woke up late"
+    LOCK = "lock held by"
+    FAULT = "page fault"
+    BLOCKED = "blocked in the kernel, woken by"
+    OTHER_THREAD = "thread of the measured programs"
+    PROGRAM = "the measured thread itself"
+    OWN_SLEEP = "asleep by its own timer"
+    OUTSIDE = "nothing to do before the interrupt"
+    UNEXPLAINED = "unexplained"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Cause:
+    """What took time: the name and id of a thread where there is one, and its priority as the kernel counts."""
+
+    kind: Kind
+    name: str = ""
+    pid: int | None = None
+    prio: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Part:
+    """A piece of the time and what took it, from `begin_ns` to `end_ns` on the clock of the trace."""
+
+    begin_ns: int
+    end_ns: int
+    cause: Cause
+    cpu: int | None = None
+
+    @property
+    def length_ns(self) -> int:
+        """How long it took."""
+        return self.end_ns - self.begin_ns
+
+
+def cut(timeline: Timeline, *, pid: int, own: frozenset[int], due_ns: int, at_ns: int) -> tuple[Part, ...]:
+    """Cut the time from `due_ns` to `at_ns` into parts in the order of time, which add up to it.
+
+    `pid` is the thread that ran at `at_ns`, `own` are the threads of the measured program.
+    """
+    parts: list[Part] = []
+    end_ns = at_ns
+    for part in _Walk(timeline, pid, own, due_ns).back(at_ns):
+        begin_ns, limit_ns = max(part.begin_ns, due_ns), max(min(part.end_ns, end_ns), due_ns)
+        if limit_ns < end_ns:
+            parts.append(_unexplained(limit_ns, end_ns))
+        if begin_ns < limit_ns:
+            parts.append(Part(begin_ns=begin_ns, end_ns=limit_ns, cause=part.cause, cpu=part.cpu))
+        end_ns = min(begin_ns, limit_ns)
+    if end_ns > due_ns:
+        parts.append(_unexplained(due_ns, end_ns))
+    return tuple(_joined(reversed(parts)))
+
+
+def _unexplained(begin_ns: int, end_ns: int, name: str = "") -> Part:
+    return Part(begin_ns=begin_ns, end_ns=end_ns, cause=Cause(kind=Kind.UNEXPLAINED, name=name))
+
+
+def _joined(parts: Iterator[Part]) -> Iterator[Part]:
+    last: Part | None = None
+    for part in parts:
+        if last is not None and (last.cause, last.cpu) == (part.cause, part.cpu):
+            last = Part(begin_ns=last.begin_ns, end_ns=part.end_ns, cause=part.cause, cpu=part.cpu)
+            continue
+        if last is not None:
+            yield last
+        last = part
+    if last is not None:
+        yield last
+
+
+@dataclass(frozen=True, slots=True)
+class _Walk:
+    """The way back from the measured thread; yields parts from the latest to the earliest."""
+
+    timeline: Timeline
+    pid: int
+    own: frozenset[int]
+    due_ns: int
+
+    def back(self, at_ns: int) -> Iterator[Part]:
+        pid, place = self.pid, self._running(self.pid, at_ns)
+        for _ in range(STEPS_MAX):
+            if at_ns <= self.due_ns or place < 0:
+                return
+            change = self.timeline.threads[pid][place]
+            begin_ns = min(change.at_ns, at_ns)
+            if change.state is State.RUNNING:
+                yield from self._ran(pid, change.cpu, begin_ns, at_ns)
+            elif change.state is State.WAITING:
+                yield from self._waited(pid, change.cpu, begin_ns, at_ns)
+            else:
+                yield Part(begin_ns=begin_ns, end_ns=at_ns, cause=Cause(kind=Kind.UNEXPLAINED), cpu=change.cpu)
+            at_ns, place = begin_ns, place - 1
+            if change.waker is None or at_ns <= self.due_ns:
+                continue
+            slept = self.timeline.threads[pid][place] if place >= 0 else None
+            if change.waker.context is Context.THREAD and not self._is_blocked(slept, change.waker):
+                pid, place = change.waker.pid, self._running(change.waker.pid, at_ns)
+                continue
+            asleep_ns = min(slept.at_ns, at_ns) if slept else self.due_ns
+            if change.waker.raised and change.waker.raised.context is Context.THREAD and change.waker.expiry is None:
+                raised = change.waker.raised
+                yield from self._softirq(pid, change.waker, at_ns)
+                pid, at_ns = raised.pid, min(raised.at_ns, at_ns)
+                place = self._running(pid, at_ns)
+                continue
+            yield from self._slept(slept, change.waker, asleep_ns, at_ns)
+            at_ns, place = asleep_ns, place - 1
+
+    def _running(self, pid: int, at_ns: int) -> int:
+        """The place of the change by which a thread ran at a moment: time stamps have microseconds."""
+        changes, place = self.timeline.threads.get(pid, ()), self.timeline.place(pid, at_ns)
+        while place > 0 and changes[place].at_ns == at_ns and changes[place].state is not State.RUNNING:
+            place -= 1
+        return place
+
+    def _is_blocked(self, slept: Change | None, waker: Waker) -> bool:
+        """Whether a thread waits for another that keeps something, rather than for something to do."""
+        if slept is None:
+            return False
+        if slept.why is not Why.UNKNOWN:
+            return True
+        # Without the events of futex: it had begun with this period's work, and not its own program woke it.
+        return slept.at_ns > self.due_ns and waker.pid not in self.own and self.pid in self.own
+
+    def _cause(self, kind: Kind, pid: int, name: str = "") -> Cause:
+        name = name or self.timeline.names.get(pid, "")
+        return Cause(kind=kind, name=name, pid=pid, prio=self.timeline.prios.get(pid))
+
+    def _ran(self, pid: int, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Part]:
+        kind = Kind.PROGRAM if pid == self.pid else Kind.OTHER_THREAD
+        for span in self._spans(cpu, begin_ns, end_ns):
+            who = span.occupant
+            if who is not None and who.context is not Context.THREAD:
+                yield self._part(span, cpu, _of_interrupt(who.context, who.name))
+            else:
+                yield self._part(span, cpu, self._cause(kind, pid))
+
+    def _waited(self, pid: int, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Part]:
+        prio = self.timeline.prios.get(pid)
+        for span in self._spans(cpu, begin_ns, end_ns):
+            yield self._part(span, cpu, self._who_had(span, pid, prio, begin_ns))
+
+    def _who_had(self, span: Span, pid: int, prio: int | None, since_ns: int) -> Cause:
+        """Why a thread that could run had to wait for the one that has the CPU."""
+        who = span.occupant
+        if who is None:
+            return Cause(kind=Kind.UNEXPLAINED, name="events are missing")
+        if who.context is not Context.THREAD:
+            return _of_interrupt(who.context, who.name)
+        if who.pid == IDLE_PID:
+            return Cause(kind=Kind.IDLE_EXIT)
+        if who.pid == pid:
+            return self._cause(Kind.PROGRAM if pid == self.pid else Kind.OTHER_THREAD, pid)
+        other = who.prio if who.prio is not None else self.timeline.prios.get(who.pid)
+        if who.pid in self.own:
+            kind = Kind.OTHER_THREAD
+        elif prio is None or other is None:
+            kind = Kind.UNEXPLAINED
+        elif other < prio:
+            kind = Kind.HIGHER
+        elif other == prio:
+            kind = Kind.EQUAL
+        else:
+            # Whoever ran before the thread could run keeps the CPU; whoever was switched to was preferred.
+            kind = Kind.THROTTLED if self._switched_to(who.pid, since_ns, span.end_ns) else Kind.NOT_PREEMPTED
+        return Cause(kind=kind, name=who.name, pid=who.pid, prio=other)
+
+    def _switched_to(self, pid: int, begin_ns: int, end_ns: int) -> bool:
+        place = self._running(pid, end_ns - 1)
+        return place >= 0 and begin_ns < self.timeline.threads[pid][place].at_ns
+
+    def _slept(self, slept: Change | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
+        """The time from when a thread fell asleep until it was woken."""
+        if waker.expiry is not None:
+            yield from self._timer(waker, asleep_ns, at_ns)
+        elif waker.context is Context.THREAD:
+            why = slept.why if slept else Why.UNKNOWN
+            kind = {Why.LOCK: Kind.LOCK, Why.FAULT: Kind.FAULT, Why.UNINTERRUPTIBLE: Kind.BLOCKED}.get(why, Kind.LOCK)
+            yield Part(begin_ns=asleep_ns, end_ns=at_ns, cause=self._cause(kind, waker.pid, waker.name), cpu=waker.cpu)
+        else:
+            cause = _of_interrupt(waker.context, waker.name)
+            yield Part(begin_ns=waker.began_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
+            why = slept.why if slept else Why.UNKNOWN
+            kind = Kind.FAULT if why is Why.FAULT else Kind.OUTSIDE
+            yield Part(
+                begin_ns=asleep_ns, end_ns=waker.began_ns, cause=Cause(kind=kind, name=waker.name), cpu=waker.cpu
+            )
+
+    def _timer(self, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
+        """From the expiry of a timer until it woke the thread, latest first."""
+        expiry = waker.expiry
+        began_ns = min(waker.began_ns, at_ns)
+        name = waker.name if waker.context is Context.SOFT else TIMER
+        yield Part(begin_ns=began_ns, end_ns=at_ns, cause=_of_interrupt(waker.context, name), cpu=waker.cpu)
+        if expiry is None or expiry.soft_ns is None or expiry.hard_ns is None:
+            yield _unexplained(asleep_ns, began_ns, "when the timer should have expired is not in the trace")
+            return
+        soft_ns = max(asleep_ns, min(expiry.soft_ns, began_ns))
+        hard_ns = max(soft_ns, min(expiry.hard_ns, began_ns))
+        for span in self._spans(waker.cpu, hard_ns, began_ns):
+            yield self._part(span, waker.cpu, self._while_late(span))
+        yield Part(begin_ns=soft_ns, end_ns=hard_ns, cause=Cause(kind=Kind.TIMER_SLACK), cpu=waker.cpu)
+        yield Part(begin_ns=asleep_ns, end_ns=soft_ns, cause=Cause(kind=Kind.OWN_SLEEP), cpu=waker.cpu)
+
+    def _while_late(self, span: Span) -> Cause:
+        """What a CPU did while the interrupt of a timer should have come."""
+        who = span.occupant
+        if who is None:
+            return Cause(kind=Kind.UNEXPLAINED, name="events are missing")
+        if who.context is not Context.THREAD:
+            return _of_interrupt(who.context, who.name)
+        if who.pid == IDLE_PID:
+            return Cause(kind=Kind.TIMER_LATE, name="the CPU was idle")
+        return Cause(kind=Kind.TIMER_LATE, name=who.name, pid=who.pid, prio=self.timeline.prios.get(who.pid))
+
+    def _softirq(self, pid: int, waker: Waker, at_ns: int) -> Iterator[Part]:
+        """From when a softirq was raised until it woke the thread, latest first."""
+        began_ns = min(waker.began_ns, at_ns)
+        yield Part(begin_ns=began_ns, end_ns=at_ns, cause=_of_interrupt(waker.context, waker.name), cpu=waker.cpu)
+        raised_ns = min(waker.raised.at_ns, began_ns) if waker.raised else began_ns
+        for span in self._spans(waker.cpu, raised_ns, began_ns):
+            who = span.occupant
+            is_raiser = who is not None and waker.raised is not None and who.pid == waker.raised.pid
+            cause = self._cause(Kind.OTHER_THREAD, who.pid) if who and is_raiser else None
+            yield self._part(span, waker.cpu, cause or self._who_had(span, pid, self.timeline.prios.get(pid), 0))
+
+    def _spans(self, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Span]:
+        """What a CPU did, latest first, no earlier than the window."""
+        return reversed(list(self.timeline.spans(cpu, max(begin_ns, self.due_ns), end_ns)))
+
+    def _part(self, span: Span, cpu: int, cause: Cause) -> Part:
+        return Part(begin_ns=span.begin_ns, end_ns=span.end_ns, cause=cause, cpu=cpu)
+
+
+def _of_interrupt(context: Context, name: str) -> Cause:
+    return Cause(kind=Kind.SOFTIRQ if context is Context.SOFT else Kind.INTERRUPT, name=name)

@@ -1,0 +1,138 @@
+"""Events of the kernel's trace, as far as causes are read from them.
+
+Named tuples, because a trace has hundreds of thousands of events and a dataclass takes five times as long to make.
+Times are nanoseconds on the clock of the trace. Priorities are the kernel's (`prio`): below 0 deadline, 0 to 98 real
+time with priority 99 - prio, from 100 on normal, 120 being nice 0.
+"""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+
+class Context(StrEnum):
+    """What a CPU was in when it recorded an event."""
+
+    THREAD = "thread"
+    SOFT = "softirq"
+    HARD = "interrupt"
+
+
+class Current(NamedTuple):
+    """The thread of the first line that a CPU has in the trace."""
+
+    at_ns: int
+    cpu: int
+    pid: int
+    name: str
+
+
+class Switch(NamedTuple):
+    """sched_switch: `state` is that of the thread that goes; one that begins with R is still runnable."""
+
+    at_ns: int
+    cpu: int
+    pid: int
+    name: str
+    prio: int
+    state: str
+    next_pid: int
+    next_name: str
+    next_prio: int
+
+
+class Wake(NamedTuple):
+    """sched_waking, or sched_wakeup (`is_done`), which alone has the CPU that was chosen."""
+
+    at_ns: int
+    cpu: int
+    by_pid: int
+    context: Context
+    pid: int
+    target_cpu: int
+    is_done: bool
+
+
+class Migration(NamedTuple):
+    """sched_migrate_task."""
+
+    at_ns: int
+    cpu: int
+    pid: int
+    to_cpu: int
+
+
+class Interrupt(NamedTuple):
+    """The begin or the end of an interrupt handler or a softirq; an end may not know its name."""
+
+    at_ns: int
+    cpu: int
+    context: Context
+    name: str
+    begins: bool
+
+
+class Raise(NamedTuple):
+    """softirq_raise: the softirq is asked for, and begins later."""
+
+    at_ns: int
+    cpu: int
+    pid: int
+    context: Context
+    name: str
+
+
+class TimerStart(NamedTuple):
+    """hrtimer_start, in nanoseconds of the timer's own clock: may expire from `soft_ns` on, must at `hard_ns`."""
+
+    at_ns: int
+    cpu: int
+    timer: str
+    soft_ns: int
+    hard_ns: int
+
+
+class TimerExpiry(NamedTuple):
+    """hrtimer_expire_entry: `now_ns` is the timer's own clock when its interrupt began."""
+
+    at_ns: int
+    cpu: int
+    timer: str
+    now_ns: int
+
+
+class Futex(NamedTuple):
+    """A thread enters the system call futex, or leaves it (`operation` None)."""
+
+    at_ns: int
+    cpu: int
+    pid: int
+    operation: int | None
+
+
+class Fault(NamedTuple):
+    """page_fault_user."""
+
+    at_ns: int
+    cpu: int
+    pid: int
+
+
+class Console(NamedTuple):
+    """printk: a line for the console, which the thread or another one then writes."""
+
+    at_ns: int
+    cpu: int
+    pid: int
+
+
+class Lost(NamedTuple):
+    """Events of a CPU are missing before this moment."""
+
+    at_ns: int
+    cpu: int
+    missing: int
+
+
+Event = (
+    Current | Switch | Wake | Migration | Interrupt | Raise | TimerStart | TimerExpiry | Futex | Fault | Console | Lost
+)

@@ -1,0 +1,241 @@
+"""The reader of the kernel's trace text (tracefs `trace` and `snapshot`, Documentation/trace/ftrace.rst).
+
+Lines that are not understood are counted and left out: kernels differ, and a person may have enabled more events. The
+file may have any size: it is read line by line, and the last `EVENTS_MAX` events before a moment are kept.
+"""
+
+import re
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from sys import intern
+from typing import NamedTuple
+
+from rtfiles.errors import UsageError
+from rtrun.causes.events import (
+    Console,
+    Context,
+    Current,
+    Event,
+    Fault,
+    Futex,
+    Interrupt,
+    Lost,
+    Migration,
+    Raise,
+    Switch,
+    TimerExpiry,
+    TimerStart,
+    Wake,
+)
+
+# Those of 16 CPUs whose buffers hold 512 KiB each.
+EVENTS_MAX = 200_000
+LINE_BYTES_MAX = 8192
+# trace-cmd.dat(5): how a file of trace-cmd begins.
+_TRACE_CMD = b"\x17\x08\x44tracing"
+
+# "  name-pid (group) [cpu] flags seconds: event: arguments"; system calls are "sys_futex(...)" and "sys_futex -> 0x0".
+_LINE = re.compile(
+    r" *(.{1,32}?)-(\d{1,10}) +(?:\([ \d-]{1,12}\) +)?\[(\d{1,4})\] +(?:([^\s\d]\S{2,9}) +)?"
+    r"(\d{1,9})\.(\d{9}|\d{6}): (\w+)(?:: | -> |\()(.*)",
+    re.ASCII,
+)
+_LOST = re.compile(r"CPU:(\d{1,4}) \[LOST (\d{1,15}) EVENTS\]", re.ASCII)
+_SWITCH = re.compile(
+    r"prev_comm=(.{0,64}?) prev_pid=(\d{1,10}) prev_prio=(-?\d{1,4}) prev_state=(\S{1,8}) ==> "
+    r"next_comm=(.{0,64}?) next_pid=(\d{1,10}) next_prio=(-?\d{1,4})\b",
+    re.ASCII,
+)
+_WAKE = re.compile(r"comm=.{0,64}? pid=(\d{1,10}) prio=-?\d{1,4} (?:success=\d )?target_cpu=(\d{1,4})\b", re.ASCII)
+_MIGRATION = re.compile(r"comm=.{0,64}? pid=(\d{1,10}) prio=-?\d{1,4} orig_cpu=\d{1,4} dest_cpu=(\d{1,4})\b", re.ASCII)
+_HANDLER = re.compile(r"irq=(\d{1,10}) name=(.{1,64})", re.ASCII)
+_SOFTIRQ = re.compile(r"vec=\d{1,4} \[action=(\w{1,32})\]", re.ASCII)
+_TIMER_START = re.compile(
+    r"hrtimer=(\w{1,32}) function=\S{1,128} expires=(\d{1,19}) softexpires=(\d{1,19})\b", re.ASCII
+)
+_TIMER_EXPIRY = re.compile(r"hrtimer=(\w{1,32}) function=\S{1,128} now=(\d{1,19})\b", re.ASCII)
+_FUTEX = re.compile(r".{0,64}\bop: (?:0x)?([0-9a-f]{1,8})\b", re.ASCII)
+# Vectors of x86 whose handlers have a pair of events (arch/x86/include/asm/trace/irq_vectors.h).
+_VECTORS = (
+    "local_timer",
+    "reschedule",
+    "call_function",
+    "call_function_single",
+    "irq_work",
+    "x86_platform_ipi",
+    "thermal_apic",
+    "error_apic",
+    "spurious_apic",
+    "threshold_apic",
+    "deferred_error_apic",
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trace:
+    """The events before a moment, in the order of time. `not_read` counts lines that are no line of a trace."""
+
+    events: tuple[Event, ...]
+    not_read: int
+
+
+def read_trace(path: Path, *, until_ns: int) -> Trace:
+    """Read a trace up to a moment of its clock.
+
+    Raises UsageError for a file that is none: one of trace-cmd, or one without a single event that is read here.
+    """
+    events: deque[Event] = deque(maxlen=EVENTS_MAX)
+    not_read = 0
+    try:
+        with path.open("rb") as stream:
+            if stream.read(len(_TRACE_CMD)) == _TRACE_CMD:
+                raise UsageError(
+                    f"{path}: a file of trace-cmd; the kernel's text is read here: cat /sys/kernel/tracing/trace"
+                )
+            stream.seek(0)
+            for event in parse(iter(lambda: stream.readline(LINE_BYTES_MAX), b"")):
+                if event is None:
+                    not_read += 1
+                elif event.at_ns <= until_ns:
+                    events.append(event)
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+    # CPUs are merged by time when the kernel prints them, but a file may have been put together by hand.
+    return Trace(events=tuple(sorted(events, key=lambda event: event.at_ns)), not_read=not_read)
+
+
+def parse(lines: Iterable[bytes]) -> Iterator[Event | None]:
+    """Yield the events of a trace's lines, None for a line that is neither an event nor a comment."""
+    cpus: set[str] = set()
+    lost: dict[int, int] = {}
+    for raw in lines:
+        line = raw.decode("utf-8", errors="replace")
+        match = _LINE.match(line)
+        if match is None:
+            if lost_match := _LOST.match(line):
+                lost[int(lost_match[1])] = int(lost_match[2])
+            elif not line.startswith("#") and line.strip():
+                yield None
+            continue
+        name, pid, cpu, flags, seconds, fraction, event, arguments = match.groups()
+        read = _READERS.get(event)
+        if read is None and cpu in cpus and not lost:
+            continue
+        at_ns = int(seconds) * 1_000_000_000 + int(fraction) * (1000 if len(fraction) == 6 else 1)
+        if cpu not in cpus:
+            cpus.add(cpu)
+            yield Current(at_ns, int(cpu), int(pid), name)
+        if lost and int(cpu) in lost:
+            yield Lost(at_ns, int(cpu), lost.pop(int(cpu)))
+        if read is not None:
+            yield read(_Head(at_ns, int(cpu), int(pid), flags, event), arguments)
+
+
+class _Head(NamedTuple):
+    """What stands before the arguments of an event."""
+
+    at_ns: int
+    cpu: int
+    pid: int
+    flags: str | None
+    event: str
+
+
+@lru_cache(maxsize=256)
+def _context(flags: str | None) -> Context:
+    """The place of the letter differs between kernels, the letters do not. H is an interrupt within a softirq."""
+    letters = set(flags or "")
+    if letters & set("hHzZ"):
+        return Context.HARD
+    return Context.SOFT if "s" in letters else Context.THREAD
+
+
+def _switch(head: _Head, arguments: str) -> Event | None:
+    if not (match := _SWITCH.match(arguments)):
+        return None
+    name, pid, prio, state, next_name, next_pid, next_prio = match.groups()
+    return Switch(
+        head[0], head[1], int(pid), intern(name), int(prio), intern(state),
+        int(next_pid), intern(next_name), int(next_prio),
+    )  # fmt: skip
+
+
+def _wake(head: _Head, arguments: str) -> Event | None:
+    if not (match := _WAKE.match(arguments)):
+        return None
+    at_ns, cpu, pid, flags, event = head
+    return Wake(at_ns, cpu, pid, _context(flags), int(match[1]), int(match[2]), event != "sched_waking")
+
+
+def _migration(head: _Head, arguments: str) -> Event | None:
+    match = _MIGRATION.match(arguments)
+    return match and Migration(head[0], head[1], int(match[1]), int(match[2]))
+
+
+def _handler(head: _Head, arguments: str) -> Event | None:
+    match = _HANDLER.match(arguments)
+    return match and Interrupt(head[0], head[1], Context.HARD, intern(f"{match[1]} {match[2]}"), begins=True)
+
+
+def _handler_exit(head: _Head, _: str) -> Event:
+    return Interrupt(head[0], head[1], Context.HARD, "", begins=False)
+
+
+def _vector(head: _Head, _: str) -> Event:
+    name, edge = head.event.rsplit("_", 1)
+    return Interrupt(head[0], head[1], Context.HARD, intern(name), begins=edge == "entry")
+
+
+def _softirq(head: _Head, arguments: str) -> Event | None:
+    if not (match := _SOFTIRQ.match(arguments)):
+        return None
+    name = intern(match[1])
+    if head.event == "softirq_raise":
+        return Raise(head[0], head[1], head[2], _context(head[3]), name)
+    return Interrupt(head[0], head[1], Context.SOFT, name, begins=head.event == "softirq_entry")
+
+
+def _timer_start(head: _Head, arguments: str) -> Event | None:
+    match = _TIMER_START.match(arguments)
+    return match and TimerStart(head[0], head[1], intern(match[1]), int(match[3]), int(match[2]))
+
+
+def _timer_expiry(head: _Head, arguments: str) -> Event | None:
+    match = _TIMER_EXPIRY.match(arguments)
+    return match and TimerExpiry(head[0], head[1], intern(match[1]), int(match[2]))
+
+
+def _futex(head: _Head, arguments: str) -> Event:
+    match = _FUTEX.match(arguments)
+    return Futex(head[0], head[1], head[2], int(match[1], 16) if match else None)
+
+
+def _fault(head: _Head, _: str) -> Event:
+    return Fault(head[0], head[1], head[2])
+
+
+def _console(head: _Head, _: str) -> Event:
+    return Console(head[0], head[1], head[2])
+
+
+_READERS: dict[str, Callable[[_Head, str], Event | None]] = {
+    "sched_switch": _switch,
+    "sched_waking": _wake,
+    "sched_wakeup": _wake,
+    "sched_migrate_task": _migration,
+    "irq_handler_entry": _handler,
+    "irq_handler_exit": _handler_exit,
+    **{f"{name}_{edge}": _vector for name in _VECTORS for edge in ("entry", "exit")},
+    "softirq_raise": _softirq,
+    "softirq_entry": _softirq,
+    "softirq_exit": _softirq,
+    "hrtimer_start": _timer_start,
+    "hrtimer_expire_entry": _timer_expiry,
+    "sys_futex": _futex,
+    "sys_futex_time32": _futex,
+    "page_fault_user": _fault,
+    "console": _console,
+}

@@ -1,0 +1,149 @@
+"""The traced outliers of a run, each with the cut of its lateness."""
+
+import re
+from bisect import bisect_left
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rtfiles.config import read_json
+from rtfiles.errors import UsageError
+from rtfiles.untrusted import whole_number
+from rtrun.causes.control import Windows, windows_before
+from rtrun.causes.cut import Part, cut
+from rtrun.causes.events import Context
+from rtrun.causes.ftrace import LINE_BYTES_MAX, Trace, read_trace
+from rtrun.causes.timeline import Timeline, timeline
+from rtrun.results.record import RunRecord, check_file
+from rtrun.results.samples import NON_MEASURING_THREADS, Record
+
+# What is read after an outlier: the thread that measured it must be seen to go on.
+AFTER_NS = 100_000_000
+_HEAD = re.compile(
+    r"# \S{1,255}: (\d{1,18}) ns at index (\d{1,18}) above \d{1,18} ns, at (\d{1,9})\.(\d{6}) s of (\w{1,40})\n",
+    re.ASCII,
+)
+_SHARED = re.compile(r"# in (\S{1,255})\n", re.ASCII)
+NOT_RECORDED = (
+    "the trace holds nothing of that moment: it was overwritten, or recording was paused while another was copied "
+    "(a kernel without CONFIG_TRACER_SNAPSHOT)"
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Outlier:
+    """A value above the limit of the run, at a moment of the clock of the samples, and the file that has its trace."""
+
+    run: str
+    output: str
+    index: int
+    value_ns: int
+    at_ns: int
+    clock: str
+    trace: str
+
+    @property
+    def due_ns(self) -> int:
+        """When the value would have been 0."""
+        return self.at_ns - self.value_ns
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Explained:
+    """An outlier, the parts that its lateness consists of, and what happened in as long a time when nothing was late.
+
+    Without parts `note` says why there are none; with parts it says what is wrong with the trace, or is empty.
+    """
+
+    outlier: Outlier
+    parts: tuple[Part, ...] = ()
+    control: Windows
+    note: str = ""
+
+
+def explain_run(folder: Path, record: RunRecord) -> Iterator[Explained]:
+    """Yield the traced outliers of a run. Raises UsageError for files that are not what they should be."""
+    for output in dict.fromkeys(record.outputs):
+        names = [name for name in record.files if re.fullmatch(re.escape(output) + r"-trace-[0-9]{1,18}\.txt", name)]
+        if not names:
+            continue
+        for name in (*names, f"{output}.json"):
+            check_file(folder, record, name)
+        threads = _threads(folder / f"{output}.json")
+        outliers = sorted((_read_head(folder, record.run, output, name) for name in names), key=lambda one: one.at_ns)
+        for trace in dict.fromkeys(one.trace for one in outliers):
+            if trace not in record.files:
+                raise UsageError(f"{folder}: a trace is in {trace!r}, which is no file of the run")
+            yield from explain(folder / trace, [one for one in outliers if one.trace == trace], outliers, threads)
+
+
+def explain(
+    path: Path, outliers: Sequence[Outlier], all_outliers: Sequence[Outlier], threads: Mapping[int, str]
+) -> Iterator[Explained]:
+    """Yield the outliers of one trace. `all_outliers` are those of the run: no time of theirs is a control."""
+    trace = read_trace(path, until_ns=max(one.at_ns for one in outliers) + AFTER_NS)
+    order = timeline(trace.events)
+    for one in outliers:
+        yield _explain(one, order, trace, all_outliers, threads)
+
+
+def _explain(
+    outlier: Outlier, order: Timeline, trace: Trace, all_outliers: Sequence[Outlier], threads: Mapping[int, str]
+) -> Explained:
+    pid = _measured_thread(order, outlier.at_ns, threads)
+    place = bisect_left(trace.events, outlier.due_ns, key=lambda event: event.at_ns)
+    if pid is None or place == len(trace.events) or trace.events[place].at_ns > outlier.at_ns:
+        return Explained(outlier=outlier, control=Windows(), note=NOT_RECORDED)
+    own = frozenset(threads) if pid in threads else _with_name(order, set(threads.values()))
+    parts = cut(order, pid=pid, own=own, due_ns=outlier.due_ns, at_ns=outlier.at_ns)
+    late = [(one.due_ns, one.at_ns) for one in all_outliers]
+    control = windows_before(order, trace.events, begin_ns=outlier.due_ns, length_ns=outlier.value_ns, late=late)
+    lost = sum(one.missing for one in order.lost if outlier.due_ns <= one.at_ns <= outlier.at_ns)
+    note = f"{lost} events were lost within" if lost else ""
+    return Explained(outlier=outlier, parts=parts, control=control, note=note)
+
+
+def _with_name(order: Timeline, names: set[str]) -> frozenset[int]:
+    return frozenset(pid for pid, name in order.names.items() if name in names)
+
+
+def _measured_thread(order: Timeline, at_ns: int, threads: Mapping[int, str]) -> int | None:
+    """The thread that had the value: one of the program that ran then, by id, or by name in a container."""
+    ran = [
+        span
+        for cpu in order.cpus
+        for span in order.spans(cpu, at_ns - 1000, at_ns + 1000)
+        if span.occupant and span.occupant.context is Context.THREAD
+    ]
+    pids = [span.occupant.pid for span in sorted(ran, key=lambda span: -span.end_ns) if span.occupant]
+    by_id = [pid for pid in pids if pid in threads]
+    by_name = [pid for pid in pids if pid in _with_name(order, set(threads.values()))]
+    return next(iter(by_id or by_name), None)
+
+
+def _threads(path: Path) -> dict[int, str]:
+    """The threads of the program that measure or work for those that do."""
+    threads = read_json(path, Record).in_effect.threads
+    return {one.tid: one.name for one in threads if one.name not in NON_MEASURING_THREADS}
+
+
+def _read_head(folder: Path, run: str, output: str, name: str) -> Outlier:
+    path = folder / name
+    try:
+        with path.open("rb") as stream:
+            first, second = (stream.readline(LINE_BYTES_MAX).decode("utf-8", errors="replace") for _ in range(2))
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+    match = _HEAD.fullmatch(first)
+    if match is None:
+        raise UsageError(f"{path}: its first line does not name an outlier, as the suites write it: {first[:80]!r}")
+    shared = _SHARED.fullmatch(second)
+    return Outlier(
+        run=run,
+        output=output,
+        index=whole_number(match[2]),
+        value_ns=whole_number(match[1]),
+        at_ns=whole_number(match[3]) * 1_000_000_000 + whole_number(match[4]) * 1000,
+        clock=match[5],
+        trace=shared[1] if shared else name,
+    )

@@ -1,0 +1,115 @@
+"""Culprits over all outliers: how often, how long, and how often they ran as long when nothing was late."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rtrun.causes.cut import Cause, Kind, Part
+from rtrun.causes.outliers import Explained
+
+# Kinds that name nobody.
+NAMELESS = frozenset({Kind.UNEXPLAINED, Kind.PROGRAM, Kind.OUTSIDE, Kind.OWN_SLEEP})
+# Who has the CPU then, has it at other times too without harm: only the time beyond that counts.
+_FREQUENT = frozenset({Kind.HIGHER, Kind.EQUAL, Kind.INTERRUPT, Kind.SOFTIRQ})
+# Who had the CPU while the kernel could not be interrupted or preempted may be innocent, on a virtual machine that was
+# not run by its host above all. It counts by the share of the time in which it does not have the CPU anyway.
+_CIRCUMSTANTIAL = frozenset({Kind.TIMER_LATE, Kind.NOT_PREEMPTED})
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Culprit:
+    """What took time, over all outliers.
+
+    `main` is the number of outliers of which it took more than half. `extra_ns` is its time beyond that in windows of
+    the same length when nothing was late, `as_long` the number of such windows, of `windows`, in which it had the same
+    CPU for at least half as long as in the outlier.
+    """
+
+    kind: Kind
+    name: str
+    pid: int | None
+    prio: int | None
+    count: int
+    main: int
+    total_ns: int
+    worst_ns: int
+    extra_ns: int
+    windows: int
+    as_long: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Ranking:
+    """The culprits of all outliers with a trace, worst first, and the sum of their lateness."""
+
+    culprits: tuple[Culprit, ...]
+    outliers: int
+    late_ns: int
+
+    @property
+    def named(self) -> Culprit | None:
+        """The culprit that is the main one of at least half of the outliers; of two, if it is circumstantial."""
+        first = next((one for one in self.culprits if one.kind not in NAMELESS), None)
+        if first is None or 2 * first.main < max(1, self.outliers):
+            return None
+        return first if first.main > 1 or first.kind not in _CIRCUMSTANTIAL else None
+
+
+def rank(explained: Iterable[Explained]) -> Ranking:
+    """Rank the culprits by the number of outliers of which each is the main one, then by time."""
+    cut = [one for one in explained if one.parts]
+    occurrences: dict[tuple[Kind, str], list[_Occurrence]] = defaultdict(list)
+    for one in cut:
+        parts: dict[tuple[Kind, str], list[Part]] = defaultdict(list)
+        for part in one.parts:
+            parts[part.cause.kind, part.cause.name].append(part)
+        for culprit, of_culprit in parts.items():
+            occurrences[culprit].append(_occurrence(one, of_culprit))
+    culprits = [_culprit(*culprit, occurred) for culprit, occurred in occurrences.items()]
+    return Ranking(
+        culprits=tuple(sorted(culprits, key=lambda one: (-one.main, -one.extra_ns, one.kind, one.name))),
+        outliers=len(cut),
+        late_ns=sum(one.outlier.value_ns for one in cut),
+    )
+
+
+class _Occurrence(NamedTuple):
+    """One culprit in one outlier."""
+
+    cause: Cause
+    length_ns: int
+    usual_ns: int
+    is_main: bool
+    windows: int
+    as_long: int
+
+
+def _occurrence(one: Explained, parts: Sequence[Part]) -> _Occurrence:
+    control, value_ns = one.control, one.outlier.value_ns
+    longest = max(parts, key=lambda part: part.length_ns)
+    cause, length_ns = longest.cause, sum(part.length_ns for part in parts)
+    usual_ns = windows = as_long = 0
+    if cause.kind in _FREQUENT | _CIRCUMSTANTIAL:
+        mean_ns = control.mean_ns(longest.cpu, cause.name)
+        usual_ns = min(length_ns, mean_ns if cause.kind in _FREQUENT else mean_ns * length_ns // value_ns)
+        windows, as_long = control.count, control.with_at_least(longest.cpu, cause.name, length_ns // 2)
+    return _Occurrence(cause, length_ns, usual_ns, 2 * (length_ns - usual_ns) > value_ns, windows, as_long)
+
+
+def _culprit(kind: Kind, name: str, occurred: Sequence[_Occurrence]) -> Culprit:
+    worst = max(occurred, key=lambda one: one.length_ns)
+    total_ns = sum(one.length_ns for one in occurred)
+    return Culprit(
+        kind=kind,
+        name=name,
+        pid=worst.cause.pid,
+        prio=worst.cause.prio,
+        count=len(occurred),
+        main=sum(one.is_main for one in occurred),
+        total_ns=total_ns,
+        worst_ns=worst.length_ns,
+        extra_ns=total_ns - sum(one.usual_ns for one in occurred),
+        windows=sum(one.windows for one in occurred),
+        as_long=sum(one.as_long for one in occurred),
+    )

@@ -1,0 +1,54 @@
+"""What to change about a culprit: remedies.yml."""
+
+import functools
+import re
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from rtfiles.config import Config, load
+from rtrun.causes.cut import Kind
+
+DATA = Path(__file__).with_suffix(".yml")
+
+
+class Remedy(Config):
+    """One entry of the file. `kinds` are names of `Kind`; empty: all."""
+
+    kinds: list[str] = Field(default_factory=list)
+    name: str = ""
+    change: str
+    source: str
+
+    @field_validator("kinds")
+    @classmethod
+    def _known(cls, kinds: list[str]) -> list[str]:
+        if unknown := set(kinds) - set(Kind.__members__):
+            raise ValueError(f"unknown: {', '.join(sorted(unknown))}; known: {', '.join(Kind.__members__)}")
+        return kinds
+
+    @field_validator("name")
+    @classmethod
+    def _expression(cls, name: str) -> str:
+        re.compile(name)
+        return name
+
+
+class Remedies(Config):
+    """remedies.yml."""
+
+    schema_number: Literal[1] = Field(alias="schema")
+    remedies: list[Remedy]
+
+
+@functools.cache
+def read_remedies() -> tuple[Remedy, ...]:
+    """Read remedies.yml."""
+    return tuple(load(DATA, Remedies).remedies)
+
+
+def remedy(kind: Kind, name: str) -> Remedy | None:
+    """The first remedy that fits a culprit; None for what names nobody."""
+    fits = (one for one in read_remedies() if not one.kinds or kind.name in one.kinds)
+    return next((one for one in fits if re.search(one.name, name)), None)

@@ -1,0 +1,325 @@
+"""Events put into order: what each CPU did at each moment, and what became of each thread."""
+
+from bisect import bisect_right
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum, auto
+from typing import NamedTuple
+
+from rtrun.causes.events import (
+    Context,
+    Current,
+    Event,
+    Fault,
+    Futex,
+    Interrupt,
+    Lost,
+    Migration,
+    Raise,
+    Switch,
+    TimerExpiry,
+    TimerStart,
+    Wake,
+)
+
+IDLE_PID = 0
+# Operations that wait for the owner of a lock (include/uapi/linux/futex.h): FUTEX_WAIT, which glibc uses for mutexes
+# but not for condition variables, FUTEX_LOCK_PI, FUTEX_LOCK_PI2. The bits above 127 are flags.
+_LOCKING = frozenset({0, 6, 13})
+_FUTEX_COMMAND = 127
+
+
+class Occupant(NamedTuple):
+    """What has a CPU: a thread, or an interrupt or softirq within it. The priority of a thread is None if not known."""
+
+    context: Context
+    name: str
+    pid: int
+    prio: int | None
+
+
+class Span(NamedTuple):
+    """Who had a CPU how long; nobody knows where events were lost."""
+
+    begin_ns: int
+    end_ns: int
+    occupant: Occupant | None
+
+
+class State(Enum):
+    """What a thread does. WAITING: it could run, but has no CPU."""
+
+    RUNNING = auto()
+    WAITING = auto()
+    ASLEEP = auto()
+
+
+class Why(Enum):
+    """What a thread that fell asleep waits for, where that can be seen."""
+
+    UNKNOWN = auto()
+    LOCK = auto()
+    FAULT = auto()
+    UNINTERRUPTIBLE = auto()
+
+
+class Expiry(NamedTuple):
+    """A timer that expired on a CPU: when it might at the earliest, when it had to (None: not in the trace)."""
+
+    soft_ns: int | None
+    hard_ns: int | None
+    cpu: int
+
+
+class Waker(NamedTuple):
+    """What woke a thread: a thread, an interrupt or a softirq, which began at `began_ns`."""
+
+    cpu: int
+    pid: int
+    context: Context
+    name: str
+    began_ns: int
+    expiry: Expiry | None
+    raised: Raise | None
+
+
+class Change(NamedTuple):
+    """From this moment on a thread is in a state. `cpu` is that of its run queue; `waker` stands where it was woken."""
+
+    at_ns: int
+    state: State
+    cpu: int
+    waker: Waker | None = None
+    why: Why = Why.UNKNOWN
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Timeline:
+    """A trace in order: spans by CPU and changes by thread, both by time."""
+
+    begin_ns: int
+    cpus: Mapping[int, Sequence[Span]]
+    threads: Mapping[int, Sequence[Change]]
+    names: Mapping[int, str]
+    prios: Mapping[int, int]
+    """The latest priority of each thread that was seen to be switched to or from."""
+    lost: Sequence[Lost]
+
+    def spans(self, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Span]:
+        """What a CPU did between two moments, without gaps."""
+        spans = self.cpus.get(cpu, ())
+        place = max(0, bisect_right(spans, begin_ns, key=lambda span: span.begin_ns) - 1)
+        while begin_ns < end_ns:
+            while place < len(spans) and spans[place].end_ns <= begin_ns:
+                place += 1
+            if place == len(spans) or spans[place].begin_ns >= end_ns:
+                yield Span(begin_ns, end_ns, None)
+                return
+            span = spans[place]
+            if span.begin_ns > begin_ns:
+                yield Span(begin_ns, span.begin_ns, None)
+                begin_ns = span.begin_ns
+            yield Span(begin_ns, min(span.end_ns, end_ns), span.occupant)
+            begin_ns = span.end_ns
+
+    def place(self, pid: int, at_ns: int) -> int:
+        """The place of the last change of a thread up to a moment; -1 where the trace begins later."""
+        return bisect_right(self.threads.get(pid, ()), at_ns, key=lambda change: change.at_ns) - 1
+
+
+class _Layer(NamedTuple):
+    """An interrupt or softirq that a CPU is in."""
+
+    occupant: Occupant
+    began_ns: int
+    raised: Raise | None
+
+
+@dataclass(kw_only=True, slots=True)
+class _Cpu:
+    """A CPU while its events are read."""
+
+    thread: Occupant | None = None
+    since_ns: int
+    last_ns: int
+    hard: list[_Layer] = field(default_factory=list)
+    # By thread: with PREEMPT_RT another thread may run in the middle of a softirq.
+    soft: dict[int, list[_Layer]] = field(default_factory=lambda: defaultdict(list))
+    raises: dict[str, Raise] = field(default_factory=dict)
+    expiry: TimerExpiry | None = None
+    offset_ns: int = 0
+    spans: list[Span] = field(default_factory=list)
+
+    def occupant(self) -> Occupant | None:
+        layer = self.layer()
+        return layer.occupant if layer else self.thread
+
+    def layer(self) -> _Layer | None:
+        if self.hard:
+            return self.hard[-1]
+        soft = self.soft.get(self.thread.pid) if self.thread else None
+        return soft[-1] if soft else None
+
+    def close(self, at_ns: int) -> None:
+        """End the span of whoever has the CPU."""
+        if at_ns > self.since_ns:
+            self.spans.append(Span(self.since_ns, at_ns, self.occupant()))
+            self.since_ns = at_ns
+
+
+class _Builder:
+    """A timeline while the events are read, one at a time in the order of time."""
+
+    def __init__(self) -> None:
+        self.cpus: dict[int, _Cpu] = {}
+        self.threads: dict[int, list[Change]] = defaultdict(list)
+        self.names: dict[int, str] = {}
+        self.prios: dict[int, int] = {}
+        self.timers: dict[str, TimerStart] = {}
+        self.futexes: dict[int, int] = {}
+        self.faults: set[int] = set()
+        self.lost: list[Lost] = []
+        self.has_waking = False
+
+    def add(self, event: Event) -> None:
+        cpu = self.cpus.get(event.cpu)
+        if cpu is None:
+            cpu = self.cpus[event.cpu] = _Cpu(since_ns=event.at_ns, last_ns=event.at_ns)
+        match event:
+            case Switch():
+                self._switch(cpu, event)
+            case Wake():
+                self._wake(cpu, event)
+            case Interrupt():
+                _interrupt(cpu, event)
+            case TimerStart():
+                self.timers[event.timer] = event
+            case TimerExpiry():
+                # All timers of one interrupt have the same `now`, which was read when it began.
+                if cpu.expiry is None or cpu.expiry.now_ns != event.now_ns:
+                    cpu.offset_ns = event.at_ns - event.now_ns
+                cpu.expiry = event
+            case Raise():
+                cpu.raises.setdefault(event.name, event)
+            case Migration():
+                self._queue(event.pid, event.at_ns, event.to_cpu)
+            case Futex():
+                self.faults.discard(event.pid)
+                if event.operation is None:
+                    self.futexes.pop(event.pid, None)
+                else:
+                    self.futexes[event.pid] = event.operation & _FUTEX_COMMAND
+            case Fault():
+                self.faults.add(event.pid)
+            case Current():
+                self.names.setdefault(event.pid, event.name)
+                if cpu.thread is None:
+                    cpu.thread = Occupant(Context.THREAD, event.name, event.pid, None)
+                    self.threads[event.pid].append(Change(event.at_ns, State.RUNNING, event.cpu))
+            case Lost():
+                self._lose(cpu, event)
+        cpu.last_ns = event.at_ns
+
+    def _switch(self, cpu: _Cpu, event: Switch) -> None:
+        cpu.close(event.at_ns)
+        cpu.hard.clear()
+        cpu.expiry = None
+        cpu.thread = Occupant(Context.THREAD, event.next_name, event.next_pid, event.next_prio)
+        for pid, name, prio in (
+            (event.pid, event.name, event.prio),
+            (event.next_pid, event.next_name, event.next_prio),
+        ):
+            self.names[pid], self.prios[pid] = name, prio
+        if event.pid != IDLE_PID:
+            if event.state.startswith("R"):
+                self.threads[event.pid].append(Change(event.at_ns, State.WAITING, event.cpu))
+            else:
+                change = Change(event.at_ns, State.ASLEEP, event.cpu, why=self._why(event))
+                self.threads[event.pid].append(change)
+        if event.next_pid != IDLE_PID:
+            self.faults.discard(event.next_pid)
+            self.threads[event.next_pid].append(Change(event.at_ns, State.RUNNING, event.cpu))
+
+    def _why(self, event: Switch) -> Why:
+        if event.pid in self.faults:
+            return Why.FAULT
+        if self.futexes.get(event.pid) in _LOCKING:
+            return Why.LOCK
+        return Why.UNINTERRUPTIBLE if event.state.startswith("D") else Why.UNKNOWN
+
+    def _wake(self, cpu: _Cpu, event: Wake) -> None:
+        if event.is_done and self.has_waking:
+            self._queue(event.pid, event.at_ns, event.target_cpu)
+            return
+        self.has_waking |= not event.is_done
+        changes = self.threads[event.pid]
+        # Woken while it still runs, or again before it ran: it goes on as it was.
+        if changes and changes[-1].state is not State.ASLEEP:
+            return
+        waker = self._waker(cpu, event)
+        changes.append(Change(event.at_ns, State.WAITING, event.target_cpu, waker=waker))
+
+    def _waker(self, cpu: _Cpu, event: Wake) -> Waker:
+        layer = cpu.layer()
+        expiry = None
+        if event.context is not Context.THREAD and cpu.expiry is not None:
+            start = self.timers.get(cpu.expiry.timer)
+            soft_ns = start.soft_ns + cpu.offset_ns if start else None
+            hard_ns = start.hard_ns + cpu.offset_ns if start else None
+            expiry = Expiry(soft_ns, hard_ns, event.cpu)
+        if event.context is Context.THREAD or layer is None:
+            name = self.names.get(event.by_pid, "") if event.context is Context.THREAD else event.context.value
+            began_ns = cpu.expiry.at_ns if expiry and cpu.expiry else event.at_ns
+            return Waker(event.cpu, event.by_pid, event.context, name, began_ns, expiry, None)
+        context, name = layer.occupant.context, layer.occupant.name
+        return Waker(event.cpu, event.by_pid, context, name, layer.began_ns, expiry, layer.raised)
+
+    def _queue(self, pid: int, at_ns: int, cpu: int) -> None:
+        """A thread that waits does so on another CPU from now on."""
+        changes = self.threads.get(pid)
+        if changes and changes[-1].state is State.WAITING and changes[-1].cpu != cpu:
+            changes.append(Change(at_ns, State.WAITING, cpu))
+
+    def _lose(self, cpu: _Cpu, event: Lost) -> None:
+        cpu.close(cpu.last_ns)
+        cpu.thread = None
+        cpu.hard.clear()
+        cpu.soft.clear()
+        cpu.expiry = None
+        cpu.close(event.at_ns)
+        self.lost.append(event)
+
+
+def _interrupt(cpu: _Cpu, event: Interrupt) -> None:
+    if cpu.thread is None:
+        return
+    cpu.close(event.at_ns)
+    layers = cpu.hard if event.context is Context.HARD else cpu.soft[cpu.thread.pid]
+    if event.begins:
+        raised = cpu.raises.pop(event.name, None) if event.context is Context.SOFT else None
+        layers.append(_Layer(Occupant(event.context, event.name, cpu.thread.pid, None), event.at_ns, raised))
+    elif layers:
+        layers.pop()
+    cpu.expiry = None
+
+
+def timeline(events: Iterable[Event]) -> Timeline:
+    """Put the events of a trace, which must be in the order of time, into a timeline."""
+    builder = _Builder()
+    begin_ns = end_ns = 0
+    for event in events:
+        if not builder.cpus:
+            begin_ns = event.at_ns
+        builder.add(event)
+        end_ns = event.at_ns
+    for cpu in builder.cpus.values():
+        cpu.close(end_ns)
+    return Timeline(
+        begin_ns=begin_ns,
+        cpus={number: cpu.spans for number, cpu in builder.cpus.items()},
+        threads=dict(builder.threads),
+        names=builder.names,
+        prios=builder.prios,
+        lost=tuple(builder.lost),
+    )

@@ -1,0 +1,156 @@
+"""What is said about the causes of outliers, on the terminal and in a report."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+
+import rich.box
+import rich.table
+import rich.text
+
+from rtfiles.errors import UsageError
+from rtfiles.output import printable
+from rtrun.causes.cut import Cause
+from rtrun.causes.outliers import Explained, explain_run
+from rtrun.causes.ranking import NAMELESS, Culprit, Ranking, rank
+from rtrun.causes.remedies import remedy
+from rtrun.report.claims.examination import us
+from rtrun.report.tables import Table
+from rtrun.results.reading import Source
+from rtrun.results.record import RunRecord, read_record
+from rtrun.target.kernel_trace import OPTIONS
+
+REMEDIES_MAX = 3
+# A remedy is given for a culprit that took at least this share of all lateness.
+REMEDY_FROM = 0.1
+
+
+def explain_source(source: Source) -> tuple[tuple[Explained, ...], tuple[str, ...]]:
+    """The traced outliers of every run at a path, and why a run's traces could not be read."""
+    explained: list[Explained] = []
+    refused: list[str] = []
+    for folder in source.folders:
+        try:
+            explained += explain_run(folder, read_record(folder))
+        except UsageError as error:
+            refused.append(str(error))
+    return tuple(explained), tuple(refused)
+
+
+def is_traced(record: RunRecord) -> bool:
+    """Whether a run asked for traces of its outliers."""
+    return any(record.parameters.get(option) is not None for option in OPTIONS)
+
+
+def answer(ranking: Ranking) -> str:
+    """The culprit of most outliers, in one sentence."""
+    if not ranking.outliers:
+        return "No outlier has a trace that could be read"
+    outliers = f"{ranking.outliers} traced outlier{'' if ranking.outliers == 1 else 's'}"
+    if (named := ranking.named) is not None:
+        return (
+            f"{culprit_name(named)}: the main cause of {named.main} of {outliers}, "
+            f"{_percent(named.total_ns, ranking.late_ns)} of their lateness"
+        )
+    unexplained_ns = sum(one.total_ns for one in ranking.culprits if one.kind in NAMELESS)
+    return (
+        f"No single cause: nobody is the main one of half of {outliers}; "
+        f"{_percent(unexplained_ns, ranking.late_ns)} of their lateness names nobody"
+    )
+
+
+def culprit_name(culprit: Culprit) -> str:
+    """What took the time and, where it is a thread, its id and priority."""
+    cause = Cause(kind=culprit.kind, name=culprit.name, pid=culprit.pid, prio=culprit.prio)
+    return printable(_cause(cause))
+
+
+def remedies(ranking: Ranking) -> Iterator[str]:
+    """What to change about the first culprits, a sentence each, with its source."""
+    grave = [one for one in ranking.culprits if one.extra_ns >= REMEDY_FROM * ranking.late_ns]
+    for culprit in grave[:REMEDIES_MAX]:
+        found = remedy(culprit.kind, culprit.name)
+        if found is not None:
+            yield printable(f"{culprit.name or culprit.kind}: {found.change} ({found.source})")
+
+
+def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
+    """The ranking of culprits; without rows where there is no trace."""
+    return Table(
+        id="causes",
+        title="What late values waited for",
+        columns=("what", "who", "priority", "outliers", "main cause", "total us", "worst us", "as long when in time"),
+        rows=[
+            (
+                culprit.kind.value,
+                culprit.name,
+                _priority(culprit.prio),
+                f"{culprit.count} of {ranking.outliers}",
+                str(culprit.main),
+                us(culprit.total_ns),
+                us(culprit.worst_ns),
+                f"{culprit.as_long} of {culprit.windows}" if culprit.windows else "-",
+            )
+            for culprit in ranking.culprits
+        ],
+        outcome=answer(ranking),
+        numbers=3,
+        notes=(*remedies(ranking), *without_trace(explained)),
+    )
+
+
+def for_terminal(table: Table) -> rich.table.Table:
+    """The table for a terminal."""
+    made = rich.table.Table(box=rich.box.SIMPLE, padding=(0, 1), show_edge=False)
+    for place, heading in enumerate(table.columns):
+        made.add_column(heading, justify="right" if place >= table.numbers else "left")
+    for row in table.rows:
+        made.add_row(*(rich.text.Text(printable(cell)) for cell in row))
+    return made
+
+
+def without_trace(explained: Iterable[Explained]) -> list[str]:
+    """How many outliers have no parts, and why."""
+    notes = [one.note for one in explained if not one.parts]
+    return [f"{notes.count(note)} more without parts: {note}" for note in dict.fromkeys(notes)]
+
+
+def lines(one: Explained) -> Iterator[str]:
+    """An outlier and what its time consists of, the longest first, a line each; they add up to the value."""
+    outlier = one.outlier
+    at = f"{outlier.at_ns // 10**9}.{outlier.at_ns % 10**9 // 1000:06} s"
+    note = f"; {one.note}" if one.note else ""
+    where = f"{outlier.run} {outlier.output}, index {outlier.index}, at {at}"
+    yield printable(f"{us(outlier.value_ns)} us too late: {where}{note}")
+    lengths: Counter[tuple[Cause, int | None]] = Counter()
+    for part in one.parts:
+        lengths[part.cause, part.cpu] += part.length_ns
+    for (cause, cpu), length_ns in lengths.most_common():
+        yield printable(f"  {us(length_ns):>10} us  {_cause(cause)}{'' if cpu is None else f', CPU {cpu}'}")
+
+
+def _cause(cause: Cause) -> str:
+    return " ".join(filter(None, [cause.kind.value, cause.name, _thread(cause.pid, cause.prio)]))
+
+
+def _thread(pid: int | None, prio: int | None) -> str:
+    """A thread in brackets."""
+    return "" if pid is None else f"({', '.join(filter(None, [f'pid {pid}', _priority(prio)]))})"
+
+
+def _priority(prio: int | None) -> str:
+    """The kernel's `prio` in the words of sched(7)."""
+    if prio is None:
+        return ""
+    if prio < 0:
+        return "deadline"
+    return f"real-time {99 - prio}" if prio < 100 else f"nice {prio - 120}"
+
+
+def _percent(part_ns: int, whole_ns: int) -> str:
+    return f"{100 * part_ns / whole_ns:.0f} %" if whole_ns else "0 %"
+
+
+def ranked(source: Source) -> tuple[Ranking, tuple[Explained, ...], tuple[str, ...]]:
+    """The ranking at a path, what it rests on, and what was refused."""
+    explained, refused = explain_source(source)
+    return rank(explained), explained, refused

@@ -1,0 +1,231 @@
+"""The cut of a late value: each kind of cause from a trace of a few lines, and sums that are exact for any trace."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from traced import events, line, switch, waking
+
+from rtrun.causes.cut import Kind, cut
+from rtrun.causes.timeline import timeline
+
+ME, HOG, LOW, IDLE, OTHER = ("me", 1, 4), ("hog", 2, 1), ("low", 3, 120), ("idle", 0, 120), ("mate", 5, 4)
+# The timer of a thread was due at 1000 us, and the clock of the trace is 500 us ahead of the timers' clock.
+START = line(100, "hrtimer_start: hrtimer=a function=hrtimer_wakeup expires=500000 softexpires=500000")
+
+
+def expiry(us, late_us=0):
+    """The interrupt of the timer, which begins at a moment, and wakes the thread 2 us later."""
+    now = f"hrtimer_expire_entry: hrtimer=a function=hrtimer_wakeup now={500_000 + 1000 * late_us}"
+    return (
+        line(us, "local_timer_entry: vector=236")
+        + line(us, now, flags="d.h..")
+        + waking(us + 2, 1, flags="d.h..")
+        + line(us + 3, "local_timer_exit: vector=236")
+    )
+
+
+def parts_of(text, *, due=1000, at, pid=1, own=(1,)):
+    """What the lines say, as (kind, name, microseconds)."""
+    made = cut(timeline(events(text)), pid=pid, own=frozenset(own), due_ns=due * 1000, at_ns=at * 1000)
+    assert sum(part.length_ns for part in made) == (at - due) * 1000
+    return [(part.cause.kind, part.cause.name, part.length_ns // 1000) for part in made]
+
+
+BEFORE = START + switch(200, ME, LOW)
+
+
+def test_a_thread_of_higher_priority():
+    text = BEFORE + switch(990, LOW, HOG, state="R") + expiry(1000) + switch(1400, HOG, ME) + line(1410, "x: y")
+    assert parts_of(text, at=1410) == [
+        (Kind.INTERRUPT, "the timer's own", 2),
+        (Kind.INTERRUPT, "local_timer", 1),
+        (Kind.HIGHER, "hog", 397),
+        (Kind.PROGRAM, "me", 10),
+    ]
+
+
+def test_a_thread_of_the_same_priority():
+    equal = ("equal", 4, 4)
+    text = BEFORE + switch(990, LOW, equal, state="R") + expiry(1000) + switch(1400, equal, ME) + line(1410, "x: y")
+    assert (Kind.EQUAL, "equal", 397) in parts_of(text, at=1410)
+
+
+def test_a_thread_that_could_not_be_preempted():
+    text = BEFORE + expiry(1000) + switch(1400, LOW, ME, state="R") + line(1410, "x: y")
+    assert (Kind.NOT_PREEMPTED, "low", 397) in parts_of(text, at=1410)
+
+
+def test_throttling():
+    """A thread of lower priority was chosen although the measured one could run."""
+    text = BEFORE + switch(990, LOW, HOG, state="R") + expiry(1000)
+    text += switch(1100, HOG, LOW, state="R") + switch(1400, LOW, ME, state="R") + line(1410, "x: y")
+    assert parts_of(text, at=1410)[2:] == [
+        (Kind.HIGHER, "hog", 97),
+        (Kind.THROTTLED, "low", 300),
+        (Kind.PROGRAM, "me", 10),
+    ]
+
+
+def test_interrupts_off():
+    text = BEFORE + expiry(1300, late_us=300) + switch(1304, LOW, ME, state="R") + line(1310, "x: y")
+    assert parts_of(text, at=1310)[:2] == [(Kind.TIMER_LATE, "low", 300), (Kind.INTERRUPT, "the timer's own", 2)]
+
+
+def test_an_idle_state():
+    text = START + switch(200, ME, IDLE) + expiry(1300, late_us=300) + switch(1350, IDLE, ME, state="R")
+    assert parts_of(text + line(1360, "x: y"), at=1360) == [
+        (Kind.TIMER_LATE, "the CPU was idle", 300),
+        (Kind.INTERRUPT, "the timer's own", 2),
+        (Kind.INTERRUPT, "local_timer", 1),
+        (Kind.IDLE_EXIT, "", 47),
+        (Kind.PROGRAM, "me", 10),
+    ]
+
+
+def test_an_interrupt_and_a_softirq_before_the_thread_runs():
+    text = (
+        BEFORE + line(950, "irq_handler_entry: irq=53 name=eth0") + line(1200, "irq_handler_exit: irq=53 ret=handled")
+    )
+    text += expiry(1200, late_us=200) + line(1203, "softirq_entry: vec=3 [action=NET_RX]", flags="..s..")
+    text += line(1300, "softirq_exit: vec=3 [action=NET_RX]", flags="..s..") + switch(1301, LOW, ME, state="R")
+    assert parts_of(text + line(1310, "x: y"), at=1310) == [
+        (Kind.INTERRUPT, "53 eth0", 200),
+        (Kind.INTERRUPT, "the timer's own", 2),
+        (Kind.INTERRUPT, "local_timer", 1),
+        (Kind.SOFTIRQ, "NET_RX", 97),
+        (Kind.NOT_PREEMPTED, "low", 1),
+        (Kind.PROGRAM, "me", 9),
+    ]
+
+
+def test_timer_slack():
+    start = line(100, "hrtimer_start: hrtimer=a function=hrtimer_wakeup expires=550000 softexpires=500000")
+    text = start + switch(200, ME, LOW) + expiry(1050, late_us=50) + switch(1060, LOW, ME, state="R")
+    assert parts_of(text + line(1070, "x: y"), at=1070)[0] == (Kind.TIMER_SLACK, "", 50)
+
+
+def test_a_lock_held_by_another_thread():
+    """The system call futex with FUTEX_WAIT says that it was a lock."""
+    text = BEFORE + expiry(1000) + switch(1005, LOW, ME, state="R")
+    text += line(1010, "sys_futex(uaddr: 0x7f, op: 0x80, val: 2, utime: 0)", name="me", pid=1)
+    text += switch(1011, ME, LOW) + waking(1400, 1, by=3) + switch(1402, LOW, ME, state="R") + line(1410, "x: y")
+    assert parts_of(text, at=1410)[3:] == [
+        (Kind.PROGRAM, "me", 6),
+        (Kind.LOCK, "low", 389),
+        (Kind.NOT_PREEMPTED, "low", 2),
+        (Kind.PROGRAM, "me", 8),
+    ]
+
+
+def test_a_page_fault_that_waits_for_memory():
+    text = BEFORE + expiry(1000) + switch(1005, LOW, ME, state="R")
+    text += line(1010, "page_fault_user: address=0x7f ip=0x55 error_code=0x6", name="me", pid=1)
+    text += switch(1011, ME, LOW, state="D") + waking(1400, 1, by=3) + switch(1402, LOW, ME, state="R")
+    assert (Kind.FAULT, "low", 389) in parts_of(text + line(1410, "x: y"), at=1410)
+
+
+def test_a_thread_of_the_middleware_is_followed():
+    """The timer wakes a thread of the program, which wakes the measured one for the callback."""
+    text = START + switch(200, OTHER, LOW) + switch(300, LOW, ME, state="R") + switch(310, ME, LOW)
+    text += expiry(1000).replace("pid=1 ", "pid=5 ") + switch(1200, LOW, OTHER, state="R")
+    text += waking(1250, 1, by=5) + switch(1260, OTHER, ME) + line(1270, "x: y")
+    assert parts_of(text, at=1270, own=(1, 5)) == [
+        (Kind.INTERRUPT, "the timer's own", 2),
+        (Kind.INTERRUPT, "local_timer", 1),
+        (Kind.NOT_PREEMPTED, "low", 197),
+        (Kind.OTHER_THREAD, "mate", 60),
+        (Kind.PROGRAM, "me", 10),
+    ]
+
+
+def test_a_message_is_followed_to_its_sender():
+    """The softirq of the loopback device runs in the sender, which had to wait for another thread."""
+    sender = ("sender", 6, 120)
+    text = switch(100, ME, IDLE, cpu=1) + switch(900, sender, HOG, state="R") + switch(1300, HOG, sender)
+    text += line(1310, "softirq_raise: vec=3 [action=NET_RX]", name="sender", pid=6)
+    text += line(1311, "softirq_entry: vec=3 [action=NET_RX]", name="sender", pid=6, flags="..s..")
+    text += waking(1320, 1, by=6, target=1, flags="..s..")
+    text += line(1321, "softirq_exit: vec=3 [action=NET_RX]", name="sender", pid=6, flags="..s..")
+    text += switch(1350, IDLE, ME, state="R", cpu=1) + line(1360, "x: y", cpu=1) + line(1360, "x: y")
+    assert parts_of(text, at=1360) == [
+        (Kind.HIGHER, "hog", 300),
+        (Kind.OTHER_THREAD, "sender", 11),
+        (Kind.SOFTIRQ, "NET_RX", 9),
+        (Kind.IDLE_EXIT, "", 30),
+        (Kind.PROGRAM, "me", 10),
+    ]
+
+
+def test_a_migration_while_it_waits():
+    """It waits for the hog on CPU 0, then for an idle CPU 1 to wake up."""
+    text = line(50, "x: y", cpu=1, name="idle", pid=0) + BEFORE + switch(990, LOW, HOG, state="R") + expiry(1000)
+    text += line(1100, "sched_migrate_task: comm=me pid=1 prio=4 orig_cpu=0 dest_cpu=1", name="hog", pid=2)
+    text += switch(1150, IDLE, ME, state="R", cpu=1) + line(1160, "x: y", cpu=1)
+    assert parts_of(text, at=1160)[2:] == [
+        (Kind.HIGHER, "hog", 97),
+        (Kind.IDLE_EXIT, "", 50),
+        (Kind.PROGRAM, "me", 10),
+    ]
+
+
+def test_lost_events_are_unexplained():
+    text = BEFORE + switch(990, LOW, HOG, state="R") + expiry(1000) + "CPU:0 [LOST 5 EVENTS]\n"
+    text += switch(1400, HOG, ME) + line(1410, "x: y")
+    assert (Kind.UNEXPLAINED, "events are missing", 397) in parts_of(text, at=1410)
+
+
+def test_a_trace_that_begins_too_late():
+    assert parts_of(switch(1400, HOG, ME) + line(1410, "x: y"), at=1410) == [
+        (Kind.UNEXPLAINED, "", 400),
+        (Kind.PROGRAM, "me", 10),
+    ]
+
+
+def test_a_thread_that_is_not_in_the_trace():
+    assert parts_of(switch(1400, HOG, LOW), at=1410, pid=77) == [(Kind.UNEXPLAINED, "", 410)]
+
+
+THREADS = (ME, HOG, LOW, IDLE, OTHER)
+LINES = st.one_of(
+    st.builds(
+        lambda before, after, state, cpu: lambda us: switch(us, before, after, state=state, cpu=cpu),
+        st.sampled_from(THREADS), st.sampled_from(THREADS), st.sampled_from("RSD"), st.sampled_from((0, 1)),
+    ),
+    st.builds(
+        lambda pid, by, flags, cpu: lambda us: waking(us, pid, by=by, flags=flags, cpu=cpu),
+        st.sampled_from((1, 2, 3, 5)), st.sampled_from((0, 1, 2, 3, 5)),
+        st.sampled_from(("d..2.", "d.h2.", "d.s2.")), st.sampled_from((0, 1)),
+    ),
+    st.builds(
+        lambda text, cpu: lambda us: line(us, text, cpu=cpu),
+        st.sampled_from(
+            (
+                "local_timer_entry: vector=236", "local_timer_exit: vector=236",
+                "softirq_raise: vec=3 [action=NET_RX]", "softirq_entry: vec=3 [action=NET_RX]",
+                "softirq_exit: vec=3 [action=NET_RX]",
+                "hrtimer_start: hrtimer=a function=f expires=900000 softexpires=800000",
+                "hrtimer_expire_entry: hrtimer=a function=f now=850000",
+                "sched_migrate_task: comm=me pid=1 prio=4 orig_cpu=0 dest_cpu=1",
+            )
+        ),
+        st.sampled_from((0, 1)),
+    ),
+)  # fmt: skip
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), LINES), max_size=60), st.integers(0, 100), st.integers(1, 100))
+def test_parts_add_up_whatever_the_trace_says(steps, due, length):
+    us, text = 0, ""
+    for step, made in steps:
+        us += step
+        text += made(us)
+    made = cut(timeline(events(text)), pid=1, own=frozenset({1, 5}), due_ns=due * 1000, at_ns=(due + length) * 1000)
+    assert [part.begin_ns for part in made[1:]] == [part.end_ns for part in made[:-1]]
+    assert (made[0].begin_ns, made[-1].end_ns) == (due * 1000, (due + length) * 1000)
+    assert all(part.length_ns > 0 for part in made)
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_every_kind_has_words_of_its_own(kind):
+    assert kind.value
+    assert len({one.value for one in Kind}) == len(Kind)

@@ -1,0 +1,78 @@
+"""The ranking of culprits over many outliers."""
+
+from rtrun.causes.control import Windows
+from rtrun.causes.cut import Cause, Kind, Part
+from rtrun.causes.outliers import Explained, Outlier
+from rtrun.causes.ranking import rank
+from rtrun.causes.remedies import read_remedies, remedy
+
+
+def outlier(*causes, usual=None, windows=10):
+    """An outlier whose causes (kind, name, us) follow each other; `usual` are us by name in each of the windows."""
+    parts, at_ns = [], 0
+    for kind, name, us in causes:
+        end_ns = at_ns + 1000 * us
+        parts.append(Part(begin_ns=at_ns, end_ns=end_ns, cause=Cause(kind=kind, name=name), cpu=0))
+        at_ns = end_ns
+    window = {name: 1000 * us for name, us in (usual or {}).items()}
+    about = Outlier(run="r", output="o", index=0, value_ns=at_ns, at_ns=at_ns, clock="c", trace="t")
+    control = Windows(count=windows, times_ns={0: [window] * windows})
+    return Explained(outlier=about, parts=tuple(parts), control=control)
+
+
+def test_the_main_cause_of_most_outliers_is_named():
+    made = rank(
+        [outlier((Kind.HIGHER, "hog", 900), (Kind.SOFTIRQ, "RCU", 100))] * 3 + [outlier((Kind.LOCK, "x", 9000))]
+    )
+    assert [(one.name, one.main, one.count) for one in made.culprits] == [("hog", 3, 3), ("x", 1, 1), ("RCU", 0, 3)]
+    assert made.named == made.culprits[0]
+    assert (made.outliers, made.late_ns) == (4, 12_000_000)
+    assert (made.culprits[0].total_ns, made.culprits[0].worst_ns) == (2_700_000, 900_000)
+
+
+def test_a_frequent_thread_is_not_blamed_for_being_frequent():
+    """It has the CPU as long at any other time, when nothing is late."""
+    frequent = [outlier((Kind.HIGHER, "frequent", 500), (Kind.TIMER_LATE, "x", 400), usual={"frequent": 450})] * 2
+    made = rank(frequent)
+    assert made.named is None
+    culprit = next(one for one in made.culprits if one.name == "frequent")
+    assert (culprit.extra_ns, culprit.windows, culprit.as_long) == (100_000, 20, 20)
+
+
+def test_who_ran_while_interrupts_were_off_is_not_blamed_for_always_running():
+    """A load that has the CPU all the time has it also when the host does not run the virtual machine."""
+    assert rank([outlier((Kind.TIMER_LATE, "load", 1000), usual={"load": 1000})] * 3).named is None
+    named = rank([outlier((Kind.TIMER_LATE, "driver", 1000), usual={"driver": 10})] * 3).named
+    assert named is not None
+    assert named.name == "driver"
+
+
+def test_one_outlier_alone_names_nobody_by_circumstances():
+    assert rank([outlier((Kind.TIMER_LATE, "driver", 1000))]).named is None
+    assert rank([outlier((Kind.HIGHER, "hog", 1000))]).named is not None
+
+
+def test_what_is_unexplained_is_not_named():
+    made = rank([outlier((Kind.UNEXPLAINED, "", 900), (Kind.HIGHER, "hog", 100))])
+    assert made.named is None
+    assert made.culprits[0].kind is Kind.UNEXPLAINED
+
+
+def test_nothing():
+    assert rank([]).named is None
+
+
+def test_every_kind_that_names_somebody_has_a_remedy():
+    without = {Kind.UNEXPLAINED, Kind.PROGRAM, Kind.OUTSIDE, Kind.OWN_SLEEP}
+    for kind in Kind:
+        assert (remedy(kind, "somebody") is None) is (kind in without)
+    assert all(one.source and one.change for one in read_remedies())
+
+
+def test_the_first_remedy_that_fits():
+    stopper = remedy(Kind.HIGHER, "migration/1")
+    assert stopper is not None
+    assert "hotplug" in stopper.change
+    other = remedy(Kind.HIGHER, "migration")
+    assert other is not None
+    assert "lower real-time priority" in other.change
