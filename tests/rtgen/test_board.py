@@ -3,6 +3,7 @@
 import os
 import stat
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -27,15 +28,35 @@ def test_unknown_machine_is_a_usage_error_that_lists_the_known(capsys: pytest.Ca
 
 def test_board_record_is_what_formats_md_promises(some_kernel: kernel.Kernel) -> None:
     board = machine.find("vexpress-a9")
-    record = build.board_record(
-        "vexpress-a9", board, board.qemu, some_kernel, {"libroscpp4d": "1.15"}, "ssh-ed25519 AAAA comment\n"
-    )
+    entries = build.boot_entries(board, {"rt": some_kernel})
+    record = build.board_record("vexpress-a9", board, board.qemu, entries, {}, "ssh-ed25519 AAAA comment\n")
     assert record["qemu"]["arguments"][:4] == ["-M", "vexpress-a9", "-smp", "2"]
     assert record["dtb"] == "vexpress-v2p-ca9.dtb"
     assert record["cmdline"] == "console=ttyAMA0 nr_cpus=2 root=/dev/vda quiet"
     assert record["ssh"]["host_key"] == "ssh-ed25519 AAAA"
     assert record["kernel_release"] == "6.1.0-rt"
-    assert record["packages"] == {"libroscpp4d": "1.15", "linux": "6.1.1-1"}
+    assert "kernels" not in record
+
+
+def test_a_board_with_two_kernels_has_files_of_each_and_starts_the_first(some_kernel: kernel.Kernel) -> None:
+    board = machine.find("vexpress-a9")
+    entries = build.boot_entries(board, {"rt": some_kernel, "standard": replace(some_kernel, release="6.1.0")})
+    record = build.board_record("vexpress-a9", board, board.qemu, entries, {}, "ssh-ed25519 AAAA comment\n")
+    assert (record["kernel"], record["kernel_release"]) == ("vmlinuz", "6.1.0-rt")
+    assert record["kernels"]["rt"] == {key: record[key] for key in ("kernel", "initrd", "dtb", "kernel_release")}
+    assert record["kernels"]["standard"] == {
+        "kernel": "vmlinuz-standard",
+        "initrd": "initrd-standard",
+        "dtb": "vexpress-v2p-ca9-standard.dtb",
+        "kernel_release": "6.1.0",
+    }
+
+
+def test_two_kernels_of_a_machine_that_has_one_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["board", "build", "--machine", "pandaboard-es", "--kernel", "both"]) == 2
+    assert capsys.readouterr().err == (
+        "rtgen: pandaboard-es: no standard_kernel in the file of this machine: --kernel both is for others\n"
+    )
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from typing import TypedDict
 from rtrun.commands._question import add_question, question, time_argument
 
 NAME = "compare"
-HELP = "compare two folders of runs, or two variants of one campaign: what shifted, and how sure that is"
+HELP = "compare two folders of runs, or two variants or kernels of one campaign: what shifted, and how sure that is"
 
 
 class _Words(TypedDict):
@@ -20,7 +20,12 @@ class _Words(TypedDict):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The two sets, the margin, the question."""
     parser.add_argument("a", type=Path, help="folder of runs, run directory, .log or .npy: before")
-    parser.add_argument("b", type=Path, nargs="?", help="the same: after [the other variant of the campaign in A]")
+    parser.add_argument("b", type=Path, nargs="?", help="the same: after [another side of the campaign in A]")
+    parser.add_argument(
+        "--by",
+        choices=("variant", "kernel"),
+        help="what the two sides of the campaign in A differ in [variant where it has some]",
+    )
     parser.add_argument("--variants", nargs=2, default=(), metavar="NAME", help="which two, where A has more")
     parser.add_argument(
         "--margin",
@@ -47,11 +52,11 @@ def run(args: argparse.Namespace) -> int:
     }
     sides = (str(args.a), str(args.b))
     if args.b is None:
-        sides, compared = compare.compare_variants(args.a, args.variants, **words)
+        sides, compared = compare.compare_sides(args.a, args.by, args.variants, **words)
         if not args.json:
             print_line(f"A: {sides[0]}, B: {sides[1]}")
-    elif args.variants:
-        raise UsageError("--variants: goes with one folder, that of a campaign with variants")
+    elif args.variants or args.by:
+        raise UsageError("--by, --variants: go with one folder, that of a campaign with variants or kernels")
     else:
         compared = compare.compare_sets(args.a, args.b, **words)
     if not compared.changes:

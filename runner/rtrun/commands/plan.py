@@ -46,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import print_line, print_text
     from rtrun.plan.campaign import read_campaign
+    from rtrun.plan.kernels import blocks
 
     campaign, runs = read_campaign(args.campaign)
     if args.assume_rate is not None and campaign.until is None:
@@ -54,14 +55,20 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_text(json.dumps(_as_data(campaign, runs, forecasts), indent=1, allow_nan=False))
         return 0
-    for each in runs:
-        settling = f" + {each.settle_s:g} s for the load to settle" if each.settle_s else ""
-        print_line(f"{each.name}  {each.expected_s:.1f} s{settling}")
+    divided = blocks(runs)
+    for number, block in enumerate(divided):
+        if block[0].kernel:
+            print_line(f"-- {'restart into ' if number else ''}kernel {block[0].kernel}")
+        for each in block:
+            settling = f" + {each.settle_s:g} s for the load to settle" if each.settle_s else ""
+            print_line(f"{each.name}  {each.expected_s:.1f} s{settling}")
     times = _times(runs)
     settling = f", {times['settling_s']:.0f} s for loads to settle" if times["settling_s"] else ""
+    restarts = len(divided) - 1
+    restarting = f", {restarts} restart{'s' if restarts > 1 else ''} into a kernel" if restarts else ""
     print_line(
         f"{len(runs)} runs, {_in_hours(times['total_s'])}: {_in_hours(times['measuring_s'])} of measuring{settling}, "
-        f"about {times['start_and_end_s']:.0f} s for programs to start and end"
+        f"about {times['start_and_end_s']:.0f} s for programs to start and end{restarting}"
     )
     if campaign.until:
         for line in _goal_lines(campaign.until, forecasts):
@@ -127,6 +134,8 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
     """The plan as docs/formats.md has it."""
     from dataclasses import asdict
 
+    from rtrun.plan.kernels import blocks
+
     goal = campaign.until
     return {
         "schema": 1,
@@ -134,6 +143,7 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
         "order": campaign.order,
         "seed": campaign.seed,
         **_times(runs),
+        "restarts": len(blocks(runs)) - 1,
         "runs": [
             {
                 "run": each.name,
@@ -143,6 +153,7 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
                 "settings": dict(each.settings),
                 "repeat": each.repeat,
                 "variant": each.variant,
+                "kernel": each.kernel,
                 "expected_s": each.expected_s,
                 "settle_s": each.settle_s,
             }

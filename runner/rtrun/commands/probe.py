@@ -51,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
         "platform": f"{known.platform}: {known.evidence}",
         "kernel": f"{_shown(state.kernel_release)} {_shown(state.kernel_version)}",
         "PREEMPT_RT": "yes" if inspection.is_preempt_rt(state) else "no",
+        **({"kernels to boot": ", ".join(target.boot_kernel)} if target.boot_kernel else {}),
         "CPUs": f"{equipment.cpus} x {_shown(state.machine)}",
         "clocksource": _shown(state.clocksource),
         "governor": _shown(state.governor, absent="none"),

@@ -4,7 +4,7 @@ import contextlib
 import fcntl
 import functools
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -16,13 +16,15 @@ from rtrun.execution.goal import Round
 from rtrun.execution.run_state import RunEvent, RunLife, RunState
 from rtrun.plan import campaign_digest
 from rtrun.plan.campaign import Variant
-from rtrun.plan.run import Run
+from rtrun.plan.kernels import blocks
+from rtrun.plan.run import KernelName, Run
 from rtrun.results import run_directory
 from rtrun.results.record import RunRecord, RunStatus, read_record, verify
 from rtrun.target.config import Target
+from rtrun.target.errors import TargetError
 from rtrun.target.kernel_trace import tracing
 from rtrun.target.link import Link, TargetRebooted
-from rtrun.target.restart import restart
+from rtrun.target.restart import check_kernels, restart
 
 # A board that restarts during each of so many attempts will not complete this run.
 ATTEMPTS = 3
@@ -81,7 +83,7 @@ def run_campaign(
     """
     run_directory.make_results(results)
     with _lock(results), _open_journal(results, name, runs, target.name) as log:
-        needed = list(runs)
+        needed, statuses = list(runs), dict[str, RunStatus]()
         if rounds is None:
             needed = [run for _, run in _unfinished(results, runs)]
             statuses = {run.name: RunStatus.OK for run in runs}
@@ -89,24 +91,21 @@ def run_campaign(
                 return statuses
             if len(needed) < len(runs):
                 observer.note(f"going on in {results}: {len(runs) - len(needed)} of {len(runs)} runs are finished")
-            planned: Iterable[Round] = [Round(runs=tuple(needed))]
-        else:
-            statuses = {}
-            planned = rounds(lambda: log.spent_s(now()))
+        if len(kernels := dict.fromkeys(run.kernel for run in needed if run.kernel)) > 1:
+            check_kernels(target, kernels)
         numbers = {run.name: number for number, run in enumerate(runs)}
         remote = target.work_dir / "runs" / log.uid
         log.begin_session(now().isoformat())
         with (
             Link(target, observer.note) as link,
-            _PreparedTarget(link, log.uid, needed, variants or {}) as prepared,
+            _PreparedTarget(link, log.uid, needed, variants or {}, observer.note) as prepared,
         ):
             # Runs that an earlier call left on the target come first: two runs at once would disturb each other.
-            started = resumption.list_folders(link, remote)
+            started = frozenset(resumption.list_folders(link, remote))
+            planned = rounds(lambda: log.spent_s(now())) if rounds else _rounds(results, runs, needed, started)
             for each in planned:
                 if link.boot_id in each.used_boots:
-                    observer.note("restarting the target: the next round is to be measured on another boot")
-                    prepared.drop()
-                    restart(link)
+                    prepared.restart(each.runs[0].kernel)
                 for run in sorted(each.runs, key=lambda run: run.name not in started):
                     # In a round the name of a run is not that of its group.
                     number = numbers.get(run.name, 0)
@@ -118,6 +117,24 @@ def run_campaign(
             with contextlib.suppress(TargetRebooted):
                 link.check(["rm", "-rf", str(remote)])
         return statuses
+
+
+def _rounds(results: Path, runs: Sequence[Run], needed: Collection[Run], started: frozenset[str]) -> Iterator[Round]:
+    """Yield the runs that are needed, a round for each block; a block whose runs `started` on the target is first."""
+    names = {run.name for run in needed}
+    divided = blocks(runs)
+    for block in sorted(divided, key=lambda block: started.isdisjoint(run.name for run in block)):
+        if todo := tuple(run for run in block if run.name in names):
+            others = [run for each in divided if each is not block for run in each]
+            yield Round(runs=todo, used_boots=frozenset(filter(None, (_boot_of(results / run.name) for run in others))))
+
+
+def _boot_of(folder: Path) -> str:
+    """The boot that a run was measured on; empty where that is not known."""
+    try:
+        return str(read_record(folder).target.boot_id or "")
+    except UsageError:
+        return ""
 
 
 def _measure(
@@ -133,7 +150,7 @@ def _measure(
     for attempts_left in reversed(range(ATTEMPTS)):
         life = RunLife(lambda state, reason: log.note(now().isoformat(), run.name, state, reason))
         try:
-            ready = prepared.get().for_run(run)
+            ready = prepared.get(run.kernel).for_run(run)
             with tracing(ready.link, ready.scripts, run.parameters):
                 return run_execution.measure(ready, log.uid, campaign, run, folder, life, now)
         except TargetRebooted as error:
@@ -150,7 +167,15 @@ def _measure(
 class _PreparedTarget:
     """The target, prepared while the context lasts: at its begin, and anew when it was restarted."""
 
-    def __init__(self, link: Link, owner: str, runs: Sequence[Run], variants: Mapping[str, Variant]) -> None:
+    def __init__(
+        self,
+        link: Link,
+        owner: str,
+        runs: Sequence[Run],
+        variants: Mapping[str, Variant],
+        notify: Callable[[str], None],
+    ) -> None:
+        self._link, self._notify = link, notify
         self._prepare = functools.partial(preparation.prepared, link, owner, runs, variants)
         self._stack = contextlib.ExitStack()
         self._ready: preparation.Prepared | None = None
@@ -164,11 +189,31 @@ class _PreparedTarget:
     ) -> None:
         self._stack.__exit__(kind, error, trace)
 
-    def get(self) -> preparation.Prepared:
-        """Return it ready for runs."""
+    def get(self, kernel: KernelName | None = None) -> preparation.Prepared:
+        """Return it ready for runs; where a kernel is named, it runs that one, restarted into it if need be.
+
+        Raises UsageError when the target cannot be restarted into it, TargetError when it runs another one then.
+        """
         if self._ready is None:
             self._ready = self._stack.enter_context(self._prepare())
+        if kernel is None or self._ready.kernel == kernel:
+            return self._ready
+        self.restart(kernel)
+        self._ready = self._stack.enter_context(self._prepare())
+        if self._ready.kernel != kernel:
+            raise TargetError(
+                f"{self._link.target.address}: restarted into the kernel {kernel}, it runs {self._ready.kernel} "
+                f"(uname -v says which): nothing is measured on it; check boot_kernel.{kernel} in the target file"
+            )
         return self._ready
+
+    def restart(self, kernel: KernelName | None) -> None:
+        """Restart the target, into a kernel where one is named. Raises TargetError when a run is going on there."""
+        resumption.check_idle(self._link)
+        why = f"into the kernel {kernel}" if kernel else "the next round is to be measured on another boot"
+        self._notify(f"restarting the target: {why}")
+        self.drop()
+        restart(self._link, kernel)
 
     def drop(self) -> None:
         """Forget what was prepared: after a restart it is gone."""

@@ -34,14 +34,17 @@ echo attempt
 [ -e attempt.json ] && [ "$(wc -c <attempt.json)" -le "$2" ] && cat attempt.json
 exit 0
 """
-# Prints the first program of any other run that lives, whose lock is held as long as one of its processes is there;
-# otherwise makes the folder. A lost link ends the input early: a file that is not complete does not get its name.
-_BEGIN = """
+# Prints the first program that lives of any run but the one in folder $2, and ends then. A program has its lock as long
+# as one of its processes is there.
+_BUSY = """
 for lock in "$1"/*/*/*.lock; do
     case $lock in "$2"/*) continue;; esac
     [ -e "$lock" ] || continue
     flock -n -s "$lock" true || { echo "${lock%.lock}"; exit 0; }
 done
+"""
+# Makes the folder. A lost link ends the input early: a file that is not complete does not get its name.
+_WRITE = """
 mkdir -p "$2" && cd "$2" && cat >attempt.new && [ "$(wc -c <attempt.new)" -eq "$3" ] || exit 1
 sync attempt.new && mv attempt.new attempt.json
 """
@@ -122,6 +125,20 @@ def list_folders(link: Link, runs: PurePosixPath) -> list[str]:
     return link.check(command).splitlines()
 
 
+def check_idle(link: Link) -> None:
+    """Raise TargetError when a program of any run still lives on the target."""
+    _refuse_busy(link, link.check(["sh", "-c", _BUSY, "sh", str(link.target.work_dir / "runs"), "none"]))
+
+
+def _refuse_busy(link: Link, printed: str) -> None:
+    """Raise TargetError when `_BUSY` printed a program."""
+    if busy := printed.strip():
+        raise TargetError(
+            f"{link.target.address}: another run is still going on: {busy}; "
+            f"resume its campaign, or end it there: kill -- -$(cat {busy}.pid)"
+        )
+
+
 def begin(
     link: Link,
     remote: PurePosixPath,
@@ -146,10 +163,6 @@ def begin(
         "before": before.model_dump(),
     }
     text = json.dumps(data)
-    command = ["sh", "-c", _BEGIN, "sh", str(remote.parent.parent), str(remote), str(len(text.encode()))]
-    if busy := link.check(command, stdin=text).strip():
-        raise TargetError(
-            f"{link.target.address}: another run is still going on: {busy}; "
-            f"resume its campaign, or end it there: kill -- -$(cat {busy}.pid)"
-        )
+    command = ["sh", "-c", _BUSY + _WRITE, "sh", str(remote.parent.parent), str(remote), str(len(text.encode()))]
+    _refuse_busy(link, link.check(command, stdin=text))
     return parse(data, Attempt, FILE)

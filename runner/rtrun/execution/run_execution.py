@@ -267,6 +267,7 @@ def _record(
         repeat=run.repeat,
         seed=run.seed,
         variant=run.variant,
+        kernel=run.kernel,
         platform=work.prepared.platform.platform,
         platform_evidence=work.prepared.platform.evidence,
         status=verdict.status,

@@ -13,7 +13,8 @@ from rtfiles.config import Config, parse, read_yaml
 from rtfiles.errors import UsageError
 from rtrun.plan import conditions, suites
 from rtrun.plan.goal import Goal
-from rtrun.plan.run import Run, interleave, label, too_short
+from rtrun.plan.kernels import order_by_kernel
+from rtrun.plan.run import KernelName, Run, interleave, label, too_short
 
 SUBSCRIBERS_MAX = 64
 # The ROS master needs the priority above the suites' (thesis 4.4), and 99 belongs to the kernel.
@@ -50,6 +51,8 @@ class Campaign(Config):
     """Runs on top of that; nothing is left out of them."""
     variants: dict[Name, Entry] = Field(default_factory=dict)
     """Every run is planned for each of them: other suites or another ROS (`VARIANT_KEYS`), other values of a run."""
+    kernels: Annotated[list[KernelName], Field(min_length=1)] | None = None
+    """Every run is planned for each of them, and the target is restarted into it; none: whatever kernel it runs."""
     until: Goal | None = None
     """Measure each run again, round by round, until its deadline is proven or refuted."""
 
@@ -86,6 +89,8 @@ def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
     _check_variants(campaign, origin, errors)
     if (campaign.order == "interleaved") != (campaign.seed is not None):
         errors.append(f"{origin}: seed: give one, a whole number, with order: interleaved, and only then")
+    if campaign.kernels and len(set(campaign.kernels)) < len(campaign.kernels):
+        errors.append(f"{origin}: kernels: names a kernel twice")
     listed = _runs_of(campaign.runs, campaign, f"{origin}: runs", errors)
     for number, pattern in enumerate(campaign.exclude):
         kept = [run for run in listed if not _matches(run, pattern)]
@@ -104,7 +109,8 @@ def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
         raise UsageError("\n".join(errors))
     width = max(3, len(str(len(listed))))
     named = [replace(run, name=f"{number:0{width}}-{label(run)}") for number, run in enumerate(listed, start=1)]
-    return tuple(named) if campaign.seed is None else interleave(named, campaign.seed)
+    ordered = named if campaign.seed is None else interleave(named, campaign.seed)
+    return order_by_kernel(ordered, campaign.kernels or ())
 
 
 def _runs_of(entries: Sequence[Entry], campaign: Campaign, where: str, errors: list[str]) -> list[Run]:
@@ -112,7 +118,8 @@ def _runs_of(entries: Sequence[Entry], campaign: Campaign, where: str, errors: l
     runs: list[Run] = []
     for number, entry in enumerate(entries):
         if len(runs) <= RUNS_MAX:
-            runs += _of_variants(entry, campaign, f"{where}.{number}", errors)
+            of_entry = list(_of_variants(entry, campaign, f"{where}.{number}", errors))
+            runs += [replace(run, kernel=kernel) for kernel in campaign.kernels or (None,) for run in of_entry]
     return runs
 
 
@@ -170,7 +177,8 @@ def _combinations(
 
 
 def _matches(run: Run, pattern: Entry) -> bool:
-    has = {"suite": run.suite, "condition": run.condition, "variant": run.variant, **run.parameters, **run.settings}
+    own: Entry = {"suite": run.suite, "condition": run.condition, "variant": run.variant, "kernel": run.kernel}
+    has = {**own, **run.parameters, **run.settings}
     return all(
         key in has and str(has[key]) in map(str, value if isinstance(value, list) else [value])
         for key, value in pattern.items()
@@ -215,6 +223,8 @@ def _check_goal(campaign: Campaign, runs: Sequence[Run], origin: str, errors: li
         errors.append(f"{origin}: until: give order: interleaved and a seed: its rounds are drawn with it")
     if any(run.repeat > 1 for run in runs):
         errors.append(f"{origin}: until: takes no repeats: each round is one")
+    if campaign.kernels and len(campaign.kernels) > 1:
+        errors.append(f"{origin}: until: takes one kernel: give each kernel a campaign of its own")
     if any(run.suite == GAP_SEARCH for run in runs):
         errors.append(f"{origin}: until: {GAP_SEARCH} measures no deadline, leave it out")
 

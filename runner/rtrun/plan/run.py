@@ -3,8 +3,12 @@
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from rtrun.plan import conditions, suites
+
+KernelName = Literal["standard", "rt"]
+"""rt: it calls itself PREEMPT_RT; standard: it does not."""
 
 # Of one measurement beside its timeout: the latency of the timer, and arming it again (75 to 170 us on a PC). No
 # measurement takes less, however short its period is.
@@ -19,7 +23,7 @@ class Run:
     """One planned run: `parameters` holds every parameter of its suite, and `subscribers` where it has some.
 
     `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order; `variant` is
-    empty in a campaign that has none.
+    empty and `kernel` None in a campaign that names none.
     """
 
     name: str
@@ -30,6 +34,7 @@ class Run:
     repeat: int = 1
     seed: int | None = None
     variant: str = ""
+    kernel: KernelName | None = None
 
     @property
     def least_s(self) -> float:
@@ -97,5 +102,5 @@ def label(run: Run) -> str:
     words += [run.condition] if run.condition != conditions.IDLE else []
     settings = conditions.conditions().settings
     words += [f"{key}{value}" for key, value in run.settings.items() if value != settings[key].default]
-    words += [run.variant] if run.variant else []
+    words += [word for word in (run.variant, run.kernel) if word]
     return "-".join([*words, *([f"r{run.repeat}"] if run.repeat > 1 else [])])

@@ -12,9 +12,9 @@ from typing import Any
 from rtfiles.errors import UsageError
 from rtrun.analysis.comparison import Change, Comparison, Ratio, compare, ratio_of_misses
 from rtrun.report.claims.examination import us
+from rtrun.report.sides import By, split
 from rtrun.report.study import Group, Study, study
 from rtrun.report.terminal import banner_of
-from rtrun.report.variants import split_variants
 from rtrun.results.series import MEASURED_2014
 from rtrun.target.platform import Platform
 
@@ -53,8 +53,9 @@ def compare_sets(
     return compare_studies(first, second, margin_ns=margin_ns)
 
 
-def compare_variants(
+def compare_sides(
     path: Path,
+    by: By | None,
     names: Sequence[str],
     *,
     deadline_ns: int,
@@ -62,9 +63,9 @@ def compare_variants(
     confidence: float,
     margin_ns: float | None,
 ) -> tuple[tuple[str, str], Compared]:
-    """Compare two variants of one campaign; return their names too. Raises UsageError as `split_variants` does."""
+    """Compare two variants of one campaign, or its kernels; return their names too. Raises UsageError as `split`."""
     whole = study(path, deadline_ns=deadline_ns, probability=probability, confidence=confidence, bounds=False)
-    chosen, (first, second) = split_variants(whole, names)
+    chosen, (first, second) = split(whole, by, names)
     return chosen, compare_studies(first, second, margin_ns=margin_ns)
 
 

@@ -41,7 +41,7 @@ def contents(study: Study, claims: Sequence[Examined]) -> Contents:
     measured = [one for one in made if one.figures.max_ns is not None]
     return Contents(
         title=printable(f"Real-time report: {study.source.path.resolve().name}"),
-        banner=banner_of(study.platform, preempt_rt=all(one.preempt_rt for one in study.records)) or None,
+        banner=banner_of(study.platform, preempt_rt=[one.preempt_rt for one in study.records]) or None,
         answer=_answer(study, made),
         worst=max(measured, key=lambda one: one.figures.max_ns or 0, default=None),
         next_step=_next_step(made),

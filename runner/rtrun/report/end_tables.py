@@ -2,8 +2,9 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.layers import attribute
@@ -160,15 +161,14 @@ _PUBLISHED_LOAD_PERCENT = {IDLE: 0, "cpu80": 80}
 
 def _published(study: Study) -> list[Table]:
     rows: list[tuple[str, ...]] = []
+    of_table = oneshot_rows()
+    matched: set[int] = set()
     for group in select(study.as_in_2014, "oneshot_timer_tests"):
-        timeout = group.parameters.get("timeout_us")
-        if not isinstance(timeout, int):
-            continue
-        load_percent = _PUBLISHED_LOAD_PERCENT.get(str(group.parameters.get("condition", IDLE)))
-        for row in oneshot_rows(str(group.parameters.get("policy", "0")), timeout):
-            if row["cpu_load_percent"] == load_percent:
-                there = f"PandaBoard ES 2014, {row['kernel']}, {load_percent} % load"
+        for number, row in enumerate(of_table):
+            if _as_published(group, row):
+                there = f"PandaBoard ES 2014, {row['kernel']}, {row['cpu_load_percent']} % load"
                 rows.append((group.label, there, *_here(group), *(str(row[k]) for k in ("min_us", "avg_us", "max_us"))))
+                matched.add(number)
     for group in select(study.as_in_2014, "communication_tests", rt=True):
         known = published()["thesis_figures"]["communication_fig_4_3"]
         if (group.parameters.get("frequency_hz"), group.parameters.get("subscribers", 1)) == (100, 1):
@@ -181,11 +181,23 @@ def _published(study: Study) -> list[Table]:
             title="Beside the published PandaBoard figures",
             columns=("suite and parameters", "published", *columns_here, *columns_there),
             rows=rows,
-            outcome=f"{len({row[0] for row in rows})} scenarios have a published row under the same load",
+            outcome=f"{len(matched)} of the {len(of_table)} rows of the one-shot table were measured here",
             numbers=2,
             notes=("Another board, kernel or ROS: a difference says nothing about any one of them alone.",),
         )
     ]
+
+
+def _as_published(group: Group, row: Mapping[str, Any]) -> bool:
+    """Whether a group was measured as a row of the published table was, as far as the group's kernel is known."""
+    asked = (group.parameters.get("timeout_us"), group.parameters.get("policy", "0"))
+    load_percent = _PUBLISHED_LOAD_PERCENT.get(str(group.parameters.get("condition", IDLE)))
+    kernels = {record.target.preempt_rt for record in group.records} or {None}
+    return (
+        asked == (row["timeout_us"], row["policy"])
+        and load_percent == row["cpu_load_percent"]
+        and not kernels.isdisjoint({None, row["preempt_rt"]})
+    )
 
 
 def _here(group: Group) -> tuple[str, str, str]:

@@ -21,6 +21,7 @@ BANNERS = {
     Platform.VIRTUAL: "VIRTUAL: verdicts are for this virtual machine on this host",
 }
 NO_PREEMPT_RT = "NO PREEMPT_RT: this kernel promises no deadline"
+PREEMPT_RT_IN_PART = "PREEMPT_RT IN PART OF THE RUNS: the kernel of the others promises no deadline"
 COARSE_NS = 10_000_000  # from here on a tenth of a microsecond is not worth its column
 
 _UNITS = {"timeout_us": "us", "frequency_hz": "Hz", "payload_bytes": "B", "subscribers": "sub"}
@@ -108,9 +109,14 @@ def _is_telling(suite_name: str, key: str, value: Value) -> bool:
     return option is None or value != option.default or f"{{{key}}}" in suite(suite_name).output
 
 
-def banner_of(platform: Platform, *, preempt_rt: bool = True) -> str:
-    """What has to be said before any number, in one line; empty when there is nothing to say."""
-    return "; ".join(filter(None, [BANNERS.get(platform), NO_PREEMPT_RT if not preempt_rt else None]))
+def banner_of(platform: Platform, *, preempt_rt: Iterable[bool] = ()) -> str:
+    """What has to be said before any number, in one line; empty when there is nothing to say.
+
+    `preempt_rt` says of each run whether its kernel was PREEMPT_RT.
+    """
+    kernels = set(preempt_rt)
+    of_kernels = None if False not in kernels else PREEMPT_RT_IN_PART if True in kernels else NO_PREEMPT_RT
+    return "; ".join(filter(None, [BANNERS.get(platform), of_kernels]))
 
 
 def print_banner(platform: Platform) -> None:
@@ -120,7 +126,7 @@ def print_banner(platform: Platform) -> None:
 
 
 def answer(
-    results: Iterable[Result], *, platform: Platform, preempt_rt: bool = True, notes: Iterable[str] = ()
+    results: Iterable[Result], *, platform: Platform, preempt_rt: Iterable[bool] = (), notes: Iterable[str] = ()
 ) -> Group:
     """The banner if there is one to give, the table, and a line for every note and for every remark on a result."""
     results = list(results)
@@ -166,7 +172,7 @@ def remarks_of(header: Header) -> list[str]:
 
 def answer_of_run(run: Run) -> Group:
     """The answer of one run: every series of every output."""
-    return answer(run.results, platform=run.record.platform, preempt_rt=run.record.preempt_rt, notes=_notes(run))
+    return answer(run.results, platform=run.record.platform, preempt_rt=[run.record.preempt_rt], notes=_notes(run))
 
 
 def answer_of_runs(folder: Runs) -> Group:
@@ -177,7 +183,7 @@ def answer_of_runs(folder: Runs) -> Group:
     return answer(
         results,
         platform=weakest(run.record.platform for run in folder.runs),
-        preempt_rt=all(run.record.preempt_rt for run in folder.runs),
+        preempt_rt=[run.record.preempt_rt for run in folder.runs],
         notes=notes,
     )
 

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
 from rtrun.plan.conditions import IDLE
+from rtrun.plan.run import KernelName
 from rtrun.plan.suites import Value
 from rtrun.target.inspection import Fact
 from rtrun.target.platform import Platform
@@ -128,6 +129,8 @@ class RunRecord(Config):
     seed: int | None = None
     variant: str = ""
     """Of a campaign with variants: which of them this run is of."""
+    kernel: KernelName | None = None
+    """Of a campaign with kernels: which of them this run was measured on."""
     platform: Annotated[Platform, Field(strict=False)]
     platform_evidence: str
     """How the platform is known."""
@@ -166,8 +169,8 @@ class RunRecord(Config):
         """The parameters, and what was there beside the suite where there was something: runs of one are alike."""
         condition: dict[str, Value] = {} if self.condition == IDLE else {"condition": self.condition}
         settings = {key: value for key, value in self.settings.items() if value not in (None, "")}
-        variant: dict[str, Value] = {"variant": self.variant} if self.variant else {}
-        return self.parameters | condition | settings | variant
+        of_campaign: dict[str, Value] = {"variant": self.variant, "kernel": self.kernel}
+        return self.parameters | condition | settings | {key: value for key, value in of_campaign.items() if value}
 
     def to_json(self) -> str:
         """The text of run.json: what was set, without what is left at its default."""

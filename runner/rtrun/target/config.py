@@ -3,16 +3,17 @@
 import contextlib
 import functools
 import os
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from rtfiles.config import Config, UserPath, parse, read_yaml
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
+from rtrun.plan.run import KernelName
 from rtrun.target import qemu
 from rtrun.target.address import Address, ThisMachine, check_host
 from rtrun.target.connection import Connection
@@ -21,6 +22,7 @@ from rtrun.target.platform import KnownPlatform, Platform
 from rtrun.target.ssh_config import address_of
 
 Word = Annotated[str, Field(min_length=1)]
+Command = Annotated[list[Word], Field(min_length=1)]
 
 
 # No part of it is . or ..: folders in it are removed.
@@ -54,8 +56,16 @@ class SshConfig(_Common):
     known_hosts: UserPath | None = None
     emulated: bool = False
     """True for an emulated machine that looks like a real one. What looks virtual is found without it."""
-    restart: Annotated[list[Word], Field(min_length=1)] | None = None
-    """Command line on the target that restarts it, for campaigns that ask for several boots."""
+    restart: Command | None = None
+    """Command line on the target that restarts it, for campaigns that ask for several boots or kernels."""
+    boot_kernel: dict[KernelName, Command] = Field(default_factory=dict)
+    """By kernel: command line on the target after which `restart` starts that kernel."""
+
+    @model_validator(mode="after")
+    def _restarts_into_kernels(self) -> "SshConfig":
+        if self.boot_kernel and self.restart is None:
+            raise ValueError("boot_kernel chooses what restart starts: add restart: [systemctl, reboot] or the like")
+        return self
 
 
 class QemuConfig(_Common):
@@ -97,6 +107,8 @@ class Target:
     console: Path | None
     restart: Callable[[Connection], None] | None = None
     """Asks the target to restart, and returns before it does; None: nobody has said how."""
+    boot_kernel: Mapping[KernelName, Callable[[Connection], None]] = field(default_factory=dict)
+    """By kernel: chooses it as the one that `restart` starts."""
     failure: Callable[[], TargetGone | None]
     """Why the target is gone for good, as far as can be known without a connection to it; None while it may answer."""
 
@@ -128,6 +140,7 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
     address: Address | ThisMachine
     failure: Callable[[], TargetGone | None] = _no_failure
     restart: Callable[[Connection], None] | None = None
+    boot_kernel: dict[KernelName, Callable[[Connection], None]] = {}
     console_log, boot_s = None, 0.0
     known_platform = None
     if not isinstance(config, QemuConfig) and config.emulated:
@@ -139,6 +152,7 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
             known_platform = machine.platform
             address, failure, console_log = machine.address, machine.failure, machine.console
             restart = machine.reset
+            boot_kernel = {kernel: functools.partial(machine.choose, kernel) for kernel in machine.board.kernels}
             boot_s = 180.0
         elif isinstance(config, LocalConfig):
             address = ThisMachine()
@@ -152,6 +166,9 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
                 known_hosts=_resolve(folder, config.known_hosts) if config.known_hosts is not None else None,
             )
             restart = functools.partial(_restart_by_command, config.restart) if config.restart else None
+            boot_kernel = {
+                kernel: functools.partial(_choose_by_command, command) for kernel, command in config.boot_kernel.items()
+            }
         yield Target(
             name=config.name,
             known_platform=known_platform,
@@ -164,6 +181,7 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
             boot_s=boot_s,
             console=console_log,
             restart=restart,
+            boot_kernel=boot_kernel,
             failure=failure,
         )
 
@@ -181,6 +199,10 @@ def _restart_by_command(argv: Sequence[str], connection: Connection) -> None:
     # The board may be gone before it answers; asked a second time, it would restart once more.
     with contextlib.suppress(ConnectionLost):
         connection.check(argv)
+
+
+def _choose_by_command(argv: Sequence[str], connection: Connection) -> None:
+    connection.check(argv)
 
 
 def _no_failure() -> None:

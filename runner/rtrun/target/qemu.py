@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +17,7 @@ from pydantic import Field
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
+from rtrun.plan.run import KernelName
 from rtrun.target import kvm, qmp
 from rtrun.target.address import Address
 from rtrun.target.errors import TargetError, TargetGone
@@ -50,6 +51,15 @@ class Login(Config):
     host_key: str
 
 
+class BootEntry(Config):
+    """A kernel that a board can boot, with the RAM disk and the device tree that belong to it."""
+
+    kernel: str
+    initrd: str
+    dtb: str | None
+    kernel_release: str
+
+
 class Board(Config):
     """`board.json`; file names are relative to its folder (see docs/formats.md)."""
 
@@ -64,26 +74,92 @@ class Board(Config):
     disk_format: str
     ssh: Login
     kernel_release: str
+    kernels: dict[KernelName, BootEntry] = Field(default_factory=dict)
+    """Where it has two kernels: both. It starts with the one that is named above."""
     packages: dict[str, str]
 
+    def entry(self, kernel: KernelName | None) -> BootEntry:
+        """What to boot for a kernel; None: what the board starts with."""
+        if kernel is not None:
+            return self.kernels[kernel]
+        return BootEntry(kernel=self.kernel, initrd=self.initrd, dtb=self.dtb, kernel_release=self.kernel_release)
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+
+@dataclass(slots=True, kw_only=True)
 class Machine:
-    """A booted board."""
+    """A booted board. QEMU cannot change the kernel that it was called with: another one is booted by another QEMU."""
 
-    platform: KnownPlatform
-    address: Address
-    process: subprocess.Popen[bytes]
-    monitor: Path
+    board: Board
+    folder: Path
+    overlay: Path
+    work: Path
     console: Path
+    process: subprocess.Popen[bytes] | None = field(init=False, default=None)
+    port: int = field(init=False, default=0)
+    """Of this machine, forwarded to the board's SSH server; QEMU draws it at the first start."""
+    _running: KernelName | None = field(init=False, default=None)
+    _chosen: KernelName | None = field(init=False, default=None)
+
+    @property
+    def platform(self) -> KnownPlatform:
+        """What runs it."""
+        return platform_of(self.board, self.folder)
+
+    @property
+    def address(self) -> Address:
+        """Where it answers, also after a restart."""
+        login = self.board.ssh
+        return Address(
+            host="127.0.0.1", port=self.port, user=login.user, key=self.folder / login.key, host_key=login.host_key
+        )
+
+    @property
+    def monitor(self) -> Path:
+        """The socket of QEMU's monitor."""
+        return self.work / "monitor"
+
+    def start(self) -> None:
+        """Start QEMU with the chosen kernel; it ends with the runner, or with `end`."""
+        self.monitor.unlink(missing_ok=True)
+        with (self.work / "stderr").open("wb") as log:
+            self.process = subprocess.Popen(
+                command(self, self._chosen),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                # Ctrl-C is for the runner: it ends the run on the board first.
+                process_group=0,
+            )
+        self._running = self._chosen
+        self.port = _forwarded_port(self.process, self.monitor, self.work / "stderr")
+
+    def choose(self, kernel: KernelName, _: object = None) -> None:
+        """Choose the kernel that the next `reset` starts."""
+        self._chosen = kernel
 
     def reset(self, _: object = None) -> None:
         """Restart the board as its reset button does."""
-        qmp.execute(self.monitor, "system_reset")
+        if self._chosen == self._running:
+            qmp.execute(self.monitor, "system_reset")
+        else:
+            self.end()
+            self.start()
+
+    def end(self) -> None:
+        """End QEMU, as switching the board off does."""
+        if self.process is None:
+            return
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.process.pid, 15)
+        try:
+            self.process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
 
     def failure(self) -> TargetGone | None:
         """Return why the emulator ended, or None while it runs."""
-        status = self.process.poll()
+        status = self.process.poll() if self.process else None
         if status is None:
             return None
         how = f"killed by signal {-status}" if status < 0 else f"exit status {status}"
@@ -125,22 +201,24 @@ def _by_kvm(board: Board) -> tuple[str, ...] | None:
     return None if kvm is None or kvm.processor != platform.machine() else (*_by_tcg(board), *kvm.arguments)
 
 
-def command(board: Board, folder: Path, overlay: Path, monitor: Path, console: Path) -> list[str]:
-    """Return the QEMU command line. The disk is the overlay; the SSH port is chosen by the kernel (port 0)."""
+def command(machine: Machine, kernel: KernelName | None) -> list[str]:
+    """Return the QEMU command line. The disk is the overlay; port 0 lets this machine's kernel choose the SSH port."""
+    board, folder = machine.board, machine.folder
+    entry = board.entry(kernel)
     argv = [
         # QEMU ends with the runner, however that ends.
         *("setpriv", "--pdeathsig", "KILL", "--"),
         *emulator(board, folder),
         *("-nodefaults", "-no-user-config", "-display", "none"),
-        *("-kernel", str(folder / board.kernel), "-initrd", str(folder / board.initrd), "-append", board.cmdline),
-        *("-drive", f"file={overlay},format=qcow2,if=none,id=disk"),
+        *("-kernel", str(folder / entry.kernel), "-initrd", str(folder / entry.initrd), "-append", board.cmdline),
+        *("-drive", f"file={machine.overlay},format=qcow2,if=none,id=disk"),
         *("-device", f"{board.qemu.disk_device},drive=disk"),
-        *("-netdev", "user,id=net,restrict=on,hostfwd=tcp:127.0.0.1:0-:22"),
+        *("-netdev", f"user,id=net,restrict=on,hostfwd=tcp:127.0.0.1:{machine.port}-:22"),
         *("-device", f"{board.qemu.network_device},netdev=net"),
-        *("-serial", f"file:{console}"),
-        *("-qmp", f"unix:{monitor},server=on,wait=off"),
+        *("-serial", f"file:{machine.console}"),
+        *("-qmp", f"unix:{machine.monitor},server=on,wait=off"),
     ]
-    return argv + (["-dtb", str(folder / board.dtb)] if board.dtb else [])
+    return argv + (["-dtb", str(folder / entry.dtb)] if entry.dtb else [])
 
 
 @contextlib.contextmanager
@@ -162,27 +240,10 @@ def boot(folder: Path, console: Path, overlay: Path | None = None) -> Iterator[M
         if not overlay.exists():
             base = (folder / board.disk).resolve()
             _quiet("qemu-img", "create", "-q", "-f", "qcow2", "-b", str(base), "-F", board.disk_format, str(overlay))
-        monitor = work / "monitor"
-        log = stack.enter_context((work / "stderr").open("w+b"))
-        process = subprocess.Popen(
-            command(board, folder, overlay, monitor, console),
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=log,
-            # Ctrl-C is for the runner: it ends the run on the board first.
-            process_group=0,
-        )
-        stack.callback(_end, process)
-        address = Address(
-            host="127.0.0.1",
-            port=_forwarded_port(process, monitor, Path(log.name)),
-            user=board.ssh.user,
-            key=folder / board.ssh.key,
-            host_key=board.ssh.host_key,
-        )
-        yield Machine(
-            platform=platform_of(board, folder), address=address, process=process, monitor=monitor, console=console
-        )
+        machine = Machine(board=board, folder=folder, overlay=overlay, work=work, console=console)
+        stack.callback(machine.end)
+        machine.start()
+        yield machine
 
 
 def _quiet(*argv: str) -> None:
@@ -204,13 +265,3 @@ def _forwarded_port(process: subprocess.Popen[bytes], monitor: Path, log: Path) 
     if port is None:
         raise TargetError("QEMU did not forward a port to the board's SSH server")
     return int(port.group(1))
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(process.pid, 15)
-    try:
-        process.wait(STOP_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()

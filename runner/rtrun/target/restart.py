@@ -1,9 +1,13 @@
-"""Restarting a target on purpose, so that measurements come from several boots."""
+"""Restarting a target on purpose: so that measurements come from several boots, or from another kernel."""
 
 import time
+from collections.abc import Iterable
 
 from rtfiles.errors import UsageError
+from rtfiles.invocation import as_called
+from rtrun.plan.run import KernelName
 from rtrun.target.address import ThisMachine
+from rtrun.target.config import Target
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link, TargetRebooted
 
@@ -12,26 +16,41 @@ SHUTDOWN_S = 180.0
 POLL_S = 1.0
 
 
-def check_restart(link: Link) -> None:
+def check_restart(target: Target) -> None:
     """Raise UsageError when this target cannot be restarted."""
-    if isinstance(link.target.address, ThisMachine):
+    if isinstance(target.address, ThisMachine):
         raise UsageError(
-            f"{link.target.name}: the campaign asks for several boots, but the runner cannot restart the machine "
-            "that it runs on: ask for boots: 1, or measure this machine from another one (kind: ssh)"
+            f"{target.name}: the campaign asks for several boots, but the runner cannot restart the machine "
+            "that it runs on: ask for one boot and one kernel, or measure this machine from another one (kind: ssh)"
         )
-    if link.target.restart is None:
+    if target.restart is None:
         raise UsageError(
-            f"{link.target.name}: the campaign asks for several boots, but the target file does not say how to restart "
+            f"{target.name}: the campaign asks for several boots, but the target file does not say how to restart "
             "the target: add restart: [systemctl, reboot], or whatever restarts it"
         )
 
 
-def restart(link: Link) -> None:
-    """Restart the target and wait until it answers as another boot; what was started there is gone.
+def check_kernels(target: Target, kernels: Iterable[KernelName]) -> None:
+    """Raise UsageError when this target cannot be restarted into each of these kernels."""
+    check_restart(target)
+    if lacking := [kernel for kernel in kernels if kernel not in target.boot_kernel]:
+        raise UsageError(
+            f"{target.name}: the campaign asks for the kernel {' and '.join(lacking)}, but nobody said how the target "
+            "boots it: add boot_kernel to the target file, or build the board with both kernels "
+            f"({as_called('rtgen')} board build --kernel both), or leave the kernel out of kernels in the campaign"
+        )
 
-    Raises TargetError when it goes on as the same boot, or does not come back.
+
+def restart(link: Link, kernel: KernelName | None = None) -> None:
+    """Restart the target, into a kernel where one is named, and wait until it answers as another boot.
+
+    What was started there is gone. Raises UsageError when it cannot be restarted so, TargetError when it goes on as the
+    same boot, or does not come back. The caller checks which kernel it runs then.
     """
-    check_restart(link)
+    check_restart(link.target)
+    if kernel is not None:
+        check_kernels(link.target, [kernel])
+        link.do(link.target.boot_kernel[kernel])
     request = link.target.restart
     assert request is not None
     before = link.boot_id

@@ -259,18 +259,22 @@ def test_the_plan_says_what_is_waited_for(tmp_path, capsys):
 
 def test_the_published_table_is_in_the_shipped_campaign():
     _, runs = read_campaign(CAMPAIGNS / "thesis-2014.yml")
-    oneshot = {
-        (run.condition, run.parameters["timeout_us"], run.parameters["policy"])
+    oneshot = [
+        (run.kernel, run.condition, run.parameters["timeout_us"], run.parameters["policy"])
         for run in runs
         if run.suite == "oneshot_timer_tests"
-    }
-    assert oneshot == {
-        (condition, timeout_us, policy)
+    ]
+    assert len(oneshot) == 24 and set(oneshot) == {
+        (kernel, condition, timeout_us, policy)
+        for kernel in ("standard", "rt")
         for condition in ("idle", "cpu80")
         for timeout_us in (1000, 10000)
         for policy in ("0", "RR", "FIFO")
     }
     assert {run.parameters["repetitions"] for run in runs if run.suite != "cyclictest"} == {2_000_000, 4_000_000}
+    for kernel in ("standard", "rt"):
+        cyclictest = [run for run in runs if run.suite == "cyclictest" and run.kernel == kernel]
+        assert sum(int(run.parameters["repetitions"]) for run in cyclictest) == 40_000_000
 
 
 def test_71_runs_of_184_million_messages_are_planned(tmp_path, capsys):

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from rtrun.analysis.figures import Figures, figures_of_samples
 from rtrun.plan.suites import Value
-from rtrun.report.terminal import BANNERS, NO_PREEMPT_RT, answer, table
+from rtrun.report.terminal import BANNERS, NO_PREEMPT_RT, PREEMPT_RT_IN_PART, answer, table
 from rtrun.results.reading import Result
 from rtrun.results.series import Header
 from rtrun.target.platform import Platform
@@ -93,14 +93,16 @@ def test_the_answer_is_banner_table_and_what_has_to_be_said_once() -> None:
         "p99.9 of fewer than 1000 values is their maximum.",
     ]
 
-    def banner(platform: Platform, *, preempt_rt: bool = True) -> str:
+    def banner(platform: Platform, *preempt_rt: bool) -> str:
         return drawn(answer([result(WIDE)], platform=platform, preempt_rt=preempt_rt), 100)[0]
 
     emulated = "EMULATED: not a real-time statement"
     assert banner(Platform.VIRTUAL) == "VIRTUAL: verdicts are for this virtual machine on this host"
     assert not any(word in banner(Platform.HARDWARE) for word in ("HARDWARE", "VIRTUAL", "EMULATED"))
-    assert banner(Platform.HARDWARE, preempt_rt=False) == NO_PREEMPT_RT
-    assert banner(Platform.EMULATED, preempt_rt=False) == f"{emulated}; {NO_PREEMPT_RT}"
+    assert banner(Platform.HARDWARE, True, True) == banner(Platform.HARDWARE)
+    assert banner(Platform.HARDWARE, False, False) == NO_PREEMPT_RT
+    assert banner(Platform.EMULATED, False) == f"{emulated}; {NO_PREEMPT_RT}"
+    assert banner(Platform.HARDWARE, True, False) == PREEMPT_RT_IN_PART
 
 
 def test_a_sentence_is_not_broken_where_a_program_reads_it() -> None:

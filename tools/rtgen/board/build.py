@@ -5,8 +5,9 @@ A board for QEMU is a folder with board.json, a card for real hardware a folder 
 
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from rtfiles import atomic, cache
 from rtfiles.errors import UsageError
@@ -19,72 +20,109 @@ SCHEMA = 2
 HERE = Path(__file__).parent
 
 
-def build(name: str, place: Path, built: bool = False, login: Path | None = None) -> Path:
+KernelChoice = Literal["debian", "built", "both"]
+
+
+def build(name: str, place: Path, kernel: KernelChoice = "debian", login: Path | None = None) -> Path:
     """Build the board of this machine; return `place`/<name>, a link to it in the cache.
 
-    It runs Debian's kernel or, if `built`, the one of `rtgen kernel build`. `login` is a file of public keys that may
-    log in, for a card only. The first build takes about a minute, and that of the kernel; an unchanged board is taken
-    from the cache. Raises UsageError for an unknown machine, a file without keys, or when this user may not unpack
-    packages; InfrastructureError when a package or tool fails.
+    It runs Debian's kernel with PREEMPT_RT, for `built` that of `rtgen kernel build`; for `both` it can boot Debian's
+    standard kernel, too. `login` is a file of public keys that may log in, for a card only. The first build takes about
+    a minute, and that of the kernel; an unchanged board is taken from the cache. Raises UsageError for an unknown
+    machine, a file without keys, or when this user may not unpack packages; InfrastructureError when a package or tool
+    fails.
     """
     machine = find(name)
     if login is not None and machine.medium is None:
         raise UsageError(f"{name} runs in QEMU with a key of its own, --authorized-key is for cards")
     if login is not None:
         card.check_login(login)
-    folder = assemble(name, machine, built_kernel(name) if built else debian_kernel(machine), login)
+    if kernel == "both" and machine.standard_kernel is None:
+        raise UsageError(f"{name}: no standard_kernel in the file of this machine: --kernel both is for others")
+    kernels = {"rt": built_kernel(name) if kernel == "built" else debian_kernel(machine.kernel, machine)}
+    if kernel == "both" and machine.standard_kernel is not None:
+        kernels["standard"] = debian_kernel(machine.standard_kernel, machine)
+    folder = assemble(name, machine, kernels, login)
     atomic.replace_link(place / name, folder)
     return place / name
 
 
-def assemble(name: str, machine: Machine, kernel: Kernel, login: Path | None = None) -> Path:
-    """The folder of a board in the cache: this machine with this kernel."""
-    root = root_file_system(machine, kernel)
+def assemble(name: str, machine: Machine, kernels: Mapping[str, Kernel], login: Path | None = None) -> Path:
+    """The folder of a board in the cache: this machine with these kernels by name, of which it starts the first."""
+    root = root_file_system(machine, kernels)
+    kernel = next(iter(kernels.values()))
 
     def build_in(folder: Path) -> None:
-        modules = {
-            Path(file).name: (kernel.modules / file).read_bytes() for file in kernel.files_of([*machine.modules])
-        }
-        ram_disk = initrd.archive((root / disk.BUSYBOX).read_bytes(), modules)
         if machine.medium is not None:
-            card.build(machine, kernel, root, ram_disk, login, folder)
+            card.build(machine, kernel, root, ram_disk(machine, kernel, root), login, folder)
         elif machine.qemu is not None:
-            link_board(name, machine, machine.qemu, kernel, root, ram_disk, folder)
+            link_board(name, machine, machine.qemu, kernels, root, folder)
 
     inputs = [HERE / name for name in ("build.py", "initrd.py", "init.sh", "card.py", "uefi.py", "u_boot.py")]
     keys = [login.read_bytes()] if login is not None else []
     return cache.entry("board", cache.digest([name, repr(machine), str(root), *inputs, *keys]), build_in)
 
 
-def root_file_system(machine: Machine, kernel: Kernel) -> Path:
-    """The folder of `disk.build` in the cache, which machines with the same packages, kernel and modules share."""
+def ram_disk(machine: Machine, kernel: Kernel, root: Path) -> bytes:
+    """The initial RAM disk of a kernel, with busybox from the root file system in the folder `root`."""
+    modules = {Path(file).name: (kernel.modules / file).read_bytes() for file in kernel.files_of([*machine.modules])}
+    return initrd.archive((root / disk.BUSYBOX).read_bytes(), modules)
+
+
+def root_file_system(machine: Machine, kernels: Mapping[str, Kernel]) -> Path:
+    """The folder of `disk.build` in the cache, which machines with the same packages, kernels and modules share."""
     recipe = [HERE / name for name in ("disk.py", "kernel.py", "packages.yml", "applets.txt", "root")]
     names = disk.package_names(machine)
-    identity = [*map(str, debian.source()), machine.architecture, *names, kernel.release, *machine.modules]
+    identity = [*map(str, debian.source()), machine.architecture, *names, *machine.modules]
+    of_kernels = [part for kernel in kernels.values() for part in (kernel.release, kernel.config, kernel.image)]
     return cache.entry(
         "disk",
-        cache.digest([*identity, kernel.config, kernel.image, Path(debian.__file__), *recipe]),
-        lambda folder: disk.build(machine, kernel, folder),
+        cache.digest([*identity, *of_kernels, Path(debian.__file__), *recipe]),
+        lambda folder: disk.build(machine, kernels.values(), folder),
     )
 
 
 def link_board(
-    name: str, machine: Machine, qemu: Qemu, kernel: Kernel, root: Path, ram_disk: bytes, folder: Path
+    name: str, machine: Machine, qemu: Qemu, kernels: Mapping[str, Kernel], root: Path, folder: Path
 ) -> None:
     """Write the board of a machine in QEMU into an empty folder. What others share is linked, not copied."""
     for file in (disk.IMAGE, disk.KEY, f"{disk.KEY}.pub"):
         os.link(root / file, folder / file)
-    os.link(kernel.image, folder / "vmlinuz")
-    if machine.dtb is not None:
-        os.link(kernel.dtbs / machine.dtb, folder / machine.dtb)
-    (folder / "initrd").write_bytes(ram_disk)
+    entries = boot_entries(machine, kernels)
+    for kernel, entry in zip(kernels.values(), entries.values(), strict=True):
+        os.link(kernel.image, folder / entry["kernel"])
+        if machine.dtb is not None:
+            os.link(kernel.dtbs / machine.dtb, folder / entry["dtb"])
+        (folder / entry["initrd"]).write_bytes(ram_disk(machine, kernel, root))
     packages = debian.versions((root / disk.LIST).read_text(encoding="utf-8").splitlines())
-    record = board_record(name, machine, qemu, kernel, packages, (root / disk.HOST_KEY).read_text(encoding="utf-8"))
+    for kernel in kernels.values():
+        packages |= kernel.packages
+    record = board_record(name, machine, qemu, entries, packages, (root / disk.HOST_KEY).read_text(encoding="utf-8"))
     atomic.write_text(folder / "board.json", json.dumps(record, indent=2) + "\n")
 
 
+def boot_entries(machine: Machine, kernels: Mapping[str, Kernel]) -> dict[str, dict[str, Any]]:
+    """What board.json says of each kernel: its files in the board's folder. Those of the first have plain names."""
+    entries: dict[str, dict[str, Any]] = {}
+    for name, kernel in kernels.items():
+        mark = f"-{name}" if entries else ""
+        dtb = machine.dtb and f"{Path(machine.dtb).stem}{mark}.dtb"
+        entries[name] = {
+            "kernel": f"vmlinuz{mark}",
+            "initrd": f"initrd{mark}",
+            "dtb": dtb,
+            "kernel_release": kernel.release,
+        }
+    return entries
+
+
 def board_record(
-    name: str, machine: Machine, qemu: Qemu, kernel: Kernel, packages: dict[str, str], host_key: str
+    name: str,
+    machine: Machine,
+    qemu: Qemu,
+    entries: Mapping[str, dict[str, Any]],
+    packages: dict[str, str],
+    host_key: str,
 ) -> dict[str, Any]:
     """The content of board.json, which docs/formats.md describes."""
     kvm = None
@@ -94,13 +132,11 @@ def board_record(
         "schema": SCHEMA,
         "machine": name,
         "qemu": qemu.model_dump() | {"kvm": kvm},
-        "kernel": "vmlinuz",
-        "initrd": "initrd",
-        "dtb": machine.dtb,
+        **next(iter(entries.values())),
+        **({"kernels": entries} if len(entries) > 1 else {}),
         "cmdline": f"{machine.cmdline} root=/dev/vda quiet",
         "disk": disk.IMAGE,
         "disk_format": "raw",
         "ssh": {"user": "root", "key": disk.KEY, "host_key": " ".join(host_key.split()[:2])},
-        "kernel_release": kernel.release,
-        "packages": packages | kernel.packages,
+        "packages": packages,
     }

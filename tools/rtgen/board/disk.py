@@ -5,6 +5,7 @@ import os
 import py_compile
 import shutil
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from rtfiles.errors import InfrastructureError
@@ -31,14 +32,15 @@ def package_names(machine: Machine) -> list[str]:
     return sorted([*known.root, *(known.card if machine.medium is not None else ())])
 
 
-def build(machine: Machine, kernel: Kernel, folder: Path) -> None:
+def build(machine: Machine, kernels: Iterable[Kernel], folder: Path) -> None:
     """Make root.img, its login key id_ed25519, and the public part of its host key in an empty folder."""
     tree = folder / "tree"
     tree.mkdir()
     debian.extract(package_names(machine), tree, machine.architecture, packages().dropped)
     add_places(tree)
     add_tools(tree)
-    add_modules(tree, kernel, list(machine.modules))
+    for kernel in kernels:
+        add_modules(tree, kernel, list(machine.modules))
     add_keys(tree, folder)
     add_bytecode(tree)
     missing = [name for name in REQUIRED if not os.path.lexists(tree / name)]

@@ -38,20 +38,20 @@ class Kernel:
         return module_files((self.modules / "modules.dep").read_text(encoding="utf-8"), modules)
 
 
-def debian_kernel(machine: Machine) -> Kernel:
-    """The kernel of a machine's Debian package, from the cache or downloaded (about 10 s)."""
-    identity = [machine.kernel, machine.architecture, *map(str, debian.source())]
+def debian_kernel(package: str, machine: Machine) -> Kernel:
+    """The kernel of Debian's package for a machine, from the cache or downloaded (about 10 s)."""
+    identity = [package, machine.architecture, *map(str, debian.source())]
     key = cache.digest(["kernel", *identity, Path(debian.__file__), Path(__file__)])
 
     def build(folder: Path) -> None:
-        debian.extract([machine.kernel], folder, machine.architecture)
+        debian.extract([package], folder, machine.architecture)
         for release in (folder / "lib/modules").iterdir():
             run(["depmod", "--basedir", str(folder), release.name])
 
     folder = cache.entry("kernel", key, build)
     releases = [path.name for path in (folder / "lib/modules").iterdir()]
     if len(releases) != 1:
-        raise InfrastructureError(f"{machine.kernel}: expected one kernel in {folder}, found {releases}")
+        raise InfrastructureError(f"{package}: expected one kernel in {folder}, found {releases}")
     release = releases[0]
     return Kernel(
         release=release,

@@ -48,16 +48,18 @@ class UBoot(Config):
 class Machine(Config):
     """What a board is made of.
 
-    `kernel` is a package of Debian, `dtb` the file name of the kernel's device tree (None where the machine provides
-    one), `cmdline` the kernel's arguments except the root file system, `modules` what the initial RAM disk loads, in
-    this order and after its dependencies, each with the reason. A machine either runs in QEMU or starts from a medium
-    that is written to a card or stick; `medium` says what looks for the kernel on it.
+    `kernel` is Debian's package of a kernel with PREEMPT_RT, `standard_kernel` of one without, `dtb` the file name of
+    the kernel's device tree (None where the machine provides one), `cmdline` the kernel's arguments except the root
+    file system, `modules` what the initial RAM disk loads, in this order and after its dependencies, each with the
+    reason. A machine either runs in QEMU or starts from a medium that is written to a card or stick; `medium` says what
+    looks for the kernel on it.
     """
 
     summary: Text
     default: bool = False
     architecture: Name
     kernel: Name
+    standard_kernel: Name | None = None
     dtb: Name | None = None
     cmdline: Text
     modules: dict[Name, Text] = Field(min_length=1)
@@ -69,6 +71,8 @@ class Machine(Config):
     def _qemu_or_medium(self) -> "Machine":
         if (self.qemu is None) == (self.medium is None):
             raise ValueError("give qemu (how QEMU runs it) or medium (how it starts from a card), and not the other")
+        if self.standard_kernel is not None and self.qemu is None:
+            raise ValueError("standard_kernel: a card has one kernel, give it for a machine in QEMU only")
         if (self.u_boot is not None) != (self.medium == "u-boot"):
             raise ValueError("give u_boot (which U-Boot) with medium: u-boot, and only with it")
         return self

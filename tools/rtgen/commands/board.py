@@ -23,9 +23,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     build.add_argument(
         "--kernel",
-        choices=("debian", "built"),
+        choices=("debian", "built", "both"),
         default="debian",
-        help="Debian's ready-made one (default), or the one of rtgen kernel build",
+        help="Debian's ready-made one with PREEMPT_RT (default), the one of rtgen kernel build, or both of Debian's: "
+        "with PREEMPT_RT and without it",
     )
 
 
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         _list_machines()
         return 0
     machine = args.machine or default_machine()
-    print_line(str(build(machine, PLACE, built=args.kernel == "built", login=args.authorized_key)))
+    print_line(str(build(machine, PLACE, args.kernel, login=args.authorized_key)))
     return 0
 
 

@@ -16,8 +16,8 @@ def published() -> dict[str, Any]:
     return data
 
 
-def oneshot_rows(policy: str, timeout_us: int) -> list[dict[str, Any]]:
-    """Rows of the published one-shot table for this policy and timeout, columns by name; times in us."""
+def oneshot_rows() -> list[dict[str, Any]]:
+    """Rows of the published one-shot table, columns by name; times in us, and whether the kernel was PREEMPT_RT."""
     table = published()["oneshot_table"]
     rows = [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
-    return [row for row in rows if row["policy"] == policy and row["timeout_ms"] * 1000 == timeout_us]
+    return [row | {"timeout_us": 1000 * row["timeout_ms"], "preempt_rt": "-rt" in row["kernel"]} for row in rows]
