@@ -38,12 +38,14 @@ def sign(authority: Path, key: Path, *options: str) -> None:
 
 
 class CertifiedServer:
-    """An sshd with keys of three types; `certify` gives one of them a certificate, and `start` serves."""
+    """An sshd with copies of these keys; `certify` gives one of them a certificate, and `start` serves."""
 
-    def __init__(self, folder: Path, authorized: Path) -> None:
+    def __init__(self, folder: Path, keys: dict[str, Path], authorized: Path) -> None:
         self.folder = folder
-        self.keys = {kind: folder / f"host_{kind}" for kind in ("ed25519", "ecdsa", "rsa")}
-        self.public = {kind: make_key(path, kind) for kind, path in self.keys.items()}
+        self.keys = {kind: Path(shutil.copy(path, folder)) for kind, path in keys.items()}
+        for path in keys.values():
+            shutil.copy(f"{path}.pub", folder)
+        self.public = {kind: " ".join(Path(f"{path}.pub").read_text().split()[:2]) for kind, path in keys.items()}
         self.authority = folder / "authority"
         self.authority_public = make_key(self.authority)
         self.lines = [f"HostKey {path}" for path in self.keys.values()]
@@ -79,11 +81,21 @@ class CertifiedServer:
             self.process.wait(60)
 
 
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory):
+    """A key of each type, made once: an RSA key takes a second or more."""
+    folder = tmp_path_factory.mktemp("keys")
+    keys = {kind: folder / f"host_{kind}" for kind in ("ed25519", "ecdsa", "rsa")}
+    for kind, path in keys.items():
+        make_key(path, kind)
+    return keys
+
+
 @pytest.fixture
-def server(sshd, tmp_path):
+def server(sshd, keys, tmp_path):
     folder = tmp_path / "server"
     folder.mkdir()
-    server = CertifiedServer(folder, sshd.folder / "authorized_keys")
+    server = CertifiedServer(folder, keys, sshd.folder / "authorized_keys")
     yield server
     server.stop()
 
