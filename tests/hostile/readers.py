@@ -31,7 +31,17 @@ from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, histogram_text, read_histogram
 from rtrun.results.record import RunRecord, RunStatus, TargetFacts
 from rtrun.results.record import verify as verify_run
-from rtrun.target import architecture, host_keys, inspection, processes, qemu, ros_master, rt_readiness, ssh_config
+from rtrun.target import (
+    architecture,
+    host_keys,
+    inspection,
+    platform_signs,
+    processes,
+    qemu,
+    ros_master,
+    rt_readiness,
+    ssh_config,
+)
 from rtrun.target.address import Address
 from rtrun.target.config import read_target
 from rtrun.target.connection import Connection
@@ -71,7 +81,12 @@ def of_answer(read: Callable[[Link], object], *seeds: str) -> Reader:
 
     def answer(folder: Path) -> object:
         text = (folder / "answer").read_text(errors="replace")
-        target = SimpleNamespace(address=Address(host="board"), work_dir=PurePosixPath("/var/rt-tests"), ros_setup=None)
+        target = SimpleNamespace(
+            address=Address(host="board"),
+            work_dir=PurePosixPath("/var/rt-tests"),
+            ros_setup=None,
+            known_platform=None,
+        )
         link = SimpleNamespace(
             target=target,
             boot_id="1-1",
@@ -115,6 +130,11 @@ SSH_CONFIG = (
 )
 FACTS = b"== kernel_version\n#1 SMP PREEMPT_RT\n== swap\n/dev/a x\n== threads\n99 program a\n"
 REPLY = b"<methodResponse><params><param><value><array><data><value><int>1</int></value></data></array></value></param>"
+PLATFORM = """cpuinfo flag: hypervisor
+dmi: QEMU / Standard PC (Q35 + ICH9, 2009) /  / SeaBIOS
+device-tree compatible: linux,dummy-virt
+clocksource: kvm-clock tsc
+"""
 INSPECTED = """setup /opt/ros/noetic/setup.sh
 master /opt/ros/noetic/bin/rosmaster
 program /opt/ros/noetic/lib/cyclic_timer_tests/cyclic_timer_tests
@@ -386,6 +406,7 @@ READERS: dict[str, Reader] = {
         lambda link: Connection.list_files(cast(Connection, link), PurePosixPath("/x")),
         "total 4\n-rw-r--r-- 1 0 0 5 Nov 22 03:20 a b\ndrwxr-xr-x 2 0 0 4096 Nov 22 03:20 c\n",
     ),
+    "platform": of_answer(platform_signs.find_platform, PLATFORM),
     "facts": of_file(_check_facts, "facts", FACTS),
     "master": of_file(expecting_value_error(ros_master._parse_reply), "reply", REPLY),
     "observations": of_file(_observe, "sampler.stdout", OBSERVED.encode()),

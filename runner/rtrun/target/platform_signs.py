@@ -16,7 +16,9 @@ from rtrun.target.platform import KnownPlatform, Platform, weakest
 DATA = Path(__file__).with_suffix(".yml")
 SCRIPT = ON_TARGET / "platform.sh"
 NO_SIGN = "no sign of a virtual machine"
-# Of the evidence, which a target may make as long as it likes.
+# What is read of platform.sh's output, which a target may make as long as it likes, and what is shown of that.
+LINES_MAX = 200
+LINE_CHARACTERS_MAX = 400
 SHOWN_LINES = 4
 SHOWN_CHARACTERS = 80
 
@@ -54,6 +56,7 @@ def find_platform(link: Link) -> KnownPlatform:
 
 def judge(lines: Sequence[str], signs: Sequence[Sign]) -> KnownPlatform:
     """Judge what platform.sh printed."""
+    lines = [line[:LINE_CHARACTERS_MAX] for line in lines[:LINES_MAX]]
     seen = {sign.hypervisor: matching for sign in signs if (matching := _matching(sign, lines))}
     telling = [sign for sign in signs if sign.hypervisor in seen and sign.unless not in seen]
     if not telling:
