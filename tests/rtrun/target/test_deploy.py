@@ -45,8 +45,9 @@ def test_what_is_there_is_not_sent_again(link, tree, uploads):
     first = deploy.deploy(link, tree, "suites")
     assert sorted(uploads) == ["data", "program"]
     uploads.clear()
+    files = sorted(Path(first).rglob("*"))
     assert deploy.deploy(link, tree, "suites") == first
-    assert uploads == []
+    assert uploads == [] and sorted(Path(first).rglob("*")) == files
     (tree / "lib/deep/program").write_text("#!/bin/sh\necho changed\n")
     second = deploy.deploy(link, tree, "suites")
     assert uploads == ["program"] and second != first
