@@ -33,15 +33,36 @@ runs:
 """
 
 
+def measure(machine: str, folder: Path, *options: str) -> list[Path]:
+    """Build board and suites with these options, run the campaign in the current folder; the runs that it left."""
+    assert rtgen.cli.main(["board", "build", "--machine", machine, *options]) == 0
+    assert rtgen.cli.main(["suites", "build", "--machine", machine, *options]) == 0
+    target = folder / "target.yml"
+    target.write_text(TARGET.format(machine=machine))
+    (folder / "campaign.yml").write_text(CAMPAIGN)
+    assert rtrun.cli.main(["run", "campaign.yml", "--target", str(target)]) == 0
+    runs = [path.parent for path in (folder / "results/boards").glob("*/run.json")]
+    assert len(runs) == 2
+    return runs
+
+
+@pytest.mark.parametrize("machine", ["qemu-armv7", "qemu-x86_64"])
+def test_suites_measure_on_debian_13(machine: str, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for run in measure(machine, tmp_path, "--suite", "trixie"):
+        record = json.loads((run / "run.json").read_text())
+        assert (record["status"], record["target"]["preempt_rt"]) == ("ok", True)
+        assert record["target"]["kernel_release"].startswith("6.12.")
+        state = json.loads((run / "target.json").read_text())["before"]
+        assert "VERSION_CODENAME=trixie" in state["os_release"].splitlines()
+        # The last of ROS 1.
+        assert state["roscpp_version"].startswith("1.17.")
+
+
 @pytest.mark.parametrize("machine", [name for name, each in machines().items() if each.qemu is not None])
 def test_suites_measure_on_the_machine(machine: str, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
-    assert rtgen.cli.main(["board", "build", "--machine", machine]) == 0
-    assert rtgen.cli.main(["suites", "build", "--machine", machine]) == 0
-    target = tmp_path / "target.yml"
-    target.write_text(TARGET.format(machine=machine))
-    (tmp_path / "campaign.yml").write_text(CAMPAIGN)
-    assert rtrun.cli.main(["run", "campaign.yml", "--target", str(target)]) == 0, capsys.readouterr()
+    runs = measure(machine, tmp_path)
     output, errors = capsys.readouterr()
     # The real /dev/kvm of this machine, if there is one: used, or not used and said so.
     folder = tmp_path / "build/board" / machine
@@ -51,8 +72,7 @@ def test_suites_measure_on_the_machine(machine: str, tmp_path: Path, monkeypatch
     emulated = platform_here is Platform.EMULATED
     assert BANNERS[platform_here] in output
     assert errors.count("rtrun: KVM does not work here, ") == (1 if tried and emulated else 0), errors
-    records = [json.loads(path.read_text()) for path in (tmp_path / "results/boards").glob("*/run.json")]
-    assert len(records) == 2
-    for record in records:
+    for run in runs:
+        record = json.loads((run / "run.json").read_text())
         assert (record["status"], record["platform"]) == ("ok", platform_here)
         assert record["target"]["preempt_rt"] is True

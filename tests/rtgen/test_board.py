@@ -1,5 +1,6 @@
 """The emulated board without booting it: what is generated, and what is said when it cannot be."""
 
+import lzma
 import os
 import stat
 import subprocess
@@ -10,7 +11,7 @@ import pytest
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import cli, debian
-from rtgen.board import build, initrd, kernel, machine
+from rtgen.board import build, disk, initrd, kernel, machine
 
 
 @pytest.fixture
@@ -60,18 +61,58 @@ def test_two_kernels_of_a_machine_that_has_one_are_refused(capsys: pytest.Captur
 
 
 @pytest.mark.parametrize(
-    ("listing", "line"),
+    ("listing", "mirror"),
     [
-        ("Debian|http://mirror/debian/|bookworm|main", "deb http://mirror/debian/ bookworm main"),
-        ("$(ORIGIN)|http://mirror/debian|bookworm|main", "deb http://mirror/debian bookworm main"),
+        ("Debian|http://mirror/debian/|bookworm|main", "http://mirror/debian/"),
+        ("$(ORIGIN)|http://mirror/debian|bookworm|main", "http://mirror/debian"),
         ("Debian|http://mirror/debian/|bookworm-updates|main", None),
         ("Docker|http://docker/linux/debian|bookworm|main", None),
         ("$(ORIGIN)|http://vendor/apt|bookworm|main", None),
         ("", None),
     ],
 )
-def test_only_the_main_suite_of_debian_itself_is_a_source(listing: str, line: str | None) -> None:
-    assert debian.mirror_line(listing, "bookworm") == line
+def test_only_the_main_suite_of_debian_itself_is_a_source(listing: str, mirror: str | None) -> None:
+    assert debian.mirror(listing, "bookworm") == mirror
+
+
+def test_another_release_comes_from_the_same_mirror() -> None:
+    own, other = debian.source(), debian.source("trixie")
+    assert (other.release, other.mirror) == ("trixie", own.mirror)
+    assert debian.Source(release="trixie", mirror="http://mirror/debian").line == "deb http://mirror/debian trixie main"
+
+
+def test_unknown_suite_of_debian(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("board", "suites"):
+        assert cli.main([command, "build", "--machine", "qemu-armv7", "--suite", "hamm"]) == 2
+        assert capsys.readouterr().err == "rtgen: Debian's suite 'hamm' is unknown, known: bookworm, trixie (--suite)\n"
+
+
+def test_suite_that_the_mirror_does_not_serve_is_one_clear_line(tmp_path: Path) -> None:
+    """The real apt finds an empty mirror."""
+    (tmp_path / "mirror").mkdir()
+    folder = tmp_path / "tree"
+    folder.mkdir()
+    source = debian.Source(release="trixie", mirror=f"file://{tmp_path}/mirror")
+    with pytest.raises(InfrastructureError) as raised:
+        debian.extract(["base-files"], folder, "armhf", source)
+    assert str(raised.value) == f"Debian's suite trixie is not served by {source.mirror}"
+    assert list(folder.iterdir()) == []
+
+
+def test_root_file_systems_differ_by_release() -> None:
+    board = machine.find("qemu-armv7")
+    old, new = (set(disk.package_names(board, release)) for release in ("bookworm", "trixie"))
+    assert (old - new, new - old) == ({"libroscpp4d"}, {"libroscpp4t64"})
+
+
+def test_packages_below_usr_alone_are_found_by_their_old_paths(tmp_path: Path) -> None:
+    (tmp_path / "usr/lib/modules").mkdir(parents=True)
+    (tmp_path / "usr/sbin").mkdir()
+    (tmp_path / "sbin").mkdir()
+    debian.merge_usr(tmp_path)
+    assert (tmp_path / "lib/modules").is_dir()
+    assert not (tmp_path / "sbin").is_symlink()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["lib", "sbin", "usr"]
 
 
 def test_versions_come_from_archive_names() -> None:
@@ -103,6 +144,13 @@ def test_modules_come_after_what_they_need_and_once() -> None:
         "kernel/lib/crc16.ko",
         "kernel/fs/ext4/ext4.ko",
     ]
+
+
+def test_ram_disk_gets_modules_unpacked(some_kernel: kernel.Kernel) -> None:
+    (some_kernel.modules / "modules.dep").write_text("plain.ko:\npacked.ko.xz: plain.ko\n")
+    (some_kernel.modules / "plain.ko").write_bytes(b"as it is")
+    (some_kernel.modules / "packed.ko.xz").write_bytes(lzma.compress(b"was packed"))
+    assert some_kernel.loadable(["packed"]) == {"plain.ko": b"as it is", "packed.ko": b"was packed"}
 
 
 def test_ram_disk_is_read_by_cpio(tmp_path: Path) -> None:
@@ -147,6 +195,6 @@ def test_package_that_does_not_exist_leaves_nothing(tmp_path: Path, monkeypatch:
     folder = tmp_path / "tree"
     folder.mkdir()
     with pytest.raises(InfrastructureError, match="no-such-package"):
-        debian.extract(["no-such-package"], folder, "armhf")
+        debian.extract(["no-such-package"], folder, "armhf", debian.source())
     assert list(folder.iterdir()) == []
     assert list(temporary.iterdir()) == []

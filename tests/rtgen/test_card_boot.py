@@ -127,7 +127,7 @@ def test_firmware_starts_the_stick(machine: str, key: Path, tmp_path: Path) -> N
     qemu, package, files = FIRMWARE[architecture]
     firmware = tmp_path / "firmware"
     firmware.mkdir()
-    debian.extract([package], firmware, architecture)
+    debian.extract([package], firmware, architecture, debian.source())
     command = [*qemu, "-device", "qemu-xhci", "-drive", f"file={stick},format=raw,if=none,id=stick"]
     command += ["-device", "usb-storage,drive=stick,removable=on", "-device", "virtio-net-pci,netdev=net,romfile="]
     for number, file in enumerate(files):

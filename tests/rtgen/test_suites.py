@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtgen import cli, suites
+from rtgen import cli, debian, suites
+from rtgen.board import sysroot
 
 ELF_MACHINE = 18  # offset of e_machine
 EM_ARM = 40
@@ -29,6 +30,24 @@ def test_unknown_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().err.startswith("rtgen: unknown machine 'vax'")
 
 
+def test_this_machine_has_the_libraries_that_it_has(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["suites", "build", "--suite", "trixie"]) == 2
+    expected = "rtgen: --suite trixie is for boards: host has the libraries that are installed on it\n"
+    assert capsys.readouterr().err == expected
+
+
+@pytest.mark.parametrize(
+    ("suite", "expected"), [("bookworm", ""), ("trixie", " -D_FILE_OFFSET_BITS=64 -D_TIME_BITS=64")]
+)
+def test_programs_have_the_time_of_their_libraries(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suite: str, expected: str
+) -> None:
+    monkeypatch.setattr(sysroot, "build", lambda architecture, source: tmp_path / architecture / source.release)
+    tools = suites.toolchain("qemu-armv7", suite)
+    assert tools.flags == f"{suites.FLAGS}{expected}"
+    assert (tools.release, tools.sysroot) == (suite, tmp_path / "armhf" / suite)
+
+
 @pytest.mark.timeout(1200)  # the sysroot is downloaded and the suites are compiled, perhaps beside other work
 @pytest.mark.parametrize("machine", ["host", "qemu-armv7"])
 def test_build(tmp_path: Path, machine: str) -> None:
@@ -37,6 +56,7 @@ def test_build(tmp_path: Path, machine: str) -> None:
     record = json.loads((link / "build.json").read_text())
     assert (record["schema"], record["machine"]) == (1, machine)
     assert ("arm-linux-gnueabihf" in record["compiler"]) == (machine != "host")
+    assert record["debian"] == (None if machine == "host" else debian.source().release)
     described = suites.describe(link)
     described.pop("build.json")
     assert record["files"] == described

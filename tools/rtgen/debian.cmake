@@ -8,6 +8,11 @@ set(CMAKE_LIBRARY_ARCHITECTURE "${META_TRIPLET}")
 
 set(CMAKE_TRY_COMPILE_PLATFORM_VARIABLES META_TRIPLET META_PROCESSOR META_SYSROOT META_WORK)
 set(CMAKE_SYSROOT "${META_SYSROOT}")
+# Debian's cross compilers look for the C and C++ library in their own folders before the sysroot, where they may be those
+# of another release than the libraries of the sysroot need.
+file(GLOB META_LIBRARIES "${META_SYSROOT}/usr/lib/gcc/${META_TRIPLET}/*" "${META_SYSROOT}/usr/lib/${META_TRIPLET}")
+list(TRANSFORM META_LIBRARIES PREPEND "-L")
+list(JOIN META_LIBRARIES " " CMAKE_EXE_LINKER_FLAGS_INIT)
 # CMake finds the packages of this build in its working folder and all others in the sysroot. The absolute paths in Debian's
 # CMake files would otherwise lead to /usr of this machine.
 set(CMAKE_FIND_ROOT_PATH "${META_WORK}" "${META_SYSROOT}")

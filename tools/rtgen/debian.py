@@ -4,6 +4,7 @@ import os
 import platform
 import shutil
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -17,33 +18,45 @@ DROPPED = ("usr/share/doc", "usr/share/man", "usr/share/locale", "usr/share/info
 LIST = "packages.list"
 
 
-def source() -> tuple[str, str | None]:
-    """The suite to take packages from, and the mirror as a line of sources.list.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Source:
+    """Where packages come from: the code name of Debian's release, and the mirror (None: mmdebstrap's default)."""
 
-    On Debian these are the machine's own release and mirror. Only the main suite is used: it has everything, and the
-    security suite's index may not match it. On other systems the suite is Debian 12's, and the mirror is None:
-    mmdebstrap then uses its default.
+    release: str
+    mirror: str | None
+
+    @property
+    def line(self) -> str | None:
+        """The mirror as a line of sources.list."""
+        return f"deb {self.mirror} {self.release} main" if self.mirror else None
+
+
+def source(release: str | None = None) -> Source:
+    """The source of a release's packages; without a release that of this machine, and elsewhere than on Debian 12's.
+
+    On Debian the mirror is the machine's own. Only the main suite is used: it has everything, and the security suite's
+    index may not match it.
     """
     system = platform.freedesktop_os_release()
     if system.get("ID") != "debian" or "VERSION_CODENAME" not in system:
-        return "bookworm", None
-    suite = system["VERSION_CODENAME"]
+        return Source(release=release or "bookworm", mirror=None)
+    own = system["VERSION_CODENAME"]
     listing = run(
         ["apt-get", "indextargets", "--format", "$(ORIGIN)|$(REPO_URI)|$(RELEASE)|$(COMPONENT)", "Created-By: Packages"]
     )
-    return suite, mirror_line(listing, suite)
+    return Source(release=release or own, mirror=mirror(listing, own))
 
 
-def mirror_line(listing: str, suite: str) -> str | None:
-    """The line of sources.list for Debian's mirror in lines ``origin|URI|release|component``; None if there is none.
+def mirror(listing: str, release: str) -> str | None:
+    """The URI of Debian's mirror in lines ``origin|URI|release|component``; None if there is none with this release.
 
     Before apt has fetched an index, its origin reads ``$(ORIGIN)``; then the URI decides.
     """
     for line in listing.splitlines():
-        origin, uri, release, component = line.split("|")
+        origin, uri, served, component = line.split("|")
         debian = origin == "Debian" or (origin.startswith("$(") and uri.rstrip("/").endswith("/debian"))
-        if debian and release == suite and component == "main":
-            return f"deb {uri} {suite} main"
+        if debian and served == release and component == "main":
+            return uri
     return None
 
 
@@ -63,27 +76,42 @@ def extraction_mode() -> str:
     return "unshare"
 
 
-def extract(names: list[str], folder: Path, architecture: str, dropped: Iterable[str] = ()) -> None:
+def extract(names: list[str], folder: Path, architecture: str, source: Source, dropped: Iterable[str] = ()) -> None:
     """Unpack packages of an architecture and their dependencies into an existing folder; the caller owns every file.
 
     Documentation, translations and files that match `dropped` (patterns of tar) are left out. Absolute symbolic links
-    become relative, so that they stay in the folder. Raises UsageError when this user may not unpack,
-    InfrastructureError when mmdebstrap fails (network, disk).
+    become relative, so that they stay in the folder. apt's settings and lists are mmdebstrap's own: the machine's stay
+    as they are. Raises UsageError when this user may not unpack, InfrastructureError when mmdebstrap fails (network,
+    disk, a release that the mirror does not serve).
     """
     mode = extraction_mode()
-    suite, mirror = source()
     archive = folder / "packages.tar"
-    command = ["mmdebstrap", "--quiet", "--variant=extract", f"--mode={mode}", f"--architectures={architecture}"]
+    command = ["mmdebstrap", "--variant=extract", f"--mode={mode}", f"--architectures={architecture}"]
     command += [f'--extract-hook=ls "$1"/var/cache/apt/archives > "$1"/{LIST}']
-    command += ["--format=tar", f"--include={','.join(names)}", suite, str(archive)]
+    command += ["--format=tar", f"--include={','.join(names)}", source.release, str(archive)]
+    command += [source.line] if source.line else []
     try:
-        run(command + ([mirror] if mirror else []))
+        # In English, as the reason of a failure is read from it.
+        run(command, environment={**os.environ, "LC_ALL": "C.UTF-8"})
         # mknod and foreign owners need rights that nothing here needs.
         excluded = [f"--exclude=./{name}" for name in (*DROPPED, *dropped)]
         run(["tar", "-x", "-f", str(archive), "-C", str(folder), "--no-same-owner", *excluded])
+    except InfrastructureError as error:
+        if "does not have a Release file" in str(error):
+            where = source.mirror or "mmdebstrap's default mirror"
+            raise InfrastructureError(f"Debian's suite {source.release} is not served by {where}") from error
+        raise
     finally:
         archive.unlink(missing_ok=True)
+    merge_usr(folder)
     relink(folder)
+
+
+def merge_usr(folder: Path) -> None:
+    """Link the folders that Debian has below /usr alone since Debian 13 to their old names, as its base-files does."""
+    for name in ("bin", "sbin", "lib", "lib64"):
+        if (folder / "usr" / name).is_dir() and not os.path.lexists(folder / name):
+            (folder / name).symlink_to(f"usr/{name}")
 
 
 def relink(folder: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from rtfiles import atomic, cache
 from rtfiles.config import read_yaml
 from rtfiles.errors import UsageError
+from rtgen.board import packages as board_packages
 from rtgen.board import sysroot
 from rtgen.board.machine import Architecture, architectures, machines
 from rtgen.checkout import checkout
@@ -33,11 +34,16 @@ ROS_LANG_DISABLE = "genlisp:genpy"
 
 @dataclass(frozen=True)
 class Toolchain:
-    """The compiler, the architecture and sysroot of a board (None: this machine), what identifies them in the cache."""
+    """The compiler and its flags, the architecture, sysroot and Debian's release of a board (None: this machine).
+
+    `identity` is what distinguishes them in the cache.
+    """
 
     compiler: str
+    flags: str
     architecture: Architecture | None
     sysroot: Path | None
+    release: str | None
     identity: tuple[str, ...]
 
 
@@ -56,31 +62,40 @@ def names() -> list[str]:
     return [HOST, *machines()]
 
 
-def toolchain(machine: str) -> Toolchain:
-    """Find or make the tools of a machine's build. Raises UsageError for an unknown machine, InfrastructureError."""
+def toolchain(machine: str, suite: str | None) -> Toolchain:
+    """Find or make the tools of a machine's build.
+
+    A board's programs are linked against the packages of Debian's `suite` (None: this machine's own). Raises UsageError
+    for an unknown machine or suite, InfrastructureError when a tool or package is missing.
+    """
     if machine not in names():
         raise UsageError(f"unknown machine {machine!r}, known: {', '.join(names())}")
     if machine == HOST:
+        if suite is not None:
+            raise UsageError(f"--suite {suite} is for boards: {HOST} has the libraries that are installed on it")
         listing = run(["dpkg-query", "--show", *HOST_PACKAGES])
-        return Toolchain("g++", None, None, (version("g++"), listing))
+        return Toolchain("g++", FLAGS, None, None, None, (version("g++"), listing))
+    source = board_packages.source(suite)
     name = machines()[machine].architecture
     architecture = architectures()[name]
     compiler = f"{architecture.triplet}-g++"
-    root = sysroot.build(name)
-    return Toolchain(compiler, architecture, root, (version(compiler), repr(architecture), str(root)))
+    flags = " ".join([FLAGS, *board_packages.packages().releases[source.release].flags])
+    root = sysroot.build(name, source)
+    identity = (version(compiler), repr(architecture), str(root))
+    return Toolchain(compiler, flags, architecture, root, source.release, identity)
 
 
-def build(machine: str, place: Path) -> Path:
-    """Build for `host` or a board; return `place`/<machine>, a link to the result in the cache.
+def build(machine: str, place: Path, suite: str | None = None) -> Path:
+    """Build for `host` or a board of Debian's suite; return `place`/<machine>, a link to the result in the cache.
 
     Takes about half a minute; an unchanged build is taken from the cache. Raises UsageError as `toolchain` does and
     InfrastructureError with the compiler's output.
     """
-    tools = toolchain(machine)
+    tools = toolchain(machine, suite)
     folder = sources()
     inputs = [folder / name for name in (*packages(), "suites.yml")]
     source_hash = cache.digest(inputs)
-    key = cache.digest([source_hash, FLAGS, *tools.identity, Path(__file__), TOOLCHAIN_FILE])
+    key = cache.digest([source_hash, tools.flags, *tools.identity, Path(__file__), TOOLCHAIN_FILE])
 
     def build_in(result: Path) -> None:
         with tempfile.TemporaryDirectory(prefix="rtgen-suites-") as temporary:
@@ -92,8 +107,9 @@ def build(machine: str, place: Path) -> Path:
         record = {
             "schema": SCHEMA,
             "machine": machine,
+            "debian": tools.release,
             "compiler": version(tools.compiler),
-            "flags": FLAGS,
+            "flags": tools.flags,
             "source_hash": source_hash,
             "files": describe(result),
         }
@@ -112,9 +128,11 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
         "CMAKE_INSTALL_PREFIX": str(stage),
         "CMAKE_PREFIX_PATH": str(stage),
         "CMAKE_BUILD_TYPE": "None",
-        "CMAKE_CXX_FLAGS": FLAGS,
+        "CMAKE_CXX_FLAGS": tools.flags,
         "CATKIN_ENABLE_TESTING": "OFF",
+        # catkin of Debian 12 and of Debian 13 read one each.
         "PYTHON_EXECUTABLE": SYSTEM_PYTHON,
+        "Python_EXECUTABLE": SYSTEM_PYTHON,
     }
     if tools.architecture is not None:
         options |= {

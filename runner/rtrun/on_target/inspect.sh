@@ -28,6 +28,9 @@ done
 # The ELF header of a program of the target's own, in hexadecimal.
 # shellcheck disable=SC2046 # several lines become one
 echo elf $(od -An -tx1 -N20 /bin/sh 2>/dev/null || hexdump -n 20 -e '20/1 "%02x "' /bin/sh 2>/dev/null)
+# Debian's release decides which libraries there are. In a shell of its own, as the file sets variables.
+# shellcheck source=/dev/null
+(. /etc/os-release && [ "$ID" = debian ] && echo "debian $VERSION_CODENAME") 2>/dev/null
 echo "cpus $(grep -c '^processor' /proc/cpuinfo)"
 if mkdir -p "$1/objects" "$1/suites" "$1/runs" "$1/master" && : >>"$mark"; then
     # shellcheck disable=SC2046 # the words of the line are wanted

@@ -5,7 +5,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pydantic import Field
@@ -13,7 +13,7 @@ from pydantic import Field
 from rtfiles.config import Config
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
-from rtfiles.untrusted import INT64_MAX, whole_number
+from rtfiles.untrusted import INT64_MAX, JSON_BYTES_MAX, parse_json, read_text, whole_number
 from rtrun.plan.conditions import CPUS_MAX
 from rtrun.target import architecture
 from rtrun.target.config import Target
@@ -26,7 +26,10 @@ _KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -
 # Numbers of sched_setscheduler(2), as in field 41 of /proc/<pid>/stat (proc(5)).
 POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
 # What inspect.sh prints a line of.
-_FACTS = frozenset(("missing", "foreign", "readonly", "setup", "master", "program", "elf", "cpus", "free_kib"))
+_CODE_NAME = re.compile("[a-z]{1,32}")
+_FACTS = frozenset(
+    ("missing", "foreign", "readonly", "setup", "master", "program", "elf", "debian", "cpus", "free_kib")
+)
 # Sections of state.sh kept as one text. Every other one is one value, or a list when it has several lines.
 _TEXTS = ("cpuinfo", "memory", "os_release")
 
@@ -82,6 +85,8 @@ class Equipment:
     free_bytes: int
     architecture: str | None
     """What programs of the target are made for, as `architecture.name` puts it; None where it cannot be seen."""
+    debian: str | None
+    """The code name of the target's Debian, as trixie; None where it is another system."""
 
 
 def inspect(link: Link) -> Equipment:
@@ -122,6 +127,7 @@ def inspect(link: Link) -> Equipment:
         cpus=_count(facts.get("cpus"), lowest=1, highest=CPUS_MAX),
         free_bytes=_count(facts.get("free_kib"), lowest=0, highest=INT64_MAX // 1024) * 1024,
         architecture=architecture.name(_header(facts.get("elf", []))),
+        debian=next((name for name in facts.get("debian", []) if _CODE_NAME.fullmatch(name)), None),
     )
 
 
@@ -141,13 +147,29 @@ def _header(lines: Sequence[str]) -> bytes:
 
 
 def check_suites(target: Target, equipment: Equipment) -> None:
-    """Raise UsageError when the suites of the target file are programs for another architecture than the target's."""
-    made_for = architecture.of_folder(target.suites) if target.suites is not None else None
+    """Raise UsageError when the suites of the target file are for another architecture or Debian than the target's."""
+    if target.suites is None:
+        return
+    release = built_for(target.suites)
+    if release is not None and equipment.debian not in (None, release):
+        raise UsageError(
+            f"{target.suites}: suites for Debian {release}, but {target.address} has {equipment.debian}'s libraries: "
+            f"build them by {as_called('rtgen')} suites build --suite {equipment.debian}"
+        )
+    made_for = architecture.of_folder(target.suites)
     if made_for is not None and equipment.architecture not in (None, made_for):
         raise UsageError(
             f"{target.suites}: suites for {made_for}, but {target.address} is {equipment.architecture}: "
             f"name suites that were built for its machine by {as_called('rtgen')} suites build --machine"
         )
+
+
+def built_for(suites: Path) -> str | None:
+    """The release of Debian whose libraries suites were linked against, by their build.json; None if it names none."""
+    path = suites / "build.json"
+    record = parse_json(read_text(path, max_bytes=JSON_BYTES_MAX), str(path))
+    release = record.get("debian") if isinstance(record, dict) else None
+    return release if isinstance(release, str) else None
 
 
 def read_state(link: Link, script: PurePosixPath) -> TargetState:

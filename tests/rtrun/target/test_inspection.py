@@ -1,10 +1,14 @@
 """What a target says of itself, read into types."""
 
+import json
+import platform
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from rtfiles.errors import UsageError
 from rtrun.target import architecture, inspection
 from rtrun.target.deploy import ON_TARGET
 
@@ -93,15 +97,39 @@ def test_architectures(content, expected):
 def test_the_equipment_of_this_machine(link):
     equipment = inspection.inspect(link)
     assert equipment.architecture == architecture.name(Path("/bin/sh").read_bytes()[: architecture.HEADER_BYTES])
+    system = platform.freedesktop_os_release()
+    assert equipment.debian == (system.get("VERSION_CODENAME") if system["ID"] == "debian" else None)
     assert equipment.architecture is not None and equipment.cpus >= 1 and equipment.free_bytes > 0
 
 
 @pytest.mark.sshd
 @pytest.mark.parametrize(
-    ("line", "expected"), [("cpus ²", 1), ("cpus 6" + "0" * 5000, 1), ("cpus 4", 4), ("free_kib x", 1), ("elf zz", 1)]
+    ("line", "expected"),
+    [("cpus ²", 1), ("cpus 6" + "0" * 5000, 1), ("cpus 4", 4), ("free_kib x", 1), ("elf zz", 1), ("debian a b", 1)],
 )
 def test_facts_that_are_nonsense(link, monkeypatch, tmp_path, line, expected):
     script = tmp_path / "inspect.sh"
     script.write_text(f"echo '{line}'\n")
     monkeypatch.setattr(inspection, "SCRIPT", script)
-    assert inspection.inspect(link).cpus == expected
+    equipment = inspection.inspect(link)
+    assert (equipment.cpus, equipment.debian) == (expected, None)
+
+
+@pytest.mark.sshd
+def test_suites_for_another_release_of_debian(link, tmp_path):
+    equipment = replace(inspection.inspect(link), debian="trixie")
+    target = replace(link.target, suites=tmp_path)
+
+    def check(record):
+        (tmp_path / "build.json").write_text(json.dumps(record))
+        inspection.check_suites(target, equipment)
+
+    for record in ({}, {"debian": None}, {"debian": "trixie"}):
+        check(record)
+    with pytest.raises(UsageError) as raised:
+        check({"debian": "bookworm"})
+    message = str(raised.value)
+    assert message.startswith(f"{tmp_path}: suites for Debian bookworm, but {target.address} has trixie's libraries: ")
+    assert message.endswith(" suites build --suite trixie")
+    equipment = replace(equipment, debian=None)
+    check({"debian": "bookworm"})

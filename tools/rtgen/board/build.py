@@ -12,7 +12,7 @@ from typing import Any, Literal
 from rtfiles import atomic, cache
 from rtfiles.errors import UsageError
 from rtgen import debian
-from rtgen.board import card, disk, initrd
+from rtgen.board import card, disk, initrd, packages
 from rtgen.board.kernel import Kernel, built_kernel, debian_kernel
 from rtgen.board.machine import Machine, Qemu, architectures, find
 
@@ -23,38 +23,46 @@ HERE = Path(__file__).parent
 KernelChoice = Literal["debian", "built", "both"]
 
 
-def build(name: str, place: Path, kernel: KernelChoice = "debian", login: Path | None = None) -> Path:
+def build(
+    name: str, place: Path, kernel: KernelChoice = "debian", login: Path | None = None, suite: str | None = None
+) -> Path:
     """Build the board of this machine; return `place`/<name>, a link to it in the cache.
 
-    It runs Debian's kernel with PREEMPT_RT, for `built` that of `rtgen kernel build`; for `both` it can boot Debian's
-    standard kernel, too. `login` is a file of public keys that may log in, for a card only. The first build takes about
-    a minute, and that of the kernel; an unchanged board is taken from the cache. Raises UsageError for an unknown
-    machine, a file without keys, or when this user may not unpack packages; InfrastructureError when a package or tool
-    fails.
+    Its packages are those of Debian's `suite` (None: this machine's own). It runs Debian's kernel with PREEMPT_RT, for
+    `built` that of `rtgen kernel build`; for `both` it can boot Debian's standard kernel, too. `login` is a file of
+    public keys that may log in, for a card only. The first build takes about a minute, and that of the kernel; an
+    unchanged board is taken from the cache. Raises UsageError for an unknown machine or suite, a file without keys, or
+    when this user may not unpack packages; InfrastructureError when a package or tool fails.
     """
     machine = find(name)
+    source = packages.source(suite)
     if login is not None and machine.medium is None:
         raise UsageError(f"{name} runs in QEMU with a key of its own, --authorized-key is for cards")
     if login is not None:
         card.check_login(login)
     if kernel == "both" and machine.standard_kernel is None:
         raise UsageError(f"{name}: no standard_kernel in the file of this machine: --kernel both is for others")
-    kernels = {"rt": built_kernel(name) if kernel == "built" else debian_kernel(machine.kernel, machine)}
+    kernels = {"rt": built_kernel(name) if kernel == "built" else debian_kernel(machine.kernel, machine, source)}
     if kernel == "both" and machine.standard_kernel is not None:
-        kernels["standard"] = debian_kernel(machine.standard_kernel, machine)
-    folder = assemble(name, machine, kernels, login)
+        kernels["standard"] = debian_kernel(machine.standard_kernel, machine, source)
+    folder = assemble(name, machine, kernels, source, login)
     atomic.replace_link(place / name, folder)
     return place / name
 
 
-def assemble(name: str, machine: Machine, kernels: Mapping[str, Kernel], login: Path | None = None) -> Path:
-    """The folder of a board in the cache: this machine with these kernels by name, of which it starts the first."""
-    root = root_file_system(machine, kernels)
+def assemble(
+    name: str, machine: Machine, kernels: Mapping[str, Kernel], source: debian.Source, login: Path | None = None
+) -> Path:
+    """The folder of a board in the cache: this machine with these kernels by name, of which it starts the first.
+
+    Its packages come from `source`.
+    """
+    root = root_file_system(machine, kernels, source)
     kernel = next(iter(kernels.values()))
 
     def build_in(folder: Path) -> None:
         if machine.medium is not None:
-            card.build(machine, kernel, root, ram_disk(machine, kernel, root), login, folder)
+            card.build(machine, kernel, root, ram_disk(machine, kernel, root), login, source, folder)
         elif machine.qemu is not None:
             link_board(name, machine, machine.qemu, kernels, root, folder)
 
@@ -65,20 +73,19 @@ def assemble(name: str, machine: Machine, kernels: Mapping[str, Kernel], login: 
 
 def ram_disk(machine: Machine, kernel: Kernel, root: Path) -> bytes:
     """The initial RAM disk of a kernel, with busybox from the root file system in the folder `root`."""
-    modules = {Path(file).name: (kernel.modules / file).read_bytes() for file in kernel.files_of([*machine.modules])}
-    return initrd.archive((root / disk.BUSYBOX).read_bytes(), modules)
+    return initrd.archive((root / disk.BUSYBOX).read_bytes(), kernel.loadable([*machine.modules]))
 
 
-def root_file_system(machine: Machine, kernels: Mapping[str, Kernel]) -> Path:
+def root_file_system(machine: Machine, kernels: Mapping[str, Kernel], source: debian.Source) -> Path:
     """The folder of `disk.build` in the cache, which machines with the same packages, kernels and modules share."""
     recipe = [HERE / name for name in ("disk.py", "kernel.py", "packages.yml", "applets.txt", "root")]
-    names = disk.package_names(machine)
-    identity = [*map(str, debian.source()), machine.architecture, *names, *machine.modules]
+    names = disk.package_names(machine, source.release)
+    identity = [repr(source), machine.architecture, *names, *machine.modules]
     of_kernels = [part for kernel in kernels.values() for part in (kernel.release, kernel.config, kernel.image)]
     return cache.entry(
         "disk",
         cache.digest([*identity, *of_kernels, Path(debian.__file__), *recipe]),
-        lambda folder: disk.build(machine, kernels.values(), folder),
+        lambda folder: disk.build(machine, kernels.values(), source, folder),
     )
 
 
@@ -94,10 +101,10 @@ def link_board(
         if machine.dtb is not None:
             os.link(kernel.dtbs / machine.dtb, folder / entry["dtb"])
         (folder / entry["initrd"]).write_bytes(ram_disk(machine, kernel, root))
-    packages = debian.versions((root / disk.LIST).read_text(encoding="utf-8").splitlines())
+    versions = debian.versions((root / disk.LIST).read_text(encoding="utf-8").splitlines())
     for kernel in kernels.values():
-        packages |= kernel.packages
-    record = board_record(name, machine, qemu, entries, packages, (root / disk.HOST_KEY).read_text(encoding="utf-8"))
+        versions |= kernel.packages
+    record = board_record(name, machine, qemu, entries, versions, (root / disk.HOST_KEY).read_text(encoding="utf-8"))
     atomic.write_text(folder / "board.json", json.dumps(record, indent=2) + "\n")
 
 
@@ -121,7 +128,7 @@ def board_record(
     machine: Machine,
     qemu: Qemu,
     entries: Mapping[str, dict[str, Any]],
-    packages: dict[str, str],
+    versions: dict[str, str],
     host_key: str,
 ) -> dict[str, Any]:
     """The content of board.json, which docs/formats.md describes."""
@@ -138,5 +145,5 @@ def board_record(
         "disk": disk.IMAGE,
         "disk_format": "raw",
         "ssh": {"user": "root", "key": disk.KEY, "host_key": " ".join(host_key.split()[:2])},
-        "packages": packages,
+        "packages": versions,
     }

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from rtfiles.errors import InfrastructureError, UsageError
+from rtgen import debian
 from rtgen.board import disk, u_boot, uefi
 from rtgen.board.boot import Boot
 from rtgen.board.kernel import Kernel
@@ -26,10 +27,19 @@ BOOT_TYPE: dict[Table, str] = {"gpt": "type=U", "dos": "type=c, bootable"}
 ROOT_TYPE: dict[Table, str] = {"gpt": "type=L", "dos": "type=83"}
 
 
-def build(machine: Machine, kernel: Kernel, root: Path, ram_disk: bytes, login: Path | None, folder: Path) -> None:
+def build(
+    machine: Machine,
+    kernel: Kernel,
+    root: Path,
+    ram_disk: bytes,
+    login: Path | None,
+    source: debian.Source,
+    folder: Path,
+) -> None:
     """Write card.img into an empty folder, from the root file system in `root`, a folder of `disk.build`.
 
-    `login` is a file of public keys that may log in; without it a key made for this image lies beside it.
+    `login` is a file of public keys that may log in; without it a key made for this image lies beside it. U-Boot or the
+    stub for UEFI comes from `source`.
     """
     if login is None:
         for name in (disk.KEY, f"{disk.KEY}.pub"):
@@ -48,13 +58,12 @@ def build(machine: Machine, kernel: Kernel, root: Path, ram_disk: bytes, login: 
         command_line=f"{machine.cmdline} root=UUID={file_system_id(system)} quiet",
     )
     if machine.u_boot is not None:
-        files = u_boot.boot_files(
-            machine.architecture, machine.u_boot, boot, kernel.device_tree(machine.u_boot.device_tree), work
-        )
+        device_tree = kernel.device_tree(machine.u_boot.device_tree)
+        files = u_boot.boot_files(machine.architecture, machine.u_boot, source, boot, device_tree, work)
         write_card(folder / IMAGE, "dos", files, system)
     else:
         run(["debugfs", "-R", "dump /usr/lib/os-release os-release", system], folder=work)
-        write_card(folder / IMAGE, "gpt", uefi.boot_files(machine, boot, work / "os-release", work), system)
+        write_card(folder / IMAGE, "gpt", uefi.boot_files(machine, source, boot, work / "os-release", work), system)
     shutil.rmtree(work)
 
 

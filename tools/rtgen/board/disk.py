@@ -1,8 +1,6 @@
 """The root file system of a board: Debian's packages, files that their scripts would make, keys."""
 
-import compileall
 import os
-import py_compile
 import shutil
 import sys
 from collections.abc import Iterable
@@ -12,7 +10,7 @@ from rtfiles.errors import InfrastructureError
 from rtgen import debian
 from rtgen.board.kernel import Kernel
 from rtgen.board.machine import Machine
-from rtgen.board.packages import packages
+from rtgen.board.packages import packages, unpacked
 from rtgen.process import run
 
 # Our own files, with the paths that they have on the board.
@@ -26,23 +24,25 @@ REQUIRED = ("bin/busybox", "bin/sh", "sbin/init", "usr/sbin/sshd", "usr/lib/open
 IMAGE, KEY, HOST_KEY, LIST, BUSYBOX = "root.img", "id_ed25519", "host_key.pub", "packages.list", "busybox"
 
 
-def package_names(machine: Machine) -> list[str]:
-    """The packages of a machine's root file system, without their dependencies."""
+def package_names(machine: Machine, release: str) -> list[str]:
+    """The packages of a machine's root file system in a release of Debian, without their dependencies."""
     known = packages()
-    return sorted([*known.root, *(known.card if machine.medium is not None else ())])
+    card = known.card if machine.medium is not None else {}
+    return sorted([*known.root, *known.releases[release].root, *card])
 
 
-def build(machine: Machine, kernels: Iterable[Kernel], folder: Path) -> None:
+def build(machine: Machine, kernels: Iterable[Kernel], source: debian.Source, folder: Path) -> None:
     """Make root.img, its login key id_ed25519, and the public part of its host key in an empty folder."""
     tree = folder / "tree"
     tree.mkdir()
-    debian.extract(package_names(machine), tree, machine.architecture, packages().dropped)
+    names = package_names(machine, source.release)
+    debian.extract(names, tree, machine.architecture, source, packages().dropped)
     add_places(tree)
     add_tools(tree)
     for kernel in kernels:
         add_modules(tree, kernel, list(machine.modules))
     add_keys(tree, folder)
-    add_bytecode(tree)
+    add_bytecode(tree, source)
     missing = [name for name in REQUIRED if not os.path.lexists(tree / name)]
     if missing:
         raise InfrastructureError(f"the packages lack files that the board needs: {', '.join(missing)}")
@@ -96,14 +96,23 @@ def add_keys(tree: Path, folder: Path) -> None:
     shutil.copy(host_key.with_suffix(".pub"), folder / HOST_KEY)
 
 
-def add_bytecode(tree: Path) -> None:
-    """Compile the Python modules if this Python has the board's version; the emulated CPU would take long."""
-    library = tree / f"usr/lib/python{sys.version_info.major}.{sys.version_info.minor}"
-    if library.is_dir():
-        for place in (library, tree / "usr/lib/python3/dist-packages"):
-            # Unchecked: nothing on the board changes the modules, but the times of their files may change.
-            mode = py_compile.PycInvalidationMode.UNCHECKED_HASH
-            compileall.compile_dir(place, quiet=2, workers=2, stripdir=tree, prependdir="/", invalidation_mode=mode)
+def add_bytecode(tree: Path, source: debian.Source) -> None:
+    """Compile the board's Python modules, which takes the emulated CPU a minute, by a Python of the board's version.
+
+    Where that is not this one, the release's own for this machine's architecture is unpacked and run where it lies.
+    """
+    (library,) = (tree / "usr/lib").glob("python3.*")
+    # Unchecked: nothing on the board changes the modules, but the times of their files may change.
+    command = ["-m", "compileall", "-qq", "--invalidation-mode", "unchecked-hash", "-s", str(tree), "-p", "/"]
+    command += [str(library), str(tree / "usr/lib/python3/dist-packages")]
+    if library.name == f"python{sys.version_info.major}.{sys.version_info.minor}":
+        run([sys.executable, *command, "-j", "2"])
+        return
+    python = unpacked(f"{library.name}-minimal", run(["dpkg", "--print-architecture"]).strip(), source)
+    loader = next(python.glob("usr/lib*/ld-linux*.so.*"))
+    libraries = ":".join(str(path) for path in python.glob("usr/lib/*-linux-*"))
+    program: list[str | Path] = [loader, "--library-path", libraries, python / f"usr/bin/{library.name}"]
+    run([*program, *command], environment={**os.environ, "PYTHONHOME": str(python / "usr")})
 
 
 def make_image(tree: Path, image: Path) -> None:

@@ -1,6 +1,7 @@
 """The kernel that a board runs: Debian's ready-made one, or the one built from our fragment."""
 
 import json
+import lzma
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,14 +38,22 @@ class Kernel:
         """Files below `modules` to load, in order, for these names; as `module_files` does."""
         return module_files((self.modules / "modules.dep").read_text(encoding="utf-8"), modules)
 
+    def loadable(self, modules: list[str]) -> dict[str, bytes]:
+        """The files of `files_of` by name, unpacked: Debian 13 packs modules, which busybox's insmod cannot read."""
+        contents = {}
+        for file in self.files_of(modules):
+            packed = (self.modules / file).read_bytes()
+            contents[Path(file).name.removesuffix(".xz")] = lzma.decompress(packed) if file.endswith(".xz") else packed
+        return contents
 
-def debian_kernel(package: str, machine: Machine) -> Kernel:
+
+def debian_kernel(package: str, machine: Machine, source: debian.Source) -> Kernel:
     """The kernel of Debian's package for a machine, from the cache or downloaded (about 10 s)."""
-    identity = [package, machine.architecture, *map(str, debian.source())]
+    identity = [package, machine.architecture, repr(source)]
     key = cache.digest(["kernel", *identity, Path(debian.__file__), Path(__file__)])
 
     def build(folder: Path) -> None:
-        debian.extract([package], folder, machine.architecture)
+        debian.extract([package], folder, machine.architecture, source)
         for release in (folder / "lib/modules").iterdir():
             run(["depmod", "--basedir", str(folder), release.name])
 

@@ -1,4 +1,4 @@
-"""The Debian packages that the board and the sysroot are made of, read from packages.yml."""
+"""The Debian packages that the board and the sysroot are made of, and what differs by release: packages.yml."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,9 +7,18 @@ from pydantic import StringConstraints
 
 from rtfiles import cache
 from rtfiles.config import Config, load
+from rtfiles.errors import UsageError
 from rtgen import debian
 
+DATA = Path(__file__).with_name("packages.yml")
 Reason = Annotated[str, StringConstraints(min_length=1)]
+
+
+class Release(Config):
+    """What differs in a release of Debian: packages of the root file system, flags for compiling its programs."""
+
+    root: dict[str, Reason]
+    flags: list[str]
 
 
 class Packages(Config):
@@ -19,14 +28,27 @@ class Packages(Config):
     card: dict[str, Reason]
     sysroot: dict[str, Reason]
     dropped: dict[str, Reason]
+    releases: dict[str, Release]
 
 
 def packages() -> Packages:
     """Read packages.yml."""
-    return load(Path(__file__).with_name("packages.yml"), Packages)
+    return load(DATA, Packages)
 
 
-def unpacked(package: str, architecture: str) -> Path:
+def source(suite: str | None) -> debian.Source:
+    """Where a board's packages come from, for Debian's suite of this name (None: this machine's own).
+
+    Raises UsageError for a suite that packages.yml does not know.
+    """
+    chosen = debian.source(suite)
+    known = packages().releases
+    if chosen.release not in known:
+        raise UsageError(f"Debian's suite {chosen.release!r} is unknown, known: {', '.join(known)} (--suite)")
+    return chosen
+
+
+def unpacked(package: str, architecture: str, source: debian.Source) -> Path:
     """The folder of an unpacked package and its dependencies, from the cache or downloaded. Raises as `extract`."""
-    key = cache.digest([package, architecture, *map(str, debian.source()), Path(debian.__file__)])
-    return cache.entry("package", key, lambda folder: debian.extract([package], folder, architecture))
+    key = cache.digest([package, architecture, repr(source), Path(debian.__file__)])
+    return cache.entry("package", key, lambda folder: debian.extract([package], folder, architecture, source))

@@ -8,6 +8,7 @@ Where they have to be, for an OMAP4: the ROM reads MLO from the root folder of a
 
 from pathlib import Path
 
+from rtgen import debian
 from rtgen.board.boot import Boot
 from rtgen.board.machine import UBoot
 from rtgen.board.packages import unpacked
@@ -23,9 +24,11 @@ label linux
 """
 
 
-def boot_files(architecture: str, u_boot: UBoot, boot: Boot, device_tree: Path, work: Path) -> dict[str, Path]:
+def boot_files(
+    architecture: str, u_boot: UBoot, source: debian.Source, boot: Boot, device_tree: Path, work: Path
+) -> dict[str, Path]:
     """The files of the boot partition by their paths on it; those that U-Boot's package has come first."""
-    package = unpacked(u_boot.package, architecture)
+    package = unpacked(u_boot.package, architecture, source)
     configuration = work / "extlinux.conf"
     configuration.write_text(CONFIGURATION.format(command_line=boot.command_line), encoding="utf-8")
     return {Path(name).name: package / name for name in u_boot.files} | {

@@ -8,6 +8,7 @@ a partition of type EFI system with a FAT file system.
 import struct
 from pathlib import Path
 
+from rtgen import debian
 from rtgen.board.boot import Boot
 from rtgen.board.machine import Machine, architectures
 from rtgen.board.packages import unpacked
@@ -17,13 +18,14 @@ PACKAGE = "systemd-boot-efi"
 SECTION_ALIGNMENT = 4096
 
 
-def boot_files(machine: Machine, boot: Boot, os_release: Path, work: Path) -> dict[str, Path]:
+def boot_files(machine: Machine, source: debian.Source, boot: Boot, os_release: Path, work: Path) -> dict[str, Path]:
     """The files of the boot partition by their paths on it."""
     architecture = architectures()[machine.architecture]
     command_line = work / "cmdline"
     command_line.write_text(boot.command_line, encoding="utf-8")
     parts = {".osrel": os_release, ".cmdline": command_line, ".linux": boot.kernel, ".initrd": boot.ram_disk}
-    stub = unpacked(PACKAGE, machine.architecture) / f"usr/lib/systemd/boot/efi/linux{architecture.uefi}.efi.stub"
+    package = unpacked(PACKAGE, machine.architecture, source)
+    stub = package / f"usr/lib/systemd/boot/efi/linux{architecture.uefi}.efi.stub"
     write_efi_file(work / "boot.efi", stub, architecture.triplet, parts)
     return {f"EFI/BOOT/BOOT{architecture.uefi}.EFI".upper(): work / "boot.efi"}
 

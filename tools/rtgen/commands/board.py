@@ -10,7 +10,7 @@ PLACE = Path("build/board")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare ``machines`` and ``build --machine NAME --kernel KIND``."""
+    """Declare ``machines`` and ``build`` with its options."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     actions.add_parser("machines", help="list the machines that a board can be built for")
     build = actions.add_parser("build", help=f"build it into {PLACE}/MACHINE (network the first time)")
@@ -20,6 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE",
         help="public keys that may log in, for a card; without it a key that is made beside the image",
+    )
+    build.add_argument(
+        "--suite", help="Debian's suite that packages and kernel come from, as trixie (default: this machine's own)"
     )
     build.add_argument(
         "--kernel",
@@ -40,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         _list_machines()
         return 0
     machine = args.machine or default_machine()
-    print_line(str(build(machine, PLACE, args.kernel, login=args.authorized_key)))
+    print_line(str(build(machine, PLACE, args.kernel, login=args.authorized_key, suite=args.suite)))
     return 0
 
 

@@ -10,10 +10,13 @@ PLACE = Path("build/suites")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare ``build --machine NAME``."""
+    """Declare ``build --machine NAME --suite SUITE``."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     build = actions.add_parser("build", help=f"build them into {PLACE}/MACHINE")
     build.add_argument("--machine", default="host", help="host, or a board of rtgen board (default: host)")
+    build.add_argument(
+        "--suite", help="Debian's suite that the board was built from, as trixie (default: this machine's own)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -21,5 +24,5 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.output import print_line
     from rtgen.suites import build
 
-    print_line(str(build(args.machine, PLACE)))
+    print_line(str(build(args.machine, PLACE, args.suite)))
     return 0

@@ -106,17 +106,16 @@ def downloads(pinned: DebianSource) -> Path:
 
 def _private_apt(folder: Path, pinned: DebianSource) -> list[str]:
     """Make folders and lists for apt in this folder; returns the options that make apt-get use them."""
-    _, mirror = source()
+    mirror = source().mirror
     if mirror is None:
         raise InfrastructureError("the kernel's source comes from Debian, but apt on this machine has no Debian mirror")
-    uri = mirror.split()[1]
     (folder / "lists/partial").mkdir(parents=True)
     (folder / "archives/partial").mkdir(parents=True)
     (folder / "status").touch()
     keyring = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
     signed = f"[signed-by={keyring}] " if keyring.is_file() else ""
     (folder / "sources.list").write_text(
-        "".join(f"{kind} {signed}{uri} {pinned.suite} main\n" for kind in ("deb", "deb-src")), encoding="utf-8"
+        "".join(f"{kind} {signed}{mirror} {pinned.suite} main\n" for kind in ("deb", "deb-src")), encoding="utf-8"
     )
     settings = {
         "Dir::State": folder, "Dir::State::status": folder / "status", "Dir::State::Lists": folder / "lists",
