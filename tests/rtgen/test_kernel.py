@@ -30,13 +30,13 @@ def test_only_sections_for_kconfig_are_taken_from_a_patch():
 
 def test_the_tree_has_the_rt_patches_of_the_pinned_version(data):
     tree = debian_source.open_debian(data)
-    assert tree.release == data.debian.rt_version and tree.kernel == data.debian.kernel
+    assert (tree.release, tree.kernel) == (data.source().release, "6.1")
     assert "ARCH_SUPPORTS_RT" in (tree.source / "arch/arm/Kconfig").read_text()
 
 
 def test_a_version_that_debian_does_not_serve(data, monkeypatch, tmp_path):
     monkeypatch.setenv("META_RT_TESTS_CACHE", str(tmp_path))
-    gone = data.debian.model_copy(update={"version": "6.1.1-1"})
+    gone = data.source().model_copy(update={"version": "6.1.1-1"})
     with pytest.raises(InfrastructureError) as raised:
         debian_source.downloads(gone)
     message = str(raised.value)
@@ -50,14 +50,14 @@ def test_a_file_with_another_checksum_is_refused(data, monkeypatch, tmp_path):
 
     def other_bytes(_command, folder=None):
         if folder:
-            (folder / data.debian.tree.file).write_bytes(b"other")
+            (folder / data.source().tree.file).write_bytes(b"other")
 
     monkeypatch.setattr(debian_source, "run", other_bytes)
     digest = hashlib.sha256(b"other").hexdigest()
     with pytest.raises(
-        InfrastructureError, match=f"{data.debian.tree.file}: sha256 is {digest}, kconfig/sources.yml pins"
+        InfrastructureError, match=f"{data.source().tree.file}: sha256 is {digest}, kconfig/sources.yml pins"
     ):
-        debian_source.downloads(data.debian)
+        debian_source.downloads(data.source())
 
 
 def test_options_that_do_not_hold_are_not_built(data):
@@ -72,6 +72,19 @@ def test_unknown_machine(capsys):
     assert (
         capsys.readouterr().err == "rtgen: machine beagle is unknown, known: pandaboard-es, qemu-armv7, vexpress-a9\n"
     )
+
+
+def test_a_version_without_a_pinned_source(capsys):
+    expected = "rtgen: no source of kernel 6.6 is pinned in kconfig/sources.yml, pinned: 6.1, 7.2\n"
+    for command in ("kernel", "board"):
+        assert main([command, "build", "--machine", "qemu-armv7", "--kernel", "6.6"]) == 2
+        assert capsys.readouterr().err == expected
+
+
+def test_each_pinned_kernel_has_preempt_rt(data):
+    for version, source in data.sources.items():
+        assert version in data.kernels and source.release.startswith(f"{version}.")
+        assert (source.patches is None) == (data.kernel(version).rt_series is None)
 
 
 def test_boards_run_the_kernel_of_their_fragment(data):

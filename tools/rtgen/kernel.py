@@ -1,4 +1,4 @@
-"""Build a PREEMPT_RT kernel from Debian's pinned source, its RT patches and the fragment of a machine."""
+"""Build a PREEMPT_RT kernel from a pinned source of Debian, its RT patches and the fragment of a machine."""
 
 import json
 import os
@@ -27,15 +27,18 @@ _REPRODUCIBLE = {
 BUILD_TIMEOUT_S = 3 * 3600
 
 
-def plan(data: Data, machine: str) -> Verdict:
-    """Verify the .config that would be built: the machine's fragment for the pinned version on its first base."""
-    tree = debian_source.open_debian(data)
+def plan(data: Data, machine: str, version: str | None = None) -> Verdict:
+    """Verify the .config that would be built: the machine's fragment for a pinned version on its first base.
+
+    The version is as in `Data.source`.
+    """
+    tree = debian_source.open_debian(data, version)
     fragment = parse_fragment(render(data, machine, tree.kernel), "rendered")
     return verify_tree(data, tree, machine, data.machine(machine).bases[0], fragment, None)
 
 
-def build(data: Data, machine: str, verdict: Verdict) -> Path:
-    """Build the kernel that was planned for a machine; return its folder in the cache.
+def build(data: Data, machine: str, verdict: Verdict, version: str | None = None) -> Path:
+    """Build the kernel that was planned for a machine and a version; return its folder in the cache.
 
     The folder holds vmlinuz (zImage), config, modules/<release> (as in /lib/modules), dtbs/*.dtb, and kernel.json
     (schema, release, version of the source, dtbs). Takes five minutes on two idle cores unless it is in the cache; an
@@ -47,13 +50,14 @@ def build(data: Data, machine: str, verdict: Verdict) -> Path:
     for tool in (f"{CROSS_COMPILE}gcc", "make", "flex", "bison", "bc", "patch", "xz", "depmod"):
         if shutil.which(tool) is None:
             raise InfrastructureError(f"{tool} is not installed, see tools/apt-packages.txt")
+    pinned = data.source(version)
     dtbs = data.machine(machine).dtbs
     device_tree = data.folder / "devicetree" / DEVICE_TREE
     compiler = run([f"{CROSS_COMPILE}gcc", "--version"]).splitlines()[0]
-    key = cache.digest([data.debian.model_dump_json(), verdict.config, *dtbs, compiler, device_tree, Path(__file__)])
+    key = cache.digest([pinned.model_dump_json(), verdict.config, *dtbs, compiler, device_tree, Path(__file__)])
 
     def build_in(folder: Path) -> None:
-        source = debian_source.unpack(data.debian, folder, whole=True)
+        source = debian_source.unpack(pinned, folder, whole=True)
         objects = source / "objects"
         objects.mkdir()
         _add_device_tree(source, device_tree)
@@ -65,8 +69,7 @@ def build(data: Data, machine: str, verdict: Verdict) -> Path:
         run([*make, f"INSTALL_MOD_PATH={folder / 'installed'}", "modules_install"], timeout_s=BUILD_TIMEOUT_S)
         release = (objects / "include/config/kernel.release").read_text(encoding="utf-8").strip()
         _collect(folder, objects, release, dtbs)
-        record = {"schema": SCHEMA, "release": release, "source": f"{data.debian.source} {data.debian.version}",
-                  "rt": data.debian.rt_version, "dtbs": dtbs}  # fmt: skip
+        record = {"schema": SCHEMA, "release": release, "source": f"{pinned.source} {pinned.version}", "dtbs": dtbs}
         atomic.write_text(folder / "kernel.json", json.dumps(record, indent=2) + "\n")
         shutil.rmtree(source)
 

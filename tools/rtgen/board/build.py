@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from rtfiles import atomic, cache
 from rtfiles.errors import UsageError
@@ -20,19 +20,15 @@ SCHEMA = 2
 HERE = Path(__file__).parent
 
 
-KernelChoice = Literal["debian", "built", "both"]
-
-
-def build(
-    name: str, place: Path, kernel: KernelChoice = "debian", login: Path | None = None, suite: str | None = None
-) -> Path:
+def build(name: str, place: Path, kernel: str = "debian", login: Path | None = None, suite: str | None = None) -> Path:
     """Build the board of this machine; return `place`/<name>, a link to it in the cache.
 
-    Its packages are those of Debian's `suite` (None: this machine's own). It runs Debian's kernel with PREEMPT_RT, for
-    `built` that of `rtgen kernel build`; for `both` it can boot Debian's standard kernel, too. `login` is a file of
-    public keys that may log in, for a card only. The first build takes about a minute, and that of the kernel; an
-    unchanged board is taken from the cache. Raises UsageError for an unknown machine or suite, a file without keys, or
-    when this user may not unpack packages; InfrastructureError when a package or tool fails.
+    Its packages are those of Debian's `suite` (None: this machine's own). Its `kernel` is Debian's with PREEMPT_RT
+    (``debian``), that and Debian's standard one (``both``), or that of `rtgen kernel build`: its first version
+    (``built``) or the one that is named, as ``7.2``. `login` is a file of public keys that may log in, for a card only.
+    The first build takes about a minute, and that of the kernel; an unchanged board is taken from the cache. Raises
+    UsageError for an unknown machine, suite or kernel, a file without keys, or when this user may not unpack packages;
+    InfrastructureError when a package or tool fails.
     """
     machine = find(name)
     source = packages.source(suite)
@@ -42,7 +38,10 @@ def build(
         card.check_login(login)
     if kernel == "both" and machine.standard_kernel is None:
         raise UsageError(f"{name}: no standard_kernel in the file of this machine: --kernel both is for others")
-    kernels = {"rt": built_kernel(name) if kernel == "built" else debian_kernel(machine.kernel, machine, source)}
+    if kernel in ("debian", "both"):
+        kernels = {"rt": debian_kernel(machine.kernel, machine, source)}
+    else:
+        kernels = {"rt": built_kernel(name, None if kernel == "built" else kernel)}
     if kernel == "both" and machine.standard_kernel is not None:
         kernels["standard"] = debian_kernel(machine.standard_kernel, machine, source)
     folder = assemble(name, machine, kernels, source, login)

@@ -74,14 +74,15 @@ def debian_kernel(package: str, machine: Machine, source: debian.Source) -> Kern
     )
 
 
-def built_kernel(board: str) -> Kernel:
+def built_kernel(board: str, version: str | None = None) -> Kernel:
     """The kernel of `rtgen kernel build` for this board, from the cache or built (five minutes on two idle cores).
 
-    Raises UsageError when there is no fragment for this board or its options do not hold.
+    Without a version it is the first that is pinned. Raises UsageError when there is no fragment for this board, no
+    source of this version, or the options do not hold.
     """
     data = kconfig.load()
     machine = data.fragment_of(board)
-    folder = kernel_build.build(data, machine, kernel_build.plan(data, machine))
+    folder = kernel_build.build(data, machine, kernel_build.plan(data, machine, version), version)
     release = json.loads((folder / "kernel.json").read_text(encoding="utf-8"))["release"]
     return Kernel(
         release=release,

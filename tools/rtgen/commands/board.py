@@ -26,10 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     build.add_argument(
         "--kernel",
-        choices=("debian", "built", "both"),
         default="debian",
-        help="Debian's ready-made one with PREEMPT_RT (default), the one of rtgen kernel build, or both of Debian's: "
-        "with PREEMPT_RT and without it",
+        metavar="KIND",
+        help="debian: the ready-made one with PREEMPT_RT (default); both: that and the one without; built: the one of "
+        "rtgen kernel build, or its version, as 7.2",
     )
 
 

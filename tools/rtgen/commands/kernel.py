@@ -9,9 +9,10 @@ HELP = "build a PREEMPT_RT kernel from a machine's fragment"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``build``."""
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    text = "build Debian's pinned kernel with its RT patches (five minutes on two idle cores, then cached)"
+    text = "build a pinned kernel of Debian with PREEMPT_RT (five minutes on two idle cores, then cached)"
     build = commands.add_parser("build", help=text, description=text)
     build.add_argument("--machine", required=True, help="a machine of kconfig/machines.yml, or a board listed there")
+    build.add_argument("--kernel", help="a version of kconfig/sources.yml, as 7.2 (default: the first there)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -23,10 +24,10 @@ def run(args: argparse.Namespace) -> int:
 
     data = kconfig.load()
     machine = data.fragment_of(args.machine)
-    verdict = kernel.plan(data, machine)
+    verdict = kernel.plan(data, machine, args.kernel)
     if report(verdict):
         return 1
-    folder = kernel.build(data, machine, verdict)
+    folder = kernel.build(data, machine, verdict, args.kernel)
     print_line(f"{folder}:")
     for file in sorted(folder.rglob("*")):
         if file.is_file() and file.relative_to(folder).parts[0] != "modules":

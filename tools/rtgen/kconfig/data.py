@@ -76,15 +76,17 @@ class SourceFile(config.Config):
 
 
 class DebianSource(config.Config):
-    """The pinned Debian kernel: its tree and the RT patches of the same version."""
+    """A pinned kernel of Debian: its tree, and the RT patches of the same version (None: mainline needs none).
 
-    suite: str
+    `suites` are those of Debian that may serve it, `release` is what the patched tree calls itself.
+    """
+
+    suites: list[str] = Field(min_length=1)
     source: str
     version: str
-    kernel: str
-    rt_version: str
+    release: str
     tree: SourceFile
-    patches: SourceFile
+    patches: SourceFile | None
 
 
 class _Kernels(config.Config):
@@ -99,7 +101,7 @@ class _Machines(config.Config):
 
 class _Sources(config.Config):
     schema_: Literal[1] = Field(alias="schema")
-    debian: DebianSource
+    kernels: dict[str, DebianSource] = Field(min_length=1)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -110,13 +112,22 @@ class Data:
     kernels: dict[str, Kernel]
     machines: dict[str, Machine]
     concerns: dict[str, Concern]
-    debian: DebianSource
+    sources: dict[str, DebianSource]
 
     def kernel(self, version: str) -> Kernel:
         """The kernel of that version. Raises UsageError, naming the known ones."""
         if version not in self.kernels:
             raise UsageError(f"kernel {version} is unknown, known: {', '.join(self.kernels)}")
         return self.kernels[version]
+
+    def source(self, version: str | None = None) -> DebianSource:
+        """The pinned source of a kernel, without a version the first one. Raises UsageError, naming the pinned ones."""
+        chosen = version or next(iter(self.sources))
+        if chosen not in self.sources:
+            raise UsageError(
+                f"no source of kernel {chosen} is pinned in kconfig/sources.yml, pinned: {', '.join(self.sources)}"
+            )
+        return self.sources[chosen]
 
     def machine(self, name: str) -> Machine:
         """The machine of that name. Raises UsageError, naming the known ones."""
@@ -164,7 +175,7 @@ def load(folder: Path | None = None) -> Data:
         kernels=config.load(folder / "kernels.yml", _Kernels).kernels,
         machines=config.load(folder / "machines.yml", _Machines).machines,
         concerns={path.stem: config.load(path, Concern) for path in sorted((folder / "options").glob("*.yml"))},
-        debian=config.load(folder / "sources.yml", _Sources).debian,
+        sources=config.load(folder / "sources.yml", _Sources).kernels,
     )
     for name, machine in data.machines.items():
         for concern in machine.concerns:

@@ -1,6 +1,6 @@
-"""The pinned kernel of Debian: its tree, and the RT patches from the same version of the source package.
+"""The pinned kernels of Debian: a tree, and the RT patches from the same version of the source package.
 
-Debian's ``linux-source`` package does not contain the RT patches; the packaging part of the source package does, in
+Debian's ``linux-source`` packages do not contain the RT patches; the packaging part of the source package does, in
 ``debian/patches-rt``. Both must have the same version, or the patches do not apply. apt uses a folder of its own for
 the download and leaves the machine's package lists and sources as they are.
 """
@@ -21,13 +21,13 @@ from rtgen.process import run
 _SERIES = "debian/patches-rt"
 
 
-def open_debian(data: Data) -> Tree:
-    """The files of Debian's kernel tree, with its RT patches, that Kconfig reads.
+def open_debian(data: Data, version: str | None = None) -> Tree:
+    """The files that Kconfig reads of a pinned kernel's tree with its RT patches; the version is as in `Data.source`.
 
-    Downloads 140 MB and takes half a minute the first time. Raises InfrastructureError when Debian does not serve the
-    pinned version any more, or when a checksum is wrong.
+    Downloads 140 MB and takes half a minute the first time. Raises UsageError for a version that is not pinned,
+    InfrastructureError when Debian does not serve it any more, or when a checksum is wrong.
     """
-    pinned = data.debian
+    pinned = data.source(version)
 
     def build(folder: Path) -> None:
         unpack(pinned, folder, whole=False)
@@ -50,8 +50,19 @@ def unpack(pinned: DebianSource, folder: Path, *, whole: bool) -> Path:
         run(["tar", "-x", "-f", str(archive), "-C", str(tree), "--strip-components=1", "--no-same-owner"])
     else:
         _extract_wanted(archive, tree)
-    run(["tar", "-x", "-f", str(files / pinned.patches.file), "-C", str(packed), "--no-same-owner", _SERIES])
-    patches = packed / _SERIES
+    if pinned.patches is not None:
+        apply_patches(files / pinned.patches.file, packed, tree, whole=whole)
+    shutil.rmtree(packed)
+    return tree
+
+
+def apply_patches(packaging: Path, folder: Path, tree: Path, *, whole: bool) -> None:
+    """Apply the RT patches of a packaging archive to a whole tree, or to the files that Kconfig reads.
+
+    The archive is unpacked into `folder`.
+    """
+    run(["tar", "-x", "-f", str(packaging), "-C", str(folder), "--no-same-owner", _SERIES])
+    patches = folder / _SERIES
     for name in (patches / "series").read_text(encoding="utf-8").split("\n"):
         if name and not name.startswith("#"):
             text = (patches / name).read_bytes()
@@ -59,8 +70,6 @@ def unpack(pinned: DebianSource, folder: Path, *, whole: bool) -> Path:
                 text = sections(text)
             if text:
                 run(["patch", "-d", str(tree), "-p1", "--silent", "--force", "--no-backup-if-mismatch"], stdin=text)
-    shutil.rmtree(packed)
-    return tree
 
 
 def sections(patch: bytes) -> bytes:
@@ -75,7 +84,7 @@ def sections(patch: bytes) -> bytes:
 
 
 def downloads(pinned: DebianSource) -> Path:
-    """The folder with the two pinned files, from the cache or downloaded and compared with their checksums."""
+    """The folder with the pinned files, from the cache or downloaded and compared with their checksums."""
 
     def build(folder: Path) -> None:
         apt = folder / "apt"
@@ -85,7 +94,8 @@ def downloads(pinned: DebianSource) -> Path:
         packaging = f"{pinned.source}={pinned.version}"
         try:
             run(["apt-get", *options, "download", package], folder=folder)
-            run(["apt-get", *options, "source", "--diff-only", "--download-only", packaging], folder=folder)
+            if pinned.patches is not None:
+                run(["apt-get", *options, "source", "--diff-only", "--download-only", packaging], folder=folder)
         except InfrastructureError as error:
             served = run(["apt-cache", *options, "madison", str(pinned.tree.package)])
             versions = ", ".join(
@@ -95,7 +105,7 @@ def downloads(pinned: DebianSource) -> Path:
                 f"{package} and its source cannot be downloaded, served: {versions or 'none'}; "
                 f"if that version is gone, pin another in kconfig/sources.yml\n{error}"
             ) from error
-        for file in (pinned.tree, pinned.patches):
+        for file in filter(None, (pinned.tree, pinned.patches)):
             checksum = _sha256(folder / file.file)
             if checksum != file.sha256:
                 raise InfrastructureError(f"{file.file}: sha256 is {checksum}, kconfig/sources.yml pins {file.sha256}")
@@ -115,13 +125,16 @@ def _private_apt(folder: Path, pinned: DebianSource) -> list[str]:
     keyring = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
     signed = f"[signed-by={keyring}] " if keyring.is_file() else ""
     (folder / "sources.list").write_text(
-        "".join(f"{kind} {signed}{mirror} {pinned.suite} main\n" for kind in ("deb", "deb-src")), encoding="utf-8"
+        "".join(f"{kind} {signed}{mirror} {suite} main\n" for suite in pinned.suites for kind in ("deb", "deb-src")),
+        encoding="utf-8",
     )
     settings = {
         "Dir::State": folder, "Dir::State::status": folder / "status", "Dir::State::Lists": folder / "lists",
         "Dir::Cache": folder, "Dir::Etc::SourceList": folder / "sources.list", "Dir::Etc::SourceParts": "/dev/null",
         "Dir::Etc::Preferences": "/dev/null", "Dir::Etc::PreferencesParts": "/dev/null",
         "Acquire::Languages": "none", "APT::Sandbox::User": "",
+        # A mirror's copy of a suite may be older than the suite allows. The checksums say what is right.
+        "Acquire::Check-Valid-Until": "false",
     }  # fmt: skip
     return [f"-o{key}={value}" for key, value in settings.items()]
 
