@@ -2,7 +2,7 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test fuzz soak test-slow test-boards test-kernel test-yocto lint coverage bench setup board suites clean
+.PHONY: demo test fuzz soak test-slow test-why test-boards test-kernel test-yocto lint coverage bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -35,6 +35,10 @@ fuzz: setup
 # A campaign of RUNS through FAULTS (kills, stops, hang-ups, cut links, full disks, damaged files), drawn by SEED.
 soak: setup
 	SEED=$(SEED) RUNS=$(RUNS) FAULTS=$(FAULTS) $(BIN)/pytest -s tests/hostile/soak.py
+
+# Culprits planted on this machine, which rtrun why must name; writes the table of docs/causes.md. Root, half an hour.
+test-why: setup
+	PYTHONPATH=tests $(BIN)/python tests/why/planted.py
 
 lint: setup
 	$(BIN)/ruff check .

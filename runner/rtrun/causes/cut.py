@@ -6,9 +6,11 @@ time is that of what woke it in the end: a timer, whose interrupt may have been 
 is followed in the same way, also into another process.
 """
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 
 from rtrun.causes.events import Context
 from rtrun.causes.timeline import IDLE_PID, Change, Span, State, Timeline, Waker, Why
@@ -16,6 +18,8 @@ from rtrun.causes.timeline import IDLE_PID, Change, Span, State, Timeline, Waker
 # The longest way from one thread to the one that woke it: a trace in a circle ends there.
 STEPS_MAX = 10_000
 TIMER = "the timer's own"
+# A fault has no event at its end: between two that follow this closely the thread does little else.
+BETWEEN_FAULTS_NS = 50_000
 
 
 class Kind(StrEnum):
@@ -167,7 +171,20 @@ class _Walk:
             if who is not None and who.context is not Context.THREAD:
                 yield self._part(span, cpu, _of_interrupt(who.context, who.name))
             else:
-                yield self._part(span, cpu, self._cause(kind, pid))
+                yield from self._with_faults(span, cpu, self._cause(kind, pid))
+
+    def _with_faults(self, span: Span, cpu: int, cause: Cause) -> Iterator[Part]:
+        """The time that a thread ran, latest first, without that between page faults that follow each other."""
+        times = self.timeline.faults_ns.get(cause.pid or 0, ())
+        within = times[bisect_left(times, span.begin_ns) : bisect_right(times, span.end_ns)]
+        end_ns = span.end_ns
+        for first_ns, next_ns in reversed(list(pairwise(within))):
+            if next_ns - first_ns <= BETWEEN_FAULTS_NS:
+                yield Part(begin_ns=next_ns, end_ns=end_ns, cause=cause, cpu=cpu)
+                fault = Cause(kind=Kind.FAULT, name=cause.name, pid=cause.pid, prio=cause.prio)
+                yield Part(begin_ns=first_ns, end_ns=next_ns, cause=fault, cpu=cpu)
+                end_ns = first_ns
+        yield Part(begin_ns=span.begin_ns, end_ns=end_ns, cause=cause, cpu=cpu)
 
     def _waited(self, pid: int, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Part]:
         prio = self.timeline.prios.get(pid)

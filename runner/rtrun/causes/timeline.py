@@ -105,6 +105,8 @@ class Timeline:
     prios: Mapping[int, int]
     """The latest priority of each thread that was seen to be switched to or from."""
     lost: Sequence[Lost]
+    faults_ns: Mapping[int, Sequence[int]]
+    """When each thread had page faults."""
 
     def spans(self, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Span]:
         """What a CPU did between two moments, without gaps."""
@@ -179,6 +181,7 @@ class _Builder:
         self.timers: dict[str, TimerStart] = {}
         self.futexes: dict[int, int] = {}
         self.faults: set[int] = set()
+        self.faults_ns: dict[int, list[int]] = defaultdict(list)
         self.lost: list[Lost] = []
         self.has_waking = False
 
@@ -212,6 +215,7 @@ class _Builder:
                     self.futexes[event.pid] = event.operation & _FUTEX_COMMAND
             case Fault():
                 self.faults.add(event.pid)
+                self.faults_ns[event.pid].append(event.at_ns)
             case Current():
                 self.names.setdefault(event.pid, event.name)
                 if cpu.thread is None:
@@ -322,4 +326,5 @@ def timeline(events: Iterable[Event]) -> Timeline:
         names=builder.names,
         prios=builder.prios,
         lost=tuple(builder.lost),
+        faults_ns=dict(builder.faults_ns),
     )

@@ -124,6 +124,18 @@ def test_a_page_fault_that_waits_for_memory():
     assert (Kind.FAULT, "low", 389) in parts_of(text + line(1410, "x: y"), at=1410)
 
 
+def test_page_faults_while_it_runs():
+    """Each is short, and they follow each other; the last one is too far away to be one of them."""
+    text = BEFORE + expiry(1000) + switch(1005, LOW, ME, state="R")
+    fault = "page_fault_user: address=0x7f ip=0x55 error_code=0x6"
+    text += "".join(line(us, fault, name="me", pid=1) for us in (1010, 1030, 1050, 1090, 1200)) + line(1210, "x: y")
+    assert parts_of(text, at=1210)[3:] == [
+        (Kind.PROGRAM, "me", 5),
+        (Kind.FAULT, "me", 80),
+        (Kind.PROGRAM, "me", 120),
+    ]
+
+
 def test_a_thread_of_the_middleware_is_followed():
     """The timer wakes a thread of the program, which wakes the measured one for the callback."""
     text = START + switch(200, OTHER, LOW) + switch(300, LOW, ME, state="R") + switch(310, ME, LOW)
