@@ -190,6 +190,22 @@ def test_what_is_left_falls_from_round_to_round():
     assert runs_left(groups[0], None, NEEDED, 2) == 4
 
 
+def test_no_number_of_runs_is_planned_for_a_group_that_changes():
+    (group,) = groups_of(1000)
+    noise = np.random.default_rng(1).normal(100_000, 10_000, 20_000)
+
+    def runs_left_of(values):
+        trials = [count_misses(values.astype(np.int64), DEADLINE_NS)]
+        verdict = judge(trials, deadline_ns=DEADLINE_NS, probability=1e-6, confidence=0.95)
+        standing = Standing(label="", runs=(group.name,), verdict=verdict, undecidable="", measured_s=0.0)
+        return verdict.change, runs_left(group, standing, NEEDED, 2)
+
+    change, number = runs_left_of(noise * np.linspace(1, 1.5, noise.size))
+    assert change is not None and number is None
+    change, number = runs_left_of(noise)
+    assert change is None and number > 0
+
+
 def test_a_group_is_known_by_the_names_of_its_runs():
     groups = groups_of(1000, 500)
 

@@ -236,6 +236,51 @@ def test_a_failed_run_that_was_closed_is_repeated_and_not_read_again(target, tmp
     assert len(wishes.calls()) == 2
 
 
+def test_what_a_killed_runner_left_of_a_closed_run_is_removed_in_the_end(
+    target, wishes, monkeypatch, measure, interrupt
+):
+    runs = runs_of(2)
+    real = run_directory.close
+
+    def close(*args):
+        real(*args)
+        raise Stop
+
+    interrupt(target, runs, close, Stop, module=run_execution.run_directory, name="close")
+    assert len(list(Path(target.work_dir).glob("runs/*/*"))) == 1
+    left = []
+    watching = Watching()
+    monkeypatch.setattr(watching, "ended", lambda *_: left.extend(Path(target.work_dir).glob("runs/*/*")))
+    assert measure(target, runs, watching) == ["ok", "ok"]
+    assert [folder.name for folder in left] == [runs[0].name], "a run that is closed leaves nothing"
+    assert not list(Path(target.work_dir).glob("runs/*"))
+
+
+def test_a_target_that_restarts_again_and_again_is_given_up(target, measure, interrupt):
+    attempts = []
+
+    def restarts(*_):
+        attempts.append(1)
+        raise TargetRebooted("the target was restarted")
+
+    interrupt(target, runs_of(2), restarts, TargetRebooted, module=run_execution, name="measure")
+    assert len(attempts) == campaign_runner.ATTEMPTS
+
+
+def test_a_run_does_not_begin_without_a_master(target, wishes, interrupt):
+    answers = [17]
+    interrupt(
+        target,
+        runs_of(1),
+        lambda _: answers.pop() if answers else None,
+        TargetError,
+        module=run_execution.ros_master,
+        name="ask_pid",
+        match="the ROS master died",
+    )
+    assert wishes.calls() == []
+
+
 def test_a_reboot_after_a_run_was_closed_costs_nothing(target, tmp_path, wishes, monkeypatch, measure):
     links = []
     real_enter, real_close = Link.__enter__, run_directory.close

@@ -142,6 +142,7 @@ def test_a_host_certificate(server, log_in, tmp_path, kind, authority):
     [
         (["-h", "-n", "other"], "it is for other, not for 127.0.0.1"),
         (["-h", "-V", "20200101:20200102"], "it is not valid now"),
+        (["-h", "-O", "critical:test@board=1"], "it has critical options"),
     ],
 )
 def test_a_certificate_that_does_not_count(server, log_in, options, message):
@@ -270,8 +271,12 @@ def test_lines_that_cannot_be_read_are_skipped(tmp_path, sshd, line):
     assert list(read_host_keys(address).trusted.values()) == ["ssh-ed25519"]
 
 
-@pytest.mark.parametrize("host_key", ["junk", "ssh-rsa", "ssh-rsa !", "ssh-rsa AAAAC3NzaC1lZDI1NTE5", ""])
-def test_a_host_key_that_is_none(host_key):
+@pytest.mark.parametrize(
+    "host_key", ["junk", "ssh-rsa", "ssh-rsa !", "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5", "", "of another type"]
+)
+def test_a_host_key_that_is_none(sshd, host_key):
+    if host_key == "of another type":
+        host_key = sshd.host_key.replace("ssh-ed25519", "ssh-rsa")
     with pytest.raises(TargetError, match=r"neither 'SHA256:…' nor 'type base64'"):
         read_host_keys(Address(host="board", host_key=host_key))
 

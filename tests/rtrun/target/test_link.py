@@ -132,6 +132,8 @@ def test_a_restart_is_told_once(board, remarks):
         assert link.boot_id == "boot 2"
         assert link.do(lambda _: "fine") == "fine"
         assert len(board.timeouts_s) == 2, "the connection by which it was found out is used"
+        link.drop()
+        assert link.do(lambda _: "fine") == "fine"
 
 
 def test_a_connection_without_a_boot_is_closed(board, remarks):

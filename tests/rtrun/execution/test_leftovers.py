@@ -1,0 +1,99 @@
+"""What an earlier call left of a run on the target: when it is picked up, and when it is not."""
+
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from types import SimpleNamespace
+
+import pytest
+
+from rtrun.execution import resumption
+from rtrun.target.connection import Connection
+from rtrun.target.errors import TargetError
+from rtrun.target.inspection import TargetState
+
+pytestmark = pytest.mark.sshd
+
+
+@pytest.fixture
+def folder(target):
+    return Path(target.work_dir) / "runs" / "campaign" / "run"
+
+
+@pytest.fixture
+def begin(link, folder):
+    """Begin the run of a suite with one program, and let these programs be started on this boot."""
+
+    def begin(*started):
+        resumption.begin(
+            link,
+            PurePosixPath(folder),
+            start_time="2026-01-01T00:00:00+00:00",
+            master_pid=17,
+            own_master=True,
+            argv={"suite": ["suite", "-r", "10"]},
+            before=TargetState(host="board"),
+        )
+        for name in started:
+            (folder / f"{name}.boot_id").write_text(f"{link.boot_id}\n")
+
+    return begin
+
+
+@pytest.fixture
+def inspect(link, folder):
+    return lambda: resumption.inspect_leftovers(link, PurePosixPath(folder), ["suite"])
+
+
+def test_nothing_is_left(inspect):
+    leftovers = inspect()
+    assert not leftovers.started and not leftovers.cut_off and not leftovers.can_be_picked_up(["suite"], None)
+
+
+def test_a_run_that_measures_is_picked_up(begin, inspect):
+    begin("sampler", "suite")
+    leftovers = inspect()
+    assert leftovers.started == {"sampler", "suite"}
+    attempt = leftovers.attempt
+    assert attempt.argv == {"suite": ["suite", "-r", "10"]} and attempt.before.host == "board"
+    assert leftovers.can_be_picked_up(["suite"], None)
+    assert leftovers.can_be_picked_up(["suite"], SimpleNamespace(attempt="an earlier one"))
+    assert not leftovers.can_be_picked_up(["suite"], SimpleNamespace(attempt=attempt.uid)), "it was closed"
+    assert not replace(leftovers, given_up=True).can_be_picked_up(["suite"], None)
+
+
+def test_a_run_whose_loads_were_started_only_is_not(begin, inspect):
+    begin("sampler", "load")
+    leftovers = inspect()
+    assert leftovers.attempt is not None and not leftovers.can_be_picked_up(["suite"], None)
+
+
+def test_a_run_that_a_restart_cut_off_is_not(begin, inspect, folder):
+    begin("suite")
+    (folder / "sampler.boot_id").write_text("11111111-2222-3333-4444-555555555555\n")
+    leftovers = inspect()
+    assert leftovers.cut_off and not leftovers.can_be_picked_up(["suite"], None)
+
+
+def test_a_run_that_was_given_up_is_not(begin, inspect, folder):
+    begin("suite")
+    (folder / "given_up").touch()
+    assert not inspect().can_be_picked_up(["suite"], None)
+
+
+def test_an_attempt_larger_than_believable_is_not_read(begin, inspect, monkeypatch):
+    begin("suite")
+    monkeypatch.setattr(resumption, "LIMIT_BYTES", 100)
+    assert inspect().attempt is None
+
+
+def test_half_an_attempt_is_none(begin, folder, monkeypatch):
+    """A link that is lost ends the input of the command early."""
+    real = Connection.check
+
+    def losing(self, argv, *, stdin="", **more):
+        return real(self, argv, stdin=stdin[:-1], **more)
+
+    monkeypatch.setattr(Connection, "check", losing)
+    with pytest.raises(TargetError):
+        begin()
+    assert not (folder / "attempt.json").exists()
