@@ -210,8 +210,8 @@ class _PreparedTarget:
     def restart(self, kernel: KernelName | None) -> None:
         """Restart the target, into a kernel where one is named. Raises TargetError when a run is going on there."""
         resumption.check_idle(self._link)
-        why = f"into the kernel {kernel}" if kernel else "the next round is to be measured on another boot"
-        self._notify(f"restarting the target: {why}")
+        into = f"into the kernel {kernel}" if kernel else "for the next round, which is to be on another boot"
+        self._notify(f"restarting the target {into}")
         self.drop()
         restart(self._link, kernel)
 

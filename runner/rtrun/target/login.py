@@ -201,7 +201,8 @@ def _load(path: Path, passphrase: str | None) -> paramiko.PKey:
 def log_in(transport: paramiko.Transport, address: Address, keys: Keys) -> None:
     """Log in with the first of the keys that is accepted; those that were refused are taken out.
 
-    Raises Refused when no key is left, HungUp when the server ended the connection, and TargetError.
+    Raises Refused when no key is left, HungUp when the server ended the connection, TimeoutError when it does not
+    answer, and TargetError.
     """
     refused = 0
     while keys.usable:
@@ -215,7 +216,10 @@ def log_in(transport: paramiko.Transport, address: Address, keys: Keys) -> None:
         except TimeoutError as error:
             raise TargetError(f"{address}: the SSH agent has not signed for {AGENT_S:g} s") from error
         except Exception as error:
-            # paramiko raises here whatever its reading thread has ended with.
+            # paramiko raises here whatever its reading thread has ended with. It has no type for a server that does not
+            # answer: a board that has just booted may be slow, and has refused nothing.
+            if str(error) == "Authentication timeout.":
+                raise TimeoutError("it has not answered to the login in time") from error
             hung_up = not transport.is_active()
             if not (hung_up and refused):
                 # Else this key may have been cut off by the limit for refused keys: it is tried again.

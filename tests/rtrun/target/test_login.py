@@ -13,7 +13,7 @@ import pytest
 from ports import free_port
 from rtrun.target import login
 from rtrun.target.connection import Connection
-from rtrun.target.errors import TargetError
+from rtrun.target.errors import ConnectionLost, TargetError
 
 pytestmark = pytest.mark.sshd
 
@@ -115,6 +115,14 @@ def test_a_server_that_wants_a_password_besides(another_sshd):
     address = another_sshd("PasswordAuthentication yes", "AuthenticationMethods publickey,password")
     with pytest.raises(TargetError, match=r"accepted the key of user .* and wants password besides"):
         Connection(address)
+
+
+def test_a_server_that_is_slow_to_answer_has_refused_nothing(another_sshd, sshd):
+    # It looks for keys by a command that takes its time, before it answers.
+    command = ("AuthorizedKeysCommand /bin/sleep 20", f"AuthorizedKeysCommandUser {sshd.user}")
+    address = another_sshd("AuthorizedKeysFile none", *command)
+    with pytest.raises(ConnectionLost, match="has not answered to the login in time"):
+        Connection(address, timeout_s=2.0)
 
 
 def test_a_server_that_takes_passwords_only(another_sshd):
