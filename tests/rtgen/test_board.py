@@ -11,7 +11,7 @@ import pytest
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import cli, debian
-from rtgen.board import build, disk, initrd, kernel, machine
+from rtgen.board import build, disk, initrd, kernel, machine, packages
 
 
 @pytest.fixture
@@ -146,6 +146,25 @@ def test_modules_come_after_what_they_need_and_once() -> None:
     ]
 
 
+def test_device_tree_that_the_kernel_lacks(some_kernel: kernel.Kernel) -> None:
+    with pytest.raises(InfrastructureError, match=r"^the kernel 6\.1\.0-rt has no device tree other\.dtb$"):
+        some_kernel.device_tree("other.dtb")
+    (some_kernel.dtbs / "other.dtb").touch()
+    assert some_kernel.device_tree("other.dtb").name == "other.dtb"
+    (some_kernel.dtbs / "other-rt.dtb").touch()
+    assert some_kernel.device_tree("other.dtb").name == "other-rt.dtb"
+
+
+def test_firmware_that_its_package_lacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(packages, "unpacked", lambda *_: tmp_path)
+    source = debian.Source(release="trixie", mirror=None)
+    with pytest.raises(InfrastructureError, match=r"^u-boot-omap of Debian trixie \(armhf\) has no file usr/MLO$"):
+        packages.file_of("u-boot-omap", "usr/MLO", "armhf", source)
+    (tmp_path / "usr").mkdir()
+    (tmp_path / "usr/MLO").touch()
+    assert packages.file_of("u-boot-omap", "usr/MLO", "armhf", source) == tmp_path / "usr/MLO"
+
+
 def test_ram_disk_gets_modules_unpacked(some_kernel: kernel.Kernel) -> None:
     (some_kernel.modules / "modules.dep").write_text("plain.ko:\npacked.ko.xz: plain.ko\n")
     (some_kernel.modules / "plain.ko").write_bytes(b"as it is")
@@ -188,13 +207,16 @@ def test_user_without_namespaces_is_told_what_to_do(tmp_path: Path, monkeypatch:
 
 
 def test_package_that_does_not_exist_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The real mmdebstrap fails; its last words are in the error, its files are gone."""
+    """The real mmdebstrap fails; the error is one line, its files are gone."""
     temporary = tmp_path / "tmp"
     temporary.mkdir(mode=0o1777)
     monkeypatch.setenv("TMPDIR", str(temporary))
     folder = tmp_path / "tree"
     folder.mkdir()
-    with pytest.raises(InfrastructureError, match="no-such-package"):
-        debian.extract(["no-such-package"], folder, "armhf", debian.source())
+    source = debian.source()
+    with pytest.raises(InfrastructureError) as raised:
+        debian.extract(["no-such-package"], folder, "armhf", source)
+    expected = f"Debian's suite {source.release} at {source.mirror} has no package no-such-package for armhf"
+    assert str(raised.value) == expected
     assert list(folder.iterdir()) == []
     assert list(temporary.iterdir()) == []

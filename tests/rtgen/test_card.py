@@ -153,7 +153,7 @@ def test_a_board_in_qemu_takes_no_key(capsys: pytest.CaptureFixture[str], key: P
 
 
 def test_a_card_has_what_the_rom_of_an_omap4_looks_for(tmp_path: Path, system: Path) -> None:
-    """OMAP4460 TRM (SWPU235), 27.4.7: MLO in the root folder of a FAT partition, which is the active one of an MBR."""
+    """MLO in the root folder of a FAT partition, the active one of an MBR: `rtgen.board.u_boot` says from where."""
     loader = tmp_path / "MLO"
     loader.write_bytes(b"first stage")
     configuration = tmp_path / "configuration"

@@ -19,6 +19,7 @@ import pytest
 from rtgen import debian
 from rtgen.board import card
 from rtgen.board.build import build
+from rtgen.board.kernel import built_kernel, debian_kernel
 from rtgen.board.machine import find, machines
 
 pytestmark = [pytest.mark.boards, pytest.mark.qemu, pytest.mark.timeout(1800)]
@@ -54,9 +55,9 @@ def key(tmp_path: Path) -> Path:
     return path
 
 
-def built(machine: str, key: Path, place: Path) -> Path:
+def built(machine: str, key: Path, place: Path, kernel: str = "debian") -> Path:
     """The machine's card, as the copy on a card that is larger than the image."""
-    folder = build(machine, place, login=key.with_suffix(".pub"))
+    folder = build(machine, place, kernel, login=key.with_suffix(".pub"))
     assert [path.name for path in folder.iterdir()] == ["card.img"], "no key that others could have"
     copy = place / "card.img"
     subprocess.run(["cp", "--sparse=always", folder / "card.img", copy], check=True)
@@ -137,8 +138,11 @@ def test_firmware_starts_the_stick(machine: str, key: Path, tmp_path: Path) -> N
         assert said("ls -d /sys/firmware/efi") == "/sys/firmware/efi", "started by UEFI, not by QEMU itself"
 
 
-def test_the_card_of_the_pandaboard(key: Path, tmp_path: Path) -> None:
-    image = built("pandaboard-es", key, tmp_path)
+@pytest.mark.parametrize("kind", ["debian", pytest.param("built", marks=pytest.mark.kernel)])
+def test_the_card_of_the_pandaboard(kind: str, key: Path, tmp_path: Path) -> None:
+    image = built("pandaboard-es", key, tmp_path, kind)
+    machine = find("pandaboard-es")
+    one = built_kernel("pandaboard-es") if kind == "built" else debian_kernel(machine.kernel, machine, debian.source())
     boot = tmp_path / "boot"
     boot.mkdir()
     fat = f"{image}@@{card.START_MIB}M"
@@ -149,6 +153,10 @@ def test_the_card_of_the_pandaboard(key: Path, tmp_path: Path) -> None:
     kernel, ram_disk, device_tree = (boot / entry[word].lstrip("/") for word in ("kernel", "initrd", "fdt"))
     compatible = subprocess.run(["fdtget", device_tree, "/", "compatible"], capture_output=True, text=True, check=True)
     assert compatible.stdout.split()[0] == "ti,omap4-panda-es"
+    # Kernel and device tree are of one build; ours has the device tree with the fine clock.
+    assert kernel.read_bytes() == one.image.read_bytes()
+    name = "omap4-panda-es-rt.dtb" if kind == "built" else "omap4-panda-es.dtb"
+    assert device_tree.read_bytes() == (one.dtbs / name).read_bytes()
     assert KERNEL_AT + kernel.stat().st_size < DEVICE_TREE_AT
     assert DEVICE_TREE_AT + device_tree.stat().st_size < RAM_DISK_AT
     assert RAM_DISK_AT + ram_disk.stat().st_size < MEMORY_END
@@ -158,6 +166,9 @@ def test_the_card_of_the_pandaboard(key: Path, tmp_path: Path) -> None:
     command += ["-drive", f"file={image},format=raw,if=none,id=card", "-device", "virtio-blk-device,drive=card"]
     with running(command, key, tmp_path) as said:
         check_board(said, "/dev/vda2")
+        # The modules are those of the kernel that runs.
+        assert said("uname -r") == said("ls /lib/modules") == one.release
+        said("modprobe --dry-run ext4")
     # Its owner compares them at the first login.
     shown = (tmp_path / "console.log").read_text(errors="replace")
     assert re.search(r"start: SSH host key 256 SHA256:\S+ ", shown)
@@ -167,14 +178,14 @@ def test_the_card_of_the_pandaboard(key: Path, tmp_path: Path) -> None:
 def check_first_stages(boot: Path) -> None:
     """MLO begins with a table of contents, then size and address of itself; it fits into the OMAP4's internal RAM.
 
-    OMAP4460 TRM (SWPU235), 27.4.8 "Image Format"; U-Boot's tools/omapimage.c writes it so. u-boot.img has the header of
-    U-Boot's legacy images (include/image.h).
+    U-Boot's tools/omapimage.c writes it so, and its arch/arm/include/asm/arch-omap4/omap.h has the bounds of that RAM.
+    u-boot.img has the header of U-Boot's legacy images (include/image.h).
     """
     loader = (boot / "MLO").read_bytes()
     assert loader[20:30] == b"CHSETTINGS"
     size, address = (int.from_bytes(loader[at : at + 4], "little") for at in (512, 516))
     assert address == 0x40300000
     assert 0 < size <= len(loader) - 512
-    assert address + size <= 0x40300000 + 56 * 1024, "internal RAM is 56 KiB"
+    assert address + size <= 0x4030E000, "internal RAM is 56 KiB"
     assert b"u-boot.img\0" in loader
     assert (boot / "u-boot.img").read_bytes()[:4] == bytes.fromhex("27051956")

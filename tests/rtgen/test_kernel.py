@@ -9,7 +9,7 @@ from rtgen import kernel
 from rtgen.cli import main
 from rtgen.kconfig import data as kconfig
 from rtgen.kconfig import debian_source
-from rtgen.kconfig.verify import Mismatch, Verdict
+from rtgen.kconfig.verify import Mismatch, Verdict, verify_config
 
 
 @pytest.fixture(scope="module")
@@ -89,4 +89,13 @@ def test_each_pinned_kernel_has_preempt_rt(data):
 
 def test_boards_run_the_kernel_of_their_fragment(data):
     assert data.fragment_of("vexpress-a9") == data.fragment_of("qemu-armv7") == "qemu-armv7"
-    assert data.fragment_of("pandaboard-es") == "pandaboard-es"
+    assert data.fragment_of("pandaboard-es") == "qemu-armv7"
+
+
+def test_the_kernel_of_several_boards_has_what_each_of_them_needs(data):
+    config = kernel.plan(data, "qemu-armv7").config
+    boards = [board for board in data.machine("qemu-armv7").boards if board in data.machines]
+    assert boards == ["pandaboard-es"]
+    for board in boards:
+        verdict = verify_config(data, board, config, ".config")
+        assert verdict.mismatches == () and verdict.checked > 70

@@ -2,6 +2,7 @@
 
 import os
 import platform
+import re
 import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -82,7 +83,7 @@ def extract(names: list[str], folder: Path, architecture: str, source: Source, d
     Documentation, translations and files that match `dropped` (patterns of tar) are left out. Absolute symbolic links
     become relative, so that they stay in the folder. apt's settings and lists are mmdebstrap's own: the machine's stay
     as they are. Raises UsageError when this user may not unpack, InfrastructureError when mmdebstrap fails (network,
-    disk, a release that the mirror does not serve).
+    disk, a release or package that the mirror does not serve).
     """
     mode = extraction_mode()
     archive = folder / "packages.tar"
@@ -97,9 +98,14 @@ def extract(names: list[str], folder: Path, architecture: str, source: Source, d
         excluded = [f"--exclude=./{name}" for name in (*DROPPED, *dropped)]
         run(["tar", "-x", "-f", str(archive), "-C", str(folder), "--no-same-owner", *excluded])
     except InfrastructureError as error:
+        where = source.mirror or "mmdebstrap's default mirror"
         if "does not have a Release file" in str(error):
-            where = source.mirror or "mmdebstrap's default mirror"
             raise InfrastructureError(f"Debian's suite {source.release} is not served by {where}") from error
+        if unknown := re.findall(r"Unable to locate package (\S+)", str(error)):
+            missing = (
+                f"Debian's suite {source.release} at {where} has no package {', '.join(unknown)} for {architecture}"
+            )
+            raise InfrastructureError(missing) from error
         raise
     finally:
         archive.unlink(missing_ok=True)

@@ -37,6 +37,23 @@ def test_refusal_is_told_in_the_words_of_qemu(tmp_path: Path, capsys: pytest.Cap
     )
 
 
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        # An accelerator that this QEMU was built without, and a device that is not there.
+        (("qemu-system-arm", "-M", "virt", "-accel", "kvm"), "invalid accelerator kvm"),
+        (("qemu-system-of-nothing",), "No such file or directory"),
+    ],
+)
+def test_the_real_qemu_without_kvm(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], reason: str
+) -> None:
+    assert kvm.works(words, tmp_path / "vmlinuz") is False
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("rtrun: KVM does not work here, QEMU emulates the processor instead (")
+    assert reason in line
+
+
 def test_a_guest_that_hangs_is_ended_and_told_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

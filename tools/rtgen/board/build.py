@@ -98,7 +98,7 @@ def link_board(
     for kernel, entry in zip(kernels.values(), entries.values(), strict=True):
         os.link(kernel.image, folder / entry["kernel"])
         if machine.dtb is not None:
-            os.link(kernel.dtbs / machine.dtb, folder / entry["dtb"])
+            os.link(kernel.device_tree(machine.dtb), folder / entry["dtb"])
         (folder / entry["initrd"]).write_bytes(ram_disk(machine, kernel, root))
     versions = debian.versions((root / disk.LIST).read_text(encoding="utf-8").splitlines())
     for kernel in kernels.values():

@@ -30,9 +30,14 @@ class Kernel:
     packages: dict[str, str]
 
     def device_tree(self, name: str) -> Path:
-        """The device tree of this name, or ours for real time (``<name>-rt.dtb``) if the kernel has one."""
-        ours = self.dtbs / f"{Path(name).stem}-rt.dtb"
-        return ours if ours.exists() else self.dtbs / name
+        """The device tree of this name, or ours for real time (``<name>-rt.dtb``) if the kernel has one.
+
+        Raises InfrastructureError when it has neither.
+        """
+        for path in (self.dtbs / f"{Path(name).stem}-rt.dtb", self.dtbs / name):
+            if path.exists():
+                return path
+        raise InfrastructureError(f"the kernel {self.release} has no device tree {name}")
 
     def files_of(self, modules: list[str]) -> list[str]:
         """Files below `modules` to load, in order, for these names; as `module_files` does."""

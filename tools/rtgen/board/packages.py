@@ -7,7 +7,7 @@ from pydantic import StringConstraints
 
 from rtfiles import cache
 from rtfiles.config import Config, load
-from rtfiles.errors import UsageError
+from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import debian
 
 DATA = Path(__file__).with_name("packages.yml")
@@ -46,6 +46,14 @@ def source(suite: str | None) -> debian.Source:
     if chosen.release not in known:
         raise UsageError(f"Debian's suite {chosen.release!r} is unknown, known: {', '.join(known)} (--suite)")
     return chosen
+
+
+def file_of(package: str, file: str, architecture: str, source: debian.Source) -> Path:
+    """A file of a package by its path in it. Raises InfrastructureError when there is none, and as `unpacked` does."""
+    path = unpacked(package, architecture, source) / file
+    if not path.is_file():
+        raise InfrastructureError(f"{package} of Debian {source.release} ({architecture}) has no file {file}")
+    return path
 
 
 def unpacked(package: str, architecture: str, source: debian.Source) -> Path:

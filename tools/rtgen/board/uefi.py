@@ -11,7 +11,7 @@ from pathlib import Path
 from rtgen import debian
 from rtgen.board.boot import Boot
 from rtgen.board.machine import Machine, architectures
-from rtgen.board.packages import unpacked
+from rtgen.board.packages import file_of
 from rtgen.process import run
 
 PACKAGE = "systemd-boot-efi"
@@ -24,8 +24,8 @@ def boot_files(machine: Machine, source: debian.Source, boot: Boot, os_release: 
     command_line = work / "cmdline"
     command_line.write_text(boot.command_line, encoding="utf-8")
     parts = {".osrel": os_release, ".cmdline": command_line, ".linux": boot.kernel, ".initrd": boot.ram_disk}
-    package = unpacked(PACKAGE, machine.architecture, source)
-    stub = package / f"usr/lib/systemd/boot/efi/linux{architecture.uefi}.efi.stub"
+    name = f"usr/lib/systemd/boot/efi/linux{architecture.uefi}.efi.stub"
+    stub = file_of(PACKAGE, name, machine.architecture, source)
     write_efi_file(work / "boot.efi", stub, architecture.triplet, parts)
     return {f"EFI/BOOT/BOOT{architecture.uefi}.EFI".upper(): work / "boot.efi"}
 

@@ -136,12 +136,15 @@ class Data:
         return self.machines[name]
 
     def fragment_of(self, board: str) -> str:
-        """The machine whose kernel a board runs: the board itself, or the machine that lists it. Raises UsageError."""
-        names = [name for name, machine in self.machines.items() if board in (name, *machine.boards)]
-        if not names:
-            boards = [board for name, machine in self.machines.items() for board in (name, *machine.boards)]
-            raise UsageError(f"machine {board} is unknown, known: {', '.join(boards)}")
-        return names[0]
+        """The machine whose kernel a board runs: the one that lists the board, or else the board itself.
+
+        Raises UsageError, naming the known boards.
+        """
+        runs = {name: name for name in self.machines}
+        runs |= {each: name for name, machine in self.machines.items() for each in machine.boards}
+        if board not in runs:
+            raise UsageError(f"machine {board} is unknown, known: {', '.join(runs)}")
+        return runs[board]
 
     def options(self, machine: str, kernel: str) -> dict[str, tuple[Option, ...]]:
         """The options of a machine that hold for a kernel, by concern, in the order of the files."""
