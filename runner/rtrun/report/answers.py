@@ -23,15 +23,22 @@ _UNBOUNDED = 10_000  # columns: the terminal breaks a line that is too long for 
 
 
 def print_answers(cases: Sequence[Case], *, judged: bool) -> None:
-    """Print the table, with whether each case passes where they are `judged`, then a line for each reason."""
+    """Print the table, with whether each case passes where they are `judged`, then a line for each reason.
+
+    Why there is no answer is printed once where it is the same for all.
+    """
     if not cases:
         return
     screen, rows = console(), _table(cases, judged=judged)
     screen.width = screen.measure(rows, options=screen.options.update(max_width=_UNBOUNDED)).maximum
     screen.print(rows)
     print_line()
+    refusals = {case.refused for case in cases}
+    refused = refusals.pop() if len(cases) > 1 and len(refusals) == 1 else None
+    if refused:
+        print_line(f"no scenario has an answer: {refused}")
     for case in cases:
-        print_line(f"{case.about}: {case.text}")
+        print_line(f"{case.about}: {case.text.removeprefix(f'{refused}; ')}")
 
 
 def _table(cases: Sequence[Case], *, judged: bool) -> "Table":

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from rtrun.analysis.deadline import Answer
 from rtrun.report.study import Group, Study
-from rtrun.report.verdicts import verdict_line
+from rtrun.report.verdicts import severity, verdict_line
 from rtrun.target.platform import Platform, weakest
 
 
@@ -20,11 +20,13 @@ class Case:
     n: int | None = None
     misses: int | None = None
     worst_ns: int | None = None
+    refused: str | None = None
+    """Why there is no answer, as `text` says it first."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gate:
-    """All cases; `passed` when there is one and every one passed."""
+    """All cases, not analysed first, then worst first; `passed` when there is one and every one passed."""
 
     cases: tuple[Case, ...]
 
@@ -43,11 +45,12 @@ def gate(study: Study, *, assume_independent: bool = False, platform: Platform =
     of the target cut off is named, and passes when its run was measured again.
     """
     passing = {Answer.PROVEN, Answer.IF_INDEPENDENT} if assume_independent else {Answer.PROVEN}
-    cases = [_case(group, passing, platform) for group in study.groups]
-    cases += [
+    cases = [
         Case(about=text.split(":", 1)[0], answer="NOT ANALYSED", text=text.split(":", 1)[-1].strip(), passed=False)
         for text in study.left_out
     ]
+    judged = [_case(group, passing, platform) for group in study.groups]
+    cases += sorted(judged, key=lambda case: severity(case.answer, case.worst_ns))
     cases += [
         Case(about=name, answer="REPEATED", text="cut off by a restart of the target, then measured again", passed=True)
         for name in study.source.repeated
@@ -71,4 +74,5 @@ def _case(group: Group, passing: Container[str], platform: Platform) -> Case:
         n=verdict.n if verdict else group.n,
         misses=verdict.misses if verdict else None,
         worst_ns=verdict.worst_ns if verdict else None,
+        refused=verdict.refused if verdict else None,
     )

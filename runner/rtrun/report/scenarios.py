@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtfiles.output import printable
-from rtrun.analysis.deadline import Answer
 from rtrun.analysis.figures import PERCENTILES, Figures, rank
 from rtrun.analysis.histogram import merge
 from rtrun.plan.conditions import IDLE
@@ -17,7 +16,7 @@ from rtrun.report.claims.examination import us
 from rtrun.report.digest import Digest
 from rtrun.report.study import Group, Study
 from rtrun.report.tables import Table, how, printable_table, time_us
-from rtrun.report.verdicts import WORST_FIRST, verdict_line
+from rtrun.report.verdicts import severity, verdict_line
 from rtrun.results.series import MEASURED_2014, NOTE_2014
 
 _PERCENTILES = tuple(p for p in PERCENTILES if p != 95.0)
@@ -55,7 +54,7 @@ class Scenario:
 def scenarios(study: Study) -> tuple[Scenario, ...]:
     """Every group of a study, the worst answer first, and within an answer the highest value first."""
     made = [_scenario(group, label, study) for group, label in zip(study.groups, _labels(study), strict=True)]
-    made.sort(key=lambda one: (WORST_FIRST.index(Answer(one.answer)), -(one.figures.max_ns or -math.inf)))
+    made.sort(key=lambda one: severity(one.answer, one.figures.max_ns))
     seen: Counter[str] = Counter()
     for place, one in enumerate(made):
         seen[one.id] += 1

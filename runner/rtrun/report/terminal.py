@@ -130,11 +130,9 @@ def answer(
 ) -> Group:
     """The banner if there is one to give, the table, and a line for every note and for every remark on a result."""
     results = list(results)
-    lines = list(notes)
+    lines = [*notes, *_startup([result.header for result in results])]
     for result in results:
-        lines += [
-            f"{result.header.output}: {remark}" for remark in (*_apart(result.header), *remarks_of(result.header))
-        ]
+        lines += [f"{result.header.output}: {remark}" for remark in (*_lost(result.header), *remarks_of(result.header))]
     if any(result.header.series == MEASURED_2014 for result in results):
         lines.append(NOTE_2014)
     if any(0 < result.figures.n < 1000 for result in results):
@@ -147,12 +145,25 @@ def answer(
     )
 
 
-def _apart(header: Header) -> list[str]:
-    """Which values are in no figure, in a sentence each."""
+def _startup(headers: Sequence[Header]) -> list[str]:
+    """Start-up values, which are in no figure: a line for each series."""
     lines = []
-    if header.startup:
-        values = ", ".join(f"{value.value_ns / 1000:g} us (loop {value.index})" for value in header.startup)
-        lines.append(f"{header.series} start-up apart, in no figure: {values}")
+    started = [header for header in headers if header.startup]
+    for series in dict.fromkeys(header.series for header in started):
+        of_series = [header for header in started if header.series == series]
+        if len(of_series) == 1:
+            values = ", ".join(f"{value.value_ns / 1000:g} us (loop {value.index})" for value in of_series[0].startup)
+            lines.append(f"{of_series[0].output}: {series} start-up apart, in no figure: {values}")
+            continue
+        values_us = [value.value_ns / 1000 for header in of_series for value in header.startup]
+        span = f"{min(values_us):g} to {max(values_us):g} us"
+        lines.append(f"{series} start-up of {len(of_series)} outputs apart, in no figure: {span}")
+    return lines
+
+
+def _lost(header: Header) -> list[str]:
+    """Which measurements are in no figure, in a sentence each."""
+    lines = []
     if header.not_fired:
         count = header.not_fired
         lines.append(

@@ -1,5 +1,6 @@
 """A verdict in words: the answer, and the numbers that it rests on."""
 
+import math
 from dataclasses import dataclass
 
 from rtfiles.output import printable
@@ -12,6 +13,11 @@ from rtrun.report.tables import grouped
 ENOUGH_BOOTS = 5
 # In this order a reader has to see the answers.
 WORST_FIRST = (Answer.REFUTED, Answer.NEEDS_MORE, Answer.IF_INDEPENDENT, Answer.PROVEN, Answer.NO_STATEMENT)
+
+
+def severity(answer: str, worst_ns: int | None) -> tuple[int, float]:
+    """Sorts scenarios: the worst answer first, and within an answer the highest value first."""
+    return WORST_FIRST.index(Answer(answer)), math.inf if worst_ns is None else -worst_ns
 
 
 @dataclass(frozen=True, kw_only=True)

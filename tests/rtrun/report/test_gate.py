@@ -53,6 +53,24 @@ def test_emulated_results_never_pass(tmp_path, capsys):
     assert printed.startswith("EMULATED") and "FAIL  not a real-time statement" in printed
 
 
+def test_the_worst_answer_is_the_first_line(campaign, capsys):
+    assert main(["gate", str(campaign)]) == 1
+    table = capsys.readouterr().out.split("\n\n")[0].splitlines()[3:]
+    answers = [re.split(r"  +", line)[1] for line in table]
+    assert answers == sorted(answers, key=["REFUTED", "NEEDS MORE"].index) and len(set(answers)) == 2
+    values = [float(re.split(r"  +", line)[-1]) for line in table if "REFUTED" in line]
+    assert values == sorted(values, reverse=True)
+
+
+@pytest.mark.parametrize("command", [["gate"], ["report", "--format", "junit"]])
+def test_why_no_scenario_has_an_answer_is_printed_once(emulated, tmp_path, capsys, command):
+    output = ["--output", str(tmp_path / "x")] if command[0] == "report" else []
+    main([command[0], str(emulated), *command[1:], *output])
+    printed = capsys.readouterr().out
+    assert printed.count("no scenario has an answer: measured on an emulated board\n") == 1
+    assert "; measured on" not in printed and ": measured on an emulated board;" not in printed
+
+
 def test_a_proof_from_a_virtual_machine_passes_only_when_told_to(tmp_path, capsys):
     write_oneshot(tmp_path, platform="virtual")
     question = ["gate", str(tmp_path), "--probability", "1e-3"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from rtrun.analysis.figures import Figures, figures_of_samples
+from rtrun.analysis.figures import Figures, IndexedValue, figures_of_samples
 from rtrun.plan.suites import Value
 from rtrun.report.terminal import BANNERS, NO_PREEMPT_RT, PREEMPT_RT_IN_PART, answer, table
 from rtrun.results.reading import Result
@@ -129,6 +129,19 @@ def test_threads_of_one_run_are_told_apart_by_the_end_of_their_output() -> None:
     one = result(WIDE)
     threads = [replace(one, header=replace(one.header, output=f"cyclictest_l10-t{k}")) for k in (0, 1)]
     assert [row.split()[4] for row in drawn(table(threads), 200)[3:]] == ["#t0", "#t1"]
+
+
+def test_start_up_values_of_many_outputs_are_one_line_a_series() -> None:
+    def started(value_ns: int, series: str) -> Result:
+        startup = (IndexedValue(value_ns=value_ns, index=0),)
+        return replace(result(WIDE), header=replace(result(WIDE).header, series=series, startup=startup))
+
+    results = [started(538_000, "latency"), started(541_500, "latency"), started(9000, "jitter")]
+    lines = [line for line in drawn(answer(results, platform=Platform.HARDWARE), 200) if "start-up" in line]
+    assert lines == [
+        "latency start-up of 2 outputs apart, in no figure: 538 to 541.5 us",
+        f"{results[2].header.output}: jitter start-up apart, in no figure: 9 us (loop 0)",
+    ]
 
 
 def test_one_timer_is_not_many() -> None:
