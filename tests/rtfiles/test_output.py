@@ -1,6 +1,7 @@
 """What is printed cannot command a terminal, and what happens to the output does not change the answer."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -144,3 +145,16 @@ def test_programs_that_are_started_get_streams_in_place_of_closed_ones():
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     assert subprocess.run([sys.executable, "-c", close, "-c", program], env=environment, check=False).returncode == 0
+
+
+def test_how_long_it_took_is_a_note(capsys):
+    with output.noting_duration("building"):
+        print("built")
+    printed = capsys.readouterr()
+    assert printed.out == "built\n" and re.fullmatch(r"building: [0-9]+ s\n", printed.err)
+
+
+def test_what_failed_has_no_duration(capsys):
+    with pytest.raises(OSError), output.noting_duration("building"):
+        raise OSError
+    assert capsys.readouterr().err == ""

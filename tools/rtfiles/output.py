@@ -9,6 +9,7 @@ import contextlib
 import io
 import os
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TextIO
@@ -44,6 +45,14 @@ def print_bytes(content: bytes) -> None:
 def print_note(text: str) -> None:
     """Print one line beside the answer, a remark or an error, to standard error."""
     print(printable(text), file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def noting_duration(what: str) -> Iterator[None]:
+    """Print how long the body took, unless it fails."""
+    start = time.monotonic()
+    yield
+    print_note(f"{what}: {time.monotonic() - start:.0f} s")
 
 
 def print_status(text: str) -> None:

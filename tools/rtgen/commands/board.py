@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """List the machines, or build the board and print its folder."""
-    from rtfiles.output import print_line
+    from rtfiles.output import noting_duration, print_line
     from rtgen.board.build import build
     from rtgen.board.machine import default_machine
 
@@ -43,7 +43,9 @@ def run(args: argparse.Namespace) -> int:
         _list_machines()
         return 0
     machine = args.machine or default_machine()
-    print_line(str(build(machine, PLACE, args.kernel, login=args.authorized_key, suite=args.suite)))
+    with noting_duration(f"building the board {machine}"):
+        folder = build(machine, PLACE, args.kernel, login=args.authorized_key, suite=args.suite)
+    print_line(str(folder))
     return 0
 
 

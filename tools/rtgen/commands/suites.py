@@ -21,8 +21,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Build the suites and print their folder."""
-    from rtfiles.output import print_line
+    from rtfiles.output import noting_duration, print_line
     from rtgen.suites import build
 
-    print_line(str(build(args.machine, PLACE, args.suite)))
+    with noting_duration(f"building the suites for {args.machine}"):
+        folder = build(args.machine, PLACE, args.suite)
+    print_line(str(folder))
     return 0
