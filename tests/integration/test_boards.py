@@ -33,10 +33,10 @@ runs:
 """
 
 
-def measure(machine: str, folder: Path, *options: str) -> list[Path]:
-    """Build board and suites with these options, run the campaign in the current folder; the runs that it left."""
-    assert rtgen.cli.main(["board", "build", "--machine", machine, *options]) == 0
-    assert rtgen.cli.main(["suites", "build", "--machine", machine, *options]) == 0
+def measure(machine: str, folder: Path, *suite: str, kernel: str = "debian") -> list[Path]:
+    """Build board and suites, the board with this kernel, run the campaign in the current folder; the runs it left."""
+    assert rtgen.cli.main(["board", "build", "--machine", machine, "--kernel", kernel, *suite]) == 0
+    assert rtgen.cli.main(["suites", "build", "--machine", machine, *suite]) == 0
     target = folder / "target.yml"
     target.write_text(TARGET.format(machine=machine))
     (folder / "campaign.yml").write_text(CAMPAIGN)
@@ -57,6 +57,18 @@ def test_suites_measure_on_debian_13(machine: str, tmp_path: Path, monkeypatch) 
         assert "VERSION_CODENAME=trixie" in state["os_release"].splitlines()
         # The last of ROS 1.
         assert state["roscpp_version"].startswith("1.17.")
+
+
+@pytest.mark.kernel
+@pytest.mark.timeout(3 * 3600)  # the kernel is built, five minutes on two idle cores
+def test_suites_measure_on_a_kernel_whose_mainline_has_preempt_rt(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for run in measure("qemu-armv7", tmp_path, kernel="7.2"):
+        record = json.loads((run / "run.json").read_text())
+        assert (record["status"], record["target"]["preempt_rt"]) == ("ok", True)
+        assert record["target"]["kernel_release"].startswith("7.2.")
+        configuration = str(run / "kernel.config.gz")
+        assert rtgen.cli.main(["kconfig", "verify", "--machine", "qemu-armv7", "--config", configuration]) == 0
 
 
 @pytest.mark.parametrize("machine", [name for name, each in machines().items() if each.qemu is not None])

@@ -32,7 +32,8 @@ def run(args: argparse.Namespace) -> int:
     with linked(config, args.target.parent) as link:
         target = link.target
         equipment = inspection.inspect(link)
-        inspection.check_suites(target, equipment)
+        if target.suites is not None:
+            inspection.check_suites(target.suites, target, equipment)
         known = platform_signs.find_platform(link)
         state = inspection.read_state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
         answers = ros_master.ask_pid(link) is not None

@@ -44,7 +44,8 @@ def prepared(
     """Deploy scripts and suites, and see to it that a ROS master answers while the context lasts."""
     target = link.target
     equipment = inspection.inspect(link)
-    inspection.check_suites(target, equipment)
+    for folder in filter(None, [target.suites, *(variant.suites for variant in (variants or {}).values())]):
+        inspection.check_suites(folder, target, equipment)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     installed = equipment.programs if target.suites is None else _deploy_suites(link, target.suites)
     kernel_config = inspection.read_kernel_config(link)

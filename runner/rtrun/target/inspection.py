@@ -146,20 +146,18 @@ def _header(lines: Sequence[str]) -> bytes:
         return b""
 
 
-def check_suites(target: Target, equipment: Equipment) -> None:
-    """Raise UsageError when the suites of the target file are for another architecture or Debian than the target's."""
-    if target.suites is None:
-        return
-    release = built_for(target.suites)
+def check_suites(suites: Path, target: Target, equipment: Equipment) -> None:
+    """Raise UsageError when a folder of suites is for another architecture or release of Debian than the target's."""
+    release = built_for(suites)
     if release is not None and equipment.debian not in (None, release):
         raise UsageError(
-            f"{target.suites}: suites for Debian {release}, but {target.address} has {equipment.debian}'s libraries: "
+            f"{suites}: suites for Debian {release}, but {target.address} has {equipment.debian}'s libraries: "
             f"build them by {as_called('rtgen')} suites build --suite {equipment.debian}"
         )
-    made_for = architecture.of_folder(target.suites)
+    made_for = architecture.of_folder(suites)
     if made_for is not None and equipment.architecture not in (None, made_for):
         raise UsageError(
-            f"{target.suites}: suites for {made_for}, but {target.address} is {equipment.architecture}: "
+            f"{suites}: suites for {made_for}, but {target.address} is {equipment.architecture}: "
             f"name suites that were built for its machine by {as_called('rtgen')} suites build --machine"
         )
 

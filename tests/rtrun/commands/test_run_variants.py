@@ -46,3 +46,11 @@ def test_each_variant_runs_its_own_build_in_turn_and_the_two_are_compared(builds
     assert set(out[0].replace(",", "").split()[1::2]) == {"old", "new"}, out[0]
     # A banner may come before it, where this machine is virtual.
     assert any("cyclic_timer" in line for line in out[1:3]) and not any("only in" in line for line in out)
+
+
+def test_a_variant_for_another_release_of_debian_is_refused_before_anything_runs(builds, capsys):
+    Path("new/build.json").write_text('{"debian": "hamm"}')
+    assert main(["run", "campaign.yml", "--target", "target.yml"]) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "suites for Debian" in line]
+    assert line.startswith("rtrun: new: suites for Debian hamm, but ")
+    assert [build.calls() for build in builds.values()] == [[], []]

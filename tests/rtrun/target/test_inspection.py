@@ -118,18 +118,19 @@ def test_facts_that_are_nonsense(link, monkeypatch, tmp_path, line, expected):
 @pytest.mark.sshd
 def test_suites_for_another_release_of_debian(link, tmp_path):
     equipment = replace(inspection.inspect(link), debian="trixie")
-    target = replace(link.target, suites=tmp_path)
 
     def check(record):
         (tmp_path / "build.json").write_text(json.dumps(record))
-        inspection.check_suites(target, equipment)
+        inspection.check_suites(tmp_path, link.target, equipment)
 
     for record in ({}, {"debian": None}, {"debian": "trixie"}):
         check(record)
     with pytest.raises(UsageError) as raised:
         check({"debian": "bookworm"})
     message = str(raised.value)
-    assert message.startswith(f"{tmp_path}: suites for Debian bookworm, but {target.address} has trixie's libraries: ")
+    assert message.startswith(
+        f"{tmp_path}: suites for Debian bookworm, but {link.target.address} has trixie's libraries: "
+    )
     assert message.endswith(" suites build --suite trixie")
     equipment = replace(equipment, debian=None)
     check({"debian": "bookworm"})
