@@ -155,6 +155,27 @@ def test_opinions_that_have_nothing_in_common_are_named() -> None:
     assert peaks.low_ns is not None and maxima.high_ns is not None
     apart = replace(maxima, low_ns=peaks.low_ns - 2e6, high_ns=peaks.low_ns - 1e6)
     assert "GPD and GEV disagree" in str(disagreement([peaks, apart]))
+    refused = replace(maxima, refused="no fit", low_ns=None, high_ns=None)
+    assert disagreement([peaks, refused]) is None
+
+
+def test_simulated_opinions_that_have_nothing_in_common_are_named() -> None:
+    """Three in a thousand values lie about a second peak: GPD and GEV see another tail in them."""
+    drawn = rng(3)
+    values = 100_000 + drawn.exponential(3000, N)
+    second = drawn.random(N) < 3e-3
+    values[second] = 120_000 + drawn.exponential(500, second.sum())
+    peaks, maxima, exponential_bound = bounds(values.astype(np.int64), 1e-7)
+    assert peaks.high_ns is not None and maxima.low_ns is not None and peaks.high_ns < maxima.low_ns
+    assert "GPD and GEV disagree" in str(disagreement([peaks, maxima, exponential_bound]))
+
+
+def test_a_light_tail_is_no_disagreement() -> None:
+    """Uniform values: the exponential tail bounds them from above, far from what GPD and GEV agree on."""
+    peaks, maxima, exponential_bound = bounds((100_000 + 5000 * rng(0).random(N)).astype(np.int64), 1e-7)
+    assert peaks.high_ns is not None and maxima.high_ns is not None and exponential_bound.low_ns is not None
+    assert exponential_bound.low_ns > max(peaks.high_ns, maxima.high_ns)
+    assert disagreement([peaks, maxima, exponential_bound]) is None
 
 
 def test_fits_are_those_of_scipy() -> None:
