@@ -1,10 +1,20 @@
 "use strict";
-// Plots are drawn by plotly when they come into view, and again when the colours of the page change.
+// Plots are drawn by plotly when they come into view, and again when the colours of the page change. Plotly itself is run
+// for the first of them, after the browser has shown answer and tables.
 const root = document.documentElement;
 const wide = matchMedia("(min-width: 800px)");
 const PAPER = { overview: 680, width: 335, height: 290 };  // px: two plots side by side on a page of letter or A4 size
 const config = { responsive: true, displayModeBar: false };
 root.classList.add("scripted");
+
+function plotly() {
+  if (!window.Plotly) {
+    const script = document.createElement("script");
+    script.textContent = document.querySelector("#plotly").textContent;
+    document.head.append(script);
+  }
+  return window.Plotly;
+}
 
 function colour(name) {
   return name.startsWith("--") ? getComputedStyle(root).getPropertyValue(name).trim() : name;
@@ -43,25 +53,25 @@ function draw(figure) {
     if (canTurn()) { delete shown.xaxis; delete shown.yaxis; shown.margin = { l: 0, r: 0, t: 0, b: 0 }; }
     else { delete shown.scene; data[0].type = "heatmap"; }
     shown.showlegend = false;
-    Plotly.purge(place);
+    plotly().purge(place);
   }
   if (root.classList.contains("paper")) Object.assign(shown, { width: PAPER.width, height: PAPER.height });
-  Plotly.react(place, data, shown, config);
+  plotly().react(place, data, shown, config);
 }
 
 // A browser keeps few 3-D pictures at a time: what is out of view gives its picture back.
-const watcher = new IntersectionObserver((entries) => {
-  for (const { target, isIntersecting } of entries) {
-    const place = target.querySelector(".plot"), drawn = place.classList.contains("js-plotly-plot");
-    if (isIntersecting && !drawn) draw(target);
-    else if (!isIntersecting && drawn && place.querySelector("canvas")) { Plotly.purge(place); place.classList.remove("js-plotly-plot"); }
-  }
-}, { rootMargin: "200px" });
+function drawInView({ target, isIntersecting }) {
+  const place = target.querySelector(".plot"), drawn = place.classList.contains("js-plotly-plot");
+  if (isIntersecting && !drawn) draw(target);
+  else if (!isIntersecting && drawn && place.querySelector("canvas")) { plotly().purge(place); place.classList.remove("js-plotly-plot"); }
+}
+const watcher = new IntersectionObserver((entries) => entries.forEach(drawInView), { rootMargin: "200px" });
 for (const figure of document.querySelectorAll(".plots figure")) watcher.observe(figure);
 
 // The picture of all scenarios: a row each, as many as the filter leaves.
 const overview = document.querySelector("#overview"), filter = document.querySelector("#filter");
 const all = JSON.parse(document.querySelector("#overview-data").textContent);
+let overviewSeen = false;
 const MARKS = { min: "line-ns", median: "circle", p99: "diamond-open", "p99.99": "square-open", max: "line-ns" };
 
 // Text that plotly shows as it is: it obeys some HTML.
@@ -121,7 +131,9 @@ function drawOverview() {
       yshift: beside ? 0 : 7.5 + tallest / 2, xanchor: beside ? "right" : "left", font: { color: tone(row), size: 12.5 } })) });
   if (root.classList.contains("paper")) layout.width = PAPER.overview;
   const drawing = overview.firstElementChild;
-  Plotly.react(drawing, traces, layout, config);
+  drawing.style.height = `${layout.height}px`;
+  if (!overviewSeen) return;
+  plotly().react(drawing, traces, layout, config);
   if (!drawing.dataset.linked) {
     drawing.dataset.linked = "yes";
     drawing.on("plotly_click", ({ points: [point] }) => { if (point.customdata) location.hash = point.customdata; });
@@ -158,15 +170,22 @@ wide.addEventListener("change", drawOverview);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 addEventListener("beforeprint", () => {
   root.classList.add("paper");
+  overviewSeen = true;
   for (const figure of document.querySelectorAll("details[open] .plots figure")) draw(figure);
   drawOverview();
 });
 addEventListener("afterprint", () => {
   root.classList.remove("paper");
   // A plot that was given a width keeps it until it is made anew.
-  for (const place of document.querySelectorAll(".js-plotly-plot")) Plotly.purge(place);
+  for (const place of document.querySelectorAll(".js-plotly-plot")) plotly().purge(place);
   delete overview.firstElementChild.dataset.linked;
   redraw();
 });
+new IntersectionObserver((entries, observer) => {
+  if (!entries.some((entry) => entry.isIntersecting)) return;
+  observer.disconnect();
+  overviewSeen = true;
+  drawOverview();
+}).observe(overview);
 applyFilter();
 openTarget();

@@ -19,6 +19,7 @@ _ANSWERS: dict[str, tuple[str, str]] = {
     "REFUTED": ("refuted", "✗"),
     "not a real-time statement": ("none", "–"),
 }
+_OPENED = 3  # cards of failed scenarios that are open from the start
 _PICTURED = {"median": 50.0, "p99": 99.0, "p99.99": 99.99}
 
 
@@ -47,6 +48,8 @@ def html(study: Study, contents: Contents) -> str:
     return environment.get_template("page.html.j2").render(
         contents=contents,
         cards=cards,
+        failed=sum(card["style"] == "refuted" for card in cards),
+        opened=_OPENED,
         choices={key: values for key, values in choices.items() if len(values) > 1},
         overview=_json(overview),
         plotly=get_plotlyjs(),

@@ -31,8 +31,14 @@ async function opened(address, width, scripts = true) {
   await new Promise((done) => { frame.onload = done; });
   return frame;
 }
+// Without a screen nothing comes into view; before it prints, the page draws what is open.
+function draw(view) {
+  view.dispatchEvent(new view.Event("beforeprint"));
+  view.dispatchEvent(new view.Event("afterprint"));
+}
 async function used(width) {
   const frame = await opened("report.html", width), page = frame.contentDocument, view = frame.contentWindow;
+  draw(view);
   const cards = [...page.querySelectorAll("details[data-suite]")];
   const rows = () => page.querySelector("#overview > div").layout.annotations.length;
   const open = cards.filter((card) => card.open).length, all = rows();
@@ -47,9 +53,7 @@ async function used(width) {
   await pause(300);
   const linked = last.open;
   for (const card of cards) card.open = card === cards[0] || card === cards.at(-1);
-  // Without a screen no figure comes into view; before it prints, the page draws every open one.
-  view.dispatchEvent(new view.Event("beforeprint"));
-  view.dispatchEvent(new view.Event("afterprint"));
+  draw(view);
   await pause(200);
   const drawn = page.querySelectorAll(".plots .main-svg, .plots canvas").length;
   const plot = page.querySelector(".plots .js-plotly-plot");
@@ -175,6 +179,12 @@ def browse(profile, *arguments):
 def test_no_page_has_an_error_but_the_one_that_was_made_with_one(visit):
     (error,) = visit.console
     assert "missing is not defined" in error and "bad.html" in error
+
+
+def test_no_large_script_runs_while_the_page_opens(folder):
+    text = (folder / "report.html").read_text()
+    assert "plotly.js v" in text, "it is read as text until the first plot comes into view"
+    assert all(len(script) < 64 * 1024 for script in re.findall(r"<script>(.*?)</script>", text, re.DOTALL))
 
 
 def test_nothing_is_fetched(visit):
