@@ -147,26 +147,54 @@ def report(runs: int, n: int) -> list[Check]:
     ]
 
 
-_OPENED = """<iframe src="report.html"></iframe>
-<script>onload = () => { document.body.textContent = `opened in ${performance.now()} ms`; };</script>"""
+# In one browser: a page that only runs plotly's script, and the report. Without a screen nothing comes into view, so
+# printing is announced, before which the page draws.
+_OPENED = """<script>
+const opened = (name) => new Promise((done) => {
+  const frame = document.createElement("iframe"), start = performance.now();
+  frame.style.cssText = "width:1400px;height:900px";
+  frame.src = name;
+  frame.onload = () => done([performance.now() - start, frame.contentWindow]);
+  document.body.append(frame);
+});
+onload = async () => {
+  const [plotly_ms] = await opened("plotly.html"), [page_ms, page] = await opened("report.html");
+  const start = performance.now();
+  page.dispatchEvent(new page.Event("beforeprint"));
+  document.body.textContent = `opened in ${plotly_ms} ${page_ms} ${performance.now() - start} ms`;
+};
+</script><body>"""
 
 
 def opening() -> list[Check]:
-    """A report of 15 runs in Chromium, from the request until its scripts have drawn the picture of all scenarios."""
+    """A report of 15 runs in Chromium: until answer and tables are there, and until the first picture is drawn.
+
+    The wish is 2 s for all of it. Most of that is plotly's own script, so the picture is bounded in that script's time.
+    """
+    from plotly.offline import get_plotlyjs
+
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         write_campaign(root / "demo", n=500, platform="emulated")
         rtrun = str(Path(sys.executable).parent / "rtrun")
         command = [rtrun, "report", str(root / "demo"), "--output", str(root / "report.html")]
         subprocess.run(command, capture_output=True, check=True)
+        (root / "plotly.html").write_text(f"<script>{get_plotlyjs()}</script>")
         (root / "opened.html").write_text(_OPENED)
         chromium = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--dump-dom"]
-        command = [*chromium, f"--user-data-dir={root / 'profile'}", f"file://{root}/opened.html"]
+        more = ["--virtual-time-budget=1", f"--user-data-dir={root / 'profile'}", "--allow-file-access-from-files"]
+        command = [*chromium, *more, f"file://{root}/opened.html"]
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
-    taken_ms = re.search(r"opened in ([0-9.]+) ms", done.stdout)
+    taken_ms = re.search(r"opened in ([0-9.]+) ([0-9.]+) ([0-9.]+) ms", done.stdout)
     if taken_ms is None:
         raise RuntimeError(f"Chromium did not open the page:\n{done.stdout[-500:]}\n{done.stderr[-500:]}")
-    return [("a report of 15 runs opens in Chromium", float(taken_ms[1]) / 1000, 2.0, "s")]
+    plotly_s, page_s, picture_s = (float(one) / 1000 for one in taken_ms.groups())
+    return [
+        ("plotly's script alone runs in Chromium", plotly_s, float("inf"), "s"),
+        ("a report of 15 runs opens in Chromium, with answer and tables", page_s, 1.0, "s"),
+        ("a report of 15 runs, with its first picture", page_s + picture_s, 2.0, "s"),
+        ("the same, in times of plotly's script", (page_s + picture_s) / plotly_s, 3.0, ""),
+    ]
 
 
 def start_up() -> list[Check]:
