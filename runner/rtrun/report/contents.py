@@ -14,6 +14,7 @@ from rtrun.report.study import Study
 from rtrun.report.tables import Table, grouped, how
 from rtrun.report.terminal import banner_of
 from rtrun.report.verdicts import WORST_FIRST
+from rtrun.target.platform import Platform
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +45,7 @@ def contents(study: Study, claims: Sequence[Examined]) -> Contents:
         banner=banner_of(study.platform, preempt_rt=[one.preempt_rt for one in study.records]) or None,
         answer=_answer(study, made),
         worst=max(measured, key=lambda one: one.figures.max_ns or 0, default=None),
-        next_step=_next_step(made),
+        next_step=_next_step(made, study.platform),
         question=_question(study),
         facts=tuple(_facts(study)),
         scenarios=made,
@@ -90,7 +91,7 @@ def _all(total: int) -> str:
     return "the one scenario" if total == 1 else f"all {total} scenarios"
 
 
-def _next_step(made: Sequence[Scenario]) -> str:
+def _next_step(made: Sequence[Scenario], platform: Platform) -> str:
     answers = {one.answer for one in made}
     if Answer.REFUTED in answers:
         return (
@@ -103,7 +104,8 @@ def _next_step(made: Sequence[Scenario]) -> str:
     if answers and answers <= {Answer.NO_STATEMENT}:
         return "measure where the time is real, on the board itself: rtrun run CAMPAIGN.yml --target BOARD.yml"
     if answers == {Answer.PROVEN}:
-        return "keep it so: rtrun gate RESULTS fails as soon as the answer is another one"
+        option = " --platform virtual" if platform is Platform.VIRTUAL else ""
+        return f"keep it so: rtrun gate RESULTS{option} fails as soon as the answer is another one"
     if answers and answers <= {Answer.PROVEN, Answer.IF_INDEPENDENT}:
         return "measure with samples, which show whether late values come in bursts; histograms and logs cannot"
     return "see the scenarios below for what is missing"

@@ -74,6 +74,15 @@ def test_an_emulated_board_says_nothing_about_a_deadline(tmp_path):
     assert written.answer == "No statement about the deadline of 400 us in any scenario: measured on an emulated board."
 
 
+def test_a_proof_from_a_virtual_machine_says_what_it_is_for(tmp_path):
+    write_run(tmp_path, "a", "oneshot_timer_tests", [oneshot_rows(LATENCIES_NS[0], 1000)], PARAMETERS, asked=5000,
+              platform="virtual")  # fmt: skip
+    written = contents_of(tmp_path, probability=1e-2)
+    assert written.banner == "VIRTUAL: verdicts are for this virtual machine on this host"
+    assert ("platform", "virtual: stated by the test") in written.facts
+    assert written.next_step.startswith("keep it so: rtrun gate RESULTS --platform virtual fails")
+
+
 def test_figures_of_several_runs_are_those_of_all_their_values(tmp_path):
     (group,) = study(write(tmp_path)).groups
     pooled, whole = pool_figures(group.digests), figures_of_samples(np.concatenate(LATENCIES_NS))
