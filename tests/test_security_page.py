@@ -26,7 +26,11 @@ NO_LIMITS = {
         "rtrun.results.importers.counts.MAX_COUNT",
         "rtrun.validity.counts.LISTED_MAX",
     },
-    "what is printed or computed at most": {"rtrun.causes.control.WINDOWS_MAX", "rtrun.report.causes.REMEDIES_MAX"},
+    "what is printed or computed at most": {
+        "rtrun.analysis.recurrence._BINS_MAX",
+        "rtrun.causes.control.WINDOWS_MAX",
+        "rtrun.report.causes.REMEDIES_MAX",
+    },
     "pauses between two attempts, and parts of a time that stands on the page": {
         "rtrun.target.link.RETRY_S",
         "rtrun.target.processes.POLL_S",

@@ -1,10 +1,10 @@
-"""rtrun why: what late values waited for, from the kernel traces of a campaign."""
+"""rtrun why: what late values waited for, and whether they have a period."""
 
 import argparse
 from pathlib import Path
 
 NAME = "why"
-HELP = "say what late values waited for, from the kernel traces around them"
+HELP = "say what late values waited for, from the kernel traces around them, and whether they have a period"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -13,25 +13,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the answer, the ranking, then each outlier. Raises UsageError for results without traces."""
+    """Print the answer, the ranking, the periods of late values, then each outlier."""
     from rtfiles.errors import UsageError
     from rtfiles.output import console, print_line
     from rtrun.report import causes
     from rtrun.results.reading import find_source
-    from rtrun.results.record import read_record
 
     source = find_source(args.results)
+    if not source.folders:
+        raise UsageError(f"{args.results}: not a results folder or a run directory")
     ranking, explained, refused = causes.ranked(source)
-    if not explained:
-        if refused:
-            raise UsageError("\n".join(refused))
-        if not any(causes.is_traced(read_record(folder)) for folder in source.folders):
-            raise UsageError(f"{args.results}: no run with traces: a campaign asks for them by trace_threshold_us")
-        print_line("No value was above the limit from which on a run keeps traces.")
-        return 0
+    periods, not_searched = causes.periods(source)
     table = causes.table(ranking, explained)
-    print_line(f"{table.outcome}.")
-    for note in table.notes:
+    print_line(f"{table.outcome if explained else causes.no_traces(source)}.")
+    for note in (*table.notes, *periods):
         print_line(note)
     if table.rows:
         print_line()
@@ -40,6 +35,6 @@ def run(args: argparse.Namespace) -> int:
         print_line()
         for line in causes.lines(one):
             print_line(line)
-    if refused:
-        raise UsageError("\n".join(refused))
+    if problems := tuple(dict.fromkeys((*refused, *not_searched))):
+        raise UsageError("\n".join(problems))
     return 0

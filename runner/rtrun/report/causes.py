@@ -12,11 +12,12 @@ from rtfiles.output import printable
 from rtrun.causes.cut import Cause
 from rtrun.causes.outliers import Explained, explain_run
 from rtrun.causes.ranking import NAMELESS, Culprit, Ranking, rank
+from rtrun.causes.recurring import Recurring, recurring
 from rtrun.causes.remedies import remedy
 from rtrun.report.claims.examination import us
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source
-from rtrun.results.record import RunRecord, read_record
+from rtrun.results.record import RunStatus, read_record
 from rtrun.target.kernel_trace import OPTIONS
 
 REMEDIES_MAX = 3
@@ -36,9 +37,35 @@ def explain_source(source: Source) -> tuple[tuple[Explained, ...], tuple[str, ..
     return tuple(explained), tuple(refused)
 
 
-def is_traced(record: RunRecord) -> bool:
-    """Whether a run asked for traces of its outliers."""
-    return any(record.parameters.get(option) is not None for option in OPTIONS)
+def periods(source: Source) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The periods of late values, a sentence for each output that has one, and why a run could not be searched."""
+    found: list[str] = []
+    refused: list[str] = []
+    for folder in source.folders:
+        try:
+            record = read_record(folder)
+            if record.status not in (RunStatus.FAILED, RunStatus.INVALID):
+                found += map(_period, recurring(folder, record))
+        except UsageError as error:
+            refused.append(str(error))
+    return tuple(found), tuple(refused)
+
+
+def _period(one: Recurring) -> str:
+    found = one.recurrence
+    distance = f"{found.period:.3g} loops" if one.in_loops else f"{found.period / 1e9:.3g} s"
+    return printable(
+        f"{one.run} {one.output}: the {one.late} highest values come every {distance}: {found.covered} of "
+        f"{found.cycles} periods have one (p = {found.p_value:.1g})"
+    )
+
+
+def no_traces(source: Source) -> str:
+    """Why there is no trace of an outlier, in one sentence."""
+    records = [read_record(folder) for folder in source.folders]
+    if any(record.parameters.get(option) is not None for record in records for option in OPTIONS):
+        return "No value was above the limit from which on a run keeps traces"
+    return "No run kept kernel traces, which name causes: a campaign asks for them by trace_threshold_us"
 
 
 def answer(ranking: Ranking) -> str:

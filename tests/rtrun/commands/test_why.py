@@ -1,6 +1,8 @@
 """rtrun why: the answer first, then the ranking, then each outlier."""
 
+import numpy as np
 import pytest
+from report.campaigns import communication_rows, cyclic_rows, latencies, oneshot_rows, write_campaign, write_run
 from traced import OUTPUT, head, specimen, write_traced_run
 
 from rtrun.cli import main
@@ -40,8 +42,8 @@ def test_results_without_traces(tmp_path, capsys):
     folder = write_traced_run(tmp_path, {}, [1])
     record = folder / "run.json"
     record.write_text(record.read_text().replace('"trace_threshold_us": 100', '"trace_threshold_us": null'))
-    assert main(["why", str(folder)]) == 2
-    assert "no run with traces: a campaign asks for them by trace_threshold_us" in capsys.readouterr().err
+    assert main(["why", str(folder)]) == 0
+    assert capsys.readouterr().out.startswith("No run kept kernel traces, which name causes: a campaign asks for them")
 
 
 def test_what_was_refused_comes_after_the_answer(results, capsys):
@@ -58,3 +60,42 @@ def test_a_section_of_the_report(results, capsys):
     out = capsys.readouterr().out
     assert "## What late values waited for" in out
     assert "| thread of higher priority | planted\\_hog | real-time 98 | 1 of 1 | 1 |" in out
+
+
+def every_500th_is_late(n=20_000):
+    values = latencies(n, 1)
+    values[np.arange(n) % 500 == 123] += 900_000
+    return values
+
+
+@pytest.mark.parametrize(
+    ("suite", "rows", "parameters", "period"),
+    [
+        (
+            "oneshot_timer_tests",
+            oneshot_rows(every_500th_is_late(), 1000),
+            {"timeout_us": 1000, "busy_mode": 0},
+            "0.575 s",
+        ),
+        ("cyclic_timer_tests", cyclic_rows(every_500th_is_late(), 1000), {"frequency_hz": 1000}, "0.5 s"),
+        (
+            "communication_tests",
+            communication_rows(every_500th_is_late(), 1000),
+            {"frequency_hz": 1000, "payload_bytes": 0},
+            "0.5 s",
+        ),
+    ],
+)
+def test_a_period_needs_no_trace(suite, rows, parameters, period, tmp_path, capsys):
+    write_run(tmp_path, "001-run", suite, [rows], parameters, asked=20_000, logs=False)
+    assert main(["why", str(tmp_path)]) == 0
+    captured = capsys.readouterr()
+    assert f"the 50 highest values come every {period}: 40 of 40 periods have one" in captured.out, captured
+
+
+def test_without_a_period_none_is_said(tmp_path, capsys):
+    write_campaign(tmp_path / "results", n=2000)
+    assert main(["why", str(tmp_path / "results")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("No run kept kernel traces")
+    assert len(out.splitlines()) == 1
