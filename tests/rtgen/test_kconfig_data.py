@@ -29,11 +29,11 @@ def rendered(data, machine, kernel):
 
 
 def test_committed_fragments_are_as_rendered(data):
-    for machine in data.machines:
-        for kernel in data.kernels:
-            assert fragment_path(data, machine, kernel).read_text() == render(data, machine, kernel)
+    wanted = [(machine, kernel) for machine in data.machines for kernel in data.kernels_of(machine)]
+    for machine, kernel in wanted:
+        assert fragment_path(data, machine, kernel).read_text() == render(data, machine, kernel)
     committed = {path.name for path in (data.folder / "fragments").iterdir()}
-    assert committed == {f"{machine}-{kernel}.cfg" for machine in data.machines for kernel in data.kernels}
+    assert committed == {f"{machine}-{kernel}.cfg" for machine, kernel in wanted}
 
 
 def test_rt_is_preempt_rt_full_on_3_4_and_preempt_rt_with_expert_later(data):
@@ -72,6 +72,27 @@ def test_head_names_no_patch_series_from_7_1_on(data):
     assert "no patch series is needed" in render(data, "pandaboard-es", "7.1").split("\n\n")[0]
 
 
+@pytest.mark.parametrize("machine", ["arm64", "x86-64"])
+def test_other_architectures_need_a_patch_series_before_6_12_only(data, machine):
+    heads = {kernel: render(data, machine, kernel).split("\n\n")[0] for kernel in data.kernels_of(machine)}
+    with_series = [kernel for kernel, head in heads.items() if "only with the patch series" in head]
+    assert with_series == ["5.15", "6.1", "6.6"]
+    assert all("no patch series is needed" in heads[kernel] for kernel in heads if kernel not in with_series)
+
+
+def test_options_of_32_bit_arm_are_not_rendered_for_others(data):
+    assert {"NR_CPUS", "CPUFREQ_DT", "CPU_IDLE", "ARM_ERRATA_754322"} <= rendered(data, "pandaboard-es", "6.12").keys()
+    for machine in ("arm64", "x86-64"):
+        of_arm = {"NR_CPUS", "CPUFREQ_DT", "CPU_IDLE", "CPU_FREQ_GOV_SCHEDUTIL", "VMSPLIT_3G_OPT"}
+        assert not of_arm & rendered(data, machine, "6.12").keys()
+        assert rendered(data, machine, "6.12")["PREEMPT_RT"] == "y"
+
+
+def test_a_kernel_that_is_too_old_for_the_machine(data):
+    with pytest.raises(UsageError, match=r"^arm64 has fragments from kernel 5\.15 on, not for 3\.4$"):
+        render(data, "arm64", "3.4")
+
+
 def test_errata_that_a_multiplatform_kernel_cannot_have_are_never_rendered(data):
     for kernel in data.kernels:
         assert not {"ARM_ERRATA_743622", "ARM_ERRATA_751472"} & rendered(data, "pandaboard-es", kernel).keys()
@@ -83,7 +104,10 @@ def test_unknown_kernel_and_machine_list_the_known_ones(capsys):
         capsys.readouterr().err == "rtgen: kernel 5.10 is unknown, known: 3.4, 5.15, 6.1, 6.6, 6.12, 6.18, 7.1, 7.2\n"
     )
     assert main(["kconfig", "render", "--check", "--machine", "beagle", "--kernel", "6.1"]) == 2
-    assert capsys.readouterr().err == "rtgen: machine beagle is unknown, known: pandaboard-es, qemu-armv7\n"
+    assert (
+        capsys.readouterr().err
+        == "rtgen: machine beagle is unknown, known: pandaboard-es, qemu-armv7, arm, arm64, x86-64\n"
+    )
 
 
 def test_check_shows_the_drift_and_writes_nothing(copy, monkeypatch, capsys):
@@ -126,6 +150,6 @@ def test_a_machine_with_an_unknown_concern_is_refused(copy):
     path = copy / "machines.yml"
     path.write_text(path.read_text().replace("validation, board]", "validation, bored]"))
     with pytest.raises(
-        UsageError, match=r"machines\.yml: machines\.pandaboard-es\.concerns: there is no bored, known: board"
+        UsageError, match=r"machines\.yml: machines\.pandaboard-es\.concerns: there is no bored, known: arm, board"
     ):
         kconfig.load(copy)

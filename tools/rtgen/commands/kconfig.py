@@ -51,10 +51,10 @@ def _render(args: argparse.Namespace) -> int:
 
     data = kconfig.load()
     machines = [args.machine] if args.machine else list(data.machines)
-    kernels = [args.kernel] if args.kernel else list(data.kernels)
-    outdated = False
+    outdated, count = False, 0
     for machine in machines:
-        for kernel in kernels:
+        for kernel in [args.kernel] if args.kernel else data.kernels_of(machine):
+            count += 1
             text, path = render(data, machine, kernel), fragment_path(data, machine, kernel)
             name = str(path.relative_to(data.folder.parent))
             before = path.read_text(encoding="utf-8") if path.is_file() else ""
@@ -69,7 +69,7 @@ def _render(args: argparse.Namespace) -> int:
                 )
                 print_text("".join(diff))
     if args.check and not outdated:
-        print_line(f"{len(machines) * len(kernels)} fragments are as rendered")
+        print_line(f"{count} fragments are as rendered")
     return int(outdated)
 
 
@@ -89,13 +89,14 @@ def _verify(args: argparse.Namespace) -> int:
     from rtgen.kconfig.tree import open_tree
     from rtgen.kconfig.verify import load_fragment, verify_tree
 
-    machines = {name: data.machine(name) for name in ([args.machine] if args.machine else data.machines)}
     given = load_fragment(args.fragment) if args.fragment else None
     tree = debian_source.open_debian(data) if args.source == "debian" else open_tree(Path(args.source))
+    data.kernel(tree.kernel)
+    known = [name for name in data.machines if tree.kernel in data.kernels_of(name)]
     failed = False
-    for name, machine in machines.items():
+    for name in [args.machine] if args.machine else known:
         rendered = parse_fragment(render(data, name, tree.kernel), "rendered")
-        for base in machine.bases:
+        for base in data.machine(name).bases:
             fragment, origin = (rendered, None) if given is None else (given, str(args.fragment))
             failed |= report(verify_tree(data, tree, name, base, fragment, origin))
     return int(failed)

@@ -48,22 +48,31 @@ class Concern(config.Config):
     options: list[Option]
 
 
+Architecture = Literal["arm", "arm64", "x86-64"]  # the keys of tree.ARCHITECTURES
+
+
 class Kernel(config.Config):
-    """A kernel version: the symbol that enables PREEMPT_RT, and the patch series that adds it for 32-bit ARM."""
+    """A kernel version: the symbol that enables PREEMPT_RT, and the patch series for where mainline lacks it."""
 
     rt_series: str | None
+    rt_mainline: list[Architecture]
     rt_symbol: str
     proven: str | None
 
 
 class Machine(config.Config):
-    """The concerns of a fragment, the bases on which it must take effect, and boards that run the same kernel."""
+    """The concerns of a fragment, the bases on which it must take effect, and boards that run the same kernel.
+
+    `since`: the first kernel for which it has a fragment; None means every kernel.
+    """
 
     summary: str
+    architecture: Architecture
+    since: str | None = Field(default=None, pattern=f"^{_VERSION}$")
     bases: list[str] = Field(min_length=1)
     concerns: list[str] = Field(min_length=1)
     boards: list[str] = Field(default=[])
-    dtbs: list[str]
+    dtbs: list[str] = Field(default=[])
 
 
 class SourceFile(config.Config):
@@ -138,13 +147,24 @@ class Data:
     def fragment_of(self, board: str) -> str:
         """The machine whose kernel a board runs: the one that lists the board, or else the board itself.
 
-        Raises UsageError, naming the known boards.
+        Raises UsageError for others, also for machines without device trees, whose kernels other layers build.
         """
-        runs = {name: name for name in self.machines}
-        runs |= {each: name for name, machine in self.machines.items() for each in machine.boards}
+        built = {name: machine for name, machine in self.machines.items() if machine.dtbs}
+        runs = {name: name for name in built}
+        runs |= {each: name for name, machine in built.items() for each in machine.boards}
         if board not in runs:
             raise UsageError(f"machine {board} is unknown, known: {', '.join(runs)}")
         return runs[board]
+
+    def kernels_of(self, machine: str) -> list[str]:
+        """The kernel versions for which a machine has a fragment."""
+        since = self.machine(machine).since
+        return [kernel for kernel in self.kernels if since is None or version_key(since) <= version_key(kernel)]
+
+    def rt_series(self, machine: str, kernel: str) -> str | None:
+        """The patch series that a machine's kernel needs for PREEMPT_RT; None if mainline has it."""
+        known = self.kernel(kernel)
+        return None if self.machine(machine).architecture in known.rt_mainline else known.rt_series
 
     def options(self, machine: str, kernel: str) -> dict[str, tuple[Option, ...]]:
         """The options of a machine that hold for a kernel, by concern, in the order of the files."""
@@ -187,7 +207,7 @@ def load(folder: Path | None = None) -> Data:
                     f"{folder / 'machines.yml'}: machines.{name}.concerns: there is no {concern}, "
                     f"known: {', '.join(data.concerns)}"
                 )
-        for kernel in data.kernels:
+        for kernel in data.kernels_of(name):
             _refuse_twice(data, name, kernel)
     return data
 

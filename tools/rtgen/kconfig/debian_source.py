@@ -15,7 +15,7 @@ from rtfiles import cache
 from rtfiles.errors import InfrastructureError
 from rtgen.debian import source
 from rtgen.kconfig.data import Data, DebianSource
-from rtgen.kconfig.tree import Tree, open_tree, wanted
+from rtgen.kconfig.tree import PATTERNS, Tree, open_tree, wanted
 from rtgen.process import run
 
 _SERIES = "debian/patches-rt"
@@ -32,7 +32,7 @@ def open_debian(data: Data, version: str | None = None) -> Tree:
     def build(folder: Path) -> None:
         unpack(pinned, folder, whole=False)
 
-    key = cache.digest([pinned.model_dump_json(), Path(__file__)])
+    key = cache.digest([pinned.model_dump_json(), *PATTERNS, Path(__file__)])
     folder = cache.entry("kernel-kconfig", key, build)
     return open_tree(folder / "linux", f"debian {pinned.source} {pinned.version}")
 

@@ -16,7 +16,7 @@ from typing import IO, Any
 import kconfiglib
 
 from rtfiles.errors import InfrastructureError
-from rtgen.kconfig.tree import Tree, environment
+from rtgen.kconfig.tree import Architecture, Tree, environment
 from rtgen.process import run
 
 # Keywords of newer Kconfig versions that kconfiglib 14.1 does not know. The first has an older spelling. The second
@@ -24,7 +24,7 @@ from rtgen.process import run
 _NEWER = ((re.compile(r"^\s+modules\s*$"), "\toption modules\n"), (re.compile(r"^\s+transitional\s*$"), "\n"))
 
 
-def explain(tree: Tree, config: str, wanted: Mapping[str, str]) -> dict[str, str]:
+def explain(tree: Tree, architecture: Architecture, config: str, wanted: Mapping[str, str]) -> dict[str, str]:
     """A reason for each symbol whose value in a finished .config is not the wanted one.
 
     A symbol without a reason here means that kconfiglib could not read the tree or sees no difference.
@@ -35,7 +35,7 @@ def explain(tree: Tree, config: str, wanted: Mapping[str, str]) -> dict[str, str
         Path(work, ".config").write_text(config, encoding="utf-8")
         command = [sys.executable, "-m", __name__, json.dumps(dict(wanted))]
         try:
-            output = run(command, folder=Path(work), environment=environment(tree))
+            output = run(command, folder=Path(work), environment=environment(tree, architecture))
         except InfrastructureError as error:
             last = str(error).splitlines()[-1].strip()
             return dict.fromkeys(wanted, f"no explanation, kconfiglib cannot read this tree: {last}")

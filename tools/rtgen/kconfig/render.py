@@ -3,7 +3,9 @@
 import textwrap
 from pathlib import Path
 
+from rtfiles.errors import UsageError
 from rtgen.kconfig.data import Data
+from rtgen.kconfig.tree import ARCHITECTURES
 
 
 def fragment_path(data: Data, machine: str, kernel: str) -> Path:
@@ -12,12 +14,18 @@ def fragment_path(data: Data, machine: str, kernel: str) -> Path:
 
 
 def render(data: Data, machine: str, kernel: str) -> str:
-    """The fragment of a machine for a kernel version. Raises UsageError when either is unknown."""
-    series = data.kernel(kernel).rt_series
+    """The fragment of a machine for a kernel version.
+
+    Raises UsageError when either is unknown, or when the machine has no fragment for so old a kernel.
+    """
+    series = data.rt_series(machine, kernel)
+    if kernel not in data.kernels_of(machine):
+        raise UsageError(f"{machine} has fragments from kernel {data.machine(machine).since} on, not for {kernel}")
+    title = ARCHITECTURES[data.machine(machine).architecture].title
     needs = (
-        f"On 32-bit ARM this kernel has PREEMPT_RT only with the patch series {series}."
+        f"On {title} this kernel has PREEMPT_RT only with the patch series {series}."
         if series
-        else "Mainline has PREEMPT_RT for 32-bit ARM: no patch series is needed."
+        else f"Mainline has PREEMPT_RT for {title}: no patch series is needed."
     )
     lines = [
         f"# {machine}, Linux {kernel}: {data.machine(machine).summary}.",

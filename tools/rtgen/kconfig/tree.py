@@ -16,7 +16,23 @@ from rtfiles import cache
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen.process import run
 
-CROSS_COMPILE = "arm-linux-gnueabihf-"
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Architecture:
+    """An architecture: its name for the kernel's make (ARCH), its folder in arch/, and the prefix of its compiler."""
+
+    title: str
+    name: str
+    folder: str
+    prefix: str
+
+
+ARCHITECTURES = {
+    "arm": Architecture(title="32-bit ARM", name="arm", folder="arm", prefix="arm-linux-gnueabihf-"),
+    "arm64": Architecture(title="64-bit ARM", name="arm64", folder="arm64", prefix="aarch64-linux-gnu-"),
+    "x86-64": Architecture(title="x86-64", name="x86_64", folder="x86", prefix="x86_64-linux-gnu-"),
+}
+CROSS_COMPILE = ARCHITECTURES["arm"].prefix  # kernels are built for boards of 32-bit ARM only
 
 # The sources of `conf`, the files that it reads, the defconfigs, and the includes of the PandaBoard's device tree.
 PATTERNS = (
@@ -28,6 +44,8 @@ PATTERNS = (
     "scripts/kconfig/*.[chly]",
     "scripts/include/*.h",
     "arch/arm/configs/*_defconfig",
+    "arch/arm64/configs/defconfig",
+    "arch/x86/configs/x86_64_defconfig",
     "arch/arm/boot/dts/omap4*",
     "arch/arm/boot/dts/elpida*",
     "arch/arm/boot/dts/twl603*",
@@ -57,17 +75,17 @@ class Tree:
         """The files that Kconfig reads."""
         return self.folder / "source"
 
-    def defconfig(self, name: str) -> Path:
+    def defconfig(self, name: str, architecture: Architecture) -> Path:
         """The tree's own defconfig of that name. Raises UsageError, naming the ones it has."""
-        path = self.source / "arch/arm/configs" / name
+        path = self.source / "arch" / architecture.folder / "configs" / name
         if not path.is_file():
-            known = ", ".join(sorted(file.name for file in path.parent.glob("*_defconfig")))
-            raise UsageError(f"{self.name}: has no {name} for arm, it has: {known or 'none'}")
+            known = ", ".join(sorted(file.name for file in path.parent.glob("*defconfig")))
+            raise UsageError(f"{self.name}: has no {name} for {architecture.name}, it has: {known or 'none'}")
         return path
 
-    def symbols(self) -> frozenset[str]:
-        """Every symbol that an ARM config of this tree can set."""
-        return frozenset((self.folder / "symbols").read_text(encoding="utf-8").split())
+    def symbols(self, architecture: Architecture) -> frozenset[str]:
+        """Every symbol that a config of this tree can set for an architecture."""
+        return frozenset((self.folder / "symbols" / architecture.folder).read_text(encoding="utf-8").split())
 
 
 def wanted(path: str) -> bool:
@@ -89,7 +107,7 @@ def open_tree(path: Path, name: str | None = None) -> Tree:
         raise UsageError(f"{name}: its scripts/kconfig has no parser.y: a tree before 5.1 cannot be verified")
     kernel, release = read_version(path)
     files = sorted(_walk(path))
-    parts: list[str | bytes | Path] = ["1"]
+    parts: list[str | bytes | Path] = ["2"]
     for file in files:
         parts += [file, path / file]
 
@@ -99,7 +117,10 @@ def open_tree(path: Path, name: str | None = None) -> Tree:
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(path / file, target)
         _build_conf(folder)
-        (folder / "symbols").write_text("\n".join(sorted(_defined(folder / "source"))), encoding="utf-8")
+        (folder / "symbols").mkdir()
+        for architecture in ARCHITECTURES.values():
+            symbols = "\n".join(sorted(_defined(folder / "source", architecture)))
+            (folder / "symbols" / architecture.folder).write_text(symbols, encoding="utf-8")
 
     folder = cache.entry("kconfig-tree", cache.digest(parts), build)
     return Tree(name=name, folder=folder, kernel=kernel, release=release)
@@ -116,17 +137,17 @@ def read_version(path: Path) -> tuple[str, str]:
     return f"{version}.{level}", f"{version}.{level}.{sub or 0}{local}"
 
 
-def environment(tree: Tree) -> dict[str, str]:
+def environment(tree: Tree, architecture: Architecture) -> dict[str, str]:
     """The variables that the kernel's Makefile passes to Kconfig."""
-    compiler = f"{CROSS_COMPILE}gcc"
+    compiler = f"{architecture.prefix}gcc"
     version = run([compiler, "--version"])
-    tools = {name: f"{CROSS_COMPILE}{name.lower()}" for name in ("LD", "NM", "AR", "OBJCOPY", "READELF")}
+    tools = {name: f"{architecture.prefix}{name.lower()}" for name in ("LD", "NM", "AR", "OBJCOPY", "READELF")}
     return {
         "PATH": os.environ.get("PATH", os.defpath),
         "LC_ALL": "C",
         "srctree": str(tree.source),
-        "ARCH": "arm",
-        "SRCARCH": "arm",
+        "ARCH": architecture.name,
+        "SRCARCH": architecture.folder,
         "KERNELVERSION": tree.release.split("-")[0],
         "CC": compiler,
         "CC_VERSION_TEXT": version.splitlines()[0],
@@ -142,13 +163,13 @@ def environment(tree: Tree) -> dict[str, str]:
     }
 
 
-def run_conf(tree: Tree, defconfig: str) -> str:
+def run_conf(tree: Tree, architecture: Architecture, defconfig: str) -> str:
     """The finished .config that ``conf --defconfig`` makes of a defconfig's text. Raises InfrastructureError."""
     # conf leaves include/ and .tmp_* folders in the current folder.
     with tempfile.TemporaryDirectory(prefix="rtgen-conf-") as work:
         given, made = Path(work, "defconfig"), Path(work, ".config")
         given.write_text(defconfig, encoding="utf-8")
-        settings = environment(tree) | {"KCONFIG_CONFIG": str(made)}
+        settings = environment(tree, architecture) | {"KCONFIG_CONFIG": str(made)}
         command: list[str | Path] = [tree.folder / "conf", f"--defconfig={given}", tree.source / "Kconfig"]
         try:
             run(command, folder=Path(work), environment=settings)
@@ -185,12 +206,12 @@ def _build_conf(folder: Path) -> None:
     shutil.rmtree(work)
 
 
-def _defined(source: Path) -> set[str]:
+def _defined(source: Path, architecture: Architecture) -> set[str]:
     define = re.compile(r"^\s*(?:menu)?config\s+(\w+)\s*$", re.M)
     symbols = set()
     for file in source.rglob("Kconfig*"):
         parts = file.relative_to(source).parts
-        other_architecture = parts[0] == "arch" and len(parts) > 2 and parts[1] != "arm"
+        other_architecture = parts[0] == "arch" and len(parts) > 2 and parts[1] != architecture.folder
         if other_architecture or parts[:3] == ("scripts", "kconfig", "tests"):
             continue
         symbols.update(define.findall(file.read_text(encoding="utf-8", errors="replace")))

@@ -10,7 +10,7 @@ from rtgen.kconfig import explain
 from rtgen.kconfig.data import Data
 from rtgen.kconfig.fragment import CONFIG_BYTES_MAX, Line, kernel_of, parse, parse_defconfig, parse_fragment, values
 from rtgen.kconfig.render import config_line
-from rtgen.kconfig.tree import Tree, run_conf
+from rtgen.kconfig.tree import ARCHITECTURES, Architecture, Tree, run_conf
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -33,10 +33,10 @@ class Verdict:
     config: str
 
 
-def read_base(data: Data, tree: Tree, name: str) -> tuple[Line, ...]:
+def read_base(data: Data, tree: Tree, architecture: Architecture, name: str) -> tuple[Line, ...]:
     """A base of a machine: a file in ``bases/``, or a defconfig of the tree. Raises UsageError."""
     own = data.folder / "bases" / name
-    path = own if own.is_file() else tree.defconfig(name)
+    path = own if own.is_file() else tree.defconfig(name, architecture)
     return parse_defconfig(path.read_text(encoding="utf-8"), name if path != own else str(own))
 
 
@@ -56,13 +56,16 @@ def verify_tree(
     fragment, None if it is the rendered one. Raises UsageError when the tree's version is unknown.
     """
     data.kernel(tree.kernel)
+    architecture = ARCHITECTURES[data.machine(machine).architecture]
     given = values(tuple(fragment))
     wanted = given | data.wanted(machine, tree.kernel)
-    config = run_conf(tree, merge(read_base(data, tree, base), fragment))
+    config = run_conf(tree, architecture, merge(read_base(data, tree, architecture, base), fragment))
     got = values(parse(config, ".config"))
-    known = tree.symbols()
+    known = tree.symbols(architecture)
     wrong = {name: value for name, value in wanted.items() if name not in known or got.get(name, "n") != value}
-    reasons = explain.explain(tree, config, {name: value for name, value in wrong.items() if name in known})
+    reasons = explain.explain(
+        tree, architecture, config, {name: value for name, value in wrong.items() if name in known}
+    )
     mismatches = []
     for name, value in wrong.items():
         if name not in known:
@@ -74,8 +77,9 @@ def verify_tree(
             elif origin and given[name] != value:
                 number = next(line.number for line in fragment if line.symbol == name)
                 why = f"{origin}:{number} says {given[name]}; {why}"
-        if name == data.kernel(tree.kernel).rt_symbol and _without_series(data, tree, name, why):
-            why = f"this tree lacks the patch series {data.kernel(tree.kernel).rt_series} ({why})"
+        series = data.rt_series(machine, tree.kernel)
+        if series and name == data.kernel(tree.kernel).rt_symbol and (name not in known or "ARCH_SUPPORTS_RT" in why):
+            why = f"this tree lacks the patch series {series} ({why})"
         mismatches.append(Mismatch(symbol=name, want=value, got=_shown(name, got, known), reason=why))
     return Verdict(
         subject=f"{machine}, Linux {tree.release}, {base}",
@@ -88,7 +92,8 @@ def verify_config(data: Data, machine: str, text: str, origin: str) -> Verdict:
     kernel = kernel_of(text)
     if kernel is None:
         raise UsageError(
-            f"{origin}:1: not a finished .config, its head must be '# Linux/arm <version> Kernel Configuration'"
+            f"{origin}:1: not a finished .config, "
+            "its head must be '# Linux/<architecture> <version> Kernel Configuration'"
         )
     wanted = data.wanted(machine, kernel)
     got = values(parse(text, origin))
@@ -109,11 +114,6 @@ def load_fragment(path: Path) -> tuple[Line, ...]:
 
 def _shown(name: str, got: Mapping[str, str], known: frozenset[str]) -> str:
     return got.get(name, "n" if name in known else "nothing")
-
-
-def _without_series(data: Data, tree: Tree, symbol: str, why: str) -> bool:
-    series = data.kernel(tree.kernel).rt_series
-    return series is not None and (symbol not in tree.symbols() or "ARCH_SUPPORTS_RT" in why)
 
 
 def _why_not(data: Data, machine: str, kernel: str, symbol: str) -> str:
