@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import yaml
 
 import rtgen.suites
 from rtfiles.config import read_yaml
@@ -22,7 +23,7 @@ from rtgen.board import sysroot
 from rtgen.checkout import checkout
 from rtgen.layer import output
 from rtgen.layer.render import render, suite_recipes
-from rtgen.profile import Profile, Release, load_profile, profile_names
+from rtgen.profile import Profile, Release, load_machines, load_profile, profile_names
 
 pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(7200)]
 
@@ -72,13 +73,19 @@ class Yocto:
     def machine(self) -> str:
         return os.environ.get("RT_TESTS_MACHINE", self.profile.default_machine)
 
-    @property
-    def layers(self) -> list[Path]:
-        return [
+    def kas(self, machine: str) -> tuple[list[Path], list[str]]:
+        """The layers of others, and the lines for local.conf, that kas would take for a machine."""
+        files = [self.layer.parent / "kas.yml", self.layer / "kas" / f"{machine}.yml"]
+        read = [yaml.safe_load(file.read_text()) for file in files]
+        repositories = {name: found["layers"] for data in read for name, found in data.get("repos", {}).items()}
+        layers = [
             self.top / name / layer
-            for name, repository in self.profile.repositories.items()
-            for layer in repository.layers
+            for name, layers in repositories.items()
+            for layer, state in layers.items()
+            if name != "meta-rt-tests" and state != "disabled"
         ]
+        headers = [header for data in read for header in data.get("local_conf_header", {}).values()]
+        return layers, [line for header in headers for line in header.splitlines()]
 
     def run(self, *command: str, build: Path | None = None) -> str:
         """Run a command in the build environment; what it said. Neither errors nor warnings of ours may be in it."""
@@ -101,9 +108,9 @@ class Yocto:
         assert [line for line in lines if not any(name in line for name in FOREIGN)] == []
         return done.stdout
 
-    def variables(self, recipe: str, *names: str) -> dict[str, str]:
+    def variables(self, recipe: str, *names: str, build: Path | None = None) -> dict[str, str]:
         """Variables of a recipe, expanded, as `bitbake -e` gives them."""
-        output = self.run("bitbake", "-e", recipe)
+        output = self.run("bitbake", "-e", recipe, build=build)
         values = {}
         for name in names:
             match = re.search(rf'^(?:export )?{re.escape(name)}="((?:[^"\\]|\\.)*)"$', output, re.MULTILINE)
@@ -140,7 +147,7 @@ def yocto():
         pytest.fail(f"{top} holds no profile's checkouts:\n" + "\n".join(seen))
     output.write(render(name, profile, release), top / "rendered")
     yocto = Yocto(top, name, profile, release)
-    _configure(yocto, yocto.build, [*yocto.layers, yocto.layer], yocto.machine)
+    _configure(yocto, yocto.build, yocto.machine)
     print(f"\nprofile {name}, machine {yocto.machine}: {top}")
     return yocto
 
@@ -150,9 +157,15 @@ def _head(folder: Path) -> str:
     return done.stdout.strip() or "no checkout"
 
 
-def _configure(yocto: Yocto, build: Path, layers: list[Path], machine: str) -> None:
+def _configure(yocto: Yocto, build: Path, machine: str, mask: str = "") -> None:
     old = not yocto.release.modern
-    kernel = yocto.profile.machines[machine].kernel
+    layers, settings = yocto.kas(machine)
+    local = [*_local(yocto, machine), *settings]
+    _write_configuration(build, old, [*layers, yocto.layer], [*local, f'BBMASK = "{mask}"'] if mask else local)
+
+
+def _local(yocto: Yocto, machine: str) -> list[str]:
+    old = not yocto.release.modern
     local = [
         f'MACHINE ?= "{machine}"',
         f'DISTRO ?= "{yocto.profile.distro}"',
@@ -161,20 +174,19 @@ def _configure(yocto: Yocto, build: Path, layers: list[Path], machine: str) -> N
         f'CONF_VERSION = "{1 if old else 2}"',
         'BB_NUMBER_THREADS = "2"',
     ]
+    if old:
+        return [*local, 'PACKAGE_CLASSES = "package_ipk"']
+    # BitBake may run as root here.
+    return [*local, 'INHERIT:remove = "sanity"', 'BB_NUMBER_PARSE_THREADS = "2"']
+
+
+def _write_configuration(build: Path, old: bool, layers: list[Path], local: list[str]) -> None:
     (build / "conf").mkdir(parents=True, exist_ok=True)
     if old:
-        local += ['BBMASK = "meta-ros/recipes-support/boost/"', 'PACKAGE_CLASSES = "package_ipk"']
         # BitBake as root; 1.20 has no INHERIT_remove.
         versions = ('BB_MIN_VERSION = "1.19.1"', 'SANITY_VERSION ?= "1"', 'LOCALCONF_VERSION ?= "1"',
                     'LAYER_CONF_VERSION ?= "6"', 'SITE_CONF_VERSION ?= "1"')  # fmt: skip
         _write(build / "conf" / "sanity.conf", "\n".join(versions) + "\n")
-    else:
-        local += [
-            'INHERIT:remove = "sanity"',
-            f'PREFERRED_PROVIDER_virtual/kernel = "{kernel.recipe}"',
-            'MACHINE_FEATURES:append:qemuarm = " preempt-rt"',
-            'BB_NUMBER_PARSE_THREADS = "2"',
-        ]
     _write(build / "conf" / "local.conf", "\n".join(local) + "\n")
     paths = "".join(f" {layer}" for layer in layers)
     _write(
@@ -255,6 +267,28 @@ def test_graph_of_the_image(yocto):
     print(f"{len(recipes)} recipes")
 
 
+def test_other_machines(yocto):
+    """The kernel and the graph of the image for each other machine, without the recipes that no image needs."""
+    if not yocto.release.modern:
+        pytest.skip("dora has one machine")
+    mask = _needless(yocto)
+    build = yocto.top / "build-machines"
+    suites = {suite["package"] for suite in suite_recipes(yocto.profile)}
+    for machine, described in yocto.profile.machines.items():
+        if machine == yocto.machine:
+            continue
+        _configure(yocto, build, machine, mask)
+        kernel, known = described.kernel, load_machines()[machine]
+        yocto.run("bitbake", "-g", yocto.profile.image.name, build=build)
+        recipes = set((build / "pn-buildlist").read_text().split())
+        assert {*suites, "packagegroup-rt-tests", kernel.recipe, "openssh", "rt-tests", "stress-ng"} <= recipes, machine
+        variables = yocto.variables(kernel.recipe, "SRC_URI", "PV", *known.kernel, build=build)
+        assert f"file://rt-tests-{machine}.cfg" in variables["SRC_URI"].split(), machine
+        assert variables["PV"].startswith(kernel.version), machine
+        assert {key: variables[key] for key in known.kernel} == known.kernel, machine
+        print(f"| {machine} | {kernel.recipe} {variables['PV']} | {len(recipes)} recipes |", flush=True)
+
+
 def test_suites_are_fetched_and_unpacked(yocto):
     if yocto.profile.suites:
         pytest.skip("the originals of 2014 are in a git repository, and BB_NO_NETWORK is set")
@@ -272,7 +306,7 @@ def test_suites_are_patched_configured_and_compiled(yocto):
         pytest.skip("the originals of 2014 are in a git repository, and BB_NO_NETWORK is set")
     build = yocto.top / "build-suites"
     shutil.rmtree(build, ignore_errors=True)
-    _configure(yocto, build, [*yocto.layers, yocto.layer], yocto.machine)
+    _configure(yocto, build, yocto.machine)
     # To be added to: links would do so to the one in the cache.
     stage = build / "sysroot"
     shutil.copytree(sysroot.build("armhf"), stage, symlinks=True)
@@ -311,14 +345,9 @@ def test_yocto_check_layer(yocto):
         pytest.skip("dora has no yocto-check-layer")
     mask = _needless(yocto)
     build = yocto.top / "build-check"
-    core, *others = yocto.layers
-    _configure(yocto, build, [core], "qemuarm")
-    local = build / "conf" / "local.conf"
+    core, *others = yocto.kas(yocto.machine)[0]
     # As somebody else has it who adds the layer: nothing of ours is switched on.
-    kept = [
-        line for line in local.read_text().splitlines() if "PREFERRED" not in line and "MACHINE_FEATURES" not in line
-    ]
-    _write(local, "\n".join([*kept, f'BBMASK = "{mask}"']) + "\n")
+    _write_configuration(build, False, [core], [*_local(yocto, "qemuarm"), f'BBMASK = "{mask}"'])
     output = yocto.run(
         "yocto-check-layer", str(yocto.layer), "--dependency", *map(str, others), "--no-auto", "--no-auto-dependency",
         "--machines", *yocto.profile.machines, build=build,
@@ -338,7 +367,7 @@ def _needless(yocto: Yocto) -> str:
     graph = (yocto.build / "task-depends.dot").read_text()
     needed = {Path(path) for path in re.findall(r"(?:virtual:[^/]*:)?(/[^\\\n\"]*\.bb)\b", graph)}
     assert len(needed) > 100
-    core, *others = yocto.layers
+    core, *others = yocto.kas(yocto.machine)[0]
     known = {path.stem.partition("_")[0] for path in [*needed, *core.glob("recipes-*/*/*.bb")]}
     masks = []
     for layer in others:

@@ -3,20 +3,26 @@
 import pytest
 
 from rtgen.layer.render import suite_recipes
-from rtgen.profile import load_profile, profile_names
+from rtgen.profile import load_machines, load_profile, profile_names
 
 pytestmark = pytest.mark.bitbake
 
 CASES = [(name, machine) for name in profile_names() for machine in load_profile(name)[0].machines]
 
 
+VARIABLES = ["SRC_URI", "S", "DEPENDS", "IMAGE_INSTALL", "COMPATIBLE_MACHINE", "KBUILD_DEFCONFIG", "KMACHINE", "SRCREV"]
+
+
 @pytest.mark.parametrize(("name", "machine"), CASES)
-def test_parses_and_resolves(make_build, name, machine):
+def test_recipes_resolve_and_the_kernel_takes_the_fragment(make_build, name, machine):
     profile, _ = load_profile(name)
+    kernel, facts = profile.machines[machine].kernel, load_machines()[machine]
+    on = "" if facts.layer == "meta-rt-tests" else f'MACHINE_FEATURES:append:{machine} = " preempt-rt"\n'
     # BitBake 2.19 is fatal on the underscore syntax of dora; the renderings differ in the separator only.
-    build = make_build(name, machine, separator=":")
-    variables = ["SRC_URI", "S", "DEPENDS", "IMAGE_INSTALL", "LAYERSERIES_COMPAT_rt-tests-layer", "KERNEL_DEVICETREE"]
-    recipes = build.bitbake(variables=variables)["recipes"]
+    build = make_build(
+        name, machine, separator=":", local=f'{on}PREFERRED_PROVIDER_virtual/kernel = "{kernel.recipe}"\n'
+    )
+    recipes = build.bitbake(variables=VARIABLES)["recipes"]
 
     suites = [suite["package"] for suite in suite_recipes(profile)]
     ours = {*suites, "packagegroup-rt-tests", profile.image.name}
@@ -30,24 +36,36 @@ def test_parses_and_resolves(make_build, name, machine):
     install = recipes[profile.image.name]["variables"]["IMAGE_INSTALL"].split()
     assert {"packagegroup-rt-tests", "openssh-sftp-server", *profile.image.packages} <= set(install)
 
-
-@pytest.mark.parametrize(("name", "machine"), CASES)
-def test_kernel_takes_the_fragment(make_build, name, machine):
-    profile, _ = load_profile(name)
-    kernel = profile.machines[machine].kernel
-    on = f'MACHINE_FEATURES:append:{machine} = " preempt-rt"\n' if machine == "qemuarm" else ""
-    build = make_build(name, machine, separator=":", local=on)
-    data = build.bitbake(variables=["SRC_URI", "COMPATIBLE_MACHINE", "KBUILD_DEFCONFIG", "SRCREV"])
-    recipe = data["recipes"][kernel.recipe]
-    assert recipe["appends"]
-    assert f"file://rt-tests-{machine}.cfg" in recipe["variables"]["SRC_URI"].split()
-    if machine == "pandaboard-es":
-        assert "file://omap4-panda-es-rt.dts" in recipe["variables"]["SRC_URI"].split()
-        assert recipe["variables"]["KBUILD_DEFCONFIG"] == "omap2plus_defconfig"
-        assert recipe["variables"]["COMPATIBLE_MACHINE"] == "pandaboard-es"
+    recipe = recipes[kernel.recipe]
+    assert recipe["appends"] and not recipe["skipped"]
+    sources = recipe["variables"]["SRC_URI"].split()
+    assert f"file://rt-tests-{machine}.cfg" in sources
+    assert (f"file://{facts.device_tree}" in sources) == (facts.device_tree is not None)
+    settings = {key: value for key, value in facts.kernel.items() if key in VARIABLES}
+    assert settings.items() <= recipe["variables"].items()
     if kernel.source:
         assert recipe["variables"]["SRCREV"] == kernel.source.commit
-        assert kernel.source.rt_patch in recipe["variables"]["SRC_URI"]
+        assert f"{kernel.source.rt_patch};name=rt" in sources
+
+
+def test_the_fragment_of_a_kernel_in_a_layer_that_may_be_absent_is_fetched(make_build):
+    """Its append lies deeper in the layer than the fragment."""
+    local = 'MACHINE_FEATURES:append:raspberrypi5 = " preempt-rt"\n'
+    build = make_build("scarthgap-noetic", "raspberrypi5", local=local)
+    build.bitbake(tasks=[["linux-raspberrypi", "do_fetch"], ["linux-raspberrypi", "do_unpack"]])
+    assert next(build.folder.glob("tmp/work/linux-raspberrypi/*/rt-tests-raspberrypi5.cfg")).is_file()
+
+
+@pytest.mark.parametrize(("kernel", "features", "skipped"), [
+    ("linux-yocto", "preempt-rt", True), ("linux-yocto", "", False), ("linux-yocto-rt", "preempt-rt", False),
+])  # fmt: skip
+def test_an_image_whose_kernel_gets_no_fragment_is_skipped(make_build, kernel, features, skipped):
+    local = f'PREFERRED_PROVIDER_virtual/kernel = "{kernel}"\nMACHINE_FEATURES:append:qemuarm = " {features}"\n'
+    image = make_build("scarthgap-noetic", "qemuarm", local=local).bitbake()["recipes"]["rt-tests-image"]
+    wanted = (
+        f"PREFERRED_PROVIDER_virtual/kernel is {kernel}, for which this layer has no kernel options: set it to one of"
+    )
+    assert (image["skipped"] or "").startswith(wanted) == skipped
 
 
 def test_kernel_of_others_stays_as_it_is(make_build):

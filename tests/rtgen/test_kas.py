@@ -36,6 +36,9 @@ def test_schema(tmp_path, name):
 def test_every_repository_is_pinned(tmp_path, name):
     profile, _ = load_profile(name)
     repositories = yaml.safe_load((rendered(tmp_path, name) / "kas.yml").read_text())["repos"]
+    for machine in profile.machines:
+        data = yaml.safe_load((tmp_path / f"meta-rt-tests/kas/{machine}.yml").read_text())
+        repositories |= data.get("repos", {})
     assert set(repositories) == {"meta-rt-tests", *profile.repositories}
     for repository, pinned in profile.repositories.items():
         assert repositories[repository]["commit"] == pinned.commit
@@ -68,11 +71,16 @@ def test_settings_of_a_machine_that_is_not_ours():
     settings = [header.get("rt-tests-qemuarm") for header in headers]
     assert settings[0] == settings[1] and settings[2] is None
     assert settings[0].splitlines() == [
+        'PREFERRED_PROVIDER_virtual/kernel:qemuarm = "linux-yocto-rt"',
+        'PREFERRED_VERSION_linux-yocto-rt:qemuarm = "6.6%"',
         'MACHINE_FEATURES:append:qemuarm = " preempt-rt"',
         'SERIAL_CONSOLES:qemuarm = "115200;ttyAMA0"',
         'QB_KERNEL_CMDLINE_APPEND:append:qemuarm = " quiet nohz=off"',
     ]
-    assert headers[2] == {}
+    assert headers[2]["rt-tests-pandaboard-es"].splitlines() == [
+        'PREFERRED_PROVIDER_virtual/kernel:pandaboard-es = "linux-yocto-rt"',
+        'PREFERRED_VERSION_linux-yocto-rt:pandaboard-es = "6.6%"',
+    ]
 
 
 @pytest.fixture
@@ -119,6 +127,7 @@ def kas(project, *arguments):
         ("kas.yml", "pandaboard-es"),
         ("kas.yml:meta-rt-tests/kas/qemuarm.yml", "qemuarm"),
         ("kas.yml:meta-rt-tests/kas/qemuarm.yml:meta-rt-tests/kas/dropbear.yml", "qemuarm"),
+        ("kas.yml:meta-rt-tests/kas/raspberrypi5.yml", "raspberrypi5"),
         ("kas.yml:meta-rt-tests/kas/pandaboard-es.yml:meta-rt-tests/kas/rm-work.yml", "pandaboard-es"),
     ],
 )
@@ -127,7 +136,9 @@ def test_dump_joins_the_fragments(project, joined, machine):
     assert dumped["machine"] == machine
     assert dumped["target"] == "rt-tests-image"
     header = "\n".join(dumped["local_conf_header"].values())
-    assert 'PREFERRED_PROVIDER_virtual/kernel = "linux-yocto-rt"' in header
+    kernel = "linux-raspberrypi" if machine == "raspberrypi5" else "linux-yocto-rt"
+    assert f'PREFERRED_PROVIDER_virtual/kernel:{machine} = "{kernel}"' in header
+    assert ("layers" in dumped["repos"]["meta-raspberrypi"]) == (machine == "raspberrypi5")
     assert ('MACHINE_FEATURES:append:qemuarm = " preempt-rt"' in header) == (machine == "qemuarm")
     assert ('RT_TESTS_SSH_SERVER = "dropbear"' in header) == ("dropbear" in joined)
     assert ('INHERIT += "rm_work"' in header) == ("rm-work" in joined)

@@ -37,7 +37,10 @@ def test_four_profiles_load():
     for name in profile_names():
         profile, release = load_profile(name)
         assert profile.ros_distro in release.ros_distros
-    assert list(load_profile(DEFAULT_PROFILE)[0].machines) == ["pandaboard-es", "qemuarm"]
+    assert list(load_profile(DEFAULT_PROFILE)[0].machines) == [
+        "pandaboard-es", "qemuarm", "qemuarm64", "qemux86-64", "beaglebone-yocto", "genericarm64", "genericx86-64",
+        "raspberrypi4-64", "raspberrypi5",
+    ]  # fmt: skip
 
 
 def test_thesis_profile_has_every_version_of_table_3_2_1():
@@ -67,7 +70,7 @@ def test_thesis_profile_has_every_version_of_table_3_2_1():
         ([("ros_distro", "hydro")], "ros_distro: 'hydro' does not exist in scarthgap, allowed: noetic"),
         ([("machines/beagleboard", {"kernel": {"recipe": "linux-yocto-rt", "version": "6.6", "rt": "branch"},
                                     "serial_console": {"device": "ttyS2", "baud": 115200}})],
-         "machines.beagleboard: 'beagleboard' does not exist in scarthgap, allowed: pandaboard-es, qemuarm"),
+         "machines.beagleboard: 'beagleboard' does not exist in scarthgap, allowed: pandaboard-es, qemuarm, qemuarm64"),
         ([("machines/qemuarm/kernel/version", "6.18")], "machines.qemuarm.kernel.version: '6.18' does not exist in"),
         ([("machines/qemuarm/kernel/recipe", "linux-yocto")], "machines.qemuarm.kernel.recipe: 'linux-yocto' does not"),
         ([("machines/qemuarm/kernel/rt", "patch")], "machines.qemuarm.kernel: rt: patch and source belong together"),
@@ -92,7 +95,11 @@ def test_thesis_profile_has_every_version_of_table_3_2_1():
         ([("image/name", "rt_tests")], "image.name: 'rt_tests' is not a name of lower-case letters, digits and . + -"),
         ([("repositories/meta-ros/url", "https://localhost/ü")], "/ü' is not an http(s) or git address"),
         ([("machines/qemuarm/sd_card", {"boot_size_mib": 64, "root_extra_mib": 0})],
-         "machines.qemuarm.sd_card: only pandaboard-es boots from that card, leave it out"),
+         "machines.qemuarm.sd_card: meta describes the card of qemuarm, leave it out"),
+        ([("repositories/meta-raspberrypi", None)],
+         "machines.raspberrypi5: no repository has its layer 'meta-raspberrypi', add one under repositories or leave"),
+        ([("machines/genericx86-64/boot_arguments", ["quiet"])],
+         "machines.genericx86-64.boot_arguments: its boot loader takes none from Yocto's settings, leave it out"),
         ([("ssh/server", "telnet")], "ssh.server: "),
     ],
 )  # fmt: skip

@@ -9,14 +9,16 @@ from pathlib import Path, PurePosixPath
 
 import jinja2
 import pytest
+import yaml
 
 from rtfiles.errors import UsageError
 from rtgen.checkout import checkout
 from rtgen.cli import main
+from rtgen.kconfig import data as kconfig
 from rtgen.layer import output
 from rtgen.layer import render as layer
 from rtgen.layer.render import Link, is_ours
-from rtgen.profile import Release, load_profile, load_releases, profile_names
+from rtgen.profile import Release, load_machines, load_profile, load_releases, profile_names
 
 SUITES = PurePosixPath("meta-rt-tests/recipes-tests/suites")
 
@@ -275,8 +277,43 @@ def test_every_kernel_of_a_release_has_a_fragment():
     for release in load_releases().values():
         for recipe in release.kernels.values():
             for machine, version in itertools.product(release.machines, recipe.versions):
-                name = f"{layer.KCONFIG_MACHINES[machine]}-{version}.cfg"
+                name = f"{load_machines()[machine].fragment}-{version}.cfg"
                 assert (checkout() / "kconfig/fragments" / name).is_file()
+
+
+def test_a_kernel_from_mainline_needs_no_patch_series():
+    kernels = {
+        (machine.kernel.version, load_machines()[name].fragment)
+        for profile in profile_names()
+        for name, machine in load_profile(profile)[0].machines.items()
+        if machine.kernel.rt == "mainline"
+    }
+    assert kernels
+    assert {kconfig.load().rt_series(fragment, version) for version, fragment in kernels} == {None}
+
+
+def test_the_default_machine_may_be_of_another_layer():
+    """kas.yml has the layers of its machine, the other machines' files have theirs."""
+    profile, release = load_profile("scarthgap-noetic")
+    machines = dict(sorted(profile.machines.items(), key=lambda item: item[0] != "raspberrypi5"))
+    tree = layer.render("mine", profile.model_copy(update={"machines": machines}), release)
+    repositories = {
+        name: set(yaml.safe_load(text(tree, path)).get("repos", {}))
+        for name, path in (("first", "kas.yml"), ("beaglebone", "meta-rt-tests/kas/beaglebone-yocto.yml"),
+                           ("panda", "meta-rt-tests/kas/pandaboard-es.yml"))
+    }  # fmt: skip
+    assert "meta-raspberrypi" in repositories["first"] and "meta-yocto" not in repositories["first"]
+    assert repositories["beaglebone"] == {"meta-yocto"} and repositories["panda"] == set()
+    assert 'kernel:raspberrypi5 = "linux-raspberrypi"' in text(tree, "kas.yml")
+    assert 'kernel:pandaboard-es = "linux-yocto-rt"' in text(tree, "meta-rt-tests/kas/pandaboard-es.yml")
+
+
+def test_no_code_asks_for_a_machine_by_name():
+    machines = set(load_machines())
+    for file in (checkout() / "tools/rtgen").rglob("*.py"):
+        if file.parts[-2] != "board" and file.name != "kernel.py":
+            names = set(re.findall(r'"([a-z0-9-]+)"', file.read_text()))
+            assert not names & machines, file
 
 
 def test_a_name_that_no_template_defines_is_an_error(copied_checkout):

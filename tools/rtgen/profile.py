@@ -16,6 +16,7 @@ from rtfiles.errors import UsageError
 
 PROFILES = Path(__file__).with_name("profiles")
 RELEASES_FILE = Path(__file__).parent / "layer" / "releases.yml"
+MACHINES_FILE = Path(__file__).parent / "layer" / "machines.yml"
 LAYER = "meta-rt-tests"  # the rendered folder
 
 Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
@@ -63,11 +64,18 @@ def key_pattern(kinds: Iterable[str]) -> str:
 KeyType = Annotated[str, _matches("|".join(KEY_TYPES), f"one of {', '.join(KEY_TYPES)}")]
 
 
+RtSource = Literal["branch", "mainline", "patch"]
+
+
 class KernelRecipe(Config):
-    """A kernel recipe in the layers of a release: its series, and how it gets PREEMPT_RT (see `Kernel`)."""
+    """A kernel recipe in the layers of a release: its series, and how it gets PREEMPT_RT (see `Kernel`).
+
+    `collection`: the layer's name for BitBake (BBFILE_COLLECTIONS), if an image may do without the recipe's layer.
+    """
 
     versions: Strings
-    rt: Literal["branch", "patch"]
+    rt: RtSource
+    collection: str | None = None
 
 
 class Release(Config):
@@ -99,6 +107,26 @@ class Releases(Config):
     releases: dict[str, Release]
 
 
+class KnownMachine(Config):
+    """What the layer has to know of a machine; machines.yml explains each key."""
+
+    layer: str
+    fragment: str
+    device_tree: str | None = None
+    boot_loader: str | None = None
+    boot_arguments: str | None = None
+    kernel: dict[str, str] = Field(default={})
+    set: dict[str, str] = Field(default={})
+    append: dict[str, str] = Field(default={})
+
+
+class KnownMachines(Config):
+    """machines.yml."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    machines: dict[str, KnownMachine]
+
+
 class Repository(Config):
     """A repository of layers (or BitBake itself, which has none), pinned by commit."""
 
@@ -106,6 +134,10 @@ class Repository(Config):
     commit: Commit
     branch: Branch | None = None
     layers: Annotated[tuple[LayerPath, ...], Field(strict=False)] = ()
+
+    def layer_names(self, name: str) -> list[str]:
+        """The names of its layers' folders; `name` is its own, for a layer at its top."""
+        return [name if layer == "." else layer.rpartition("/")[2] for layer in self.layers]
 
 
 class KernelSource(Config):
@@ -121,12 +153,13 @@ class KernelSource(Config):
 class Kernel(Config):
     """The kernel of a machine, and how it gets PREEMPT_RT.
 
-    `rt`: "branch" (the recipe's branch carries the RT patch) or "patch" (our append adds it, from `source`).
+    `rt`: "branch" (the recipe's branch has the RT patch), "mainline" (no patch is needed) or "patch" (our append adds
+    it, from `source`).
     """
 
     recipe: Name
     version: Annotated[str, _matches(r"\d+\.\d+", "a kernel series such as 6.6")]
-    rt: Literal["branch", "patch"]
+    rt: RtSource
     source: KernelSource | None = None
 
     @model_validator(mode="after")
@@ -156,7 +189,7 @@ class SdCard(Config):
 
 
 class Machine(Config):
-    """A machine of the layer. `sd_card` is for the PandaBoard ES only; other machines have image types of their own."""
+    """A machine of the profile. `sd_card` is for machines of our layer; others have image types of their own."""
 
     kernel: Kernel
     serial_console: Console
@@ -212,6 +245,11 @@ def load_releases() -> dict[str, Release]:
     return load(RELEASES_FILE, Releases).releases
 
 
+def load_machines() -> dict[str, KnownMachine]:
+    """The machines that a profile can name."""
+    return load(MACHINES_FILE, KnownMachines).machines
+
+
 def profile_names() -> list[str]:
     """The profiles that come with rtgen, sorted."""
     return sorted(path.stem for path in PROFILES.glob("*.yml"))
@@ -249,6 +287,10 @@ def _misfits(profile: Profile, release: Release) -> list[str]:
             problems.append(f"{key}: {value!r} does not exist in {profile.release}, allowed: {', '.join(allowed)}")
 
     check("ros_distro", profile.ros_distro, release.ros_distros)
+    layers = {
+        layer: name for name, repository in profile.repositories.items() for layer in repository.layer_names(name)
+    }
+    known_machines = load_machines()
     for name, machine in profile.machines.items():
         check(f"machines.{name}", name, release.machines)
         check(f"machines.{name}.kernel.recipe", machine.kernel.recipe, tuple(release.kernels))
@@ -256,10 +298,22 @@ def _misfits(profile: Profile, release: Release) -> list[str]:
         if recipe:
             check(f"machines.{name}.kernel.version", machine.kernel.version, recipe.versions)
             check(f"machines.{name}.kernel.rt", machine.kernel.rt, (recipe.rt,))
+        known = known_machines.get(name)
+        if known is None:
+            continue
+        if known.layer not in (LAYER, *layers):
+            problems.append(
+                f"machines.{name}: no repository has its layer {known.layer!r}, add one under repositories or leave "
+                "the machine out"
+            )
+        if machine.boot_arguments and not known.boot_arguments:
+            problems.append(
+                f"machines.{name}.boot_arguments: its boot loader takes none from Yocto's settings, leave it out"
+            )
         if machine.sd_card and not release.wic_boot_plugin:
             problems.append(f"machines.{name}.sd_card: {profile.release} has no image type wic, leave it out")
-        elif machine.sd_card and name != "pandaboard-es":
-            problems.append(f"machines.{name}.sd_card: only pandaboard-es boots from that card, leave it out")
+        elif machine.sd_card and known.layer != LAYER:
+            problems.append(f"machines.{name}.sd_card: {known.layer} describes the card of {name}, leave it out")
     if release.own_suites and profile.suites:
         problems.append(f"suites: those of this repository are built in {profile.release}, leave it out")
     if not release.own_suites and not profile.suites:
@@ -272,12 +326,7 @@ def _misfits(profile: Profile, release: Release) -> list[str]:
         problems.append(f"repositories.{LAYER}: the name of the rendered layer, choose another")
     if not {"bitbake", "poky"} & set(profile.repositories):
         problems.append("repositories: BitBake is missing, name a repository bitbake, or poky, which contains it")
-    given = {
-        name if layer == "." else layer.rpartition("/")[2]
-        for name, repository in profile.repositories.items()
-        for layer in repository.layers
-    }
     for layer in release.layers:
-        if layer not in given:
+        if layer not in layers:
             problems.append(f"repositories: no repository has the layer {layer!r}, {profile.release} needs it")
     return problems

@@ -11,3 +11,14 @@ IMAGE_LINGUAS = ""
 
 IMAGE_INSTALL = "packagegroup-core-boot packagegroup-rt-tests openssh-sftp-server ${CORE_IMAGE_EXTRA_INSTALL}"
 IMAGE_INSTALL += "roslaunch rosbash rosnode rostopic htop hwlatdetect rt-tests stress-ng util-linux-chrt util-linux-taskset"
+
+# Without the fragment a kernel would measure as if it were real-time.
+python () {
+    kernel = d.getVar("PREFERRED_PROVIDER_virtual/kernel")
+    known = "linux-yocto-rt linux-raspberrypi".split()
+    if kernel and kernel not in known and bb.utils.contains("MACHINE_FEATURES", "preempt-rt", True, False, d):
+        raise bb.parse.SkipRecipe(
+            "PREFERRED_PROVIDER_virtual/kernel is %s, for which this layer has no kernel options: set it to one of %s, "
+            "or take preempt-rt out of MACHINE_FEATURES" % (kernel, ", ".join(known))
+        )
+}

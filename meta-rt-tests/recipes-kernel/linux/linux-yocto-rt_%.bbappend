@@ -2,7 +2,7 @@
 FILESEXTRAPATHS:prepend := "${THISDIR}/files:"
 
 # Without MACHINE_FEATURES preempt-rt the kernel of other machines stays as it is.
-require ${@bb.utils.contains("MACHINE_FEATURES", "preempt-rt", "linux-rt-tests.inc", "", d)}
+require ${@bb.utils.contains("MACHINE_FEATURES", "preempt-rt", "recipes-kernel/linux/linux-rt-tests.inc", "", d)}
 
 COMPATIBLE_MACHINE:pandaboard-es = "pandaboard-es"
 KBUILD_DEFCONFIG:pandaboard-es = "omap2plus_defconfig"
@@ -12,3 +12,11 @@ SRC_URI:append:pandaboard-es = " file://omap4-panda-es-rt.dts"
 do_configure:prepend:pandaboard-es() {
     cp ${WORKDIR}/omap4-panda-es-rt.dts ${S}/arch/arm/boot/dts/ti/omap/
 }
+
+COMPATIBLE_MACHINE:beaglebone-yocto = "beaglebone-yocto"
+KMACHINE:beaglebone-yocto = "beaglebone"
+
+COMPATIBLE_MACHINE:genericarm64 = "genericarm64"
+
+COMPATIBLE_MACHINE:genericx86-64 = "genericx86-64"
+KMACHINE:genericx86-64 = "common-pc-64"
