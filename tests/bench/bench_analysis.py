@@ -147,29 +147,32 @@ def report(runs: int, n: int) -> list[Check]:
     ]
 
 
-# In one browser: a page that only runs plotly's script, and the report. Without a screen nothing comes into view, so
-# printing is announced, before which the page draws.
-_OPENED = """<script>
-const opened = (name) => new Promise((done) => {
-  const frame = document.createElement("iframe"), start = performance.now();
-  frame.style.cssText = "width:1400px;height:900px";
-  frame.src = name;
-  frame.onload = () => done([performance.now() - start, frame.contentWindow]);
-  document.body.append(frame);
-});
-onload = async () => {
-  const [plotly_ms] = await opened("plotly.html"), [page_ms, page] = await opened("report.html");
-  const start = performance.now();
-  page.dispatchEvent(new page.Event("beforeprint"));
-  document.body.textContent = `opened in ${plotly_ms} ${page_ms} ${performance.now() - start} ms`;
+# Behind a page: draws what waits for its place to come into view, and leaves the seconds since the page was asked for.
+_TIMED = """<script>
+onload = () => {
+  dispatchEvent(new Event("beforeprint"));
+  const shown = performance.getEntriesByName("first-contentful-paint").map((entry) => entry.startTime);
+  document.body.textContent = `seconds ${shown[0] / 1000} ${performance.now() / 1000}`;
 };
-</script><body>"""
+</script>"""
+
+
+def seconds_to_open(page: Path, html: str) -> tuple[float, float]:
+    """Seconds from the request for a page until Chromium shows something of it, and until all is drawn."""
+    page.write_text(html + _TIMED)
+    chromium = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--dump-dom"]
+    command = [*chromium, "--window-size=1400,900", f"--user-data-dir={page.with_suffix('')}", f"file://{page}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    taken = re.search(r">seconds ([0-9.]+) ([0-9.]+)<", done.stdout)
+    if taken is None:
+        raise RuntimeError(f"Chromium did not open {page.name}:\n{done.stdout[-500:]}\n{done.stderr[-500:]}")
+    return float(taken[1]), float(taken[2])
 
 
 def opening() -> list[Check]:
-    """A report of 15 runs in Chromium: until answer and tables are there, and until the first picture is drawn.
+    """A report of 15 runs in Chromium: until the answer is shown, and until its first pictures are drawn.
 
-    The wish is 2 s for all of it. Most of that is plotly's own script, so the picture is bounded in that script's time.
+    The wish is 2 s for all of it. Most of that is plotly's own script: the whole is also bounded in times of that.
     """
     from plotly.offline import get_plotlyjs
 
@@ -179,21 +182,14 @@ def opening() -> list[Check]:
         rtrun = str(Path(sys.executable).parent / "rtrun")
         command = [rtrun, "report", str(root / "demo"), "--output", str(root / "report.html")]
         subprocess.run(command, capture_output=True, check=True)
-        (root / "plotly.html").write_text(f"<script>{get_plotlyjs()}</script>")
-        (root / "opened.html").write_text(_OPENED)
-        chromium = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--dump-dom"]
-        more = ["--virtual-time-budget=1", f"--user-data-dir={root / 'profile'}", "--allow-file-access-from-files"]
-        command = [*chromium, *more, f"file://{root}/opened.html"]
-        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
-    taken_ms = re.search(r"opened in ([0-9.]+) ([0-9.]+) ([0-9.]+) ms", done.stdout)
-    if taken_ms is None:
-        raise RuntimeError(f"Chromium did not open the page:\n{done.stdout[-500:]}\n{done.stderr[-500:]}")
-    plotly_s, page_s, picture_s = (float(one) / 1000 for one in taken_ms.groups())
+        bundle = f"<!DOCTYPE html><p>plotly</p><script>{get_plotlyjs()}</script>"
+        _, plotly_s = seconds_to_open(root / "plotly.html", bundle)
+        shown_s, drawn_s = seconds_to_open(root / "opened.html", (root / "report.html").read_text())
     return [
-        ("plotly's script alone runs in Chromium", plotly_s, float("inf"), "s"),
-        ("a report of 15 runs opens in Chromium, with answer and tables", page_s, 1.0, "s"),
-        ("a report of 15 runs, with its first picture", page_s + picture_s, 2.0, "s"),
-        ("the same, in times of plotly's script", (page_s + picture_s) / plotly_s, 3.0, ""),
+        ("plotly's script alone in Chromium", plotly_s, float("inf"), "s"),
+        ("a report of 15 runs shows its answer in Chromium", shown_s, 1.0, "s"),
+        ("a report of 15 runs opens in Chromium", drawn_s, 2.0, "s"),
+        ("a report of 15 runs opens, in times of plotly's script", drawn_s / plotly_s, 3.0, ""),
     ]
 
 

@@ -45,6 +45,9 @@ def print_answers(study: "Study") -> None:
 
     print_banner(study.platform)
     print_line(standings.question(study))
-    console().print(standings.table(standings.standings(study)), crop=False)
+    groups = standings.standings(study)
+    console().print(standings.table(groups), crop=False)
+    for text in standings.reasons(groups):
+        print_line(text)
     for text in study.left_out:
         print_line(f"not analysed: {text}")

@@ -119,13 +119,15 @@ function drawOverview() {
   const most = beside ? 60 : Math.max(20, Math.floor((overview.clientWidth - 20) / 7.2));
   const labels = rows.map((row) => inLines(`${row.mark} ${row.label}`, most));
   const tallest = 15 * Math.max(...labels.map((lines) => lines.length));
-  const pitch = (beside ? 9 : 25) + tallest, top = beside ? 10 : 24, bottom = 84;
-  const layout = framed({ xaxis: { type: "log", range: [Math.log10(low), Math.log10(high)], title: { text: "us" }, side: "bottom", minorloglabels: "none", dtick: 1 },
+  // In a picture longer than a screen the axis and the legend are seen at once only where they stand above it.
+  const above = rows.length > 25, keys = 84, end = beside ? 10 : 24;
+  const pitch = (beside ? 9 : 25) + tallest, top = above ? keys + end : end, bottom = above ? 10 : keys;
+  const layout = framed({ xaxis: { type: "log", range: [Math.log10(low), Math.log10(high)], title: { text: "us" }, side: above ? "top" : "bottom", minorloglabels: "none", dtick: 1 },
     yaxis: { range: [rows.length - 0.4, -0.6], showgrid: false, zeroline: false, showticklabels: false, fixedrange: false, automargin: false } });
   const link = (row, k) => `<a href="#${row.id}" target="_self">${labels[k].map(plain).join("<br>")}</a>`;
   const widest = beside ? 20 + 7.2 * Math.max(...labels.flat().map((line) => line.length)) : 10;
   Object.assign(layout, { height: top + bottom + pitch * rows.length, margin: { l: widest, r: 15, t: top, b: bottom },
-    legend: { orientation: "h", y: 0, yref: "container", yanchor: "bottom", x: 0, xref: "container" },
+    legend: { orientation: "h", y: above ? 1 : 0, yref: "container", yanchor: above ? "top" : "bottom", x: 0, xref: "container" },
     annotations: rows.map((row, k) => ({ xref: "paper", x: 0, y: k, text: link(row, k), showarrow: false, xshift: beside ? -8 : 0, align: beside ? "right" : "left",
       bgcolor: colour("--page"),
       yshift: beside ? 0 : 7.5 + tallest / 2, xanchor: beside ? "right" : "left", font: { color: tone(row), size: 12.5 } })) });

@@ -1,6 +1,6 @@
 """The answers to the goal of a campaign, group by group: what the rounds go by, and what `rtrun verdict` prints."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -13,6 +13,7 @@ from rich.text import Text
 from rtfiles.output import printable
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.analysis.standing import Standing
+from rtrun.analysis.stationarity import Change
 from rtrun.execution.goal import Progress
 from rtrun.plan.goal import Goal
 from rtrun.report.digest import Digest
@@ -91,9 +92,27 @@ def table(standings: Sequence[Standing]) -> Table:
             grouped(verdict.n) if verdict else "-",
             "-" if verdict is None or verdict.boots is None else str(verdict.boots),
             duration(standing.measured_s),
-            Text(printable(missing(standing))),
+            Text("no answer, see below" if _has_reason(standing) else printable(missing(standing))),
         )
     return made
+
+
+def reasons(standings: Sequence[Standing]) -> Iterator[str]:
+    """Why there is no answer, in a line each, for below the table."""
+    by_reason: dict[str, list[str]] = {}
+    for standing in filter(_has_reason, standings):
+        by_reason.setdefault(missing(standing), []).append(standing.label)
+    for reason, labels in by_reason.items():
+        everywhere = len(labels) > 1 and len(labels) == len(standings)
+        yield f"{'all groups' if everywhere else ', '.join(labels)}: {reason}"
+
+
+def _has_reason(standing: Standing) -> bool:
+    """Whether something else than too few measurements keeps it from an answer."""
+    verdict = standing.verdict
+    if verdict is None or verdict.refused:
+        return True
+    return standing.answer is Answer.NEEDS_MORE and verdict.change is not None
 
 
 def progress_line(progress: Progress, goal: Goal) -> str:
@@ -106,9 +125,18 @@ def progress_line(progress: Progress, goal: Goal) -> str:
     if goal.boots > 1 and verdict.boots is not None:
         parts.append(f"{verdict.boots} of {goal.boots} boots")
     if not standing.is_final:
-        remaining = "no end in sight" if progress.left_s is None else f"about {duration(progress.left_s)} left"
-        parts.append(remaining)
-    return f"{standing.answer}  {standing.label}: {'; '.join(parts)}"
+        parts.append(_remaining(progress.left_s, verdict))
+    return f"{standing.answer:{len(Answer.NEEDS_MORE)}}  {printable(standing.label)}: {'; '.join(parts)}"
+
+
+def _remaining(left_s: float | None, verdict: Verdict) -> str:
+    if verdict.change is not None:
+        return _changed(verdict.change)
+    return "no end in sight at the rate seen" if left_s is None else f"about {duration(left_s)} left"
+
+
+def _changed(change: Change) -> str:
+    return f"no answer: it did not stay the same: {change.text}"
 
 
 def bound(verdict: Verdict) -> str:
@@ -126,7 +154,7 @@ def missing(standing: Standing) -> str:
     if standing.answer is not Answer.NEEDS_MORE:
         return ""
     if verdict.change is not None:
-        return f"no answer: it did not stay the same: {verdict.change.text}"
+        return _changed(verdict.change)
     parts = [_count(verdict.boots_missing, "boot")] if verdict.boots_missing else []
     if not verdict.misses and verdict.further:
         parts.append(f"{_measurements(verdict, verdict.further)} without a miss")

@@ -1,0 +1,63 @@
+"""The lines of a goal, while it is measured and at the end."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from rtrun.analysis.deadline import Verdict, count_misses, judge
+from rtrun.analysis.standing import Standing
+from rtrun.analysis.stationarity import Change
+from rtrun.execution.goal import Progress
+from rtrun.plan.campaign import Campaign, plan
+from rtrun.plan.goal import Goal
+from rtrun.report.standings import progress_line, reasons, table
+
+GOAL = Goal(deadline="400us", probability="1e-3", at_most="1h")
+(RUN,) = plan(Campaign(schema=1, name="test", runs=[{"suite": "cyclic_timer_tests"}]), "test")
+
+
+def verdict_of(n: int) -> Verdict:
+    trials = count_misses(np.full(n, 90_000), 400_000)
+    return judge([trials], deadline_ns=400_000, probability=1e-3, confidence=0.95)
+
+
+def standing_of(verdict: Verdict, label: str = "timer RR") -> Standing:
+    return Standing(label=label, runs=("001",), verdict=verdict, undecidable=None, measured_s=2.0)
+
+
+def line_of(verdict: Verdict, left_s: float | None) -> str:
+    return progress_line(Progress(group=RUN, standing=standing_of(verdict), left_s=left_s), GOAL)
+
+
+CHANGED = replace(verdict_of(1000), change=Change(p_value=1e-9, significant=0.01, text="late values lie at the end"))
+
+
+def test_a_line_says_how_far_a_group_is() -> None:
+    assert line_of(verdict_of(1000), 75.0).endswith("; 1 000 measured; about 1 min 15 s left")
+    assert line_of(verdict_of(1000), None).endswith("; no end in sight at the rate seen")
+    assert line_of(verdict_of(5000), None).startswith("PROVEN      timer RR: P(miss) <= ")
+    assert "sight" not in line_of(verdict_of(5000), None)
+
+
+def test_a_line_says_what_changed() -> None:
+    assert line_of(CHANGED, None).endswith("; no answer: it did not stay the same: late values lie at the end")
+
+
+def test_what_is_no_number_stands_below_the_table() -> None:
+    groups = [standing_of(CHANGED), standing_of(verdict_of(1000), "timer FIFO")]
+    stream = io.StringIO()
+    Console(file=stream, width=100).print(table(groups), crop=False)
+    _, _, changed, more = stream.getvalue().splitlines()
+    assert changed.rstrip().endswith("no answer, see below") and "more" in more
+    assert list(reasons(groups)) == ["timer RR: no answer: it did not stay the same: late values lie at the end"]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_reason_is_said_once(count: int) -> None:
+    refused = replace(CHANGED, refused="measured on an emulated board")
+    groups = [standing_of(refused, f"timer {k}") for k in range(count)]
+    about = "timer 0" if count == 1 else "all groups"
+    assert list(reasons(groups)) == [f"{about}: measured on an emulated board"]
