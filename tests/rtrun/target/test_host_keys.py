@@ -137,6 +137,11 @@ def test_a_host_certificate(server, log_in, tmp_path, kind, authority):
     log_in(f"@cert-authority * {public}")
 
 
+def test_a_certificate_that_names_no_host_is_for_every_host(server, log_in):
+    server.certify("ed25519", "-h")
+    log_in(f"@cert-authority * {server.authority_public}")
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
