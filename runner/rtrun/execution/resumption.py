@@ -34,11 +34,10 @@ echo attempt
 [ -e attempt.json ] && [ "$(wc -c <attempt.json)" -le "$2" ] && cat attempt.json
 exit 0
 """
-# Prints the first program that lives of any run but the one in folder $2, and ends then. A program has its lock as long
-# as one of its processes is there.
+# Prints the first program that lives of any run, and ends then. A program has its lock as long as one of its processes
+# is there.
 _BUSY = """
 for lock in "$1"/*/*/*.lock; do
-    case $lock in "$2"/*) continue;; esac
     [ -e "$lock" ] || continue
     flock -n -s "$lock" true || { echo "${lock%.lock}"; exit 0; }
 done
@@ -127,7 +126,7 @@ def list_folders(link: Link, runs: PurePosixPath) -> list[str]:
 
 def check_idle(link: Link) -> None:
     """Raise TargetError when a program of any run still lives on the target."""
-    _refuse_busy(link, link.check(["sh", "-c", _BUSY, "sh", str(link.target.work_dir / "runs"), "none"]))
+    _refuse_busy(link, link.check(["sh", "-c", _BUSY, "sh", str(link.target.work_dir / "runs")]))
 
 
 def _refuse_busy(link: Link, printed: str) -> None:

@@ -56,7 +56,7 @@ _MARK = "== ended"
 _WRITE_IF_ABSENT = """
 cd "$1" || exit 1
 write_if_absent() {
-    [ -e "$1" ] || { echo "$2" >"$1.$$" && ln "$1.$$" "$1"; }
+    echo "$2" >"$1.$$" && ln "$1.$$" "$1" 2>/dev/null
     cat "$1" || echo "$2"
 }
 """
@@ -95,7 +95,7 @@ def start(
     commands = []
     for program in programs:
         env = ["env", *(f"{name}={value}" for name, value in program.environment)] if program.environment else []
-        deadline = str(max(1, round(program.deadline_s)))
+        deadline = str(round(program.deadline_s))
         supervise = str(scripts / "supervise.sh")
         commands.append([supervise, str(folder), program.name, deadline, setup or "", *env, *program.argv])
     link.check(join_commands(commands))
