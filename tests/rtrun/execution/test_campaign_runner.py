@@ -54,6 +54,8 @@ def test_a_campaign_from_end_to_end(bare_target, tmp_path, watching, wishes):
     written = record(tmp_path / "results", runs[0])
     assert set(written["files"]) == {path.name for path in folder.iterdir()} - {"run.json"}
     assert {"cyclic_timer_tests.stdout", "cyclic_timer_tests_l10_fq100.npy", "target.json"} <= set(written["files"])
+    configurations = [Path("/proc/config.gz"), Path(f"/boot/config-{os.uname().release}")]
+    assert ("kernel.config.gz" in written["files"]) == any(path.exists() for path in configurations)
     assert (folder / "cyclic_timer_tests.stdout").read_text() == "\tINFO: done\n"
     state = json.loads((folder / "target.json").read_text())
     assert state["before"]["boot_id"] == Path("/proc/sys/kernel/random/boot_id").read_text().strip()

@@ -259,12 +259,12 @@ def test_what_a_killed_runner_left_of_a_closed_run_is_removed_in_the_end(
 def test_a_target_that_restarts_again_and_again_is_given_up(target, measure, interrupt):
     attempts = []
 
-    def restarts(*_):
-        attempts.append(1)
+    def restarts(prepared, *_):
+        attempts.append(prepared)
         raise TargetRebooted("the target was restarted")
 
     interrupt(target, runs_of(2), restarts, TargetRebooted, module=run_execution, name="measure")
-    assert len(attempts) == campaign_runner.ATTEMPTS
+    assert len(attempts) == len({id(prepared) for prepared in attempts}) == campaign_runner.ATTEMPTS
 
 
 def test_a_run_does_not_begin_without_a_master(target, wishes, interrupt):

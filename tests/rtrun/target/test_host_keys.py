@@ -190,11 +190,14 @@ def test_a_revoked_key_of_the_target_file_is_refused(sshd, tmp_path, is_fingerpr
         Connection(address)
 
 
-def test_a_revoked_authority_is_refused(server, log_in):
+def test_a_revoked_authority_is_refused(server, log_in, tmp_path):
     server.certify("ed25519", "-h")
     authority = server.authority_public
     with pytest.raises(TargetError, match=r"unknown host key|authority of the host certificate is revoked"):
         log_in(f"@cert-authority * {authority}", f"@revoked * {authority}")
+    other, plain = make_key(tmp_path / "other"), f"[127.0.0.1]:{server.port} {server.public['ed25519']}"
+    with pytest.raises(TargetError, match="authority of the host certificate is revoked"):
+        log_in(f"@cert-authority * {other}", plain, f"@revoked * {authority}")
 
 
 @pytest.mark.parametrize(
@@ -331,3 +334,5 @@ def test_every_cut_of_a_certificate_is_refused(tmp_path):
     for size in range(len(blob)):
         with pytest.raises(ValueError, match=re.compile("early|type|behind|bytes")):
             parse_certificate(blob[:size])
+    with pytest.raises(ValueError, match="it goes on behind its signature"):
+        parse_certificate(blob + b"x")

@@ -7,7 +7,9 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import paramiko
 import pytest
 
 from ports import free_port
@@ -71,6 +73,48 @@ def test_an_agent_with_more_wrong_keys_than_the_server_takes(sshd, agent, tmp_pa
         Connection(replace(sshd.address, key=None))
     agent(sshd.key)
     Connection(replace(sshd.address, key=None)).close()
+
+
+def test_the_keys_of_the_agent_that_are_listed_come_first(sshd, agent, tmp_path, monkeypatch):
+    for name in ("other", "own"):
+        agent(make_key(tmp_path / name))
+    address = replace(sshd.address, key=None, identities=(tmp_path / "own",))
+    public = [(tmp_path / f"{name}.pub").read_text().split()[1] for name in ("own", "other")]
+    assert [key.get_base64() for key in login.read_keys(address).usable] == public
+    monkeypatch.setattr(login, "AGENT_KEYS_MAX", 1)
+    assert len(login.read_keys(replace(address, identities=())).usable) == 1
+    with pytest.raises(TargetError, match="no key: name one as 'key'"):
+        login.read_keys(replace(address, identities=(), agent="none"))
+
+
+@pytest.mark.parametrize("refused", [0, 1])
+def test_a_key_that_may_have_been_cut_off_is_tried_again(sshd, refused):
+    """Some servers hang up before they look at the key that is one too many."""
+
+    class Transport:
+        active = True
+
+        def auth_publickey(self, user, key):
+            self.active = key != "late"
+            raise EOFError if key == "late" else paramiko.AuthenticationException
+
+        def is_active(self):
+            return self.active
+
+    keys = login.Keys(usable=[*["wrong"] * refused, "late", "last"], locked=[], source="")
+    with pytest.raises(login.HungUp):
+        login.log_in(Transport(), sshd.address, keys)
+    assert keys.usable == (["late", "last"] if refused else ["last"])
+
+
+def test_a_passphrase_that_nobody_types(sshd, tmp_path, monkeypatch):
+    def end_of_input(prompt):
+        raise EOFError
+
+    monkeypatch.setattr(login.sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr(login.getpass, "getpass", end_of_input)
+    with pytest.raises(TargetError, match="that is not its passphrase"):
+        login.unlock(sshd.address, tmp_path / "key")
 
 
 def test_an_agent_that_hangs(sshd, tmp_path, monkeypatch):
@@ -148,6 +192,8 @@ def test_a_key_that_only_its_certificate_lets_in(another_sshd, tmp_path, sshd):
     key = make_key(tmp_path / "key")
     sign = ["ssh-keygen", "-q", "-s", authority, "-I", "me", "-n", sshd.user, f"{key}.pub"]
     subprocess.run(sign, check=True, capture_output=True)
+    usable = login.read_keys(replace(sshd.address, key=key)).usable
+    assert [each.public_blob is not None for each in usable] == [True, False], "as OpenSSH: the certificate first"
     address = another_sshd(f"TrustedUserCAKeys {authority}.pub")
     Connection(replace(address, key=key)).close()
 

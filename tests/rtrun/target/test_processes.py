@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import threading
 import time
 from dataclasses import replace
@@ -94,6 +95,17 @@ def test_waiting_has_a_deadline_of_its_own(link, scripts, folder):
     assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=20).status is None
 
 
+def test_a_program_is_waited_for_in_many_short_waits(link, scripts, folder, monkeypatch):
+    monkeypatch.setattr(processes, "WAIT_S", 0.2)
+    monkeypatch.setattr(processes, "SLICE_S", 0.2)
+    assert start_and_wait(link, scripts, folder, sh("sleep 1; exit 6")).status == 6
+
+
+def test_what_never_becomes_true_is_an_error():
+    with pytest.raises(TargetError, match="waited 0 s for the moon"):
+        processes.wait_until(lambda: False, deadline_s=0, what="the moon")
+
+
 def test_a_target_that_is_gone_is_not_waited_for(link, scripts, folder, monkeypatch):
     monkeypatch.setattr(processes, "WAIT_S", 0.2)
     monkeypatch.setattr(processes, "SLICE_S", 0.2)
@@ -104,6 +116,12 @@ def test_a_target_that_is_gone_is_not_waited_for(link, scripts, folder, monkeypa
         processes.wait(link, PurePosixPath(folder), "p", deadline_s=60)
     link.target = target
     processes.end(link, PurePosixPath(folder), "p")
+
+
+def test_the_last_line_of_a_file_is_short(link, folder):
+    (folder / "p.stderr").write_text("first\n" + "x" * 10_000 + "\n")
+    assert processes.read_last_line(link, PurePosixPath(folder / "p.stderr")) == "x" * 500
+    assert processes.read_last_line(link, PurePosixPath(folder / "none")) == ""
 
 
 def test_of_two_words_the_first_is_kept(link, folder):
@@ -128,6 +146,18 @@ def test_end_takes_the_whole_group_even_the_stubborn(link, scripts, folder):
             break
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+def test_end_waits_for_the_pid_of_what_has_just_been_started(link, folder):
+    starting = "exec 9>p.lock; flock 9; cat /proc/sys/kernel/random/boot_id >p.boot_id; sleep 0.3; echo $$ >p.pid"
+    process = subprocess.Popen(["setsid", "sh", "-c", f"{starting}; sleep 300; :"], cwd=folder)
+    while not (folder / "p.boot_id").exists():
+        time.sleep(0.01)
+    processes.end(link, PurePosixPath(folder), "p")
+    try:
+        assert process.wait(60) == -signal.SIGTERM
+    finally:
+        process.kill()
 
 
 def test_end_leaves_a_pid_of_another_boot_alone(link, scripts, folder):
