@@ -92,7 +92,7 @@ def table(standings: Sequence[Standing]) -> Table:
             grouped(verdict.n) if verdict else "-",
             "-" if verdict is None or verdict.boots is None else str(verdict.boots),
             duration(standing.measured_s),
-            Text("no answer, see below" if _has_reason(standing) else printable(missing(standing))),
+            Text("see below" if _has_reason(standing) else printable(missing(standing))),
         )
     return made
 

@@ -70,8 +70,9 @@ def _labels(headers: Sequence[Header]) -> list[tuple[str, str]]:
         words = [parameters] if parameters else []
         of_run = rows_of_run[(name, parameters), header.run]
         if rows[name, parameters] > of_run:
-            number = re.match(r"[0-9]+(?=-)", header.run)
-            words.append(f"run={number[0] if number else header.run}")
+            # A campaign with a goal repeats a run under its name with the number of the round.
+            number = re.fullmatch(r"([0-9]+)-.*?(-r[0-9]+)?", header.run)
+            words.append(f"run={''.join(filter(None, number.groups())) if number else header.run}")
         if of_run > 1:
             words.append(f"#{header.output.rpartition('-')[2]}")
         told_apart.append((name, " ".join(words)))

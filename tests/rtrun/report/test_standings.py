@@ -51,7 +51,7 @@ def test_what_is_no_number_stands_below_the_table() -> None:
     stream = io.StringIO()
     Console(file=stream, width=100).print(table(groups), crop=False)
     _, _, changed, more = stream.getvalue().splitlines()
-    assert changed.rstrip().endswith("no answer, see below") and "more" in more
+    assert changed.rstrip().endswith("  see below") and "more" in more
     assert list(reasons(groups)) == ["timer RR: no answer: it did not stay the same: late values lie at the end"]
 
 

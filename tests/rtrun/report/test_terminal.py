@@ -121,6 +121,8 @@ def test_a_target_does_not_command_the_terminal() -> None:
 def test_runs_of_the_same_parameters_are_told_apart_by_their_number() -> None:
     rows = drawn(table([result(WIDE, run=name) for name in ("003-x-FIFO", "007-x-FIFO", "imported")]), 200)[3:]
     assert [re.search(r"10000B (run=\S+)", row)[1] for row in rows] == ["run=003", "run=007", "run=imported"]
+    rows = drawn(table([result(WIDE, run=name) for name in ("003-x-FIFO", "003-x-FIFO-r2", "003-x-FIFO-r13")]), 200)[3:]
+    assert [re.search(r"10000B (run=\S+)", row)[1] for row in rows] == ["run=003", "run=003-r2", "run=003-r13"]
     rows = drawn(table([result(WIDE, run="003-x"), result(WIDE, run="007-x", cpu="1")]), 200)[3:]
     assert not any("run=" in row for row in rows)
 
