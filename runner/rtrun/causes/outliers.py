@@ -3,7 +3,7 @@
 import re
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rtfiles.config import read_json
@@ -13,12 +13,13 @@ from rtrun.causes.control import Windows, windows_before
 from rtrun.causes.cut import Part, cut
 from rtrun.causes.events import Context
 from rtrun.causes.ftrace import LINE_BYTES_MAX, Trace, read_trace
-from rtrun.causes.timeline import Timeline, timeline
+from rtrun.causes.timeline import Span, Timeline, timeline
 from rtrun.results.record import RunRecord, check_file
 from rtrun.results.samples import NON_MEASURING_THREADS, Record
 
 # What is read after an outlier: the thread that measured it must be seen to go on.
 AFTER_NS = 100_000_000
+AROUND = 4
 _HEAD = re.compile(
     r"# \S{1,255}: (\d{1,18}) ns at index (\d{1,18}) above \d{1,18} ns, at (\d{1,9})\.(\d{6}) s of (\w{1,40})\n",
     re.ASCII,
@@ -52,12 +53,14 @@ class Outlier:
 class Explained:
     """An outlier, the parts that its lateness consists of, and what happened in as long a time when nothing was late.
 
-    Without parts `note` says why there are none; with parts it says what is wrong with the trace, or is empty.
+    `around` is what each CPU did from `AROUND` times the value before until the outlier. Without parts `note` says why
+    there are none; with parts it says what is wrong with the trace, or is empty.
     """
 
     outlier: Outlier
     parts: tuple[Part, ...] = ()
     control: Windows
+    around: Mapping[int, tuple[Span, ...]] = field(default_factory=dict)
     note: str = ""
 
 
@@ -100,7 +103,9 @@ def _explain(
     control = windows_before(order, trace.events, begin_ns=outlier.due_ns, length_ns=outlier.value_ns, late=late)
     lost = sum(one.missing for one in order.lost if outlier.due_ns <= one.at_ns <= outlier.at_ns)
     note = f"{lost} events were lost within" if lost else ""
-    return Explained(outlier=outlier, parts=parts, control=control, note=note)
+    begin_ns = outlier.due_ns - AROUND * outlier.value_ns
+    around = {cpu: tuple(order.spans(cpu, begin_ns, outlier.at_ns)) for cpu in order.cpus}
+    return Explained(outlier=outlier, parts=parts, control=control, around=around, note=note)
 
 
 def _with_name(order: Timeline, names: set[str]) -> frozenset[int]:

@@ -8,15 +8,18 @@ HELP = "say what late values waited for, from the kernel traces around them, and
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The results."""
+    """The results, and a file for Perfetto."""
     parser.add_argument("results", type=Path, metavar="RESULTS", help="a results folder, or one run directory in it")
+    parser.add_argument("--perfetto", type=Path, metavar="FILE", help="write the outliers for ui.perfetto.dev")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the answer, the ranking, the periods of late values, then each outlier."""
+    """Print the answer, the ranking, the periods of late values, then each outlier; write FILE."""
+    from rtfiles import atomic
     from rtfiles.errors import UsageError
     from rtfiles.output import console, print_line
     from rtrun.report import causes
+    from rtrun.report.perfetto import perfetto
     from rtrun.results.reading import find_source
 
     source = find_source(args.results)
@@ -35,6 +38,12 @@ def run(args: argparse.Namespace) -> int:
         print_line()
         for line in causes.lines(one):
             print_line(line)
+    if args.perfetto is not None:
+        try:
+            atomic.write_bytes(args.perfetto, perfetto(explained))
+        except OSError as error:
+            raise UsageError(f"{args.perfetto}: {error.strerror}") from error
+        print_line(f"written for ui.perfetto.dev: {args.perfetto}")
     if problems := tuple(dict.fromkeys((*refused, *not_searched))):
         raise UsageError("\n".join(problems))
     return 0
