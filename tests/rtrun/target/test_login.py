@@ -87,6 +87,14 @@ def test_the_keys_of_the_agent_that_are_listed_come_first(sshd, agent, tmp_path,
         login.read_keys(replace(address, identities=(), agent="none"))
 
 
+def test_a_locked_key_file_whose_key_the_agent_holds(sshd, agent, tmp_path):
+    agent(make_key(tmp_path / "key"))
+    lock = ["ssh-keygen", "-q", "-p", "-P", "", "-N", "secret", "-f", tmp_path / "key"]
+    subprocess.run(lock, check=True, capture_output=True)
+    keys = login.read_keys(replace(sshd.address, key=tmp_path / "key"))
+    assert len(keys.usable) == 1 and not keys.locked, "no passphrase is asked for"
+
+
 @pytest.mark.parametrize("refused", [0, 1])
 def test_a_key_that_may_have_been_cut_off_is_tried_again(sshd, refused):
     """Some servers hang up before they look at the key that is one too many."""

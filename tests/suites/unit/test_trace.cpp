@@ -1,6 +1,7 @@
 // Traces of values above a limit, from files that stand for the kernel's: what the kernel does with them is tested end
 // to end, with tracefs.
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <chrono>
@@ -156,6 +157,19 @@ TEST_F(TraceTest, WhatCannotBeCopiedIsTold) {
                                                         "-trace-*.txt could not be copied: No such file or directory\n");
   EXPECT_TRUE(trace.files().empty());
   EXPECT_NE(trace.reason(), "");
+}
+
+TEST_F(TraceTest, HalfACopyIsRemoved) {
+  options.assign("--break-trace", "5");
+  OutlierTrace trace(options, "program", output(), current_cpus(), {folder});
+  unlink((folder + "/trace").c_str());
+  ASSERT_EQ(mkdir((folder + "/trace").c_str(), 0700), 0);  // it can be opened, but not read
+  EXPECT_TRUE(trace.exceeded(6000, 1, 1));
+  testing::internal::CaptureStderr();
+  trace.finish();
+  EXPECT_NE(testing::internal::GetCapturedStderr().find("could not be copied: Is a directory"), std::string::npos);
+  EXPECT_TRUE(trace.files().empty());
+  EXPECT_FALSE(is_there("out-trace-1.txt"));
 }
 
 TEST_F(TraceTest, NeedsTracefsOnlyWhenAskedFor) {
