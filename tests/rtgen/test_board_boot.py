@@ -15,6 +15,8 @@ import pytest
 from rtgen.board import sysroot
 from rtgen.board.build import build
 from rtgen.board.machine import architectures, find, machines
+from rtrun.target import platform_signs
+from rtrun.target.platform import Platform
 
 pytestmark = pytest.mark.qemu
 
@@ -140,6 +142,7 @@ def test_board_serves_runner_and_suites(machine: str, tmp_path: Path) -> None:
     hello = compile_hello(machine, tmp_path)
     with booted(machine, tmp_path) as board:
         check_system(board)
+        check_platform(board)
         check_ssh(board, hello, tmp_path)
         check_ros(board)
         check_measuring(board)
@@ -169,6 +172,13 @@ def check_system(board: Board) -> None:
     # init takes over orphans and buries them.
     board.output_of("sh -c '(sleep 0.1 &) ; exit 0'; sleep 1")
     assert "Z" not in {line.split()[0][0] for line in board.output_of("ps -eo stat | tail -n +2").splitlines()}
+
+
+def check_platform(board: Board) -> None:
+    """The board is run by TCG, and shows it to somebody who was not told."""
+    lines = board.output_of("sh -s", platform_signs.SCRIPT.read_text()).splitlines()
+    known = platform_signs.judge(lines, platform_signs.read_signs())
+    assert known.platform is Platform.EMULATED, lines
 
 
 def check_ssh(board: Board, hello: Path, place: Path) -> None:
