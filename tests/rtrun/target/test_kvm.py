@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from rtrun.target import kvm, qemu
+from rtrun.target.platform import Platform
 
 
 def stand_in(tmp_path: Path, script: str) -> str:
@@ -90,4 +91,6 @@ def test_arguments_for_kvm_only_where_it_works(
         ),
     )  # fmt: skip
     assert qemu.emulator(board, tmp_path) == (program, *expected)
+    platform_here = Platform.VIRTUAL if "kvm" in expected else Platform.EMULATED
+    assert qemu.platform_of(board, tmp_path).platform is platform_here
     assert (calls(tmp_path) == []) is (processor == "vax")
