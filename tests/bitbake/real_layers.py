@@ -19,6 +19,7 @@ import yaml
 
 import rtgen.suites
 from rtfiles.config import read_yaml
+from rtgen import debian
 from rtgen.board import sysroot
 from rtgen.checkout import checkout
 from rtgen.layer import output
@@ -309,7 +310,7 @@ def test_suites_are_patched_configured_and_compiled(yocto):
     _configure(yocto, build, yocto.machine)
     # To be added to: links would do so to the one in the cache.
     stage = build / "sysroot"
-    shutil.copytree(sysroot.build("armhf"), stage, symlinks=True)
+    shutil.copytree(sysroot.build("armhf", debian.source()), stage, symlinks=True)
     with (build / "conf" / "local.conf").open("a") as conf:
         python, languages = rtgen.suites.SYSTEM_PYTHON, rtgen.suites.ROS_LANG_DISABLE
         conf.write(DEBIAN.format(tools=TOOLS, python=python, sysroot=stage, languages=languages))

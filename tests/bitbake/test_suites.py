@@ -14,6 +14,7 @@ import pytest
 import rtgen.cli
 import rtgen.suites
 import rtrun.cli
+from rtgen import debian
 from rtgen.board import sysroot
 from rtgen.checkout import checkout
 from rtgen.commands import DEFAULT_PROFILE
@@ -33,7 +34,7 @@ PROGRAMS = {
 
 def tools() -> str:
     return (
-        f'SYSROOT = "{sysroot.build("armhf")}"\nTOOLCHAIN_FILE = "{TOOLCHAIN}"\n'
+        f'SYSROOT = "{sysroot.build("armhf", debian.source())}"\nTOOLCHAIN_FILE = "{TOOLCHAIN}"\n'
         f'BUILD_PYTHON = "{rtgen.suites.SYSTEM_PYTHON}"\n'
         f'export ROS_LANG_DISABLE = "{rtgen.suites.ROS_LANG_DISABLE}"\n'
     )

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from rtgen import debian
 from rtgen.board import sysroot
 from rtgen.board.build import build
 from rtgen.board.machine import architectures, find, machines
@@ -55,7 +56,14 @@ def compile_hello(machine: str, place: Path) -> Path:
     source, program = place / "hello.cpp", place / "hello"
     source.write_text(HELLO)
     libraries = ["-lroscpp", "-lrosconsole", "-lroscpp_serialization", "-lrostime"]
-    command = [compiler, f"--sysroot={sysroot.build(name)}", "-std=c++17", str(source), "-o", str(program)]
+    command = [
+        compiler,
+        f"--sysroot={sysroot.build(name, debian.source())}",
+        "-std=c++17",
+        str(source),
+        "-o",
+        str(program),
+    ]
     subprocess.run([*command, *libraries], check=True)
     return program
 
