@@ -57,6 +57,7 @@ COMMANDS = [
     ("rtrun show results", 0, "oneshot_timer"),
     ("rtrun report results", 0, "report.html"),
     ("rtrun verdict results", 0, "confidence 0.95"),
+    ("rtrun why results", 0, "No run kept kernel traces"),
     ("rtrun gate results", 1, "failed"),
     ("rtrun compare results results", 0, "NO DIFFERENCE"),
     ("rtrun claims results", 0, "test:"),
