@@ -11,7 +11,8 @@ import pytest
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import cli, debian
-from rtgen.board import build, disk, initrd, kernel, machine, packages
+from rtgen.board import build, disk, initrd, kernel, machine, packages, u_boot
+from rtgen.board.boot import Boot
 
 
 @pytest.fixture
@@ -163,6 +164,26 @@ def test_firmware_that_its_package_lacks(tmp_path: Path, monkeypatch: pytest.Mon
     (tmp_path / "usr").mkdir()
     (tmp_path / "usr/MLO").touch()
     assert packages.file_of("u-boot-omap", "usr/MLO", "armhf", source) == tmp_path / "usr/MLO"
+
+
+def test_u_boot_comes_from_the_suite_that_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def unpacked(package: str, architecture: str, source: debian.Source) -> Path:
+        asked.append((package, architecture, source))
+        return tmp_path
+
+    monkeypatch.setattr(packages, "unpacked", unpacked)
+    panda = machine.find("pandaboard-es")
+    assert panda.u_boot is not None
+    for name in panda.u_boot.files:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    boot = Boot(kernel=tmp_path, ram_disk=tmp_path, command_line="quiet")
+    source = debian.Source(release="trixie", mirror="http://mirror/debian")
+    files = u_boot.boot_files(panda.architecture, panda.u_boot, source, boot, tmp_path, tmp_path)
+    assert files["MLO"] == tmp_path / "usr/lib/u-boot/omap4_panda/MLO"
+    assert set(asked) == {("u-boot-omap", "armhf", debian.Source(release="bookworm", mirror=source.mirror))}
 
 
 def test_ram_disk_gets_modules_unpacked(some_kernel: kernel.Kernel) -> None:

@@ -38,9 +38,13 @@ class Qemu(Config):
 
 
 class UBoot(Config):
-    """Debian's package of U-Boot, its files that the ROM and U-Boot look for on a card, the kernel's device tree."""
+    """Debian's package of U-Boot, its files that the ROM and U-Boot look for on a card, the kernel's device tree.
+
+    `suite` is the release of Debian that has it; None: that of the board.
+    """
 
     package: Name
+    suite: Name | None = None
     files: list[Text] = Field(min_length=1)
     device_tree: Name
 

@@ -7,6 +7,7 @@ SPRUH73); that of the OMAP4460, SWPU235, was not at hand. MLO is U-Boot's SPL an
 (doc/develop/distro.rst of U-Boot).
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 from rtgen import debian
@@ -29,9 +30,10 @@ def boot_files(
     architecture: str, u_boot: UBoot, source: debian.Source, boot: Boot, device_tree: Path, work: Path
 ) -> dict[str, Path]:
     """The files of the boot partition by their paths on it; those that U-Boot's package has come first."""
+    origin = replace(source, release=u_boot.suite or source.release)
     configuration = work / "extlinux.conf"
     configuration.write_text(CONFIGURATION.format(command_line=boot.command_line), encoding="utf-8")
-    first = {Path(name).name: file_of(u_boot.package, name, architecture, source) for name in u_boot.files}
+    first = {Path(name).name: file_of(u_boot.package, name, architecture, origin) for name in u_boot.files}
     return first | {
         "zImage": boot.kernel,
         "initrd": boot.ram_disk,
