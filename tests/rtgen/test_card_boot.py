@@ -55,9 +55,9 @@ def key(tmp_path: Path) -> Path:
     return path
 
 
-def built(machine: str, key: Path, place: Path, kernel: str = "debian") -> Path:
+def built(machine: str, key: Path, place: Path, kernel: str = "debian", suite: str | None = None) -> Path:
     """The machine's card, as the copy on a card that is larger than the image."""
-    folder = build(machine, place, kernel, login=key.with_suffix(".pub"))
+    folder = build(machine, place, kernel, login=key.with_suffix(".pub"), suite=suite)
     assert [path.name for path in folder.iterdir()] == ["card.img"], "no key that others could have"
     copy = place / "card.img"
     subprocess.run(["cp", "--sparse=always", folder / "card.img", copy], check=True)
@@ -121,9 +121,12 @@ def check_board(said: Said, root: str) -> None:
     assert "P:80" in said("cyclictest --quiet --mlockall --priority=80 --policy=fifo --loops=100 --threads=1")
 
 
-@pytest.mark.parametrize("machine", [name for name, each in machines().items() if each.medium == "uefi"])
-def test_firmware_starts_the_stick(machine: str, key: Path, tmp_path: Path) -> None:
-    stick = built(machine, key, tmp_path)
+UEFI = [(name, None) for name, each in machines().items() if each.medium == "uefi"]
+
+
+@pytest.mark.parametrize(("machine", "suite"), [*UEFI, ("pc-x86_64", "trixie")])
+def test_firmware_starts_the_stick(machine: str, suite: str | None, key: Path, tmp_path: Path) -> None:
+    stick = built(machine, key, tmp_path, suite=suite)
     architecture = find(machine).architecture
     qemu, package, files = FIRMWARE[architecture]
     firmware = tmp_path / "firmware"
@@ -138,11 +141,14 @@ def test_firmware_starts_the_stick(machine: str, key: Path, tmp_path: Path) -> N
         assert said("ls -d /sys/firmware/efi") == "/sys/firmware/efi", "started by UEFI, not by QEMU itself"
 
 
-@pytest.mark.parametrize("kind", ["debian", pytest.param("built", marks=pytest.mark.kernel)])
-def test_the_card_of_the_pandaboard(kind: str, key: Path, tmp_path: Path) -> None:
-    image = built("pandaboard-es", key, tmp_path, kind)
-    machine = find("pandaboard-es")
-    one = built_kernel("pandaboard-es") if kind == "built" else debian_kernel(machine.kernel, machine, debian.source())
+@pytest.mark.parametrize(
+    ("kind", "suite"),
+    [("debian", None), ("debian", "trixie"), pytest.param("built", None, marks=pytest.mark.kernel)],
+)
+def test_the_card_of_the_pandaboard(kind: str, suite: str | None, key: Path, tmp_path: Path) -> None:
+    image = built("pandaboard-es", key, tmp_path, kind, suite)
+    machine, source = find("pandaboard-es"), debian.source(suite)
+    one = built_kernel("pandaboard-es") if kind == "built" else debian_kernel(machine.kernel, machine, source)
     boot = tmp_path / "boot"
     boot.mkdir()
     fat = f"{image}@@{card.START_MIB}M"

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +25,8 @@ from rtrun.target.errors import TargetError, TargetGone
 from rtrun.target.platform import KnownPlatform, Platform
 
 STOP_S = 5.0
+# How long QEMU may take to end after it closed its monitor.
+REFUSAL_S = 5.0
 
 
 class Kvm(Config):
@@ -253,14 +256,20 @@ def _quiet(*argv: str) -> None:
 
 
 def _forwarded_port(process: subprocess.Popen[bytes], monitor: Path, log: Path) -> int:
-    while not monitor.exists():
-        try:
-            process.wait(0.02)
-        except subprocess.TimeoutExpired:
-            continue
-        stderr = log.read_text(errors="replace").strip().splitlines()
-        raise TargetError(f"QEMU did not start: {stderr[-1] if stderr else f'exit status {process.returncode}'}")
-    answer = qmp.execute(monitor, "human-monitor-command", {"command-line": "info usernet"})
+    while not monitor.exists() and process.poll() is None:
+        time.sleep(0.02)
+    try:
+        answer = qmp.execute(monitor, "human-monitor-command", {"command-line": "info usernet"})
+    except TargetGone:
+        # QEMU opens its monitor before it has looked at all of its arguments.
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(REFUSAL_S)
+        if process.returncode is None:
+            raise
+        # The last line may be a hint at what would be right.
+        words = "; ".join(log.read_text(errors="replace").strip().splitlines()[-2:])
+        reason = words or f"exit status {process.returncode}"
+        raise TargetError(f"QEMU did not start: {reason}") from None
     port = re.search(r"HOST_FORWARD\]\s+\d+\s+127\.0\.0\.1\s+(\d+)", str(answer))
     if port is None:
         raise TargetError("QEMU did not forward a port to the board's SSH server")
