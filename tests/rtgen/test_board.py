@@ -11,7 +11,7 @@ import pytest
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import cli, debian
-from rtgen.board import build, disk, initrd, kernel, machine, packages, u_boot
+from rtgen.board import build, disk, initrd, kernel, machine, packages, sysroot, u_boot
 from rtgen.board.boot import Boot
 
 
@@ -241,3 +241,30 @@ def test_package_that_does_not_exist_leaves_nothing(tmp_path: Path, monkeypatch:
     assert str(raised.value) == expected
     assert list(folder.iterdir()) == []
     assert list(temporary.iterdir()) == []
+
+
+def test_libraries_are_looked_for_in_the_sysroot(tmp_path: Path) -> None:
+    """The real CMake, with the words of catkin's package files, where this machine and the sysroot have the library."""
+    folder = tmp_path / "sysroot/usr/lib/cmake/some"
+    folder.mkdir(parents=True)
+    (tmp_path / "host").mkdir()
+    (tmp_path / "host/libsome.so").touch()
+    (tmp_path / f"sysroot{tmp_path}/host").mkdir(parents=True)
+    (tmp_path / f"sysroot{tmp_path}/host/libsome.so").touch()
+    words = f"find_library(lib some\n        PATHS {tmp_path}/host\n        NO_DEFAULT_PATH NO_CMAKE_FIND_ROOT_PATH)\n"
+    config = folder / "someConfig.cmake"
+    settings = (
+        f"set(CMAKE_FIND_ROOT_PATH {tmp_path}/sysroot)\nset(CMAKE_FIND_ROOT_PATH_MODE_LIBRARY ONLY)\n"
+        "set(CMAKE_FIND_LIBRARY_PREFIXES lib)\nset(CMAKE_FIND_LIBRARY_SUFFIXES .so)\n"
+    )
+
+    def library() -> str:
+        script = tmp_path / "look.cmake"
+        script.write_text(f'{settings}include({config})\nmessage("library: ${{lib}}")\n')
+        done = subprocess.run(["cmake", "-P", script], capture_output=True, text=True, check=True, cwd=tmp_path)
+        return done.stderr.split("library: ")[1].strip()
+
+    config.write_text(words)
+    assert library() == f"{tmp_path}/host/libsome.so"
+    sysroot.search_inside(tmp_path / "sysroot")
+    assert library() == f"{tmp_path}/sysroot{tmp_path}/host/libsome.so"

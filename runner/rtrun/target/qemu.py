@@ -25,8 +25,6 @@ from rtrun.target.errors import TargetError, TargetGone
 from rtrun.target.platform import KnownPlatform, Platform
 
 STOP_S = 5.0
-# How long QEMU may take to end after it closed its monitor.
-REFUSAL_S = 5.0
 
 
 class Kvm(Config):
@@ -263,7 +261,7 @@ def _forwarded_port(process: subprocess.Popen[bytes], monitor: Path, log: Path) 
     except TargetGone:
         # QEMU opens its monitor before it has looked at all of its arguments.
         with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(REFUSAL_S)
+            process.wait(STOP_S)
         if process.returncode is None:
             raise
         # The last line may be a hint at what would be right.

@@ -18,5 +18,19 @@ def build(architecture: str, source: debian.Source) -> Path:
 
     def build_in(folder: Path) -> None:
         debian.extract(names, folder, architecture, source)
+        search_inside(folder)
 
     return cache.entry("sysroot", key, build_in)
+
+
+def search_inside(folder: Path) -> None:
+    """Let the CMake files of catkin packages find libraries in the sysroot alone.
+
+    They name /usr/lib and forbid CMake to look for it below the sysroot, so on a host of the board's architecture they
+    would find the host's libraries, which may be of another release.
+    """
+    for file in folder.rglob("*Config.cmake"):
+        text = file.read_text(encoding="utf-8", errors="surrogateescape")
+        if "NO_DEFAULT_PATH NO_CMAKE_FIND_ROOT_PATH" in text:
+            inside = text.replace("NO_DEFAULT_PATH NO_CMAKE_FIND_ROOT_PATH", "NO_DEFAULT_PATH")
+            file.write_text(inside, encoding="utf-8", errors="surrogateescape")
