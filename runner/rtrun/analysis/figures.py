@@ -144,7 +144,8 @@ def _bins(values: Int64s, start: int, stop: int) -> _Binned:
         np.multiply(distances, _BINS / (stop - start + 1), out=distances)
         np.clip(distances, 0, _BINS - 1, out=distances)
         np.copyto(place, distances, casting="unsafe")
-        counts += np.bincount(place, minlength=_BINS)
+        np.copyto(whole, place)  # bincount takes int64 without a copy of its own
+        counts += np.bincount(whole, minlength=_BINS)
     return _Binned(places=places, counts=counts, low=min(lows), high=max(highs), total=total, squares=squares)
 
 
