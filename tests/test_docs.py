@@ -32,6 +32,7 @@ COMMANDS = {"rtgen": rtgen.cli.COMMANDS, "rtrun": rtrun.cli.COMMANDS}
 NOT_RUN = {
     "rtgen board build": "minutes; tests/rtgen/test_board_build.py",
     "rtgen suites build": "minutes; tests/suites, tests/integration/test_boards.py",
+    "rtgen doctor": "its answer is that of the host; tests/rtgen/test_doctor.py",
     "rtgen flash": "writes to a card; tests/rtgen/test_flash.py",
     "rtgen kconfig verify": "a kernel tree; tests/rtgen/test_kconfig_verify.py",
     "rtgen kernel build": "minutes; tests/rtgen/test_kernel_build.py",

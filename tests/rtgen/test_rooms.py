@@ -10,6 +10,7 @@ ROOMS = (
     "process",
     "debian",
     "profile",
+    "doctor",
     "flash",
     "kconfig",
     "kernel",

@@ -5,9 +5,20 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from rtfiles.command import dispatch
-from rtgen.commands import board, explain, flash, kconfig, kernel, new_profile, profiles, render, suites
+from rtgen.commands import board, doctor, explain, flash, kconfig, kernel, new_profile, profiles, render, suites
 
-COMMANDS: tuple[ModuleType, ...] = (board, explain, flash, kconfig, kernel, new_profile, profiles, render, suites)
+COMMANDS: tuple[ModuleType, ...] = (
+    board,
+    doctor,
+    explain,
+    flash,
+    kconfig,
+    kernel,
+    new_profile,
+    profiles,
+    render,
+    suites,
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
