@@ -151,7 +151,8 @@ def yocto():
         wrong = {key: commit for key, commit in commits.items() if commit != profile.repositories[key].commit}
         if not wrong:
             break
-        seen.append(f"{name}: {', '.join(f'{key} is at {commit}' for key, commit in wrong.items())}")
+        pinned = {key: profile.repositories[key].commit for key in wrong}
+        seen.append(f"{name}: {', '.join(f'{key} is at {wrong[key]}, not at {pinned[key]}' for key in wrong)}")
     else:
         pytest.fail(f"{top} holds no profile's checkouts:\n" + "\n".join(seen))
     output.write(render(name, profile, release), top / "rendered")
