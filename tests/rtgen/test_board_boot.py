@@ -19,11 +19,12 @@ from rtgen.board.machine import architectures, find, machines
 from rtrun.target import platform_signs
 from rtrun.target.platform import Platform
 
-pytestmark = pytest.mark.qemu
+# A cold board and its sysroot take some minutes beside other work.
+pytestmark = [pytest.mark.qemu, pytest.mark.timeout(1800)]
 
 # Generous: the emulated board shares the CPUs with whatever else runs here.
 BOOT_S = 120
-COMMAND_S = 60
+COMMAND_S = 240
 
 ASK_MASTER = """
 import time, xmlrpc.client
