@@ -117,7 +117,7 @@ def test_a_damaged_run_is_measured_again(results, wishes, measure, damage):
     elif damage == "npy altered":
         npy.write_bytes(npy.read_bytes()[:-1] + b"x")
     elif damage == "schema":
-        closing.write_text(closing.read_text().replace('"schema": 1', '"schema": 2'))
+        closing.write_text(closing.read_text().replace('"schema": 2', '"schema": 3'))
     else:
         closing.write_text(deep("schema", 1))
     assert campaign_runner.count_finished(results, runs) == 1
