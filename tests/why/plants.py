@@ -38,7 +38,7 @@ def broadcast() -> None:
     named("planted_net")
     resource.setrlimit(resource.RLIMIT_NOFILE, (8192, 8192))
     receivers = []
-    for _ in range(6000):
+    for _ in range(3000):
         receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         receiver.bind(("127.255.255.255", 29876))
@@ -47,7 +47,7 @@ def broadcast() -> None:
     sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
     while True:
         time.sleep(EVERY_S)
-        for _ in range(3):
+        for _ in range(6):
             sender.sendto(b"x", ("127.255.255.255", 29876))
 
 

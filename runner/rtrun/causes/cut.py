@@ -212,13 +212,16 @@ class _Walk:
         elif other == prio:
             kind = Kind.EQUAL
         else:
-            # Whoever ran before the thread could run keeps the CPU; whoever was switched to was preferred.
-            kind = Kind.THROTTLED if self._switched_to(who.pid, since_ns, span.end_ns) else Kind.NOT_PREEMPTED
+            kind = Kind.THROTTLED if self._was_chosen(who.pid, since_ns, span.end_ns) else Kind.NOT_PREEMPTED
         return Cause(kind=kind, name=who.name, pid=who.pid, prio=other)
 
-    def _switched_to(self, pid: int, begin_ns: int, end_ns: int) -> bool:
+    def _was_chosen(self, pid: int, begin_ns: int, end_ns: int) -> bool:
+        """Whether the scheduler preferred a thread of lower priority: to this one, or before to another."""
         place = self._running(pid, end_ns - 1)
-        return place >= 0 and begin_ns < self.timeline.threads[pid][place].at_ns
+        if place < 0:
+            return False
+        change = self.timeline.threads[pid][place]
+        return change.preferred or begin_ns < change.at_ns
 
     def _slept(self, slept: Change | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """The time from when a thread fell asleep until it was woken."""

@@ -24,6 +24,7 @@ from rtrun.causes.events import (
 )
 
 IDLE_PID = 0
+NORMAL_PRIO = 100  # from here on a thread has no real-time priority
 # Operations that wait for the owner of a lock (include/uapi/linux/futex.h): FUTEX_WAIT, which glibc uses for mutexes
 # but not for condition variables, FUTEX_LOCK_PI, FUTEX_LOCK_PI2. The bits above 127 are flags.
 _LOCKING = frozenset({0, 6, 13})
@@ -85,13 +86,17 @@ class Waker(NamedTuple):
 
 
 class Change(NamedTuple):
-    """From this moment on a thread is in a state. `cpu` is that of its run queue; `waker` stands where it was woken."""
+    """From this moment on a thread is in a state. `cpu` is that of its run queue; `waker` stands where it was woken.
+
+    `preferred`: it runs without a real-time priority, since a thread that has one and could go on was passed over.
+    """
 
     at_ns: int
     state: State
     cpu: int
     waker: Waker | None = None
     why: Why = Why.UNKNOWN
+    preferred: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -151,6 +156,8 @@ class _Cpu:
     raises: dict[str, Raise] = field(default_factory=dict)
     expiry: TimerExpiry | None = None
     offset_ns: int = 0
+    # Threads without a real-time priority run, since one with such a priority was passed over.
+    prefers_normal: bool = False
     spans: list[Span] = field(default_factory=list)
 
     def occupant(self) -> Occupant | None:
@@ -230,6 +237,9 @@ class _Builder:
         cpu.hard.clear()
         cpu.expiry = None
         cpu.thread = Occupant(Context.THREAD, event.next_name, event.next_pid, event.next_prio)
+        is_normal = event.next_prio >= NORMAL_PRIO and event.next_pid != IDLE_PID
+        passes_over = event.state.startswith("R") and event.prio < NORMAL_PRIO
+        cpu.prefers_normal = is_normal and (cpu.prefers_normal or passes_over)
         for pid, name, prio in (
             (event.pid, event.name, event.prio),
             (event.next_pid, event.next_name, event.next_prio),
@@ -243,7 +253,8 @@ class _Builder:
                 self.threads[event.pid].append(change)
         if event.next_pid != IDLE_PID:
             self.faults.discard(event.next_pid)
-            self.threads[event.next_pid].append(Change(event.at_ns, State.RUNNING, event.cpu))
+            change = Change(event.at_ns, State.RUNNING, event.cpu, preferred=cpu.prefers_normal)
+            self.threads[event.next_pid].append(change)
 
     def _why(self, event: Switch) -> Why:
         if event.pid in self.faults:

@@ -78,11 +78,9 @@ def answer(ranking: Ranking) -> str:
             f"{culprit_name(named)}: the main cause of {named.main} of {outliers}, "
             f"{_percent(named.total_ns, ranking.late_ns)} of their lateness"
         )
-    unexplained_ns = sum(one.total_ns for one in ranking.culprits if one.kind in NAMELESS)
-    return (
-        f"No single cause: nobody is the main one of half of {outliers}; "
-        f"{_percent(unexplained_ns, ranking.late_ns)} of their lateness names nobody"
-    )
+    text = f"No single cause: nobody is the main one of half of {outliers}"
+    first = next((one for one in ranking.culprits if one.main and one.kind not in NAMELESS), None)
+    return text if first is None else f"{text}; most often it is {culprit_name(first)}, of {first.main}"
 
 
 def culprit_name(culprit: Culprit) -> str:

@@ -66,6 +66,17 @@ def test_throttling():
     ]
 
 
+def test_throttling_that_began_before():
+    """When the thread woke up, one of lower priority had been chosen in place of another real-time thread."""
+    below, other = ("below", 7, 49), ("other", 8, 120)
+    text = (
+        START + switch(200, ME, below) + switch(900, below, other, state="R") + switch(950, other, LOW) + expiry(1000)
+    )
+    assert (Kind.THROTTLED, "low", 397) in parts_of(
+        text + switch(1400, LOW, ME, state="R") + line(1410, "x: y"), at=1410
+    )
+
+
 def test_interrupts_off():
     text = BEFORE + expiry(1300, late_us=300) + switch(1304, LOW, ME, state="R") + line(1310, "x: y")
     assert parts_of(text, at=1310)[:2] == [(Kind.TIMER_LATE, "low", 300), (Kind.INTERRUPT, "the timer's own", 2)]
