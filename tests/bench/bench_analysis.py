@@ -189,7 +189,7 @@ def opening() -> list[Check]:
         ("plotly's script alone in Chromium", plotly_s, float("inf"), "s"),
         ("a report of 15 runs shows its answer in Chromium", shown_s, 1.0, "s"),
         ("a report of 15 runs opens in Chromium", drawn_s, 2.0, "s"),
-        ("a report of 15 runs opens, in times of plotly's script", drawn_s / plotly_s, 3.0, ""),
+        ("a report of 15 runs opens, in times of plotly's script", drawn_s / plotly_s, 2.0, ""),
     ]
 
 
