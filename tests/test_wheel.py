@@ -31,6 +31,7 @@ COMMANDS = [
     ("rtgen --version", 0, f"rtgen {VERSION}\n"),
     ("rtgen profiles", 0, "scarthgap-noetic"),
     ("rtgen new-profile mine.yml", 0, "mine.yml: a copy of"),
+    ("rtgen doctor missing", 2, "missing: not a folder"),  # what it says of a folder is up to the host
     ("rtgen explain", 2, CHECKOUT),
     ("rtgen render", 2, CHECKOUT),
     ("rtgen render --check", 2, CHECKOUT),
