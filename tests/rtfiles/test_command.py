@@ -45,7 +45,7 @@ def test_what_nobody_expected_is_a_defect_with_a_traceback(capsys, error):
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_command_that_is_told_to_end_cleans_up(capsys, number):
-    before = signal.getsignal(number)
+    previous = signal.signal(number, signal.SIG_DFL)  # the tests may run under nohup
     cleaned = []
 
     def run(_args):
@@ -56,9 +56,12 @@ def test_a_command_that_is_told_to_end_cleans_up(capsys, number):
             cleaned.append(True)
 
     command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
-    assert dispatch("prog", "A program.", [command], ["do"]) == 130
-    assert cleaned and capsys.readouterr().err == "prog: interrupted\n"
-    assert signal.getsignal(number) == before
+    try:
+        assert dispatch("prog", "A program.", [command], ["do"]) == 130
+        assert cleaned and capsys.readouterr().err == "prog: interrupted\n"
+        assert signal.getsignal(number) == signal.SIG_DFL
+    finally:
+        signal.signal(number, previous)
 
 
 def test_a_hang_up_that_nohup_ignores(monkeypatch):
