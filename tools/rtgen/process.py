@@ -5,6 +5,7 @@ import os
 import shlex
 import signal
 import subprocess
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -31,25 +32,30 @@ def run(
     when it is not installed, takes too long, or fails; the message ends with the last lines of its output.
     """
     arguments = [str(word) for word in command]
-    try:
-        process = subprocess.Popen(
-            ["setpriv", "--pdeathsig", "TERM", *arguments],
-            stdin=subprocess.DEVNULL if stdin is None else subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            cwd=folder,
-            env=environment,
-            process_group=0,
-        )
-    except FileNotFoundError as error:
-        raise InfrastructureError("setpriv is not installed, see tools/apt-packages.txt") from error
-    try:
-        output, errors = process.communicate(stdin, timeout=timeout_s)
-    except BaseException as error:
-        _end(process)
-        if isinstance(error, subprocess.TimeoutExpired):
-            raise InfrastructureError(f"{arguments[0]} did not end within {timeout_s:g} s") from error
-        raise
+    # Files, not pipes: when we are killed, a program that prints while it cleans up would die of a broken pipe.
+    with tempfile.TemporaryFile() as output_file, tempfile.TemporaryFile() as errors_file:
+        try:
+            process = subprocess.Popen(
+                ["setpriv", "--pdeathsig", "TERM", *arguments],
+                stdin=subprocess.DEVNULL if stdin is None else subprocess.PIPE,
+                stdout=output_file,
+                stderr=errors_file,
+                cwd=folder,
+                env=environment,
+                process_group=0,
+            )
+        except FileNotFoundError as error:
+            raise InfrastructureError("setpriv is not installed, see tools/apt-packages.txt") from error
+        try:
+            process.communicate(stdin, timeout=timeout_s)
+        except BaseException as error:
+            _end(process)
+            if isinstance(error, subprocess.TimeoutExpired):
+                raise InfrastructureError(f"{arguments[0]} did not end within {timeout_s:g} s") from error
+            raise
+        output_file.seek(0)
+        errors_file.seek(0)
+        output, errors = output_file.read(), errors_file.read()
     if process.returncode == 127:
         raise InfrastructureError(f"{arguments[0]} is not installed, see tools/apt-packages.txt")
     if process.returncode != 0:
@@ -65,7 +71,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         os.killpg(process.pid, signal.SIGTERM)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.communicate(timeout=GRACE_S)
-    # The program may have left others behind, which hold its output open.
+    # The program may have left others behind.
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
