@@ -11,6 +11,7 @@ import pytest
 
 from rtfiles.config import read_yaml
 from rtgen import suites as builder
+from rtrun.target.kernel_trace import read_events
 
 from .conftest import Bench, check_outputs, end, is_measuring, wait_until
 
@@ -236,9 +237,10 @@ def traced(more: str = ":") -> tuple[str, ...]:
     `more` is a shell command that runs between setting up the trace and starting the program.
     """
     instance = "/sys/kernel/tracing/instances/rtrun"
+    events = " ".join(read_events())
     script = (
         "test -e /sys/kernel/tracing/trace_marker || mount -t tracefs tracefs /sys/kernel/tracing || exit; "
-        f'sh "{TRACE_SCRIPT}" up mono_raw && {more} || exit; "$@"; status=$?; '
+        f'sh "{TRACE_SCRIPT}" up mono_raw {events} && {more} || exit; "$@"; status=$?; '
         f'sh "{TRACE_SCRIPT}" down; test ! -e {instance} || status=99; exit $status'
     )
     return ("unshare", "--mount", "sh", "-c", script, "sh")
