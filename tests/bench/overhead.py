@@ -14,6 +14,8 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path, PurePosixPath
 
+import pytest
+
 import rtgen.cli
 from rtrun.execution import campaign_runner
 from rtrun.plan import conditions
@@ -45,6 +47,9 @@ MIXED = (
 MIXED_LIMIT = 150
 # Of the time that `plan` lists for it, the time that it may take.
 PLAN_LIMIT = 1.1
+
+
+pytestmark = pytest.mark.timeout(0)  # about ten minutes of measuring on an idle machine
 
 
 class Clock:
