@@ -13,7 +13,7 @@ from enum import StrEnum
 from itertools import pairwise
 
 from rtrun.causes.events import Context
-from rtrun.causes.timeline import IDLE_PID, Change, Span, State, Timeline, Waker, Why
+from rtrun.causes.timeline import IDLE_PID, Change, Occupant, Span, State, Timeline, Waker, Why
 
 # The longest way from one thread to the one that woke it: a trace in a circle ends there.
 STEPS_MAX = 10_000
@@ -194,10 +194,8 @@ class _Walk:
     def _who_had(self, span: Span, pid: int, prio: int | None, since_ns: int) -> Cause:
         """Why a thread that could run had to wait for the one that has the CPU."""
         who = span.occupant
-        if who is None:
-            return Cause(kind=Kind.UNEXPLAINED, name="events are missing")
-        if who.context is not Context.THREAD:
-            return _of_interrupt(who.context, who.name)
+        if who is None or who.context is not Context.THREAD:
+            return _of_no_thread(who)
         if who.pid == IDLE_PID:
             return Cause(kind=Kind.IDLE_EXIT)
         if who.pid == pid:
@@ -259,10 +257,8 @@ class _Walk:
     def _while_late(self, span: Span) -> Cause:
         """What a CPU did while the interrupt of a timer should have come."""
         who = span.occupant
-        if who is None:
-            return Cause(kind=Kind.UNEXPLAINED, name="events are missing")
-        if who.context is not Context.THREAD:
-            return _of_interrupt(who.context, who.name)
+        if who is None or who.context is not Context.THREAD:
+            return _of_no_thread(who)
         if who.pid == IDLE_PID:
             return Cause(kind=Kind.TIMER_LATE, name="the CPU was idle")
         return Cause(kind=Kind.TIMER_LATE, name=who.name, pid=who.pid, prio=self.timeline.prios.get(who.pid))
@@ -284,6 +280,13 @@ class _Walk:
 
     def _part(self, span: Span, cpu: int, cause: Cause) -> Part:
         return Part(begin_ns=span.begin_ns, end_ns=span.end_ns, cause=cause, cpu=cpu)
+
+
+def _of_no_thread(occupant: Occupant | None) -> Cause:
+    """Of a CPU that an interrupt or a softirq had, or of which nobody knows who had it."""
+    if occupant is None:
+        return Cause(kind=Kind.UNEXPLAINED, name="events are missing")
+    return _of_interrupt(occupant.context, occupant.name)
 
 
 def _of_interrupt(context: Context, name: str) -> Cause:

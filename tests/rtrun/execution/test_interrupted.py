@@ -30,6 +30,12 @@ def stop(*_, **__):
     raise Stop
 
 
+def close_and_stop(*args, close=run_directory.close):
+    """Stand for `run_directory.close`, the real one of which is bound before it is replaced."""
+    close(*args)
+    raise Stop
+
+
 @pytest.fixture
 def target(ready_target):
     return ready_target
@@ -225,13 +231,7 @@ def test_a_run_whose_giving_up_was_cut_short_is_begun_anew(target, tmp_path, wis
 def test_a_failed_run_that_was_closed_is_repeated_and_not_read_again(target, tmp_path, wishes, measure, interrupt):
     wishes.will("fail")
     runs = runs_of(1)
-    real = run_directory.close
-
-    def close(*args):
-        real(*args)
-        raise Stop
-
-    interrupt(target, runs, close, Stop, module=run_execution.run_directory, name="close")
+    interrupt(target, runs, close_and_stop, Stop, module=run_execution.run_directory, name="close")
     assert measure(target, runs) == ["ok"]
     assert len(wishes.calls()) == 2
 
@@ -240,13 +240,7 @@ def test_what_a_killed_runner_left_of_a_closed_run_is_removed_in_the_end(
     target, wishes, monkeypatch, measure, interrupt
 ):
     runs = runs_of(2)
-    real = run_directory.close
-
-    def close(*args):
-        real(*args)
-        raise Stop
-
-    interrupt(target, runs, close, Stop, module=run_execution.run_directory, name="close")
+    interrupt(target, runs, close_and_stop, Stop, module=run_execution.run_directory, name="close")
     assert len(list(Path(target.work_dir).glob("runs/*/*"))) == 1
     left = []
     watching = Watching()
