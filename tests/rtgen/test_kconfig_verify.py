@@ -56,6 +56,16 @@ def test_every_option_holds(data, tree, machine, base):
     assert "CONFIG_PREEMPT_RT=y\n" in verdict.config and "CONFIG_SUSPEND=y" not in verdict.config
 
 
+@pytest.mark.kernel  # Debian serves this version for some weeks only: not in `make test`
+@pytest.mark.parametrize(("machine", "base"), BASES)
+def test_every_option_holds_where_mainline_has_preempt_rt(data, machine, base):
+    tree = debian_source.open_debian(data, "7.2")
+    fragment = parse_fragment(render(data, machine, "7.2"), "rendered")
+    verdict = verify_tree(data, tree, machine, base, fragment, None)
+    assert verdict.mismatches == () and verdict.checked == len(fragment) > 50
+    assert "CONFIG_PREEMPT_RT=y\n" in verdict.config and "CONFIG_SUSPEND=y" not in verdict.config
+
+
 @pytest.mark.parametrize(("machine", "base"), BASES)
 def test_without_the_fragment_the_base_is_not_fit(data, tree, machine, base):
     verdict = verify_tree(data, tree, machine, base, (), "nothing")

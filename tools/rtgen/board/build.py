@@ -15,8 +15,11 @@ from rtgen import debian
 from rtgen.board import card, disk, initrd, packages
 from rtgen.board.kernel import Kernel, built_kernel, debian_kernel
 from rtgen.board.machine import Machine, Qemu, architectures, find
+from rtgen.kconfig import data as kconfig
 
 SCHEMA = 2
+# What --kernel takes beside the versions of kernels whose source is pinned.
+KINDS = ("debian", "both", "built")
 HERE = Path(__file__).parent
 
 
@@ -36,6 +39,8 @@ def build(name: str, place: Path, kernel: str = "debian", login: Path | None = N
         raise UsageError(f"{name} runs in QEMU with a key of its own, --authorized-key is for cards")
     if login is not None:
         card.check_login(login)
+    if kernel not in KINDS and kernel not in (pinned := kconfig.load().sources):
+        raise UsageError(f"kernel {kernel!r} is unknown, known: {', '.join([*KINDS, *pinned])} (--kernel)")
     if kernel == "both" and machine.standard_kernel is None:
         raise UsageError(f"{name}: no standard_kernel in the file of this machine: --kernel both is for others")
     if kernel in ("debian", "both"):

@@ -6,13 +6,12 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from rtfiles import cache
 from rtfiles.errors import InfrastructureError
 from rtgen import debian
 from rtgen import kernel as kernel_build
 from rtgen.board.machine import Machine
+from rtgen.board.packages import unpacked
 from rtgen.kconfig import data as kconfig
-from rtgen.process import run
 
 
 @dataclass(frozen=True)
@@ -54,15 +53,7 @@ class Kernel:
 
 def debian_kernel(package: str, machine: Machine, source: debian.Source) -> Kernel:
     """The kernel of Debian's package for a machine, from the cache or downloaded (about 10 s)."""
-    identity = [package, machine.architecture, repr(source)]
-    key = cache.digest(["kernel", *identity, Path(debian.__file__), Path(__file__)])
-
-    def build(folder: Path) -> None:
-        debian.extract([package], folder, machine.architecture, source)
-        for release in (folder / "lib/modules").iterdir():
-            run(["depmod", "--basedir", str(folder), release.name])
-
-    folder = cache.entry("kernel", key, build)
+    folder = unpacked(package, machine.architecture, source)
     releases = [path.name for path in (folder / "lib/modules").iterdir()]
     if len(releases) != 1:
         raise InfrastructureError(f"{package}: expected one kernel in {folder}, found {releases}")

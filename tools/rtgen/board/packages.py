@@ -9,6 +9,7 @@ from rtfiles import cache
 from rtfiles.config import Config, load
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import debian
+from rtgen.process import run
 
 DATA = Path(__file__).with_name("packages.yml")
 Reason = Annotated[str, StringConstraints(min_length=1)]
@@ -57,6 +58,15 @@ def file_of(package: str, file: str, architecture: str, source: debian.Source) -
 
 
 def unpacked(package: str, architecture: str, source: debian.Source) -> Path:
-    """The folder of an unpacked package and its dependencies, from the cache or downloaded. Raises as `extract`."""
-    key = cache.digest([package, architecture, repr(source), Path(debian.__file__)])
-    return cache.entry("package", key, lambda folder: debian.extract([package], folder, architecture, source))
+    """The folder of an unpacked package and its dependencies, from the cache or downloaded. Raises as `extract`.
+
+    A kernel in it has its modules.dep, which the package's script would have made.
+    """
+
+    def build(folder: Path) -> None:
+        debian.extract([package], folder, architecture, source)
+        for modules in folder.glob("lib/modules/*"):
+            run(["depmod", "--basedir", str(folder), modules.name])
+
+    key = cache.digest([package, architecture, repr(source), Path(debian.__file__), Path(__file__)])
+    return cache.entry("package", key, build)

@@ -131,10 +131,10 @@ class Data:
 
     def source(self, version: str | None = None) -> DebianSource:
         """The pinned source of a kernel, without a version the first one. Raises UsageError, naming the pinned ones."""
-        chosen = version or next(iter(self.sources))
+        chosen = next(iter(self.sources)) if version is None else version
         if chosen not in self.sources:
             raise UsageError(
-                f"no source of kernel {chosen} is pinned in kconfig/sources.yml, pinned: {', '.join(self.sources)}"
+                f"no source of kernel {chosen!r} is pinned in kconfig/sources.yml, pinned: {', '.join(self.sources)}"
             )
         return self.sources[chosen]
 
@@ -153,7 +153,7 @@ class Data:
         runs = {name: name for name in built}
         runs |= {each: name for name, machine in built.items() for each in machine.boards}
         if board not in runs:
-            raise UsageError(f"machine {board} is unknown, known: {', '.join(runs)}")
+            raise UsageError(f"no kernel is built for machine {board}, only for {', '.join(runs)}")
         return runs[board]
 
     def kernels_of(self, machine: str) -> list[str]:
