@@ -1,12 +1,14 @@
 """The kernel build, short of building: the pinned source, its patches, and what is refused."""
 
 import hashlib
+import re
 
 import pytest
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import kernel
 from rtgen.cli import main
+from rtgen.debian import Source
 from rtgen.kconfig import data as kconfig
 from rtgen.kconfig import debian_source
 from rtgen.kconfig.verify import Mismatch, Verdict, verify_config
@@ -39,10 +41,23 @@ def test_a_version_that_debian_does_not_serve(data, monkeypatch, tmp_path):
     gone = data.source().model_copy(update={"version": "6.1.1-1"})
     with pytest.raises(InfrastructureError) as raised:
         debian_source.downloads(gone)
-    message = str(raised.value)
-    assert message.startswith("linux-source-6.1=6.1.1-1 and its source cannot be downloaded, served: 6.1.")
-    assert "pin another in kconfig/sources.yml" in message
+    reason = re.escape("Version '6.1.1-1' for 'linux-source-6.1' was not found")
+    instead = r"\(served: 6\.1\.[^;]+; pin one in kconfig/sources\.yml\)"
+    assert re.fullmatch(rf"linux-source-6\.1=6\.1\.1-1 cannot be downloaded: {reason} {instead}", str(raised.value))
     assert [path for path in (tmp_path / "kernel-source").iterdir() if not path.name.endswith(".lock")] == []
+
+
+def test_a_mirror_without_the_suites_is_one_clear_line(data, monkeypatch, tmp_path, capsys):
+    """The real apt finds an empty mirror."""
+    monkeypatch.setenv("META_RT_TESTS_CACHE", str(tmp_path / "cache"))
+    mirror = tmp_path / "mirror"
+    mirror.mkdir()
+    monkeypatch.setattr(debian_source, "source", lambda: Source(release="bookworm", mirror=f"file://{mirror}"))
+    assert main(["kernel", "build", "--machine", "qemu-armv7", "--kernel", "7.2"]) == 3
+    pinned = data.source("7.2")
+    reason = f"The repository 'file:{mirror} {pinned.suites[0]} Release' does not have a Release file."
+    expected = f"rtgen: {pinned.tree.package}={pinned.version} cannot be downloaded: {reason}\n"
+    assert capsys.readouterr().err == expected
 
 
 def test_a_file_with_another_checksum_is_refused(data, monkeypatch, tmp_path):

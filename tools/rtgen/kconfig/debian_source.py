@@ -89,22 +89,18 @@ def downloads(pinned: DebianSource) -> Path:
     def build(folder: Path) -> None:
         apt = folder / "apt"
         options = _private_apt(apt, pinned)
-        run(["apt-get", *options, "update"])
         package = f"{pinned.tree.package}={pinned.version}"
         packaging = f"{pinned.source}={pinned.version}"
         try:
+            run(["apt-get", *options, "update", "--error-on=any"])
             run(["apt-get", *options, "download", package], folder=folder)
             if pinned.patches is not None:
                 run(["apt-get", *options, "source", "--diff-only", "--download-only", packaging], folder=folder)
         except InfrastructureError as error:
             served = run(["apt-cache", *options, "madison", str(pinned.tree.package)])
-            versions = ", ".join(
-                dict.fromkeys(line.split("|")[1].strip() for line in served.splitlines() if "|" in line)
-            )
-            raise InfrastructureError(
-                f"{package} and its source cannot be downloaded, served: {versions or 'none'}; "
-                f"if that version is gone, pin another in kconfig/sources.yml\n{error}"
-            ) from error
+            versions = dict.fromkeys(line.split("|")[1].strip() for line in served.splitlines() if "|" in line)
+            instead = f" (served: {', '.join(versions)}; pin one in kconfig/sources.yml)" if versions else ""
+            raise InfrastructureError(f"{package} cannot be downloaded: {_apt_error(str(error))}{instead}") from error
         for file in filter(None, (pinned.tree, pinned.patches)):
             checksum = _sha256(folder / file.file)
             if checksum != file.sha256:
@@ -112,6 +108,12 @@ def downloads(pinned: DebianSource) -> Path:
         shutil.rmtree(apt)
 
     return cache.entry("kernel-source", cache.digest([pinned.model_dump_json(), "1"]), build)
+
+
+def _apt_error(output: str) -> str:
+    """The reason in the output of an apt that failed: its first line that begins with ``E:``, or all of it."""
+    match = re.search(r"^\s*E: (.*)$", output, re.M)
+    return match[1] if match else output
 
 
 def _private_apt(folder: Path, pinned: DebianSource) -> list[str]:
