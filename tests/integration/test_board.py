@@ -159,7 +159,9 @@ FIRST_BLOCK = "find /var/lib/rt-tests/runs -name '*.npy.part' -size +600c"
 INTERRUPTED = """
 runs:
   - {suite: cyclic_timer_tests, frequency_hz: 10, repetitions: [10, 150], policy: RR}
-  - {suite: communication_tests, frequency_hz: 20, repetitions: 60, subscribers: 2, policy: RR, trace_threshold_us: 1}
+  - {suite: communication_tests, frequency_hz: 20, repetitions: 60, subscribers: 2, policy: RR, trace: {above: 1us}}
+exclude:
+  - {trace: "off"}
 """
 
 

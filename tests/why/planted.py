@@ -35,7 +35,9 @@ CAMPAIGN = """\
 schema: 1
 name: planted
 runs:
-  - {suite: cyclic_timer_tests, frequency_hz: 500, repetitions: 3000, policy: RR, cpu: "1", trace_threshold_us: 1000}
+  - {suite: cyclic_timer_tests, frequency_hz: 500, repetitions: 3000, policy: RR, cpu: "1", trace: {above: 1ms}}
+exclude:
+  - {trace: "off"}
 """
 
 

@@ -7,7 +7,7 @@ from typing import TypedDict
 from rtrun.commands._question import add_question, question, time_argument
 
 NAME = "compare"
-HELP = "compare two folders of runs, or two variants or kernels of one campaign: what shifted, and how sure that is"
+HELP = "compare two folders of runs, or two sides of one campaign: what shifted, and how sure that is"
 
 
 class _Words(TypedDict):
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("b", type=Path, nargs="?", help="the same: after [another side of the campaign in A]")
     parser.add_argument(
         "--by",
-        choices=("variant", "kernel"),
+        choices=("variant", "kernel", "trace"),
         help="what the two sides of the campaign in A differ in [variant where it has some]",
     )
     parser.add_argument("--variants", nargs=2, default=(), metavar="NAME", help="which two, where A has more")
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         if not args.json:
             print_line(f"A: {sides[0]}, B: {sides[1]}")
     elif args.variants or args.by:
-        raise UsageError("--by, --variants: go with one folder, that of a campaign with variants or kernels")
+        raise UsageError("--by, --variants: go with one folder, that of a campaign with variants, kernels or traces")
     else:
         compared = compare.compare_sets(args.a, args.b, **words)
     if not compared.changes:

@@ -154,6 +154,7 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
                 "repeat": each.repeat,
                 "variant": each.variant,
                 "kernel": each.kernel,
+                "trace": each.trace,
                 "expected_s": each.expected_s,
                 "settle_s": each.settle_s,
             }

@@ -20,7 +20,9 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.output import console, print_line
     from rtrun.report import causes
     from rtrun.report.perfetto import perfetto
+    from rtrun.report.tracing_cost import thresholds, tracing_cost_at
     from rtrun.results.reading import find_source
+    from rtrun.results.record import read_record
 
     source = find_source(args.results)
     if not source.folders:
@@ -28,12 +30,17 @@ def run(args: argparse.Namespace) -> int:
     ranking, explained, refused = causes.ranked(source)
     periods, not_searched = causes.periods(source)
     table = causes.table(ranking, explained)
+    cost, not_compared = tracing_cost_at(source)
     print_line(f"{table.outcome if explained else causes.no_traces(source)}.")
-    for note in (*table.notes, *periods):
+    for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders]), *periods):
         print_line(note)
     if table.rows:
         print_line()
         console().print(causes.for_terminal(table), crop=False)
+    if cost is not None:
+        print_line()
+        print_line(f"{cost.title}: {cost.outcome}")
+        console().print(causes.for_terminal(cost), crop=False)
     for one in explained:
         print_line()
         for line in causes.lines(one):
@@ -44,6 +51,6 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             raise UsageError(f"{args.perfetto}: {error.strerror}") from error
         print_line(f"written for ui.perfetto.dev: {args.perfetto}")
-    if problems := tuple(dict.fromkeys((*refused, *not_searched))):
+    if problems := tuple(dict.fromkeys((*refused, *not_searched, *not_compared))):
         raise UsageError("\n".join(problems))
     return 0

@@ -14,6 +14,7 @@ from rtfiles.errors import UsageError
 from rtrun.execution import journal, preparation, resumption, run_execution
 from rtrun.execution.goal import Round
 from rtrun.execution.run_state import RunEvent, RunLife, RunState
+from rtrun.execution.trace_threshold import with_found_threshold
 from rtrun.plan import campaign_digest
 from rtrun.plan.campaign import Variant
 from rtrun.plan.kernels import blocks
@@ -110,6 +111,12 @@ def run_campaign(
                     # In a round the name of a run is not that of its group.
                     number = numbers.get(run.name, 0)
                     observer.began(number, run)
+                    try:
+                        run = with_found_threshold(run, results)
+                    except UsageError as error:
+                        statuses[run.name] = RunStatus.INCOMPLETE
+                        observer.ended(number, run, RunStatus.INCOMPLETE, f"no limit for its traces: {error}")
+                        continue
                     record = _measure(prepared, log, name, run, results / run.name, observer, now)
                     statuses[run.name] = record.status
                     observer.ended(number, run, record.status, record.reason)

@@ -268,6 +268,7 @@ def _record(
         seed=run.seed,
         variant=run.variant,
         kernel=run.kernel,
+        trace=run.trace,
         platform=work.prepared.platform.platform,
         platform_evidence=work.prepared.platform.evidence,
         status=verdict.status,

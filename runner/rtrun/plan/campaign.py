@@ -15,6 +15,8 @@ from rtrun.plan import conditions, suites
 from rtrun.plan.goal import Goal
 from rtrun.plan.kernels import order_by_kernel
 from rtrun.plan.run import KernelName, Run, interleave, label, too_short
+from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
+from rtrun.plan.trace import read_trace, too_few, traced, with_warm_ups
 
 SUBSCRIBERS_MAX = 64
 # The ROS master needs the priority above the suites' (thesis 4.4), and 99 belongs to the kernel.
@@ -104,13 +106,13 @@ def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
         _check_goal(campaign, listed, origin, errors)
     if not errors and not listed:
         errors.append(f"{origin}: exclude: leaves no run")
-    errors += dict.fromkeys(f"{origin}: {wrong}" for run in listed if (wrong := too_short(run)))
+    errors += dict.fromkeys(f"{origin}: {wrong}" for run in listed if (wrong := too_short(run) or too_few(run)))
     if errors:
         raise UsageError("\n".join(errors))
     width = max(3, len(str(len(listed))))
     named = [replace(run, name=f"{number:0{width}}-{label(run)}") for number, run in enumerate(listed, start=1)]
     ordered = named if campaign.seed is None else interleave(named, campaign.seed)
-    return order_by_kernel(ordered, campaign.kernels or ())
+    return tuple(with_warm_ups(order_by_kernel(ordered, campaign.kernels or ())))
 
 
 def _runs_of(entries: Sequence[Entry], campaign: Campaign, where: str, errors: list[str]) -> list[Run]:
@@ -143,8 +145,11 @@ def _combinations(
         errors.append(f"{where}.suite: {error}")
         return
     takes = _takes(suite)
+    if TRACE_PARAMETER in entry:
+        errors.append(f"{where}.{TRACE_PARAMETER}: write {_trace_instead(entry[TRACE_PARAMETER])}")
+        return
     settings = conditions.conditions().settings
-    keys = (*takes, "condition", "repeats", *settings)
+    keys = (*_given(takes), "condition", "repeats", *settings)
     if unknown := [key for key in entry if key not in ("suite", *keys)]:
         names = ", ".join(map(repr, unknown))
         errors.append(f"{where}: unknown key {names}, {entry['suite']} takes: suite, {', '.join(keys)}")
@@ -168,17 +173,20 @@ def _combinations(
         taken = {key: given.get(key, settings[key].default) for key in conditions.settings_of(condition)}
         parameters = defaults | {key: value for key, value in given.items() if key in takes}
         # Combinations that differ only in settings that the condition does not take are the same run.
-        if (key := (*parameters.values(), condition, *taken.values())) in seen:
+        trace = str(given.get("trace") or "")
+        if (key := (*parameters.values(), condition, *taken.values(), trace)) in seen:
             continue
         seen.add(key)
-        run = Run(name="", suite=entry["suite"], parameters=parameters, condition=condition, settings=taken)
+        run = Run(
+            name="", suite=entry["suite"], parameters=parameters, condition=condition, settings=taken, trace=trace
+        )
         for repeat in range(1, int(repeats[0] or 1) + 1):
-            yield replace(run, repeat=repeat)
+            yield from traced(replace(run, repeat=repeat))
 
 
 def _matches(run: Run, pattern: Entry) -> bool:
-    own: Entry = {"suite": run.suite, "condition": run.condition, "variant": run.variant, "kernel": run.kernel}
-    has = {**own, **run.parameters, **run.settings}
+    own = ("suite", "condition", "variant", "kernel", "trace")
+    has = {**{key: getattr(run, key) for key in own}, **run.parameters, **run.settings}
     return all(
         key in has and str(has[key]) in map(str, value if isinstance(value, list) else [value])
         for key, value in pattern.items()
@@ -190,14 +198,27 @@ def _takes(suite: suites.Suite) -> tuple[str, ...]:
     return (*keys, "subscribers") if suite.repeated else keys
 
 
+def _given(takes: Sequence[str]) -> tuple[str, ...]:
+    """The keys by which a campaign gives what a suite takes."""
+    return tuple("trace" if key == TRACE_PARAMETER else key for key in takes)
+
+
+def _trace_instead(value: object) -> str:
+    return f"trace: {{above: {value}us}}, or a quantile as {{above: p99.9}}: it is found in a short warm-up"
+
+
 def _check_common(campaign: Campaign, origin: str, errors: list[str]) -> None:
     known = _common_keys()
+    if TRACE_PARAMETER in campaign.common:
+        value = campaign.common[TRACE_PARAMETER]
+        errors.append(f"{origin}: common.{TRACE_PARAMETER}: write {_trace_instead(value)}")
+        return
     if unknown := [key for key in campaign.common if key not in known]:
         errors.append(f"{origin}: common: unknown key {', '.join(map(repr, unknown))}, allowed: {', '.join(known)}")
 
 
 def _common_keys() -> list[str]:
-    known = [*(key for key in suites.options() if key not in RESERVED), "subscribers"]
+    known = [*_given([key for key in suites.options() if key not in RESERVED]), "subscribers"]
     return [*known, "condition", "repeats", *conditions.conditions().settings]
 
 
@@ -223,6 +244,8 @@ def _check_goal(campaign: Campaign, runs: Sequence[Run], origin: str, errors: li
         errors.append(f"{origin}: until: give order: interleaved and a seed: its rounds are drawn with it")
     if any(run.repeat > 1 for run in runs):
         errors.append(f"{origin}: until: takes no repeats: each round is one")
+    if any(run.trace for run in runs):
+        errors.append(f"{origin}: until: takes no trace: tracing costs time, and would be in the answer")
     if campaign.kernels and len(campaign.kernels) > 1:
         errors.append(f"{origin}: until: takes one kernel: give each kernel a campaign of its own")
     if any(run.suite == GAP_SEARCH for run in runs):
@@ -243,6 +266,8 @@ def _axis(where: str, key: str, value: Any, errors: list[str]) -> list[suites.Va
 
 
 def _check(where: str, key: str, value: Any) -> suites.Value:
+    if key == "trace":
+        return read_trace(value, where)
     if key == "condition":
         conditions.condition(value, where)
         return str(value)

@@ -10,6 +10,8 @@ from rtrun.plan import conditions, suites
 KernelName = Literal["standard", "rt"]
 """rt: it calls itself PREEMPT_RT; standard: it does not."""
 
+UNTRACED = "off"
+
 # Of one measurement beside its timeout: the latency of the timer, and arming it again (75 to 170 us on a PC). No
 # measurement takes less, however short its period is.
 MEASUREMENT_COST_S = 200e-6
@@ -23,7 +25,8 @@ class Run:
     """One planned run: `parameters` holds every parameter of its suite, and `subscribers` where it has some.
 
     `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order; `variant` is
-    empty and `kernel` None in a campaign that names none.
+    empty and `kernel` None in a campaign that names none. `trace` is the limit above which it keeps traces as the
+    campaign has it (plan/trace.py), `UNTRACED` for the twin of such a run, and empty where nobody asked for traces.
     """
 
     name: str
@@ -35,6 +38,7 @@ class Run:
     seed: int | None = None
     variant: str = ""
     kernel: KernelName | None = None
+    trace: str = ""
 
     @property
     def least_s(self) -> float:
@@ -102,5 +106,5 @@ def label(run: Run) -> str:
     words += [run.condition] if run.condition != conditions.IDLE else []
     settings = conditions.conditions().settings
     words += [f"{key}{value}" for key, value in run.settings.items() if value != settings[key].default]
-    words += [word for word in (run.variant, run.kernel) if word]
+    words += [word for word in (run.variant, run.kernel, f"trace-{run.trace}" if run.trace else "") if word]
     return "-".join([*words, *([f"r{run.repeat}"] if run.repeat > 1 else [])])

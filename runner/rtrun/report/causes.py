@@ -65,7 +65,7 @@ def no_traces(source: Source) -> str:
     records = [read_record(folder) for folder in source.folders]
     if any(record.parameters.get(option) is not None for record in records for option in OPTIONS):
         return "No value was above the limit from which on a run keeps traces"
-    return "No run kept kernel traces, which name causes: a campaign asks for them by trace_threshold_us"
+    return "No run kept kernel traces, which name causes: a campaign asks for them by trace: {above: p99.9}"
 
 
 def answer(ranking: Ranking) -> str:

@@ -17,20 +17,28 @@ from rtrun.report.claims.examiners import Examined
 from rtrun.report.claims.reference import oneshot_rows, published
 from rtrun.report.study import Group, Study, environment
 from rtrun.report.tables import Table, how, printable_table, time_us
+from rtrun.report.tracing_cost import thresholds, tracing_cost
 from rtrun.results.samples import NON_MEASURING_THREADS
 from rtrun.target.platform import Platform
 
 
 def end_tables(study: Study, claims: Sequence[Examined]) -> tuple[Table, ...]:
     """What stands behind the scenarios, each table with what came out of it."""
-    tables = [_causes(study), _worst_cases(study), *_layers(study), _claims(claims), *_published(study)]
+    tables = [
+        _causes(study),
+        tracing_cost(study),
+        _worst_cases(study),
+        *_layers(study),
+        _claims(claims),
+        *_published(study),
+    ]
     return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)
 
 
 def _causes(study: Study) -> Table:
     ranking, explained, refused = causes.ranked(study.source)
     table = causes.table(ranking, explained)
-    return replace(table, notes=(*table.notes, *refused))
+    return replace(table, notes=(*table.notes, *thresholds(study.records), *refused))
 
 
 def _worst_cases(study: Study) -> Table:

@@ -1,22 +1,31 @@
-"""The runs of one campaign, taken apart into the two sides of a comparison: two of its variants, or its two kernels."""
+"""The runs of one campaign, taken apart into the two sides of a comparison.
+
+Sides are two of its variants, its two kernels, or runs without and with traces.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, get_args
 
 from rtfiles.errors import UsageError
-from rtrun.plan.run import KernelName
+from rtrun.plan.run import UNTRACED, KernelName
 from rtrun.plan.suites import Value
 from rtrun.report.study import Group, Study
 
-By = Literal["variant", "kernel"]
+By = Literal["variant", "kernel", "trace"]
 """What the two sides differ in: a circumstance of their runs."""
 
 
 def names_of_sides(study: Study, by: By) -> list[str]:
-    """The sides that were measured: variants in the order of the campaign file, the standard kernel before rt."""
+    """The sides that were measured: variants in the order of the campaign file, the standard kernel before rt.
+
+    Runs without traces come before those with them.
+    """
     if by == "kernel":
         return [kernel for kernel in get_args(KernelName) if any(record.kernel == kernel for record in study.records)]
+    if by == "trace":
+        limits = {record.trace for record in study.records if record.trace}
+        return sorted(limits, key=lambda limit: (limit != UNTRACED, limit))
     # The number of a run's name tells the order of the file.
     runs = sorted((record.run, record.variant) for record in study.records if record.variant)
     return list(dict.fromkeys(variant for _, variant in runs))

@@ -11,13 +11,14 @@ from pathlib import Path
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import Figures
 from rtrun.plan.suites import suite
+from rtrun.plan.trace import WARM_UP
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
 from rtrun.results.record import FILE, RunRecord, RunStatus, check_file, is_closed, read_record
 from rtrun.results.samples import read_samples
 from rtrun.results.series import Header, Series, period_of, series_of_histogram, series_of_log, series_of_samples
 
-_PUT_ASIDE = re.compile(r"^\.|\.old-[0-9]+$")
+_PUT_ASIDE = re.compile(rf"^\.|\.old-[0-9]+$|{re.escape(WARM_UP)}$")
 _CUT_OFF = re.compile(r"(.+)\.incomplete-[0-9]+")
 
 
@@ -141,8 +142,8 @@ class Source:
 def find_source(path: Path) -> Source:
     """Find what is at a path: a file, a run directory, or a folder of runs.
 
-    What the runner put aside (``.<run>.partial``, ``<run>.old-<n>``) is left out. Raises UsageError when there is
-    neither a file nor a closed run, naming the folders below that hold some.
+    What the runner put aside (``.<run>.partial``, ``<run>.old-<n>``, ``<run>.warm-up``) is left out. Raises UsageError
+    when there is neither a file nor a closed run, naming the folders below that hold some.
     """
     if path.is_file():
         return Source(path=path, folders=())

@@ -12,6 +12,7 @@ from rtfiles.errors import UsageError
 from rtrun.plan.conditions import IDLE
 from rtrun.plan.run import KernelName
 from rtrun.plan.suites import Value
+from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.target.inspection import Fact
 from rtrun.target.platform import Platform
 
@@ -131,6 +132,8 @@ class RunRecord(Config):
     """Of a campaign with variants: which of them this run is of."""
     kernel: KernelName | None = None
     """Of a campaign with kernels: which of them this run was measured on."""
+    trace: str = ""
+    """What the campaign asked traces for, as `Run.trace`; the threshold in effect is in the parameters."""
     platform: Annotated[Platform, Field(strict=False)]
     platform_evidence: str
     """How the platform is known."""
@@ -166,11 +169,15 @@ class RunRecord(Config):
 
     @property
     def circumstances(self) -> dict[str, Value]:
-        """The parameters, and what was there beside the suite where there was something: runs of one are alike."""
+        """The parameters, and what was there beside the suite where there was something: runs of one are alike.
+
+        Runs that keep the traces above one quantile are alike, though each has a threshold of its own.
+        """
         condition: dict[str, Value] = {} if self.condition == IDLE else {"condition": self.condition}
         settings = {key: value for key, value in self.settings.items() if value not in (None, "")}
-        of_campaign: dict[str, Value] = {"variant": self.variant, "kernel": self.kernel}
-        return self.parameters | condition | settings | {key: value for key, value in of_campaign.items() if value}
+        of_campaign: dict[str, Value] = {"variant": self.variant, "kernel": self.kernel, "trace": self.trace}
+        parameters = {key: value for key, value in self.parameters.items() if key != TRACE_PARAMETER or not self.trace}
+        return parameters | condition | settings | {key: value for key, value in of_campaign.items() if value}
 
     def to_json(self) -> str:
         """The text of run.json: what was set, without what is left at its default."""

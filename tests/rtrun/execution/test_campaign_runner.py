@@ -100,7 +100,7 @@ def test_a_run_that_goes_wrong_is_closed_with_the_reason(target, tmp_path, watch
 
 def test_a_trace_that_is_too_large_is_named_and_costs_the_run_nothing(target, tmp_path, watching, wishes):
     wishes.will("huge-trace-1.txt")
-    (run,) = runs = runs_of(1, trace_threshold_us=50)
+    (run,) = runs = runs_of(1, trace={"above": "50us"})
     assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
     written = record(tmp_path / "results", run)
     name = "cyclic_timer_tests_l10_fq100-trace-1.txt"

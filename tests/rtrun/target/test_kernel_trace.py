@@ -32,7 +32,7 @@ def target(ready_target):
 @pytest.mark.parametrize(("clock", "kernels"), [("raw", "mono_raw"), ("monotonic", "mono")])
 def test_traces_come_with_the_run(target, tmp_path, watching, wishes, clock, kernels):
     wishes.will("traced 3 8")
-    (run,) = runs = runs_of(1, trace_threshold_us=50, clock=clock)
+    (run,) = runs = runs_of(1, trace={"above": "50us"}, clock=clock)
     assert list(campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == ["ok"]
     traces = sorted(name for name in record(tmp_path / "results", run)["files"] if "trace" in name)
     assert traces == ["cyclic_timer_tests_l10_fq100-trace-3.txt", "cyclic_timer_tests_l10_fq100-trace-8.txt"]
@@ -53,7 +53,7 @@ def test_a_suite_that_fails_leaves_no_trace_set_up(target, tmp_path, watching, w
     wishes.will(wish)
     assert list(
         campaign_runner.run_campaign(
-            target, "test", runs_of(1, trace_threshold_us=50), tmp_path / "results", watching
+            target, "test", runs_of(1, trace={"above": "50us"}), tmp_path / "results", watching
         ).values()
     ) == ["failed"]
     assert not INSTANCE.exists()
@@ -67,7 +67,7 @@ def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watchin
         seen.append(INSTANCE.exists())
         raise error
 
-    runs = runs_of(1, trace_threshold_us=50)
+    runs = runs_of(1, trace={"above": "50us"})
     with monkeypatch.context() as patch:
         patch.setattr(processes, "wait", wait)
         with pytest.raises(type(error) if isinstance(error, Exception) else error):

@@ -1,0 +1,38 @@
+"""The limit above which a run keeps traces, found in its warm-up where the campaign gives a quantile."""
+
+from pathlib import Path
+
+import numpy as np
+
+from rtfiles.errors import UsageError
+from rtrun.plan.run import Run
+from rtrun.plan.suites import options
+from rtrun.plan.trace import PARAMETER, WARM_UP, quantile, with_threshold
+from rtrun.results.record import RunStatus, check_file, read_record
+from rtrun.results.samples import read_samples
+
+
+def with_found_threshold(run: Run, results: Path) -> Run:
+    """The run with its threshold, or as it is where the limit is no quantile. Raises UsageError without a warm-up."""
+    part = quantile(run.trace)
+    if part is None:
+        return run
+    allowed = options()[PARAMETER]
+    threshold_us = round(_quantile_ns(results / f"{run.name}{WARM_UP}", part) / 1000)
+    return with_threshold(run, max(allowed.min, min(threshold_us, allowed.max)))
+
+
+def _quantile_ns(folder: Path, part: float) -> float:
+    """The quantile of all values of a run. Raises UsageError when the run is not whole."""
+    record = read_record(folder)
+    if record.status is not RunStatus.OK:
+        raise UsageError(f"{folder.name} is {record.status}: {record.reason}")
+    values = []
+    for output in dict.fromkeys(record.outputs):
+        for ending in (".npy", ".json"):
+            check_file(folder, record, output + ending)
+        values.append(next(iter(read_samples(folder / f"{output}.npy").series.values())).values_ns)
+    pooled = np.concatenate(values) if values else np.array([], dtype=np.int64)
+    if not pooled.size:
+        raise UsageError(f"{folder.name} measured nothing")
+    return float(np.quantile(pooled, part))

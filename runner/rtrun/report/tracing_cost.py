@@ -1,0 +1,77 @@
+"""What tracing costs: traced runs compared with their untraced twins, which were measured in turn with them."""
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+
+from rtfiles.errors import UsageError
+from rtfiles.output import printable
+from rtrun.plan.run import UNTRACED
+from rtrun.plan.trace import PARAMETER, quantile
+from rtrun.report.claims.examination import us
+from rtrun.report.compare import Changed, compare_studies
+from rtrun.report.sides import names_of_sides, split
+from rtrun.report.study import Study, study
+from rtrun.report.tables import Table
+from rtrun.results.reading import Source
+from rtrun.results.record import RunRecord, RunStatus, read_record
+
+
+def thresholds(records: Sequence[RunRecord]) -> Iterator[str]:
+    """The limits that warm-ups found, a sentence for each quantile that a campaign asks for."""
+    measured = [one for one in records if quantile(one.trace) is not None and one.status is RunStatus.OK]
+    for trace, alike in groupby(sorted(measured, key=lambda one: (one.trace, one.suite)), key=lambda one: one.trace):
+        limits_us = sorted(int(one.parameters.get(PARAMETER) or 0) for one in alike)
+        lowest, highest = limits_us[0], limits_us[-1]
+        between = f"{lowest} us" if lowest == highest else f"{lowest} to {highest} us"
+        runs = "a run" if len(limits_us) == 1 else f"{len(limits_us)} runs"
+        yield f"Traced is what is above {trace} of a warm-up: {between} in {runs}"
+
+
+def tracing_cost_at(source: Source) -> tuple[Table | None, tuple[str, ...]]:
+    """The comparison for the runs at a path, None where no run has a twin; and why they cannot be compared."""
+    try:
+        if all(read_record(folder).trace != UNTRACED for folder in source.folders):
+            return None, ()
+        return tracing_cost(study(source.path, bounds=False)), ()
+    except UsageError as error:
+        return None, tuple(str(error).splitlines())
+
+
+def tracing_cost(examined: Study) -> Table:
+    """Quantiles with and without traces, and the difference with its interval; without rows where no run has a twin."""
+    changes = list(_changes(examined))
+    seen = [change for change in changes if any(shift.seen for shift in change.comparison.shifts)]
+    rows = [row for change in changes for row in _rows(change)]
+    confidence = f"{100 * examined.confidence:g} %"
+    return Table(
+        id="tracing",
+        title="What tracing costs",
+        columns=("suite and parameters", "figure", "untraced us", "traced us", f"difference us, {confidence} interval"),
+        rows=rows,
+        outcome=(
+            f"tracing shifts values in {len(seen)} of {len(changes)} scenarios"
+            if seen
+            else "no shift by tracing is seen: an interval says how large it may be"
+        ),
+        numbers=2,
+        notes=tuple(dict.fromkeys(printable(text) for change in changes for text in change.comparison.assumes)),
+    )
+
+
+def _changes(examined: Study) -> Iterator[Changed]:
+    known = names_of_sides(examined, "trace")
+    if UNTRACED not in known:
+        return
+    for limit in known:
+        if limit != UNTRACED:
+            _, (untraced, traced) = split(examined, "trace", (UNTRACED, limit))
+            yield from compare_studies(untraced, traced, margin_ns=None).changes
+
+
+def _rows(change: Changed) -> Iterator[tuple[str, ...]]:
+    compared = change.comparison
+    if not compared.shifts:
+        yield change.label, "-", "-", "-", f"{min(compared.unit_counts)} {compared.units} are too few to compare"
+    for shift in compared.shifts:
+        difference = f"{shift.shift_ns / 1000:+.1f} ({shift.low_ns / 1000:+.1f} to {shift.high_ns / 1000:+.1f})"
+        yield change.label, shift.figure, us(shift.a_ns), us(shift.b_ns), difference

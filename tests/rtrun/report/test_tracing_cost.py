@@ -1,0 +1,61 @@
+"""What tracing costs: traced runs held against their untraced twins, in `rtrun why`, in the report and by `compare`."""
+
+import pytest
+from report.campaigns import cyclic_rows, latencies, write_run
+
+from rtrun.cli import main
+
+
+def write_pairs(root, *, cost_us, pairs=5, twins=True):
+    """Pairs of an untraced run and a traced one whose jitter is wider; each traced one has a limit of its own."""
+    for number in range(pairs):
+        for place, trace in enumerate(("off", "p99.9") if twins else ("p99.9",)):
+            rows = cyclic_rows(latencies(4000, 2 * number + place, spread_us=8 + place * cost_us), 100)
+            minute = 2 * number + place
+            write_run(
+                root, f"{minute:03}-{trace}", "cyclic_timer_tests", [rows],
+                {"frequency_hz": 100, "trace_threshold_us": 40 + number if place or not twins else None},
+                asked=4000, trace=trace,
+                start_time=f"2026-01-01T00:{minute:02}:00+00:00", end_time=f"2026-01-01T00:{minute:02}:30+00:00",
+            )  # fmt: skip
+    return root
+
+
+@pytest.mark.parametrize(
+    ("cost_us", "outcome"),
+    [
+        (6, "What tracing costs: tracing shifts values in 1 of 1 scenarios"),
+        (0, "What tracing costs: no shift by tracing is seen: an interval says how large it may be"),
+    ],
+)
+def test_why_prints_the_cost_beside(tmp_path, capsys, cost_us, outcome):
+    assert main(["why", str(write_pairs(tmp_path / "runs", cost_us=cost_us))]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "Traced is what is above p99.9 of a warm-up: 40 to 44 us in 5 runs" in lines
+    assert outcome in lines
+    row = next(line.split() for line in lines if " p99 " in line)
+    untraced, traced, difference = (float(word) for word in row[row.index("p99") + 1 :][:3])
+    assert difference == pytest.approx(traced - untraced, abs=0.11)
+    assert (difference > 5) is bool(cost_us)
+
+
+def test_the_report_has_the_same_table(tmp_path, capsys):
+    root = write_pairs(tmp_path / "runs", cost_us=6, pairs=1)
+    assert main(["report", str(root), "--output", "-", "--format", "markdown"]) == 0
+    out = capsys.readouterr().out
+    assert "## What tracing costs" in out
+    assert "runs alike: with 1 and 1 of them the difference between them is not in the intervals" in out
+
+
+def test_without_twins_nothing_is_said_of_it(tmp_path, capsys):
+    root = write_pairs(tmp_path / "runs", cost_us=6, twins=False)
+    assert main(["why", str(root)]) == 0
+    assert "What tracing costs" not in capsys.readouterr().out
+
+
+def test_traced_and_untraced_runs_are_no_runs_of_one_kind(tmp_path, capsys):
+    root = write_pairs(tmp_path / "runs", cost_us=6)
+    assert main(["compare", str(root), "--by", "trace"]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0] == "A: off, B: p99.9"
+    assert out[1].startswith("DIFFERENT  cyclic_timer OTHER 100 Hz")
