@@ -8,7 +8,7 @@ import socket
 import subprocess
 import time
 import xmlrpc.client
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +25,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 settings.register_profile("no-deadline", deadline=None)
 settings.load_profile("no-deadline")
 
+BOOT_ID = "/proc/sys/kernel/random/boot_id"
 SSHD = shutil.which("sshd", path="/usr/sbin:/usr/bin:/sbin") or "/usr/sbin/sshd"
 
 
@@ -49,6 +50,17 @@ def sshd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sshd]:
     """A real OpenSSH server for this user, with forwarding, on a port of its own."""
     with serve(tmp_path_factory.mktemp("sshd")) as server:
         yield server
+
+
+def seeing(files: Mapping[str, Path]) -> tuple[str, ...]:
+    """What runs a command that sees each of these files in place of the one at that path. Skips where it cannot."""
+    mounts = [f'mount --bind "${2 * number + 1}" "${2 * number + 2}"' for number in range(len(files))]
+    script = " && ".join([*mounts, f"shift {2 * len(files)}", 'exec "$@"'])
+    words = [word for path, file in files.items() for word in (str(file), path)]
+    wrapper = ("unshare", "--mount", "sh", "-c", script, "sh", *words)
+    if subprocess.run([*wrapper, "true"], capture_output=True, check=False).returncode != 0:
+        pytest.skip("this user may not mount in a namespace of its own")
+    return wrapper
 
 
 @contextlib.contextmanager

@@ -23,9 +23,10 @@ from rtrun.results import run_directory
 from rtrun.results.record import RunRecord, RunStatus, read_record, verify
 from rtrun.target.config import Target
 from rtrun.target.errors import TargetError
+from rtrun.target.inspection import running_kernel
 from rtrun.target.kernel_trace import tracing
 from rtrun.target.link import Link, TargetRebooted
-from rtrun.target.restart import check_kernels, restart
+from rtrun.target.restart import check_restart, restart
 
 # A board that restarts during each of so many attempts will not complete this run.
 ATTEMPTS = 3
@@ -93,7 +94,7 @@ def run_campaign(
             if len(needed) < len(runs):
                 observer.note(f"going on in {results}: {len(runs) - len(needed)} of {len(runs)} runs are finished")
         if len(kernels := dict.fromkeys(run.kernel for run in needed if run.kernel)) > 1:
-            check_kernels(target, kernels)
+            check_restart(target, kernels)
         numbers = {run.name: number for number, run in enumerate(runs)}
         remote = target.work_dir / "runs" / log.uid
         log.begin_session(now().isoformat())
@@ -105,8 +106,15 @@ def run_campaign(
             started = frozenset(resumption.list_folders(link, remote))
             planned = rounds(lambda: log.spent_s(now())) if rounds else _rounds(results, runs, needed, started)
             for each in planned:
-                if link.boot_id in each.used_boots:
-                    prepared.restart(each.runs[0].kernel)
+                try:
+                    if link.boot_id in each.used_boots:
+                        prepared.restart(each.runs[0].kernel)
+                    # Now, so that it is not in the time of a run.
+                    prepared.get(each.runs[0].kernel)
+                except TargetRebooted as error:
+                    # By itself. The first run prepares it anew.
+                    prepared.drop()
+                    observer.note(str(error))
                 for run in sorted(each.runs, key=lambda run: run.name not in started):
                     # In a round the name of a run is not that of its group.
                     number = numbers.get(run.name, 0)
@@ -172,7 +180,7 @@ def _measure(
 
 
 class _PreparedTarget:
-    """The target, prepared while the context lasts: at its begin, and anew when it was restarted."""
+    """The target, prepared when it is asked for, and anew when it was restarted since."""
 
     def __init__(
         self,
@@ -186,9 +194,10 @@ class _PreparedTarget:
         self._prepare = functools.partial(preparation.prepared, link, owner, runs, variants)
         self._stack = contextlib.ExitStack()
         self._ready: preparation.Prepared | None = None
+        self._kernels: dict[str, KernelName] = {}
+        """That it ran, by its boot."""
 
     def __enter__(self) -> Self:
-        self.get()
         return self
 
     def __exit__(
@@ -201,18 +210,22 @@ class _PreparedTarget:
 
         Raises UsageError when the target cannot be restarted into it, TargetError when it runs another one then.
         """
+        if kernel is not None and self._running_kernel() != kernel:
+            self.restart(kernel)
+            if (running := self._running_kernel()) != kernel:
+                raise TargetError(
+                    f"{self._link.target.address}: restarted into the kernel {kernel}, it runs {running} "
+                    f"(uname -v says which): nothing is measured on it; check boot_kernel.{kernel} in the target file"
+                )
         if self._ready is None:
             self._ready = self._stack.enter_context(self._prepare())
-        if kernel is None or self._ready.kernel == kernel:
-            return self._ready
-        self.restart(kernel)
-        self._ready = self._stack.enter_context(self._prepare())
-        if self._ready.kernel != kernel:
-            raise TargetError(
-                f"{self._link.target.address}: restarted into the kernel {kernel}, it runs {self._ready.kernel} "
-                f"(uname -v says which): nothing is measured on it; check boot_kernel.{kernel} in the target file"
-            )
         return self._ready
+
+    def _running_kernel(self) -> KernelName:
+        boot_id = self._link.boot_id
+        if boot_id not in self._kernels:
+            self._kernels[boot_id] = running_kernel(self._link)
+        return self._kernels[boot_id]
 
     def restart(self, kernel: KernelName | None) -> None:
         """Restart the target, into a kernel where one is named. Raises TargetError when a run is going on there."""

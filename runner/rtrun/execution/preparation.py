@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from rtfiles.invocation import as_called
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Variant
-from rtrun.plan.run import KernelName, Run
+from rtrun.plan.run import Run
 from rtrun.target import deploy, inspection, platform_signs, ros_master
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
@@ -25,8 +25,6 @@ class Prepared:
     platform: KnownPlatform
     scripts: PurePosixPath
     programs: dict[str, str]
-    kernel: KernelName
-    """That the target runs."""
     kernel_config: bytes
     own_master: bool
     variants: Mapping[str, "Prepared"] = field(default_factory=dict)
@@ -49,7 +47,6 @@ def prepared(
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     installed = equipment.programs if target.suites is None else _deploy_suites(link, target.suites)
     kernel_config = inspection.read_kernel_config(link)
-    state = inspection.read_state(link, scripts / "state.sh")
     tools = _tools(link, scripts, runs, kernel_config)
     programs = {
         name: (_deploy_suites(link, variant.suites) if variant.suites else installed) | tools
@@ -70,7 +67,6 @@ def prepared(
             platform=platform_signs.find_platform(link),
             scripts=scripts,
             programs=programs[""],
-            kernel="rt" if inspection.is_preempt_rt(state) else "standard",
             kernel_config=kernel_config,
             own_master=own_master,
         )

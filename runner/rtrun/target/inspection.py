@@ -15,6 +15,7 @@ from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
 from rtfiles.untrusted import INT64_MAX, JSON_BYTES_MAX, parse_json, read_text, whole_number
 from rtrun.plan.conditions import CPUS_MAX
+from rtrun.plan.run import KernelName
 from rtrun.target import architecture
 from rtrun.target.config import Target
 from rtrun.target.deploy import ON_TARGET
@@ -22,6 +23,7 @@ from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
 
 SCRIPT = ON_TARGET / "inspect.sh"
+STATE_SCRIPT = ON_TARGET / "state.sh"
 _KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -r) 2>/dev/null; exit 0"
 # Numbers of sched_setscheduler(2), as in field 41 of /proc/<pid>/stat (proc(5)).
 POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
@@ -214,6 +216,12 @@ def _thread(line: str) -> Thread | None:
 def is_preempt_rt(state: TargetState) -> bool:
     """Whether the kernel calls itself PREEMPT_RT. Only kernels with the out-of-tree patch have /sys/kernel/realtime."""
     return bool(re.search(r"\bPREEMPT[_ ]RT\b", str(state.kernel_version))) or state.realtime == "1"
+
+
+def running_kernel(link: Link) -> KernelName:
+    """The kernel that the target runs, asked without anything deployed there."""
+    state = parse_state(link.check(["sh", "-s"], stdin=STATE_SCRIPT.read_text(encoding="utf-8")))
+    return "rt" if is_preempt_rt(state) else "standard"
 
 
 def read_kernel_config(link: Link) -> bytes:

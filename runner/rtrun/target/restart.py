@@ -1,7 +1,7 @@
 """Restarting a target on purpose: so that measurements come from several boots, or from another kernel."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Collection
 
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
@@ -16,8 +16,8 @@ SHUTDOWN_S = 180.0
 POLL_S = 1.0
 
 
-def check_restart(target: Target) -> None:
-    """Raise UsageError when this target cannot be restarted."""
+def check_restart(target: Target, kernels: Collection[KernelName] = ()) -> None:
+    """Raise UsageError when this target cannot be restarted, or not into each of these kernels."""
     if isinstance(target.address, ThisMachine):
         raise UsageError(
             f"{target.name}: the campaign asks for several boots, but the runner cannot restart the machine "
@@ -28,11 +28,6 @@ def check_restart(target: Target) -> None:
             f"{target.name}: the campaign asks for several boots, but the target file does not say how to restart "
             "the target: add restart: [systemctl, reboot], or whatever restarts it"
         )
-
-
-def check_kernels(target: Target, kernels: Iterable[KernelName]) -> None:
-    """Raise UsageError when this target cannot be restarted into each of these kernels."""
-    check_restart(target)
     if lacking := [kernel for kernel in kernels if kernel not in target.boot_kernel]:
         raise UsageError(
             f"{target.name}: the campaign asks for the kernel {' and '.join(lacking)}, but nobody said how the target "
@@ -47,27 +42,30 @@ def restart(link: Link, kernel: KernelName | None = None) -> None:
     What was started there is gone. Raises UsageError when it cannot be restarted so, TargetError when it goes on as the
     same boot, or does not come back. The caller checks which kernel it runs then.
     """
-    check_restart(link.target)
+    check_restart(link.target, () if kernel is None else (kernel,))
     if kernel is not None:
-        check_kernels(link.target, [kernel])
         link.do(link.target.boot_kernel[kernel])
-    request = link.target.restart
-    assert request is not None
-    before = link.boot_id
-    deadline = time.monotonic() + SHUTDOWN_S
     # A power cut must not undo what was written there.
     link.check(["sync"], deadline_s=SHUTDOWN_S)
+    request = link.target.restart
+    assert request is not None
     link.do(request)
-    while link.boot_id == before:
-        # The connection may hang from now on: the board that it leads to no longer exists.
-        link.drop()
+    deadline = time.monotonic() + SHUTDOWN_S
+    while not _is_restarted(link):
         if time.monotonic() > deadline:
             raise TargetError(
                 f"{link.target.address}: still the same boot {SHUTDOWN_S:.0f} s after it was told to restart: "
                 "check restart in the target file"
             )
         time.sleep(POLL_S)
-        try:
-            link.run(["true"])
-        except TargetRebooted:
-            return
+
+
+def _is_restarted(link: Link) -> bool:
+    """Whether the target answers as another boot than the link has seen before."""
+    # The board that the connection leads to may no longer exist: it would hang.
+    link.drop()
+    try:
+        link.do(lambda _: None)
+    except TargetRebooted:
+        return True
+    return False

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from faulty import record
 
-from conftest import serve
+from conftest import BOOT_ID, seeing, serve
 from rtfiles.errors import UsageError
 from rtrun.execution import campaign_runner
 from rtrun.plan.campaign import Campaign, plan
@@ -49,11 +49,7 @@ def target(ready_target, board, tmp_path):
     uname = tmp_path / "uname"
     uname.write_text(f'#!/bin/sh\n[ "$1" = -v ] && exec cat {board.version}\nexec {real} "$@"\n')
     uname.chmod(0o755)
-    script = 'mount --bind "$1" /proc/sys/kernel/random/boot_id && mount --bind "$2" "$3" && shift 3 && exec "$@"'
-    files = (str(board.boot_id), str(uname), shutil.which("uname"))
-    wrapper = ("unshare", "--mount", "sh", "-c", script, "sh", *files)
-    if subprocess.run([*wrapper, "true"], capture_output=True, check=False).returncode != 0:
-        pytest.skip("this user may not mount in a namespace of its own")
+    wrapper = seeing({BOOT_ID: board.boot_id, shutil.which("uname"): uname})
     (tmp_path / "sshd").mkdir()
     with serve(tmp_path / "sshd", wrapper) as server:
         yield replace(
@@ -91,6 +87,20 @@ def test_each_block_is_measured_on_its_kernel_and_on_a_boot_of_its_own(target, b
     ]
     assert board.boots == ["standard", "rt", "rt", "standard"]
     assert sum("into the kernel" in note for note in watching.notes) == 3
+
+
+@pytest.mark.parametrize("started", ["standard", "rt"])
+def test_it_is_prepared_once_a_boot_that_is_measured_on(target, board, tmp_path, wishes, monkeypatch, started):
+    """Not on the boot that it is found in, where that is to be restarted at once."""
+    board.choose(started)
+    board.start()
+    prepared, prepare = [], campaign_runner.preparation.prepared
+    monkeypatch.setattr(
+        campaign_runner.preparation, "prepared", lambda *words: prepared.append(len(board.boots)) or prepare(*words)
+    )
+    runs = runs_of()
+    assert set(measure(target, runs, tmp_path / "results").values()) == {"ok"}
+    assert prepared == [boot for _, _, boot in measured_on(tmp_path / "results", runs)]
 
 
 def test_a_target_that_runs_the_kernel_is_not_restarted(target, board, tmp_path, wishes):

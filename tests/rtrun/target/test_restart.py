@@ -1,9 +1,11 @@
 """A target that is restarted on purpose: the real sshd, in a mount namespace where the boot id is a file of ours."""
 
+import shutil
 from dataclasses import replace
 
 import pytest
 
+from conftest import BOOT_ID, seeing, serve
 from rtfiles.errors import UsageError
 from rtrun.target import restart
 from rtrun.target.errors import TargetError
@@ -18,6 +20,32 @@ def test_the_target_answers_as_another_boot(rebooting, remarks):
         restart.restart(link)
         assert link.boot_id != before
         assert link.check(["cat", "/proc/sys/kernel/random/boot_id"]).strip() == link.boot_id
+
+
+def test_what_was_written_is_on_its_disk_before_the_power_is_cut(loopback, tmp_path, remarks):
+    """A board in QEMU loses what is not: with half of a deployed file, and the kernel that was chosen."""
+    boot, calls = tmp_path / "boot_id", tmp_path / "calls"
+    boot.write_text("before\n")
+    sync = tmp_path / "sync"
+    sync.write_text(f"#!/bin/sh\necho sync >>{calls}\n")
+    sync.chmod(0o755)
+
+    def note(word, boot_id="before"):
+        with calls.open("a") as stream:
+            stream.write(f"{word}\n")
+        boot.write_text(f"{boot_id}\n")
+
+    (tmp_path / "sshd").mkdir()
+    with serve(tmp_path / "sshd", seeing({BOOT_ID: boot, shutil.which("sync"): sync})) as server:
+        target = replace(
+            loopback,
+            address=server.address,
+            boot_kernel={"rt": lambda _: note("choose")},
+            restart=lambda _: note("restart", "after"),
+        )
+        with Link(target, remarks.append) as link:
+            restart.restart(link, "rt")
+    assert calls.read_text().split() == ["choose", "sync", "restart"]
 
 
 def test_a_target_that_does_not_restart_is_an_error(rebooting, remarks, monkeypatch):
