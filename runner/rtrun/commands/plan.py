@@ -62,10 +62,12 @@ def run(args: argparse.Namespace) -> int:
         for each in block:
             settling = f" + {each.settle_s:g} s for the load to settle" if each.settle_s else ""
             print_line(f"{each.name}  {each.expected_s:.1f} s{settling}")
-    times = _times(runs)
-    settling = f", {times['settling_s']:.0f} s for loads to settle" if times["settling_s"] else ""
     restarts = len(divided) - 1
-    restarting = f", {restarts} restart{'s' if restarts > 1 else ''} into a kernel" if restarts else ""
+    times = _times(runs, restarts)
+    settling = f", {times['settling_s']:.0f} s for loads to settle" if times["settling_s"] else ""
+    restarting = (
+        f", about {times['restarting_s']:.0f} s for {_counted(restarts, 'restart')} into a kernel" if restarts else ""
+    )
     print_line(
         f"{len(runs)} runs, {_in_hours(times['total_s'])}: {_in_hours(times['measuring_s'])} of measuring{settling}, "
         f"about {times['start_and_end_s']:.0f} s for programs to start and end{restarting}"
@@ -76,16 +78,21 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _times(runs: "Sequence[Run]") -> dict[str, float]:
-    """How long runs take in all, and what for."""
-    from rtrun.plan.run import START_AND_END_S
+def _times(runs: "Sequence[Run]", restarts: int) -> dict[str, float]:
+    """How long runs take in all with so many restarts of the target between them, and what for."""
+    from rtrun.plan.run import RESTART_S, START_AND_END_S
 
     return {
-        "total_s": sum(each.total_s for each in runs),
+        "total_s": sum(each.total_s for each in runs) + restarts * RESTART_S,
         "measuring_s": sum(each.expected_s for each in runs),
         "settling_s": sum(each.settle_s for each in runs),
         "start_and_end_s": len(runs) * START_AND_END_S,
+        "restarting_s": restarts * RESTART_S,
     }
+
+
+def _counted(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Iterator[_Forecast]:
@@ -116,12 +123,12 @@ def _goal_lines(goal: "Goal", forecasts: Sequence[_Forecast]) -> Iterator[str]:
         if each.outlook is None:
             yield f"{name}: no number of measurements is likely to decide it"
             continue
-        restarts = f" and {each.outlook.boots - 1} restarts" if goal.boots > 1 else ""
-        longer = ", longer than at_most" if each.outlook.measuring_s > at_most_s else ""
+        restarts = f" and {_counted(each.outlook.boots - 1, 'restart')}" if goal.boots > 1 else ""
+        longer = ", longer than at_most" if each.outlook.total_s > at_most_s else ""
         chance = " nine times in ten" if each.assumed_rate else ""
         yield (
-            f"{name}: {each.answer} after {each.outlook.rounds} rounds{chance}, {_in_hours(each.outlook.measuring_s)} "
-            f"of measuring{restarts}{longer}"
+            f"{name}: {each.answer} after {_counted(each.outlook.rounds, 'round')}{restarts}{chance}, about "
+            f"{_in_hours(each.outlook.total_s)}, of which {_in_hours(each.outlook.measuring_s)} are measuring{longer}"
         )
 
 
@@ -136,14 +143,14 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
 
     from rtrun.plan.kernels import blocks
 
-    goal = campaign.until
+    goal, restarts = campaign.until, len(blocks(runs)) - 1
     return {
         "schema": 1,
         "campaign": campaign.name,
         "order": campaign.order,
         "seed": campaign.seed,
-        **_times(runs),
-        "restarts": len(blocks(runs)) - 1,
+        **_times(runs, restarts),
+        "restarts": restarts,
         "runs": [
             {
                 "run": each.name,

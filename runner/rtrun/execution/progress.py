@@ -10,7 +10,8 @@ from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from rtfiles.output import print_line, print_note, print_status
-from rtrun.plan.run import Run
+from rtrun.plan.kernels import blocks
+from rtrun.plan.run import RESTART_S, Run
 from rtrun.results.record import RunStatus
 
 
@@ -36,9 +37,10 @@ class _Estimate:
     def left_s(self) -> float:
         seen = self._overhead_s
         runs = self._runs[self._number :]
+        restarts = len(blocks(runs)) - 1
         planned_s = [run.expected_s + sum(seen) / len(seen) if seen else run.total_s for run in runs]
         current_s, *rest_s = planned_s or [0.0]
-        return max(0.0, current_s - (time.monotonic() - self._began)) + sum(rest_s)
+        return max(0.0, current_s - (time.monotonic() - self._began)) + sum(rest_s) + restarts * RESTART_S
 
 
 class PlainProgress:

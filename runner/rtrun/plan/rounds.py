@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from rtrun.plan.run import Run, interleave
+from rtrun.plan.run import RESTART_S, Run, interleave
 
 # Start-up values are in no verdict: at most two a run (thesis 4.2).
 STARTUP_VALUES = 2
@@ -15,11 +15,12 @@ STARTUP_VALUES = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outlook:
-    """How long a campaign takes: rounds, boots of the target, seconds of measuring alone."""
+    """How long a campaign takes: rounds, boots of the target, seconds of measuring alone, and of all, restarts too."""
 
     rounds: int
     boots: int
     measuring_s: float
+    total_s: float
 
 
 def run_in_round(group: Run, number: int) -> Run:
@@ -63,8 +64,10 @@ def outlook(groups: Sequence[Run], measurements: int, *, boots: int, a_boot: int
     least = (boots - 1) * a_boot + 1
     rounds = {group.name: max(least, rounds_for(group, measurements)) for group in groups}
     most = max(rounds.values())
+    restarts = boot_of_round(most, a_boot) if boots > 1 else 0
     return Outlook(
         rounds=most,
-        boots=boot_of_round(most, a_boot) + 1,
+        boots=restarts + 1,
         measuring_s=sum(rounds[group.name] * group.expected_s for group in groups),
+        total_s=sum(rounds[group.name] * group.total_s for group in groups) + restarts * RESTART_S,
     )

@@ -18,6 +18,9 @@ MEASUREMENT_COST_S = 200e-6
 # Of one run, where nothing better is known: ROS nodes start and end, the runner starts the programs and copies what
 # they wrote. A PC takes half of it, an emulated board more.
 START_AND_END_S = 2.0
+# Of one restart of the target, where nothing better is known: it shuts down, boots, and is prepared for runs anew. A
+# small board takes half of it, the firmware of a server more.
+RESTART_S = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

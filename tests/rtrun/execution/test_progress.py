@@ -1,8 +1,10 @@
 """The time left, as the bar tells it."""
 
+import pytest
+
 from rtrun.execution import progress
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.plan.run import START_AND_END_S
+from rtrun.plan.run import RESTART_S, START_AND_END_S
 
 RUNS = plan(
     Campaign(
@@ -40,3 +42,14 @@ def test_lines_where_there_is_no_terminal(capsys):
     plain.began(1, RUNS[1])
     plain.ended(1, RUNS[1], "failed", "no rights")
     assert capsys.readouterr().out.startswith(f"[2/3] failed     {RUNS[1].name}  0.")
+
+
+def test_restarts_to_come_are_counted(monkeypatch):
+    monkeypatch.setattr(progress.time, "monotonic", lambda: 0.0)
+    entry = {"suite": "cyclic_timer_tests", "repeats": 2}
+    campaign = Campaign.model_validate({"schema": 1, "name": "test", "kernels": ["standard", "rt"], "runs": [entry]})
+    runs = plan(campaign, "test")
+    estimate = progress._Estimate(runs)
+    assert estimate.left_s() == pytest.approx(sum(run.total_s for run in runs) + 3 * RESTART_S)
+    estimate.began(2)
+    assert estimate.left_s() == pytest.approx(sum(run.total_s for run in runs[2:]) + RESTART_S)

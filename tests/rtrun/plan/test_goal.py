@@ -103,8 +103,12 @@ def test_the_plan_says_how_long_it_takes(tmp_path, capsys):
     path = write(tmp_path, text)
     assert main(["plan", str(path), "--assume-rate", "1e-7"]) == 0
     best, assumed = capsys.readouterr().out.splitlines()[-2:]
-    assert best == "without a miss: PROVEN after 15 rounds, 7500 s (2.1 h) of measuring and 14 restarts"
-    assert assumed.startswith("if 1e-07 of all measurements miss it: PROVEN after 48 rounds nine times in ten, ")
+    # 15 rounds of two runs with 2 s each to start and end, and 14 restarts of 60 s.
+    times = "about 8400 s (2.3 h), of which 7500 s (2.1 h) are measuring"
+    assert best == f"without a miss: PROVEN after 15 rounds and 14 restarts, {times}"
+    assert assumed.startswith(
+        "if 1e-07 of all measurements miss it: PROVEN after 48 rounds and 47 restarts nine times "
+    )
     assert main(["plan", str(path), "--assume-rate", "1e-6"]) == 0
     assert "no number of measurements is likely to decide it" in capsys.readouterr().out
     assert main(["plan", str(write(tmp_path, RUNS)), "--assume-rate", "1e-6"]) == 2
@@ -128,7 +132,12 @@ def test_the_plan_for_programs(tmp_path, capsys):
         {
             "assumed_rate": 0.0,
             "answer": "PROVEN",
-            "outlook": {"rounds": 15, "boots": 15, "measuring_s": pytest.approx(7500.06)},
+            "outlook": {
+                "rounds": 15,
+                "boots": 15,
+                "measuring_s": pytest.approx(7500.06),
+                "total_s": pytest.approx(8400.06),
+            },
         },
         {"assumed_rate": 1e-6, "answer": None, "outlook": None},
     ]
