@@ -41,6 +41,16 @@ def test_one_machine_is_the_default() -> None:
     assert machine.default_machine() == "qemu-armv7"
 
 
+@pytest.mark.parametrize(("defaults", "named"), [([], "none has"), (["one", "two"], "one, two have")])
+def test_no_default_and_two_are_refused(tmp_path: Path, defaults: list[str], named: str) -> None:
+    data = yaml.safe_load((machine.HERE / "machines/qemu-armv7.yml").read_text())
+    for name in ("one", "two", "three"):
+        (tmp_path / f"{name}.yml").write_text(yaml.safe_dump(data | {"default": name in defaults}))
+    with pytest.raises(UsageError) as error:
+        machine.machines(tmp_path)
+    assert str(error.value) == f"{tmp_path}: default: true belongs into the file of one machine, {named} it"
+
+
 def test_machines_are_listed_one_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["board", "machines"]) == 0
     lines = capsys.readouterr().out.splitlines()

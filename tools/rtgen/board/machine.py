@@ -90,8 +90,13 @@ def architectures() -> dict[str, Architecture]:
 
 
 def machines(folder: Path = HERE / "machines") -> dict[str, Machine]:
-    """Every machine by name. Raises UsageError, naming the file, for one that makes no sense."""
-    return {path.stem: read_machine(path) for path in sorted(folder.glob("*.yml"))}
+    """Every machine by name, one the default. Raises UsageError, naming the file, for one that makes no sense."""
+    known = {path.stem: read_machine(path) for path in sorted(folder.glob("*.yml"))}
+    defaults = [name for name, machine in known.items() if machine.default]
+    if len(defaults) != 1:
+        named = f"{', '.join(defaults)} have" if defaults else "none has"
+        raise UsageError(f"{folder}: default: true belongs into the file of one machine, {named} it")
+    return known
 
 
 def read_machine(path: Path) -> Machine:
