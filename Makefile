@@ -2,7 +2,7 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test fuzz soak test-slow test-why test-boards test-kernel test-yocto lint coverage bench setup board suites clean
+.PHONY: demo test fuzz soak test-slow test-why test-archive test-boards test-kernel test-yocto lint coverage bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -39,6 +39,11 @@ soak: setup
 # Culprits planted on this machine, which rtrun why must name; writes the table of docs/causes.md. Root, half an hour.
 test-why: setup
 	PYTHONPATH=tests $(BIN)/python tests/why/planted.py
+
+# What docs/archive.md asks polars and a Dask cluster of an archive; installs both.
+test-archive: setup
+	$(BIN)/pip install --quiet 'polars>=1.0' 'dask[dataframe,distributed]>=2024.8'
+	$(BIN)/pytest tests/rtrun/archive/other_programs.py
 
 lint: setup
 	$(BIN)/ruff check .

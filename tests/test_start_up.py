@@ -5,7 +5,9 @@ import sys
 
 import pytest
 
-SLOW = {"jinja2", "numpy", "paramiko", "plotly", "pydantic", "rich", "yaml"}
+SLOW = {
+    "duckdb", "fsspec", "jinja2", "numpy", "paramiko", "plotly", "pyarrow", "pydantic", "rich", "ruptures", "yaml",
+}  # fmt: skip
 PROGRAM = """
 import sys
 from {program}.cli import main

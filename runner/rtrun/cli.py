@@ -6,10 +6,12 @@ from types import ModuleType
 
 from rtfiles.command import dispatch
 from rtrun.commands import (
+    archive,
     check_rt,
     claims,
     compare,
     gate,
+    history,
     import_,
     new_target,
     plan,
@@ -37,6 +39,8 @@ COMMANDS: tuple[ModuleType, ...] = (
     compare,
     claims,
     import_,
+    archive,
+    history,
 )
 
 

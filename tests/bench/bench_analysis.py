@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "rtrun" / "report"))
+import archived_year  # type: ignore[import-not-found]
 from campaigns import communication_rows, latencies, write_campaign, write_run  # type: ignore[import-not-found]
 
 from rtrun.analysis.figures import PERCENTILES, figures_of_samples
@@ -213,7 +214,13 @@ def main() -> int:
     parser.add_argument("--samples", type=int, default=2_000_000)
     args = parser.parse_args()
     np.seterr(all="raise")
-    checks = [*start_up(), *figures(args.samples), *opening(), *report(args.runs, args.samples)]
+    checks = [
+        *start_up(),
+        *figures(args.samples),
+        *opening(),
+        *report(args.runs, args.samples),
+        *archived_year.history(),
+    ]
     # Times of a busy machine say nothing; ratios and memory do.
     busy = next(value for name, value, _, _ in checks if name == _BARE) > _IDLE_MS
     missed = 0

@@ -123,6 +123,11 @@ class Study:
         return tuple(one for group in self.groups for one in group.digests)
 
 
+def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:
+    """The parameters that tell what was measured: runs in which they are the same are alike."""
+    return {key: value for key, value in parameters.items() if key not in _NOT_TELLING}
+
+
 def format_parameters(parameters: dict[str, Value]) -> str:
     """Parameters in a few words: policy first, what is not the default, units behind the number."""
     words: list[str] = []
@@ -223,7 +228,7 @@ def _digests_of_run(folder: Path, record: RunRecord, deadline_ns: int, left_out:
 
 def _key(one: Digest) -> str:
     header = one.header
-    telling = {key: value for key, value in header.parameters.items() if key not in _NOT_TELLING}
+    telling = telling_parameters(header.parameters)
     origin = [header.suite, header.series, header.target, one.histogram.bin_ns]
     return json.dumps([*origin, sorted(telling.items())])
 
@@ -262,7 +267,7 @@ def _group(
         suite=first.suite,
         series=first.series,
         target=first.target,
-        parameters={key: value for key, value in first.parameters.items() if key not in _NOT_TELLING},
+        parameters=telling_parameters(first.parameters),
         digests=tuple(alike),
         trials=trials,
         verdict=verdict,

@@ -1,0 +1,6 @@
+"""Runs of many months and boards, kept as Parquet files (docs/archive.md)."""
+
+from typing import Literal
+
+By = Literal["day", "month", "kernel", "board", "commit", "image", "run"]
+"""What tells the points of a course apart, beside board and kernel, which are never pooled."""

@@ -1,0 +1,96 @@
+"""Runs of a results folder put into an archive: a file for each run in each table, the row of the run last.
+
+So a run whose row is there is there as a whole, and what an interrupted call left is completed by the next one. Two
+writers that add the same run write the same bytes under the same name.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from rtfiles.errors import InfrastructureError, UsageError
+from rtrun.archive.store import Store, has_whole_table, write_file
+from rtrun.archive.tables import (
+    Origin,
+    as_parquet,
+    histogram_table,
+    key_of,
+    partition_of,
+    run_table,
+    sample_table,
+)
+from rtrun.results.reading import find_source, read_series
+from rtrun.results.record import RunRecord, RunStatus, verify
+from rtrun.results.series import Series
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Addition:
+    """What became of a results folder: names of the runs added now and before, and why others were refused.
+
+    `notes` name the outputs of added runs that have no measurements in the archive.
+    """
+
+    added: tuple[str, ...]
+    present: tuple[str, ...]
+    refused: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def add_results(
+    results: Path, store: Store, origin: Origin, *, samples: bool, on_added: Callable[[int, int], None]
+) -> Addition:
+    """Add every closed run of a folder whose files are those that it was closed with.
+
+    A run that is not ok is added without measurements. `on_added` is told how many runs of how many are in the archive.
+    Raises UsageError when there is no run, InfrastructureError when the archive cannot be read or written; it says how
+    far it came.
+    """
+    source = find_source(results)
+    if not source.folders:
+        raise UsageError(f"{results}: not a results folder or a run directory")
+    refused = [f"{name}: incomplete, it has no run.json" for name in source.incomplete]
+    added: list[str] = []
+    present: list[str] = []
+    notes: list[str] = []
+    for folder in source.folders:
+        try:
+            record = verify(folder)
+            if _add_run(folder, record, store, origin, samples, notes):
+                added.append(record.run)
+            else:
+                present.append(record.run)
+        except UsageError as error:
+            refused += str(error).splitlines()[:1]
+        except InfrastructureError as error:
+            raise InfrastructureError(
+                f"{error}\n{len(added) + len(present)} of {len(source.folders)} runs are in the archive: "
+                "the same command adds the others"
+            ) from error
+        on_added(len(added) + len(present), len(source.folders))
+    return Addition(added=tuple(added), present=tuple(present), refused=tuple(refused), notes=tuple(notes))
+
+
+def _add_run(folder: Path, record: RunRecord, store: Store, origin: Origin, samples: bool, notes: list[str]) -> bool:
+    """Add one run; False when all of it is there already."""
+    key = key_of(folder)
+    tables = ["runs"]
+    if record.status is RunStatus.OK:
+        tables = [*(["samples"] if samples else []), "histograms", "runs"]
+    names = {table: f"{table}/{partition_of(record)}/{key}.parquet" for table in tables}
+    missing = [table for table in tables if not has_whole_table(store, names[table])]
+    judged: list[Series] = []
+    if "histograms" in missing or "samples" in missing:
+        for series in read_series(folder, record):
+            if series.header.main and series.header.incomplete:
+                notes.append(f"{record.run}: {series.header.output} is incomplete: {series.header.incomplete}")
+            elif series.header.main:
+                judged.append(series)
+    for table in missing:
+        rows = {
+            "samples": lambda: sample_table(key, judged),
+            "histograms": lambda: histogram_table(key, judged),
+            "runs": lambda: run_table(key, record, origin),
+        }[table]()
+        write_file(store, names[table], as_parquet(rows))
+    return bool(missing)

@@ -1,0 +1,13 @@
+"""The packages that only an archive needs: the extra `archive` of this project."""
+
+from importlib.util import find_spec
+
+from rtfiles.errors import UsageError
+
+PACKAGES = ("duckdb", "fsspec", "pyarrow", "ruptures")
+
+
+def check_extra() -> None:
+    """Raise UsageError with the command that installs them when packages of the extra are missing."""
+    if missing := [name for name in PACKAGES if find_spec(name) is None]:
+        raise UsageError(f"an archive needs {', '.join(missing)}: pip install 'meta-rt-tests[archive]'")

@@ -1,0 +1,71 @@
+"""The course of a scenario through an archive, as a table for people and as data for programs."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from rtfiles.output import console, print_line, printable
+from rtrun.archive import By
+from rtrun.archive.queries import Point
+from rtrun.report.tables import grouped, time_us
+from rtrun.report.terminal import print_banner
+from rtrun.target.platform import Platform
+
+_SHOWN = (50.0, 99.0, 99.9, 99.99)
+
+
+def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
+    """Print the points of one scenario, a row each."""
+    print_line(points[0].scenario)
+    print_banner(Platform(points[0].platform))
+    table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False, pad_edge=False)
+    # What a row is of stands first, and only once.
+    leading = {"kernel": ("kernel", "board"), "board": ("board", "kernel")}.get(by, (by, "board", "kernel"))
+    for heading in leading:
+        table.add_column(heading, no_wrap=True)
+    percentiles = [f"p{p:g} us" for p in _SHOWN]
+    for heading in ("runs", "boots", "n", *percentiles, "max us", f"P(> {time_us(deadline_ns)} us)"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for point in points:
+        names: dict[str, str] = {by: point.label, "board": point.machine, "kernel": point.kernel or "unknown"}
+        table.add_row(
+            *(Text(printable(names[heading])) for heading in leading),
+            str(len(point.run_keys)),
+            str(point.boots),
+            grouped(point.n),
+            *(time_us(point.percentiles_ns[p]) for p in _SHOWN),
+            time_us(point.max_ns),
+            misses_text(point),
+        )
+    screen = console()
+    screen.width = screen.measure(table, options=screen.options.update(max_width=10_000)).maximum
+    screen.print(table)
+
+
+def misses_text(point: Point) -> str:
+    """The share of misses of a point, for a table."""
+    if point.p_miss is None:
+        return "not known"
+    return f"{point.misses} of {grouped(point.n)}" if not point.misses else f"{point.p_miss:.2g} ({point.misses})"
+
+
+def as_data(points: Sequence[Point], *, by: By, deadline_ns: int) -> dict[str, Any]:
+    """The points as plain data: times in ns, percentiles by their number."""
+    return {
+        "schema": 1,
+        "by": by,
+        "deadline_ns": deadline_ns,
+        "points": [
+            asdict(point)
+            | {
+                "start_utc": point.start_utc.isoformat() + "Z" if point.start_utc else None,
+                "percentiles_ns": {f"p{p:g}": value for p, value in point.percentiles_ns.items()},
+                "p_miss": point.p_miss,
+            }
+            for point in points
+        ],
+    }

@@ -1,0 +1,153 @@
+"""Where an archive is kept: a folder, or any place that fsspec reaches by an address as s3://bucket/archive.
+
+A file is written whole or not at all, and never again: on a disk it is renamed into place, and an object store shows an
+object when all of it has arrived. A half Parquet file can still come from elsewhere (a copy that was cut off, a file
+system after a power cut); it does not count as there, and is written anew.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError
+
+from rtfiles import atomic
+from rtfiles.config import Config
+from rtfiles.errors import InfrastructureError, UsageError
+
+SCHEMA = 1
+MARKER = "archive.json"
+_MAGIC = b"PAR1"  # the first and the last bytes of a whole Parquet file
+
+
+class _Marker(Config):
+    """archive.json, by which an archive is known."""
+
+    kind: Literal["rtrun archive"]
+    schema_number: int = Field(alias="schema", ge=1)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Store:
+    """A place for files: `root` is its path in `file_system` (an fsspec file system), `address` as it was given."""
+
+    address: str
+    file_system: Any
+    root: str
+
+    @property
+    def is_local(self) -> bool:
+        """Whether it is a folder of this machine."""
+        return "file" in _protocols(self.file_system)
+
+    def locate(self, name: str) -> str:
+        """The path of a file in the file system."""
+        return f"{self.root}/{name}"
+
+    def url(self, name: str) -> str:
+        """The address of a file, or a pattern of files, as other programs take it."""
+        return self.locate(name) if self.is_local else f"{_protocols(self.file_system)[0]}://{self.locate(name)}"
+
+
+def _protocols(file_system: Any) -> tuple[str, ...]:
+    protocol = file_system.protocol
+    return (protocol,) if isinstance(protocol, str) else tuple(protocol)
+
+
+def open_archive(address: str) -> Store:
+    """The archive at an address. Raises UsageError when there is none, or a newer version has written it."""
+    store = _reach(address)
+    if not _has_marker(store):
+        raise UsageError(
+            f"{address}: no archive: there is no {MARKER} of one in it; rtrun archive add RESULTS --to makes an archive"
+        )
+    return store
+
+
+def make_archive(address: str) -> Store:
+    """The archive at an address, a new one where nothing is.
+
+    Raises UsageError when something else is there, or a newer version has written it.
+    """
+    store = _reach(address)
+    if not _has_marker(store):
+        with _naming(store, "cannot be listed"):
+            names = store.file_system.ls(store.root, detail=False) if store.file_system.exists(store.root) else []
+        if any(not name.endswith(f"/{MARKER}") for name in names):
+            raise UsageError(
+                f"{address}: holds files, but no {MARKER} of an archive: name an archive, or a new or empty folder"
+            )
+        write_file(store, MARKER, f'{{"kind": "rtrun archive", "schema": {SCHEMA}}}\n'.encode())
+    return store
+
+
+def _reach(address: str) -> Store:
+    import fsspec.core
+
+    try:
+        file_system, root = fsspec.core.url_to_fs(address)
+    except (ImportError, ValueError) as error:  # no package for this protocol, or no such protocol
+        raise UsageError(f"{address}: {error}") from error
+    return Store(address=address, file_system=file_system, root=root.rstrip("/"))
+
+
+def _has_marker(store: Store) -> bool:
+    with _naming(store, "cannot be read"):
+        if not store.file_system.exists(store.locate(MARKER)):
+            return False
+        text = store.file_system.cat_file(store.locate(MARKER))
+    try:
+        marker = _Marker.model_validate_json(text)
+    except ValidationError:  # cut off while it was written: it does not count as there
+        return False
+    if marker.schema_number > SCHEMA:
+        raise UsageError(
+            f"{store.address}: written by a newer version, in schema {marker.schema_number}; this one knows schema "
+            f"{SCHEMA}: update rtrun"
+        )
+    return True
+
+
+def has_whole_table(store: Store, name: str) -> bool:
+    """Whether a Parquet file is there from its first to its last byte."""
+    with _naming(store, "cannot be read"):
+        path = store.locate(name)
+        if not store.file_system.exists(path):
+            return False
+        size = store.file_system.size(path)
+        return bool(
+            size > 2 * len(_MAGIC)
+            and store.file_system.cat_file(path, start=0, end=len(_MAGIC)) == _MAGIC
+            and store.file_system.cat_file(path, start=size - len(_MAGIC), end=size) == _MAGIC
+        )
+
+
+def write_file(store: Store, name: str, content: bytes) -> None:
+    """Write a file whole or not at all. Raises InfrastructureError naming it."""
+    path = store.locate(name)
+    with _naming(store, f"{name} cannot be written"):
+        store.file_system.makedirs(path.rpartition("/")[0], exist_ok=True)
+        if store.is_local:
+            atomic.write_bytes(Path(path), content)
+        else:
+            store.file_system.pipe_file(path, content)
+
+
+def find_files(store: Store, folder: str) -> list[str]:
+    """The paths of all Parquet files below a folder of the archive."""
+    with _naming(store, "cannot be listed"):
+        return sorted(str(path) for path in store.file_system.glob(store.locate(f"{folder}/**/*.parquet")))
+
+
+@contextmanager
+def _naming(store: Store, what: str) -> Iterator[None]:
+    """Turn whatever a file system raises into an InfrastructureError of one line."""
+    try:
+        yield
+    except (UsageError, InfrastructureError):
+        raise
+    except Exception as error:  # each object store has exceptions of its own
+        text = (isinstance(error, OSError) and error.strerror) or str(error) or type(error).__name__
+        raise InfrastructureError(f"{store.address}: {what}: {' '.join(text.split())}") from error

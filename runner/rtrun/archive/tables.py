@@ -1,0 +1,206 @@
+"""The tables of an archive: which columns they have, and the rows of one run (docs/archive.md).
+
+A row of `runs` has all circumstances of a run. A row of `histograms` is a bin of the series by which an output is
+judged. A row of `samples` is one of its values.
+"""
+
+import hashlib
+import io
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+
+from rtrun.analysis.histogram import from_samples
+from rtrun.report.study import format_parameters, telling_parameters
+from rtrun.results.record import FILE, RunRecord
+from rtrun.results.series import HistogramSeries, SampleSeries, Series
+from rtrun.target.inspection import Fact
+
+Table = Any  # pyarrow has no types
+UNKNOWN_MONTH = "unknown"
+_TEXTS = ("run_key", "run", "campaign", "scenario", "parameters", "condition", "settings", "variant", "platform")
+_FACTS = (
+    *("platform_evidence", "status", "reason", "boot_id", "address", "kernel_release", "kernel_version"),
+    *("architecture", "clock_source", "clock_event", "governor", "roscpp_version", "ros_setup"),
+    *("commit", "image", "packages", "record"),
+)
+RUNS = pyarrow.schema(
+    [
+        *((name, pyarrow.string()) for name in (*_TEXTS, *_FACTS)),
+        *((name, pyarrow.timestamp("us")) for name in ("start_utc", "end_utc")),
+        ("preempt_rt", pyarrow.bool_()),
+        *((name, pyarrow.int64()) for name in ("cpus", "clock_step_ns", "temperature_min_mc", "temperature_max_mc")),
+        *((name, pyarrow.int64()) for name in ("frequency_min_khz", "frequency_max_khz")),
+        *((name, pyarrow.float64()) for name in ("load_1min_min", "load_1min_max", "busy_percent")),
+    ]
+)
+HISTOGRAMS = pyarrow.schema(
+    [
+        *((name, pyarrow.string()) for name in ("run_key", "output", "series")),
+        *((name, pyarrow.int64()) for name in ("value_ns", "bin_ns", "count")),
+    ]
+)
+SAMPLES = pyarrow.schema(
+    [
+        *((name, pyarrow.string()) for name in ("run_key", "output", "series")),
+        *((name, pyarrow.int64()) for name in ("index", "value_ns")),
+    ]
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Origin:
+    """What a run.json does not hold: the commit and the image under test, and package versions by package name."""
+
+    commit: str | None = None
+    image: str | None = None
+    packages: Mapping[str, str] = field(default_factory=dict)
+
+
+def key_of(folder: Path) -> str:
+    """The name of a run in every archive: the SHA-256 of its run.json, which has the SHA-256 of its files."""
+    return hashlib.sha256((folder / FILE).read_bytes()).hexdigest()
+
+
+def partition_of(record: RunRecord) -> str:
+    """The folder of a run below that of a table: machine, suite, month."""
+    start = _utc(record.start_time)
+    month = f"{start:%Y-%m}" if start else UNKNOWN_MONTH
+    return "/".join(
+        f"{name}={quote(value, safe='')}"
+        for name, value in (("machine", record.target.name), ("suite", record.suite), ("month", month))
+    )
+
+
+def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
+    """The row of a run in the table of runs."""
+    target, seen = record.target, record.in_effect
+    temperature, frequency, load = (
+        values or (None, None) for values in (seen.temperature_mc, seen.frequency_khz, seen.load_1min)
+    )
+    telling = telling_parameters(record.circumstances)
+    row: dict[str, Any] = {
+        "run_key": key,
+        "run": record.run,
+        "campaign": record.campaign,
+        "scenario": f"{record.suite.removesuffix('_tests')} {format_parameters(telling)}".rstrip(),
+        "parameters": _json(telling),
+        "condition": record.condition,
+        "settings": _json(record.settings),
+        "variant": record.variant,
+        "platform": str(record.platform),
+        "platform_evidence": record.platform_evidence,
+        "status": str(record.status),
+        "reason": record.reason,
+        "boot_id": _text(target.boot_id),
+        "address": target.address,
+        "kernel_release": _text(target.kernel_release),
+        "kernel_version": _text(target.kernel_version),
+        "architecture": _text(target.machine),
+        "clock_source": _text(target.clock.source if target.clock else target.clocksource),
+        "clock_event": _text(target.clock.event if target.clock else None),
+        "governor": _text(target.governor),
+        "roscpp_version": _text(target.roscpp_version),
+        "ros_setup": _text(target.ros_setup),
+        "commit": origin.commit,
+        "image": origin.image,
+        "packages": _json(origin.packages),
+        "record": record.model_dump_json(by_alias=True, exclude_unset=True),
+        "start_utc": _utc(record.start_time),
+        "end_utc": _utc(record.end_time),
+        "preempt_rt": target.preempt_rt,
+        "cpus": target.cpus,
+        "clock_step_ns": target.clock.step_ns if target.clock else None,
+        "temperature_min_mc": _whole(temperature[0]),
+        "temperature_max_mc": _whole(temperature[1]),
+        "frequency_min_khz": _whole(frequency[0]),
+        "frequency_max_khz": _whole(frequency[1]),
+        "load_1min_min": load[0],
+        "load_1min_max": load[1],
+        "busy_percent": seen.busy_percent,
+    }
+    return pyarrow.Table.from_pylist([row], RUNS)
+
+
+def histogram_table(key: str, judged: Iterable[Series]) -> Table:
+    """The bins of a run's outputs, ascending: samples in steps of their clock, logs in their own bins.
+
+    Beside the bins stands a row without ``value_ns`` that counts what never came, and for values that are known by
+    number only, a row without ``bin_ns``, whose ``value_ns`` none of them is below.
+    """
+    parts = [_bins(key, series) for series in judged]
+    return pyarrow.concat_tables(parts) if parts else HISTOGRAMS.empty_table()
+
+
+def _bins(key: str, series: Series) -> Table:
+    if isinstance(series, SampleSeries):
+        histogram = from_samples(series.values_ns, max(1, series.header.clock_step_ns or 1))
+        absent = series.absent.size
+    else:
+        histogram, absent = series.histogram, series.absent_count
+    values, counts = histogram.values_ns.tolist(), histogram.counts.tolist()
+    widths: list[int | None] = [histogram.bin_ns] * len(values)
+    if histogram.overflow:
+        values, counts, widths = (
+            [*values, histogram.overflow_from_ns or 0],
+            [*counts, histogram.overflow],
+            [*widths, None],
+        )
+    if absent:
+        values, counts, widths = [*values, None], [*counts, absent], [*widths, None]
+    return pyarrow.Table.from_arrays([*_names(key, series, len(values)), values, widths, counts], schema=HISTOGRAMS)
+
+
+def sample_table(key: str, judged: Iterable[Series]) -> Table:
+    """The values of a run's outputs with the loop of each, the start-up left out; none of what has no samples."""
+    parts = [
+        pyarrow.Table.from_arrays(
+            [*_names(key, series, series.values_ns.size), series.index, series.values_ns], schema=SAMPLES
+        )
+        for series in judged
+        if not isinstance(series, HistogramSeries)
+    ]
+    return pyarrow.concat_tables(parts) if parts else SAMPLES.empty_table()
+
+
+def _names(key: str, series: Series, rows: int) -> list[Any]:
+    names = (key, series.header.output, series.header.series)
+    return [
+        pyarrow.DictionaryArray.from_arrays(np.zeros(rows, np.int8), [name]).cast(pyarrow.string()) for name in names
+    ]
+
+
+def as_parquet(table: Table) -> bytes:
+    """A table as a Parquet file; the same table gives the same bytes."""
+    stream = io.BytesIO()
+    pyarrow.parquet.write_table(table, stream, compression="zstd")
+    return stream.getvalue()
+
+
+def _utc(text: str) -> datetime | None:
+    """A time of a record in UTC, without its zone; None where an imported run has none."""
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
+
+
+def _text(fact: Fact) -> str | None:
+    return " ".join(fact) if isinstance(fact, list) else fact
+
+
+def _whole(value: float | None) -> int | None:
+    return None if value is None else round(value)
+
+
+def _json(mapping: Mapping[str, Any]) -> str:
+    return json.dumps(mapping, sort_keys=True)

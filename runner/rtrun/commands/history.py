@@ -1,0 +1,53 @@
+"""rtrun history: the course of every quantile and of P(miss), from an archive."""
+
+import argparse
+from typing import TYPE_CHECKING, get_args
+
+from rtrun.archive import By
+from rtrun.commands._question import time_argument
+
+if TYPE_CHECKING:
+    from rtrun.archive.queries import Point
+
+NAME = "history"
+HELP = "show how quantiles and P(miss) of each scenario went, by time, kernel, board or commit"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The archive, what a row is, the deadline, how to print."""
+    parser.add_argument("archive", metavar="ARCHIVE", help="folder or address, as s3://bucket/archive")
+    parser.add_argument(
+        "--by", choices=get_args(By), default="day", help="what a row is of; boards and kernels stay apart [day]"
+    )
+    parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
+    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print a table for each scenario."""
+    import json
+    from itertools import groupby
+
+    from rtfiles.output import print_line, print_text
+    from rtrun.archive.extra import check_extra
+
+    check_extra()
+    from rtrun.archive.history import as_data, print_course
+    from rtrun.archive.queries import connected, figures
+    from rtrun.archive.store import open_archive
+    from rtrun.report.study import DEADLINE_NS
+
+    deadline_ns = args.deadline or DEADLINE_NS
+    with connected(open_archive(args.archive)) as connection:
+        points = figures(connection, args.by, deadline_ns=deadline_ns)
+    if args.json:
+        print_text(json.dumps(as_data(points, by=args.by, deadline_ns=deadline_ns), indent=1, allow_nan=False))
+        return 0
+
+    def course(point: "Point") -> tuple[str, str, str]:
+        return point.scenario, point.parameters, point.platform
+
+    for _, members in groupby(points, course):
+        print_course(list(members), by=args.by, deadline_ns=deadline_ns)
+        print_line()
+    return 0

@@ -1,0 +1,112 @@
+"""An archive of two billion measurements, and how long `rtrun history` takes over it.
+
+Four scenarios are measured once a day for a year. What the runs are made of is real: wake-ups of this machine, measured
+at the start. A day has the counts of that histogram, Poisson for 1.37 million measurements, in steps of 16 ns.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from rtrun.analysis.histogram import Histogram, Int64s, from_samples
+from rtrun.archive.store import make_archive, write_file
+from rtrun.archive.tables import Origin, as_parquet, histogram_table, partition_of, run_table
+from rtrun.results.record import RunRecord, RunStatus, TargetFacts
+from rtrun.results.series import Header, HistogramSeries
+from rtrun.target.platform import Platform
+
+MEASUREMENTS = 2_000_000_000
+FREQUENCIES_HZ = (100, 250, 500, 1000)
+DAYS = 365
+STEP_NS = 16
+_MEASURED = 20_000
+_SPREAD_NS = 400  # the values of a run, each spread over so many ns, stand for those of many runs
+
+
+def wake_ups(count: int) -> Int64s:
+    """How late this thread wakes from so many sleeps of 100 us, in ns."""
+    late = np.empty(count, np.int64)
+    for k in range(count):
+        start = time.monotonic_ns()
+        time.sleep(1e-4)
+        late[k] = time.monotonic_ns() - start - 100_000
+    return late
+
+
+def write_year(archive: Path, rng: np.random.Generator) -> int:
+    """Write the archive; returns how many bins it has."""
+    store = make_archive(str(archive))
+    measured = np.repeat(wake_ups(_MEASURED), 50)
+    basis = from_samples(measured + rng.integers(-_SPREAD_NS, _SPREAD_NS, measured.size), STEP_NS)
+    mean_counts = basis.counts * (MEASUREMENTS / DAYS / len(FREQUENCIES_HZ) / measured.size)
+    bins = 0
+    for day in range(DAYS):
+        for frequency_hz in FREQUENCIES_HZ:
+            counts = rng.poisson(mean_counts)
+            key = f"{day:032d}{frequency_hz:032d}"
+            record = _record(
+                f"{day:03d}-cyclic-{frequency_hz}", frequency_hz, datetime(2026, 1, 1) + timedelta(days=day)
+            )
+            header = Header(
+                run=record.run, suite=record.suite, output="o", series="jitter", parameters=record.parameters
+            )
+            histogram = Histogram(values_ns=basis.values_ns[counts > 0], counts=counts[counts > 0], bin_ns=STEP_NS)
+            series = HistogramSeries(header=header, histogram=histogram, top=(), lowest=(), absent_count=0)
+            place = f"{partition_of(record)}/{key}.parquet"
+            write_file(store, f"histograms/{place}", as_parquet(histogram_table(key, [series])))
+            write_file(store, f"runs/{place}", as_parquet(run_table(key, record, Origin())))
+            bins += histogram.values_ns.size
+    return bins
+
+
+def _record(run: str, frequency_hz: int, start: datetime) -> RunRecord:
+    return RunRecord(
+        schema=2,
+        run=run,
+        campaign="year",
+        suite="cyclic_timer_tests",
+        parameters={"policy": "FIFO", "frequency_hz": frequency_hz},
+        platform=Platform.VIRTUAL,
+        platform_evidence="bench",
+        status=RunStatus.OK,
+        reason=None,
+        start_time=f"{start.isoformat()}Z",
+        end_time=f"{start.isoformat()}Z",
+        programs=[],
+        outputs=["o"],
+        target=TargetFacts(name="bench", kernel_release="6.1.0-rt", boot_id=f"boot {start.isoformat()}"),
+        files={},
+    )
+
+
+def history() -> list[tuple[str, float, float, str]]:
+    """`rtrun history` over the year, whole and by kernel; every measurement is in the answer."""
+    rtrun = [sys.executable, "-m", "rtrun.cli"]
+    checks = []
+    with tempfile.TemporaryDirectory() as folder:
+        archive = Path(folder) / "archive"
+        bins = write_year(archive, np.random.default_rng(20140715))
+        size = sum(path.stat().st_size for path in archive.rglob("*.parquet"))
+        for by in ("day", "kernel"):
+            start = time.perf_counter()
+            command = [*rtrun, "history", str(archive), "--by", by, "--json"]
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+            taken = time.perf_counter() - start
+            points = json.loads(done.stdout)["points"]
+            total = sum(point["n"] for point in points)
+            assert abs(total - MEASUREMENTS) < 1e-3 * MEASUREMENTS, total
+            assert len(points) == len(FREQUENCIES_HZ) * (DAYS if by == "day" else 1)
+            name = f"rtrun history --by {by} over {total / 1e9:.2f} billion measurements"
+            checks.append((f"{name} ({bins / 1e6:.1f} million bins, {size / 1e6:.0f} MB)", taken, 5.0, "s"))
+    return checks
+
+
+if __name__ == "__main__":
+    for name, value, _, unit in history():
+        print(f"{name}: {value:.3g} {unit}")

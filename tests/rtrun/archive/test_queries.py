@@ -1,0 +1,122 @@
+"""Figures from an archive are those of a report on the same runs."""
+
+import json
+
+import pytest
+from archive.examples import answer_of, write_days
+from report.campaigns import latencies, oneshot_rows, write_campaign, write_run
+
+from rtrun.analysis.figures import PERCENTILES
+from rtrun.cli import main
+from rtrun.report.study import study
+
+STEP_NS = 16  # of the clock of the campaigns
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    return write_campaign(tmp_path_factory.mktemp("results") / "board", n=3000)
+
+
+def history(capsys, archive, *words):
+    assert main(["history", str(archive), "--json", *words]) == 0
+    return json.loads(capsys.readouterr().out)["points"]
+
+
+def archived(capsys, results, archive, *words):
+    assert main(["archive", "add", str(results), "--to", str(archive), *words]) == 0
+    capsys.readouterr()
+    return archive
+
+
+def test_figures_are_those_of_the_report(capsys, campaign, tmp_path):
+    points = history(capsys, archived(capsys, campaign, tmp_path / "archive"), "--by", "run")
+    analysed = study(campaign, bounds=False)
+    groups = {group.label: group for group in analysed.groups}
+    assert {point["scenario"] for point in points} == groups.keys()
+    compared = 0
+    for point in points:
+        group = groups[point["scenario"]]
+        assert (point["n"], point["misses"] - point["unclear"]) == (group.verdict.n, group.verdict.misses)
+        if len(group.digests) > 1:
+            continue  # a report pools subscribers to the width of a bin
+        (one,) = group.digests
+        assert point["max_ns"] == one.figures.max_ns // STEP_NS * STEP_NS
+        for p in PERCENTILES:
+            assert point["percentiles_ns"][f"p{p:g}"] == one.figures.percentiles_ns[p] // STEP_NS * STEP_NS
+            compared += 1
+    assert compared >= 80
+
+
+def test_subscribers_are_pooled(capsys, campaign, tmp_path):
+    points = history(capsys, archived(capsys, campaign, tmp_path / "archive"), "--by", "run")
+    groups = {group.label: group for group in study(campaign, bounds=False).groups if len(group.digests) > 1}
+    assert groups
+    for point in points:
+        if point["scenario"] in groups:
+            group = groups[point["scenario"]]
+            assert point["n"] == group.n
+            assert point["max_ns"] == max(one.figures.max_ns for one in group.digests) // STEP_NS * STEP_NS
+
+
+def test_the_course_by_time_kernel_board_and_commit(capsys, tmp_path):
+    archive = tmp_path / "archive"
+    for day in range(4):
+        results = tmp_path / f"results-{day}"
+        write_days(tmp_path / "all", 4) if day == 0 else None
+        results.mkdir()
+        (tmp_path / "all" / f"{day:03d}-oneshot").rename(results / f"{day:03d}-oneshot")
+        archived(capsys, results, archive, "--commit", f"c{day // 2}")
+    told = {
+        by: [(point["label"], point["machine"], point["kernel"]) for point in history(capsys, archive, "--by", by)]
+        for by in ("day", "kernel", "board", "commit", "month")
+    }
+    runs = [("board-0", "6.0"), ("board-0", "6.1"), ("board-1", "6.0"), ("board-1", "6.1")]
+    days = ["2026-10-01", "2026-11-01", "2026-10-02", "2026-11-02"]
+    assert told["day"] == [(day, *run) for day, run in zip(days, runs, strict=True)]
+    assert told["month"] == [(day[:7], *run) for day, run in zip(days, runs, strict=True)]
+    assert told["commit"] == [(f"c{k % 2}", *run) for k, run in enumerate(runs)]
+    assert told["board"] == [(machine, machine, kernel) for machine, kernel in runs]
+    assert told["kernel"] == [(kernel, machine, kernel) for machine, kernel in sorted(runs, key=lambda run: run[::-1])]
+    assert {(point["n"], point["misses"], point["boots"]) for point in history(capsys, archive)} == {(500, 1, 1)}
+
+
+def test_runs_of_a_point_are_pooled_by_their_counts(capsys, tmp_path):
+    root = tmp_path / "results"
+    for k, mean_us in enumerate((90.0, 190.0)):
+        rows = oneshot_rows(latencies(1000, k, mean_us, 0.5), 1000)
+        write_run(root, f"{k}", "oneshot_timer_tests", [rows], {"policy": "RR", "timeout_us": 1000, "busy_mode": 0},
+                  asked=1000, logs=False)  # fmt: skip
+    (point,) = history(capsys, archived(capsys, root, tmp_path / "archive"))
+    assert (point["n"], len(point["run_keys"])) == (2000, 2)
+    assert 89_000 < point["percentiles_ns"]["p50"] < 95_000 < 185_000 < point["percentiles_ns"]["p90"]
+
+
+def test_what_a_histogram_does_not_reach_is_not_known(capsys, tmp_path):
+    text = ["# Histogram", *(f"{value:06d} {10 if value < 99 else 5:06d}" for value in range(90, 100))]
+    text += ["# Total: 000000095", "# Min Latencies: 00090", "# Avg Latencies: 00095", "# Max Latencies: 00700"]
+    text += ["# Histogram Overflows: 00003", "# Histogram Overflow at cycle number:", "# Thread 0: 1 2 3"]
+    (tmp_path / "hist.txt").write_text("\n".join(text) + "\n")
+    assert main(["import", str(tmp_path / "hist.txt"), "--out", str(tmp_path / "results")]) == 0
+    archive = archived(capsys, tmp_path / "results", tmp_path / "archive")
+    (point,) = history(capsys, archive, "--deadline", "95us")
+    assert (point["n"], point["label"], point["max_ns"]) == (98, "unknown", None)
+    assert point["percentiles_ns"]["p50"] == 94_000
+    assert point["percentiles_ns"]["p99"] is None
+    assert point["misses"] == 48 and point["unclear"] == 10  # 96 us and above, and the bin that begins at 95 us
+    (beyond,) = history(capsys, archive, "--deadline", "400us")
+    assert beyond["misses"] is None
+
+
+def test_duckdb_by_itself_gives_the_same_numbers(capsys, tmp_path):
+    """The other programs of docs/archive.md: `make test-archive`."""
+    archive = archived(capsys, write_days(tmp_path / "results", 4), tmp_path / "archive")
+    points = history(capsys, archive)
+    assert answer_of("duckdb", archive) == [
+        (
+            *(point[name] for name in ("scenario", "machine", "label", "n")),
+            point["percentiles_ns"]["p99"],
+            point["misses"],
+        )
+        for point in points
+    ]
