@@ -1,44 +1,50 @@
-"""Plant culprits on this machine and see whether `rtrun why` names them; the table goes into docs/causes.md.
+"""Plant culprits and see whether `rtrun why` names them; the tables go into docs/causes.md.
 
-.venv/bin/python tests/why/planted.py [--trials 10] [--only lock]
+.venv/bin/python tests/why/planted.py [--place here] [--trials 10] [--only lock,equal]
 
-Root, tracefs, a second CPU and gcc are needed. Each trial is a campaign of some seconds.
+Here root, tracefs, a second CPU and gcc are needed; for the board what `rtgen board build` needs. A trial is a run of
+some seconds; those of one plant are the runs of one campaign.
 """
 
 import argparse
-import os
-import shutil
-import signal
+import contextlib
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from ports import free_port
-from rtgen import suites
+from places import Place, beside, board, preloaded, this_machine
+
 from rtrun.causes.cut import Kind
 from rtrun.causes.ranking import Ranking
 from rtrun.report import causes
 from rtrun.results.reading import find_source
 
-HERE = Path(__file__).parent
-DOCS = HERE.parents[1] / "docs" / "causes.md"
-BEGIN, END = "<!-- make test-why writes from here -->", "<!-- to here -->"
+DOCS = Path(__file__).parents[2] / "docs" / "causes.md"
+BEGIN, END = "<!-- make test-why writes {} from here -->", "<!-- to here -->"
 HEAD = """\
 | planted | must come first | came first | trials | traced outliers | otherwise |
 |---|---|---:|---:|---:|---|"""
 AT_LEAST = 0.9
-PROGRAM = Path("lib/cyclic_timer_tests/cyclic_timer_tests")
 CAMPAIGN = """\
 schema: 1
 name: planted
 runs:
-  - {suite: cyclic_timer_tests, frequency_hz: 500, repetitions: 3000, policy: RR, cpu: "1", trace: {above: 1ms}}
+  - {{suite: cyclic_timer_tests, frequency_hz: {frequency_hz}, repetitions: {repetitions}, policy: RR,
+     priority: {priority}, cpu: "{cpu}", trace: {{above: {threshold_us}us}}, repeats: {trials}}}
 exclude:
-  - {trace: "off"}
+  - {{trace: "off"}}
 """
+PLACES: dict[str, Callable[[Path], AbstractContextManager[Place]]] = {
+    "here": this_machine,
+    "rt": partial(board, "rt"),
+    "standard": partial(board, "standard"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,104 +55,99 @@ class Plant:
     about: str
     kind: Kind | None
     who: str = ""
+    places: tuple[str, ...] = ("here", "rt")
     preloaded: bool = False
+    cpu: int = 1
+    priority: int = 95
 
 
 PLANTS = (
-    Plant("higher", "thread at priority 98, busy for 3 ms", Kind.HIGHER, "planted_hog"),
-    Plant("equal", "thread at the same priority, busy for 3 ms", Kind.EQUAL, "planted_equal"),
-    Plant("softirq", "broadcasts to 3000 sockets", Kind.SOFTIRQ, "NET_RX"),
+    Plant("higher", "thread at priority 98", Kind.HIGHER, "planted_hog"),
+    Plant("equal", "thread at the same priority", Kind.EQUAL, "planted_equal"),
+    Plant("softirq", "a packet for some thousand sockets", Kind.SOFTIRQ, "NET_RX", ("here", "standard")),
     Plant("throttling", "real-time thread that never sleeps", Kind.THROTTLED, "planted_fair"),
-    Plant("lock", "thread that keeps a mutex for 3 ms", Kind.LOCK, "planted_lock", preloaded=True),
-    Plant("faults", "2048 page faults in the callback", Kind.FAULT, "cyclic_timer_te", preloaded=True),
-    Plant("nothing", "nothing", None),
+    Plant("lock", "thread that keeps a mutex", Kind.LOCK, "planted_lock", preloaded=True),
+    Plant(
+        "faults", "8192 page faults in the callback", Kind.FAULT, "cyclic_timer_te", places=("here",), preloaded=True
+    ),
+    Plant("stop_machine", "stop_machine, by the function tracer", Kind.HIGHER, "migration/1", places=("rt",)),
+    Plant("printk", "printk to a serial console", Kind.NOT_PREEMPTED, "planted_printk", places=("standard",)),
+    Plant("storm", "packets from outside", Kind.SOFTIRQ, "NET_RX", places=("rt", "standard"), cpu=0, priority=40),
+    Plant("nothing", "nothing", None, places=("here", "rt", "standard")),
 )
 
 
-def prepare(folder: Path) -> tuple[Path, Path]:
-    """The suites, and a copy of them whose program is started with planted.c."""
-    built = suites.build("host", folder)
-    library = folder / "planted.so"
-    subprocess.run(
-        ["gcc", "-O2", "-shared", "-fPIC", "-o", library, HERE / "planted.c", "-ldl", "-lpthread"], check=True
-    )
-    wrapped = folder / "wrapped"
-    shutil.copytree(built, wrapped)
-    (wrapped / PROGRAM).unlink()
-    (wrapped / PROGRAM).write_text(f'#!/bin/sh\n. {folder}/plant\nLD_PRELOAD={library} exec {built / PROGRAM} "$@"\n')
-    (wrapped / PROGRAM).chmod(0o755)
-    return built, wrapped
-
-
-def trial(plant: Plant, folder: Path, built: Path, wrapped: Path) -> Ranking:
-    """The ranking of a campaign beside the plant."""
-    (folder / "plant").write_text(f"export PLANT={plant.name}\n")
-    (folder / "campaign.yml").write_text(CAMPAIGN)
-    (folder / "target.yml").write_text(
-        f"schema: 1\nname: here\nkind: local\nsuites: {wrapped if plant.preloaded else built}\n"
-        f"work_dir: {folder / 'work'}\nros_master_port: {free_port()}\n"
-    )
-    results = folder / "results"
-    shutil.rmtree(results, ignore_errors=True)
-    beside = None
-    if not plant.preloaded and plant.kind is not None:
-        beside = subprocess.Popen([sys.executable, HERE / "plants.py", plant.name], start_new_session=True)
-    try:
+def trials(plant: Plant, count: int, place: Place, folder: Path) -> Iterator[Ranking]:
+    """The ranking of each run of a campaign beside the plant."""
+    built = preloaded(place, plant.name, folder) if plant.preloaded else place.built
+    shape = {name: getattr(place, name) for name in ("frequency_hz", "repetitions", "threshold_us")}
+    (folder / "campaign.yml").write_text(CAMPAIGN.format(**shape, cpu=plant.cpu, priority=plant.priority, trials=count))
+    (folder / "target.yml").write_text(f"schema: 1\nname: place\nsuites: {built}\n{place.target}")
+    results = folder / f"results-{plant.name}"
+    is_beside = not plant.preloaded and plant.kind is not None
+    with beside(place, plant.name, plant.cpu) if is_beside else contextlib.nullcontext():
         argv = [sys.executable, "-m", "rtrun.cli", "run", folder / "campaign.yml", "--target", folder / "target.yml"]
         done = subprocess.run([*argv, "--results", results], capture_output=True, text=True, check=False)
-    finally:
-        if beside is not None:
-            os.killpg(beside.pid, signal.SIGKILL)
-            beside.wait()
-    try:
-        ranking, _, refused = causes.ranked(find_source(results))
-    except Exception:
-        print(done.stdout, done.stderr, file=sys.stderr)
-        raise
-    if refused:
-        raise RuntimeError("\n".join(refused))
-    return ranking
+    runs = sorted(path.parent for path in results.glob("*/run.json"))
+    if len(runs) != count:
+        raise RuntimeError(f"{len(runs)} of {count} runs\n{done.stdout}{done.stderr}")
+    for run in runs:
+        ranking, _, refused = causes.ranked(find_source(run))
+        if refused:
+            raise RuntimeError("\n".join(refused))
+        yield ranking
 
 
-def line(plant: Plant, trials: int, folder: Path, built: Path, wrapped: Path) -> tuple[str, bool]:
+def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, bool]:
     """The row of a plant, and whether it was named, or nothing, often enough."""
     hits, outliers, others = 0, 0, []
-    for _ in range(trials):
-        ranking = trial(plant, folder, built, wrapped)
+    for ranking in trials(plant, count, place, folder):
         outliers += ranking.outliers
         # Beside a plant it must be the first of the ranking; beside none, nobody may be named.
         first = ranking.named if plant.kind is None else next(iter(ranking.culprits), None)
         if (first and (first.kind, first.name)) == (plant.kind and (plant.kind, plant.who)):
             hits += 1
         else:
-            others.append(causes.culprit_name(first) if first else "nobody")
+            others.append(causes.culprit_name(first) if first else "no value was late")
     expected = f"{plant.kind} `{plant.who}`" if plant.kind else "nobody"
     otherwise = "; ".join(f"{others.count(one)} x {one}" for one in dict.fromkeys(others))
-    row = f"| {plant.about} | {expected} | {hits} | {trials} | {outliers} | {otherwise} |"
-    return row, hits >= AT_LEAST * trials
+    row = f"| {plant.about} | {expected} | {hits} | {count} | {outliers} | {otherwise} |"
+    return row, hits >= AT_LEAST * count
+
+
+def write_rows(where: str, about: str, rows: list[str]) -> None:
+    """Put rows into the table of a place; those of plants that were not planted now stay."""
+    before, begin, rest = DOCS.read_text().partition(BEGIN.format(where))
+    table, end, after = rest.partition(END)
+    if not begin or not end:
+        raise RuntimeError(f"{DOCS}: has no place for the table: {BEGIN.format(where)}")
+    plants = [plant.about for plant in PLANTS]
+    by_plant = {text.split(" | ")[0].removeprefix("| "): text for text in [*table.splitlines(), *rows] if "|" in text}
+    kept = [by_plant[plant] for plant in plants if plant in by_plant]
+    DOCS.write_text("\n".join([before + begin, f"{about}:", "", HEAD, *kept, end]) + after)
 
 
 def main() -> int:
     """Plant, print, write. Exit 1 when a culprit is named too rarely."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--trials", type=int, default=10, help="campaigns for each culprit [10]")
-    parser.add_argument("--only", default="", help="the culprit of this name, printed and not written")
+    parser.add_argument("--place", choices=PLACES, default="here", help="this machine, or a kernel of the board [here]")
+    parser.add_argument("--trials", type=int, default=10, help="runs beside each culprit [10]")
+    parser.add_argument("--only", default="", help="the culprits of these names, as lock,equal")
+    parser.add_argument("--keep", type=Path, help="the folder for results, which stay")
     args = parser.parse_args()
-    start, rows, failed = time.monotonic(), [], 0
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        built, wrapped = prepare(folder)
-        for plant in PLANTS:
-            if args.only in ("", plant.name):
-                row, holds = line(plant, args.trials, folder, built, wrapped)
-                failed += not holds
-                rows.append(row)
-                print(row, flush=True)
-    if not args.only:
-        before, _, rest = DOCS.read_text().partition(BEGIN)
-        minutes = (time.monotonic() - start) / 60
-        made = f"Made in {minutes:.0f} minutes on Linux {os.uname().release}, {os.cpu_count()} CPUs."
-        DOCS.write_text("\n".join([before + BEGIN, made, "", HEAD, *rows, END]) + rest.partition(END)[2])
+    plants = [one for one in PLANTS if args.place in one.places and (not args.only or one.name in args.only.split(","))]
+    start_s, rows, failed = time.monotonic(), [], 0
+    with contextlib.ExitStack() as stack:
+        folder = args.keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        folder.mkdir(exist_ok=True)
+        place = stack.enter_context(PLACES[args.place](folder))
+        for plant in plants:
+            row, holds = line(plant, args.trials, place, folder)
+            failed += not holds
+            rows.append(row)
+            print(f"{row} {time.monotonic() - start_s:.0f} s", flush=True)
+    if args.trials >= 10:
+        write_rows(args.place, place.about, rows)
     return 1 if failed else 0
 
 

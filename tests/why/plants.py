@@ -1,74 +1,157 @@
-"""Programs that make a thread on CPU 1 late, each run as: plants.py NAME."""
+"""Programs that make a thread late, each run as: plants.py NAME CPU LENGTH_MS [PORT].
+
+Each needs Python alone, as it is copied to a board. CPU is that of the measured thread; LENGTH_MS is how long one event
+is to last, where the program can choose it.
+"""
 
 import ctypes
 import os
 import resource
+import signal
 import socket
 import sys
 import time
+from pathlib import Path
 
-EVERY_S = 0.9
-BUSY_NS = 3_000_000
+EVERY_MS = 300
+SOCKETS_MAX = 4000
+RECEIVERS_MAX = 50
+BROADCAST = ("127.255.255.255", 29876)
+TRACING = Path("/sys/kernel/tracing")
+# Functions of drivers that no emulated board has: none of them is called, so that nothing but their change takes time.
+PATCHED = ("omap*", "tegra*", "imx*", "exynos*")
 
 
-def named(name: str) -> None:
-    """Give this thread the name that `rtrun why` must say, on CPU 1."""
+def named(name: str, cpu: int) -> None:
+    """Give this thread the name that `rtrun why` must say, and its CPU."""
     ctypes.CDLL(None).prctl(15, name.encode(), 0, 0, 0)  # PR_SET_NAME
-    os.sched_setaffinity(0, {1})
+    os.sched_setaffinity(0, {cpu})
 
 
-def spin(length_ns: int) -> None:
+def pause(length_ms: int) -> None:
+    """Wait until the next event. On a slow machine events are longer, and so is the time between them."""
+    time.sleep((EVERY_MS + 5 * length_ms) / 1000)
+
+
+def spin(length_ms: int) -> None:
     """Use a CPU."""
-    end_ns = time.monotonic_ns() + length_ns
+    end_ns = time.monotonic_ns() + length_ms * 1_000_000
     while time.monotonic_ns() < end_ns:
         pass
 
 
-def busy(name: str, priority: int) -> None:
+def busy(name: str, priority: int, cpu: int, length_ms: int) -> None:
     """A thread that has the CPU for some milliseconds, again and again."""
-    named(name)
+    named(name, cpu)
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     while True:
-        time.sleep(EVERY_S)
-        spin(BUSY_NS)
+        pause(length_ms)
+        spin(length_ms)
 
 
-def broadcast() -> None:
-    """Packets that the network's softirq copies to some thousand sockets each."""
-    named("planted_net")
-    resource.setrlimit(resource.RLIMIT_NOFILE, (8192, 8192))
-    receivers = []
-    for _ in range(3000):
-        receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        receiver.bind(("127.255.255.255", 29876))
-        receivers.append(receiver)
+def broadcast(cpu: int, length_ms: int) -> None:
+    """Packets that the network's softirq copies to so many sockets that one packet takes long."""
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    named("planted_net", cpu)
+    for _ in range(RECEIVERS_MAX):
+        # Twice as long: what else runs now makes it seem longer.
+        if sent_ns(sender) > 2 * length_ms * 1_000_000:
+            break
+        ready, done = os.pipe()
+        if os.fork() == 0:
+            receive(done)
+        os.read(ready, 1)
     while True:
-        time.sleep(EVERY_S)
-        for _ in range(6):
-            sender.sendto(b"x", ("127.255.255.255", 29876))
+        pause(length_ms)
+        sender.sendto(b"x", BROADCAST)
 
 
-def throttle() -> None:
+def receive(done: int) -> None:
+    """Have many sockets that nobody reads: their queues are full at once, and each packet takes as long as the last."""
+    count = min(SOCKETS_MAX, resource.getrlimit(resource.RLIMIT_NOFILE)[1]) - 50
+    resource.setrlimit(resource.RLIMIT_NOFILE, (count + 50, count + 50))
+    receivers = []
+    for _ in range(count):
+        receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        receiver.bind(BROADCAST)
+        receivers.append(receiver)
+    os.write(done, b"x")
+    while True:
+        signal.pause()
+
+
+def sent_ns(sender: socket.socket) -> int:
+    """The shortest time that a packet took of five, with the softirq that delivers it."""
+    times = []
+    for _ in range(5):
+        begin_ns = time.monotonic_ns()
+        sender.sendto(b"x", BROADCAST)
+        times.append(time.monotonic_ns() - begin_ns)
+    return min(times)
+
+
+def throttle(cpu: int, length_ms: int) -> None:
     """A real-time thread below the measured one leaves nothing to a third one, until the kernel helps that one."""
     if os.fork() == 0:
-        named("planted_fair")
+        named("planted_fair", cpu)
         while True:
-            spin(BUSY_NS)
-    named("planted_hog")
+            spin(length_ms)
+    named("planted_hog", cpu)
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
     while True:
-        spin(BUSY_NS)
+        spin(length_ms)
+
+
+def stop_machine(cpu: int, length_ms: int) -> None:
+    """The kernel changes its own code while every CPU is stopped: the function tracer is switched on and off."""
+    named("planted_stop", 1 - cpu)
+    (TRACING / "set_ftrace_filter").write_text("\n".join(PATCHED))
+    while True:
+        for tracer in ("function", "nop"):
+            pause(length_ms)
+            (TRACING / "current_tracer").write_text(tracer)
+
+
+def printk(cpu: int, length_ms: int) -> None:
+    """The kernel prints the state of its memory on the console, as it does when memory runs out."""
+    named("planted_printk", cpu)
+    while True:
+        pause(length_ms)
+        Path("/proc/sysrq-trigger").write_text("m")
+
+
+def flood(port: int, length_ms: int) -> None:
+    """Bursts of packets, which a port of this machine forwards to the emulated network device of a board."""
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    while True:
+        pause(length_ms)
+        end_ns = time.monotonic_ns() + 2 * length_ms * 1_000_000
+        while time.monotonic_ns() < end_ns:
+            sender.sendto(b"x" * 64, ("127.0.0.1", port))
+
+
+def accept_flood(cpu: int, length_ms: int) -> None:
+    """The board may handle packets for long at a time, and without giving way to threads."""
+    named("planted_net", cpu)
+    Path("/proc/sys/net/core/netdev_budget").write_text("100000")
+    Path("/proc/sys/net/core/netdev_budget_usecs").write_text(str(1000 * length_ms))
+    while True:
+        time.sleep(1)
 
 
 PLANTS = {
-    "higher": lambda: busy("planted_hog", 98),
-    "equal": lambda: busy("planted_equal", 95),
+    "higher": lambda cpu, length_ms: busy("planted_hog", 98, cpu, length_ms),
+    "equal": lambda cpu, length_ms: busy("planted_equal", 95, cpu, length_ms),
     "softirq": broadcast,
     "throttling": throttle,
+    "stop_machine": stop_machine,
+    "printk": printk,
+    "storm": accept_flood,
+    "flood": flood,
 }
 
 if __name__ == "__main__":
-    PLANTS[sys.argv[1]]()
+    PLANTS[sys.argv[1]](int(sys.argv[2]), int(sys.argv[3]))
