@@ -63,7 +63,7 @@ def this_machine(folder: Path) -> Iterator[Place]:
         length_ms=6,
         threshold_us=3000,
         frequency_hz=500,
-        repetitions=2000,
+        repetitions=1500,
     )
 
 

@@ -8,6 +8,7 @@ some seconds; those of one plant are the runs of one campaign.
 
 import argparse
 import contextlib
+import signal
 import subprocess
 import sys
 import tempfile
@@ -108,7 +109,7 @@ def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, boo
         if (first and (first.kind, first.name)) == (plant.kind and (plant.kind, plant.who)):
             hits += 1
         else:
-            others.append(causes.culprit_name(first) if first else "no value was late")
+            others.append(causes.culprit_name(first) if first else causes.answer(ranking))
     expected = f"{plant.kind} `{plant.who}`" if plant.kind else "nobody"
     otherwise = "; ".join(f"{others.count(one)} x {one}" for one in dict.fromkeys(others))
     row = f"| {plant.about} | {expected} | {hits} | {count} | {outliers} | {otherwise} |"
@@ -136,6 +137,8 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, help="the folder for results, which stay")
     args = parser.parse_args()
     plants = [one for one in PLANTS if args.place in one.places and (not args.only or one.name in args.only.split(","))]
+    # Whatever ends this program, no plant stays behind.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     start_s, rows, failed = time.monotonic(), [], 0
     with contextlib.ExitStack() as stack:
         folder = args.keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))

@@ -34,6 +34,8 @@ class Kind(StrEnum):
     NOT_PREEMPTED = "thread of lower priority, not preempted"
     THROTTLED = "throttled: a thread of lower priority was chosen"
     IDLE_EXIT = "idle CPU woke up late"
+    CONSOLE = "printk to a console by"
+    SLOWED = "CPU slowed down"
     LOCK = "lock held by"
     FAULT = "page fault"
     BLOCKED = "blocked in the kernel, woken by"
@@ -85,7 +87,30 @@ def cut(timeline: Timeline, *, pid: int, own: frozenset[int], due_ns: int, at_ns
         end_ns = min(begin_ns, limit_ns)
     if end_ns > due_ns:
         parts.append(_unexplained(due_ns, end_ns))
-    return tuple(_joined(reversed(parts)))
+    return tuple(_joined(piece for part in reversed(parts) for piece in _slowed(timeline, part)))
+
+
+def _slowed(timeline: Timeline, part: Part) -> Iterator[Part]:
+    """A part in which a thread of the program ran, without what it took longer than at the CPU's highest frequency.
+
+    The highest one is that of the trace. The time is an upper bound: what waits for memory does not run faster.
+    """
+    changes = timeline.frequencies.get(-1 if part.cpu is None else part.cpu, ())
+    if part.cause.kind not in (Kind.PROGRAM, Kind.OTHER_THREAD) or not changes:
+        yield part
+        return
+    highest_khz = max(change.khz for change in changes)
+    slowed = Cause(kind=Kind.SLOWED, name=f"below {highest_khz / 1000:.0f} MHz")
+    within = [change for change in changes if change.at_ns < part.end_ns]
+    begins_ns = [part.begin_ns, *(change.at_ns for change in within if change.at_ns > part.begin_ns), part.end_ns]
+    for begin_ns, end_ns in pairwise(begins_ns):
+        khz = next((change.khz for change in reversed(within) if change.at_ns <= begin_ns), highest_khz)
+        from_ns = begin_ns + (end_ns - begin_ns) * khz // max(1, highest_khz)
+        yield from (
+            Part(begin_ns=start_ns, end_ns=stop_ns, cause=cause, cpu=part.cpu)
+            for start_ns, stop_ns, cause in ((begin_ns, from_ns, part.cause), (from_ns, end_ns, slowed))
+            if start_ns < stop_ns
+        )
 
 
 def _unexplained(begin_ns: int, end_ns: int, name: str = "") -> Part:
@@ -209,8 +234,10 @@ class _Walk:
             kind = Kind.HIGHER
         elif other == prio:
             kind = Kind.EQUAL
+        elif self._was_chosen(who.pid, since_ns, span.end_ns):
+            kind = Kind.THROTTLED
         else:
-            kind = Kind.THROTTLED if self._was_chosen(who.pid, since_ns, span.end_ns) else Kind.NOT_PREEMPTED
+            kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.NOT_PREEMPTED
         return Cause(kind=kind, name=who.name, pid=who.pid, prio=other)
 
     def _was_chosen(self, pid: int, begin_ns: int, end_ns: int) -> bool:
@@ -220,6 +247,16 @@ class _Walk:
             return False
         change = self.timeline.threads[pid][place]
         return change.preferred or begin_ns < change.at_ns
+
+    def _printed(self, pid: int, at_ns: int) -> bool:
+        """Whether a thread had a line for the console since it was given the CPU that it has at a moment.
+
+        A kernel without PREEMPT_RT writes to the console at once, with interrupts or preemption off.
+        """
+        place = self._running(pid, at_ns - 1)
+        began_ns = self.timeline.threads[pid][place].at_ns if place >= 0 else self.timeline.begin_ns
+        times = self.timeline.consoles_ns.get(pid, ())
+        return bisect_left(times, began_ns) < bisect_left(times, at_ns)
 
     def _slept(self, slept: Change | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """The time from when a thread fell asleep until it was woken."""
@@ -261,7 +298,8 @@ class _Walk:
             return _of_no_thread(who)
         if who.pid == IDLE_PID:
             return Cause(kind=Kind.TIMER_LATE, name="the CPU was idle")
-        return Cause(kind=Kind.TIMER_LATE, name=who.name, pid=who.pid, prio=self.timeline.prios.get(who.pid))
+        kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.TIMER_LATE
+        return Cause(kind=kind, name=who.name, pid=who.pid, prio=self.timeline.prios.get(who.pid))
 
     def _softirq(self, pid: int, waker: Waker, at_ns: int) -> Iterator[Part]:
         """From when a softirq was raised until it woke the thread, latest first."""

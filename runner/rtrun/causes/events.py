@@ -125,6 +125,15 @@ class Console(NamedTuple):
     pid: int
 
 
+class Frequency(NamedTuple):
+    """cpu_frequency: from now on `of_cpu`, which need not be the CPU that says so, runs at a frequency."""
+
+    at_ns: int
+    cpu: int
+    of_cpu: int
+    khz: int
+
+
 class Lost(NamedTuple):
     """Events of a CPU are missing before this moment."""
 
@@ -134,5 +143,17 @@ class Lost(NamedTuple):
 
 
 Event = (
-    Current | Switch | Wake | Migration | Interrupt | Raise | TimerStart | TimerExpiry | Futex | Fault | Console | Lost
+    Current
+    | Switch
+    | Wake
+    | Migration
+    | Interrupt
+    | Raise
+    | TimerStart
+    | TimerExpiry
+    | Futex
+    | Fault
+    | Console
+    | Frequency
+    | Lost
 )

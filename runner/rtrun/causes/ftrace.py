@@ -20,6 +20,7 @@ from rtrun.causes.events import (
     Current,
     Event,
     Fault,
+    Frequency,
     Futex,
     Interrupt,
     Lost,
@@ -57,6 +58,7 @@ _TIMER_START = re.compile(
     r"hrtimer=(\w{1,32}) function=\S{1,128} expires=(\d{1,19}) softexpires=(\d{1,19})\b", re.ASCII
 )
 _TIMER_EXPIRY = re.compile(r"hrtimer=(\w{1,32}) function=\S{1,128} now=(\d{1,19})\b", re.ASCII)
+_FREQUENCY = re.compile(r"state=(\d{1,10}) cpu_id=(\d{1,4})\b", re.ASCII)
 _FUTEX = re.compile(r".{0,64}\bop: (?:0x)?([0-9a-f]{1,8})\b", re.ASCII)
 # Vectors of x86 whose handlers have a pair of events (arch/x86/include/asm/trace/irq_vectors.h).
 _VECTORS = (
@@ -221,6 +223,11 @@ def _console(head: _Head, _: str) -> Event:
     return Console(head[0], head[1], head[2])
 
 
+def _frequency(head: _Head, arguments: str) -> Event | None:
+    match = _FREQUENCY.match(arguments)
+    return match and Frequency(head[0], head[1], int(match[2]), int(match[1]))
+
+
 _READERS: dict[str, Callable[[_Head, str], Event | None]] = {
     "sched_switch": _switch,
     "sched_waking": _wake,
@@ -238,4 +245,5 @@ _READERS: dict[str, Callable[[_Head, str], Event | None]] = {
     "sys_futex_time32": _futex,
     "page_fault_user": _fault,
     "console": _console,
+    "cpu_frequency": _frequency,
 }

@@ -14,7 +14,7 @@ NAMELESS = frozenset({Kind.UNEXPLAINED, Kind.PROGRAM, Kind.OUTSIDE, Kind.OWN_SLE
 _FREQUENT = frozenset({Kind.HIGHER, Kind.EQUAL, Kind.INTERRUPT, Kind.SOFTIRQ})
 # Who had the CPU while the kernel could not be interrupted or preempted may be innocent, on a virtual machine that was
 # not run by its host above all. It counts by the share of the time in which it does not have the CPU anyway.
-_CIRCUMSTANTIAL = frozenset({Kind.TIMER_LATE, Kind.NOT_PREEMPTED})
+_CIRCUMSTANTIAL = frozenset({Kind.TIMER_LATE, Kind.NOT_PREEMPTED, Kind.CONSOLE})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -8,10 +8,12 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from rtrun.causes.events import (
+    Console,
     Context,
     Current,
     Event,
     Fault,
+    Frequency,
     Futex,
     Interrupt,
     Lost,
@@ -112,6 +114,10 @@ class Timeline:
     lost: Sequence[Lost]
     faults_ns: Mapping[int, Sequence[int]]
     """When each thread had page faults."""
+    consoles_ns: Mapping[int, Sequence[int]]
+    """When each thread had a line for the console."""
+    frequencies: Mapping[int, Sequence[Frequency]]
+    """Of each CPU, from when on it had which."""
 
     def spans(self, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Span]:
         """What a CPU did between two moments, without gaps."""
@@ -189,6 +195,8 @@ class _Builder:
         self.futexes: dict[int, int] = {}
         self.faults: set[int] = set()
         self.faults_ns: dict[int, list[int]] = defaultdict(list)
+        self.consoles_ns: dict[int, list[int]] = defaultdict(list)
+        self.frequencies: dict[int, list[Frequency]] = defaultdict(list)
         self.lost: list[Lost] = []
         self.has_waking = False
 
@@ -223,6 +231,10 @@ class _Builder:
             case Fault():
                 self.faults.add(event.pid)
                 self.faults_ns[event.pid].append(event.at_ns)
+            case Console():
+                self.consoles_ns[event.pid].append(event.at_ns)
+            case Frequency():
+                self.frequencies[event.of_cpu].append(event)
             case Current():
                 self.names.setdefault(event.pid, event.name)
                 if cpu.thread is None:
@@ -338,4 +350,6 @@ def timeline(events: Iterable[Event]) -> Timeline:
         prios=builder.prios,
         lost=tuple(builder.lost),
         faults_ns=dict(builder.faults_ns),
+        consoles_ns=dict(builder.consoles_ns),
+        frequencies=dict(builder.frequencies),
     )

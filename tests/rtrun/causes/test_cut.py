@@ -208,6 +208,63 @@ def test_a_thread_that_is_not_in_the_trace():
     assert parts_of(switch(1400, HOG, LOW), at=1410, pid=77) == [(Kind.UNEXPLAINED, "", 410)]
 
 
+PRINTED = line(980, "console: [    1.0] Mem-Info", name="low", pid=3)
+
+
+def test_printk_to_a_console_with_interrupts_off():
+    """The line is in the ring before the thread writes it to the console."""
+    text = BEFORE + PRINTED + expiry(1300, late_us=300) + switch(1304, LOW, ME, state="R") + line(1310, "x: y")
+    assert parts_of(text, at=1310)[0] == (Kind.CONSOLE, "low", 300)
+
+
+def test_printk_to_a_console_with_preemption_off():
+    text = BEFORE + PRINTED + expiry(1000) + switch(1400, LOW, ME, state="R") + line(1410, "x: y")
+    assert (Kind.CONSOLE, "low", 397) in parts_of(text, at=1410)
+
+
+def test_what_a_thread_printed_before_it_slept_is_not_to_blame():
+    text = START + switch(150, ME, LOW) + line(160, "console: [    1.0] x", name="low", pid=3)
+    text += switch(170, LOW, IDLE) + switch(180, IDLE, LOW) + expiry(1000) + switch(1400, LOW, ME, state="R")
+    assert (Kind.NOT_PREEMPTED, "low", 397) in parts_of(text + line(1410, "x: y"), at=1410)
+
+
+def test_stop_machine():
+    """The thread that stops the CPU has a priority above every other."""
+    stopper = ("migration/0", 6, 0)
+    text = BEFORE + switch(990, LOW, stopper, state="R") + expiry(1300, late_us=300) + switch(1400, stopper, ME)
+    assert parts_of(text + line(1410, "x: y"), at=1410) == [
+        (Kind.TIMER_LATE, "migration/0", 300),
+        (Kind.INTERRUPT, "the timer's own", 2),
+        (Kind.INTERRUPT, "local_timer", 1),
+        (Kind.HIGHER, "migration/0", 97),
+        (Kind.PROGRAM, "me", 10),
+    ]
+
+
+def frequency(us, khz, cpu=0):
+    # Another CPU may say so.
+    return line(us, f"cpu_frequency: state={khz} cpu_id={cpu}", cpu=1, name="sugov:0", pid=7)
+
+
+def test_a_governor_that_reduces_the_frequency():
+    """At a quarter of it the thread takes four times as long; what it waits for takes no longer."""
+    text = frequency(50, 1_200_000) + BEFORE + expiry(1000) + switch(1010, LOW, ME, state="R")
+    text += frequency(1110, 300_000) + line(1510, "x: y")
+    assert parts_of(text, at=1510)[3:] == [(Kind.PROGRAM, "me", 200), (Kind.SLOWED, "below 1200 MHz", 300)]
+    other_cpu = text.replace("cpu_id=0", "cpu_id=1")
+    assert parts_of(other_cpu, at=1510)[3:] == [(Kind.PROGRAM, "me", 500)]
+
+
+def test_the_frequency_rises_while_a_thread_runs():
+    text = frequency(50, 600_000) + BEFORE + expiry(1000) + switch(1010, LOW, ME, state="R")
+    text += frequency(1110, 1_200_000) + line(1210, "x: y")
+    assert parts_of(text, at=1210)[3:] == [
+        (Kind.PROGRAM, "me", 50),
+        (Kind.SLOWED, "below 1200 MHz", 50),
+        (Kind.PROGRAM, "me", 100),
+    ]
+
+
 THREADS = (ME, HOG, LOW, IDLE, OTHER)
 LINES = st.one_of(
     st.builds(
@@ -229,6 +286,8 @@ LINES = st.one_of(
                 "hrtimer_start: hrtimer=a function=f expires=900000 softexpires=800000",
                 "hrtimer_expire_entry: hrtimer=a function=f now=850000",
                 "sched_migrate_task: comm=me pid=1 prio=4 orig_cpu=0 dest_cpu=1",
+                "console: x", "cpu_frequency: state=0 cpu_id=0",
+                "cpu_frequency: state=1200000 cpu_id=0", "cpu_frequency: state=300000 cpu_id=1",
             )
         ),
         st.sampled_from((0, 1)),
