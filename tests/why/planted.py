@@ -72,7 +72,7 @@ PLANTS = (
         "faults", "8192 page faults in the callback", Kind.FAULT, "cyclic_timer_te", places=("here",), preloaded=True
     ),
     Plant("stop_machine", "stop_machine, by the function tracer", Kind.HIGHER, "migration/1", places=("rt",)),
-    Plant("printk", "printk to a serial console", Kind.NOT_PREEMPTED, "planted_printk", places=("standard",)),
+    Plant("printk", "printk to a serial console", Kind.CONSOLE, "planted_printk", places=("standard",)),
     Plant("storm", "packets from outside", Kind.SOFTIRQ, "NET_RX", places=("rt", "standard"), cpu=0, priority=40),
     Plant("nothing", "nothing", None, places=("here", "rt", "standard")),
 )

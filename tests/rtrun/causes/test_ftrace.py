@@ -10,6 +10,7 @@ from rtrun.causes.events import (
     Context,
     Current,
     Fault,
+    Frequency,
     Futex,
     Interrupt,
     Lost,
@@ -62,6 +63,7 @@ A, B = ("a", 9, 4), ("b", 8, 120)
         ("sys_futex -> 0xfffffffffffffff5", Futex(5000, 1, 9, None)),
         ("page_fault_user: address=0x7f ip=0x55 error_code=0x6", Fault(5000, 1, 9)),
         ("console: [   12.3] text", Console(5000, 1, 9)),
+        ("cpu_frequency: state=1200000 cpu_id=0", Frequency(5000, 1, 0, 1_200_000)),
     ],
 )
 def test_each_event(text, expected):
