@@ -26,24 +26,25 @@ suites: build/suites/{machine}
 CAMPAIGN = """
 schema: 1
 name: boards
-common: {repetitions: 50, policy: RR}
+kernels: [{kernels}]
+common: {{repetitions: 50, policy: RR}}
 runs:
-  - {suite: oneshot_timer_tests}
-  - {suite: communication_tests, frequency_hz: 50}
+  - {{suite: oneshot_timer_tests}}
+  - {{suite: communication_tests, frequency_hz: 50}}
 """
 
 
 def measure(machine: str, folder: Path, *suite: str, kernel: str = "debian") -> list[Path]:
-    """Build board and suites, the board with this kernel, run the campaign in the current folder; the runs it left."""
+    """Build board and suites, the board with this kernel, run the campaign in the current folder; the runs in order."""
     assert rtgen.cli.main(["board", "build", "--machine", machine, "--kernel", kernel, *suite]) == 0
     assert rtgen.cli.main(["suites", "build", "--machine", machine, *suite]) == 0
     target = folder / "target.yml"
     target.write_text(TARGET.format(machine=machine))
-    (folder / "campaign.yml").write_text(CAMPAIGN)
+    (folder / "campaign.yml").write_text(CAMPAIGN.format(kernels="standard, rt" if kernel == "both" else "rt"))
     assert rtrun.cli.main(["run", "campaign.yml", "--target", str(target)]) == 0
     runs = [path.parent for path in (folder / "results/boards").glob("*/run.json")]
-    assert len(runs) == 2
-    return runs
+    assert len(runs) == (4 if kernel == "both" else 2)
+    return sorted(runs, key=lambda run: json.loads((run / "run.json").read_text())["start_time"])
 
 
 @pytest.mark.parametrize("machine", ["qemu-armv7", "qemu-x86_64"])
@@ -72,9 +73,10 @@ def test_suites_measure_on_a_kernel_whose_mainline_has_preempt_rt(tmp_path: Path
 
 
 @pytest.mark.parametrize("machine", [name for name, each in machines().items() if each.qemu is not None])
-def test_suites_measure_on_the_machine(machine: str, tmp_path: Path, monkeypatch, capsys) -> None:
+def test_suites_measure_on_both_kernels_of_the_machine(machine: str, tmp_path: Path, monkeypatch, capsys) -> None:
+    """The board starts with PREEMPT_RT: it is restarted into each kernel."""
     monkeypatch.chdir(tmp_path)
-    runs = measure(machine, tmp_path)
+    runs = measure(machine, tmp_path, kernel="both")
     output, errors = capsys.readouterr()
     # The real /dev/kvm of this machine, if there is one: used, or not used and said so.
     folder = tmp_path / "build/board" / machine
@@ -84,7 +86,12 @@ def test_suites_measure_on_the_machine(machine: str, tmp_path: Path, monkeypatch
     emulated = platform_here is Platform.EMULATED
     assert BANNERS[platform_here] in output
     assert errors.count("rtrun: KVM does not work here, ") == (1 if tried and emulated else 0), errors
-    for run in runs:
+    for run, kernel in zip(runs, ("standard", "standard", "rt", "rt"), strict=True):
         record = json.loads((run / "run.json").read_text())
-        assert (record["status"], record["platform"]) == ("ok", platform_here)
-        assert record["target"]["preempt_rt"] is True
+        assert (record["status"], record["platform"], record["kernel"]) == ("ok", platform_here, kernel)
+        assert record["target"]["preempt_rt"] is (kernel == "rt")
+        assert record["target"]["kernel_release"] == board.kernels[kernel].kernel_release
+    assert rtrun.cli.main(["compare", "results/boards", "--by", "kernel"]) == 0
+    output = capsys.readouterr().out
+    assert "A: standard, B: rt" in output
+    assert "not compared" not in output and "only in" not in output
