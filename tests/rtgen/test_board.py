@@ -54,7 +54,11 @@ def test_a_board_with_two_kernels_has_files_of_each_and_starts_the_first(some_ke
     }
 
 
-def test_two_kernels_of_a_machine_that_has_one_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_kernels_of_a_machine_that_has_one_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = machine.find("pandaboard-es").model_copy(update={"standard_kernel": None})
+    monkeypatch.setattr(build, "find", lambda name: one)
     assert cli.main(["board", "build", "--machine", "pandaboard-es", "--kernel", "both"]) == 2
     assert capsys.readouterr().err == (
         "rtgen: pandaboard-es: no standard_kernel in the file of this machine: --kernel both is for others\n"
@@ -179,10 +183,10 @@ def test_u_boot_comes_from_the_suite_that_has_it(tmp_path: Path, monkeypatch: py
     for name in panda.u_boot.files:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    boot = Boot(kernel=tmp_path, ram_disk=tmp_path, command_line="quiet")
+    boot = Boot(kernel=tmp_path, ram_disk=tmp_path, command_line="quiet", device_tree=tmp_path)
     source = debian.Source(release="trixie", mirror="http://mirror/debian")
-    files = u_boot.boot_files(panda.architecture, panda.u_boot, source, boot, tmp_path, tmp_path)
-    assert files["MLO"] == tmp_path / "usr/lib/u-boot/omap4_panda/MLO"
+    files = u_boot.boot_files(panda.architecture, panda.u_boot, source, {"rt": boot}, tmp_path)
+    assert files.others["MLO"] == tmp_path / "usr/lib/u-boot/omap4_panda/MLO"
     assert set(asked) == {("u-boot-omap", "armhf", debian.Source(release="bookworm", mirror=source.mirror))}
 
 

@@ -3,13 +3,15 @@
 import json
 import struct
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from rtgen import cli, flash
-from rtgen.board import card, disk, uefi
-from rtgen.board.machine import architectures
+from rtgen import cli, debian, flash
+from rtgen.board import card, disk, u_boot, uefi
+from rtgen.board.boot import Boot, BootFiles
+from rtgen.board.machine import UBoot, architectures
 
 MIB = 2**20
 
@@ -61,6 +63,91 @@ def test_a_card_has_what_uefi_looks_for(tmp_path: Path, system: Path) -> None:
     assert flash.check_image(image) == image.stat().st_size
     # Only what has content is on the disk.
     assert image.stat().st_blocks * 512 < 16 * MIB
+
+
+def test_a_card_with_two_kernels_starts_the_first_and_has_a_file_of_each_to_choose(tmp_path: Path) -> None:
+    files = {name: tmp_path / name for name in ("rt", "standard", "MLO")}
+    both = {name: files[name] for name in ("rt", "standard")}
+    loaded = BootFiles(path="extlinux/extlinux.conf", by_kernel=both, others={"MLO": files["MLO"]})
+    by_path = card.files_by_path(loaded, tmp_path)
+    assert by_path == {
+        "MLO": files["MLO"],
+        "extlinux/extlinux.conf": files["rt"],
+        "kernels/rt": files["rt"],
+        "kernels/standard": files["standard"],
+        "kernel-path.txt": tmp_path / "kernel-path.txt",
+    }
+    assert (tmp_path / "kernel-path.txt").read_text() == "extlinux/extlinux.conf\n"
+    alone = BootFiles(path="extlinux/extlinux.conf", by_kernel={"rt": files["rt"]}, others={})
+    assert card.files_by_path(alone, tmp_path) == {"extlinux/extlinux.conf": files["rt"]}
+
+
+BOOT_KERNEL = Path(disk.__file__).parent / "root/usr/sbin/boot-kernel"
+
+
+@pytest.fixture
+def boot_kernel(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """The command boot-kernel on a card in /dev/mmcblk0 whose first partition is the folder `boot`."""
+    programs, script = tmp_path / "bin", 'mount -t tmpfs run /run && PATH="$1:$PATH" && shift && exec "$@"'
+    wanted = "-t vfat /dev/mmcblk0p1 /run/boot-partition"
+    programs.mkdir()
+    for name, words in {
+        "findmnt": "echo /dev/mmcblk0p2",
+        "mount": f'[ "$*" = "{wanted}" ] && exec /bin/mount --bind {tmp_path}/boot "$4"',
+    }.items():
+        (programs / name).write_text(f"#!/bin/sh\n{words}\n")
+        (programs / name).chmod(0o755)
+    wrapper = ["unshare", "--mount", "sh", "-c", script, "sh", str(programs)]
+    if subprocess.run([*wrapper, "true"], capture_output=True).returncode != 0:
+        pytest.skip("this user may not mount in a namespace of its own")
+    return lambda *words: subprocess.run([*wrapper, BOOT_KERNEL, *words], capture_output=True, text=True)
+
+
+def test_boot_kernel_copies_the_file_of_a_kernel_to_where_firmware_looks(
+    tmp_path: Path, boot_kernel: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    """test_card_boot.py does so on real cards."""
+    boot = tmp_path / "boot"
+    (boot / "EFI/BOOT").mkdir(parents=True)
+    started = boot / "EFI/BOOT/BOOTX64.EFI"
+    started.write_text("rt")
+    assert boot_kernel().stderr == "boot-kernel: this card has one kernel\n"
+    (boot / "kernels").mkdir()
+    (boot / "kernel-path.txt").write_text("EFI/BOOT/BOOTX64.EFI\n")
+    for name in ("rt", "standard"):
+        (boot / "kernels" / name).write_text(name)
+    assert boot_kernel().stdout == "rt\nstandard\n"
+    done = boot_kernel("other")
+    assert (done.returncode, done.stderr) == (
+        1,
+        "boot-kernel: no kernel 'other' on this card, there are: rt standard\n",
+    )
+    assert started.read_text() == "rt"
+    for name in ("standard", "rt"):
+        assert boot_kernel(name).returncode == 0
+        assert started.read_text() == (boot / "kernels" / name).read_text() == name
+    assert sorted(path.name for path in started.parent.iterdir()) == ["BOOTX64.EFI"]
+
+
+def test_u_boot_loads_each_kernel_with_its_own_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(u_boot, "file_of", lambda package, name, *_: tmp_path / name)
+    boots = {
+        name: Boot(
+            kernel=tmp_path / f"{name}.kernel",
+            ram_disk=tmp_path / f"{name}.initrd",
+            command_line=f"root={name}",
+            device_tree=tmp_path / f"{name}.dtb",
+        )
+        for name in ("rt", "standard")
+    }
+    loader = UBoot(package="u-boot", files=["usr/lib/MLO"], device_tree="board.dtb")
+    loaded = u_boot.boot_files("armhf", loader, debian.Source(release="bookworm", mirror=None), boots, tmp_path)
+    for name, configuration in loaded.by_kernel.items():
+        words = dict(line.split(maxsplit=1) for line in configuration.read_text().splitlines())
+        assert words["append"] == f"root={name}"
+        files = [loaded.others[words[key].lstrip("/")].name for key in ("kernel", "initrd", "fdt")]
+        assert files == [f"{name}.kernel", f"{name}.initrd", f"{name}.dtb"]
+    assert loaded.others["MLO"] == tmp_path / "usr/lib/MLO"
 
 
 @pytest.mark.parametrize("name", [name for name, each in architectures().items() if each.uefi is not None])
@@ -159,7 +246,9 @@ def test_a_card_has_what_the_rom_of_an_omap4_looks_for(tmp_path: Path, system: P
     configuration = tmp_path / "configuration"
     configuration.write_text("label linux\n")
     image = tmp_path / "card.img"
-    card.write_card(image, "dos", {"MLO": loader, "extlinux/extlinux.conf": configuration}, system)
+    files = {"MLO": loader, "extlinux/extlinux.conf": configuration}
+    files |= {f"kernels/{name}": configuration for name in ("rt", "standard")}
+    card.write_card(image, "dos", files, system)
     table = json.loads(output("sfdisk", "--json", image))["partitiontable"]
     assert table["label"] == "dos"
     boot, root = table["partitions"]
@@ -167,5 +256,8 @@ def test_a_card_has_what_the_rom_of_an_omap4_looks_for(tmp_path: Path, system: P
     assert root["type"] == "83"
     assert "bootable" not in root
     assert output("mtype", "-i", f"{image}@@{card.START_MIB}M", "::/MLO") == "first stage"
-    assert output("mtype", "-i", f"{image}@@{card.START_MIB}M", "::/extlinux/extlinux.conf") == "label linux\n"
+    # Before every folder: not each ROM looks further.
+    assert output("mdir", "-b", "-i", f"{image}@@{card.START_MIB}M", "::/").splitlines()[0] == "::/MLO"
+    for path in ("extlinux/extlinux.conf", "kernels/rt", "kernels/standard"):
+        assert output("mtype", "-i", f"{image}@@{card.START_MIB}M", f"::/{path}") == "label linux\n"
     assert flash.check_image(image) == image.stat().st_size

@@ -5,22 +5,26 @@ RAM disk and the root file system start on another ARM machine; what its ROM and
 need.
 """
 
+import json
 import os
 import re
-import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import yaml
 
+import rtrun.cli
+from ports import free_port
 from rtgen import debian
 from rtgen.board import card
 from rtgen.board.build import build
 from rtgen.board.kernel import built_kernel, debian_kernel
-from rtgen.board.machine import find, machines
+from rtgen.board.machine import find
 
 pytestmark = [pytest.mark.boards, pytest.mark.qemu, pytest.mark.timeout(1800)]
 
@@ -66,11 +70,9 @@ def built(machine: str, key: Path, place: Path, kernel: str = "debian", suite: s
 
 
 @contextmanager
-def running(qemu: list[str], key: Path, place: Path) -> Iterator[Said]:
+def running(qemu: list[str], key: Path, place: Path, port: int | None = None) -> Iterator[Said]:
     """Yield a function that runs a command on the board. The board has to power off when it is told to."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = port or free_port()
     console = place / "console.log"
     command = ["setpriv", "--pdeathsig", "KILL", *qemu, "-smp", "2", "-m", "1024", "-nodefaults", "-display", "none"]
     command += ["-serial", f"file:{console}", "-netdev", f"user,id=net,restrict=on,hostfwd=tcp:127.0.0.1:{port}-:22"]
@@ -121,24 +123,59 @@ def check_board(said: Said, root: str) -> None:
     assert "P:80" in said("cyclictest --quiet --mlockall --priority=80 --policy=fifo --loops=100 --threads=1")
 
 
-UEFI = [(name, None) for name, each in machines().items() if each.medium == "uefi"]
-
-
-@pytest.mark.parametrize(("machine", "suite"), [*UEFI, ("pc-x86_64", "trixie")])
+# The stick of a PC is started below, with both kernels of Debian 12.
+@pytest.mark.parametrize(("machine", "suite"), [("generic-arm64", None), ("pc-x86_64", "trixie")])
 def test_firmware_starts_the_stick(machine: str, suite: str | None, key: Path, tmp_path: Path) -> None:
     stick = built(machine, key, tmp_path, suite=suite)
+    with running(from_stick(machine, stick, tmp_path), key, tmp_path) as said:
+        check_stick(said)
+
+
+def check_stick(said: Said) -> None:
+    check_board(said, "/dev/sda2")
+    assert said("ls -d /sys/firmware/efi") == "/sys/firmware/efi", "started by UEFI, not by QEMU itself"
+
+
+def from_stick(machine: str, stick: Path, place: Path) -> list[str]:
+    """The QEMU command that starts this stick by real firmware."""
     architecture = find(machine).architecture
     qemu, package, files = FIRMWARE[architecture]
-    firmware = tmp_path / "firmware"
+    firmware = place / "firmware"
     firmware.mkdir()
     debian.extract([package], firmware, architecture, debian.source())
     command = [*qemu, "-device", "qemu-xhci", "-drive", f"file={stick},format=raw,if=none,id=stick"]
     command += ["-device", "usb-storage,drive=stick,removable=on", "-device", "virtio-net-pci,netdev=net,romfile="]
     for number, file in enumerate(files):
         command += ["-drive", f"if=pflash,unit={number},format=raw,file={firmware / file}"]
-    with running(command, key, tmp_path) as said:
-        check_board(said, "/dev/sda2")
-        assert said("ls -d /sys/firmware/efi") == "/sys/firmware/efi", "started by UEFI, not by QEMU itself"
+    return command
+
+
+CAMPAIGN = "{schema: 1, name: both, kernels: [standard, rt], runs: [{suite: cyclictest, repetitions: 100, policy: RR}]}"
+
+
+def test_a_stick_with_both_kernels_is_measured_on_each(key: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    stick, port = built("pc-x86_64", key, tmp_path, kernel="both"), free_port()
+    with running(from_stick("pc-x86_64", stick, tmp_path), key, tmp_path, port) as said:
+        check_stick(said)
+        with pytest.raises(AssertionError, match="no kernel 'other' on this card, there are: rt standard"):
+            said("boot-kernel other")
+        fingerprint = said("ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub").split()[1]
+        words = ["--host", "127.0.0.1", "--port", str(port), "--key", str(key), "--host-key", fingerprint]
+        # It has no suites.
+        assert rtrun.cli.main(["new-target", *words, "--name", "stick"]) == 3
+        target = yaml.safe_load(Path("stick.yml").read_text())
+        assert target["boot_kernel"] == {"standard": ["boot-kernel", "standard"], "rt": ["boot-kernel", "rt"]}
+        Path("stick.yml").write_text(yaml.safe_dump(target | {"reconnect_s": BOOT_S}))
+        Path("campaign.yml").write_text(CAMPAIGN)
+        assert rtrun.cli.main(["run", "campaign.yml", "--target", "stick.yml"]) == 0, capsys.readouterr()
+        # It started with rt, so it was restarted into each.
+        assert "PREEMPT_RT" in said("uname -v")
+    for kernel in ("standard", "rt"):
+        (path,) = Path("results/both").glob(f"*-{kernel}/run.json")
+        record = json.loads(path.read_text())
+        assert (record["status"], record["target"]["preempt_rt"]) == ("ok", kernel == "rt")
 
 
 @pytest.mark.parametrize(
@@ -149,14 +186,9 @@ def test_the_card_of_the_pandaboard(kind: str, suite: str | None, key: Path, tmp
     image = built("pandaboard-es", key, tmp_path, kind, suite)
     machine, source = find("pandaboard-es"), debian.source(suite)
     one = built_kernel("pandaboard-es") if kind == "built" else debian_kernel(machine.kernel, machine, source)
-    boot = tmp_path / "boot"
-    boot.mkdir()
-    fat = f"{image}@@{card.START_MIB}M"
-    subprocess.run(["mcopy", "-s", "-i", fat, "::/", boot], check=True)
-    check_first_stages(boot)
-    lines = [line.strip().split(maxsplit=1) for line in (boot / "extlinux/extlinux.conf").read_text().splitlines()]
-    entry = dict(lines)
-    kernel, ram_disk, device_tree = (boot / entry[word].lstrip("/") for word in ("kernel", "initrd", "fdt"))
+    entry = read_entry(image, tmp_path / "boot")
+    check_first_stages(tmp_path / "boot")
+    kernel, ram_disk, device_tree = entry.kernel, entry.ram_disk, entry.device_tree
     compatible = subprocess.run(["fdtget", device_tree, "/", "compatible"], capture_output=True, text=True, check=True)
     assert compatible.stdout.split()[0] == "ti,omap4-panda-es"
     # Kernel and device tree are of one build; ours has the device tree with the fine clock.
@@ -166,11 +198,8 @@ def test_the_card_of_the_pandaboard(kind: str, suite: str | None, key: Path, tmp
     assert KERNEL_AT + kernel.stat().st_size < DEVICE_TREE_AT
     assert DEVICE_TREE_AT + device_tree.stat().st_size < RAM_DISK_AT
     assert RAM_DISK_AT + ram_disk.stat().st_size < MEMORY_END
-    assert re.search(r"\broot=UUID=[0-9a-f-]{36}\b", entry["append"])
-    command = ["qemu-system-arm", "-M", "virt", "-cpu", "cortex-a15", "-kernel", str(kernel), "-initrd", str(ram_disk)]
-    command += ["-append", f"{entry['append']} console=ttyAMA0", "-device", "virtio-net-device,netdev=net"]
-    command += ["-drive", f"file={image},format=raw,if=none,id=card", "-device", "virtio-blk-device,drive=card"]
-    with running(command, key, tmp_path) as said:
+    assert re.search(r"\broot=UUID=[0-9a-f-]{36}\b", entry.command_line)
+    with running(from_card(image, entry), key, tmp_path) as said:
         check_board(said, "/dev/vda2")
         # The modules are those of the kernel that runs.
         assert said("uname -r") == said("ls /lib/modules") == one.release
@@ -179,6 +208,44 @@ def test_the_card_of_the_pandaboard(kind: str, suite: str | None, key: Path, tmp
     shown = (tmp_path / "console.log").read_text(errors="replace")
     assert re.search(r"start: SSH host key 256 SHA256:\S+ ", shown)
     assert re.search(r"start: addresses 10\.0\.2\.\d+ ", shown)
+
+
+def test_the_card_of_the_pandaboard_starts_the_kernel_that_was_chosen(key: Path, tmp_path: Path) -> None:
+    image = built("pandaboard-es", key, tmp_path, "both")
+    for number, kernel in enumerate(("rt", "standard")):
+        entry = read_entry(image, tmp_path / f"boot{number}")
+        with running(from_card(image, entry), key, tmp_path) as said:
+            assert ("PREEMPT_RT" in said("uname -v")) == (kernel == "rt")
+            assert f"/lib/modules/{said('uname -r')}" in said("ls -d /lib/modules/*").split()
+            said("boot-kernel standard")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What U-Boot starts by the extlinux.conf of a card."""
+
+    kernel: Path
+    ram_disk: Path
+    device_tree: Path
+    command_line: str
+
+
+def read_entry(image: Path, boot: Path) -> Entry:
+    """What a card starts; `boot` becomes a copy of its boot partition."""
+    boot.mkdir()
+    subprocess.run(["mcopy", "-s", "-i", f"{image}@@{card.START_MIB}M", "::/", boot], check=True)
+    lines = (boot / "extlinux/extlinux.conf").read_text().splitlines()
+    words = dict(line.strip().split(maxsplit=1) for line in lines)
+    kernel, ram_disk, device_tree = (boot / words[word].lstrip("/") for word in ("kernel", "initrd", "fdt"))
+    return Entry(kernel=kernel, ram_disk=ram_disk, device_tree=device_tree, command_line=words["append"])
+
+
+def from_card(image: Path, entry: Entry) -> list[str]:
+    """The QEMU command that starts what U-Boot would, on another ARM machine."""
+    command = ["qemu-system-arm", "-M", "virt", "-cpu", "cortex-a15", "-kernel", str(entry.kernel)]
+    command += ["-initrd", str(entry.ram_disk), "-append", f"{entry.command_line} console=ttyAMA0"]
+    command += ["-drive", f"file={image},format=raw,if=none,id=card", "-device", "virtio-blk-device,drive=card"]
+    return [*command, "-device", "virtio-net-device,netdev=net"]
 
 
 def check_first_stages(boot: Path) -> None:

@@ -56,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
         values |= _host_key(address, asks)
 
     with linked(parse_target(values, "new-target"), Path.cwd()) as link:
+        values |= _kernels(link)
         _write(output, values)
         print_line(f"{output}: target {name} ({link.target.address})")
         lacks = _lacks(link)
@@ -103,6 +104,19 @@ def _host_key(address: "Address", asks: bool) -> dict[str, str]:
     if answer not in ("yes", shown):
         raise UsageError("new-target: the host key was not accepted: nothing was written")
     return {"host_key": shown}
+
+
+def _kernels(link: "Link") -> dict[str, Any]:
+    """Return how the board is restarted into each of its kernels, where it has the command boot-kernel of our cards."""
+    from typing import get_args
+
+    from rtrun.plan.run import KernelName
+
+    listed = link.run(["sh", "-c", "boot-kernel 2>/dev/null"])
+    kernels = [name for name in get_args(KernelName) if listed.status == 0 and name in listed.stdout.split()]
+    if not kernels:
+        return {}
+    return {"restart": ["reboot"], "boot_kernel": {name: ["boot-kernel", name] for name in kernels}}
 
 
 def _write(output: Path, values: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from conftest import seeing, serve
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.cli import main
 from rtrun.target.config import read_target
@@ -57,6 +58,24 @@ def test_by_options(home, options, shown, sshd, capsys, monkeypatch):
         "host_key": shown,
     }
     assert main(["check-rt", "--target", "board.yml"]) in (0, 1)
+
+
+@pytest.mark.sshd
+def test_the_kernels_of_a_card_are_in_the_target_file(home, capsys):
+    """tests/rtgen/test_card_boot.py does so with a real card."""
+    programs = home / "sbin"
+    programs.mkdir()
+    listing = programs / "boot-kernel"
+    listing.write_text("#!/bin/sh\n[ $# -eq 0 ] && printf 'rt\\nother\\nstandard\\n'\n")
+    listing.chmod(0o755)
+    # A folder in the PATH of a login over SSH, and seldom with something in it.
+    with serve(home, seeing({"/usr/local/bin": programs})) as server:
+        words = ["--port", str(server.port), "--user", server.user, "--key", str(server.key)]
+        (home / ".ssh/known_hosts").write_text(f"[127.0.0.1]:{server.port} {server.host_key}\n")
+        main(["new-target", "--host", "127.0.0.1", *words, "--name", "card"])
+    config = read_target(Path("card.yml"))
+    assert config.restart == ["reboot"]
+    assert config.boot_kernel == {"standard": ["boot-kernel", "standard"], "rt": ["boot-kernel", "rt"]}
 
 
 @pytest.mark.sshd

@@ -62,11 +62,11 @@ def assemble(
     Its packages come from `source`.
     """
     root = root_file_system(machine, kernels, source)
-    kernel = next(iter(kernels.values()))
 
     def build_in(folder: Path) -> None:
         if machine.medium is not None:
-            card.build(machine, kernel, root, ram_disk(machine, kernel, root), login, source, folder)
+            ram_disks = {name: ram_disk(machine, kernel, root) for name, kernel in kernels.items()}
+            card.build(machine, kernels, root, ram_disks, login, source, folder)
         elif machine.qemu is not None:
             link_board(name, machine, machine.qemu, kernels, root, folder)
 

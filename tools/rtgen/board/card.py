@@ -1,13 +1,14 @@
 """The image of a card or stick for real hardware, with which nobody but its owner can log in."""
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import debian
 from rtgen.board import disk, u_boot, uefi
-from rtgen.board.boot import Boot
+from rtgen.board.boot import Boot, BootFiles
 from rtgen.board.kernel import Kernel
 from rtgen.board.machine import Machine
 from rtgen.process import run
@@ -29,17 +30,18 @@ ROOT_TYPE: dict[Table, str] = {"gpt": "type=L", "dos": "type=83"}
 
 def build(
     machine: Machine,
-    kernel: Kernel,
+    kernels: Mapping[str, Kernel],
     root: Path,
-    ram_disk: bytes,
+    ram_disks: Mapping[str, bytes],
     login: Path | None,
     source: debian.Source,
     folder: Path,
 ) -> None:
     """Write card.img into an empty folder, from the root file system in `root`, a folder of `disk.build`.
 
-    `login` is a file of public keys that may log in; without it a key made for this image lies beside it. U-Boot or the
-    stub for UEFI comes from `source`.
+    It starts the first of the kernels; where it has several, its command boot-kernel chooses another one. `login` is a
+    file of public keys that may log in; without it a key made for this image lies beside it. U-Boot or the stub for
+    UEFI comes from `source`.
     """
     if login is None:
         for name in (disk.KEY, f"{disk.KEY}.pub"):
@@ -51,20 +53,34 @@ def build(
     if login is not None:
         shutil.copy(login, work / "login.pub")
     set_keys(system, None if login is None else work / "login.pub")
-    (work / "initrd").write_bytes(ram_disk)
-    boot = Boot(
-        kernel=kernel.image,
-        ram_disk=work / "initrd",
-        command_line=f"{machine.cmdline} root=UUID={file_system_id(system)} quiet",
-    )
+    boots = {}
+    for name, kernel in kernels.items():
+        (work / f"initrd-{name}").write_bytes(ram_disks[name])
+        boots[name] = Boot(
+            kernel=kernel.image,
+            ram_disk=work / f"initrd-{name}",
+            command_line=f"{machine.cmdline} root=UUID={file_system_id(system)} quiet",
+            device_tree=kernel.device_tree(machine.u_boot.device_tree) if machine.u_boot is not None else None,
+        )
     if machine.u_boot is not None:
-        device_tree = kernel.device_tree(machine.u_boot.device_tree)
-        files = u_boot.boot_files(machine.architecture, machine.u_boot, source, boot, device_tree, work)
-        write_card(folder / IMAGE, "dos", files, system)
+        boot_files = u_boot.boot_files(machine.architecture, machine.u_boot, source, boots, work)
+        write_card(folder / IMAGE, "dos", files_by_path(boot_files, work), system)
     else:
         run(["debugfs", "-R", "dump /usr/lib/os-release os-release", system], folder=work)
-        write_card(folder / IMAGE, "gpt", uefi.boot_files(machine, source, boot, work / "os-release", work), system)
+        boot_files = uefi.boot_files(machine, source, boots, work / "os-release", work)
+        write_card(folder / IMAGE, "gpt", files_by_path(boot_files, work), system)
     shutil.rmtree(work)
+
+
+def files_by_path(boot_files: BootFiles, work: Path) -> dict[str, Path]:
+    """The files of a boot partition by their paths on it, with those that the board's command boot-kernel needs."""
+    first, *rest = boot_files.by_kernel.values()
+    files = {**boot_files.others, boot_files.path: first}
+    if rest:
+        path = work / "kernel-path.txt"
+        path.write_text(f"{boot_files.path}\n", encoding="utf-8")
+        files |= {f"kernels/{name}": file for name, file in boot_files.by_kernel.items()} | {path.name: path}
+    return files
 
 
 def write_card(image: Path, table: Table, files: dict[str, Path], root: Path) -> None:
@@ -80,10 +96,13 @@ def write_card(image: Path, table: Table, files: dict[str, Path], root: Path) ->
     with boot.open("wb") as stream:
         stream.truncate(BOOT_MIB * MIB)
     run(["mkfs.vfat", "-F", "32", "-n", "BOOT", boot])
+    folders = {Path()}
     for name, file in files.items():
-        parents = [f"::/{parent}" for parent in reversed(Path(name).parents) if parent != Path()]
-        if parents:
-            run(["mmd", "-D", "s", "-i", boot, *parents])
+        # Not all at first: a file that comes first in `files` stands first in its folder.
+        for folder in reversed(Path(name).parents):
+            if folder not in folders:
+                run(["mmd", "-i", boot, f"::/{folder}"])
+                folders.add(folder)
         run(["mcopy", "-i", boot, file, f"::/{name}"])
     for part, start_mib in ((boot, START_MIB), (root, START_MIB + BOOT_MIB)):
         run(["dd", f"if={part}", f"of={image}", "bs=1M", f"seek={start_mib}", "conv=notrunc,sparse", "status=none"])

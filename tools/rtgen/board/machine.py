@@ -75,8 +75,6 @@ class Machine(Config):
     def _qemu_or_medium(self) -> "Machine":
         if (self.qemu is None) == (self.medium is None):
             raise ValueError("give qemu (how QEMU runs it) or medium (how it starts from a card), and not the other")
-        if self.standard_kernel is not None and self.qemu is None:
-            raise ValueError("standard_kernel: a card has one kernel, give it for a machine in QEMU only")
         if (self.u_boot is not None) != (self.medium == "u-boot"):
             raise ValueError("give u_boot (which U-Boot) with medium: u-boot, and only with it")
         return self

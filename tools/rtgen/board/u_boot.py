@@ -7,11 +7,12 @@ SPRUH73); that of the OMAP4460, SWPU235, was not at hand. MLO is U-Boot's SPL an
 (doc/develop/distro.rst of U-Boot).
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from rtgen import debian
-from rtgen.board.boot import Boot
+from rtgen.board.boot import Boot, BootFiles
 from rtgen.board.machine import UBoot
 from rtgen.board.packages import file_of
 
@@ -19,24 +20,33 @@ CONFIGURATION = """\
 default linux
 timeout 10
 label linux
-    kernel /zImage
-    initrd /initrd
-    fdt /board.dtb
+    kernel /{kernel}
+    initrd /{ram_disk}
+    fdt /{device_tree}
     append {command_line}
 """
 
 
 def boot_files(
-    architecture: str, u_boot: UBoot, source: debian.Source, boot: Boot, device_tree: Path, work: Path
-) -> dict[str, Path]:
-    """The files of the boot partition by their paths on it; those that U-Boot's package has come first."""
+    architecture: str, u_boot: UBoot, source: debian.Source, boots: Mapping[str, Boot], work: Path
+) -> BootFiles:
+    """The files of the boot partition: a configuration for each kernel; those that U-Boot's package has come first.
+
+    The files of the first kernel have plain names.
+    """
     origin = replace(source, release=u_boot.suite or source.release)
-    configuration = work / "extlinux.conf"
-    configuration.write_text(CONFIGURATION.format(command_line=boot.command_line), encoding="utf-8")
-    first = {Path(name).name: file_of(u_boot.package, name, architecture, origin) for name in u_boot.files}
-    return first | {
-        "zImage": boot.kernel,
-        "initrd": boot.ram_disk,
-        "board.dtb": device_tree,
-        "extlinux/extlinux.conf": configuration,
-    }
+    others = {Path(name).name: file_of(u_boot.package, name, architecture, origin) for name in u_boot.files}
+    by_kernel: dict[str, Path] = {}
+    for name, boot in boots.items():
+        mark = f"-{name}" if by_kernel else ""
+        kernel, ram_disk, device_tree = f"zImage{mark}", f"initrd{mark}", f"board{mark}.dtb"
+        assert boot.device_tree is not None
+        others |= {kernel: boot.kernel, ram_disk: boot.ram_disk, device_tree: boot.device_tree}
+        by_kernel[name] = work / f"{name}.conf"
+        by_kernel[name].write_text(
+            CONFIGURATION.format(
+                kernel=kernel, ram_disk=ram_disk, device_tree=device_tree, command_line=boot.command_line
+            ),
+            encoding="utf-8",
+        )
+    return BootFiles(path="extlinux/extlinux.conf", by_kernel=by_kernel, others=others)

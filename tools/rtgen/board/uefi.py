@@ -6,10 +6,11 @@ a partition of type EFI system with a FAT file system.
 """
 
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 
 from rtgen import debian
-from rtgen.board.boot import Boot
+from rtgen.board.boot import Boot, BootFiles
 from rtgen.board.machine import Machine, architectures
 from rtgen.board.packages import file_of
 from rtgen.process import run
@@ -18,16 +19,21 @@ PACKAGE = "systemd-boot-efi"
 SECTION_ALIGNMENT = 4096
 
 
-def boot_files(machine: Machine, source: debian.Source, boot: Boot, os_release: Path, work: Path) -> dict[str, Path]:
-    """The files of the boot partition by their paths on it."""
+def boot_files(
+    machine: Machine, source: debian.Source, boots: Mapping[str, Boot], os_release: Path, work: Path
+) -> BootFiles:
+    """The files of the boot partition: an EFI file for each kernel."""
     architecture = architectures()[machine.architecture]
-    command_line = work / "cmdline"
-    command_line.write_text(boot.command_line, encoding="utf-8")
-    parts = {".osrel": os_release, ".cmdline": command_line, ".linux": boot.kernel, ".initrd": boot.ram_disk}
-    name = f"usr/lib/systemd/boot/efi/linux{architecture.uefi}.efi.stub"
-    stub = file_of(PACKAGE, name, machine.architecture, source)
-    write_efi_file(work / "boot.efi", stub, architecture.triplet, parts)
-    return {f"EFI/BOOT/BOOT{architecture.uefi}.EFI".upper(): work / "boot.efi"}
+    file = f"usr/lib/systemd/boot/efi/linux{architecture.uefi}.efi.stub"
+    stub = file_of(PACKAGE, file, machine.architecture, source)
+    by_kernel = {}
+    for name, boot in boots.items():
+        command_line = work / "cmdline"
+        command_line.write_text(boot.command_line, encoding="utf-8")
+        parts = {".osrel": os_release, ".cmdline": command_line, ".linux": boot.kernel, ".initrd": boot.ram_disk}
+        by_kernel[name] = work / f"{name}.efi"
+        write_efi_file(by_kernel[name], stub, architecture.triplet, parts)
+    return BootFiles(path=f"EFI/BOOT/BOOT{architecture.uefi}.EFI".upper(), by_kernel=by_kernel, others={})
 
 
 def write_efi_file(file: Path, stub: Path, triplet: str, parts: dict[str, Path]) -> None:
