@@ -27,7 +27,7 @@ def image(tmp_path):
     """A card's image as wic makes it: partition table, then data that no two blocks share."""
     path = tmp_path / "rt-tests-image.wic"
     data = bytearray(b"".join(hashlib.sha256(str(i).encode()).digest() for i in range(9 * MIB // 32)) + b"tail")
-    data[510:512] = b"\x55\xaa"
+    data[446:512] = bytes(64) + b"\x55\xaa"
     path.write_bytes(data)
     return path
 
@@ -162,6 +162,29 @@ def test_what_is_no_image(attach, tmp_path, capsys, name, content, message):
         (tmp_path / name).write_bytes(content)
     assert flash_it(tmp_path / name, device, "--yes") == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("table", "end_mib"),
+    [
+        ("label: dos\n2048,4096,c\n6144,12288,83\n", 9),  # sectors; the second partition ends with the image
+        ("label: gpt\n2048,4096,U\n6144,8192,L\n", 10),  # the copy of the table ends with the disk
+    ],
+)
+def test_an_image_that_is_cut_short(attach, tmp_path, capsys, table, end_mib):
+    """A card of its size is smaller than its partitions: it would boot, and lose data when it gets full."""
+    image = tmp_path / "card.wic"
+    with image.open("wb") as stream:
+        stream.truncate(end_mib * MIB)
+    subprocess.run(["sfdisk", "-q", image], input=table, text=True, check=True)
+    assert flash.check_image(image) == end_mib * MIB
+    device, backing = attach(16 * MIB)
+    with image.open("r+b") as stream:
+        stream.truncate(8 * MIB)
+    assert flash_it(image, device, "--yes") == 2
+    expected = f"its partitions need {end_mib * MIB} bytes, the file has {8 * MIB}: unpack or copy it again"
+    assert f"rtgen: {image}: cut short: {expected}" in capsys.readouterr().err
+    assert not any(backing.read_bytes())
 
 
 def test_what_is_no_device(image, capsys):

@@ -35,7 +35,7 @@ class Card:
 
 
 def check_image(image: Path) -> int:
-    """The size of an image in bytes. Raises UsageError if it is not the image of a whole card, as wic makes it."""
+    """The size of an image in bytes. Raises UsageError if it is not that of a whole card with all its partitions."""
     if image.suffix in PACKED:
         raise UsageError(f"{image}: packed, unpack it first: give the .wic file")
     try:
@@ -48,7 +48,25 @@ def check_image(image: Path) -> int:
     if len(head) < SECTOR or head[510:512] != b"\x55\xaa":
         raise UsageError(f"{image}: no partition table in it, give the .wic file of the image")
     size: int = image.stat().st_size
+    needed = partitions_end(head)
+    if needed > size:
+        raise UsageError(
+            f"{image}: cut short: its partitions need {needed} bytes, the file has {size}: unpack or copy it again"
+        )
     return size
+
+
+def partitions_end(head: bytes) -> int:
+    """The byte after the last partition in an MBR; with a GPT the end of the disk, over which its one partition goes.
+
+    An entry has 16 bytes: the type in byte 4 (0: unused), from byte 8 the first sector and the number of sectors. A GPT
+    of more than 2 TiB has the largest number instead (UEFI specification 2.10, 5.2.1 and 5.2.3).
+    """
+    entries = [head[at : at + 16] for at in range(446, 510, 16)]
+    extents = [
+        (int.from_bytes(entry[8:12], "little"), int.from_bytes(entry[12:], "little"), entry[4]) for entry in entries
+    ]
+    return max((start + count for start, count, kind in extents if kind and count < 2**32 - 1), default=0) * SECTOR
 
 
 def check_device(device: Path, image_bytes: int, sys: Path = Path("/sys"), proc: Path = Path("/proc")) -> Card:
