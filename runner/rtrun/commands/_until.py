@@ -1,6 +1,6 @@
 """``rtrun run`` of a campaign with a goal: rounds until every group has its answer or the time is over."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rtfiles.errors import InfrastructureError, UsageError
@@ -8,7 +8,8 @@ from rtfiles.output import print_line, print_note
 from rtrun.analysis.deadline import plan_measurements
 from rtrun.commands.verdict import print_answers
 from rtrun.execution import campaign_runner
-from rtrun.execution.goal import Progress, Round, read_findings, rounds
+from rtrun.execution.allotment import NextRound
+from rtrun.execution.goal import Progress, read_findings, rounds
 from rtrun.execution.progress import RoundProgress
 from rtrun.plan.campaign import Campaign, variants_of
 from rtrun.plan.goal import Goal
@@ -47,7 +48,7 @@ def measure_until(
     measurements = best[1]
     evaluate = evaluator(results, goal)
 
-    def plan(spent_s: Callable[[], float], report_progress: ReportProgress) -> Iterator[Round]:
+    def plan(spent_s: Callable[[], float], report_progress: ReportProgress) -> NextRound:
         write_goal(results, goal)
         findings = read_findings(results, evaluate, spent_s)
         return rounds(groups, goal, campaign.seed or 0, measurements, findings, report_progress)

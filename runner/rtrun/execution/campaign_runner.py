@@ -1,52 +1,26 @@
-"""A campaign on a target: every planned run is measured and closed, through lost links and restarts."""
+"""A campaign: its results folder and journal, and every run that is not finished yet measured on its target."""
 
 import contextlib
 import fcntl
-import functools
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from datetime import UTC, datetime
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self
 
 from rtfiles.errors import UsageError
-from rtrun.execution import journal, preparation, resumption, run_execution
-from rtrun.execution.goal import Round
-from rtrun.execution.run_state import RunEvent, RunLife, RunState
-from rtrun.execution.trace_threshold import with_found_threshold
+from rtrun.execution import journal
+from rtrun.execution.allotment import NextRound, rounds_of_blocks
+from rtrun.execution.board import Clock, Observer, Session, measure_rounds, utc_now
 from rtrun.plan import campaign_digest
 from rtrun.plan.campaign import Variant
 from rtrun.plan.kernels import blocks
-from rtrun.plan.run import KernelName, Run
+from rtrun.plan.run import Run
 from rtrun.results import run_directory
-from rtrun.results.record import RunRecord, RunStatus, read_record, verify
+from rtrun.results.record import RunStatus, verify
 from rtrun.target.config import Target
-from rtrun.target.errors import TargetError
-from rtrun.target.inspection import running_kernel
-from rtrun.target.kernel_trace import tracing
-from rtrun.target.link import Link, TargetRebooted
-from rtrun.target.restart import check_restart, restart
+from rtrun.target.link import Link
 
-# A board that restarts during each of so many attempts will not complete this run.
-ATTEMPTS = 3
-
-Clock = Callable[[], datetime]
-# From the time spent so far, in seconds, to the rounds.
-PlanRounds = Callable[[Callable[[], float]], Iterable[Round]]
-
-
-def utc_now() -> datetime:
-    """The time now, for records only: nothing is measured with it."""
-    return datetime.now(UTC)
-
-
-class Observer(Protocol):
-    """What shows the user the progress of a campaign."""
-
-    def began(self, number: int, run: Run) -> None: ...
-    def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None: ...
-    def note(self, text: str) -> None: ...
+PlanRounds = Callable[[Callable[[], float]], NextRound]
+"""From the time spent so far, in seconds, to the rounds."""
 
 
 def find_unfinished(results: Path, name: str, runs: Sequence[Run], target_name: str) -> list[tuple[int, Run]]:
@@ -63,7 +37,7 @@ def has_rounds(results: Path, name: str, groups: Sequence[Run], target_name: str
     """Whether there is something left to measure for a campaign with rounds. Raises UsageError as `find_unfinished`."""
     run_directory.make_results(results)
     with _lock(results), _open_journal(results, name, groups, target_name) as log:
-        return next(iter(rounds(lambda: log.spent_s(utc_now()))), None) is not None
+        return rounds(lambda: log.spent_s(utc_now()))((), ()) is not None
 
 
 def run_campaign(
@@ -93,152 +67,23 @@ def run_campaign(
                 return statuses
             if len(needed) < len(runs):
                 observer.note(f"going on in {results}: {len(runs) - len(needed)} of {len(runs)} runs are finished")
-        if len(kernels := dict.fromkeys(run.kernel for run in needed if run.kernel)) > 1:
-            check_restart(target, kernels)
-        numbers = {run.name: number for number, run in enumerate(runs)}
-        remote = target.work_dir / "runs" / log.uid
+        session = Session(
+            campaign=name,
+            log=log,
+            runs=runs,
+            needed=needed,
+            results=results,
+            variants=variants or {},
+            now=now,
+        )
         log.begin_session(now().isoformat())
-        with (
-            Link(target, observer.note) as link,
-            _PreparedTarget(link, log.uid, needed, variants or {}, observer.note) as prepared,
-        ):
-            # Runs that an earlier call left on the target come first: two runs at once would disturb each other.
-            started = frozenset(resumption.list_folders(link, remote))
-            planned = rounds(lambda: log.spent_s(now())) if rounds else _rounds(results, runs, needed, started)
-            for each in planned:
-                try:
-                    if link.boot_id in each.used_boots:
-                        prepared.restart(each.runs[0].kernel)
-                    # Now, so that it is not in the time of a run.
-                    prepared.get(each.runs[0].kernel)
-                except TargetRebooted as error:
-                    # By itself. The first run prepares it anew.
-                    prepared.drop()
-                    observer.note(str(error))
-                for run in sorted(each.runs, key=lambda run: run.name not in started):
-                    # In a round the name of a run is not that of its group.
-                    number = numbers.get(run.name, 0)
-                    observer.began(number, run)
-                    try:
-                        run = with_found_threshold(run, results)
-                    except UsageError as error:
-                        statuses[run.name] = RunStatus.INCOMPLETE
-                        observer.ended(number, run, RunStatus.INCOMPLETE, f"no limit for its traces: {error}")
-                        continue
-                    record = _measure(prepared, log, name, run, results / run.name, observer, now)
-                    statuses[run.name] = record.status
-                    observer.ended(number, run, record.status, record.reason)
-            # A runner that was killed may have left something of runs that it had closed.
-            with contextlib.suppress(TargetRebooted):
-                link.check(["rm", "-rf", str(remote)])
-        return statuses
-
-
-def _rounds(results: Path, runs: Sequence[Run], needed: Collection[Run], started: frozenset[str]) -> Iterator[Round]:
-    """Yield the runs that are needed, a round for each block; a block whose runs `started` on the target is first."""
-    names = {run.name for run in needed}
-    divided = blocks(runs)
-    for block in sorted(divided, key=lambda block: started.isdisjoint(run.name for run in block)):
-        if todo := tuple(run for run in block if run.name in names):
-            others = [run for each in divided if each is not block for run in each]
-            yield Round(runs=todo, used_boots=frozenset(filter(None, (_boot_of(results / run.name) for run in others))))
-
-
-def _boot_of(folder: Path) -> str:
-    """The boot that a run was measured on; empty where that is not known."""
-    try:
-        return str(read_record(folder).target.boot_id or "")
-    except UsageError:
-        return ""
-
-
-def _measure(
-    prepared: "_PreparedTarget",
-    log: journal.Journal,
-    campaign: str,
-    run: Run,
-    folder: Path,
-    observer: Observer,
-    now: Clock,
-) -> RunRecord:
-    """Measure a run, again after each restart of the target that cut it off. Raises TargetRebooted after too many."""
-    for attempts_left in reversed(range(ATTEMPTS)):
-        life = RunLife(lambda state, reason: log.note(now().isoformat(), run.name, state, reason))
-        try:
-            ready = prepared.get(run.kernel).for_run(run)
-            with tracing(ready.link, ready.scripts, run.parameters):
-                return run_execution.measure(ready, log.uid, campaign, run, folder, life, now)
-        except TargetRebooted as error:
-            prepared.drop()
-            life.move(RunEvent.RESTART, str(error))
-            observer.note(f"{run.name}: {error}")
-            if life.state is RunState.CLOSED:
-                return read_record(folder)
-            if not attempts_left:
-                raise
-    raise AssertionError("the last attempt returns or raises")
-
-
-class _PreparedTarget:
-    """The target, prepared when it is asked for, and anew when it was restarted since."""
-
-    def __init__(
-        self,
-        link: Link,
-        owner: str,
-        runs: Sequence[Run],
-        variants: Mapping[str, Variant],
-        notify: Callable[[str], None],
-    ) -> None:
-        self._link, self._notify = link, notify
-        self._prepare = functools.partial(preparation.prepared, link, owner, runs, variants)
-        self._stack = contextlib.ExitStack()
-        self._ready: preparation.Prepared | None = None
-        self._kernels: dict[str, KernelName] = {}
-        """That it ran, by its boot."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
-
-    def get(self, kernel: KernelName | None = None) -> preparation.Prepared:
-        """Return it ready for runs; where a kernel is named, it runs that one, restarted into it if need be.
-
-        Raises UsageError when the target cannot be restarted into it, TargetError when it runs another one then.
-        """
-        if kernel is not None and self._running_kernel() != kernel:
-            self.restart(kernel)
-            if (running := self._running_kernel()) != kernel:
-                raise TargetError(
-                    f"{self._link.target.address}: restarted into the kernel {kernel}, it runs {running} "
-                    f"(uname -v says which): nothing is measured on it; check boot_kernel.{kernel} in the target file"
-                )
-        if self._ready is None:
-            self._ready = self._stack.enter_context(self._prepare())
-        return self._ready
-
-    def _running_kernel(self) -> KernelName:
-        boot_id = self._link.boot_id
-        if boot_id not in self._kernels:
-            self._kernels[boot_id] = running_kernel(self._link)
-        return self._kernels[boot_id]
-
-    def restart(self, kernel: KernelName | None) -> None:
-        """Restart the target, into a kernel where one is named. Raises TargetError when a run is going on there."""
-        resumption.check_idle(self._link)
-        into = f"into the kernel {kernel}" if kernel else "for the next round, which is to be on another boot"
-        self._notify(f"restarting the target {into}")
-        self.drop()
-        restart(self._link, kernel)
-
-    def drop(self) -> None:
-        """Forget what was prepared: after a restart it is gone."""
-        self._ready = None
-        self._stack.close()
+        if rounds:
+            next_round = rounds(lambda: log.spent_s(now()))
+        else:
+            names = {run.name for run in needed}
+            next_round = rounds_of_blocks(blocks(runs), names, session.statuses, results)
+        measure_rounds(session, Link(target, observer.note), observer, lambda begun: next_round((), begun))
+        return statuses | session.statuses
 
 
 @contextlib.contextmanager

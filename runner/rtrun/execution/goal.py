@@ -5,27 +5,20 @@ Nothing but the results is remembered: a campaign that was stopped goes on in th
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.standing import Standing
+from rtrun.execution.allotment import NextRound, Round
 from rtrun.plan.goal import Goal
 from rtrun.plan.rounds import boot_of_round, plan_round, rounds_a_boot, rounds_for, run_in_round
 from rtrun.plan.run import Run
-from rtrun.results.record import RunStatus, verify
+from rtrun.results.record import RunStatus, is_closed, verify
 
 # A run that fails so often in its round will not succeed: its group is given up.
 TRIES = 3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Round:
-    """Runs to measure now. Where the target is on one of `used_boots`, it is to be restarted first."""
-
-    runs: tuple[Run, ...]
-    used_boots: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +26,8 @@ class Findings:
     """What the rounds ask of the results: a finished run's boot (None: not finished), answers, seconds spent so far."""
 
     boot_of: Callable[[Run], str | None]
+    has_failed: Callable[[Run], bool]
+    """Whether a run that is not finished was measured to its end, in vain."""
     evaluate: Callable[[], Sequence[Standing]]
     spent_s: Callable[[], float]
 
@@ -52,7 +47,10 @@ def read_findings(results: Path, evaluate: Callable[[], Sequence[Standing]], spe
             boots[run.name] = str(record.target.boot_id or "")
         return boots[run.name]
 
-    return Findings(boot_of=boot_of, evaluate=evaluate, spent_s=spent_s)
+    def has_failed(run: Run) -> bool:
+        return boot_of(run) is None and is_closed(results / run.name)
+
+    return Findings(boot_of=boot_of, has_failed=has_failed, evaluate=evaluate, spent_s=spent_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,39 +72,58 @@ def rounds(
     measurements: int,
     findings: Findings,
     report_progress: Callable[[Sequence[Progress], float], None],
-) -> Iterator[Round]:
-    """Yield what to measure next, until every group has its answer or the time is over.
+    boards: int = 1,
+) -> NextRound:
+    """What to measure next, until every group has its answer or the time is over.
 
     `measurements` are those of a proof without a miss. Whoever measures a round asks for the next one when its runs are
-    closed. A group with a final answer leaves the rounds; so does one whose run failed `TRIES` times.
-    `report_progress` is called with the seconds spent so far before each new round and at the end.
+    closed; several `boards` measure rounds of their own at a time. A group with a final answer leaves the rounds; so
+    does one whose run failed `TRIES` times. `report_progress` is called with the seconds spent so far before each new
+    round and at the end, once for each state of the answers.
     """
     a_boot = rounds_a_boot(groups, measurements, goal.boots)
-    number = _latest_round(groups, findings)
+    lowest = highest = _latest_round(groups, findings)
     tries: Counter[str] = Counter()
     given_up: set[str] = set()
-    while True:
+    reported: Mapping[str, Standing] | None = None
+
+    def unfinished(number: int, open_groups: Sequence[Run]) -> list[Run]:
+        return [run for run in plan_round(open_groups, number, seed) if findings.boot_of(run) is None]
+
+    def next_round(taken: Collection[str], _begun: Collection[str]) -> Round | None:
+        nonlocal lowest, highest, reported
+        for group in groups:
+            runs = [run_in_round(group, number) for number in range(lowest, highest + 1)]
+            if any(tries[run.name] >= TRIES and run.name not in taken and findings.has_failed(run) for run in runs):
+                given_up.add(group.name)
         standings = standings_of(groups, findings.evaluate())
         open_groups = [
             group for group in groups if group.name not in given_up and not _is_final(standings.get(group.name))
         ]
-        planned = plan_round(open_groups, number, seed)
-        todo = [run for run in planned if findings.boot_of(run) is None]
-        if not todo and open_groups:
-            number += 1
-            planned = plan_round(open_groups, number, seed)
-            todo = list(planned)
-        if len(todo) == len(planned):
+        while open_groups and not unfinished(lowest, open_groups):
+            lowest += 1
+        number, todo = lowest, list[Run]()
+        while open_groups and not todo:
+            todo = [run for run in unfinished(number, open_groups) if run.name not in taken]
+            number += not todo
+        if len(todo) == len(open_groups) and standings != reported:
             spent_s = findings.spent_s()
-            report_progress(_progress(groups, standings, measurements, a_boot, spent_s), spent_s)
-            if not todo or spent_s + sum(run.expected_s for run in todo) > goal.at_most_ns / 1e9:
-                return
-        yield Round(
+            reported = standings
+            report_progress(_progress(groups, standings, measurements, a_boot, spent_s, boards), spent_s)
+        if len(todo) == len(open_groups) and (
+            not todo or findings.spent_s() + sum(run.expected_s for run in todo) > goal.at_most_ns / 1e9
+        ):
+            return None
+        for run in todo:
+            # A board that went away with the run says nothing about the run.
+            tries[run.name] = tries[run.name] + 1 if findings.has_failed(run) else 1
+        highest = max(highest, number)
+        return Round(
             runs=tuple(todo),
-            used_boots=_used_boots(groups, number, a_boot, findings) if goal.boots > 1 else frozenset(),
+            used_boots=_used_boots(groups, number, highest, a_boot, findings) if goal.boots > 1 else frozenset(),
         )
-        tries.update(run.name for run in todo if findings.boot_of(run) is None)
-        given_up |= {group.name for group in open_groups if tries[run_in_round(group, number).name] >= TRIES}
+
+    return next_round
 
 
 def _is_final(standing: Standing | None) -> bool:
@@ -142,24 +159,29 @@ def _latest_round(groups: Sequence[Run], findings: Findings) -> int:
     return number
 
 
-def _used_boots(groups: Sequence[Run], number: int, a_boot: int, findings: Findings) -> frozenset[str]:
-    """The boots that runs of earlier rounds were on, of all rounds that are not to share a boot with this one."""
-    earlier = [each for each in range(1, number) if boot_of_round(each, a_boot) != boot_of_round(number, a_boot)]
-    boots = {findings.boot_of(run_in_round(group, each)) for each in earlier for group in groups}
+def _used_boots(groups: Sequence[Run], number: int, highest: int, a_boot: int, findings: Findings) -> frozenset[str]:
+    """The boots that runs of rounds up to `highest` were on, of all that are not to share a boot with this round."""
+    others = [each for each in range(1, highest + 1) if boot_of_round(each, a_boot) != boot_of_round(number, a_boot)]
+    boots = {findings.boot_of(run_in_round(group, each)) for each in others for group in groups}
     return frozenset(boot for boot in boots if boot)
 
 
 def _progress(
-    groups: Sequence[Run], standings: Mapping[str, Standing], measurements: int, a_boot: int, spent_s: float
+    groups: Sequence[Run],
+    standings: Mapping[str, Standing],
+    measurements: int,
+    a_boot: int,
+    spent_s: float,
+    boards: int,
 ) -> list[Progress]:
     counts = {group.name: len(standings[group.name].runs) for group in groups if group.name in standings}
     measured_s = sum(counts.get(group.name, 0) * group.expected_s for group in groups)
-    overhead_s = max(0.0, spent_s - measured_s) / max(1, sum(counts.values()))
+    overhead_s = max(0.0, spent_s * boards - measured_s) / max(1, sum(counts.values()))
     progress = []
     for group in groups:
         standing = standings.get(group.name)
         number = runs_left(group, standing, measurements, a_boot)
-        left_s = None if number is None else number * (group.expected_s + overhead_s)
+        left_s = None if number is None else number * (group.expected_s + overhead_s) / boards
         progress.append(Progress(group=group, standing=standing, left_s=left_s))
     return progress
 

@@ -89,10 +89,12 @@ def measure(board, groups, wanted, *, calls=10**9):
     """Follow the rounds as the campaign runner does, and be killed before call number `calls`; return the standings."""
     findings = Findings(
         boot_of=lambda run: board.boots.get(run.name),
+        has_failed=lambda run: run.name in board.calls and run.name not in board.boots,
         evaluate=lambda: board.evaluate(groups),
         spent_s=lambda: board.spent_s,
     )
-    for each in rounds(groups, wanted, 7, NEEDED, findings, lambda progress, _: board.told.append(progress)):
+    next_round = rounds(groups, wanted, 7, NEEDED, findings, lambda progress, _: board.told.append(progress))
+    while each := next_round((), ()):
         if f"boot{board.boot}" in each.used_boots:
             board.boot += 1
         for run in each.runs:

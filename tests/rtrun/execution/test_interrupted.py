@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from faulty import record, runs_of
 
-from rtrun.execution import campaign_runner, run_execution, run_programs
+from rtrun.execution import board, campaign_runner, run_execution, run_programs
 from rtrun.results import run_directory
 from rtrun.target import processes
 from rtrun.target.connection import Connection
@@ -258,7 +258,7 @@ def test_a_target_that_restarts_again_and_again_is_given_up(target, measure, int
         raise TargetRebooted("the target was restarted")
 
     interrupt(target, runs_of(2), restarts, TargetRebooted, module=run_execution, name="measure")
-    assert len(attempts) == len({id(prepared) for prepared in attempts}) == campaign_runner.ATTEMPTS
+    assert len(attempts) == len({id(prepared) for prepared in attempts}) == board.ATTEMPTS
 
 
 def test_a_run_does_not_begin_without_a_master(target, wishes, interrupt):

@@ -9,7 +9,7 @@ from faulty import record
 
 from conftest import BOOT_ID, seeing, serve
 from rtfiles.errors import UsageError
-from rtrun.execution import campaign_runner
+from rtrun.execution import campaign_runner, run_execution
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.target.address import ThisMachine
 from rtrun.target.errors import TargetError
@@ -135,7 +135,7 @@ def test_a_run_that_still_measures_is_picked_up_before_the_target_is_restarted(t
     class Killed(Exception):
         """Nothing is cleaned up, as when the runner is killed."""
 
-    real = campaign_runner.run_execution._wait
+    real = run_execution._wait
 
     def killed(work, life):
         if work.run.kernel == "rt":
@@ -143,7 +143,7 @@ def test_a_run_that_still_measures_is_picked_up_before_the_target_is_restarted(t
         return real(work, life)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign_runner.run_execution, "_wait", killed)
+        patch.setattr(run_execution, "_wait", killed)
         with pytest.raises(Killed):
             measure(target, runs, tmp_path / "results")
     assert board.boots == ["standard", "rt"]

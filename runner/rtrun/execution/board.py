@@ -1,0 +1,187 @@
+"""The work on one board: its runs are measured and closed one after the other, through lost links and restarts."""
+
+import contextlib
+import functools
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from rtfiles.errors import UsageError
+from rtrun.execution import preparation, resumption, run_execution
+from rtrun.execution.allotment import Round
+from rtrun.execution.journal import Journal
+from rtrun.execution.run_state import RunEvent, RunLife, RunState
+from rtrun.execution.trace_threshold import with_found_threshold
+from rtrun.plan.campaign import Variant
+from rtrun.plan.run import KernelName, Run
+from rtrun.results.record import RunRecord, RunStatus, read_record
+from rtrun.target.errors import TargetError
+from rtrun.target.inspection import running_kernel
+from rtrun.target.kernel_trace import tracing
+from rtrun.target.link import Link, TargetRebooted
+from rtrun.target.restart import check_restart, restart
+
+# A board that restarts during each of so many attempts will not complete this run.
+ATTEMPTS = 3
+
+Clock = Callable[[], datetime]
+
+
+def utc_now() -> datetime:
+    """The time now, for records only: nothing is measured with it."""
+    return datetime.now(UTC)
+
+
+class Observer(Protocol):
+    """What shows the user the progress of a board."""
+
+    def began(self, number: int, run: Run) -> None: ...
+    def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None: ...
+    def note(self, text: str) -> None: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Session:
+    """One call's work on a campaign, the same for all boards that share it."""
+
+    campaign: str
+    log: Journal
+    runs: Sequence[Run]
+    """Of the campaign, or the groups of one with rounds."""
+    needed: Sequence[Run]
+    """Those that are not finished yet."""
+    results: Path
+    variants: Mapping[str, Variant]
+    now: Clock
+    statuses: dict[str, RunStatus] = field(default_factory=dict)
+    """What became of the runs of this call, by name. Extended with each run that is closed."""
+
+
+def measure_rounds(
+    session: Session, link: Link, observer: Observer, take_round: Callable[[Collection[str]], Round | None]
+) -> None:
+    """Measure rounds on a board until `take_round` gives no more; it is told which runs were begun on the board before.
+
+    Raises UsageError when the board cannot do what the campaign asks for, TargetError when it cannot go on.
+    """
+    if len(kernels := dict.fromkeys(run.kernel for run in session.needed if run.kernel)) > 1:
+        check_restart(link.target, kernels)
+    numbers = {run.name: number for number, run in enumerate(session.runs)}
+    remote = link.target.work_dir / "runs" / session.log.uid
+    with (
+        link,
+        _PreparedTarget(link, session.log.uid, session.needed, session.variants, observer.note) as prepared,
+    ):
+        # Runs that an earlier call left on the board come first: two runs at once would disturb each other.
+        begun = frozenset(resumption.list_folders(link, remote))
+        while each := take_round(begun):
+            try:
+                if link.boot_id in each.used_boots:
+                    prepared.restart(each.runs[0].kernel)
+                # Now, so that it is not in the time of a run.
+                prepared.get(each.runs[0].kernel)
+            except TargetRebooted as error:
+                # By itself. The first run prepares it anew.
+                prepared.drop()
+                observer.note(str(error))
+            for run in sorted(each.runs, key=lambda run: run.name not in begun):
+                # In a round the name of a run is not that of its group.
+                number = numbers.get(run.name, 0)
+                observer.began(number, run)
+                try:
+                    run = with_found_threshold(run, session.results)
+                except UsageError as error:
+                    session.statuses[run.name] = RunStatus.INCOMPLETE
+                    observer.ended(number, run, RunStatus.INCOMPLETE, f"no limit for its traces: {error}")
+                    continue
+                record = _measure(session, prepared, run, observer)
+                session.statuses[run.name] = record.status
+                observer.ended(number, run, record.status, record.reason)
+        # A runner that was killed may have left something of runs that it had closed.
+        with contextlib.suppress(TargetRebooted):
+            link.check(["rm", "-rf", str(remote)])
+
+
+def _measure(session: Session, prepared: "_PreparedTarget", run: Run, observer: Observer) -> RunRecord:
+    """Measure a run, again after each restart of the target that cut it off. Raises TargetRebooted after too many."""
+    folder = session.results / run.name
+    for attempts_left in reversed(range(ATTEMPTS)):
+        life = RunLife(lambda state, reason: session.log.note(session.now().isoformat(), run.name, state, reason))
+        try:
+            ready = prepared.get(run.kernel).for_run(run)
+            with tracing(ready.link, ready.scripts, run.parameters):
+                return run_execution.measure(ready, session.log.uid, session.campaign, run, folder, life, session.now)
+        except TargetRebooted as error:
+            prepared.drop()
+            life.move(RunEvent.RESTART, str(error))
+            observer.note(f"{run.name}: {error}")
+            if life.state is RunState.CLOSED:
+                return read_record(folder)
+            if not attempts_left:
+                raise
+    raise AssertionError("the last attempt returns or raises")
+
+
+class _PreparedTarget:
+    """The target, prepared when it is asked for, and anew when it was restarted since."""
+
+    def __init__(
+        self,
+        link: Link,
+        owner: str,
+        runs: Sequence[Run],
+        variants: Mapping[str, Variant],
+        notify: Callable[[str], None],
+    ) -> None:
+        self._link, self._notify = link, notify
+        self._prepare = functools.partial(preparation.prepared, link, owner, runs, variants)
+        self._stack = contextlib.ExitStack()
+        self._ready: preparation.Prepared | None = None
+        self._kernels: dict[str, KernelName] = {}
+        """That it ran, by its boot."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def get(self, kernel: KernelName | None = None) -> preparation.Prepared:
+        """Return it ready for runs; where a kernel is named, it runs that one, restarted into it if need be.
+
+        Raises UsageError when the target cannot be restarted into it, TargetError when it runs another one then.
+        """
+        if kernel is not None and self._running_kernel() != kernel:
+            self.restart(kernel)
+            if (running := self._running_kernel()) != kernel:
+                raise TargetError(
+                    f"{self._link.target.address}: restarted into the kernel {kernel}, it runs {running} "
+                    f"(uname -v says which): nothing is measured on it; check boot_kernel.{kernel} in the target file"
+                )
+        if self._ready is None:
+            self._ready = self._stack.enter_context(self._prepare())
+        return self._ready
+
+    def _running_kernel(self) -> KernelName:
+        boot_id = self._link.boot_id
+        if boot_id not in self._kernels:
+            self._kernels[boot_id] = running_kernel(self._link)
+        return self._kernels[boot_id]
+
+    def restart(self, kernel: KernelName | None) -> None:
+        """Restart the target, into a kernel where one is named. Raises TargetError when a run is going on there."""
+        resumption.check_idle(self._link)
+        into = f"into the kernel {kernel}" if kernel else "for the next round, which is to be on another boot"
+        self._notify(f"restarting the target {into}")
+        self.drop()
+        restart(self._link, kernel)
+
+    def drop(self) -> None:
+        """Forget what was prepared: after a restart it is gone."""
+        self._ready = None
+        self._stack.close()
