@@ -6,6 +6,7 @@ from pathlib import Path
 from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.output import print_line, print_note
 from rtrun.analysis.deadline import plan_measurements
+from rtrun.commands._boards import TargetFile, measure_on
 from rtrun.commands.verdict import print_answers
 from rtrun.execution import campaign_runner
 from rtrun.execution.allotment import NextRound
@@ -18,7 +19,6 @@ from rtrun.report.standings import duration, evaluator, progress_line
 from rtrun.report.study import study
 from rtrun.results.goal_file import write_goal
 from rtrun.results.record import RunStatus, is_closed
-from rtrun.target.config import TargetConfig, connect
 
 ReportProgress = Callable[[Sequence[Progress], float], None]
 
@@ -28,8 +28,7 @@ def measure_until(
     campaign: Campaign,
     goal: Goal,
     groups: Sequence[Run],
-    config: TargetConfig,
-    config_folder: Path,
+    targets: Sequence[TargetFile],
     results: Path,
 ) -> int:
     """Measure, print how far it is after each round and the answers at the end; return the exit status.
@@ -40,18 +39,19 @@ def measure_until(
     best = plan_measurements(probability=goal.probability, confidence=goal.confidence)
     if best is None:
         raise UsageError(f"{file}: until: no number of measurements proves P(miss) below {goal.probability:g}")
-    if goal.boots > 1 and config.kind == "ssh" and config.restart is None:
-        raise UsageError(
-            f"{file}: until.boots: asks for {goal.boots} boots, but the file of target {config.name} does not say how "
-            "to restart it: add restart: [systemctl, reboot], or whatever restarts it"
-        )
+    for config in (target.config for target in targets):
+        if goal.boots > 1 and config.kind == "ssh" and config.restart is None:
+            raise UsageError(
+                f"{file}: until.boots: asks for {goal.boots} boots, but the file of target {config.name} does not say "
+                "how to restart it: add restart: [systemctl, reboot], or whatever restarts it"
+            )
     measurements = best[1]
     evaluate = evaluator(results, goal)
 
     def plan(spent_s: Callable[[], float], report_progress: ReportProgress) -> NextRound:
         write_goal(results, goal)
         findings = read_findings(results, evaluate, spent_s)
-        return rounds(groups, goal, campaign.seed or 0, measurements, findings, report_progress)
+        return rounds(groups, goal, campaign.seed or 0, measurements, findings, report_progress, len(targets))
 
     def print_progress(progress: Sequence[Progress], spent_s: float) -> None:
         if all(each.standing is None for each in progress):
@@ -61,22 +61,22 @@ def measure_until(
             print_line(f"   {progress_line(each, goal)}")
 
     statuses: dict[str, RunStatus] = {}
+    names = [target.name for target in targets]
     if not campaign_runner.has_rounds(
-        results, campaign.name, groups, config.name, lambda spent_s: plan(spent_s, lambda *_: None)
+        results, campaign.name, groups, lambda spent_s: plan(spent_s, lambda *_: None), *names
     ):
         print_note(f"rtrun: nothing is left to measure in {results}; --fresh measures again beside it")
     else:
         try:
-            with connect(config, config_folder, results / "console.log") as target:
-                statuses = campaign_runner.run_campaign(
-                    target,
-                    campaign.name,
-                    groups,
-                    results,
-                    RoundProgress(),
-                    variants=variants_of(campaign, file.parent),
-                    rounds=lambda spent_s: plan(spent_s, print_progress),
-                )
+            statuses = measure_on(
+                targets,
+                campaign.name,
+                groups,
+                results,
+                RoundProgress(),
+                variants=variants_of(campaign, file.parent),
+                rounds=lambda spent_s: plan(spent_s, print_progress),
+            )
         except (KeyboardInterrupt, InfrastructureError):
             print_line(f"what was measured is kept in {results}; the same command goes on there")
             raise

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rtrun.commands._boards import TargetFile
     from rtrun.plan.campaign import Campaign
     from rtrun.plan.run import Run
-    from rtrun.target.config import TargetConfig
 
 NAME = "run"
 HELP = "measure a campaign on a target; goes on where an earlier call stopped"
@@ -18,7 +18,14 @@ HELP = "measure a campaign on a target; goes on where an earlier call stopped"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what `run` takes."""
     parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.yml")
-    parser.add_argument("--target", type=Path, required=True, metavar="TARGET.yml")
+    parser.add_argument(
+        "--target",
+        type=Path,
+        required=True,
+        action="append",
+        metavar="TARGET.yml",
+        help="given several times: the boards share the campaign, whichever is free measures what comes next",
+    )
     parser.add_argument("--results", type=Path, metavar="FOLDER", help="default: results/<name of the campaign>")
     parser.add_argument("--fresh", action="store_true", help="begin anew in results/<name>-<n>, keep what is there")
 
@@ -29,56 +36,54 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.invocation import as_called
     from rtfiles.output import print_line
+    from rtrun.commands._boards import read_targets
     from rtrun.plan.campaign import read_campaign
     from rtrun.results import run_directory
-    from rtrun.target.config import read_target
 
     campaign, runs = read_campaign(args.campaign)
-    config = read_target(args.target)
+    targets = read_targets(args.target)
     results: Path = args.results or Path("results") / campaign.name
     if args.fresh:
         results = _fresh(results)
     run_directory.make_results(results)
     if campaign.until is None:
-        status = _measure(campaign, runs, config, args, results)
+        status = _measure(campaign, runs, targets, args, results)
     else:
         from rtrun.commands._until import measure_until
 
-        status = measure_until(args.campaign, campaign, campaign.until, runs, config, args.target.parent, results)
+        status = measure_until(args.campaign, campaign, campaign.until, runs, targets, results)
     if status == 0:
         print_line(f"next: {as_called('rtrun')} report {shlex.quote(str(results))}")
     return status
 
 
 def _measure(
-    campaign: "Campaign", runs: "Sequence[Run]", config: "TargetConfig", args: argparse.Namespace, results: Path
+    campaign: "Campaign",
+    runs: "Sequence[Run]",
+    targets: "Sequence[TargetFile]",
+    args: argparse.Namespace,
+    results: Path,
 ) -> int:
     """Measure each run that is not finished, and print the table of all."""
     from rtfiles.errors import InfrastructureError
     from rtfiles.output import console, print_line
+    from rtrun.commands._boards import measure_on
     from rtrun.execution import campaign_runner, progress
     from rtrun.plan.campaign import variants_of
     from rtrun.report import terminal
     from rtrun.results.reading import read_runs
     from rtrun.results.record import RunStatus
-    from rtrun.target.config import connect
 
     statuses: dict[str, RunStatus] = {}
     try:
         with progress.showing(runs, console()) as shown:
-            if not campaign_runner.find_unfinished(results, campaign.name, runs, config.name):
+            names = [target.name for target in targets]
+            if not campaign_runner.find_unfinished(results, campaign.name, runs, *names):
                 shown.note(f"all {len(runs)} runs are finished in {results}; --fresh measures again beside them")
                 statuses = {each.name: RunStatus.OK for each in runs}
             else:
-                with connect(config, args.target.parent, results / "console.log") as target:
-                    statuses = campaign_runner.run_campaign(
-                        target,
-                        campaign.name,
-                        runs,
-                        results,
-                        shown,
-                        variants=variants_of(campaign, args.campaign.parent),
-                    )
+                variants = variants_of(campaign, args.campaign.parent)
+                statuses = measure_on(targets, campaign.name, runs, results, shown, variants=variants)
     except (KeyboardInterrupt, InfrastructureError):
         done = campaign_runner.count_finished(results, runs)
         kept = f"{done} of {len(runs)} runs are finished and kept in {results}; the same command goes on there"

@@ -1,6 +1,7 @@
-"""Which runs are measured next: they come in rounds."""
+"""Which board measures what next: runs come in rounds, and a board that is free takes the next one."""
 
-from collections.abc import Callable, Collection, Sequence
+import threading
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,15 +30,17 @@ def rounds_of_blocks(
 ) -> NextRound:
     """The runs of a plan that are `needed`, a round for each block; `done` grows while the caller measures.
 
-    The block of a run that was begun on the board comes first. No two blocks are measured on one boot.
+    The block of a run that was begun on the board comes first. Of several kernels no two blocks are measured on one
+    boot.
     """
+    has_kernels = len({run.kernel for block in blocks for run in block}) > 1
 
     def next_round(taken: Collection[str], begun: Collection[str]) -> Round | None:
         ordered = sorted(blocks, key=lambda block: set(begun).isdisjoint(run.name for run in block))
         for block in ordered:
             if todo := tuple(run for run in block if run.name in needed and run.name not in {*taken, *done}):
                 others = [run for each in blocks if each is not block for run in each]
-                boots = filter(None, (_boot_of(results / run.name) for run in others)) if len(blocks) > 1 else ()
+                boots = filter(None, (_boot_of(results / run.name) for run in others)) if has_kernels else ()
                 return Round(runs=todo, used_boots=frozenset(boots))
         return None
 
@@ -50,3 +53,53 @@ def _boot_of(folder: Path) -> str:
         return str(read_record(folder).target.boot_id or "")
     except UsageError:
         return ""
+
+
+class Allotment:
+    """The rounds of a campaign, handed out to boards that ask from threads of their own; no run is with two of them.
+
+    `owners` says which board an earlier call gave an unfinished run to: it stays with that board while it is there.
+    """
+
+    def __init__(self, next_round: NextRound, boards: Collection[str], owners: Mapping[str, str]) -> None:
+        self._next_round = next_round
+        self._owners = {run: board for run, board in owners.items() if board in boards}
+        self._measuring: dict[str, tuple[str, ...]] = {}
+        self._is_stopped = False
+        self._changed = threading.Condition()
+
+    def take(self, board: str, begun: Collection[str]) -> Round | None:
+        """Return what a board measures next, now that it has closed the runs of its round before.
+
+        `begun` are the runs that an earlier call left something of on this board. Waits while other boards may fail and
+        leave their runs to this one. None: the campaign is over. Raises KeyboardInterrupt after `stop`.
+        """
+        with self._changed:
+            self._measuring.pop(board, None)
+            self._changed.notify_all()
+            while not self._is_stopped:
+                of_others = {run for runs in self._measuring.values() for run in runs}
+                of_others |= {run for run, owner in self._owners.items() if owner != board}
+                each = self._next_round(of_others, begun)
+                # What an earlier call gave to this board was offered to it first.
+                self._owners = {run: owner for run, owner in self._owners.items() if owner != board}
+                if each is not None:
+                    self._measuring[board] = tuple(run.name for run in each.runs)
+                    return each
+                if not self._measuring and not self._owners:
+                    return None
+                self._changed.wait()
+            raise KeyboardInterrupt
+
+    def withdraw(self, board: str) -> None:
+        """Leave what a board had to the others; it takes no more."""
+        with self._changed:
+            self._measuring.pop(board, None)
+            self._owners = {run: owner for run, owner in self._owners.items() if owner != board}
+            self._changed.notify_all()
+
+    def stop(self) -> None:
+        """Hand out nothing more."""
+        with self._changed:
+            self._is_stopped = True
+            self._changed.notify_all()

@@ -17,7 +17,7 @@ from rtrun.execution.run_state import RunEvent, RunLife, RunState
 from rtrun.execution.trace_threshold import with_found_threshold
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import KernelName, Run
-from rtrun.results.record import RunRecord, RunStatus, read_record
+from rtrun.results.record import RunRecord, RunStatus, is_finished, read_record
 from rtrun.target.errors import TargetError
 from rtrun.target.inspection import running_kernel
 from rtrun.target.kernel_trace import tracing
@@ -53,11 +53,20 @@ class Session:
     """Of the campaign, or the groups of one with rounds."""
     needed: Sequence[Run]
     """Those that are not finished yet."""
+    finished: Mapping[str, RunStatus]
+    """The others, by name."""
     results: Path
     variants: Mapping[str, Variant]
     now: Clock
+    owners: Mapping[str, str] = field(default_factory=dict)
+    """The targets that earlier calls gave unfinished runs to, by the name of the run."""
     statuses: dict[str, RunStatus] = field(default_factory=dict)
     """What became of the runs of this call, by name. Extended with each run that is closed."""
+
+    @property
+    def all_statuses(self) -> dict[str, RunStatus]:
+        """What became of the runs of this call and of those before, by name."""
+        return {**self.finished, **self.statuses}
 
 
 def measure_rounds(
@@ -77,7 +86,13 @@ def measure_rounds(
     ):
         # Runs that an earlier call left on the board come first: two runs at once would disturb each other.
         begun = frozenset(resumption.list_folders(link, remote))
-        while each := take_round(begun):
+        foreign = {name for name in begun if _is_foreign(session, name, link.target.name)}
+        for name in foreign:
+            resumption.give_up(link, remote / name)
+        while each := take_round(begun - foreign):
+            if len(session.log.targets) > 1:
+                for run in each.runs:
+                    session.log.give(session.now().isoformat(), run.name, link.target.name)
             try:
                 if link.boot_id in each.used_boots:
                     prepared.restart(each.runs[0].kernel)
@@ -103,6 +118,11 @@ def measure_rounds(
         # A runner that was killed may have left something of runs that it had closed.
         with contextlib.suppress(TargetRebooted):
             link.check(["rm", "-rf", str(remote)])
+
+
+def _is_foreign(session: Session, run: str, target: str) -> bool:
+    """Whether another board measures a run, or has measured it, since this one was out of reach with it."""
+    return session.owners.get(run, target) != target or is_finished(session.results / run)
 
 
 def _measure(session: Session, prepared: "_PreparedTarget", run: Run, observer: Observer) -> RunRecord:

@@ -10,12 +10,13 @@ from rtfiles.errors import UsageError
 from rtrun.execution import journal
 from rtrun.execution.allotment import NextRound, rounds_of_blocks
 from rtrun.execution.board import Clock, Observer, Session, measure_rounds, utc_now
+from rtrun.execution.farm import Board, measure_on_boards
 from rtrun.plan import campaign_digest
 from rtrun.plan.campaign import Variant
 from rtrun.plan.kernels import blocks
 from rtrun.plan.run import Run
 from rtrun.results import run_directory
-from rtrun.results.record import RunStatus, verify
+from rtrun.results.record import RunStatus, is_finished
 from rtrun.target.config import Target
 from rtrun.target.link import Link
 
@@ -23,20 +24,20 @@ PlanRounds = Callable[[Callable[[], float]], NextRound]
 """From the time spent so far, in seconds, to the rounds."""
 
 
-def find_unfinished(results: Path, name: str, runs: Sequence[Run], target_name: str) -> list[tuple[int, Run]]:
+def find_unfinished(results: Path, name: str, runs: Sequence[Run], *targets: str) -> list[tuple[int, Run]]:
     """Return the runs of a campaign that are still to be measured into a results folder, with their numbers.
 
-    Raises UsageError when the folder holds another campaign, or this one on another target.
+    Raises UsageError when the folder holds another campaign, or this one on other targets.
     """
     run_directory.make_results(results)
-    with _lock(results), _open_journal(results, name, runs, target_name):
+    with _lock(results), _open_journal(results, name, runs, targets):
         return _unfinished(results, runs)
 
 
-def has_rounds(results: Path, name: str, groups: Sequence[Run], target_name: str, rounds: PlanRounds) -> bool:
+def has_rounds(results: Path, name: str, groups: Sequence[Run], rounds: PlanRounds, *targets: str) -> bool:
     """Whether there is something left to measure for a campaign with rounds. Raises UsageError as `find_unfinished`."""
     run_directory.make_results(results)
-    with _lock(results), _open_journal(results, name, groups, target_name) as log:
+    with _lock(results), _open_journal(results, name, groups, targets) as log:
         return rounds(lambda: log.spent_s(utc_now()))((), ()) is not None
 
 
@@ -51,49 +52,95 @@ def run_campaign(
     rounds: PlanRounds | None = None,
     now: Clock = utc_now,
 ) -> dict[str, RunStatus]:
-    """Measure every run that is not finished yet and return run name to status.
+    """Measure every run that is not finished yet on a target and return run name to status.
 
     `rounds` plans what is measured instead, from the runs as their groups; the statuses are those of this call then.
     Raises UsageError when the folder holds another campaign, TargetError when the target cannot go on. What was
     finished before is kept in either case, and another call continues after it.
     """
+    with _session(results, name, runs, [target.name], observer, variants, rounds, now) as session:
+        if session.needed:
+            next_round = _next_round(session, blocks(runs), rounds)
+            measure_rounds(session, Link(target, observer.note), observer, lambda begun: next_round((), begun))
+        return session.all_statuses
+
+
+def run_campaign_on_boards(
+    boards: Sequence[Board],
+    name: str,
+    runs: Sequence[Run],
+    results: Path,
+    observer: Observer,
+    *,
+    variants: Mapping[str, Variant] | None = None,
+    rounds: PlanRounds | None = None,
+    now: Clock = utc_now,
+) -> dict[str, RunStatus]:
+    """`run_campaign` on several boards at a time: whichever is free measures what comes next.
+
+    A board that cannot go on leaves its runs to the others, and its observer is told. Raises TargetError when no board
+    is left. `observer` takes the remarks that are of no board.
+    """
+    names = [board.name for board in boards]
+    with _session(results, name, runs, names, observer, variants, rounds, now) as session:
+        if session.needed:
+            divided = blocks(runs, is_shared=True)
+            if rounds is None and len(divided) < len(boards):
+                observer.note(f"{len(boards)} boards, but only {len(divided)} repeats to measure: some have no work")
+            measure_on_boards(session, boards, _next_round(session, divided, rounds))
+        return session.all_statuses
+
+
+def _next_round(session: Session, divided: Sequence[Sequence[Run]], rounds: PlanRounds | None) -> NextRound:
+    if rounds is not None:
+        return rounds(lambda: session.log.spent_s(session.now()))
+    return rounds_of_blocks(divided, {run.name for run in session.needed}, session.statuses, session.results)
+
+
+@contextlib.contextmanager
+def _session(
+    results: Path,
+    name: str,
+    runs: Sequence[Run],
+    targets: Sequence[str],
+    observer: Observer,
+    variants: Mapping[str, Variant] | None,
+    rounds: PlanRounds | None,
+    now: Clock,
+) -> Iterator[Session]:
     run_directory.make_results(results)
-    with _lock(results), _open_journal(results, name, runs, target.name) as log:
-        needed, statuses = list(runs), dict[str, RunStatus]()
+    with _lock(results), _open_journal(results, name, runs, targets) as log:
+        needed, finished = list(runs), dict[str, RunStatus]()
         if rounds is None:
             needed = [run for _, run in _unfinished(results, runs)]
-            statuses = {run.name: RunStatus.OK for run in runs}
-            if not needed:
-                return statuses
-            if len(needed) < len(runs):
+            finished = {run.name: RunStatus.OK for run in runs}
+            if 0 < len(needed) < len(runs):
                 observer.note(f"going on in {results}: {len(runs) - len(needed)} of {len(runs)} runs are finished")
-        session = Session(
+        owners = log.owners()
+        log = log.add_targets(targets)
+        log.begin_session(now().isoformat())
+        yield Session(
             campaign=name,
             log=log,
             runs=runs,
             needed=needed,
+            finished=finished,
             results=results,
             variants=variants or {},
             now=now,
+            owners=owners,
         )
-        log.begin_session(now().isoformat())
-        if rounds:
-            next_round = rounds(lambda: log.spent_s(now()))
-        else:
-            names = {run.name for run in needed}
-            next_round = rounds_of_blocks(blocks(runs), names, session.statuses, results)
-        measure_rounds(session, Link(target, observer.note), observer, lambda begun: next_round((), begun))
-        return statuses | session.statuses
 
 
 @contextlib.contextmanager
-def _open_journal(results: Path, name: str, runs: Sequence[Run], target_name: str) -> Iterator[journal.Journal]:
-    """Open the journal of these results. Raises UsageError when it is of another campaign or target."""
+def _open_journal(results: Path, name: str, runs: Sequence[Run], targets: Sequence[str]) -> Iterator[journal.Journal]:
+    """Open the journal of these results. Raises UsageError when it is of another campaign, or of other targets."""
     digest = campaign_digest.digest(runs)
-    with contextlib.closing(journal.open_journal(results, name, digest, target_name)) as log:
+    with contextlib.closing(journal.open_journal(results, name, digest, *targets)) as log:
         remedy = "give another folder with --results, or --fresh"
-        if log.target != target_name:
-            raise UsageError(f"{results}: holds runs on the target {log.target}, not {target_name}: {remedy}")
+        if set(targets).isdisjoint(log.targets):
+            held = ", ".join(log.targets)
+            raise UsageError(f"{results}: holds runs on the target {held}, not {', '.join(targets)}: {remedy}")
         if not campaign_digest.is_digest_of(log.plan, runs):
             raise UsageError(f"{results}: holds another campaign, its file has changed since: {remedy}")
         if log.plan != digest:
@@ -124,12 +171,4 @@ def count_finished(results: Path, runs: Sequence[Run]) -> int:
 
 
 def _unfinished(results: Path, runs: Sequence[Run]) -> list[tuple[int, Run]]:
-    return [(number, run) for number, run in enumerate(runs) if not _is_finished(results / run.name)]
-
-
-def _is_finished(folder: Path) -> bool:
-    """Whether a run is closed with status ok and its files are those that it was closed with."""
-    try:
-        return verify(folder).status is RunStatus.OK
-    except UsageError:
-        return False
+    return [(number, run) for number, run in enumerate(runs) if not is_finished(results / run.name)]

@@ -4,14 +4,19 @@ import itertools
 import re
 import secrets
 import sqlite3
-from dataclasses import dataclass
+import threading
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from rtfiles.errors import InfrastructureError, UsageError
+from rtrun.execution.run_state import RunState
 
 NAME = "journal.sqlite"
 SESSION = "session"
+GIVEN = "given to"
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS campaign (uid TEXT NOT NULL, name TEXT NOT NULL, plan TEXT NOT NULL, target TEXT NOT NULL);
@@ -26,13 +31,15 @@ _REMEDY = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Journal:
-    """An open journal. `uid` names this campaign on the target; `plan` is the digest of its runs."""
+    """An open journal, for any thread. `uid` names this campaign on its targets; `plan` is the digest of its runs."""
 
     path: Path
     database: sqlite3.Connection
     uid: str
     plan: str
-    target: str
+    targets: tuple[str, ...]
+    """The names of the targets that it was measured on."""
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
     def note(self, time: str, run: str, what: str, reason: str | None = None) -> None:
         """Record the state that a run has come to (`RunState`), and why. Raises InfrastructureError."""
@@ -44,6 +51,36 @@ class Journal:
         """Record that a runner takes up the campaign. Raises InfrastructureError."""
         self._write("INSERT INTO event VALUES (?, ?, ?, ?)", (time, "", SESSION, None))
 
+    def give(self, time: str, run: str, target: str) -> None:
+        """Record which of several targets is to measure a run. Raises InfrastructureError."""
+        self.note(time, run, GIVEN, target)
+
+    def owners(self) -> dict[str, str]:
+        """The target that each run was given to which is not closed since, by the name of the run.
+
+        Raises UsageError when the journal is damaged.
+        """
+        # Of a campaign on one target alone nothing was noted.
+        sole = self.targets[0] if len(self.targets) == 1 else ""
+        given: dict[str, str] = {}
+        owners: dict[str, str] = {}
+        for run, what, reason in self._read("SELECT run, what, reason FROM event WHERE run != '' ORDER BY rowid"):
+            if what == GIVEN:
+                given[run] = reason
+            if what == RunState.CLOSED:
+                owners.pop(run, None)
+            elif owner := given.get(run, sole):
+                owners[run] = owner
+        return owners
+
+    def add_targets(self, names: Collection[str]) -> "Journal":
+        """Record that these targets take part; return the journal that says so. Raises InfrastructureError."""
+        if set(names) <= set(self.targets):
+            return self
+        targets = tuple(dict.fromkeys((*self.targets, *names)))
+        self._write("UPDATE campaign SET target = ?", (" ".join(targets),))
+        return replace(self, targets=targets)
+
     def spent_s(self, now: datetime) -> float:
         """The time, in seconds, that runners have worked on the campaign until now; pauses between them do not count.
 
@@ -52,14 +89,14 @@ class Journal:
         spent_s = 0.0
         before: datetime | None = None
         try:
-            rows = self.database.execute("SELECT time, what FROM event ORDER BY rowid")
+            rows = self._read("SELECT time, what FROM event ORDER BY rowid")
             for text, what in itertools.chain(rows, [(now.isoformat(), "")]):
                 time = datetime.fromisoformat(text)
                 if before is not None and what != SESSION:
                     # The clock may have been set back in between.
                     spent_s += max(0.0, (time - before).total_seconds())
                 before = time
-        except (sqlite3.Error, TypeError, ValueError) as error:
+        except (TypeError, ValueError) as error:
             raise UsageError(f"{self.path}: {error}: {_REMEDY}") from error
         return spent_s
 
@@ -67,9 +104,16 @@ class Journal:
         """Record the digest of the runs in its present form. Raises InfrastructureError."""
         self._write("UPDATE campaign SET plan = ?", (plan,))
 
+    def _read(self, query: str) -> list[tuple[Any, ...]]:
+        try:
+            with self.lock:
+                return self.database.execute(query).fetchall()
+        except sqlite3.Error as error:
+            raise UsageError(f"{self.path}: {error}: {_REMEDY}") from error
+
     def _write(self, statement: str, values: tuple[str | None, ...]) -> None:
         try:
-            with self.database:
+            with self.lock, self.database:
                 self.database.execute(statement, values)
         except sqlite3.Error as error:
             raise InfrastructureError(f"{self.path}: cannot keep the results: {error}") from error
@@ -79,16 +123,16 @@ class Journal:
         self.database.close()
 
 
-def open_journal(folder: Path, name: str, plan: str, target: str) -> Journal:
+def open_journal(folder: Path, name: str, plan: str, *targets: str) -> Journal:
     """Open the journal in a results folder, or make one; an existing one is returned as it is, whatever its campaign.
 
     Raises UsageError when it is damaged, InfrastructureError when the file cannot be used.
     """
     path = folder / NAME
     try:
-        database = sqlite3.connect(path, timeout=10.0)
+        database = sqlite3.connect(path, timeout=10.0, check_same_thread=False)
         try:
-            return _read(path, database, name, plan, target)
+            return _read(path, database, name, plan, " ".join(targets))
         except BaseException:
             database.close()
             raise
@@ -108,4 +152,4 @@ def _read(path: Path, database: sqlite3.Connection, name: str, plan: str, target
             database.execute("INSERT INTO campaign VALUES (?, ?, ?, ?)", (row[0], name, plan, target))
     if not all(isinstance(word, str) for word in row) or not _UID.fullmatch(row[0]):
         raise ValueError(f"no uid of a campaign: {str(row[0])[:80]!r}")
-    return Journal(path=path, database=database, uid=row[0], plan=row[1], target=row[2])
+    return Journal(path=path, database=database, uid=row[0], plan=row[1], targets=tuple(row[2].split()))

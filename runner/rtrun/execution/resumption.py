@@ -17,6 +17,7 @@ from rtfiles.config import Config, parse
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json
 from rtrun.results.record import RunRecord
+from rtrun.target import processes
 from rtrun.target.errors import TargetError
 from rtrun.target.inspection import TargetState
 from rtrun.target.link import Link
@@ -122,6 +123,12 @@ def list_folders(link: Link, runs: PurePosixPath) -> list[str]:
     """Return the names of the runs of a campaign that an earlier call has left something of."""
     command = ["sh", "-c", 'ls "$1" 2>/dev/null; exit 0', "sh", str(runs)]
     return link.check(command).splitlines()
+
+
+def give_up(link: Link, remote: PurePosixPath) -> None:
+    """End whatever runs in a run's folder on the target, and remove the folder."""
+    locks = link.do(lambda connection: connection.list_files(remote))
+    processes.give_up(link, remote, [name.removesuffix(".lock") for name in locks if name.endswith(".lock")])
 
 
 def check_idle(link: Link) -> None:

@@ -223,3 +223,11 @@ def verify(folder: Path) -> RunRecord:
     for name in record.files:
         check_file(folder, record, name)
     return record
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a run is closed with status ok and its files are those that it was closed with."""
+    try:
+        return verify(folder).status is RunStatus.OK
+    except UsageError:
+        return False

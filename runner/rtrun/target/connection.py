@@ -51,6 +51,10 @@ class Connection:
         """Close the connection; what runs detached on the target goes on."""
         self.shell.close()
 
+    def interrupt(self) -> None:
+        """Break the connection, so that what another thread waits for ends by ConnectionLost."""
+        self.shell.interrupt()
+
     def run(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> Completed:
         """Run a command and wait for its end.
 

@@ -41,6 +41,7 @@ class Link:
         self._notify = notify
         self._connection: Connection | None = None
         self._given_up: TargetError | None = None
+        self._is_interrupted = False
 
     def __enter__(self) -> Self:
         self.do(lambda _: None)
@@ -57,6 +58,17 @@ class Link:
             self._connection.close()
             self._connection = None
 
+    def interrupt(self) -> None:
+        """Let what another thread does with this link end by KeyboardInterrupt, once; after that it can clean up."""
+        self._is_interrupted = True
+        if (connection := self._connection) is not None:
+            connection.interrupt()
+
+    def _check_interrupt(self) -> None:
+        if self._is_interrupted:
+            self._is_interrupted = False
+            raise KeyboardInterrupt
+
     def do(self, action: Callable[[Connection], T]) -> T:
         """Run an action, reconnecting for as long as the target file allows.
 
@@ -66,12 +78,14 @@ class Link:
         """
         breaks = 0
         while True:
+            self._check_interrupt()
             if self._connection is None:
                 self._connection = self._reconnect()
             try:
                 return action(self._connection)
             except ConnectionLost as error:
                 self.drop()
+                self._check_interrupt()
                 if failure := self.target.failure():
                     raise failure from error
                 breaks += 1
@@ -117,6 +131,7 @@ class Link:
                     waited = f", tried for {patience_s:g} s" if patience_s else ""
                     raise ConnectionLost(f"{error}{waited}{self._describe_console()}") from error
                 time.sleep(RETRY_S)
+                self._check_interrupt()
 
     def _checked(self, connection: Connection) -> Connection:
         """Return a new connection if the target is still in the same boot; raise TargetRebooted otherwise."""

@@ -24,6 +24,9 @@ class LocalShell:
     def __init__(self, address: ThisMachine) -> None:
         self.address = address
 
+    def interrupt(self) -> None:
+        """Nothing can be broken: whoever waits does so until the command ends, or its time is up."""
+
     def close(self) -> None:
         """Nothing is open."""
 

@@ -26,6 +26,9 @@ class Shell(Protocol):
         Raises ConnectionRefusedError when nobody listens.
         """
 
+    def interrupt(self) -> None:
+        """End what another thread waits for, as far as this can be ended."""
+
     def close(self) -> None:
         """End the connection; what runs detached on the target goes on."""
 

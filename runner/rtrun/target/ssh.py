@@ -51,6 +51,10 @@ class SshShell:
         """Close the connection; what runs detached on the target goes on."""
         self.transport.close()
 
+    def interrupt(self) -> None:
+        """Break the connection, so that what another thread waits for ends."""
+        self.stream.shut_down()
+
     @contextlib.contextmanager
     def open_port(self, port: int, deadline_s: float) -> Iterator[paramiko.Channel]:
         """Yield a stream to a port of the target's own loopback, which is closed after `deadline_s` seconds.

@@ -19,7 +19,7 @@ def open_in(folder):
 def test_it_is_known_again(tmp_path):
     first = open_in(tmp_path)
     again = open_journal(tmp_path, "other", "3:plan", "elsewhere")
-    assert (again.uid, again.plan, again.target) == (first.uid, "2:plan", "board")
+    assert (again.uid, again.plan, again.targets) == (first.uid, "2:plan", ("board",))
     again.replace_plan("3:plan")
     again.note("now", "001-run", "closed", "half of a character \ud800")
     again.close()
@@ -34,7 +34,7 @@ def test_it_is_known_again(tmp_path):
 def test_a_damaged_file_is_an_error_with_a_remedy(tmp_path, data):
     (tmp_path / NAME).write_bytes(data)
     if not data:
-        assert open_in(tmp_path).target == "board", "a file that was only just made"
+        assert open_in(tmp_path).targets == ("board",), "a file that was only just made"
         return
     with pytest.raises(UsageError, match="the journal is damaged: give another folder with --results, or --fresh"):
         open_in(tmp_path)

@@ -1,0 +1,101 @@
+"""Several boards measure one campaign at a time, each in a thread of its own."""
+
+import contextlib
+import functools
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Protocol
+
+from rtfiles.errors import InfrastructureError
+from rtrun.execution.allotment import Allotment, NextRound
+from rtrun.execution.board import Observer, Session, measure_rounds
+from rtrun.target.config import Target
+from rtrun.target.errors import TargetError
+from rtrun.target.link import Link
+
+
+class BoardObserver(Observer, Protocol):
+    """What shows the user how far one of several boards is."""
+
+    def left(self, error: str | None) -> None:
+        """The board measures no more: the campaign is over, or, with an error, the board cannot go on."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Board:
+    """A target that is not switched on yet: `connect` boots it, or takes it, for as long as its context lasts."""
+
+    name: str
+    connect: Callable[[], AbstractContextManager[Target]]
+    observer: BoardObserver
+
+
+def measure_on_boards(session: Session, boards: Sequence[Board], next_round: NextRound) -> None:
+    """Measure rounds on whichever board is free, until there are no more.
+
+    A board that fails leaves its runs to the others. Raises TargetError when no board is left; KeyboardInterrupt once
+    every board has cleaned up; what is wrong with the campaign or the program itself ends the work on all boards.
+    """
+    allotment = Allotment(next_round, [board.name for board in boards], session.owners)
+    work = _Work(session=session, allotment=allotment)
+    # A second Ctrl-C ends the program at once: it waits for no thread.
+    threads = [threading.Thread(target=work.measure_on, args=(board,), daemon=True) for board in boards]
+    for thread in threads:
+        thread.start()
+    try:
+        for thread in threads:
+            thread.join()
+    except KeyboardInterrupt:
+        work.stop()
+        for thread in threads:
+            thread.join()
+        raise
+    for error in work.errors.values():
+        if not isinstance(error, InfrastructureError | KeyboardInterrupt):
+            raise error
+    if len(work.errors) == len(boards):
+        raise TargetError("\n".join(f"{name}: {error}" for name, error in work.errors.items()))
+
+
+class _Work:
+    """The threads' common ground: what ended which board, and how to end them all."""
+
+    def __init__(self, session: Session, allotment: Allotment) -> None:
+        self.errors: dict[str, BaseException] = {}
+        self._session, self._allotment = session, allotment
+        self._links: list[Link] = []
+        self._lock = threading.Lock()
+        self._is_stopped = False
+
+    def measure_on(self, board: Board) -> None:
+        """Measure on a board until nothing is left for it, or it fails."""
+        error: BaseException | None = None
+        try:
+            with board.connect() as target:
+                link = Link(target, board.observer.note)
+                with self._lock:
+                    self._links.append(link)
+                    if self._is_stopped:
+                        link.interrupt()
+                take = functools.partial(self._allotment.take, board.name)
+                measure_rounds(self._session, link, board.observer, take)
+        except BaseException as raised:
+            # The thread that waits for all boards decides what it means for them.
+            error = self.errors[board.name] = raised
+            if not isinstance(raised, InfrastructureError):
+                self.stop()
+        finally:
+            self._allotment.withdraw(board.name)
+            with contextlib.suppress(Exception):
+                board.observer.left(str(error) if isinstance(error, InfrastructureError) else None)
+
+    def stop(self) -> None:
+        """Let every board clean up and end."""
+        self._allotment.stop()
+        with self._lock:
+            if not self._is_stopped:
+                self._is_stopped = True
+                for link in self._links:
+                    link.interrupt()

@@ -1,0 +1,170 @@
+"""One campaign on several boards, each behind an sshd of its own; the suite goes wrong on request."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from faulty import write_faulty_suites
+
+from conftest import serve
+from rtrun.cli import main
+from rtrun.results.record import verify
+
+pytestmark = [pytest.mark.sshd, pytest.mark.ros]
+RESULTS = Path("results/test")
+
+
+class Board:
+    """A board of the farm: its sshd, what its programs shall do and have done, its target file."""
+
+    def __init__(self, folder, sshd, ros_master):
+        self.sshd = sshd
+        self.name = folder.name
+        self.wishes = write_faulty_suites(folder / "suites")
+        self.work_dir = folder / "target"
+        self.file = folder / "target.yml"
+        self.file.write_text(
+            f"schema: 1\nname: {self.name}\nkind: ssh\nhost: 127.0.0.1\nport: {sshd.port}\nuser: {sshd.user}\n"
+            f"key: {sshd.key}\nhost_key: {sshd.host_key}\nsuites: suites\nwork_dir: {self.work_dir}\n"
+            f"ros_master_port: {ros_master}\nreconnect_s: 1\n"
+        )
+
+    def vanish(self):
+        """Break all connections, for good."""
+        children = Path(f"/proc/{self.sshd.process.pid}/task/{self.sshd.process.pid}/children").read_text().split()
+        self.sshd.process.kill()
+        subprocess.run(["kill", "-9", *children], check=False)
+
+
+@pytest.fixture
+def farm(tmp_path, ros_master, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folders = [tmp_path / name for name in ("left", "right")]
+    for folder in folders:
+        folder.mkdir()
+    with serve(folders[0]) as one, serve(folders[1]) as two:
+        yield [Board(folder, sshd, ros_master) for folder, sshd in zip(folders, (one, two), strict=True)]
+
+
+def command(farm, text):
+    Path("campaign.yml").write_text("schema: 1\nname: test\n" + text)
+    return ["run", "campaign.yml", *(word for board in farm for word in ("--target", str(board.file)))]
+
+
+def closed():
+    return {path.parent.name: json.loads(path.read_text()) for path in RESULTS.glob("[0-9]*/run.json")}
+
+
+def calls(farm):
+    return sorted(call for board in farm for call in board.wishes.calls())
+
+
+def test_boards_share_a_campaign(farm, capsys):
+    words = command(
+        farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101], repeats: 3}]\n"
+    )
+    assert main(words) == 0
+    records = closed()
+    assert len(records) == len(calls(farm)) == 6
+    assert {record["target"]["name"] for record in records.values()} == {"left", "right"}
+    by_repeat = {}
+    for record in records.values():
+        by_repeat.setdefault(record["repeat"], set()).add(record["target"]["name"])
+    assert all(len(names) == 1 for names in by_repeat.values()), "what is compared is measured on one board"
+    out = capsys.readouterr().out
+    assert out.count("ok         left ") + out.count("ok         right ") == 6
+    assert not list(farm[0].work_dir.glob("runs/*")) and not list(farm[1].work_dir.glob("runs/*"))
+    assert main(words) == 0 and "all 6 runs are finished" in capsys.readouterr().err
+
+
+def test_a_board_that_vanishes_does_not_stop_the_other(farm, capsys):
+    left, right = farm
+    words = command(farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101, 102, 103]}]\n")
+    right.wishes.will("sleep 30")
+    process = subprocess.Popen([sys.executable, "-m", "rtrun.cli", *words], stderr=subprocess.PIPE, text=True)
+    right.wishes.await_calls()
+    right.vanish()
+    assert process.wait(120) == 0
+    assert "rtrun: right: " in (err := process.stderr.read()) and "the other boards measure what it leaves" in err
+    assert {record["target"]["name"] for record in closed().values()} == {"left"} and len(closed()) == 4
+    assert len(left.wishes.calls()) == 4
+
+
+def test_a_runner_that_is_killed_again_and_again_loses_no_run_and_measures_none_twice(farm):
+    words = command(
+        farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101, 102, 103, 104, 105]}]\n"
+    )
+    for count in (1, 3, 4):
+        for board in farm:
+            board.wishes.will("sleep 1", "sleep 1")
+        process = subprocess.Popen([sys.executable, "-m", "rtrun.cli", *words], stderr=subprocess.DEVNULL)
+        while len(calls(farm)) < count:
+            assert process.poll() is None
+            time.sleep(0.02)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert main(words) == 0
+    assert [call.split()[1] for call in calls(farm)] == [str(100 + number) for number in range(6)]
+    assert all(verify(RESULTS / name).status == "ok" for name in closed()) and len(closed()) == 6
+    assert not [left for board in farm for left in board.work_dir.glob("runs/*")]
+
+
+def test_what_a_board_had_begun_when_it_vanished_is_cleared_when_it_comes_back(farm, ros_master, tmp_path):
+    right = farm[1]
+    words = command(farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101]}]\n")
+    right.wishes.will("sleep 60")
+    process = subprocess.Popen([sys.executable, "-m", "rtrun.cli", *words], stderr=subprocess.DEVNULL)
+    right.wishes.await_calls()
+    right.vanish()
+    assert process.wait(120) == 0
+    (begun,) = right.work_dir.glob("runs/*/*")
+    (tmp_path / "again").mkdir()
+    with serve(tmp_path / "again") as sshd:
+        text = right.file.read_text().replace(f"port: {right.sshd.port}", f"port: {sshd.port}")
+        right.file.write_text(
+            text.replace(str(right.sshd.key), str(sshd.key)).replace(right.sshd.host_key, sshd.host_key)
+        )
+        (RESULTS / begun.name / "run.json").rename(RESULTS / "run.json")
+        other = next(name for name in closed())
+        (RESULTS / other / "run.json").unlink()
+        (RESULTS / "run.json").rename(RESULTS / begun.name / "run.json")
+        assert main(["run", "campaign.yml", "--target", str(right.file)]) == 0
+    assert closed()[begun.name]["target"]["name"] == "left" and closed()[other]["target"]["name"] == "right"
+    assert not list(right.work_dir.glob("runs/*"))
+
+
+def test_ctrl_c_leaves_nothing_on_any_board(farm):
+    words = command(farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101]}]\n")
+    for board in farm:
+        board.wishes.will("sleep 60")
+    process = subprocess.Popen([sys.executable, "-m", "rtrun.cli", *words], stderr=subprocess.PIPE, text=True)
+    for board in farm:
+        board.wishes.await_calls()
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 130, process.stderr.read()
+    assert not [left for board in farm for left in board.work_dir.glob("runs/*/*")]
+    assert closed() == {}
+
+
+def test_no_board_is_left(farm, capsys):
+    words = command(farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101]}]\n")
+    for board in farm:
+        board.vanish()
+    assert main(words) == 3
+    err = capsys.readouterr().err
+    assert "rtrun: left: " in err and "rtrun: right: " in err
+
+
+def test_two_boards_of_one_name_and_a_board_that_has_no_part_in_the_folder(farm, capsys):
+    words = command(farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: 100}]\n")
+    assert main([*words, "--target", str(farm[0].file)]) == 2
+    assert "a second target called left" in capsys.readouterr().err
+    assert main(words) == 0
+    other = farm[0].file.with_name("other.yml")
+    other.write_text(farm[0].file.read_text().replace("name: left", "name: other"))
+    assert main([*words[:2], "--target", str(other)]) == 2
+    assert "holds runs on the target left, right, not other" in capsys.readouterr().err
