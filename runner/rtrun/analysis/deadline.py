@@ -43,7 +43,7 @@ class Trials:
     the first 20. ``level`` holds where the run passed a lower level often enough (about 200 times) to show whether its
     high values come in bursts. ``changes`` are the strongest signs that the run did not stay the same. ``worst_ns`` is
     the highest value seen. ``unclear`` of the late ones lie in the bin of a histogram that holds the deadline, and may
-    have met it. ``run``, ``boot`` and ``start_time`` say where it belongs; "" where that is not known.
+    have met it. ``run``, ``boot``, ``board`` and ``start_time`` say where it belongs; "" where that is not known.
     """
 
     n: int
@@ -57,6 +57,7 @@ class Trials:
     unclear: int = 0
     run: str = ""
     boot: str = ""
+    board: str = ""
     start_time: str = ""
 
 
@@ -66,9 +67,9 @@ class Verdict:
 
     ``lower`` and ``upper`` bound P(miss) at ``confidence``, however often somebody looks (`anytime_interval`).
     ``boots`` counts the boots that were measured, None where they are not known; the answer is to rest on
-    ``boots_wanted``. ``longest_burst`` is the mean length
-    of bursts of misses, none of which was seen, up to which PROVEN would hold; ``further_for_bursts`` gives (length,
-    measurements without a miss that would cover it).
+    ``boots_wanted``. ``boards`` counts the boards that were measured. ``longest_burst`` is the mean length of bursts of
+    misses, none of which was seen, up to which PROVEN would hold; ``further_for_bursts`` gives (length, measurements
+    without a miss that would cover it).
 
     ``further`` measurements without any further miss would give PROVEN (0: it is given, None: no number would);
     ``further_likely`` gives (answer, measurements) that nine times in ten are enough if misses go on at the rate seen,
@@ -90,6 +91,7 @@ class Verdict:
     n_effective: float
     boots: int | None
     boots_wanted: int
+    boards: int
     longest_burst: float
     further_for_bursts: tuple[tuple[int, int], ...]
     further: int | None
@@ -249,6 +251,7 @@ def judge(
         n_effective=n / effect,
         boots=boots,
         boots_wanted=boots_wanted,
+        boards=len({run.board for run in runs}),
         longest_burst=n / needed if needed else 0.0,
         further_for_bursts=tuple((length, more) for length in BURSTS if proven and (more := further(length))),
         further=further(1.0),
@@ -315,23 +318,31 @@ def _effect_of_runs(
 
 
 def _effect_between(runs: Sequence[Trials], misses: int, confidence: float) -> float:
-    """The design effect of boots; of runs, where all are of one boot and differ beyond chance. 0 where there is none.
+    """The design effect of boards and of boots, the larger one; of runs, where all are of one boot and differ beyond
+    chance. 0 where there is none.
 
     Few boots tell little of how boots differ: the effect is widened by (t/z)^2 with boots - 1 degrees of freedom
     (Korn & Graubard 1998), but not beyond what it would be if each boot's misses were one burst, 1 + misses / boots.
-    Runs of an unknown boot count as a boot each.
+    The same holds for boards. Runs of an unknown boot count as a boot each.
     """
     from scipy.special import chdtrc
 
+    boards = _sums(runs, [run.board for run in runs])
     boots = _sums(runs, [run.boot or run.run or str(index) for index, run in enumerate(runs)])
     if len(boots) > 1:
-        effect = cluster_effect(boots)
-        return max(effect, min(effect * _few(len(boots) - 1, confidence), 1 + misses / len(boots))) if misses else 0.0
+        return max(_effect_of_clusters(clusters, misses, confidence) for clusters in (boards, boots))
     clusters = _sums(runs, [run.run or str(index) for index, run in enumerate(runs)])
     effect = cluster_effect(clusters)
     if len(clusters) < 2 or chdtrc(len(clusters) - 1, (len(clusters) - 1) * effect) > SIGNIFICANT:
         return 0.0
     return effect * _few(len(clusters) - 1, confidence)
+
+
+def _effect_of_clusters(clusters: Sequence[tuple[int, int]], misses: int, confidence: float) -> float:
+    if len(clusters) < 2 or not misses:
+        return 0.0
+    effect = cluster_effect(clusters)
+    return max(effect, min(effect * _few(len(clusters) - 1, confidence), 1 + misses / len(clusters)))
 
 
 def _sums(runs: Sequence[Trials], keys: Sequence[str]) -> list[tuple[int, int]]:

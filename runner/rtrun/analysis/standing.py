@@ -17,6 +17,8 @@ class Standing:
     verdict: Verdict | None
     undecidable: str | None
     measured_s: float
+    boards: frozenset[str] = frozenset()
+    """The names of the boards that it was measured on."""
 
     @property
     def answer(self) -> Answer:

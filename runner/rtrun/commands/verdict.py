@@ -41,6 +41,7 @@ def print_answers(study: "Study") -> None:
     """Print the answers of a study as a table."""
     from rtfiles.output import console, print_line
     from rtrun.report import standings
+    from rtrun.report.boards import differences, spread
     from rtrun.report.terminal import print_banner
 
     print_banner(study.platform)
@@ -49,5 +50,7 @@ def print_answers(study: "Study") -> None:
     console().print(standings.table(groups), crop=False)
     for text in standings.reasons(groups):
         print_line(text)
-    for text in study.left_out:
-        print_line(f"not analysed: {text}")
+    for group in study.pooled:
+        print_line(f"{study.name(group)}: of single boards: {spread(group)}")
+    for text in (*differences(study.groups), *(f"not analysed: {text}" for text in study.left_out)):
+        print_line(text)

@@ -133,15 +133,27 @@ def _is_final(standing: Standing | None) -> bool:
 def standings_of(groups: Sequence[Run], standings: Sequence[Standing]) -> dict[str, Standing]:
     """The standing of each group by the group's name; where its runs were told apart, that of the latest run.
 
-    Runs of a campaign are not pooled when the target's kernel changed in between.
+    Runs of a campaign are not pooled when the target's kernel changed in between. Of boards that are not alike, which
+    are not pooled either, each has to have its answer: the standing is that of one that has none.
     """
-    latest: dict[str, tuple[int, Standing]] = {}
+    latest: dict[str, dict[frozenset[str], tuple[int, Standing]]] = {}
     for standing in standings:
         for group in groups:
             number = max((_round_of(run, group) for run in standing.runs), default=0)
-            if number > latest.get(group.name, (0,))[0]:
-                latest[group.name] = (number, standing)
-    return {name: standing for name, (_, standing) in latest.items()}
+            of_boards = latest.setdefault(group.name, {})
+            if number > of_boards.get(standing.boards, (0,))[0]:
+                of_boards[standing.boards] = number, standing
+    chosen = {}
+    for name, of_boards in latest.items():
+        # What boards say together stands for what each says alone.
+        single = [
+            (number, standing)
+            for boards, (number, standing) in of_boards.items()
+            if not any(boards < others and number <= of_boards[others][0] for others in of_boards)
+        ]
+        if single:
+            chosen[name] = max(single, key=lambda pair: (not pair[1].is_final, pair[0]))[1]
+    return chosen
 
 
 def _round_of(run: str, group: Run) -> int:

@@ -41,6 +41,7 @@ def gate(study: Study, *, assume_independent: bool = False, platform: Platform =
 
     What was measured on a virtual machine passes only where `platform` is virtual. What is proven if measurements are
     independent, from counts without order, passes only with `assume_independent`.
+    Of boards that are alike the answer for all of them counts; that of a single board fails only if it is refuted.
     A run that failed, is incomplete or was refused does not pass: what it hides is not known. An attempt that a restart
     of the target cut off is named, and passes when its run was measured again.
     """
@@ -49,7 +50,10 @@ def gate(study: Study, *, assume_independent: bool = False, platform: Platform =
         Case(about=text.split(":", 1)[0], answer="NOT ANALYSED", text=text.split(":", 1)[-1].strip(), passed=False)
         for text in study.left_out
     ]
-    judged = [_case(group, passing, platform) for group in study.groups]
+    members = {id(member) for group in study.pooled for member in group.members}
+    judged = [
+        _case(group, study.name(group), passing, platform, is_member=id(group) in members) for group in study.answers
+    ]
     cases += sorted(judged, key=lambda case: severity(case.answer, case.worst_ns))
     cases += [
         Case(about=name, answer="REPEATED", text="cut off by a restart of the target, then measured again", passed=True)
@@ -58,9 +62,12 @@ def gate(study: Study, *, assume_independent: bool = False, platform: Platform =
     return Gate(cases=tuple(cases))
 
 
-def _case(group: Group, passing: Container[str], platform: Platform) -> Case:
-    line, verdict = verdict_line(group), group.verdict
+def _case(group: Group, name: str, passing: Container[str], platform: Platform, *, is_member: bool) -> Case:
+    line, verdict = verdict_line(group, name), group.verdict
     text, passed = line.text, line.answer in passing
+    if is_member and line.answer == Answer.NEEDS_MORE:
+        # The case of all boards together says whether they have measured enough.
+        passed = True
     if passed and weakest((group.platform, platform)) is not platform:
         text, passed = (
             f"{text}; measured on {group.platform.machine}: passes only with --platform {group.platform}",

@@ -23,9 +23,9 @@ from rtrun.results.record import is_closed
 
 
 def standings(study: Study) -> tuple[Standing, ...]:
-    """How far each group of a study is."""
+    """How far each group of a study is, groups of alike boards before those of each board."""
     times_s = {record.run: _seconds(record.start_time, record.end_time) for record in study.records}
-    return tuple(_standing(group, times_s) for group in study.groups)
+    return tuple(_standing(group, study.name(group), times_s) for group in study.answers)
 
 
 def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
@@ -50,13 +50,14 @@ def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
     return evaluate
 
 
-def _standing(group: Group, times_s: dict[str, float]) -> Standing:
+def _standing(group: Group, label: str, times_s: dict[str, float]) -> Standing:
     return Standing(
-        label=group.label,
+        label=label,
         runs=group.runs,
         verdict=group.verdict,
         undecidable=group.undecidable,
         measured_s=sum(times_s.get(run, 0.0) for run in group.runs),
+        boards=frozenset(group.boards),
     )
 
 
@@ -192,6 +193,7 @@ def as_data(standings: Sequence[Standing]) -> list[dict[str, Any]]:
             "answer": standing.answer,
             "runs": list(standing.runs),
             "measured_s": standing.measured_s,
+            "boards": sorted(standing.boards),
             "missing": missing(standing),
             "verdict": None if standing.verdict is None else asdict(standing.verdict),
         }

@@ -27,13 +27,27 @@ CONFIDENCE = 0.95
 _UNITS = {"timeout_us": " us", "frequency_hz": " Hz", "payload_bytes": " B", "subscribers": " sub", "priority": " prio"}
 # These do not change what is measured: runs that differ in them only are alike.
 _NOT_TELLING = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s")
+# Boards that agree in these facts of run.json, and in platform and clock step, are alike.
+_ENVIRONMENT = (
+    "machine",
+    "cpus",
+    "kernel_release",
+    "kernel_version",
+    "preempt_rt",
+    "clocksource",
+    "governor",
+    "roscpp_version",
+)
 # Always told, default or not.
 _TELLING = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Runs of one suite with the same parameters on the same target; outputs of one run stand together."""
+    """Runs of one suite with the same parameters on the same target; outputs of one run stand together.
+
+    A group of several boards has a group of each of them as `members`.
+    """
 
     suite: str
     series: str
@@ -46,6 +60,19 @@ class Group:
     bounds: tuple[Bound, ...]
     no_bound: str | None
     records: tuple[RunRecord, ...]
+    members: tuple["Group", ...] = ()
+
+    @property
+    def boards(self) -> tuple[str, ...]:
+        """The names of the targets that it was measured on."""
+        return tuple(sorted({record.target.name for record in self.records}))
+
+    @functools.cached_property
+    def environment(self) -> tuple[tuple[str, str], ...]:
+        """What the target has to be alike in for its runs to be pooled with those of another: (fact, values)."""
+        facts = {fact: {str(getattr(one.target, fact)) for one in self.records} for fact in _ENVIRONMENT}
+        facts |= {"platform": {str(self.platform)}, "clock step": {f"{self.clock_step_ns} ns"}}
+        return tuple((fact, ", ".join(sorted(values))) for fact, values in facts.items())
 
     @property
     def label(self) -> str:
@@ -93,7 +120,8 @@ class Group:
 class Study:
     """Everything a report says, before it is written down.
 
-    `groups` are judged. `groups_2014` are those of measured_2014 of runs whose `measured` is judged.
+    `groups` are judged, and so are `pooled`, groups of boards that are alike taken together. `groups_2014` are those of
+    measured_2014 of runs whose `measured` is judged.
     """
 
     source: Source
@@ -106,6 +134,21 @@ class Study:
     others: tuple[Digest, ...]
     records: tuple[RunRecord, ...]
     left_out: tuple[str, ...]
+    pooled: tuple[Group, ...] = ()
+
+    @property
+    def answers(self) -> tuple[Group, ...]:
+        """What is answered: alike boards together first, each followed by its boards, then what is of one board."""
+        members = {id(member) for group in self.pooled for member in group.members}
+        alone = [group for group in self.groups if id(group) not in members]
+        return (*(each for group in self.pooled for each in (group, *group.members)), *alone)
+
+    def name(self, group: Group) -> str:
+        """The label of a group, with its board where the study has several."""
+        boards = {record.target.name for record in self.records}
+        if len(boards) < 2 or not group.boards:
+            return group.label
+        return f"{group.label}, {f'{len(group.boards)} boards' if group.members else group.boards[0]}"
 
     @property
     def platform(self) -> Platform:
@@ -198,13 +241,15 @@ def study(
         return tuple(sorted(groups, key=lambda group: (group.suite, group.target)))
 
     others = tuple(one for one in digests if not one.header.main)
+    groups = grouped((one for one in digests if one.header.main), bounds=bounds)
     return Study(
         source=source,
         deadline_ns=deadline_ns,
         probability=probability,
         confidence=confidence,
         boots=boots,
-        groups=grouped((one for one in digests if one.header.main), bounds=bounds),
+        groups=groups,
+        pooled=tuple(_pooled(groups, by_run, deadline_ns, probability, confidence, boots)),
         groups_2014=grouped((one for one in others if one.header.series == MEASURED_2014), bounds=False),
         others=others,
         records=tuple(records),
@@ -227,10 +272,34 @@ def _digests_of_run(folder: Path, record: RunRecord, deadline_ns: int, left_out:
 
 
 def _key(one: Digest) -> str:
+    return json.dumps([one.header.target, *_scenario(one)])
+
+
+def _scenario(one: Digest) -> list[Any]:
+    """What was measured, wherever that was."""
     header = one.header
     telling = telling_parameters(header.parameters)
-    origin = [header.suite, header.series, header.target, one.histogram.bin_ns]
-    return json.dumps([*origin, sorted(telling.items())])
+    return [header.suite, header.series, one.histogram.bin_ns, sorted(telling.items())]
+
+
+def _pooled(
+    groups: Sequence[Group],
+    records: Mapping[str, RunRecord],
+    deadline_ns: int,
+    probability: float,
+    confidence: float,
+    boots: int,
+) -> Iterator[Group]:
+    """Yield groups that were measured on several boards in the same environment as one; boards are its clusters."""
+    alike: dict[str, list[Group]] = {}
+    for group in groups:
+        if group.boards:
+            alike.setdefault(json.dumps([_scenario(group.digests[0]), group.environment]), []).append(group)
+    for members in alike.values():
+        if len({board for group in members for board in group.boards}) > 1:
+            digests = [one for group in members for one in group.digests]
+            pooled = _group(digests, records, deadline_ns, probability, confidence, boots, bounds=False)
+            yield replace(pooled, target=", ".join(group.target for group in members), members=tuple(members))
 
 
 def _group(
@@ -286,10 +355,11 @@ def _blocks_of_run(outputs: Sequence[Blocks], record: RunRecord | None) -> Block
 
 
 def _located(trials: Trials, run: str, record: RunRecord | None) -> Trials:
-    """The trials with the run, the boot and the time that they are of."""
+    """The trials with the run, the boot, the board and the time that they are of."""
     if record is None:
         return replace(trials, run=run)
-    return replace(trials, run=run, boot=str(record.target.boot_id or ""), start_time=record.start_time)
+    boot = str(record.target.boot_id or "")
+    return replace(trials, run=run, boot=boot, board=record.target.name, start_time=record.start_time)
 
 
 def _bounds(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from rtfiles.output import printable
 from rtrun.analysis.deadline import Answer, Verdict
+from rtrun.report.boards import spread
 from rtrun.report.claims.examination import us
 from rtrun.report.study import Group
 from rtrun.report.tables import grouped
@@ -29,9 +30,9 @@ class Line:
     text: str
 
 
-def verdict_line(group: Group) -> Line:
-    """The verdict of a group in one line."""
-    verdict, about = group.verdict, printable(group.label)
+def verdict_line(group: Group, name: str = "") -> Line:
+    """The verdict of a group in one line; `name` is what it is called, its label where none is given."""
+    verdict, about = group.verdict, printable(name or group.label)
     if verdict is None:
         return Line(answer=Answer.NEEDS_MORE, about=about, text=group.undecidable or "nothing was measured")
     return Line(answer=verdict.answer, about=about, text=_numbers(verdict, group))
@@ -59,6 +60,8 @@ def _numbers(verdict: Verdict, group: Group) -> str:
     late_start = [value_ns for value_ns in startup_ns if value_ns > verdict.deadline_ns]
     if late_start:
         parts.append(f"start-up apart: {len(late_start)} late, worst {us(max(late_start))} us")
+    if group.members:
+        parts.append(f"of single boards: {spread(group)}")
     parts += [f"assumes {text}" for text in verdict.assumes]
     return "; ".join(parts)
 
@@ -77,6 +80,9 @@ def _scope(verdict: Verdict) -> list[str]:
 
 
 def _boots(verdict: Verdict) -> list[str]:
+    if verdict.boards > 1:
+        few = f"; for boards of this kind measure on {ENOUGH_BOOTS} or more"
+        return [f"holds for the {verdict.boards} boards together{few if verdict.boards < ENOUGH_BOOTS else ''}"]
     if verdict.boots is None:
         return []
     if verdict.boots == 1:
