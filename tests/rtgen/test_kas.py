@@ -144,8 +144,20 @@ def test_dump_joins_the_fragments(project, joined, machine):
     assert ('INHERIT += "rm_work"' in header) == ("rm-work" in joined)
 
 
-def test_lock_finds_nothing_to_pin(project):
-    done = kas(project, "lock", "kas.yml:local.yml")
+@pytest.mark.parametrize("joined", ["kas.yml", "kas.yml:meta-rt-tests/kas/raspberrypi5.yml"])
+def test_lock_finds_nothing_to_pin(project, joined):
+    done = kas(project, "lock", f"{joined}:local.yml")
     assert "WARNING" not in done.stderr, done.stderr
     assert "No floating repos found" in done.stderr
     assert not (project / "kas.lock.yml").exists()
+
+
+def test_a_lock_file_of_a_user_wins(project):
+    """kas takes one that lies beside kas.yml, even against a commit in a file that is joined."""
+    source = project.parent / "upstream" / "meta-ros"
+    git(source, "commit", "-q", "--allow-empty", "-m", "second")
+    newer = git(source, "rev-parse", "HEAD").strip()
+    lock = {"header": {"version": 14}, "overrides": {"repos": {"meta-ros": {"commit": newer}}}}
+    (project / "kas.lock.yml").write_text(yaml.safe_dump(lock))
+    kas(project, "dump", "kas.yml:local.yml")
+    assert git(project.parent / "work" / "meta-ros", "rev-parse", "HEAD").strip() == newer
