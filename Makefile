@@ -26,7 +26,7 @@ test-kernel: setup
 
 # A profile against the real layers: DIR holds checkouts of its repositories (docs/layer.md).
 test-yocto: setup
-	RT_TESTS_LAYERS=$(abspath $(LAYERS)) $(BIN)/pytest -s tests/bitbake/real_layers.py
+	RT_TESTS_LAYERS=$(abspath $(LAYERS)) $(BIN)/pytest -s tests/bitbake/real_*.py
 
 # Mutated files for every reader of tests/hostile/fuzz.py: SECONDS of them, from SEED on.
 fuzz: setup

@@ -4,19 +4,42 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from bitbake.debian_tools import build_suites
+from bitbake.yocto import Yocto, open_checkouts
 from rtgen.layer import output
 from rtgen.layer.render import render
 from rtgen.profile import Release, load_profile
 
 HERE = Path(__file__).parent
 STUBS = HERE / "stubs"
+
+
+@pytest.fixture(scope="session")
+def yocto() -> Iterator[Yocto]:
+    """The checkouts that `make test-yocto` was given."""
+    given = os.environ.get("RT_TESTS_LAYERS")
+    assert given, "give the checkouts: make test-yocto LAYERS=DIR"
+    yocto = open_checkouts(Path(given).resolve())
+    print(f"\nprofile {yocto.name}, machine {yocto.machine}: {yocto.top}")
+    yield yocto
+    print(f"\n{yocto.summary()}")
+
+
+@pytest.fixture(scope="session")
+def built_suites(yocto: Yocto) -> Path:
+    """The build folder in which the recipes of the suites were run."""
+    if yocto.profile.suites:
+        pytest.skip("the originals of 2014 are in a git repository, and BB_NO_NETWORK is set")
+    if os.geteuid() != 0:
+        pytest.skip("files are installed as root, because pseudo would have to be built first")
+    return build_suites(yocto)
 
 
 @dataclass(frozen=True)

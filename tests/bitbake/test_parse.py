@@ -93,6 +93,17 @@ def test_kernel_of_a_machine_that_is_not_in_the_profile(make_build, more, fragme
         assert "no kernel options for third: take preempt-rt out of its MACHINE_FEATURES, or name" in kernel["skipped"]
 
 
+@pytest.mark.parametrize("features", ["", "ptest"])
+def test_unit_tests_come_with_ptest(make_build, features):
+    build = make_build("scarthgap-noetic", "qemuarm", local=f'DISTRO_FEATURES = "{features}"\n')
+    tasks = [["rt-tests-support", "do_fetch"], ["rt-tests-support", "do_unpack"]]
+    recipe = build.bitbake(variables=["DEPENDS"], tasks=tasks)["recipes"]["rt-tests-support"]
+    (work,) = build.folder.glob("tmp/work/rt-tests-support/*")
+    assert ("googletest" in recipe["variables"]["DEPENDS"].split()) == bool(features)
+    unpacked = {"unit_tests/run-ptest", *(f"{suite}_timer_tests/src/main.cpp" for suite in ("oneshot", "cyclic"))}
+    assert {path for path in unpacked if (work / path).is_file()} == (unpacked if features else set())
+
+
 def test_a_recipe_with_an_unknown_class_is_an_error(make_build):
     build = make_build("scarthgap-noetic", "qemuarm")
     recipe = next(build.layer.glob("recipes-tests/suites/oneshot-*.bb"))

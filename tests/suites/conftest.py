@@ -21,7 +21,7 @@ from rtgen import suites as builder
 
 NOT_FIRED = np.iinfo(np.int64).min
 HIST_LINE = re.compile(r"^(#?)(-?\d{6,}) \t(\d{6,})$")
-UNIT_SOURCE = Path(__file__).parent / "unit"
+UNIT_SOURCE = Path(__file__).parents[2] / "recipes-tests" / "unit_tests"
 UNIT_BUILD = Path(__file__).parents[2] / "build" / "suites-unit"
 PROGRAMS = {
     "oneshot_timer_tests": "oneshot_timer_tests",

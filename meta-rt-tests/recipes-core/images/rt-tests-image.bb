@@ -2,6 +2,7 @@
 SUMMARY = "Image that measures whether ROS meets deadlines"
 DESCRIPTION = "ROS core, the three suites, cyclictest, load generators and an SSH server for the runner"
 LICENSE = "MIT"
+LIC_FILES_CHKSUM = "file://${COMMON_LICENSE_DIR}/MIT;md5=0835ade698e0bcf8506ecda2f7b4f302"
 
 inherit core-image ros_distro_noetic ros1_image rt_tests_ssh
 

@@ -5,14 +5,35 @@ HOMEPAGE = "https://github.com/bmwcarit/ros_realtime_tests"
 SECTION = "devel"
 LICENSE = "BSD-3-Clause"
 LIC_FILES_CHKSUM = "file://${COMMON_LICENSE_DIR}/BSD-3-Clause;md5=550794465ba0ec5312d6919e203a55f9"
+# No database of vulnerabilities knows it, and a product that has this name would be another one.
+CVE_PRODUCT = ""
 
 DEPENDS = "catkin-native"
+DEPENDS += "${@bb.utils.contains("PTEST_ENABLED", "1", "googletest", "", d)}"
 
 SRC_URI = "file://${ROS_BPN}"
+SRC_URI += "${@bb.utils.contains("PTEST_ENABLED", "1", "file://unit_tests file://oneshot_timer_tests/src file://cyclic_timer_tests/src file://communication_tests/src", "", d)}"
 
 S = "${WORKDIR}/${ROS_BPN}"
 
-inherit ros_distro_noetic ros_component ros_catkin
+inherit ros_distro_noetic ros_component ros_catkin ptest
 
 # A static library: nothing of it is needed on a target.
 ALLOW_EMPTY:${PN} = "1"
+
+# The unit tests of the library and of the parts of the suites that need no ROS.
+do_configure_ptest() {
+    cmake ${OECMAKE_GENERATOR_ARGS} -S ${WORKDIR}/unit_tests -B ${B}/unit_tests \
+        -DCMAKE_TOOLCHAIN_FILE=${WORKDIR}/toolchain.cmake
+}
+
+do_compile_ptest() {
+    cmake --build ${B}/unit_tests
+}
+
+do_install_ptest() {
+    install -D ${WORKDIR}/unit_tests/run-ptest ${D}${PTEST_PATH}/run-ptest
+    for program in ${WORKDIR}/unit_tests/test_*.cpp; do
+        install ${B}/unit_tests/$(basename $program .cpp) ${D}${PTEST_PATH}
+    done
+}

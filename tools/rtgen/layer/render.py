@@ -88,8 +88,10 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         machine=profile.machines[first],
         repositories=shared_repositories | _machine_repositories(profile, release, first),
     )
-    for feature in ("dropbear", "rm-work"):
+    for feature in ("dropbear", "rm-work", *(["testimage"] if release.modern else [])):
         add(f"{layer}/kas/{feature}.yml", f"kas/{feature}.yml")
+    if release.modern:
+        add(f"{layer}/lib/oeqa/runtime/cases/rt_tests.py", "lib/rt_tests.py")
     machine_layers: dict[str, list[str]] = {}
     for machine_name in profile.machines:
         for needed in layer_names(_machine_repositories(profile, release, machine_name)):
@@ -167,6 +169,8 @@ def suite_recipes(profile: Profile) -> Iterator[dict[str, Any]]:
     """The values for the recipe of each suite and of their library, from suites.yml."""
     data = read_yaml(checkout() / SOURCES / "suites.yml")["suites"]
     library_needs = ["roscpp"] if profile.suites else []
+    # The unit tests include headers of the suites.
+    unit_tests = [] if profile.suites else ["file://unit_tests", *(f"file://{package}/src" for package in data)]
     yield {
         "package": _dashed(LIBRARY),
         "summary": "Library of the suites that measure ROS",
@@ -174,6 +178,7 @@ def suite_recipes(profile: Profile) -> Iterator[dict[str, Any]]:
         "build": library_needs,
         "run": [],
         "library": True,
+        "unit_tests": unit_tests,
     }
     for package, suite in data.items():
         # The messages of the original suites need std-msgs, according to their package.xml.
@@ -187,6 +192,7 @@ def suite_recipes(profile: Profile) -> Iterator[dict[str, Any]]:
             "build": sorted({*map(_dashed, build + run), *extra}),
             "run": sorted({*map(_dashed, run), *extra}),
             "library": False,
+            "unit_tests": [],
         }
 
 

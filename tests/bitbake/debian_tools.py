@@ -1,0 +1,79 @@
+"""The suites built by the real classes of a profile, with Debian's compiler, CMake and ROS in place of Yocto's own."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import rtgen.suites
+from bitbake.yocto import Yocto
+from rtgen import debian
+from rtgen.board import sysroot
+from rtgen.layer.render import suite_recipes
+
+TOOLS = "cmake ninja g++ " + " ".join(
+    f"arm-linux-gnueabihf-{tool}"
+    for tool in (
+        *("gcc", "g++", "cpp", "as", "ld", "ar", "nm", "ranlib", "strip", "objcopy", "objdump"),
+        *("gcc-ar", "gcc-nm", "gcc-ranlib"),
+    )
+)
+DEBIAN = """
+HOSTTOOLS += "{tools}"
+TARGET_PREFIX:forcevariable = "arm-linux-gnueabihf-"
+PYTHON:forcevariable = "{python}"
+RECIPE_SYSROOT:forcevariable = "{sysroot}"
+# Has options that came after Debian's compiler.
+DEBUG_PREFIX_MAP:forcevariable = ""
+# Debian's ROS has a ROS_DISTRO of its own, and its genmsg looks for files under CMake's root paths only.
+ROS_DISTRO[unexport] = "1"
+OECMAKE_EXTRA_ROOT_PATH = "/"
+export ROS_LANG_DISABLE = "{languages}"
+DISTRO_FEATURES:append = " ptest"
+INHERIT += "without-pseudo"
+"""
+# Root can install without pseudo, which would have to be built first.
+WITHOUT_PSEUDO = """
+python without_pseudo() {
+    for task in ("do_install", "do_install_ptest_base"):
+        e.data.delVarFlag(task, "fakeroot")
+}
+addhandler without_pseudo
+without_pseudo[eventmask] = "bb.event.RecipeTaskPreProcess"
+"""
+GOOGLETEST = Path("/usr/src/googletest")  # of Debian's package
+
+
+def build_suites(yocto: Yocto) -> Path:
+    """Fetch, unpack, patch, configure, compile and install each suite's recipe alone; return the build folder."""
+    build = yocto.top / "build-suites"
+    shutil.rmtree(build, ignore_errors=True)
+    # To be added to: links would do so to the one in the cache.
+    stage = build / "sysroot"
+    shutil.copytree(sysroot.build("armhf", debian.source()), stage, symlinks=True)
+    python, languages = rtgen.suites.SYSTEM_PYTHON, rtgen.suites.ROS_LANG_DISABLE
+    yocto.configure(build, yocto.machine, DEBIAN.format(tools=TOOLS, python=python, sysroot=stage, languages=languages))
+    (build / "classes").mkdir()
+    (build / "classes" / "without-pseudo.bbclass").write_text(WITHOUT_PSEUDO)
+    _install_googletest(build / "googletest", stage)
+    for suite in suite_recipes(yocto.profile):
+        (recipe,) = yocto.layer.glob(f"recipes-tests/*/{suite['package']}_*.bb")
+        task = "install_ptest_base" if suite["unit_tests"] else "install"
+        yocto.run("bitbake", "-b", str(recipe), "-c", task, build=build)
+        # Stands for do_populate_sysroot.
+        shutil.copytree(work_folder(build, suite["package"]) / "image", stage, symlinks=True, dirs_exist_ok=True)
+    return build
+
+
+def work_folder(build: Path, recipe: str) -> Path:
+    """The work folder of a recipe in a build."""
+    (work,) = build.glob(f"tmp*/work/*/{recipe}/*")
+    return work
+
+
+def _install_googletest(build: Path, stage: Path) -> None:
+    cross = ("-DCMAKE_SYSTEM_NAME=Linux", "-DCMAKE_CXX_COMPILER=arm-linux-gnueabihf-g++", "-DBUILD_GMOCK=OFF")
+    configure = ["cmake", "-S", GOOGLETEST, "-B", build, "-DCMAKE_C_COMPILER=arm-linux-gnueabihf-gcc", *cross]
+    environment = os.environ | {"DESTDIR": str(stage)}
+    for command in ([*configure, "-DCMAKE_INSTALL_PREFIX=/usr"], ["cmake", "--build", build, "--target", "install"]):
+        subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=True)

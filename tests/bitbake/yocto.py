@@ -1,0 +1,230 @@
+"""Checkouts of the real layers of a profile, and BitBake on them."""
+
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import yaml
+
+from rtgen.layer import output
+from rtgen.layer.render import render
+from rtgen.profile import Profile, Release, load_profile, profile_names
+
+KEY = "ssh-ed25519 AAAA"
+# What BitBake reports about recipes that are masked.
+MISSING = ("Nothing PROVIDES", "No bb files in default matched")
+# What it reports about layers that are not ours, about the missing network, and about one recipe run alone.
+FOREIGN = ("omap3-sgx-modules", "uninative", "Buildfile specified")
+# The value of a variable that names what a recipe needs.
+NEEDS = re.compile(r'(?:(?<!TEST_)DEPENDS|RRECOMMENDS|PACKAGECONFIG)[^\s="]*\s*[?:+.]*=[+.]?\s*"([^"]*)"')
+
+
+@dataclass(frozen=True)
+class Yocto:
+    """A profile's checkouts and a build folder beside them."""
+
+    top: Path
+    name: str
+    profile: Profile
+    release: Release
+    results: dict[str, dict[str, str]] = field(default_factory=dict)
+    """By machine: what was seen of it, by column of the summary."""
+
+    @property
+    def build(self) -> Path:
+        return self.top / "build"
+
+    @property
+    def layer(self) -> Path:
+        return self.top / "rendered" / "meta-rt-tests"
+
+    @property
+    def machine(self) -> str:
+        return os.environ.get("RT_TESTS_MACHINE", self.profile.default_machine)
+
+    def note(self, machine: str, **seen: str) -> None:
+        """Add columns to a machine's row of the summary."""
+        self.results.setdefault(machine, {}).update(seen)
+
+    def summary(self) -> str:
+        """A table of what was seen of each machine, in Markdown."""
+        columns = list(dict.fromkeys(column for row in self.results.values() for column in row))
+        lines = [["machine", *columns], ["---"] * (1 + len(columns))]
+        lines += [[machine, *(row.get(column, "") for column in columns)] for machine, row in self.results.items()]
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+    def kas(self, machine: str) -> tuple[list[Path], list[str]]:
+        """The layers of others, and the lines for local.conf, that kas would take for a machine."""
+        files = [self.layer.parent / "kas.yml", self.layer / "kas" / f"{machine}.yml"]
+        read = [yaml.safe_load(file.read_text()) for file in files]
+        repositories = {name: found["layers"] for data in read for name, found in data.get("repos", {}).items()}
+        layers = [
+            self.top / name / layer
+            for name, layers in repositories.items()
+            for layer, state in layers.items()
+            if name != "meta-rt-tests" and state != "disabled"
+        ]
+        headers = [header for data in read for header in data.get("local_conf_header", {}).values()]
+        return layers, [line for header in headers for line in header.splitlines()]
+
+    def run(self, *command: str, build: Path | None = None, masked: bool = False) -> str:
+        """Run a command in the build environment; what it said. Neither errors nor warnings of ours may be in it.
+
+        `masked`: most recipes are, so that it is no error if they are missing.
+        """
+        core = self.top / ("openembedded-core" if (self.top / "openembedded-core").is_dir() else "poky")
+        environment = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "LC_ALL": "en_US.UTF-8", "HOME": str(Path.home())}
+        if (self.top / "bitbake").is_dir():
+            environment["BITBAKEDIR"] = str(self.top / "bitbake")
+        else:
+            environment["PATH"] = f"{self._python2()}:{environment['PATH']}"
+        script = 'build=$1; shift; set -- "$build" -- "$@"; b=$1; shift 2; run=("$@"); set -- "$b"; '
+        script += '. ./oe-init-build-env "$b" >/dev/null && exec "${run[@]}"'
+        done = subprocess.run(
+            ["bash", "-c", script, "bash", str(build or self.build), *command],
+            cwd=core, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0 or masked, done.stdout[-4000:]
+        lines = [
+            line for line in done.stdout.splitlines() if re.match(r"(Parsing recipes\.\.\.)?(WARNING|ERROR): ", line)
+        ]
+        foreign = (*FOREIGN, *(MISSING if masked else ()))
+        assert [line for line in lines if not any(name in line for name in foreign)] == []
+        return done.stdout
+
+    def variables(
+        self, *target: str, names: tuple[str, ...], build: Path | None = None, masked: bool = False
+    ) -> dict[str, str]:
+        """Variables of a recipe, or of `-b` and its file, expanded, as `bitbake -e` gives them."""
+        output = self.run("bitbake", "-e", *target, build=build, masked=masked)
+        values = {}
+        for name in names:
+            match = re.search(rf'^(?:export )?{re.escape(name)}="((?:[^"\\]|\\.)*)"$', output, re.MULTILINE)
+            # kirkstone shows what it runs in the root file system as a function.
+            match = match or re.search(rf"^{re.escape(name)}\(\) {{\n(.*)$", output, re.MULTILINE)
+            values[name] = re.sub(r"\\\n", " ", match[1]) if match else ""
+        return values
+
+    def configure(self, build: Path, machine: str, *more: str) -> None:
+        """Write local.conf and bblayers.conf as kas would for a machine, and `more` lines of local.conf."""
+        layers, settings = self.kas(machine)
+        self.write_configuration(build, [*layers, self.layer], [*self.local(machine), *settings, *more])
+
+    def local(self, machine: str) -> list[str]:
+        """The lines for local.conf that every build here needs."""
+        old = not self.release.modern
+        local = [
+            f'MACHINE ?= "{machine}"',
+            f'DISTRO ?= "{self.profile.distro}"',
+            'BB_NO_NETWORK = "1"',
+            f'RT_TESTS_AUTHORIZED_KEYS = "{KEY}"',
+            f'CONF_VERSION = "{1 if old else 2}"',
+            'BB_NUMBER_THREADS = "2"',
+        ]
+        if old:
+            return [*local, 'PACKAGE_CLASSES = "package_ipk"']
+        # BitBake may run as root here.
+        return [*local, 'INHERIT:remove = "sanity"', 'BB_NUMBER_PARSE_THREADS = "2"']
+
+    def write_configuration(self, build: Path, layers: list[Path], local: list[str]) -> None:
+        """Write bblayers.conf and local.conf of a build folder."""
+        old = not self.release.modern
+        (build / "conf").mkdir(parents=True, exist_ok=True)
+        if old:
+            # BitBake as root; 1.20 has no INHERIT_remove.
+            versions = ('BB_MIN_VERSION = "1.19.1"', 'SANITY_VERSION ?= "1"', 'LOCALCONF_VERSION ?= "1"',
+                        'LAYER_CONF_VERSION ?= "6"', 'SITE_CONF_VERSION ?= "1"')  # fmt: skip
+            _write(build / "conf" / "sanity.conf", "\n".join(versions) + "\n")
+        _write(build / "conf" / "local.conf", "\n".join(local) + "\n")
+        paths = "".join(f" {layer}" for layer in layers)
+        _write(
+            build / "conf" / "bblayers.conf",
+            f'LCONF_VERSION = "{6 if old else 7}"\nBBPATH = "${{TOPDIR}}"\nBBFILES ?= ""\nBBLAYERS = "{paths} "\n',
+        )
+
+    def mask_of_needless_recipes(self) -> str:
+        """Return a BBMASK of the recipes in the layers beside openembedded-core that ours cannot need.
+
+        A recipe may need every other that its DEPENDS, RDEPENDS and the like name, or whose name begins a name there:
+        too many rather than too few, but hundreds instead of thousands. BitBake says so if one is missing.
+        """
+        core, *others = self.kas(self.machine)[0]
+        files: dict[str, list[Path]] = {}
+        for layer in others:
+            for path in layer.rglob("*.bb"):
+                files.setdefault(path.stem.partition("_")[0], []).append(path)
+        needed: set[str] = set()
+        # Of ours every word counts: an image names packages in other variables.
+        ours = " ".join(path.read_text().replace('"', " ") for path in self.layer.glob("recipes-*/**/*.bb"))
+        texts = [f'DEPENDS = "{ours}"']
+        while texts:
+            words = {
+                word for value in NEEDS.findall(texts.pop()) for word in re.findall(r"[a-z0-9][a-z0-9.+-]*", value)
+            }
+            begins = {"-".join(split[:end]) for word in words for split in [word.split("-")] for end in range(1, 9)}
+            new = (begins & files.keys()) - needed
+            needed |= new
+            folders = {path.parent for name in new for path in files[name]}
+            parts = {path for folder in folders for path in folder.iterdir() if path.suffix in (".bb", ".inc")}
+            texts += [path.read_text().replace("${PYTHON_PN}", "python3") for path in parts]
+        known = needed | {path.stem.partition("_")[0] for path in core.glob("recipes-*/*/*.bb")}
+        masks = []
+        for layer in others:
+            keep = [
+                str(path.relative_to(layer)).replace(".", "[.]").replace("+", "[+]")
+                for path in layer.rglob("*.bb*")
+                if path.suffix in (".bb", ".bbappend")
+                and path.stem.partition("_")[0] in (needed if path.suffix == ".bb" else known)
+            ]
+            masks.append(f"^{layer}/(?!({'|'.join(sorted(keep))})$)")
+        return " ".join(masks)
+
+    def _python2(self) -> Path:
+        python = os.environ.get("RT_TESTS_PYTHON2") or shutil.which("python2.7")
+        assert python, "BitBake 1.20 needs Python 2.7: give its path in RT_TESTS_PYTHON2"
+        folder = self.top / "python2"
+        folder.mkdir(exist_ok=True)
+        for name in ("python", "python2", "python2.7"):
+            if not (folder / name).exists():
+                (folder / name).symlink_to(python)
+        return folder
+
+
+def open_checkouts(top: Path) -> Yocto:
+    """Find the profile whose commits are checked out, render it, and configure a build of its first machine.
+
+    Fails with the commits that differ, for each profile, where none fits.
+    """
+    wrong = []
+    for name in profile_names():
+        profile, release = load_profile(name)
+        differences = [
+            f"{repository} is at {commit}, not at {pinned.commit}"
+            for repository, pinned in profile.repositories.items()
+            if (commit := _head(top / repository)) != pinned.commit
+        ]
+        if not differences:
+            break
+        wrong.append(f"{name}: {', '.join(differences)}")
+    else:
+        raise AssertionError(f"{top} holds no profile's checkouts:\n" + "\n".join(wrong))
+    # Another checkout of this repository may have linked its own sources there.
+    (top / "rendered" / "recipes-tests").unlink(missing_ok=True)
+    output.write(render(name, profile, release), top / "rendered")
+    yocto = Yocto(top, name, profile, release)
+    yocto.configure(yocto.build, yocto.machine)
+    return yocto
+
+
+def _head(folder: Path) -> str:
+    done = subprocess.run(["git", "-C", folder, "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
+    return done.stdout.strip() or "no checkout"
+
+
+def _write(path: Path, text: str) -> None:
+    """Leave a file that holds it already as it is: BitBake goes by times."""
+    if not path.exists() or path.read_text() != text:
+        path.write_text(text)
