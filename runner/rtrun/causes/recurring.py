@@ -8,21 +8,14 @@ import numpy as np
 
 from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.recurrence import Recurrence, find_recurrence
-from rtrun.plan.suites import suite
-from rtrun.results.record import RunRecord, check_file
-from rtrun.results.samples import IndexedValues, Samples, read_samples
+from rtrun.causes.measured import read_measured
+from rtrun.results.record import RunRecord
 
 # What counts as late: the highest thousandth of a run's values, within these numbers.
 LATE_AT_LEAST, LATE_AT_MOST = 50, 500
 # Of a shorter run the highest values are no rare ones.
 VALUES_AT_LEAST = 20 * LATE_AT_LEAST
 CLEARLY = 0.01
-# When a value was measured, by suite.
-_TIMES = {
-    "oneshot_timer_tests": "end_ns",
-    "cyclic_timer_tests": "timestamp_ns",
-    "communication_tests": "reception_ns",
-}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,41 +30,23 @@ class Recurring:
 
 
 def recurring(folder: Path, record: RunRecord) -> Iterator[Recurring]:
-    """Yield the outputs of a run whose late values have a period. Raises UsageError as `read_samples` does."""
-    for output in dict.fromkeys(record.outputs):
-        if record.suite not in _TIMES or f"{output}.npy" not in record.files:
-            continue
-        for ending in (".npy", ".json"):
-            check_file(folder, record, output + ending)
-        samples = read_samples(folder / f"{output}.npy")
-        values = next(iter(samples.series.values()))
-        number = values.values_ns.size
+    """Yield the outputs of a run whose late values have a period. Raises UsageError as `read_measured` does."""
+    for measured in read_measured(folder, record):
+        number = measured.values_ns.size
         if number < VALUES_AT_LEAST:
             continue
         late = min(LATE_AT_MOST, max(LATE_AT_LEAST, number // 1000))
-        places = np.argpartition(values.values_ns, number - late)[number - late :]
-        in_time = _search(_times(samples, values), places)
-        in_loops = _search(values.index, places)
+        places = np.argpartition(measured.values_ns, number - late)[number - late :]
+        in_time = _search(measured.times_ns, places)
+        in_loops = _search(measured.index, places)
         # Where both fit, as with a fixed period, the time is what people look for.
         is_loops = in_loops is not None and (in_time is None or in_loops.p_value < CLEARLY * in_time.p_value)
         best = in_loops if is_loops else in_time
         if best is not None:
-            yield Recurring(run=record.run, output=output, late=late, in_loops=is_loops, recurrence=best)
+            yield Recurring(run=record.run, output=measured.output, late=late, in_loops=is_loops, recurrence=best)
 
 
 def _search(positions: Int64s, places: Int64s) -> Recurrence | None:
     begin, end = int(positions.min()), int(positions.max()) + 1
     loop = max(1, (end - begin) // positions.size)
     return find_recurrence(np.sort(positions[places]), begin=begin, end=end, loop=loop, tried=2)
-
-
-def _times(samples: Samples, values: IndexedValues) -> Int64s:
-    """When each value was measured."""
-    columns = suite(samples.record.suite).columns
-    times = np.asarray(samples.rows[:, columns.index(_TIMES[samples.record.suite])])
-    if "seq" in columns:
-        # Messages are in the order of reception, their values in that of their numbers.
-        _, order = np.unique(samples.rows[:, columns.index("seq")], return_index=True)
-        return np.asarray(times[order])
-    # The first row of a cyclic timer is the origin of the first period.
-    return np.asarray(times[values.index + (1 if samples.record.suite == "cyclic_timer_tests" else 0)])

@@ -31,16 +31,18 @@ def run(args: argparse.Namespace) -> int:
     periods, not_searched = causes.periods(source)
     table = causes.table(ranking, explained)
     cost, not_compared = tracing_cost_at(source)
+    surroundings, not_held = causes.surroundings(source)
     print_line(f"{table.outcome if explained else causes.no_traces(source)}.")
     for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders]), *periods):
         print_line(note)
     if table.rows:
         print_line()
         console().print(causes.for_terminal(table), crop=False)
-    if cost is not None:
-        print_line()
-        print_line(f"{cost.title}: {cost.outcome}")
-        console().print(causes.for_terminal(cost), crop=False)
+    for more in (surroundings, cost):
+        if more is not None and more.rows:
+            print_line()
+            print_line(f"{more.title}: {more.outcome}")
+            console().print(causes.for_terminal(more), crop=False)
     for one in explained:
         print_line()
         for line in causes.lines(one):
@@ -51,6 +53,6 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             raise UsageError(f"{args.perfetto}: {error.strerror}") from error
         print_line(f"written for ui.perfetto.dev: {args.perfetto}")
-    if problems := tuple(dict.fromkeys((*refused, *not_searched, *not_compared))):
+    if problems := tuple(dict.fromkeys((*refused, *not_searched, *not_held, *not_compared))):
         raise UsageError("\n".join(problems))
     return 0

@@ -6,6 +6,9 @@
 # FOLDER is that of the run, whose programs are known by their NAME.pid (also the session). PRIORITY is that of the
 # suite, LOADS the names of the background programs, separated by blanks. Prints for each observation a line
 #   at UPTIME_S LOAD_1MIN TEMPERATURE_MC,.. FREQUENCY_KHZ,.. THEN THE FIRST LINE OF /proc/stat
+#   counts NAME=NUMBER..
+# with what was counted since the observation before, without zeros: context_switches, new_processes, interrupts,
+# memory_stall_us (proc(5), "some" of Documentation/accounting/psi.rst), and each line of /proc/interrupts, as 24:eth0;
 # and, where something has changed since the observation before, the present state, up to the line "end":
 #   thread PROGRAM TID POLICY PRIORITY CPUS NAME      each thread of the suite
 #   load PROGRAM PROCESSES CPUS                       each background program
@@ -59,7 +62,41 @@ affinity() {
         END { for (name in count) print "load", name, count[name], (name in of) ? of[name] : "-" }'
 }
 
+# Two lines: the totals, and what is above those of $1.
+count() {
+    cat /proc/stat /proc/pressure/memory /proc/interrupts 2>/dev/null | awk -v before="$1" '
+        BEGIN {
+            words = split(before, word, " ")
+            for (i = 1; i <= words; i++) { name = word[i]; sub(/=.*/, "", name); sub(/.*=/, "", word[i]); old[name] = word[i] }
+        }
+        function add(name, number) { if (number > 0) total[name] += number }
+        $1 == "ctxt" { add("context_switches", $2) }
+        $1 == "intr" { add("interrupts", $2) }
+        $1 == "processes" { add("new_processes", $2) }
+        $1 == "some" { sub(/.*total=/, ""); add("memory_stall_us", $1) }
+        $1 == "CPU0" { cpus = NF; next }
+        cpus && $1 ~ /:$/ {
+            number = 0
+            for (i = 2; i <= cpus + 1 && $i ~ /^[0-9]+$/; i++) number += $i
+            name = ($1 ~ /^[0-9]/) ? $1 $NF : $1
+            sub(/:$/, "", name)
+            gsub(/[^A-Za-z0-9_.:-]/, "_", name)
+            add(substr(name, 1, 32), number)
+        }
+        END {
+            for (name in total) {
+                totals = totals " " name "=" sprintf("%.0f", total[name])
+                if (words && total[name] > old[name]) more = more " " name "=" sprintf("%.0f", total[name] - old[name])
+            }
+            print totals
+            print "counts" more
+        }'
+}
+
 before=
+counted=
+newline='
+'
 pause=1
 while :; do
     # The observation must not see processes of its own. With wait, TERM ends the pause at once.
@@ -72,7 +109,10 @@ while :; do
     # Not within the line that is printed: TERM ends $( ) at once, and the shell only after its present command.
     temperature=$(joined /sys/class/thermal/thermal_zone[0-9]*/temp)
     frequency=$(joined /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_cur_freq)
+    counts=$(count "$counted")
+    counted=${counts%%"$newline"*}
     echo "at $uptime $load $temperature $frequency $busy"
+    echo "${counts#*"$newline"}"
     listed=$(threads)
     # The CPUs of one process of each load are enough: its other processes inherit them.
     paths=$(echo "$listed" | awk '$1 == "thread" { print $6 "/status" } $1 == "process" && !seen[$2]++ { print $3 "/status" }')

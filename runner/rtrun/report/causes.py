@@ -14,6 +14,7 @@ from rtrun.causes.outliers import Explained, explain_run
 from rtrun.causes.ranking import NAMELESS, Culprit, Ranking, rank
 from rtrun.causes.recurring import Recurring, recurring
 from rtrun.causes.remedies import remedy
+from rtrun.causes.surroundings import Unusual, find_unusual
 from rtrun.report.claims.examination import us
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source
@@ -58,6 +59,43 @@ def _period(one: Recurring) -> str:
         f"{one.run} {one.output}: the {one.late} highest values come every {distance}: {found.covered} of "
         f"{found.cycles} periods have one (p = {found.p_value:.1g})"
     )
+
+
+def surroundings(source: Source) -> tuple[Table, tuple[str, ...]]:
+    """What the sampler saw to be unusual around the highest values, and why a run could not be searched."""
+    found: list[Unusual] = []
+    refused: list[str] = []
+    for folder in source.folders:
+        try:
+            record = read_record(folder)
+            if record.status not in (RunStatus.FAILED, RunStatus.INVALID):
+                found += find_unusual(folder, record)
+        except UsageError as error:
+            refused.append(str(error))
+    named = Counter(one.quantity for one in found).most_common(1)
+    return Table(
+        id="surroundings",
+        title="What else was unusual when the highest values came",
+        columns=("run", "output", "quantity", "unit", "when highest", "otherwise", "p"),
+        rows=[
+            (
+                one.run,
+                one.output,
+                one.quantity,
+                one.unit,
+                f"{one.late:.4g}",
+                f"{one.otherwise:.4g}",
+                f"{one.p_value:.1g}",
+            )
+            for one in found
+        ],
+        outcome=f"{named[0][0]}, in {named[0][1]} outputs" if named else "",
+        numbers=4,
+        notes=(
+            "Medians of the tenth of all observations with the highest values, and of the others. What coincides need "
+            "not be the cause. How it is found: docs/causes.md, Surroundings.",
+        ),
+    ), tuple(refused)
 
 
 def no_traces(source: Source) -> str:

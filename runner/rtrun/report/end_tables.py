@@ -27,6 +27,7 @@ def end_tables(study: Study, claims: Sequence[Examined]) -> tuple[Table, ...]:
     tables = [
         _causes(study),
         tracing_cost(study),
+        causes.surroundings(study.source)[0],
         _worst_cases(study),
         *_layers(study),
         _claims(claims),

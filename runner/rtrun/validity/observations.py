@@ -3,8 +3,10 @@
 All of it comes from the target: what is not as sample.sh writes it is a UsageError.
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from rtfiles.errors import UsageError
@@ -19,6 +21,9 @@ REPORTED_RIVALS = 32
 OBSERVATIONS_MAX = 1_500_000
 # Of the state at one moment: a line for each real-time thread, each load, and a few more.
 STATE_LINES_MAX = 50_000
+# Names in a line of counts: those of a PC with many devices.
+COUNTS_MAX = 512
+_COUNTS = re.compile(r"counts( [A-Za-z0-9_.:-]{1,64}=\d{1,15})*", re.ASCII)
 _ORIGIN = "sampler.stdout"
 
 ThreadState = tuple[str, int, frozenset[int]]
@@ -33,15 +38,30 @@ class Observation:
     load_1min: float
     temperature_mc: tuple[int, ...]
     frequency_khz: tuple[int, ...]
-    busy: int
-    """Ticks of all CPUs, since the boot, that were not idle."""
-    ticks: int
-    """All ticks of all CPUs since the boot."""
+    ticks_by_kind: tuple[int, ...]
+    """Ticks of all CPUs since the boot: user, nice, system, idle, iowait, irq, softirq, steal (proc(5))."""
+    counts: str = ""
+    """What was counted since the observation before, as ``name=number name=number``."""
     threads: Mapping[str, tuple[ThreadState, ...]] = field(default_factory=dict)
     loads: Mapping[str, tuple[int, frozenset[int]]] = field(default_factory=dict)
     rivals: frozenset[tuple[str, str, int]] = frozenset()
     governor: tuple[str, ...] = ()
     sched_rt_runtime_us: int | None = None
+
+    @property
+    def ticks(self) -> int:
+        """All ticks of all CPUs since the boot."""
+        return sum(self.ticks_by_kind)
+
+    @property
+    def busy(self) -> int:
+        """Those that were not idle."""
+        return self.ticks - sum(self.ticks_by_kind[3:5])
+
+
+def read_text(path: Path) -> str:
+    """What the sampler printed; nothing where there is no such file."""
+    return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
 
 
 def read_observations(text: str) -> list[Observation]:
@@ -56,6 +76,10 @@ def read_observations(text: str) -> list[Observation]:
                     raise ValueError
                 observations.append(_begin(words, observations[-1] if observations else None))
                 block = []
+            elif words[:1] == ["counts"]:
+                if not _COUNTS.fullmatch(line) or len(words) > COUNTS_MAX:
+                    raise ValueError
+                observations[-1] = replace(observations[-1], counts=line[len("counts ") :])
             elif words == ["end"]:
                 observations[-1] = _complete(observations[-1], block)
             else:
@@ -68,16 +92,17 @@ def read_observations(text: str) -> list[Observation]:
 
 
 def _begin(words: list[str], before: Observation | None) -> Observation:
-    # In /proc/stat: user nice system idle iowait irq softirq steal (proc(5)). User and nice include the guest times
-    # that follow.
-    ticks = [whole_number(word, lowest=0) for word in words[6:14]]
+    # User and nice include the guest times that follow.
+    ticks = tuple(whole_number(word, lowest=0) for word in words[6:14])
+    if len(ticks) < 8:
+        raise ValueError
     gauges: dict[str, Any] = {
         "uptime_s": real_number(words[1]),
         "load_1min": real_number(words[2]),
         "temperature_mc": _numbers(words[3]),
         "frequency_khz": _numbers(words[4]),
-        "busy": sum(ticks) - ticks[3] - ticks[4],
-        "ticks": sum(ticks),
+        "ticks_by_kind": ticks,
+        "counts": "",
     }
     return replace(before, **gauges) if before else Observation(**gauges)
 

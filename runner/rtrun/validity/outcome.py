@@ -15,7 +15,7 @@ from rtrun.results.record import Observed, RunStatus
 from rtrun.results.samples import Record, read_samples
 from rtrun.validity import baselines, requirements
 from rtrun.validity.counts import find_count_mismatch
-from rtrun.validity.observations import Observation, read_observations, summarize
+from rtrun.validity.observations import Observation, read_observations, read_text, summarize
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ def judge(
     if status is RunStatus.OK:
         status, reason = _of_outputs(folder, run, outputs, refused, records) or (RunStatus.OK, None)
     try:
-        observations = read_observations(_text(folder / "sampler.stdout"))
+        observations = read_observations(read_text(folder / "sampler.stdout"))
         wrong = requirements.find_violation(run, background, observations, records)
     except UsageError as error:
         wrong = str(error)

@@ -14,3 +14,16 @@ def test_a_state_of_more_lines_than_a_target_has_threads_is_refused():
     assert observation.threads == {"x": STATE_LINES_MAX * (("FIFO", 95, frozenset({0, 1})),)}
     with pytest.raises(UsageError, match=r"sampler.stdout:50002: not what sample.sh writes: 'thread x"):
         read_observations(AT + (STATE_LINES_MAX + 1) * THREAD + "end\n")
+
+
+def test_counts_are_those_of_the_observation_that_they_follow():
+    first, second = (f"at {at} 0.1 - - cpu 1 2 3 4 5 6 7 8 0 0\n" for at in (1.0, 3.0))
+    observations = read_observations(f"{first}counts\n{second}counts interrupts=7 24:eth0=5\nend\n")
+    assert [each.counts for each in observations] == ["", "interrupts=7 24:eth0=5"]
+    assert observations[1].ticks_by_kind == (1, 2, 3, 4, 5, 6, 7, 8)
+
+
+@pytest.mark.parametrize("line", ["counts x", "counts x=", "counts x=-1", "counts a b=1", "counts \x1b=1"])
+def test_counts_that_the_sampler_does_not_write_are_refused(line):
+    with pytest.raises(UsageError, match=r"not what sample.sh writes"):
+        read_observations(f"at 1.0 0.1 - - cpu 1 2 3 4 5 6 7 8 0 0\n{line}\n")

@@ -1,0 +1,144 @@
+"""What else was unusual on the target when the highest values came: a run held against its sampler's record."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from rtfiles.config import Config, read_json
+from rtfiles.untrusted import MIB, real_number
+from rtrun.analysis.coincidence import LEAST_INTERVALS, Floats, find_coincidences
+from rtrun.analysis.histogram import Int64s
+from rtrun.causes.measured import Measured, read_measured
+from rtrun.results.record import RunRecord, check_file
+from rtrun.target.inspection import TargetState
+from rtrun.validity.observations import COUNTS_MAX, Observation, read_observations, read_text
+
+SAMPLER, STATES = "sampler.stdout", "target.json"
+STATES_BYTES_MAX = 64 * MIB
+# The ticks in the first line of /proc/stat, by their place (proc(5)).
+_TICKS = {
+    0: "user time", 1: "time at low priority", 2: "kernel time", 4: "waiting for disks",
+    5: "time in interrupts", 6: "time in softirqs", 7: "time stolen by the host",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Unusual:
+    """A quantity that was unusual when the highest values of an output came.
+
+    `late` and `otherwise` are medians in `unit`. `p_value` holds for all quantities that were `tried` together.
+    """
+
+    run: str
+    output: str
+    quantity: str
+    unit: str
+    late: float
+    otherwise: float
+    p_value: float
+    tried: int
+
+
+class _States(Config):
+    """target.json; the times since the boot bound those of the samples."""
+
+    schema_number: Literal[1] = Field(alias="schema")
+    before: TargetState
+    after: TargetState
+    own_ros_master: bool
+
+
+def find_unusual(folder: Path, record: RunRecord) -> Iterator[Unusual]:
+    """Yield what was unusual around the highest values of a run.
+
+    Raises UsageError for files that are not what they should be.
+    """
+    if SAMPLER not in record.files:
+        return
+    check_file(folder, record, SAMPLER)
+    observations = read_observations(read_text(folder / SAMPLER))
+    bounds_s = _bounds_s(folder, record)
+    for measured in read_measured(folder, record):
+        within, highest = _intervals(observations, measured, bounds_s)
+        if len(within) <= LEAST_INTERVALS:
+            continue
+        known = {key: row for key, row in _quantities(within).items() if np.ptp(row) > 0}
+        for one in find_coincidences(np.array(list(known.values())), highest):
+            quantity, unit = list(known)[one.row]
+            yield Unusual(
+                run=record.run,
+                output=measured.output,
+                quantity=quantity,
+                unit=unit,
+                late=one.late,
+                otherwise=one.otherwise,
+                p_value=one.p_value,
+                tried=len(known),
+            )
+
+
+def _bounds_s(folder: Path, record: RunRecord) -> tuple[float, float] | None:
+    """The times since the boot before and after the run; None where they are not known."""
+    if STATES not in record.files:
+        return None
+    check_file(folder, record, STATES)
+    states = read_json(folder / STATES, _States)
+    words = [str(state.uptime or "").split() for state in (states.before, states.after)]
+    return (real_number(words[0][0]), real_number(words[1][0])) if all(words) else None
+
+
+def _intervals(
+    observations: Sequence[Observation], measured: Measured, bounds_s: tuple[float, float] | None
+) -> tuple[list[Observation], Floats]:
+    """The observations from the first value to the last, and the highest value between each and the next.
+
+    Observations are in time since the boot, samples on a clock that is not disciplined by NTP. The difference of the
+    two is taken to be 0, or as near to it as the times before and after the run allow.
+    """
+    first_s, last_s = float(measured.times_ns.min()) / 1e9, float(measured.times_ns.max()) / 1e9
+    offset_s = 0.0
+    if bounds_s is not None:
+        offset_s = min(max(0.0, last_s - bounds_s[1]), max(first_s - bounds_s[0], last_s - bounds_s[1]))
+    times_s = [each.uptime_s + offset_s for each in observations]
+    places = [place for place, at_s in enumerate(times_s) if first_s <= at_s <= last_s]
+    within = [observations[place] for place in places]
+    edges_ns = (np.array([times_s[place] for place in places]) * 1e9).astype(np.int64)
+    if edges_ns.size < 2 or np.any(np.diff(edges_ns) <= 0):
+        return [], np.array([])
+    return within, _highest(measured, edges_ns)
+
+
+def _highest(measured: Measured, edges_ns: Int64s) -> Floats:
+    interval = np.searchsorted(edges_ns, measured.times_ns, side="right") - 1
+    inside = (interval >= 0) & (interval < edges_ns.size - 1)
+    highest = np.full(edges_ns.size - 1, -np.inf)
+    np.maximum.at(highest, interval[inside], measured.values_ns[inside])
+    return highest
+
+
+def _quantities(within: Sequence[Observation]) -> Mapping[tuple[str, str], Floats]:
+    """Every quantity of the intervals between observations, by its name and unit: counts a second, means of gauges."""
+    lengths_s = np.diff([each.uptime_s for each in within])
+    made: dict[tuple[str, str], Floats] = {}
+    ticks = np.diff(np.array([each.ticks_by_kind for each in within], dtype=np.float64), axis=0)
+    all_ticks = np.maximum(ticks.sum(axis=1), 1)
+    for place, name in _TICKS.items():
+        made[name, "% of all CPUs"] = 100 * ticks[:, place] / all_ticks
+    gauges = (
+        ("highest temperature", "C", [max(each.temperature_mc, default=0) / 1000 for each in within]),
+        ("lowest CPU frequency", "MHz", [min(each.frequency_khz, default=0) / 1000 for each in within]),
+    )
+    for name, unit, values in gauges:
+        made[name, unit] = (np.array(values[:-1]) + np.array(values[1:])) / 2
+    for number, each in enumerate(within[1:]):
+        for name, count in re.findall(r"([^ =]+)=(\d+)", each.counts):
+            if (name, "a second") not in made and len(made) < COUNTS_MAX:
+                made[name, "a second"] = np.zeros(lengths_s.size)
+            if (name, "a second") in made:
+                made[name, "a second"][number] = int(count) / lengths_s[number]
+    return made
