@@ -52,21 +52,26 @@ def head(value_us: int, index: int, at_us: int) -> str:
 
 
 def write_traced_run(folder: Path, traces: dict[int, str], tids: Iterable[int], output: str = OUTPUT) -> Path:
-    """A closed run directory with the files of traces by index, whose program had these threads."""
+    """A closed run directory with the files of traces by index, whose program had these threads.
+
+    An output of messages has the suite communication_tests.
+    """
+    is_message = output.startswith(("ct_", "1ct_"))
+    suite = "communication_tests" if is_message else "cyclic_timer_tests"
+    rows = [(1_000_000, 1_100_000, 0), (3_000_000, 3_100_000, 1)] if is_message else [(1_000_000,), (3_000_000,)]
     partial = folder / "partial"
     partial.mkdir(parents=True)
     path = write_output(
-        partial, output, "cyclic_timer_tests", [(1_000_000,), (3_000_000,)],
-        requested={"frequency_hz": 500}, asked=2, measured=1,
+        partial, output, suite, rows, requested={"frequency_hz": 500}, asked=2, measured=len(rows) - (not is_message),
     )  # fmt: skip
     record = json.loads(path.read_text())
     thread = record["in_effect"]["threads"][0]
-    record["in_effect"]["threads"] = [{**thread, "tid": tid, "name": "cyclic_timer_te"} for tid in tids]
+    record["in_effect"]["threads"] = [{**thread, "tid": tid, "name": suite[:15]} for tid in tids]
     path.write_text(json.dumps(record))
     for index, text in traces.items():
         (partial / f"{output}-trace-{index}.txt").write_text(text)
     closing = RunRecord(
-        schema=1, run="001-run", campaign="campaign", suite="cyclic_timer_tests",
+        schema=1, run="001-run", campaign="campaign", suite=suite,
         parameters={"policy": "RR", "frequency_hz": 500, "repetitions": 2, "trace_threshold_us": 100}, emulated=False,
         status=RunStatus.OK, reason=None, start_time="2026-11-21T10:00:00+00:00",
         end_time="2026-11-21T10:00:01+00:00", programs=[], outputs=[output],

@@ -7,8 +7,8 @@ is followed in the same way, also into another process.
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
 
@@ -58,12 +58,17 @@ class Cause:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Part:
-    """A piece of the time and what took it, from `begin_ns` to `end_ns` on the clock of the trace."""
+    """A piece of the time and what took it, from `begin_ns` to `end_ns` on the clock of the trace.
+
+    `pid` is the thread that is followed, and `state` what it does; None on the way from one thread to the next.
+    """
 
     begin_ns: int
     end_ns: int
     cause: Cause
     cpu: int | None = None
+    pid: int | None = None
+    state: State | None = None
 
     @property
     def length_ns(self) -> int:
@@ -83,7 +88,7 @@ def cut(timeline: Timeline, *, pid: int, own: frozenset[int], due_ns: int, at_ns
         if limit_ns < end_ns:
             parts.append(_unexplained(limit_ns, end_ns))
         if begin_ns < limit_ns:
-            parts.append(Part(begin_ns=begin_ns, end_ns=limit_ns, cause=part.cause, cpu=part.cpu))
+            parts.append(replace(part, begin_ns=begin_ns, end_ns=limit_ns))
         end_ns = min(begin_ns, limit_ns)
     if end_ns > due_ns:
         parts.append(_unexplained(due_ns, end_ns))
@@ -117,11 +122,16 @@ def _unexplained(begin_ns: int, end_ns: int, name: str = "") -> Part:
     return Part(begin_ns=begin_ns, end_ns=end_ns, cause=Cause(kind=Kind.UNEXPLAINED, name=name))
 
 
+def _of(pid: int, state: State, parts: Iterable[Part]) -> Iterator[Part]:
+    """The parts, which are of a thread."""
+    return (replace(part, pid=pid, state=state) for part in parts)
+
+
 def _joined(parts: Iterator[Part]) -> Iterator[Part]:
     last: Part | None = None
     for part in parts:
-        if last is not None and (last.cause, last.cpu) == (part.cause, part.cpu):
-            last = Part(begin_ns=last.begin_ns, end_ns=part.end_ns, cause=part.cause, cpu=part.cpu)
+        if last is not None and replace(last, end_ns=part.end_ns) == replace(part, begin_ns=last.begin_ns):
+            last = replace(last, end_ns=part.end_ns)
             continue
         if last is not None:
             yield last
@@ -147,11 +157,11 @@ class _Walk:
             change = self.timeline.threads[pid][place]
             begin_ns = min(change.at_ns, at_ns)
             if change.state is State.RUNNING:
-                yield from self._ran(pid, change.cpu, begin_ns, at_ns)
+                yield from _of(pid, change.state, self._ran(pid, change.cpu, begin_ns, at_ns))
             elif change.state is State.WAITING:
-                yield from self._waited(pid, change.cpu, begin_ns, at_ns)
+                yield from _of(pid, change.state, self._waited(pid, change.cpu, begin_ns, at_ns))
             else:
-                yield Part(begin_ns=begin_ns, end_ns=at_ns, cause=Cause(kind=Kind.UNEXPLAINED), cpu=change.cpu)
+                yield from _of(pid, change.state, [_unexplained(begin_ns, at_ns)])
             at_ns, place = begin_ns, place - 1
             if change.waker is None or at_ns <= self.due_ns:
                 continue
@@ -166,7 +176,7 @@ class _Walk:
                 pid, at_ns = raised.pid, min(raised.at_ns, at_ns)
                 place = self._running(pid, at_ns)
                 continue
-            yield from self._slept(slept, change.waker, asleep_ns, at_ns)
+            yield from _of(pid, State.ASLEEP, self._slept(slept, change.waker, asleep_ns, at_ns))
             at_ns, place = asleep_ns, place - 1
 
     def _running(self, pid: int, at_ns: int) -> int:

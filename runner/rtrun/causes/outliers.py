@@ -13,7 +13,9 @@ from rtrun.causes.control import Windows, windows_before
 from rtrun.causes.cut import Part, cut
 from rtrun.causes.events import Context
 from rtrun.causes.ftrace import LINE_BYTES_MAX, Trace, read_trace
+from rtrun.causes.steps import Step, steps
 from rtrun.causes.timeline import Span, Timeline, timeline
+from rtrun.plan.suites import suite
 from rtrun.results.record import RunRecord, check_file
 from rtrun.results.samples import NON_MEASURING_THREADS, Record
 
@@ -53,13 +55,15 @@ class Outlier:
 class Explained:
     """An outlier, the parts that its lateness consists of, and what happened in as long a time when nothing was late.
 
-    `around` is what each CPU did from `AROUND` times the value before until the outlier. Without parts `note` says why
-    there are none; with parts it says what is wrong with the trace, or is empty.
+    `steps` are those of a message, in nanoseconds; empty for a timer. `around` is what each CPU did from `AROUND` times
+    the value before until the outlier. Without parts `note` says why there are none; with parts it says what is wrong
+    with the trace, or is empty.
     """
 
     outlier: Outlier
     parts: tuple[Part, ...] = ()
     control: Windows
+    steps: Mapping[Step, int] = field(default_factory=dict)
     around: Mapping[int, tuple[Span, ...]] = field(default_factory=dict)
     note: str = ""
 
@@ -73,31 +77,48 @@ def explain_run(folder: Path, record: RunRecord) -> Iterator[Explained]:
         for name in (*names, f"{output}.json"):
             check_file(folder, record, name)
         threads = _threads(folder / f"{output}.json")
+        is_message = suite(record.suite).repeated is not None
         outliers = sorted((_read_head(folder, record.run, output, name) for name in names), key=lambda one: one.at_ns)
         for trace in dict.fromkeys(one.trace for one in outliers):
             if trace not in record.files:
                 raise UsageError(f"{folder}: a trace is in {trace!r}, which is no file of the run")
-            yield from explain(folder / trace, [one for one in outliers if one.trace == trace], outliers, threads)
+            yield from explain(
+                folder / trace, [one for one in outliers if one.trace == trace], outliers, threads, is_message
+            )
 
 
 def explain(
-    path: Path, outliers: Sequence[Outlier], all_outliers: Sequence[Outlier], threads: Mapping[int, str]
+    path: Path,
+    outliers: Sequence[Outlier],
+    all_outliers: Sequence[Outlier],
+    threads: Mapping[int, str],
+    is_message: bool,
 ) -> Iterator[Explained]:
-    """Yield the outliers of one trace. `all_outliers` are those of the run: no time of theirs is a control."""
+    """Yield the outliers of one trace. `all_outliers` are those of the run: no time of theirs is a control.
+
+    `threads` are those of the program that measured; `is_message` if its values are latencies of messages.
+    """
     trace = read_trace(path, until_ns=max(one.at_ns for one in outliers) + AFTER_NS)
     order = timeline(trace.events)
     for one in outliers:
-        yield _explain(one, order, trace, all_outliers, threads)
+        yield _explain(one, order, trace, all_outliers, threads, is_message)
 
 
 def _explain(
-    outlier: Outlier, order: Timeline, trace: Trace, all_outliers: Sequence[Outlier], threads: Mapping[int, str]
+    outlier: Outlier,
+    order: Timeline,
+    trace: Trace,
+    all_outliers: Sequence[Outlier],
+    threads: Mapping[int, str],
+    is_message: bool,
 ) -> Explained:
     pid = _measured_thread(order, outlier.at_ns, threads)
     place = bisect_left(trace.events, outlier.due_ns, key=lambda event: event.at_ns)
     if pid is None or place == len(trace.events) or trace.events[place].at_ns > outlier.at_ns:
         return Explained(outlier=outlier, control=Windows(), note=NOT_RECORDED)
-    own = frozenset(threads) if pid in threads else _with_name(order, set(threads.values()))
+    # In a container threads are known by name alone, which those of publisher and subscriber have in common.
+    known = pid in threads
+    own = frozenset(threads) if known else _with_name(order, set(threads.values()))
     parts = cut(order, pid=pid, own=own, due_ns=outlier.due_ns, at_ns=outlier.at_ns)
     late = [(one.due_ns, one.at_ns) for one in all_outliers]
     control = windows_before(order, trace.events, begin_ns=outlier.due_ns, length_ns=outlier.value_ns, late=late)
@@ -105,7 +126,8 @@ def _explain(
     note = f"{lost} events were lost within" if lost else ""
     begin_ns = outlier.due_ns - AROUND * outlier.value_ns
     around = {cpu: tuple(order.spans(cpu, begin_ns, outlier.at_ns)) for cpu in order.cpus}
-    return Explained(outlier=outlier, parts=parts, control=control, around=around, note=note)
+    of_message = steps(parts, pid=pid, own=own) if is_message and known else {}
+    return Explained(outlier=outlier, parts=parts, control=control, steps=of_message, around=around, note=note)
 
 
 def _with_name(order: Timeline, names: set[str]) -> frozenset[int]:

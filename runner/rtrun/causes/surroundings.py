@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from rtfiles.config import Config, read_json
-from rtfiles.untrusted import MIB, real_number
+from rtfiles.untrusted import real_number
 from rtrun.analysis.coincidence import LEAST_INTERVALS, Floats, find_coincidences
 from rtrun.analysis.histogram import Int64s
 from rtrun.causes.measured import Measured, read_measured
@@ -19,7 +19,6 @@ from rtrun.target.inspection import TargetState
 from rtrun.validity.observations import COUNTS_MAX, Observation, read_observations, read_text
 
 SAMPLER, STATES = "sampler.stdout", "target.json"
-STATES_BYTES_MAX = 64 * MIB
 # The ticks in the first line of /proc/stat, by their place (proc(5)).
 _TICKS = {
     0: "user time", 1: "time at low priority", 2: "kernel time", 4: "waiting for disks",

@@ -38,12 +38,12 @@ def run(args: argparse.Namespace) -> int:
     if table.rows:
         print_line()
         console().print(causes.for_terminal(table), crop=False)
-    for more in (surroundings, cost):
+    for more in (causes.step_table(explained), surroundings, cost):
         if more is not None and more.rows:
             print_line()
             print_line(f"{more.title}: {more.outcome}")
             console().print(causes.for_terminal(more), crop=False)
-    for one in explained:
+    for one in (one for one in explained if one.parts):
         print_line()
         for line in causes.lines(one):
             print_line(line)

@@ -14,6 +14,7 @@ from rtrun.causes.outliers import Explained, explain_run
 from rtrun.causes.ranking import NAMELESS, Culprit, Ranking, rank
 from rtrun.causes.recurring import Recurring, recurring
 from rtrun.causes.remedies import remedy
+from rtrun.causes.steps import Step
 from rtrun.causes.surroundings import Unusual, find_unusual
 from rtrun.report.claims.examination import us
 from rtrun.report.tables import Table
@@ -161,6 +162,31 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
     )
 
 
+def step_table(explained: Sequence[Explained]) -> Table:
+    """The steps of late messages over all outliers; without rows where no message was traced."""
+    chains = [one.steps for one in explained if one.steps]
+    whole_ns = sum(sum(chain.values()) for chain in chains)
+    lengths = {step: [chain[step] for chain in chains if step in chain] for step in Step}
+    longest = max(Step, key=lambda step: sum(lengths[step]))
+    return Table(
+        id="steps",
+        title="Where late messages were",
+        columns=("step", "outliers", "total us", "worst us", "of all"),
+        rows=[
+            (
+                step.value,
+                f"{len(of_step)} of {len(chains)}",
+                us(sum(of_step)),
+                us(max(of_step)),
+                _percent(sum(of_step), whole_ns),
+            )
+            for step, of_step in lengths.items()
+            if of_step
+        ],
+        outcome=f"longest in step '{longest}', {_percent(sum(lengths[longest]), whole_ns)} of their latency",
+    )
+
+
 def for_terminal(table: Table) -> rich.table.Table:
     """The table for a terminal."""
     made = rich.table.Table(box=rich.box.SIMPLE, padding=(0, 1), show_edge=False)
@@ -184,6 +210,8 @@ def lines(one: Explained) -> Iterator[str]:
     note = f"; {one.note}" if one.note else ""
     where = f"{outlier.run} {outlier.output}, index {outlier.index}, at {at}"
     yield printable(f"{us(outlier.value_ns)} us too late: {where}{note}")
+    if one.steps:
+        yield "  " + " > ".join(f"{step} {us(length_ns)}" for step, length_ns in one.steps.items()) + " us"
     lengths: Counter[tuple[Cause, int | None]] = Counter()
     for part in one.parts:
         lengths[part.cause, part.cpu] += part.length_ns

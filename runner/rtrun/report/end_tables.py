@@ -25,7 +25,7 @@ from rtrun.target.platform import Platform
 def end_tables(study: Study, claims: Sequence[Examined]) -> tuple[Table, ...]:
     """What stands behind the scenarios, each table with what came out of it."""
     tables = [
-        _causes(study),
+        *_causes(study),
         tracing_cost(study),
         causes.surroundings(study.source)[0],
         _worst_cases(study),
@@ -36,10 +36,10 @@ def end_tables(study: Study, claims: Sequence[Examined]) -> tuple[Table, ...]:
     return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)
 
 
-def _causes(study: Study) -> Table:
+def _causes(study: Study) -> tuple[Table, Table]:
     ranking, explained, refused = causes.ranked(study.source)
     table = causes.table(ranking, explained)
-    return replace(table, notes=(*table.notes, *thresholds(study.records), *refused))
+    return replace(table, notes=(*table.notes, *thresholds(study.records), *refused)), causes.step_table(explained)
 
 
 def _worst_cases(study: Study) -> Table:

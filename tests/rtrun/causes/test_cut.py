@@ -1,5 +1,7 @@
 """The cut of a late value: each kind of cause from a trace of a few lines, and sums that are exact for any trace."""
 
+from itertools import groupby
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,10 +27,13 @@ def expiry(us, late_us=0):
 
 
 def parts_of(text, *, due=1000, at, pid=1, own=(1,)):
-    """What the lines say, as (kind, name, microseconds)."""
+    """What the lines say, as (kind, name, microseconds); what has one cause and follows each other is one."""
     made = cut(timeline(events(text)), pid=pid, own=frozenset(own), due_ns=due * 1000, at_ns=at * 1000)
     assert sum(part.length_ns for part in made) == (at - due) * 1000
-    return [(part.cause.kind, part.cause.name, part.length_ns // 1000) for part in made]
+    return [
+        (kind, name, sum(part.length_ns for part in alike) // 1000)
+        for (kind, name, _), alike in groupby(made, key=lambda part: (part.cause.kind, part.cause.name, part.cpu))
+    ]
 
 
 BEFORE = START + switch(200, ME, LOW)

@@ -1,0 +1,47 @@
+"""Where a message was while it took its time: the parts of its latency by the steps of roscpp between two programs.
+
+A publisher hands a message to its poll thread, which writes it into a socket. The poll thread of the subscriber reads
+it and puts it into the callback queue, from which the thread that spins takes it (roscpp: `TopicManager::publish`,
+`PollManager`, `Subscription::handleMessage`, `CallbackQueue`).
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+
+from rtrun.causes.cut import Kind, Part
+from rtrun.causes.timeline import State
+
+
+class Step(StrEnum):
+    """The steps in their order; a thread that waits for a CPU has begun its step."""
+
+    PUBLISHER = "publisher"
+    WRITE = "publisher's poll thread writes"
+    SOCKET = "socket"
+    POLL = "subscriber's poll thread"
+    QUEUE = "callback queue"
+    CALLBACK = "callback"
+    UNKNOWN = "unexplained"
+
+
+def steps(parts: Sequence[Part], *, pid: int, own: frozenset[int]) -> Mapping[Step, int]:
+    """The nanoseconds of each step, in order; they add up to the parts.
+
+    `pid` is the thread of the callback, `own` are the threads of the subscriber. Of other threads the last one wrote.
+    """
+    writer = next((part.pid for part in reversed(parts) if part.pid is not None and part.pid not in own), None)
+    lengths: Counter[Step] = Counter()
+    for part in parts:
+        lengths[_step(part, pid, own, writer)] += part.length_ns
+    return {step: lengths[step] for step in Step if lengths[step]}
+
+
+def _step(part: Part, pid: int, own: frozenset[int], writer: int | None) -> Step:
+    if part.pid is None:
+        return Step.UNKNOWN if part.cause.kind is Kind.UNEXPLAINED else Step.SOCKET
+    if part.pid == pid:
+        return Step.CALLBACK if part.state is State.RUNNING else Step.QUEUE
+    if part.pid in own:
+        return Step.POLL
+    return Step.WRITE if part.pid == writer else Step.PUBLISHER
