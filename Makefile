@@ -60,6 +60,7 @@ coverage: setup
 bench: setup
 	nice -n 5 $(BIN)/python tests/bench/bench_analysis.py --check
 	$(BIN)/pytest -q -s tests/bench/overhead.py
+	PYTHONPATH=tests/rtrun $(BIN)/pytest -q -s tests/bench/causes.py
 
 setup:
 	@tools/setup

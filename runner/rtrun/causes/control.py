@@ -9,6 +9,8 @@ from rtrun.causes.events import Event
 from rtrun.causes.timeline import Timeline
 
 WINDOWS_MAX = 200
+# Long windows are fewer, but not fewer than these.
+CONTROL_NS, WINDOWS_WANTED = 50_000_000, 20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -27,6 +29,11 @@ class Windows:
         """The number of windows in which somebody had a CPU for at least a time."""
         times = self.times_ns.get(-1 if cpu is None else cpu, ())
         return sum(one.get(name, 0) >= max(1, least_ns) for one in times)
+
+
+def control_ns(length_ns: int) -> int:
+    """How much time before an outlier is looked at, for windows of a length."""
+    return max(min(WINDOWS_MAX * length_ns, CONTROL_NS), WINDOWS_WANTED * length_ns)
 
 
 def windows_before(

@@ -1,7 +1,8 @@
 """The reader of the kernel's trace text (tracefs `trace` and `snapshot`, Documentation/trace/ftrace.rst).
 
 Lines that are not understood are counted and left out: kernels differ, and a person may have enabled more events. The
-file may have any size: it is read line by line, and the last `EVENTS_MAX` events before a moment are kept.
+file may have any size: it is read in pieces, those before a moment are passed over, and the last `EVENTS_MAX` events
+are kept.
 """
 
 import re
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from sys import intern
-from typing import NamedTuple
+from typing import BinaryIO
 
 from rtfiles.errors import UsageError
 from rtrun.causes.events import (
@@ -34,16 +35,21 @@ from rtrun.causes.events import (
 
 # Those of 16 CPUs whose buffers hold 512 KiB each.
 EVENTS_MAX = 200_000
-LINE_BYTES_MAX = 8192
+# Timers that were started before the events that are read.
+TIMERS_MAX = 10_000
+PIECE_BYTES = 1 << 16
 # trace-cmd.dat(5): how a file of trace-cmd begins.
 _TRACE_CMD = b"\x17\x08\x44tracing"
 
 # "  name-pid (group) [cpu] flags seconds: event: arguments"; system calls are "sys_futex(...)" and "sys_futex -> 0x0".
+# A name may have dashes, but most have none: that is tried first.
 _LINE = re.compile(
-    r" *(.{1,32}?)-(\d{1,10}) +(?:\([ \d-]{1,12}\) +)?\[(\d{1,4})\] +(?:([^\s\d]\S{2,9}) +)?"
+    r" *([^-\n]{1,32}|.{1,32}?)-(\d{1,10}) +(?:\([ \d-]{1,12}\) +)?\[(\d{1,4})\] +(?:([^\s\d]\S{2,9}) +)?"
     r"(\d{1,9})\.(\d{9}|\d{6}): (\w+)(?:: | -> |\()(.*)",
     re.ASCII,
 )
+_TIME = re.compile(r" (\d{1,9})\.(\d{9}|\d{6}): ", re.ASCII)
+_TIMER_START_EVENT = ": hrtimer_start: "
 _LOST = re.compile(r"CPU:(\d{1,4}) \[LOST (\d{1,15}) EVENTS\]", re.ASCII)
 _SWITCH = re.compile(
     r"prev_comm=(.{0,64}?) prev_pid=(\d{1,10}) prev_prio=(-?\d{1,4}) prev_state=(\S{1,8}) ==> "
@@ -78,43 +84,101 @@ _VECTORS = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trace:
-    """The events before a moment, in the order of time. `not_read` counts lines that are no line of a trace."""
+    """The events between two moments, in the order of time, and the timers that were started before.
+
+    `not_read` counts lines that are no line of a trace.
+    """
 
     events: tuple[Event, ...]
+    started: tuple[TimerStart, ...]
     not_read: int
 
 
-def read_trace(path: Path, *, until_ns: int) -> Trace:
-    """Read a trace up to a moment of its clock.
+class _NotInOrder(Exception):
+    """Times go back from one piece of the file to the next."""
 
-    Raises UsageError for a file that is none: one of trace-cmd, or one without a single event that is read here.
+
+def read_trace(path: Path, *, from_ns: int = 0, until_ns: int) -> Trace:
+    """Read a trace between two moments of its clock; some events from before the first may be there, too.
+
+    Raises UsageError for a file of trace-cmd, or one that cannot be read.
     """
-    events: deque[Event] = deque(maxlen=EVENTS_MAX)
-    not_read = 0
     try:
         with path.open("rb") as stream:
             if stream.read(len(_TRACE_CMD)) == _TRACE_CMD:
                 raise UsageError(
                     f"{path}: a file of trace-cmd; the kernel's text is read here: cat /sys/kernel/tracing/trace"
                 )
-            stream.seek(0)
-            for event in parse(iter(lambda: stream.readline(LINE_BYTES_MAX), b"")):
-                if event is None:
-                    not_read += 1
-                elif event.at_ns <= until_ns:
-                    events.append(event)
+            try:
+                return _read(stream, from_ns, until_ns)
+            except _NotInOrder:
+                # The kernel merges its CPUs by time, but a file may have been put together by hand.
+                return _read(stream, 0, until_ns)
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}") from error
-    # CPUs are merged by time when the kernel prints them, but a file may have been put together by hand.
-    return Trace(events=tuple(sorted(events, key=lambda event: event.at_ns)), not_read=not_read)
 
 
-def parse(lines: Iterable[bytes]) -> Iterator[Event | None]:
+def _read(stream: BinaryIO, from_ns: int, until_ns: int) -> Trace:
+    stream.seek(0)
+    events: deque[Event] = deque(maxlen=EVENTS_MAX)
+    started: dict[str, TimerStart] = {}
+    not_read = 0
+    for event in parse(_lines(stream, from_ns, started)):
+        if event is None:
+            not_read += 1
+        elif event.at_ns <= until_ns:
+            events.append(event)
+    in_order = tuple(sorted(events, key=lambda event: event.at_ns))
+    return Trace(events=in_order, started=tuple(started.values()), not_read=not_read)
+
+
+def _lines(stream: BinaryIO, from_ns: int, started: dict[str, TimerStart]) -> Iterator[str]:
+    """Yield the lines of the pieces of a file that are not wholly before a moment; of the others keep timer starts.
+
+    A line that is longer than a piece is cut. Raises _NotInOrder.
+    """
+    rest, before_ns = b"", 0
+    while data := stream.read(PIECE_BYTES):
+        piece = rest + data
+        end = piece.rfind(b"\n") + 1 or len(piece)
+        rest = piece[end:]
+        lines = piece[:end].decode("utf-8", errors="replace").split("\n")
+        first_ns, last_ns = _time_ns(lines), _time_ns(reversed(lines))
+        if from_ns and first_ns is not None and last_ns is not None:
+            if not before_ns <= first_ns <= last_ns:
+                raise _NotInOrder
+            before_ns = last_ns
+            if last_ns < from_ns:
+                _keep_started(lines, started)
+                continue
+        yield from lines
+    yield rest.decode("utf-8", errors="replace")
+
+
+def _time_ns(lines: Iterable[str]) -> int | None:
+    """The time of the first line that has one."""
+    match = next(filter(None, map(_TIME.search, lines)), None)
+    return _ns(*match.groups()) if match else None
+
+
+def _keep_started(lines: Iterable[str], started: dict[str, TimerStart]) -> None:
+    for event in parse(line for line in lines if _TIMER_START_EVENT in line):
+        if isinstance(event, TimerStart):
+            started[event.timer] = event
+            if len(started) > TIMERS_MAX:
+                del started[next(iter(started))]
+
+
+def _ns(seconds: str, fraction: str) -> int:
+    return int(seconds) * 1_000_000_000 + int(fraction) * (1000 if len(fraction) == 6 else 1)
+
+
+def parse(lines: Iterable[str]) -> Iterator[Event | None]:
     """Yield the events of a trace's lines, None for a line that is neither an event nor a comment."""
     cpus: set[str] = set()
     lost: dict[int, int] = {}
-    for raw in lines:
-        line = raw.decode("utf-8", errors="replace")
+    second, second_ns = "", 0
+    for line in lines:
         match = _LINE.match(line)
         if match is None:
             if lost_match := _LOST.match(line):
@@ -126,24 +190,20 @@ def parse(lines: Iterable[bytes]) -> Iterator[Event | None]:
         read = _READERS.get(event)
         if read is None and cpu in cpus and not lost:
             continue
-        at_ns = int(seconds) * 1_000_000_000 + int(fraction) * (1000 if len(fraction) == 6 else 1)
+        if seconds != second:
+            second, second_ns = seconds, _ns(seconds, "000000")
+        at_ns = second_ns + int(fraction) * (1000 if len(fraction) == 6 else 1)
         if cpu not in cpus:
             cpus.add(cpu)
             yield Current(at_ns, int(cpu), int(pid), name)
         if lost and int(cpu) in lost:
             yield Lost(at_ns, int(cpu), lost.pop(int(cpu)))
         if read is not None:
-            yield read(_Head(at_ns, int(cpu), int(pid), flags, event), arguments)
+            yield read((at_ns, int(cpu), int(pid), flags, event), arguments)
 
 
-class _Head(NamedTuple):
-    """What stands before the arguments of an event."""
-
-    at_ns: int
-    cpu: int
-    pid: int
-    flags: str | None
-    event: str
+_Head = tuple[int, int, int, str | None, str]
+"""What stands before the arguments of an event: time, CPU, thread, flags, name of the event."""
 
 
 @lru_cache(maxsize=256)
@@ -187,7 +247,7 @@ def _handler_exit(head: _Head, _: str) -> Event:
 
 
 def _vector(head: _Head, _: str) -> Event:
-    name, edge = head.event.rsplit("_", 1)
+    name, edge = head[4].rsplit("_", 1)
     return Interrupt(head[0], head[1], Context.HARD, intern(name), begins=edge == "entry")
 
 
@@ -195,9 +255,9 @@ def _softirq(head: _Head, arguments: str) -> Event | None:
     if not (match := _SOFTIRQ.match(arguments)):
         return None
     name = intern(match[1])
-    if head.event == "softirq_raise":
+    if head[4] == "softirq_raise":
         return Raise(head[0], head[1], head[2], _context(head[3]), name)
-    return Interrupt(head[0], head[1], Context.SOFT, name, begins=head.event == "softirq_entry")
+    return Interrupt(head[0], head[1], Context.SOFT, name, begins=head[4] == "softirq_entry")
 
 
 def _timer_start(head: _Head, arguments: str) -> Event | None:

@@ -9,10 +9,10 @@ from pathlib import Path
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import whole_number
-from rtrun.causes.control import Windows, windows_before
+from rtrun.causes.control import Windows, control_ns, windows_before
 from rtrun.causes.cut import Part, cut
 from rtrun.causes.events import Context
-from rtrun.causes.ftrace import LINE_BYTES_MAX, Trace, read_trace
+from rtrun.causes.ftrace import Trace, read_trace
 from rtrun.causes.steps import Step, steps
 from rtrun.causes.timeline import Span, Timeline, timeline
 from rtrun.plan.suites import suite
@@ -20,8 +20,11 @@ from rtrun.results.record import RunRecord, check_file
 from rtrun.results.samples import NON_MEASURING_THREADS, Record
 
 # What is read after an outlier: the thread that measured it must be seen to go on.
-AFTER_NS = 100_000_000
+AFTER_NS = 10_000_000
+# What is read before one at least: threads that sleep for longer are seen to be woken, but not to fall asleep.
+BEFORE_NS = 50_000_000
 AROUND = 4
+HEAD_BYTES_MAX = 8192
 _HEAD = re.compile(
     r"# \S{1,255}: (\d{1,18}) ns at index (\d{1,18}) above \d{1,18} ns, at (\d{1,9})\.(\d{6}) s of (\w{1,40})\n",
     re.ASCII,
@@ -70,38 +73,29 @@ class Explained:
 
 def explain_run(folder: Path, record: RunRecord) -> Iterator[Explained]:
     """Yield the traced outliers of a run. Raises UsageError for files that are not what they should be."""
+    threads: dict[str, dict[int, str]] = {}
+    outliers: list[Outlier] = []
     for output in dict.fromkeys(record.outputs):
         names = [name for name in record.files if re.fullmatch(re.escape(output) + r"-trace-[0-9]{1,18}\.txt", name)]
         if not names:
             continue
         for name in (*names, f"{output}.json"):
             check_file(folder, record, name)
-        threads = _threads(folder / f"{output}.json")
-        is_message = suite(record.suite).repeated is not None
-        outliers = sorted((_read_head(folder, record.run, output, name) for name in names), key=lambda one: one.at_ns)
-        for trace in dict.fromkeys(one.trace for one in outliers):
-            if trace not in record.files:
-                raise UsageError(f"{folder}: a trace is in {trace!r}, which is no file of the run")
-            yield from explain(
-                folder / trace, [one for one in outliers if one.trace == trace], outliers, threads, is_message
-            )
-
-
-def explain(
-    path: Path,
-    outliers: Sequence[Outlier],
-    all_outliers: Sequence[Outlier],
-    threads: Mapping[int, str],
-    is_message: bool,
-) -> Iterator[Explained]:
-    """Yield the outliers of one trace. `all_outliers` are those of the run: no time of theirs is a control.
-
-    `threads` are those of the program that measured; `is_message` if its values are latencies of messages.
-    """
-    trace = read_trace(path, until_ns=max(one.at_ns for one in outliers) + AFTER_NS)
-    order = timeline(trace.events)
-    for one in outliers:
-        yield _explain(one, order, trace, all_outliers, threads, is_message)
+        threads[output] = _threads(folder / f"{output}.json")
+        outliers += (_read_head(folder, record.run, output, name) for name in names)
+    outliers.sort(key=lambda one: one.at_ns)
+    is_message = suite(record.suite).repeated is not None
+    # Outliers share traces, those of several subscribers as well: each is read once.
+    for name in dict.fromkeys(one.trace for one in outliers):
+        if name not in record.files:
+            raise UsageError(f"{folder}: a trace is in {name!r}, which is no file of the run")
+        of_trace = [one for one in outliers if one.trace == name]
+        from_ns = min(one.due_ns - max(control_ns(one.value_ns), BEFORE_NS) for one in of_trace)
+        until_ns = max(one.at_ns for one in of_trace) + AFTER_NS
+        trace = read_trace(folder / name, from_ns=max(0, from_ns), until_ns=until_ns)
+        order = timeline(trace.events, started=trace.started)
+        for one in of_trace:
+            yield _explain(one, order, trace, outliers, threads[one.output], is_message)
 
 
 def _explain(
@@ -112,6 +106,10 @@ def _explain(
     threads: Mapping[int, str],
     is_message: bool,
 ) -> Explained:
+    """One outlier. `all_outliers` are those of the run: no time of theirs is a control.
+
+    `threads` are those of the program that measured; `is_message` if its values are latencies of messages.
+    """
     pid = _measured_thread(order, outlier.at_ns, threads)
     place = bisect_left(trace.events, outlier.due_ns, key=lambda event: event.at_ns)
     if pid is None or place == len(trace.events) or trace.events[place].at_ns > outlier.at_ns:
@@ -158,7 +156,7 @@ def _read_head(folder: Path, run: str, output: str, name: str) -> Outlier:
     path = folder / name
     try:
         with path.open("rb") as stream:
-            first, second = (stream.readline(LINE_BYTES_MAX).decode("utf-8", errors="replace") for _ in range(2))
+            first, second = (stream.readline(HEAD_BYTES_MAX).decode("utf-8", errors="replace") for _ in range(2))
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}") from error
     match = _HEAD.fullmatch(first)

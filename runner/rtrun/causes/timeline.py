@@ -331,9 +331,13 @@ def _interrupt(cpu: _Cpu, event: Interrupt) -> None:
     cpu.expiry = None
 
 
-def timeline(events: Iterable[Event]) -> Timeline:
-    """Put the events of a trace, which must be in the order of time, into a timeline."""
+def timeline(events: Iterable[Event], *, started: Iterable[TimerStart] = ()) -> Timeline:
+    """Put the events of a trace, which must be in the order of time, into a timeline.
+
+    `started` are timers that were started before.
+    """
     builder = _Builder()
+    builder.timers.update({start.timer: start for start in started})
     begin_ns = end_ns = 0
     for event in events:
         if not builder.cpus:

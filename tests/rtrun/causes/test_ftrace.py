@@ -1,5 +1,7 @@
 """The reader of the kernel's trace text."""
 
+import tracemalloc
+
 import pytest
 from traced import events, head, line, specimen, switch
 
@@ -139,8 +141,57 @@ def test_of_a_long_trace_the_last_events_before_the_moment_are_kept(tmp_path, mo
     assert times == [us * 1000 for us in range(491, 501)]
 
 
+def lines_from(begin_us, number):
+    """Lines of two CPUs, 10 us apart, each CPU with a timer that was started at the begin."""
+    timers = [f"hrtimer_start: hrtimer=t{cpu} function=f expires=9 softexpires=9" for cpu in (0, 1)]
+    text = [line(begin_us, timer, cpu=cpu) for cpu, timer in enumerate(timers)]
+    return text + [switch(begin_us + 10 * place, A, B, cpu=place % 2) for place in range(1, number)]
+
+
+def test_what_is_before_the_moment_is_passed_over_but_for_timers(tmp_path, monkeypatch):
+    monkeypatch.setattr(ftrace, "PIECE_BYTES", 1000)
+    path = tmp_path / "trace"
+    path.write_text("".join(lines_from(0, 1000)))
+    whole, late = (read_trace(path, from_ns=from_ns, until_ns=10**10) for from_ns in (0, 8_000_000))
+    assert len(whole.events) > 1000 and whole.started == ()
+    assert 200 <= len(late.events) < 230, "a piece has some lines more"
+    assert late.events[3:] == whole.events[len(whole.events) - len(late.events) + 3 :], "but for who had the CPUs"
+    assert {start.timer for start in late.started} == {"t0", "t1"}
+
+
+def test_a_file_whose_times_go_back_is_read_whole(tmp_path, monkeypatch):
+    """One CPU after the other, as of trace files of each CPU that were put together by hand."""
+    monkeypatch.setattr(ftrace, "PIECE_BYTES", 1000)
+    path = tmp_path / "trace"
+    path.write_text("".join(lines_from(0, 500)) + "".join(lines_from(0, 500)))
+    trace = read_trace(path, from_ns=4_000_000, until_ns=10**10)
+    assert len(trace.events) == 2 * 501 + 2
+    assert [event.at_ns for event in trace.events] == sorted(event.at_ns for event in trace.events)
+
+
+def test_a_line_without_end_is_read_in_pieces(tmp_path, monkeypatch):
+    monkeypatch.setattr(ftrace, "PIECE_BYTES", 1000)
+    path = tmp_path / "trace"
+    path.write_text("x" * 10_000 + "\n" + line(5, "local_timer_entry: vector=1"))
+    trace = read_trace(path, until_ns=10**9)
+    assert trace.not_read == 10 and len(trace.events) == 2
+
+
+@pytest.mark.parametrize("from_ns", [0, 10**9])
+def test_the_memory_does_not_grow_with_the_file(from_ns, tmp_path, monkeypatch):
+    monkeypatch.setattr(ftrace, "EVENTS_MAX", 1000)
+    peaks = []
+    for times in (1, 4):
+        path = tmp_path / f"trace{times}"
+        path.write_text("".join(lines_from(0, 1500 * times)))
+        tracemalloc.start()
+        read_trace(path, from_ns=from_ns, until_ns=10**10)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0], peaks
+
+
 def test_a_real_trace_is_read_whole(tmp_path):
-    lines = (head(1, 1, 1) + specimen(1558)).encode().splitlines(keepends=True)
-    made = list(parse(lines))
+    made = list(parse((head(1, 1, 1) + specimen(1558)).split("\n")))
     assert None not in made
     assert len(made) > 500
