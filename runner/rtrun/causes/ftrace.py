@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from os import SEEK_END
 from pathlib import Path
 from sys import intern
 from typing import BinaryIO
@@ -103,12 +104,9 @@ def read_trace(path: Path, *, from_ns: int = 0, until_ns: int) -> Trace:
 
     Raises UsageError for a file of trace-cmd, or one that cannot be read.
     """
+    refuse_trace_cmd(path)
     try:
         with path.open("rb") as stream:
-            if stream.read(len(_TRACE_CMD)) == _TRACE_CMD:
-                raise UsageError(
-                    f"{path}: a file of trace-cmd; the kernel's text is read here: cat /sys/kernel/tracing/trace"
-                )
             try:
                 return _read(stream, from_ns, until_ns)
             except _NotInOrder:
@@ -116,6 +114,29 @@ def read_trace(path: Path, *, from_ns: int = 0, until_ns: int) -> Trace:
                 return _read(stream, 0, until_ns)
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}") from error
+
+
+def refuse_trace_cmd(path: Path) -> None:
+    """Raise UsageError for a file of trace-cmd, or one that cannot be read."""
+    try:
+        with path.open("rb") as stream:
+            begin = stream.read(len(_TRACE_CMD))
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+    if begin == _TRACE_CMD:
+        raise UsageError(f"{path}: a file of trace-cmd; the kernel's text is read here: cat /sys/kernel/tracing/trace")
+
+
+def read_ends(path: Path) -> tuple[int, int] | None:
+    """The first and the last time in a file, in ns; None where there is none as the kernel prints it."""
+    with path.open("rb") as stream:
+        size = stream.seek(0, SEEK_END)
+        ends = []
+        for place in (0, max(0, size - PIECE_BYTES)):
+            stream.seek(place)
+            ends.append(stream.read(PIECE_BYTES).decode("utf-8", errors="replace").split("\n"))
+    first_ns, last_ns = _time_ns(ends[0]), _time_ns(reversed(ends[1]))
+    return None if first_ns is None or last_ns is None else (first_ns, last_ns)
 
 
 def _read(stream: BinaryIO, from_ns: int, until_ns: int) -> Trace:

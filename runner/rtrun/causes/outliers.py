@@ -3,7 +3,7 @@
 import re
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rtfiles.config import read_json
@@ -12,7 +12,7 @@ from rtfiles.untrusted import whole_number
 from rtrun.causes.control import Windows, control_ns, windows_before
 from rtrun.causes.cut import Part, cut
 from rtrun.causes.events import Context
-from rtrun.causes.ftrace import Trace, read_trace
+from rtrun.causes.ftrace import Trace, read_ends, read_trace, refuse_trace_cmd
 from rtrun.causes.steps import Step, steps
 from rtrun.causes.timeline import Span, Timeline, timeline
 from rtrun.plan.suites import suite
@@ -34,6 +34,11 @@ NOT_RECORDED = (
     "the trace holds nothing of that moment: it was overwritten, or recording was paused while another was copied "
     "(a kernel without CONFIG_TRACER_SNAPSHOT)"
 )
+
+
+NO_TIMES = "the trace has no line with a time in seconds: another clock (trace_clock counter or x86-tsc), or no trace"
+# Recording is not paused, and a buffer does not hold events, for so long.
+ANOTHER_CLOCK_NS = 3600 * 10**9
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -95,7 +100,8 @@ def explain_run(folder: Path, record: RunRecord) -> Iterator[Explained]:
         trace = read_trace(folder / name, from_ns=max(0, from_ns), until_ns=until_ns)
         order = timeline(trace.events, started=trace.started)
         for one in of_trace:
-            yield _explain(one, order, trace, outliers, threads[one.output], is_message)
+            explained = _explain(one, order, trace, outliers, threads[one.output], is_message)
+            yield explained if explained.parts else replace(explained, note=_why_none(folder / name, one))
 
 
 def _explain(
@@ -128,6 +134,17 @@ def _explain(
     return Explained(outlier=outlier, parts=parts, control=control, steps=of_message, around=around, note=note)
 
 
+def _why_none(path: Path, outlier: Outlier) -> str:
+    """Why a trace says nothing of an outlier."""
+    ends = read_ends(path)
+    if ends is None:
+        return NO_TIMES
+    if ends[0] - ANOTHER_CLOCK_NS < outlier.at_ns < ends[1] + ANOTHER_CLOCK_NS:
+        return NOT_RECORDED
+    between = f"{ends[0] / 1e9:.0f} to {ends[1] / 1e9:.0f} s"
+    return f"the trace is of another clock than {outlier.clock}: its times are {between}"
+
+
 def _with_name(order: Timeline, names: set[str]) -> frozenset[int]:
     return frozenset(pid for pid, name in order.names.items() if name in names)
 
@@ -154,6 +171,7 @@ def _threads(path: Path) -> dict[int, str]:
 
 def _read_head(folder: Path, run: str, output: str, name: str) -> Outlier:
     path = folder / name
+    refuse_trace_cmd(path)
     try:
         with path.open("rb") as stream:
             first, second = (stream.readline(HEAD_BYTES_MAX).decode("utf-8", errors="replace") for _ in range(2))

@@ -18,6 +18,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles import atomic
     from rtfiles.errors import UsageError
     from rtfiles.output import console, print_line
+    from rtrun.causes.ftrace import refuse_trace_cmd
     from rtrun.report import causes
     from rtrun.report.perfetto import perfetto
     from rtrun.report.tracing_cost import thresholds, tracing_cost_at
@@ -26,6 +27,7 @@ def run(args: argparse.Namespace) -> int:
 
     source = find_source(args.results)
     if not source.folders:
+        refuse_trace_cmd(args.results)
         raise UsageError(f"{args.results}: not a results folder or a run directory")
     ranking, explained, refused = causes.ranked(source)
     periods, not_searched = causes.periods(source)

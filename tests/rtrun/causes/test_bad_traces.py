@@ -1,0 +1,119 @@
+"""Traces that are not what they should be: cut off, torn, overwritten, of another clock, of other tools."""
+
+import pytest
+from traced import head, line, specimen, switch, waking, write_traced_run
+
+from rtfiles.errors import UsageError
+from rtrun.causes.cut import Kind
+from rtrun.causes.outliers import NO_TIMES, NOT_RECORDED, explain_run
+from rtrun.cli import main
+from rtrun.results.record import read_record
+
+ME, HOG = ("cyclic_timer_te", 1, 4), ("hog", 2, 1)
+HEAD = head(500, 3, 5000)
+SECOND_US = 10**6
+
+
+def explain(folder, text, tids=(1,)):
+    (one,) = explain_run(write_traced_run(folder, {3: text}, tids), read_record(folder / "001-run"))
+    assert not one.parts or sum(part.length_ns for part in one.parts) == one.outlier.value_ns
+    return one
+
+
+@pytest.mark.parametrize("part", [0.01, 0.3, 0.5, 0.7, 0.9, 0.999])
+def test_cut_off_anywhere(part, tmp_path):
+    """The target's disk was full, or the copy was interrupted."""
+    text = specimen(1558)
+    one = explain(tmp_path, text[: int(part * len(text))], (23166, 23175))
+    assert one.parts or one.note == NOT_RECORDED or one.note == NO_TIMES
+
+
+def test_torn_lines_of_two_writers_are_left_out(tmp_path):
+    lines = specimen(1558).splitlines(keepends=True)
+    for place in range(400, len(lines) - 1, 7):
+        lines[place] = lines[place][:40] + lines[place + 1]
+    one = explain(tmp_path, "".join(lines), (23166, 23175))
+    assert one.outlier.value_ns == 1_721_878
+
+
+def test_a_cpu_whose_buffer_begins_after_the_moment_is_unexplained_until_then(tmp_path):
+    """The buffers of the CPUs wrap one by one: the older part of this one was overwritten."""
+    text = HEAD + line(4000, "x: y", cpu=1) + "##### CPU 0 buffer started ####\n"
+    text += switch(4800, HOG, ME) + line(5001, "local_timer_entry: vector=1")
+    one = explain(tmp_path, text)
+    assert [(part.cause.kind, part.length_ns) for part in one.parts] == [
+        (Kind.UNEXPLAINED, 300_000),
+        (Kind.PROGRAM, 200_000),
+    ]
+
+
+def test_a_buffer_that_was_overwritten_since_is_said(tmp_path):
+    text = HEAD + switch(9000, HOG, ME) + switch(9500, ME, HOG)
+    assert explain(tmp_path, text).note == NOT_RECORDED
+
+
+def test_lost_events_are_said_with_the_outlier(tmp_path, capsys):
+    text = (
+        HEAD
+        + switch(4000, HOG, ME)
+        + "CPU:0 [LOST 7 EVENTS]\n"
+        + switch(4900, HOG, ME)
+        + line(5001, "local_timer_entry: vector=1")
+    )
+    write_traced_run(tmp_path, {3: text}, [1])
+    assert main(["why", str(tmp_path)]) == 0
+    assert "; 7 events were lost within" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("begin_us", [7 * 3600 * SECOND_US, 300 * 3600 * SECOND_US])
+def test_times_of_another_clock_are_said(begin_us, tmp_path):
+    """trace_clock local begins with the boot of the host's kernel, global elsewhere."""
+    text = HEAD + switch(begin_us, HOG, ME) + switch(begin_us + 5000, ME, HOG)
+    seconds = begin_us // SECOND_US
+    assert explain(tmp_path, text).note == (
+        f"the trace is of another clock than CLOCK_MONOTONIC_RAW: its times are {seconds} to {seconds} s"
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "            bash-1977  [000] ..... 123456789012: sched_waking: comm=x pid=1 prio=4 target_cpu=000\n",
+        "# tracer: nop\n#\n",
+        " 0)   0.321 us    |  mutex_lock();\n 0)               |  vfs_read() {\n",
+        "not a trace\n\x00\xff\n",
+    ],
+    ids=["a clock that counts", "empty", "function_graph", "anything"],
+)
+def test_a_file_without_times_in_seconds_is_said(text, tmp_path):
+    assert explain(tmp_path, HEAD + text).note == NO_TIMES
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        "sched_switch:         hog:2 [1] R ==> cyclic_timer_te:1 [4]",  # trace-cmd report
+        "mutex_lock <-vfs_read",  # the function tracer
+        "my_driver: whatever=1",
+    ],
+)
+def test_events_that_are_not_known_explain_nothing(event, tmp_path):
+    text = HEAD + line(4000, event) + line(4900, event) + line(5001, event)
+    one = explain(tmp_path, text)
+    assert not one.parts or {part.cause.kind for part in one.parts} == {Kind.UNEXPLAINED}
+
+
+def test_a_file_of_trace_cmd_in_a_run_or_by_itself_is_refused_with_a_hint(tmp_path, capsys):
+    data = "\x17\x08Dtracing6\0\0\0"
+    folder = write_traced_run(tmp_path, {3: data}, [1])
+    with pytest.raises(UsageError, match="a file of trace-cmd; the kernel's text is read here"):
+        list(explain_run(folder, read_record(folder)))
+    path = tmp_path / "trace.dat"
+    path.write_text(data)
+    assert main(["why", str(path)]) == 2
+    assert "trace.dat: a file of trace-cmd; the kernel's text is read here" in capsys.readouterr().err
+
+
+def test_a_wake_up_before_the_first_switch_of_its_cpu(tmp_path):
+    text = HEAD + waking(4600, 1, by=2) + switch(4700, HOG, ME) + line(5001, "local_timer_entry: vector=1")
+    assert explain(tmp_path, text).parts[-1].cause.kind is Kind.PROGRAM
