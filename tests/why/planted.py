@@ -32,6 +32,8 @@ HEAD = """\
 | planted | must come first | came first | trials | traced outliers | otherwise |
 |---|---|---:|---:|---:|---|"""
 AT_LEAST = 0.9
+# With fewer than these a row is printed and not written.
+TRIALS = 10
 CAMPAIGN = """\
 schema: 1
 name: planted
@@ -116,14 +118,14 @@ def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, boo
     return row, hits >= AT_LEAST * count
 
 
-def write_rows(where: str, about: str, rows: list[str]) -> None:
-    """Put rows into the table of a place; those of plants that were not planted now stay."""
+def write_row(where: str, about: str, row: str) -> None:
+    """Put a row into the table of a place, in the order of PLANTS; those of other plants stay."""
     before, begin, rest = DOCS.read_text().partition(BEGIN.format(where))
     table, end, after = rest.partition(END)
     if not begin or not end:
         raise RuntimeError(f"{DOCS}: has no place for the table: {BEGIN.format(where)}")
     plants = [plant.about for plant in PLANTS]
-    by_plant = {text.split(" | ")[0].removeprefix("| "): text for text in [*table.splitlines(), *rows] if "|" in text}
+    by_plant = {text.split(" | ")[0].removeprefix("| "): text for text in [*table.splitlines(), row] if "|" in text}
     kept = [by_plant[plant] for plant in plants if plant in by_plant]
     DOCS.write_text("\n".join([before + begin, f"{about}:", "", HEAD, *kept, end]) + after)
 
@@ -132,14 +134,14 @@ def main() -> int:
     """Plant, print, write. Exit 1 when a culprit is named too rarely."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--place", choices=PLACES, default="here", help="this machine, or a kernel of the board [here]")
-    parser.add_argument("--trials", type=int, default=10, help="runs beside each culprit [10]")
+    parser.add_argument("--trials", type=int, default=TRIALS, help="runs beside each culprit [10]")
     parser.add_argument("--only", default="", help="the culprits of these names, as lock,equal")
     parser.add_argument("--keep", type=Path, help="the folder for results, which stay")
     args = parser.parse_args()
     plants = [one for one in PLANTS if args.place in one.places and (not args.only or one.name in args.only.split(","))]
     # Whatever ends this program, no plant stays behind.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    start_s, rows, failed = time.monotonic(), [], 0
+    start_s, failed = time.monotonic(), 0
     with contextlib.ExitStack() as stack:
         folder = args.keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         folder.mkdir(exist_ok=True)
@@ -147,10 +149,9 @@ def main() -> int:
         for plant in plants:
             row, holds = line(plant, args.trials, place, folder)
             failed += not holds
-            rows.append(row)
             print(f"{row} {time.monotonic() - start_s:.0f} s", flush=True)
-    if args.trials >= 10:
-        write_rows(args.place, place.about, rows)
+            if args.trials >= TRIALS:
+                write_row(args.place, place.about, row)
     return 1 if failed else 0
 
 

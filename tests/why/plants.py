@@ -13,7 +13,7 @@ import sys
 import time
 from pathlib import Path
 
-EVERY_MS = 300
+EVERY_MS = 700
 SOCKETS_MAX = 4000
 RECEIVERS_MAX = 50
 BROADCAST = ("127.255.255.255", 29876)
