@@ -25,6 +25,9 @@ HERE = Path(__file__).parent
 BOARD = "qemu-armv7"
 PROGRAM = Path("lib/cyclic_timer_tests/cyclic_timer_tests")
 BOOT_S = 240
+# Until a plant has its name.
+NAMED = "while grep -q python /proc/$1/comm; do sleep 0.2; done; grep -q planted /proc/$1/comm"
+READY_S = 120
 WRAPPER = """\
 #!/bin/sh
 here=${0%%/*}
@@ -152,6 +155,7 @@ def beside(place: Place, plant: str, cpu: int) -> Iterator[None]:
             flood = subprocess.Popen(argv)
             stack.callback(flood.wait)
             stack.callback(flood.kill)
+        connection.check(["sh", "-c", NAMED, "sh", pid], deadline_s=READY_S)
         yield
         # A process that ended has no command line, even if nobody has asked for its exit status.
         connection.check(["grep", "-q", plant, f"/proc/{pid}/cmdline"])

@@ -14,18 +14,19 @@ import time
 from pathlib import Path
 
 EVERY_MS = 700
-SOCKETS_MAX = 4000
+SOCKETS = 4000
 RECEIVERS_MAX = 50
-BROADCAST = ("127.255.255.255", 29876)
+# For experiments (RFC 3692): nobody else speaks it.
+PROTOCOL = 253
 TRACING = Path("/sys/kernel/tracing")
 # Functions of drivers that no emulated board has: none of them is called, so that nothing but their change takes time.
 PATCHED = ("omap*", "tegra*", "imx*", "exynos*")
 
 
 def named(name: str, cpu: int) -> None:
-    """Give this thread the name that `rtrun why` must say, and its CPU."""
-    ctypes.CDLL(None).prctl(15, name.encode(), 0, 0, 0)  # PR_SET_NAME
+    """Give this thread its CPU and the name that `rtrun why` must say. A plant has its name once it is ready."""
     os.sched_setaffinity(0, {cpu})
+    ctypes.CDLL(None).prctl(15, name.encode(), 0, 0, 0)  # PR_SET_NAME
 
 
 def pause(length_ms: int) -> None:
@@ -49,11 +50,9 @@ def busy(name: str, priority: int, cpu: int, length_ms: int) -> None:
         spin(length_ms)
 
 
-def broadcast(cpu: int, length_ms: int) -> None:
+def multiply(cpu: int, length_ms: int) -> None:
     """Packets that the network's softirq copies to so many sockets that one packet takes long."""
-    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-    named("planted_net", cpu)
+    sender = socket.socket(socket.AF_INET, socket.SOCK_RAW, PROTOCOL)
     for _ in range(RECEIVERS_MAX):
         # Twice as long: what else runs now makes it seem longer.
         if sent_ns(sender) > 2 * length_ms * 1_000_000:
@@ -62,21 +61,19 @@ def broadcast(cpu: int, length_ms: int) -> None:
         if os.fork() == 0:
             receive(done)
         os.read(ready, 1)
+    named("planted_net", cpu)
     while True:
         pause(length_ms)
-        sender.sendto(b"x", BROADCAST)
+        sender.sendto(b"x", ("127.0.0.1", 0))
 
 
 def receive(done: int) -> None:
     """Have many sockets that nobody reads: their queues are full at once, and each packet takes as long as the last."""
-    count = min(SOCKETS_MAX, resource.getrlimit(resource.RLIMIT_NOFILE)[1]) - 50
-    resource.setrlimit(resource.RLIMIT_NOFILE, (count + 50, count + 50))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (SOCKETS + 50, SOCKETS + 50))
     receivers = []
-    for _ in range(count):
-        receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    for _ in range(SOCKETS):
+        receiver = socket.socket(socket.AF_INET, socket.SOCK_RAW, PROTOCOL)
         receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-        receiver.bind(BROADCAST)
         receivers.append(receiver)
     os.write(done, b"x")
     while True:
@@ -88,7 +85,7 @@ def sent_ns(sender: socket.socket) -> int:
     times = []
     for _ in range(5):
         begin_ns = time.monotonic_ns()
-        sender.sendto(b"x", BROADCAST)
+        sender.sendto(b"x", ("127.0.0.1", 0))
         times.append(time.monotonic_ns() - begin_ns)
     return min(times)
 
@@ -110,8 +107,8 @@ def throttle(cpu: int, length_ms: int) -> None:
 
 def stop_machine(cpu: int, length_ms: int) -> None:
     """The kernel changes its own code while every CPU is stopped: the function tracer is switched on and off."""
-    named("planted_stop", 1 - cpu)
     (TRACING / "set_ftrace_filter").write_text("\n".join(PATCHED))
+    named("planted_stop", 1 - cpu)
     while True:
         for tracer in ("function", "nop"):
             pause(length_ms)
@@ -138,9 +135,9 @@ def flood(port: int, length_ms: int) -> None:
 
 def accept_flood(cpu: int, length_ms: int) -> None:
     """The board may handle packets for long at a time, and without giving way to threads."""
-    named("planted_net", cpu)
     Path("/proc/sys/net/core/netdev_budget").write_text("100000")
     Path("/proc/sys/net/core/netdev_budget_usecs").write_text(str(1000 * length_ms))
+    named("planted_net", cpu)
     while True:
         time.sleep(1)
 
@@ -148,7 +145,7 @@ def accept_flood(cpu: int, length_ms: int) -> None:
 PLANTS = {
     "higher": lambda cpu, length_ms: busy("planted_hog", 98, cpu, length_ms),
     "equal": lambda cpu, length_ms: busy("planted_equal", 95, cpu, length_ms),
-    "softirq": broadcast,
+    "softirq": multiply,
     "throttling": throttle,
     "stop_machine": stop_machine,
     "printk": printk,
