@@ -24,7 +24,7 @@ from rtrun.target.errors import TargetError
 HERE = Path(__file__).parent
 BOARD = "qemu-armv7"
 PROGRAM = Path("lib/cyclic_timer_tests/cyclic_timer_tests")
-BOOT_S = 240
+BOOT_S = 600
 # Until a plant has its name.
 NAMED = "while grep -q python /proc/$1/comm; do sleep 0.2; done; grep -q planted /proc/$1/comm"
 READY_S = 120
