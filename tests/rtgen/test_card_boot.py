@@ -150,7 +150,12 @@ def from_stick(machine: str, stick: Path, place: Path) -> list[str]:
     return command
 
 
-CAMPAIGN = "{schema: 1, name: both, kernels: [standard, rt], runs: [{suite: cyclictest, repetitions: 100, policy: RR}]}"
+CAMPAIGN = """
+schema: 1
+name: both
+kernels: [standard, rt]
+runs: [{suite: cyclictest, repetitions: 2000, policy: RR}]
+"""
 
 
 def test_a_stick_with_both_kernels_is_measured_on_each(key: Path, tmp_path: Path, monkeypatch, capsys) -> None:
