@@ -153,7 +153,7 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
             address, failure, console_log = machine.address, machine.failure, machine.console
             restart = machine.reset
             boot_kernel = {kernel: functools.partial(machine.choose, kernel) for kernel in machine.board.kernels}
-            boot_s = 180.0
+            boot_s = 300.0
         elif isinstance(config, LocalConfig):
             address = ThisMachine()
         else:

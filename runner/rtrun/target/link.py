@@ -15,6 +15,9 @@ CONNECT_S = 10.0
 BREAKS_MAX = 5
 # A booting emulated board accepts TCP connections long before its SSH server answers: give up early, try again.
 CONNECT_BOOTING_S = 3.0
+# Each try is given more time than the last: a board on a busy host may need so long for a handshake.
+CONNECT_GROWTH = 1.5
+CONNECT_MAX_S = 30.0
 # Of a console that may have printed for days: its last line stands in here.
 CONSOLE_END_BYTES = 16 * 1024
 
@@ -119,11 +122,10 @@ class Link:
         first = not self.boot_id
         patience_s = self.target.boot_s if first else max(self.target.reconnect_s, self.target.boot_s)
         deadline = time.monotonic() + patience_s
+        timeout_s = CONNECT_BOOTING_S if self.target.boot_s else CONNECT_S
         while True:
             try:
-                return self._checked(
-                    Connection(self.target.address, timeout_s=CONNECT_BOOTING_S if self.target.boot_s else CONNECT_S)
-                )
+                return self._checked(Connection(self.target.address, timeout_s=timeout_s))
             except ConnectionLost as error:
                 if failure := self.target.failure():
                     raise failure from error
@@ -132,6 +134,7 @@ class Link:
                     raise ConnectionLost(f"{error}{waited}{self._describe_console()}") from error
                 time.sleep(RETRY_S)
                 self._check_interrupt()
+                timeout_s = min(timeout_s * CONNECT_GROWTH, CONNECT_MAX_S)
 
     def _checked(self, connection: Connection) -> Connection:
         """Return a new connection if the target is still in the same boot; raise TargetRebooted otherwise."""
