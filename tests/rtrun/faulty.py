@@ -33,6 +33,9 @@ if "-s" in words:
     output += "-tnRT" + words["-s"]
 if wish.startswith("sleep"):
     time.sleep(float(wish.split()[1]))
+if wish.startswith("await"):
+    while not Path(wish.split()[1]).exists():
+        time.sleep(0.05)
 if wish == "fail":
     print("\\tINFO: trying")
     print("\\tERROR: cannot set RR priority 95: CAP_SYS_NICE is missing", file=sys.stderr)
