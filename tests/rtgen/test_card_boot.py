@@ -208,7 +208,7 @@ def test_the_card_of_the_pandaboard(kind: str, suite: str | None, key: Path, tmp
         check_board(said, "/dev/vda2")
         # The modules are those of the kernel that runs.
         assert said("uname -r") == said("ls /lib/modules") == one.release
-        said("modprobe --dry-run ext4")
+        said("/sbin/modprobe --dry-run ext4")
     # Its owner compares them at the first login.
     shown = (tmp_path / "console.log").read_text(errors="replace")
     assert re.search(r"start: SSH host key 256 SHA256:\S+ ", shown)
