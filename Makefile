@@ -2,7 +2,7 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test fuzz soak test-slow test-why test-archive test-boards test-kernel test-yocto lint coverage bench setup board suites clean
+.PHONY: demo test fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-yocto lint coverage bench setup board suites clean
 
 demo: setup
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -23,6 +23,11 @@ test-boards: setup
 # Builds the kernel (five minutes on two idle cores) unless one of the same inputs is in the cache, and boots it.
 test-kernel: setup
 	$(BIN)/pytest -m "kernel and not slow and not boards"
+
+# The suites, by the compilers of Yocto's releases and without a warning, for Debian 12's ROS and Debian 13's; what they
+# build measures on the emulated board. Four cross compilers are downloaded and unpacked into the cache (0.8 GB).
+test-compilers: setup
+	$(BIN)/pytest tests/suites/compilers.py
 
 # A profile against the real layers: DIR holds checkouts of its repositories (docs/layer.md).
 test-yocto: setup
