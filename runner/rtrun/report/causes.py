@@ -9,7 +9,7 @@ import rich.text
 
 from rtfiles.errors import UsageError
 from rtfiles.output import printable
-from rtrun.causes.cut import Cause
+from rtrun.causes.cut import Cause, Kind
 from rtrun.causes.outliers import Explained, explain_run
 from rtrun.causes.ranking import NAMELESS, Culprit, Ranking, rank
 from rtrun.causes.recurring import Recurring, recurring
@@ -23,6 +23,8 @@ from rtrun.results.record import RunStatus, read_record
 from rtrun.target.kernel_trace import OPTIONS
 
 REMEDIES_MAX = 3
+# Who took less of all lateness than this is counted, not listed.
+LISTED_FROM = 0.01
 # A remedy is given for a culprit that took at least this share of all lateness.
 REMEDY_FROM = 0.1
 
@@ -139,6 +141,12 @@ def remedies(ranking: Ranking) -> Iterator[str]:
 
 def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
     """The ranking of culprits; without rows where there is no trace."""
+    listed = [
+        one
+        for one in ranking.culprits
+        if one.main or one.kind is Kind.UNEXPLAINED or one.total_ns >= LISTED_FROM * ranking.late_ns
+    ]
+    others = len(ranking.culprits) - len(listed)
     return Table(
         id="causes",
         title="What late values waited for",
@@ -154,11 +162,15 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
                 us(culprit.worst_ns),
                 f"{culprit.as_long} of {culprit.windows}" if culprit.windows else "-",
             )
-            for culprit in ranking.culprits
+            for culprit in listed
         ],
         outcome=answer(ranking),
         numbers=3,
-        notes=(*remedies(ranking), *without_trace(explained)),
+        notes=(
+            *remedies(ranking),
+            *without_trace(explained),
+            *([f"{others} more took less than 1 % each"] if others else []),
+        ),
     )
 
 

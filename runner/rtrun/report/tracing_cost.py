@@ -5,6 +5,7 @@ from itertools import groupby
 
 from rtfiles.errors import UsageError
 from rtfiles.output import printable
+from rtrun.analysis.comparison import Change
 from rtrun.plan.run import UNTRACED
 from rtrun.plan.trace import PARAMETER, quantile
 from rtrun.report.claims.examination import us
@@ -40,7 +41,6 @@ def tracing_cost_at(source: Source) -> tuple[Table | None, tuple[str, ...]]:
 def tracing_cost(examined: Study) -> Table:
     """Quantiles with and without traces, and the difference with its interval; without rows where no run has a twin."""
     changes = list(_changes(examined))
-    seen = [change for change in changes if any(shift.seen for shift in change.comparison.shifts)]
     rows = [row for change in changes for row in _rows(change)]
     confidence = f"{100 * examined.confidence:g} %"
     return Table(
@@ -48,14 +48,21 @@ def tracing_cost(examined: Study) -> Table:
         title="What tracing costs",
         columns=("suite and parameters", "figure", "untraced us", "traced us", f"difference us, {confidence} interval"),
         rows=rows,
-        outcome=(
-            f"tracing shifts values in {len(seen)} of {len(changes)} scenarios"
-            if seen
-            else "no shift by tracing is seen: an interval says how large it may be"
-        ),
+        outcome=_outcome([change.comparison.answer for change in changes]),
         numbers=2,
-        notes=tuple(dict.fromkeys(printable(text) for change in changes for text in change.comparison.assumes)),
+        notes=tuple(dict.fromkeys(printable(f"assumes {text}") for one in changes for text in one.comparison.assumes)),
     )
+
+
+def _outcome(answers: Sequence[Change]) -> str:
+    if shifted := answers.count(Change.DIFFERENT):
+        return f"tracing shifts values in {shifted} of {len(answers)} scenarios"
+    if differ := answers.count(Change.RUNS_DIFFER):
+        return (
+            f"these traced runs differ from the untraced in {differ} of {len(answers)} scenarios; "
+            "whether tracing shifts values takes five pairs of runs measured in turn (repeats: 5)"
+        )
+    return "no shift by tracing is seen: an interval says how large it may be"
 
 
 def _changes(examined: Study) -> Iterator[Changed]:

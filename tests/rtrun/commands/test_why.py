@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from report.campaigns import communication_rows, cyclic_rows, latencies, oneshot_rows, write_campaign, write_run
-from traced import OUTPUT, head, specimen, write_traced_run
+from traced import OUTPUT, head, line, specimen, switch, write_traced_run
 
 from rtrun.cli import main
 
@@ -53,6 +53,17 @@ def test_what_was_refused_comes_after_the_answer(results, capsys):
     captured = capsys.readouterr()
     assert captured.out.startswith("thread of higher priority planted_hog")
     assert "its first line does not name an outlier" in captured.err
+
+
+def test_who_took_little_is_counted(tmp_path, capsys):
+    me, hog, trifle = ("me", 1, 4), ("hog", 2, 1), ("trifle", 3, 1)
+    text = head(1000, 3, 5000) + switch(3000, hog, me, state="R") + switch(3500, me, hog, state="R")
+    text += switch(4985, hog, trifle, state="R") + switch(4990, trifle, me, state="R")
+    write_traced_run(tmp_path, {3: text + line(5001, "local_timer_entry: vector=1")}, [1])
+    assert main(["why", str(tmp_path)]) == 0
+    ranking, outlier = capsys.readouterr().out.split("us too late")
+    assert "1 more took less than 1 % each" in ranking and "trifle" not in ranking
+    assert "trifle" in outlier, "the parts of an outlier are all there"
 
 
 def test_a_section_of_the_report(results, capsys):
