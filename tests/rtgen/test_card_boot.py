@@ -160,7 +160,6 @@ runs: [{suite: cyclictest, repetitions: 2000, policy: RR}]
 
 def test_a_stick_with_both_kernels_is_measured_on_each(key: Path, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("HOME", str(tmp_path))
     stick, port = built("pc-x86_64", key, tmp_path, kernel="both"), free_port()
     with running(from_stick("pc-x86_64", stick, tmp_path), key, tmp_path, port) as said:
         check_stick(said)
@@ -168,6 +167,8 @@ def test_a_stick_with_both_kernels_is_measured_on_each(key: Path, tmp_path: Path
             said("boot-kernel other")
         fingerprint = said("ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub").split()[1]
         words = ["--host", "127.0.0.1", "--port", str(port), "--key", str(key), "--host-key", fingerprint]
+        # Without this user's ~/.ssh; not before, as the cache is in that folder.
+        monkeypatch.setenv("HOME", str(tmp_path))
         # It has no suites.
         assert rtrun.cli.main(["new-target", *words, "--name", "stick"]) == 3
         target = yaml.safe_load(Path("stick.yml").read_text())
