@@ -59,19 +59,27 @@ class Ranking:
 def rank(explained: Iterable[Explained]) -> Ranking:
     """Rank the culprits by the number of outliers of which each is the main one, then by time."""
     cut = [one for one in explained if one.parts]
-    occurrences: dict[tuple[Kind, str], list[_Occurrence]] = defaultdict(list)
+    occurrences: dict[_Identity, list[_Occurrence]] = defaultdict(list)
     for one in cut:
-        parts: dict[tuple[Kind, str], list[Part]] = defaultdict(list)
+        parts: dict[_Identity, list[Part]] = defaultdict(list)
         for part in one.parts:
-            parts[part.cause.kind, part.cause.name].append(part)
+            parts[_identity(part.cause)].append(part)
         for culprit, of_culprit in parts.items():
             occurrences[culprit].append(_occurrence(one, of_culprit))
-    culprits = [_culprit(*culprit, occurred) for culprit, occurred in occurrences.items()]
+    culprits = [_culprit(kind, name, occurred) for (kind, name, _), occurred in occurrences.items()]
     return Ranking(
         culprits=tuple(sorted(culprits, key=lambda one: (-one.main, -one.extra_ns, one.kind, one.name))),
         outliers=len(cut),
         late_ns=sum(one.outlier.value_ns for one in cut),
     )
+
+
+_Identity = tuple[Kind, str, int | None]
+
+
+def _identity(cause: Cause) -> _Identity:
+    """What is one culprit: threads of one name, but a single thread where being there is the only evidence."""
+    return cause.kind, cause.name, cause.pid if cause.kind in _CIRCUMSTANTIAL else None
 
 
 class _Occurrence(NamedTuple):

@@ -7,12 +7,12 @@ from rtrun.causes.ranking import rank
 from rtrun.causes.remedies import read_remedies, remedy
 
 
-def outlier(*causes, usual=None, windows=10):
+def outlier(*causes, usual=None, windows=10, pid=None):
     """An outlier whose causes (kind, name, us) follow each other; `usual` are us by name in each of the windows."""
     parts, at_ns = [], 0
     for kind, name, us in causes:
         end_ns = at_ns + 1000 * us
-        parts.append(Part(begin_ns=at_ns, end_ns=end_ns, cause=Cause(kind=kind, name=name), cpu=0))
+        parts.append(Part(begin_ns=at_ns, end_ns=end_ns, cause=Cause(kind=kind, name=name, pid=pid), cpu=0))
         at_ns = end_ns
     window = {name: 1000 * us for name, us in (usual or {}).items()}
     about = Outlier(run="r", output="o", index=0, value_ns=at_ns, at_ns=at_ns, clock="c", trace="t")
@@ -50,6 +50,18 @@ def test_who_ran_while_interrupts_were_off_is_not_blamed_for_always_running():
 def test_one_outlier_alone_names_nobody_by_circumstances():
     assert rank([outlier((Kind.TIMER_LATE, "driver", 1000))]).named is None
     assert rank([outlier((Kind.HIGHER, "hog", 1000))]).named is not None
+
+
+def test_several_threads_of_one_name_are_named_together_only_for_what_they_did():
+    """Whoever ran when the host stopped the virtual machine may have the name of its neighbour."""
+    by_chance = [outlier((Kind.TIMER_LATE, "load", 1000), pid=pid) for pid in (1, 2, 3)]
+    assert rank(by_chance).named is None
+    one_thread = rank([*by_chance, *by_chance[:1] * 2]).named
+    assert one_thread is not None
+    assert (one_thread.pid, one_thread.main) == (1, 3)
+    hogs = rank([outlier((Kind.HIGHER, "hog", 1000), pid=pid) for pid in (1, 2, 3)]).named
+    assert hogs is not None
+    assert hogs.main == 3
 
 
 def test_what_is_unexplained_is_not_named():
