@@ -11,8 +11,8 @@ demo: setup
 test: setup
 	$(BIN)/pytest -m "not kernel and not slow and not boards"
 
-# What takes long: each load of conditions.yml for two and a half minutes beside a suite (twenty minutes), and campaigns
-# with a goal on the emulated board.
+# What takes long: each load of conditions.yml for two and a half minutes beside a suite (twenty minutes), campaigns with
+# a goal on the emulated board, and a labgrid farm on loopback.
 test-slow: setup
 	$(BIN)/pytest -m slow
 

@@ -32,6 +32,8 @@ NO_LIMITS = {
         "rtrun.report.causes.REMEDIES_MAX",
     },
     "pauses between two attempts, and parts of a time that stands on the page": {
+        "rtrun.target.labgrid.CONSOLE_RETRY_S",
+        "rtrun.target.labgrid.POLL_S",
         "rtrun.target.link.RETRY_S",
         "rtrun.target.processes.POLL_S",
         "rtrun.target.processes.SLICE_S",

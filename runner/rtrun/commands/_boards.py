@@ -2,8 +2,10 @@
 
 import contextlib
 import functools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rtfiles.errors import UsageError
@@ -16,7 +18,8 @@ from rtrun.execution.farm import Board
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import Run
 from rtrun.results.record import RunStatus
-from rtrun.target.config import TargetConfig, connect, read_target
+from rtrun.target import labgrid
+from rtrun.target.config import LabgridConfig, Target, TargetConfig, connect, parse_target, read_target
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,15 +35,52 @@ class TargetFile:
         return self.config.name
 
 
-def read_targets(paths: Sequence[Path]) -> tuple[TargetFile, ...]:
-    """Read target files. Raises UsageError with what is wrong, also when two are of one name."""
+def read_targets(
+    paths: Sequence[Path], farms: Sequence[str] = (), environment: Path | None = None
+) -> tuple[TargetFile, ...]:
+    """Read target files, and find the places of farms, given as ``labgrid:KEY=VALUE,...`` (tags of the places).
+
+    `environment` is labgrid's environment file for all places; alone it stands for those that it names. Raises
+    UsageError with what is wrong, also when two targets have one name, TargetError when a coordinator is silent.
+    """
+    named = [(path, TargetFile(config=read_target(path), folder=path.parent)) for path in paths]
+    given = None if environment is None else labgrid.read_environment(environment)
+    places = [place for farm in farms for place in _find_places(farm, given)]
+    if given is not None and not paths and not farms:
+        places = list(given.keys)
+    named += [(Path(f"place {place}"), _target_of(place)) for place in places]
+    if not named:
+        raise UsageError("name what to measure on: --target FILE, --targets labgrid:TAG=VALUE or --lg-env FILE")
     targets: dict[str, TargetFile] = {}
-    for path in paths:
-        target = TargetFile(config=read_target(path), folder=path.parent)
+    for path, target in named:
         if target.name in targets:
             raise UsageError(f"{path}: name: a second target called {target.name}: each board needs a name of its own")
+        if environment is not None and isinstance(target.config, LabgridConfig):
+            config = target.config.model_copy(update={"environment": str(environment.absolute())})
+            target = replace(target, config=config)
         targets[target.name] = target
     return tuple(targets.values())
+
+
+def _find_places(farm: str, environment: labgrid.Environment | None) -> list[str]:
+    """The places of ``labgrid:KEY=VALUE,...``. Raises UsageError when there are none."""
+    kind, _, text = farm.partition(":")
+    tags = dict(pair.partition("=")[::2] for pair in text.split(","))
+    if kind != "labgrid" or not all(tags) or not all(tags.values()):
+        raise UsageError(f"--targets {farm}: takes labgrid:KEY=VALUE, tags of the places, several with a comma between")
+    coordinator = labgrid.coordinator_of(None, environment or labgrid.Environment())
+    places = labgrid.list_places(coordinator)
+    if found := [place.name for place in labgrid.matching(places, tags)]:
+        return found
+    there = ", ".join(place.name for place in places) or "none"
+    raise UsageError(f"--targets {farm}: the coordinator at {coordinator} has no such place; its places: {there}")
+
+
+def _target_of(place: str) -> TargetFile:
+    # What a target may not be called by is no part of its name.
+    name = re.sub("[^A-Za-z0-9._-]", "-", place).lstrip("._-") or "place"
+    data = {"schema": 1, "name": name, "kind": "labgrid", "place": place}
+    return TargetFile(config=parse_target(data, f"place {place}"), folder=Path())
 
 
 def measure_on(
@@ -56,14 +96,14 @@ def measure_on(
     """Measure a campaign on these targets. `observer` shows the progress where it is one target."""
     if len(targets) == 1:
         (only,) = targets
-        with connect(only.config, only.folder, results / "console.log") as target:
+        with connect(only.config, only.folder, results / "console.log", notify=observer.note) as target:
             return campaign_runner.run_campaign(target, name, runs, results, observer, variants=variants, rounds=rounds)
     with contextlib.ExitStack() as stack:
         lines = stack.enter_context(showing_boards([each.name for each in targets], console()))
         boards = [
             Board(
                 name=each.name,
-                connect=functools.partial(connect, each.config, each.folder, results / f"console-{each.name}.log"),
+                connect=functools.partial(_connect, each, results / f"console-{each.name}.log", lines[each.name]),
                 observer=lines[each.name],
             )
             for each in targets
@@ -71,3 +111,9 @@ def measure_on(
         return campaign_runner.run_campaign_on_boards(
             boards, name, runs, results, observer, variants=variants, rounds=rounds
         )
+
+
+def _connect(
+    each: TargetFile, console: Path, observer: Observer, is_over: Callable[[], bool]
+) -> AbstractContextManager[Target]:
+    return connect(each.config, each.folder, console, notify=observer.note, is_over=is_over)

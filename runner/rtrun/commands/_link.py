@@ -19,7 +19,7 @@ def linked(config: TargetConfig, folder: Path) -> Iterator[Link]:
 
     with (
         tempfile.TemporaryDirectory(prefix="rtrun-") as work,
-        connect(config, folder, Path(work) / "console.log") as target,
+        connect(config, folder, Path(work) / "console.log", notify=note) as target,
         Link(target, note) as link,
     ):
         yield link

@@ -21,10 +21,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--target",
         type=Path,
-        required=True,
+        default=[],
         action="append",
         metavar="TARGET.yml",
         help="given several times: the boards share the campaign, whichever is free measures what comes next",
+    )
+    parser.add_argument(
+        "--targets",
+        default=[],
+        action="append",
+        metavar="labgrid:TAG=VALUE",
+        help="every place with these tags of the labgrid coordinator (LG_COORDINATOR)",
+    )
+    parser.add_argument(
+        "--lg-env", type=Path, metavar="FILE", help="labgrid's environment file; alone: the places that it names"
     )
     parser.add_argument("--results", type=Path, metavar="FOLDER", help="default: results/<name of the campaign>")
     parser.add_argument("--fresh", action="store_true", help="begin anew in results/<name>-<n>, keep what is there")
@@ -41,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.results import run_directory
 
     campaign, runs = read_campaign(args.campaign)
-    targets = read_targets(args.target)
+    targets = read_targets(args.target, args.targets, args.lg_env)
     results: Path = args.results or Path("results") / campaign.name
     if args.fresh:
         results = _fresh(results)

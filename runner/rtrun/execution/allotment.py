@@ -66,6 +66,8 @@ class Allotment:
         self._owners = {run: board for run, board in owners.items() if board in boards}
         self._measuring: dict[str, tuple[str, ...]] = {}
         self._is_stopped = False
+        self.is_over = False
+        """Whether nothing is left to measure, or `stop` was called."""
         self._changed = threading.Condition()
 
     def take(self, board: str, begun: Collection[str]) -> Round | None:
@@ -87,6 +89,7 @@ class Allotment:
                     self._measuring[board] = tuple(run.name for run in each.runs)
                     return each
                 if not self._measuring and not self._owners:
+                    self.is_over = True
                     return None
                 self._changed.wait()
             raise KeyboardInterrupt
@@ -101,5 +104,5 @@ class Allotment:
     def stop(self) -> None:
         """Hand out nothing more."""
         with self._changed:
-            self._is_stopped = True
+            self._is_stopped = self.is_over = True
             self._changed.notify_all()

@@ -12,7 +12,7 @@ from rtfiles.errors import InfrastructureError
 from rtrun.execution.allotment import Allotment, NextRound
 from rtrun.execution.board import Observer, Session, measure_rounds
 from rtrun.target.config import Target
-from rtrun.target.errors import TargetError
+from rtrun.target.errors import TargetError, TargetGone
 from rtrun.target.link import Link
 
 
@@ -25,10 +25,13 @@ class BoardObserver(Observer, Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board:
-    """A target that is not switched on yet: `connect` boots it, or takes it, for as long as its context lasts."""
+    """A target that is not switched on yet: `connect` boots it, or takes it, for as long as its context lasts.
+
+    `connect` is given what says that the campaign is over, for the time that it waits.
+    """
 
     name: str
-    connect: Callable[[], AbstractContextManager[Target]]
+    connect: Callable[[Callable[[], bool]], AbstractContextManager[Target]]
     observer: BoardObserver
 
 
@@ -73,7 +76,7 @@ class _Work:
         """Measure on a board until nothing is left for it, or it fails."""
         error: BaseException | None = None
         try:
-            with board.connect() as target:
+            with board.connect(lambda: self._allotment.is_over) as target:
                 link = Link(target, board.observer.note)
                 with self._lock:
                     self._links.append(link)
@@ -82,6 +85,9 @@ class _Work:
                 take = functools.partial(self._allotment.take, board.name)
                 measure_rounds(self._session, link, board.observer, take)
         except BaseException as raised:
+            if isinstance(raised, TargetGone) and self._allotment.is_over:
+                # It was waited for, and came too late.
+                return
             # The thread that waits for all boards decides what it means for them.
             error = self.errors[board.name] = raised
             if not isinstance(raised, InfrastructureError):

@@ -284,7 +284,7 @@ def _record(
         outputs=outputs,
         refused=dict(refused),
         target=TargetFacts(
-            name=target.name,
+            name=target.place or target.name,
             address=str(target.address),
             preempt_rt=inspection.is_preempt_rt(attempt.before),
             cpus=work.prepared.equipment.cpus,

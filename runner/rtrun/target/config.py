@@ -4,6 +4,7 @@ import contextlib
 import functools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
@@ -13,8 +14,9 @@ from pydantic import AfterValidator, Field, model_validator
 from rtfiles.config import Config, UserPath, parse, read_yaml
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
+from rtfiles.output import print_note
 from rtrun.plan.run import KernelName
-from rtrun.target import qemu
+from rtrun.target import labgrid, qemu
 from rtrun.target.address import Address, ThisMachine, check_host
 from rtrun.target.connection import Connection
 from rtrun.target.errors import ConnectionLost, TargetGone
@@ -43,14 +45,9 @@ class _Common(Config):
     """How long a lost target is waited for, in seconds."""
 
 
-class SshConfig(_Common):
-    """Any board that runs an SSH server. What is None here is as ~/.ssh/config says, or else as `Address` has it."""
+class _Ssh(_Common):
+    """What a board with an SSH server has. None here is as ~/.ssh/config says, or else as `Address` has it."""
 
-    kind: Literal["ssh"]
-    host: Annotated[str, AfterValidator(check_host)]
-    """A name, an address, or an alias of ~/.ssh/config."""
-    port: Annotated[int, Field(ge=1, le=65535)] | None = None
-    user: Word | None = None
     key: UserPath | None = None
     host_key: str | None = None
     known_hosts: UserPath | None = None
@@ -61,10 +58,41 @@ class SshConfig(_Common):
     boot_kernel: dict[KernelName, Command] = Field(default_factory=dict)
     """By kernel: command line on the target after which `restart` starts that kernel."""
 
+
+class SshConfig(_Ssh):
+    """Any board that runs an SSH server."""
+
+    kind: Literal["ssh"]
+    host: Annotated[str, AfterValidator(check_host)]
+    """A name, an address, or an alias of ~/.ssh/config."""
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    user: Word | None = None
+
     @model_validator(mode="after")
     def _restarts_into_kernels(self) -> "SshConfig":
         if self.boot_kernel and self.restart is None:
             raise ValueError("boot_kernel chooses what restart starts: add restart: [systemctl, reboot] or the like")
+        return self
+
+
+class LabgridConfig(_Ssh):
+    """A board of a labgrid farm: a place of its coordinator, or any place with these tags."""
+
+    kind: Literal["labgrid"]
+    place: Word | None = None
+    filter: dict[Word, Word] = Field(default_factory=dict)
+    """Tags that the place has."""
+    coordinator: Word | None = None
+    """HOST or HOST:PORT; none: as labgrid's environment file, LG_COORDINATOR, or labgrid's default."""
+    environment: UserPath | None = None
+    """labgrid's own environment file, relative to this file, for what a place needs beside its resources."""
+    boot_s: Annotated[int, Field(ge=1)] = 180
+    """How long the board may take until SSH answers after its power was switched, in seconds."""
+
+    @model_validator(mode="after")
+    def _names_places(self) -> "LabgridConfig":
+        if (self.place is None) == (not self.filter):
+            raise ValueError("give either place: NAME, or filter: with tags of the place")
         return self
 
 
@@ -85,8 +113,21 @@ class LocalConfig(_Common):
     """As for a board behind SSH."""
 
 
-TargetConfig = SshConfig | QemuConfig | LocalConfig
-_KINDS: dict[str, type[TargetConfig]] = {"ssh": SshConfig, "qemu": QemuConfig, "local": LocalConfig}
+TargetConfig = SshConfig | QemuConfig | LocalConfig | LabgridConfig
+_KINDS: dict[str, type[TargetConfig]] = {
+    "ssh": SshConfig,
+    "qemu": QemuConfig,
+    "local": LocalConfig,
+    "labgrid": LabgridConfig,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Power:
+    """The power switch of a target: `cycle` switches it off and on; it boots within `boot_s` seconds then."""
+
+    cycle: Callable[[], None]
+    boot_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,6 +135,8 @@ class Target:
     """A target that is switched on."""
 
     name: str
+    place: str | None = None
+    """Of a labgrid farm, which was taken for it: the name of the board, where the target is any of several."""
     known_platform: KnownPlatform | None = None
     """What is known without asking the target, and not to be asked then."""
     address: Address | ThisMachine
@@ -109,6 +152,8 @@ class Target:
     """Asks the target to restart, and returns before it does; None: nobody has said how."""
     boot_kernel: Mapping[KernelName, Callable[[Connection], None]] = field(default_factory=dict)
     """By kernel: chooses it as the one that `restart` starts."""
+    power: Power | None = None
+    """None: nobody can switch it."""
     failure: Callable[[], TargetGone | None]
     """Why the target is gone for good, as far as can be known without a connection to it; None while it may answer."""
 
@@ -127,10 +172,18 @@ def parse_target(data: object, origin: str) -> TargetConfig:
 
 
 @contextlib.contextmanager
-def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Target]:
-    """Yield the target; a board in QEMU is booted, and ended when the context is left.
+def connect(
+    config: TargetConfig,
+    folder: Path,
+    console: Path,
+    *,
+    notify: Callable[[str], None] = print_note,
+    is_over: Callable[[], bool] = lambda: False,
+) -> Iterator[Target]:
+    """Yield the target; a board in QEMU is booted, a place of a farm acquired, until the context is left.
 
-    Relative paths of the config are relative to `folder`. The serial console of a board in QEMU goes to `console`.
+    Relative paths of the config are relative to `folder`. The serial console of such a board goes to `console`. Where
+    a place is waited for, `notify` is told, until `is_over`.
     """
     suites = _resolve(folder, config.suites) if config.suites is not None else None
     if suites is not None and not suites.is_dir():
@@ -142,6 +195,8 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
     restart: Callable[[Connection], None] | None = None
     boot_kernel: dict[KernelName, Callable[[Connection], None]] = {}
     console_log, boot_s = None, 0.0
+    place: labgrid.AcquiredPlace | None = None
+    power: Power | None = None
     known_platform = None
     if not isinstance(config, QemuConfig) and config.emulated:
         known_platform = KnownPlatform(platform=Platform.EMULATED, evidence="stated in the target file")
@@ -156,21 +211,20 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
             boot_s = 300.0
         elif isinstance(config, LocalConfig):
             address = ThisMachine()
+        elif isinstance(config, LabgridConfig):
+            place = stack.enter_context(_place(config, folder, console, notify, is_over))
+            address = _address(config, folder, place.host, place.port, place.user, place.key)
+            console_log = console if place.has_console else None
+            restart, boot_kernel = _restarting(config)
+            if place.power_cycle is not None:
+                power = Power(cycle=place.power_cycle, boot_s=config.boot_s)
+                restart = restart or functools.partial(_restart_by_power, place.power_cycle)
         else:
-            address = address_of(
-                config.host,
-                port=config.port,
-                user=config.user,
-                key=_resolve(folder, config.key) if config.key is not None else None,
-                host_key=config.host_key,
-                known_hosts=_resolve(folder, config.known_hosts) if config.known_hosts is not None else None,
-            )
-            restart = functools.partial(_restart_by_command, config.restart) if config.restart else None
-            boot_kernel = {
-                kernel: functools.partial(_choose_by_command, command) for kernel, command in config.boot_kernel.items()
-            }
+            address = _address(config, folder, config.host, config.port, config.user)
+            restart, boot_kernel = _restarting(config)
         yield Target(
             name=config.name,
+            place=place.name if place is not None else None,
             known_platform=known_platform,
             address=address,
             suites=suites,
@@ -182,8 +236,54 @@ def connect(config: TargetConfig, folder: Path, console: Path) -> Iterator[Targe
             console=console_log,
             restart=restart,
             boot_kernel=boot_kernel,
+            power=power,
             failure=failure,
         )
+
+
+def _place(
+    config: LabgridConfig, folder: Path, console: Path, notify: Callable[[str], None], is_over: Callable[[], bool]
+) -> AbstractContextManager[labgrid.AcquiredPlace]:
+    environment = labgrid.Environment()
+    if config.environment is not None:
+        environment = labgrid.read_environment(_resolve(folder, config.environment))
+    wanted = {"name": config.place} if config.place is not None else config.filter
+    coordinator = labgrid.coordinator_of(config.coordinator, environment)
+    return labgrid.acquired(coordinator, wanted, environment, console, notify, is_over)
+
+
+def _address(
+    config: SshConfig | LabgridConfig,
+    folder: Path,
+    host: str,
+    port: int | None,
+    user: str | None,
+    key: Path | None = None,
+) -> Address:
+    return address_of(
+        host,
+        port=port,
+        user=user,
+        key=_resolve(folder, config.key) if config.key is not None else key,
+        host_key=config.host_key,
+        known_hosts=_resolve(folder, config.known_hosts) if config.known_hosts is not None else None,
+    )
+
+
+Restart = Callable[[Connection], None]
+
+
+def _restarting(config: SshConfig | LabgridConfig) -> tuple[Restart | None, dict[KernelName, Restart]]:
+    """What restarts the target, and by kernel what chooses it before, as the target file says."""
+    restart = functools.partial(_restart_by_command, config.restart) if config.restart else None
+    return restart, {
+        kernel: functools.partial(_choose_by_command, command) for kernel, command in config.boot_kernel.items()
+    }
+
+
+def _restart_by_power(cycle: Callable[[], None], connection: Connection) -> None:
+    del connection
+    cycle()
 
 
 def _state_folder() -> Path:

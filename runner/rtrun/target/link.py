@@ -123,14 +123,21 @@ class Link:
         patience_s = self.target.boot_s if first else max(self.target.reconnect_s, self.target.boot_s)
         deadline = time.monotonic() + patience_s
         timeout_s = CONNECT_BOOTING_S if self.target.boot_s else CONNECT_S
+        power, since = self.target.power, ""
         while True:
             try:
                 return self._checked(Connection(self.target.address, timeout_s=timeout_s))
             except ConnectionLost as error:
                 if failure := self.target.failure():
                     raise failure from error
+                if time.monotonic() >= deadline and power is not None:
+                    self._notify(f"{error}; switching its power off and on")
+                    power.cycle()
+                    patience_s, since = power.boot_s, " since its power was switched off and on"
+                    deadline, power = time.monotonic() + patience_s, None
+                    continue
                 if time.monotonic() >= deadline:
-                    waited = f", tried for {patience_s:g} s" if patience_s else ""
+                    waited = f", tried for {patience_s:g} s{since}" if patience_s else ""
                     raise ConnectionLost(f"{error}{waited}{self._describe_console()}") from error
                 time.sleep(RETRY_S)
                 self._check_interrupt()
