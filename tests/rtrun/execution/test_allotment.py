@@ -61,7 +61,7 @@ def test_the_run_of_a_board_that_does_not_come_back_goes_to_another():
     runs, done = runs_of(1), {}
     allotment = allot(runs, ["a", "b"], {runs[0].name: "b"}, done)
     threading.Timer(0.1, allotment.withdraw, args=("b",)).start()
-    assert allotment.take("a", ()).runs == runs
+    assert allotment.take("a", ()).runs == tuple(runs)
 
 
 def test_a_board_that_waits_is_stopped():
