@@ -115,7 +115,7 @@ def measure_rounds(
                 record = _measure(session, prepared, run, observer)
                 session.statuses[run.name] = record.status
                 observer.ended(number, run, record.status, record.reason)
-        # A runner that was killed may have left something of runs that it had closed.
+        # Nothing of the campaign stays on the board, not even an empty folder.
         with contextlib.suppress(TargetRebooted):
             link.check(["rm", "-rf", str(remote)])
 

@@ -9,7 +9,7 @@ from faulty import record
 
 from conftest import BOOT_ID, seeing, serve
 from rtfiles.errors import UsageError
-from rtrun.execution import campaign_runner, run_execution
+from rtrun.execution import campaign_runner, preparation, run_execution
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.target.address import ThisMachine
 from rtrun.target.errors import TargetError
@@ -94,10 +94,8 @@ def test_it_is_prepared_once_a_boot_that_is_measured_on(target, board, tmp_path,
     """Not on the boot that it is found in, where that is to be restarted at once."""
     board.choose(started)
     board.start()
-    prepared, prepare = [], campaign_runner.preparation.prepared
-    monkeypatch.setattr(
-        campaign_runner.preparation, "prepared", lambda *words: prepared.append(len(board.boots)) or prepare(*words)
-    )
+    prepared, prepare = [], preparation.prepared
+    monkeypatch.setattr(preparation, "prepared", lambda *words: prepared.append(len(board.boots)) or prepare(*words))
     runs = runs_of()
     assert set(measure(target, runs, tmp_path / "results").values()) == {"ok"}
     assert prepared == [boot for _, _, boot in measured_on(tmp_path / "results", runs)]
