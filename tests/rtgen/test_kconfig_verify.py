@@ -56,7 +56,7 @@ def test_every_option_holds(data, tree, machine, base):
     assert "CONFIG_PREEMPT_RT=y\n" in verdict.config and "CONFIG_SUSPEND=y" not in verdict.config
 
 
-@pytest.mark.kernel  # Debian serves this version for some weeks only: not in `make test`
+@pytest.mark.boards  # Debian serves this version for some weeks only: beside the board that boots it
 @pytest.mark.parametrize(("machine", "base"), BASES)
 def test_every_option_holds_where_mainline_has_preempt_rt(data, machine, base):
     tree = debian_source.open_debian(data, "7.2")

@@ -118,8 +118,8 @@ def test_boards_run_the_kernel_of_their_fragment(data):
     assert data.fragment_of("pandaboard-es") == "qemu-armv7"
 
 
-# Debian serves 7.2 for some weeks only: not in `make test`.
-@pytest.mark.parametrize("version", [None, pytest.param("7.2", marks=pytest.mark.kernel)])
+# Debian serves 7.2 for some weeks only: beside the board that boots it.
+@pytest.mark.parametrize("version", [None, pytest.param("7.2", marks=pytest.mark.boards)])
 def test_the_kernel_of_several_boards_has_what_each_of_them_needs(data, version):
     config = kernel.plan(data, "qemu-armv7", version).config
     boards = [board for board in data.machine("qemu-armv7").boards if board in data.machines]
