@@ -33,7 +33,7 @@ def script(program: str, shell: str, folder: Path) -> Path:
     [
         ("rtrun ver", "verify verdict"),
         ("rtrun run cam", "campaign.yml"),
-        ("rtrun run campaign.yml --tar", "--target"),
+        ("rtrun run campaign.yml --tar", "--target --targets"),
         ("rtrun probe --target boards/", "boards/a.yml"),
         ("rtrun report --format ju", "junit"),
         ("rtgen board b", "build"),

@@ -40,6 +40,7 @@ NOT_RUN = {
     "rtrun probe": "a target; tests/integration",
     "rtrun run": "a target; tests/integration",
     "rtrun compare RESULTS --by kernel": "results on two kernels; tests/rtrun/report/test_sides.py",
+    "rtrun compare RESULTS --by trace": "results with traces; tests/rtrun/report/test_tracing_cost.py",
     "rtrun why": "results with traces; tests/rtrun/commands/test_why.py",
 }
 LOG = "oneshot_timer_tests_l50_tm2000-measured.log"  # the name of a log of 2014 says what was measured

@@ -62,6 +62,8 @@ COMMANDS = [
     ("rtrun gate results", 1, "failed"),
     ("rtrun compare results results", 0, "NO DIFFERENCE"),
     ("rtrun claims results", 0, "test:"),
+    ("rtrun archive add results --to archive", 0, "runs added"),
+    ("rtrun history archive", 0, "oneshot_timer"),
     ("rtrun import 2014.log --out imported", 0, "imported/"),
 ]
 

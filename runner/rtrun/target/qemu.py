@@ -253,11 +253,22 @@ def _quiet(*argv: str) -> None:
         raise TargetError(f"{argv[0]} failed: {done.stderr.strip()}")
 
 
-def _forwarded_port(process: subprocess.Popen[bytes], monitor: Path, log: Path) -> int:
-    while not monitor.exists() and process.poll() is None:
+def _ask_for_network(process: subprocess.Popen[bytes], monitor: Path) -> object:
+    """Ask QEMU for its forwarded ports as soon as its monitor listens. Raises TargetGone when it ends before."""
+    while True:
+        try:
+            return qmp.execute(monitor, "human-monitor-command", {"command-line": "info usernet"})
+        except TargetGone as error:
+            # The file of a socket is there a moment before anybody listens.
+            opens = isinstance(error.__cause__, FileNotFoundError | ConnectionRefusedError)
+            if not opens or process.poll() is not None:
+                raise
         time.sleep(0.02)
+
+
+def _forwarded_port(process: subprocess.Popen[bytes], monitor: Path, log: Path) -> int:
     try:
-        answer = qmp.execute(monitor, "human-monitor-command", {"command-line": "info usernet"})
+        answer = _ask_for_network(process, monitor)
     except TargetGone:
         # QEMU opens its monitor before it has looked at all of its arguments.
         with contextlib.suppress(subprocess.TimeoutExpired):
