@@ -1,7 +1,9 @@
 """What is said about the causes of outliers, on the terminal and in a report."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar
 
 import rich.box
 import rich.table
@@ -15,12 +17,14 @@ from rtrun.causes.ranking import NAMELESS, Culprit, Ranking, rank
 from rtrun.causes.recurring import Recurring, recurring
 from rtrun.causes.remedies import remedy
 from rtrun.causes.steps import Step
-from rtrun.causes.surroundings import Unusual, find_unusual
+from rtrun.causes.surroundings import find_unusual
 from rtrun.report.claims.examination import us
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source
-from rtrun.results.record import RunStatus, read_record
+from rtrun.results.record import RunRecord, RunStatus, read_record
 from rtrun.target.kernel_trace import OPTIONS
+
+T = TypeVar("T")
 
 REMEDIES_MAX = 3
 # Who took less of all lateness than this is counted, not listed.
@@ -43,16 +47,22 @@ def explain_source(source: Source) -> tuple[tuple[Explained, ...], tuple[str, ..
 
 def periods(source: Source) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The periods of late values, a sentence for each output that has one, and why a run could not be searched."""
-    found: list[str] = []
+    found, refused = _search(source, recurring)
+    return tuple(map(_period, found)), refused
+
+
+def _search(source: Source, find: Callable[[Path, RunRecord], Iterable[T]]) -> tuple[list[T], tuple[str, ...]]:
+    """What is found in the runs that may count, and why a run could not be searched."""
+    found: list[T] = []
     refused: list[str] = []
     for folder in source.folders:
         try:
             record = read_record(folder)
             if record.status not in (RunStatus.FAILED, RunStatus.INVALID):
-                found += map(_period, recurring(folder, record))
+                found += find(folder, record)
         except UsageError as error:
             refused.append(str(error))
-    return tuple(found), tuple(refused)
+    return found, tuple(refused)
 
 
 def _period(one: Recurring) -> str:
@@ -66,15 +76,7 @@ def _period(one: Recurring) -> str:
 
 def surroundings(source: Source) -> tuple[Table, tuple[str, ...]]:
     """What the sampler saw to be unusual around the highest values, and why a run could not be searched."""
-    found: list[Unusual] = []
-    refused: list[str] = []
-    for folder in source.folders:
-        try:
-            record = read_record(folder)
-            if record.status not in (RunStatus.FAILED, RunStatus.INVALID):
-                found += find_unusual(folder, record)
-        except UsageError as error:
-            refused.append(str(error))
+    found, refused = _search(source, find_unusual)
     named = Counter(one.quantity for one in found).most_common(1)
     return Table(
         id="surroundings",
@@ -98,7 +100,7 @@ def surroundings(source: Source) -> tuple[Table, tuple[str, ...]]:
             "Medians of the tenth of all observations with the highest values, and of the others. What coincides need "
             "not be the cause. How it is found: docs/causes.md, Surroundings.",
         ),
-    ), tuple(refused)
+    ), refused
 
 
 def no_traces(source: Source) -> str:

@@ -60,7 +60,7 @@ class Observation:
 
 
 def read_text(path: Path) -> str:
-    """What the sampler printed; nothing where there is no such file."""
+    """What a program printed; nothing where there is no such file."""
     return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
 
 

@@ -85,7 +85,7 @@ def _of_outputs(
 ) -> tuple[RunStatus, str] | None:
     """Say what is wrong with the outputs, and put what is known of them into `records`."""
     if suites.suite(run.suite).is_baseline:
-        wrong = baselines.check_baseline_output(run, _text(folder / f"{run.suite}.stdout"))
+        wrong = baselines.check_baseline_output(run, read_text(folder / f"{run.suite}.stdout"))
         return (RunStatus.INVALID, wrong) if wrong else None
     for output in outputs:
         names = (f"{output}.json", f"{output}.npy")
@@ -128,10 +128,6 @@ def _is_log(name: str, output: str) -> bool:
     return name.startswith(output) and name.endswith(".log")
 
 
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
-
-
 def _last_word(folder: Path, program: str) -> str:
-    stderr = _text(folder / f"{program}.stderr")
+    stderr = read_text(folder / f"{program}.stderr")
     return next((line.strip()[:500] for line in reversed(stderr.splitlines()) if line.strip()), "it said nothing")
