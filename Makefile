@@ -2,9 +2,9 @@
 MACHINE ?= qemu-armv7
 BIN := .venv/bin
 
-.PHONY: demo test fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-yocto lint coverage bench setup board suites clean
+.PHONY: demo test fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-yocto lint coverage bench setup setup-demo board suites clean
 
-demo: setup
+demo: setup-demo
 	@$(MAKE) --no-print-directory -j2 board suites
 	@MACHINE=$(MACHINE) tools/demo
 
@@ -68,12 +68,15 @@ bench: setup
 	PYTHONPATH=tests/rtrun $(BIN)/pytest -q -s tests/bench/causes.py
 
 setup:
+	@tools/setup dev
+
+setup-demo:
 	@tools/setup
 
-board: setup
+board: setup-demo
 	$(BIN)/rtgen board build --machine $(MACHINE)
 
-suites: setup
+suites: setup-demo
 	$(BIN)/rtgen suites build --machine $(MACHINE)
 
 clean:

@@ -17,6 +17,7 @@ def checkout(tmp_path: Path) -> Path:
     (tmp_path / "tools").mkdir()
     shutil.copy(TOP / "tools/setup", tmp_path / "tools")
     (tmp_path / "tools/apt-packages.txt").write_text("no-such-package-of-the-tests\n")
+    (tmp_path / "tools/apt-packages-dev.txt").write_text("no-such-package-for-tests-alone\n")
     (tmp_path / "pyproject.toml").touch()
     (tmp_path / ".venv").mkdir()
     inputs = subprocess.run(
@@ -26,19 +27,19 @@ def checkout(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def setup(checkout: Path, status_of_install: int) -> subprocess.CompletedProcess[str]:
+def setup(checkout: Path, status_of_install: int, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run it where apt-get prints and ends as told, and the user is root or may become it."""
     programs = checkout / "programs"
     programs.mkdir(exist_ok=True)
     for name, text in (
-        ("apt-get", f'echo "noise of $1"; [ $1 = update ] || exit {status_of_install}'),
+        ("apt-get", f'echo "noise of $*"; [ $1 = update ] || exit {status_of_install}'),
         ("sudo", 'exec "$@"'),
     ):
         (programs / name).write_text(f"#!/bin/sh\n{text}\n")
         (programs / name).chmod(0o755)
     environment = os.environ | {"PATH": f"{programs}:{os.environ['PATH']}"}
     return subprocess.run(
-        [checkout / "tools/setup"],
+        [checkout / "tools/setup", *arguments],
         env=environment,
         capture_output=True,
         text=True,
@@ -60,5 +61,29 @@ def test_a_step_that_fails_shows_the_end_of_the_log(checkout: Path) -> None:
     done = setup(checkout, 100)
     assert done.returncode == 100
     assert re.search(r"installing 1 Debian packages \.\.\. failed after \d+ s\n$", done.stdout)
-    assert "noise of install\n" in done.stderr
+    assert re.search("^noise of install", done.stderr, re.M)
     assert done.stderr.endswith("exit status 100; all of its output is in build/setup.log\n")
+
+
+def test_only_dev_installs_what_the_tests_alone_need(checkout: Path) -> None:
+    log = checkout / "build/setup.log"
+    pip = checkout / ".venv/bin/pip"
+    pip.parent.mkdir()
+    pip.write_text('#!/bin/sh\necho "pip $*"\n')
+    pip.chmod(0o755)
+    assert setup(checkout, 0).returncode == 0
+    assert "alone" not in log.read_text() and "pip" not in log.read_text()
+    log.unlink()
+    done = setup(checkout, 0, "dev")
+    assert "installing 2 Debian packages" in done.stdout
+    assert "alone" in log.read_text() and ".[dev]" in log.read_text()
+    # The environment that has all is not made anew for a use that needs less.
+    log.unlink()
+    setup(checkout, 0)
+    setup(checkout, 0, "dev")
+    assert "pip" not in log.read_text()
+
+
+def test_an_unknown_argument_is_refused(checkout: Path) -> None:
+    done = setup(checkout, 0, "test")
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", "usage: tools/setup [dev]\n")
