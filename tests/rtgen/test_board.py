@@ -2,6 +2,7 @@
 
 import lzma
 import os
+import socket
 import stat
 import subprocess
 from dataclasses import replace
@@ -102,6 +103,17 @@ def test_suite_that_the_mirror_does_not_serve_is_one_clear_line(tmp_path: Path) 
         debian.extract(["base-files"], folder, "armhf", source)
     assert str(raised.value) == f"Debian's suite trixie is not served by {source.mirror}"
     assert list(folder.iterdir()) == []
+
+
+def test_mirror_that_does_not_answer_is_one_clear_line(tmp_path: Path) -> None:
+    """The real apt asks a port of this machine at which nobody listens."""
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        mirror = f"http://127.0.0.1:{closed.getsockname()[1]}/debian"
+        with pytest.raises(InfrastructureError) as raised:
+            debian.extract(["base-files"], tmp_path, "armhf", debian.Source(release="bookworm", mirror=mirror))
+    assert str(raised.value).startswith(f"cannot download {mirror}/dists/bookworm/InRelease: Could not connect to ")
+    assert "\n" not in str(raised.value)
 
 
 def test_root_file_systems_differ_by_release() -> None:

@@ -106,6 +106,8 @@ def extract(names: list[str], folder: Path, architecture: str, source: Source, d
                 f"Debian's suite {source.release} at {where} has no package {', '.join(unknown)} for {architecture}"
             )
             raise InfrastructureError(missing) from error
+        if failed := re.search(r"^ *E: Failed to fetch (\S+) +(.+)$", str(error), re.M):
+            raise InfrastructureError(f"cannot download {failed[1]}: {failed[2]}") from error
         raise
     finally:
         archive.unlink(missing_ok=True)
