@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the answer, the ranking, the periods of late values, then each outlier; write FILE."""
+    """Print the answer, the ranking, what else is known of the late values, then each outlier; write FILE."""
     from rtfiles import atomic
     from rtfiles.errors import UsageError
     from rtfiles.output import console, print_line
@@ -35,12 +35,12 @@ def run(args: argparse.Namespace) -> int:
     cost, not_compared = tracing_cost_at(source)
     surroundings, not_held = causes.surroundings(source)
     print_line(f"{table.outcome if explained else causes.no_traces(source)}.")
-    for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders]), *periods):
+    for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders])):
         print_line(note)
     if table.rows:
         print_line()
         console().print(causes.for_terminal(table), crop=False)
-    for more in (causes.step_table(explained), surroundings, cost):
+    for more in (causes.step_table(explained), periods, surroundings, cost):
         if more is not None and more.rows:
             print_line()
             print_line(f"{more.title}: {more.outcome}")

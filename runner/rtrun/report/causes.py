@@ -45,10 +45,30 @@ def explain_source(source: Source) -> tuple[tuple[Explained, ...], tuple[str, ..
     return tuple(explained), tuple(refused)
 
 
-def periods(source: Source) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The periods of late values, a sentence for each output that has one, and why a run could not be searched."""
+def periods(source: Source) -> tuple[Table, tuple[str, ...]]:
+    """The periods of late values, a row for each output that has one, and why a run could not be searched."""
     found, refused = _search(source, recurring)
-    return tuple(map(_period, found)), refused
+    rows = [
+        (
+            one.run,
+            one.output,
+            str(one.late),
+            _distance(one),
+            f"{one.recurrence.covered} of {one.recurrence.cycles}",
+            f"{one.recurrence.p_value:.1g}",
+        )
+        for one in found
+    ]
+    named = Counter(_distance(one) for one in found).most_common(1)
+    return Table(
+        id="periods",
+        title="Late values that come at a period",
+        columns=("run", "output", "highest values", "come every", "periods that have one", "p"),
+        rows=rows,
+        outcome=f"every {named[0][0]}, in {named[0][1]} output{'' if named[0][1] == 1 else 's'}" if named else "",
+        numbers=2,
+        notes=("How it is found: docs/causes.md, Periods.",),
+    ), refused
 
 
 def _search(source: Source, find: Callable[[Path, RunRecord], Iterable[T]]) -> tuple[list[T], tuple[str, ...]]:
@@ -65,13 +85,9 @@ def _search(source: Source, find: Callable[[Path, RunRecord], Iterable[T]]) -> t
     return found, tuple(refused)
 
 
-def _period(one: Recurring) -> str:
-    found = one.recurrence
-    distance = f"{found.period:.3g} loops" if one.in_loops else f"{found.period / 1e9:.3g} s"
-    return printable(
-        f"{one.run} {one.output}: the {one.late} highest values come every {distance}: {found.covered} of "
-        f"{found.cycles} periods have one (p = {found.p_value:.1g})"
-    )
+def _distance(one: Recurring) -> str:
+    period = one.recurrence.period
+    return f"{period:.3g} loops" if one.in_loops else f"{period / 1e9:.3g} s"
 
 
 def surroundings(source: Source) -> tuple[Table, tuple[str, ...]]:
@@ -94,7 +110,7 @@ def surroundings(source: Source) -> tuple[Table, tuple[str, ...]]:
             )
             for one in found
         ],
-        outcome=f"{named[0][0]}, in {named[0][1]} outputs" if named else "",
+        outcome=f"{named[0][0]}, in {named[0][1]} output{'' if named[0][1] == 1 else 's'}" if named else "",
         numbers=4,
         notes=(
             "Medians of the tenth of all observations with the highest values, and of the others. What coincides need "

@@ -27,6 +27,7 @@ def end_tables(study: Study, claims: Sequence[Examined]) -> tuple[Table, ...]:
     tables = [
         *_causes(study),
         tracing_cost(study),
+        causes.periods(study.source)[0],
         causes.surroundings(study.source)[0],
         _worst_cases(study),
         *_layers(study),

@@ -76,7 +76,7 @@ def test_why_and_the_report_print_it(tmp_path, capsys):
     write_sampled(root)
     assert main(["why", str(root)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "What else was unusual when the highest values came: 24:eth0, in 1 outputs" in lines
+    assert "What else was unusual when the highest values came: 24:eth0, in 1 output" in lines
     assert main(["report", str(root), "--output", "-", "--format", "markdown"]) == 0
     assert "## What else was unusual when the highest values came" in capsys.readouterr().out
 

@@ -1,5 +1,7 @@
 """rtrun why: the answer first, then the ranking, then each outlier."""
 
+import re
+
 import numpy as np
 import pytest
 from report.campaigns import communication_rows, cyclic_rows, latencies, oneshot_rows, write_campaign, write_run
@@ -101,7 +103,12 @@ def test_a_period_needs_no_trace(suite, rows, parameters, period, tmp_path, caps
     write_run(tmp_path, "001-run", suite, [rows], parameters, asked=20_000, logs=False)
     assert main(["why", str(tmp_path)]) == 0
     captured = capsys.readouterr()
-    assert f"the 50 highest values come every {period}: 40 of 40 periods have one" in captured.out, captured
+    assert f"Late values that come at a period: every {period}, in 1 output\n" in captured.out, captured
+    assert re.search(rf" 50 +{period} +40 of 40 ", captured.out), captured
+    assert main(["report", str(tmp_path), "--output", "-", "--format", "markdown"]) == 0
+    out = capsys.readouterr().out
+    assert "## Late values that come at a period" in out
+    assert re.search(rf"\| 50 \| {period} \| 40 of 40 \|", out), out
 
 
 def test_without_a_period_none_is_said(tmp_path, capsys):
