@@ -13,9 +13,10 @@ import numpy as np
 import processes
 from processes import DEADLINE_NS, Int64s, Rng
 
-from rtrun.analysis.deadline import Answer, Trials, Verdict, count_misses, count_misses_in_histogram, judge
+from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.intervals import clopper_pearson
+from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 
 SEED = 20140715
 P = 1e-3

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtrun.analysis.blocks import Blocks, cut, split_randomly
-from rtrun.analysis.deadline import Trials, count_misses, count_misses_in_histogram
 from rtrun.analysis.extreme_values import Tail, tail_of
 from rtrun.analysis.figures import Figures
 from rtrun.analysis.histogram import Histogram, Int64s, from_samples
+from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.results.series import MEASURED_2014, Header, SampleSeries, Series
 
 _COLUMNS = 240

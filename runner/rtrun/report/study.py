@@ -9,9 +9,10 @@ from typing import Any
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.blocks import Blocks, add_outputs
-from rtrun.analysis.deadline import Trials, Verdict, judge
+from rtrun.analysis.deadline import Verdict, judge
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
+from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
 from rtrun.plan.suites import Value, suites
 from rtrun.report.digest import Digest, digest

@@ -9,10 +9,11 @@ from scipy.signal import lfilter
 
 from rtrun.analysis.blocks import Blocks, add_outputs, cut, split_randomly
 from rtrun.analysis.comparison import Change, compare, ratio_of_misses
-from rtrun.analysis.deadline import count_misses, judge
+from rtrun.analysis.deadline import judge
 from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.layers import attribute
+from rtrun.analysis.trials import count_misses
 
 
 def process(n: int, rng: np.random.Generator, mean_ns: float = 60_000, memory: float = 0.95) -> np.ndarray:

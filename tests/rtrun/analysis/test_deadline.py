@@ -5,16 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtrun.analysis.deadline import (
-    Answer,
-    Trials,
-    Verdict,
-    count_misses,
-    count_misses_in_histogram,
-    judge,
-)
+from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.histogram import Histogram, from_samples
 from rtrun.analysis.intervals import anytime_interval
+from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 
 DEADLINE = 400_000
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtrun.analysis.deadline import Answer, count_misses, judge, plan_measurements
+from rtrun.analysis.deadline import Answer, judge, plan_measurements
 from rtrun.analysis.intervals import anytime_interval
+from rtrun.analysis.trials import count_misses
 
 
 def test_without_a_miss_it_is_the_plain_interval():

@@ -6,8 +6,9 @@ import zlib
 import numpy as np
 import pytest
 
-from rtrun.analysis.deadline import Answer, count_misses, judge
+from rtrun.analysis.deadline import Answer, judge
 from rtrun.analysis.standing import Standing
+from rtrun.analysis.trials import count_misses
 from rtrun.execution.goal import TRIES, Findings, rounds, runs_left, standings_of
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.goal import Goal

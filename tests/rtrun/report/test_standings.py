@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from rtrun.analysis.deadline import Verdict, count_misses, judge
+from rtrun.analysis.deadline import Verdict, judge
 from rtrun.analysis.standing import Standing
 from rtrun.analysis.stationarity import Change
+from rtrun.analysis.trials import count_misses
 from rtrun.execution.goal import Progress
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.goal import Goal

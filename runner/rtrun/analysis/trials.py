@@ -1,0 +1,100 @@
+"""What a run says about a deadline: how many values came late or never, and where."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtrun.analysis.dependence import Events, locate
+from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.analysis.stationarity import SIGNIFICANT_OF_MISSES, Change, find_change
+
+# With this many misses normal theory on blocks holds for their bursts; fewer are tested exactly.
+ENOUGH_MISSES = 20
+_LEVEL_EVENTS = 200
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Trials:
+    """What one output of one run says about one deadline: how many came late or never, and where.
+
+    ``late`` measurements exceeded the deadline, ``absent`` were not fired or went missing: they met no deadline
+    either. ``misses`` holds both by position; None where a log kept no order. ``first_misses`` are the positions of
+    the first 20. ``level`` holds where the run passed a lower level often enough (about 200 times) to show whether its
+    high values come in bursts. ``changes`` are the strongest signs that the run did not stay the same. ``worst_ns`` is
+    the highest value seen. ``unclear`` of the late ones lie in the bin of a histogram that holds the deadline, and may
+    have met it. ``run``, ``boot``, ``board`` and ``start_time`` say where it belongs; "" where that is not known.
+    """
+
+    n: int
+    late: int
+    absent: int
+    misses: Events | None
+    first_misses: Int64s
+    level: Events | None
+    changes: tuple[Change, ...]
+    worst_ns: int | None
+    unclear: int = 0
+    run: str = ""
+    boot: str = ""
+    board: str = ""
+    start_time: str = ""
+
+
+def count_misses(values_ns: Int64s, deadline_ns: int, absent: Int64s | None = None) -> Trials:
+    """Count what missed the deadline in one run's int64 samples, shape (n,) in loop order.
+
+    A value above the deadline is late, one that equals it is not.
+    `absent` gives the ascending loop positions of what was not fired or went missing; the samples fill the others.
+    """
+    if absent is None:
+        absent = np.empty(0, np.int64)
+    loops = values_ns.size + absent.size
+    misses = np.flatnonzero(values_ns > deadline_ns).astype(np.int64)
+    late = misses.size
+    if absent.size:
+        misses = np.sort(np.concatenate((_loop_positions(misses, absent), absent)))
+    level = None
+    changes = [find_change(misses, loops, "misses", SIGNIFICANT_OF_MISSES)]
+    level_events = min(_LEVEL_EVENTS, values_ns.size // 20)
+    if level_events >= 10:
+        limit = np.partition(values_ns, values_ns.size - level_events)[values_ns.size - level_events]
+        high = np.flatnonzero(values_ns >= limit).astype(np.int64)
+        level = locate(high, values_ns.size)
+        # A level that a quarter of all values reaches says nothing on the high ones.
+        if 4 * high.size < values_ns.size:
+            changes.append(find_change(high, values_ns.size, "high values"))
+    return Trials(
+        n=loops,
+        late=late,
+        absent=absent.size,
+        misses=locate(misses, loops),
+        first_misses=misses[:ENOUGH_MISSES],
+        level=level,
+        changes=tuple(change for change in changes if change is not None),
+        worst_ns=int(values_ns.max()) if values_ns.size else None,
+    )
+
+
+def _loop_positions(of_samples: Int64s, absent: Int64s) -> Int64s:
+    """Loop positions of samples given by their rank among those that came."""
+    came_before = absent - np.arange(absent.size)
+    return of_samples + np.searchsorted(came_before, of_samples, side="right")
+
+
+def count_misses_in_histogram(histogram: Histogram, deadline_ns: int, absent: int = 0) -> Trials:
+    """Count what missed the deadline in a histogram: all in the bin that holds the deadline, unless it ends the bin.
+
+    Raises ValueError when the deadline lies in the overflow.
+    """
+    top = int(histogram.values_ns[-1]) if histogram.values_ns.size and not histogram.overflow else histogram.max_ns
+    return Trials(
+        n=histogram.n + absent,
+        late=histogram.above(deadline_ns),
+        absent=absent,
+        misses=None,
+        first_misses=np.empty(0, np.int64),
+        level=None,
+        changes=(),
+        worst_ns=top,
+        unclear=histogram.unclear(deadline_ns),
+    )
