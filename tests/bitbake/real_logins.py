@@ -1,11 +1,12 @@
-"""Who can log in to a booted image: BitBake runs the layer's rootfs function on a root file system, QEMU boots it.
+"""Who can log in to a booted image: BitBake runs the image's rootfs functions on a root file system, QEMU boots it.
 
-`make test-yocto` runs this. The programs are Debian's. The SSH servers' configuration, init scripts and units, on which
-the function relies, are those of openembedded-core.
+`make test-yocto` runs this. The functions are all of ROOTFS_POSTPROCESS_COMMAND, those of openembedded-core and of our
+layer. The programs are Debian's. The SSH servers' configuration, init scripts and units are openembedded-core's.
 """
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import time
@@ -14,10 +15,13 @@ from pathlib import Path
 
 import pytest
 
+from bitbake.yocto import Yocto
 from rtfiles import cache
 from rtgen import debian
 from rtgen.board import build as board
-from rtgen.board import disk
+from rtgen.board import disk, initrd
+from rtgen.board.kernel import debian_kernel
+from rtgen.board.machine import find
 from rtgen.board.packages import packages
 from rtrun.target import qemu
 
@@ -37,6 +41,24 @@ OTHERS = {
     "openssh": ["usr/sbin/sshd", "usr/lib/openssh", "etc/ssh"],
     "dropbear": ["usr/sbin/dropbear", "usr/bin/dropbearkey"],
 }
+# Runs what do_rootfs runs when all packages are installed. There were none.
+ROOTFS_FUNCTIONS = """
+python do_rootfs_functions() {
+    import oe.utils
+    oe.utils.execute_pre_post_process(d, d.getVar("ROOTFS_POSTPROCESS_COMMAND"))
+}
+do_rootfs_functions[nostamp] = "1"
+addtask rootfs_functions
+"""
+# A read-only root whose /etc is kept on a second partition.
+OVERLAY_ETC = """
+EXTRA_IMAGE_FEATURES += "overlayfs-etc"
+OVERLAYFS_ETC_MOUNT_POINT = "/data"
+OVERLAYFS_ETC_DEVICE = "/dev/vda2"
+OVERLAYFS_ETC_FSTYPE = "ext4"
+"""
+READ_ONLY = 'EXTRA_IMAGE_FEATURES += "read-only-rootfs"'
+MIB = 2**20
 START = """#!/bin/sh
 mkdir -p /dev/pts
 mount -t devpts devpts /dev/pts
@@ -115,6 +137,17 @@ def make_root(tree: Path, core: Path, server: str, init: str) -> None:
     (tree / "etc/machine-id").write_text("0123456789abcdef0123456789abcdef\n")
 
 
+def run_rootfs_functions(yocto: Yocto, tree: Path, *settings: str) -> None:
+    """Let BitBake run the image's rootfs functions on the root file system in `tree`, with more lines of local.conf."""
+    build = yocto.top / "build-logins"
+    (build / "classes").mkdir(parents=True, exist_ok=True)
+    (build / "classes/rootfs-functions.bbclass").write_text(ROOTFS_FUNCTIONS)
+    ours = ('INHERIT += "rootfs-functions"', f'IMAGE_ROOTFS:forcevariable = "{tree}"')
+    yocto.configure(build, "qemuarm", *ours, *settings)
+    (recipe,) = yocto.layer.glob(f"recipes-core/*/{yocto.profile.image.name}.bb")
+    yocto.run("bitbake", "-b", str(recipe), "-c", "rootfs_functions", build=build)
+
+
 def board_with(tree: Path, folder: Path) -> Path:
     """The emulated board with another root file system."""
     original = board.build("qemu-armv7", folder, suite=SUITE)
@@ -128,28 +161,65 @@ def board_with(tree: Path, folder: Path) -> Path:
     return copy
 
 
-@pytest.mark.parametrize("init", ["systemd", "sysvinit"])
-@pytest.mark.parametrize("server", SOURCES)
-def test_key_logs_in_and_password_does_not(yocto, make_build, server, init, tmp_path):
+def make_read_only(copy: Path, tree: Path) -> None:
+    """Give a board's root file system a partition, which no mount can make writable, and add one for the data."""
+    root, data, whole = copy / "root.ext4", copy / "data.ext4", copy / disk.IMAGE
+    whole.rename(root)
+    subprocess.run(["tune2fs", "-O", "read-only", root], check=True, capture_output=True)
+    subprocess.run(["mke2fs", "-q", "-t", "ext4", data, "16M"], check=True, capture_output=True)
+    table, at = "", MIB
+    with whole.open("wb") as stream:
+        for part in (root, data):
+            table += f"start={at // MIB}MiB, size={part.stat().st_size // MIB}MiB\n"
+            stream.seek(at)
+            with part.open("rb") as source:
+                shutil.copyfileobj(source, stream, MIB)
+            at = stream.tell()
+    subprocess.run(["sfdisk", "--quiet", "--label=dos", whole], input=table, text=True, check=True)
+    machine = find("qemu-armv7")
+    modules = debian_kernel(machine.kernel, machine, debian.source(SUITE)).loadable([*machine.modules, "overlay"])
+    (copy / "initrd").write_bytes(initrd.archive((tree / "bin/busybox").read_bytes(), modules))
+    record = (copy / "board.json").read_text()
+    (copy / "board.json").write_text(record.replace("root=/dev/vda ", "root=/dev/vda1 "))
+
+
+@pytest.mark.parametrize(
+    ("server", "init", "read_only"),
+    [
+        ("openssh", "systemd", False),
+        ("openssh", "sysvinit", False),
+        ("dropbear", "systemd", False),
+        ("dropbear", "sysvinit", False),
+        ("openssh", "systemd", True),
+        ("dropbear", "sysvinit", True),
+    ],
+)
+def test_key_logs_in_and_password_does_not(yocto, server, init, read_only, tmp_path):
     if not yocto.release.modern:
         pytest.skip("dora's servers have other files")
     key = tmp_path / "login"
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", key], check=True)
     given = key.with_suffix(".pub").read_text().strip()
-    build = make_build(yocto.name, "qemuarm", local=f'RT_TESTS_AUTHORIZED_KEYS = "{given}"\n')
-    tree = build.folder / "tmp/work/rt-tests-image/1.0/rootfs"
+    tree = tmp_path / "tree"
     make_root(tree, yocto.top / "openembedded-core", server, init)
-    done = build.try_bitbake(functions=[["rt-tests-image", "rt_tests_ssh_policy"]])
-    assert done.returncode == 0, done.stdout + done.stderr
+    settings = [f'RT_TESTS_AUTHORIZED_KEYS = "{given}"', f'RT_TESTS_SSH_SERVER = "{server}"']
+    if read_only:
+        (tree / "data").mkdir()
+        settings += [READ_ONLY, OVERLAY_ETC]
+    run_rootfs_functions(yocto, tree, f'INIT_MANAGER = "{init}"', *settings)
     host_keys = "etc/ssh/ssh_host_*_key" if server == "openssh" else "etc/dropbear/dropbear_*_host_key"
     assert not list(tree.glob(host_keys))
 
+    copy = board_with(tree, tmp_path)
+    if read_only:
+        make_read_only(copy, tree)
     console = tmp_path / "console"
-    with qemu.boot(board_with(tree, tmp_path), console) as machine:
+    with qemu.boot(copy, console) as machine:
         ssh = client(machine.port, tmp_path)
         by_key = ["-i", str(key), "-o", "IdentitiesOnly=yes", "-o", "BatchMode=yes"]
         wait_for(lambda: ssh(*by_key, "true"), machine, console)
         assert ssh(*by_key, "id -un").stdout == "root\n"
+        assert ("Read-only file system" in ssh(*by_key, "touch /usr/any").stderr) == read_only
         refused = ssh("-o", "PubkeyAuthentication=no", "-o", "NumberOfPasswordPrompts=1", "true")
         assert refused.returncode == 255
         assert "Permission denied (publickey)." in refused.stderr
@@ -162,6 +232,14 @@ def test_key_logs_in_and_password_does_not(yocto, make_build, server, init, tmp_
         after = ssh(*by_key, state).stdout.splitlines()
         assert after[0] != before[0]
         assert after[1:] == before[1:]
+
+
+def test_an_image_that_would_change_its_host_keys_is_not_built(yocto, tmp_path):
+    if not yocto.release.modern:
+        pytest.skip("the servers of dora have other files")
+    make_root(tmp_path / "tree", yocto.top / "openembedded-core", "openssh", "systemd")
+    with pytest.raises(AssertionError, match=re.escape("new SSH host keys at every boot: take it out, or add overlay")):
+        run_rootfs_functions(yocto, tmp_path / "tree", 'INIT_MANAGER = "systemd"', READ_ONLY)
 
 
 def client(port: int, folder: Path) -> Callable[..., subprocess.CompletedProcess[str]]:

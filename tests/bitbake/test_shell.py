@@ -95,7 +95,12 @@ def test_servers_of_2014_know_rsa_only(make_build, keys, message):
         (KEY.replace(" somebody", "x somebody"), "", NO_KEY),
         (OTHER[:-2], "", NO_KEY),
         (f"{KEY}\\nsk-ssh-ed25519@openssh.com AAAA", "", NO_KEY),
-        (KEY, 'IMAGE_FEATURES += "read-only-rootfs"\n', "host keys would change"),
+        (
+            KEY,
+            'IMAGE_FEATURES += "read-only-rootfs"\n',
+            "new SSH host keys at every boot: take it out, or add overlayfs",
+        ),
+        (KEY, 'IMAGE_FEATURES += "read-only-rootfs overlayfs-etc stateless-rootfs"\n', "new SSH host keys"),
     ],
 )
 def test_an_image_nobody_should_have_is_not_built(make_build, keys, features, message):
@@ -103,6 +108,13 @@ def test_an_image_nobody_should_have_is_not_built(make_build, keys, features, me
     done = policy(build)
     assert done.returncode != 0
     assert message in output_of(build, done)
+
+
+@pytest.mark.parametrize("features", ["read-only-rootfs overlayfs-etc", "overlayfs-etc", "stateless-rootfs"])
+def test_an_image_that_keeps_its_host_keys_is_built(make_build, features):
+    _, build = image(make_build, KEY, f'IMAGE_FEATURES += "{features}"\n')
+    done = policy(build)
+    assert done.returncode == 0, output_of(build, done)
 
 
 def test_command_line_of_2014_reaches_the_kernel(make_build):

@@ -279,12 +279,12 @@ def load_profile(name: str) -> tuple[Profile, Release]:
 
 
 def _misfits(profile: Profile, release: Release) -> list[str]:
-    """The values of a profile that its release does not have, as `key path: value, allowed values`."""
+    """The values of a profile that are not supported with its release, as `key path: value, allowed values`."""
     problems = []
 
     def check(key: str, value: str, allowed: tuple[str, ...]) -> None:
         if value not in allowed:
-            problems.append(f"{key}: {value!r} does not exist in {profile.release}, allowed: {', '.join(allowed)}")
+            problems.append(f"{key}: {value!r} is not supported with {profile.release}, allowed: {', '.join(allowed)}")
 
     check("ros_distro", profile.ros_distro, release.ros_distros)
     layers = {

@@ -13,7 +13,7 @@ IMAGE_LINGUAS = ""
 IMAGE_INSTALL = "packagegroup-core-boot packagegroup-rt-tests openssh-sftp-server ${CORE_IMAGE_EXTRA_INSTALL}"
 IMAGE_INSTALL += "roslaunch rosbash rosnode rostopic htop hwlatdetect rt-tests stress-ng util-linux-chrt util-linux-taskset"
 
-# Without the fragment a kernel would measure as if it were real-time.
+# A machine with preempt-rt promises a real-time kernel, which one without our options is not.
 python () {
     kernel = d.getVar("PREFERRED_PROVIDER_virtual/kernel")
     known = "linux-yocto-rt linux-raspberrypi".split()

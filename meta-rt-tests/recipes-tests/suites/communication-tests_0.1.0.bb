@@ -5,7 +5,7 @@ HOMEPAGE = "https://github.com/bmwcarit/ros_realtime_tests"
 SECTION = "devel"
 LICENSE = "BSD-3-Clause"
 LIC_FILES_CHKSUM = "file://${COMMON_LICENSE_DIR}/BSD-3-Clause;md5=550794465ba0ec5312d6919e203a55f9"
-# No database of vulnerabilities knows it, and a product that has this name would be another one.
+# In no database of vulnerabilities: a product of this name there would be other software.
 CVE_PRODUCT = ""
 
 DEPENDS = "catkin-native message-generation message-runtime roscpp rt-tests-support"
