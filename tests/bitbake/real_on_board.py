@@ -75,7 +75,7 @@ def packed(folder):
     return subprocess.run(["tar", "-c", "-C", folder, "."], stdout=subprocess.PIPE, check=True).stdout
 
 
-def testimage(yocto, target, path):
+def run_cases(yocto, target, path):
     """Run the cases of TEST_SUITES with rtrun from `path`; return what became of each, and why."""
     answer = target.with_name("answer.json")
     answer.unlink(missing_ok=True)
@@ -104,14 +104,14 @@ CASE = "rt_tests.RtTests.test_every_run_is_valid"
 
 
 def test_passes_when_every_run_is_valid(yocto, target, path):
-    answer = testimage(yocto, target[0], path)
+    answer = run_cases(yocto, target[0], path)
     assert answer == {"ping.PingTest.test_ping": "", "ssh.SSHTest.test_ssh": "", CASE: ""}
 
 
 def test_fails_without_the_runner(yocto, target):
     assert (
         "no rtrun in the PATH of the shell that called BitBake: /usr/bin:/bin"
-        in (testimage(yocto, target[0], "/usr/bin:/bin")[CASE])
+        in (run_cases(yocto, target[0], "/usr/bin:/bin")[CASE])
     )
 
 
@@ -119,7 +119,7 @@ def test_fails_when_a_run_is_not_valid(yocto, target, path):
     file, on_board = target
     program = f"{PROGRAMS}/cyclic_timer_tests/cyclic_timer_tests"
     on_board(f"mv {program} /root/real && cat > {program} && chmod 755 {program}", LIAR.encode())
-    reason = testimage(yocto, file, path)[CASE]
+    reason = run_cases(yocto, file, path)[CASE]
     assert "asked for repetitions 50, the suite measured repetitions 51" in reason, reason
 
 
