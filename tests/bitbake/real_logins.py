@@ -48,6 +48,7 @@ python do_rootfs_functions() {
     oe.utils.execute_pre_post_process(d, d.getVar("ROOTFS_POSTPROCESS_COMMAND"))
 }
 do_rootfs_functions[nostamp] = "1"
+do_rootfs_functions[cleandirs] = "${IMGDEPLOYDIR}"
 addtask rootfs_functions
 """
 # A read-only root whose /etc is kept on a second partition.
@@ -95,6 +96,9 @@ def make_root(tree: Path, core: Path, server: str, init: str) -> None:
     """Fill a folder with a root file system as an image has it before its rootfs functions run."""
     shutil.copytree(programs(), tree, symlinks=True, dirs_exist_ok=True)
     shutil.rmtree(tree / "etc/ssh", ignore_errors=True)
+    # Debian's settings of the server, and its users, which openembedded-core would compare with its own.
+    (tree / "etc/default/ssh").unlink(missing_ok=True)
+    shutil.rmtree(tree / "usr/lib/sysusers.d")
     disk.add_places(tree)
     disk.add_tools(tree)
     (tree / "home/root").mkdir(parents=True, mode=0o700)
