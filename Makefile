@@ -61,10 +61,13 @@ lint: setup
 # The error rates of verdicts, simulated at length and written into docs/analysis.md; `make test` has a short version.
 coverage: setup
 	nice -n 5 $(BIN)/python tests/coverage/simulate.py
+	nice -n 5 $(BIN)/python tests/coverage/years.py
 
 bench: setup
 	nice -n 5 $(BIN)/python tests/bench/bench_analysis.py --check
 	$(BIN)/pytest -q -s tests/bench/overhead.py
+	$(BIN)/pytest -q -s tests/bench/pulling.py tests/bench/farm.py
+	nice -n 5 $(BIN)/python tests/bench/archived_year.py
 	PYTHONPATH=tests/rtrun $(BIN)/pytest -q -s tests/bench/causes.py
 
 setup:

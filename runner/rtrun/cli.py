@@ -7,6 +7,7 @@ from types import ModuleType
 from rtfiles.command import dispatch
 from rtrun.commands import (
     archive,
+    bisect,
     check_rt,
     claims,
     compare,
@@ -19,6 +20,8 @@ from rtrun.commands import (
     report,
     run,
     show,
+    site,
+    trends,
     verdict,
     verify,
     why,
@@ -41,6 +44,9 @@ COMMANDS: tuple[ModuleType, ...] = (
     import_,
     archive,
     history,
+    trends,
+    bisect,
+    site,
 )
 
 

@@ -107,6 +107,13 @@ def history() -> list[tuple[str, float, float, str]]:
     return checks
 
 
+def main() -> int:
+    """Print every time; 1 when one is beyond its limit."""
+    checks = history()
+    for name, value, limit, unit in checks:
+        print(f"{name}: {value:.3g} {unit} (limit {limit:g} {unit})")
+    return int(any(value > limit for _, value, limit, _ in checks))
+
+
 if __name__ == "__main__":
-    for name, value, _, unit in history():
-        print(f"{name}: {value:.3g} {unit}")
+    sys.exit(main())

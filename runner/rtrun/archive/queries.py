@@ -1,24 +1,29 @@
-"""What an archive answers, by DuckDB: figures of runs together, from their histograms.
+"""What an archive answers: figures of runs together, from their histograms. DuckDB says which runs belong together.
 
 A percentile is the lower edge of the bin that holds the value of its rank (nearest rank, as in every report). So it is
 the report's figure, rounded down to a step of the clock.
 """
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from rtfiles.errors import UsageError
+import numpy as np
+
+from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.analysis.figures import PERCENTILES
+from rtrun.analysis.histogram import Int64s
 from rtrun.archive import By
 from rtrun.archive.store import Store, find_files
-from rtrun.archive.tables import HISTOGRAMS
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
+_NONE = -(2**63)  # stands for null
 _LABELS: dict[By, str] = {
     "day": "coalesce(strftime(start_utc, '%Y-%m-%d'), 'unknown')",
     "month": "month",
@@ -63,11 +68,24 @@ class Point:
         return None if self.misses is None or not self.n else self.misses / self.n
 
 
-@contextmanager
-def connected(store: Store) -> "Iterator[DuckDBPyConnection]":
-    """DuckDB with the views `runs` and `histograms` of an archive.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Archive:
+    """An archive that is open for questions.
 
-    Raises UsageError when it has no runs; what DuckDB says of a damaged file becomes one, too.
+    `connection` is DuckDB with the table of runs as `runs`; `histograms` are the paths of the histograms by the name of
+    their run.
+    """
+
+    store: Store
+    connection: "DuckDBPyConnection"
+    histograms: Mapping[str, str]
+
+
+@contextmanager
+def connected(store: Store) -> Iterator[Archive]:
+    """An archive, open for questions.
+
+    Raises UsageError when it has no runs or a file is damaged, InfrastructureError when it cannot be read.
     """
     import duckdb
 
@@ -77,87 +95,102 @@ def connected(store: Store) -> "Iterator[DuckDBPyConnection]":
     try:
         if not store.is_local:
             connection.register_filesystem(store.file_system)
-        for table in ("runs", "histograms"):
-            if find_files(store, table):
-                files = store.url(f"{table}/**/*.parquet").replace("'", "''")
-                source = f"read_parquet('{files}', hive_partitioning = true, hive_types_autocast = false)"
-            else:
-                columns = ", ".join(f"NULL::{_TYPES[str(field.type)]} AS {field.name}" for field in HISTOGRAMS)
-                source = f"(SELECT {columns} LIMIT 0)"
-            connection.execute(f"CREATE VIEW {table} AS FROM {source}")
-        yield connection
+        files = store.url("runs/**/*.parquet").replace("'", "''")
+        connection.execute(
+            f"CREATE VIEW runs AS FROM read_parquet('{files}', hive_partitioning = true, hive_types_autocast = false)"
+        )
+        histograms = {
+            path.rpartition("/")[2].removesuffix(".parquet"): path for path in find_files(store, "histograms")
+        }
+        yield Archive(store=store, connection=connection, histograms=histograms)
     except duckdb.Error as error:
-        text = str(error).splitlines()[0]
-        raise UsageError(f"{store.address}: {text}; rtrun archive add writes a file anew that is not whole") from error
+        text, *others = str(error).splitlines()
+        if text.startswith("Traceback"):  # of fsspec: the first line that is not indented names what was raised
+            raised = next((line for line in others if line and not line.startswith(" ")), text)
+            raise _unreadable(store, raised.partition(": ")[2] or raised) from error
+        raise _damaged(store, text) from error
     finally:
         connection.close()
 
 
-_TYPES = {"string": "VARCHAR", "int64": "BIGINT"}
+def _unreadable(store: Store, reason: str) -> InfrastructureError:
+    return InfrastructureError(f"{store.address}: cannot be read: {reason}")
 
 
-def figures(connection: "DuckDBPyConnection", by: By, *, deadline_ns: int) -> list[Point]:
+def _damaged(store: Store, what: str) -> UsageError:
+    return UsageError(f"{store.address}: {what}; rtrun archive add writes a file anew that is not whole")
+
+
+def figures(archive: Archive, by: By, *, deadline_ns: int) -> list[Point]:
     """The figures of every point, scenario by scenario; runs that are not ok are in none."""
-    # The rank in whole numbers, so that no rounding moves it.
-    percentiles = ", ".join(f"min(value_ns) FILTER (reached * 100000 >= came * {round(1000 * p)})" for p in PERCENTILES)
-    query = _QUERY.format(
-        label=_LABELS[by],
-        order=_ORDERS.get(by, "machine, start_utc"),
-        percentiles=percentiles,
-        nothing=", ".join(["NULL"] * len(PERCENTILES)),
-    )
-    cursor = connection.execute(query, {"deadline": deadline_ns})
+    query = _POINTS.format(label=_LABELS[by], order=_ORDERS.get(by, "machine, start_utc"))
+    cursor = archive.connection.execute(query)
     names = [column[0] for column in cursor.description or ()]
-    return [_point(dict(zip(names, row, strict=True))) for row in cursor.fetchall()]
+    rows = [dict(zip(names, row, strict=True)) for row in cursor.fetchall()]
+
+    def point(row: dict[str, Any]) -> Point | None:
+        paths = [archive.histograms[key] for key in row["run_keys"] if key in archive.histograms]
+        bins = [_read_bins(archive.store, path) for path in paths]
+        if not any(value.size for value, _, _ in bins):
+            return None
+        row["run_keys"] = tuple(row["run_keys"])
+        return Point(**row, **_figures_of(bins, deadline_ns))
+
+    # Reading and sorting leave Python's lock to others.
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        return [each for each in threads.map(point, rows) if each is not None]
 
 
-def _point(row: dict[str, Any]) -> Point:
-    limit_ns = row.pop("unknown_from_ns")  # from here on values are known by number only
-    values = [
-        value if limit_ns is None or value is None or value < limit_ns else None
-        for value in (row["max_ns"], *row["percentiles_ns"])
-    ]
-    return Point(
-        **(
-            row
-            | {"run_keys": tuple(row["run_keys"]), "max_ns": values[0]}
-            | {"percentiles_ns": dict(zip(PERCENTILES, values[1:], strict=True))}
+def _read_bins(store: Store, path: str) -> tuple[Int64s, Int64s, Int64s]:
+    """value_ns, bin_ns and count of a histogram's rows, shape (n,); _NONE where the table has null."""
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        with store.file_system.open(path, "rb") as stream:
+            table = pyarrow.parquet.ParquetFile(stream).read(columns=["value_ns", "bin_ns", "count"])
+    except (pyarrow.ArrowException, ValueError) as error:
+        raise _damaged(store, f"{path}: {error}") from error
+    except Exception as error:  # each object store has exceptions of its own
+        raise _unreadable(store, " ".join(str(error).split()) or type(error).__name__) from error
+    value, width, count = (column.fill_null(_NONE).combine_chunks().to_numpy() for column in table.columns)
+    return value, width, count
+
+
+def _figures_of(bins: Sequence[tuple[Int64s, Int64s, Int64s]], deadline_ns: int) -> dict[str, Any]:
+    """What a Point says of the bins of its runs (docs/archive.md: columns of histograms)."""
+    value, width, count = (np.concatenate(columns) for columns in zip(*bins, strict=True))
+    came, known = value != _NONE, width != _NONE
+    late = ~came | ~known | (value > deadline_ns - width + 1)
+    is_reached = not np.any(came & ~known & (value < deadline_ns))
+    order = np.argsort(value[came], kind="stable")
+    values, reached = value[came][order], np.cumsum(count[came][order])
+    percentiles_ns: dict[float, int | None] = dict.fromkeys(PERCENTILES)
+    highest_ns: int | None = None
+    if values.size:
+        # The rank in whole numbers, so that no rounding moves it.
+        ranks = [-(-int(reached[-1]) * round(1000 * p) // 100_000) for p in PERCENTILES]
+        places = np.searchsorted(reached, ranks)
+        # From here on values are known by number only.
+        limit_ns = min(value[came & ~known].tolist(), default=None)
+        *at_percentiles, highest_ns = (
+            int(each) if limit_ns is None or each < limit_ns else None for each in (*values[places], values[-1])
         )
-    )
+        percentiles_ns = dict(zip(PERCENTILES, at_percentiles, strict=True))
+    return {
+        "n": int(count.sum()),
+        "misses": int(count[late].sum()) if is_reached else None,
+        "unclear": int(count[came & known & (value <= deadline_ns) & late].sum()),
+        "percentiles_ns": percentiles_ns,
+        "max_ns": highest_ns,
+    }
 
 
-_QUERY = """
-WITH points AS (
-    SELECT row_number() OVER () AS point, scenario, parameters, suite, machine, platform, kernel_release AS kernel,
-           kernel_version, {label} AS label, min(runs.start_utc) AS start_utc,
-           list(run_key ORDER BY runs.start_utc, run_key) AS run_keys,
-           count(DISTINCT coalesce(boot_id, run_key)) AS boots
-    FROM runs WHERE status = 'ok'
-    GROUP BY scenario, parameters, suite, machine, platform, kernel_release, kernel_version, {label}
-), members AS (
-    SELECT point, unnest(run_keys) AS run_key FROM points
-), bins AS (
-    SELECT point, value_ns, bin_ns, sum(count)::BIGINT AS count
-    FROM histograms JOIN members USING (run_key) GROUP BY point, value_ns, bin_ns
-), ranked AS (
-    SELECT *, sum(count) OVER (PARTITION BY point ORDER BY value_ns)::BIGINT AS reached,
-           sum(count) OVER (PARTITION BY point)::BIGINT AS came
-    FROM bins WHERE value_ns IS NOT NULL
-), ordered AS (
-    SELECT point, max(value_ns) AS max_ns, min(value_ns) FILTER (bin_ns IS NULL) AS unknown_from_ns,
-           [{percentiles}] AS percentiles_ns
-    FROM ranked GROUP BY point
-), counted AS (
-    SELECT point, sum(count)::BIGINT AS n,
-           CASE WHEN coalesce(bool_or(bin_ns IS NULL AND value_ns < $deadline), false) THEN NULL
-                ELSE coalesce(sum(count) FILTER (value_ns IS NULL OR bin_ns IS NULL
-                                                 OR value_ns > $deadline - bin_ns + 1), 0)::BIGINT END AS misses,
-           coalesce(sum(count) FILTER (value_ns <= $deadline
-                                       AND value_ns > $deadline - bin_ns + 1), 0)::BIGINT AS unclear
-    FROM bins GROUP BY point
-)
-SELECT scenario, parameters, suite, machine, platform, kernel, label, start_utc, run_keys, boots, n, misses, unclear,
-       max_ns, unknown_from_ns, coalesce(percentiles_ns, [{nothing}]) AS percentiles_ns
-FROM points JOIN counted USING (point) LEFT JOIN ordered USING (point)
+_POINTS = """
+SELECT scenario, parameters, suite, machine, platform, kernel_release AS kernel, {label} AS label,
+       min(runs.start_utc) AS start_utc, list(run_key ORDER BY runs.start_utc, run_key) AS run_keys,
+       count(DISTINCT coalesce(boot_id, run_key)) AS boots
+FROM runs WHERE status = 'ok'
+GROUP BY scenario, parameters, suite, machine, platform, kernel_release, kernel_version, {label}
 ORDER BY scenario, parameters, platform, {order}, label, kernel_version
 """

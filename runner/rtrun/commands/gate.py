@@ -2,11 +2,18 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rtrun.commands._question import add_question, ask
+from rtrun.commands._question import add_question, ask, probability_argument, question, time_argument
+
+if TYPE_CHECKING:
+    from rtrun.report.gate import Gate
 
 NAME = "gate"
-HELP = "pass (exit 0) only if every group of runs proves the deadline, else fail (exit 1)"
+HELP = (
+    "pass (exit 0) only if every group of runs proves the deadline, or is no worse than its history, else fail (exit 1)"
+)
+FALSE_ALARMS = 0.05
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,6 +31,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="hardware",
         help="virtual: let proofs from virtual machines pass too, which hold for that machine on that host alone",
     )
+    parser.add_argument(
+        "--against",
+        metavar="ARCHIVE",
+        help="ask instead whether the runs are worse than their history in this archive",
+    )
+    parser.add_argument(
+        "--margin",
+        type=time_argument,
+        metavar="TIME",
+        help="with --against: a shift that is of no concern, as 5us [5 %% of the history's figure, at least 1us]",
+    )
+    parser.add_argument(
+        "--false-alarms",
+        type=probability_argument,
+        metavar="P",
+        help=f"with --against: chance of any false alarm in a year of daily gates [{FALSE_ALARMS}]",
+    )
     add_question(parser)
 
 
@@ -38,9 +62,14 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report.terminal import print_banner
     from rtrun.target.platform import Platform
 
-    analysed = ask(args, bounds=False)
-    judged = gate(analysed, assume_independent=args.assume_independent, platform=Platform(args.platform))
-    print_banner(analysed.platform)
+    if args.against:
+        judged = _against(args)
+    elif args.margin or args.false_alarms:
+        raise UsageError("--margin, --false-alarms: go with --against ARCHIVE")
+    else:
+        analysed = ask(args, bounds=False)
+        judged = gate(analysed, assume_independent=args.assume_independent, platform=Platform(args.platform))
+        print_banner(analysed.platform)
     print_line("passed" if judged.passed else "failed")
     print_answers(judged.cases, judged=True)
     if args.junit:
@@ -49,3 +78,24 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             raise UsageError(f"{args.junit}: {error.strerror}") from error
     return 0 if judged.passed else 1
+
+
+def _against(args: argparse.Namespace) -> "Gate":
+    from rtfiles.errors import UsageError
+    from rtrun.archive.extra import check_extra
+
+    check_extra()
+    from rtrun.archive.against import gate_against
+    from rtrun.archive.store import open_archive
+    from rtrun.target.platform import Platform
+
+    if args.probability or args.confidence or args.assume_independent:
+        raise UsageError("--probability, --confidence, --assume-independent: are of the deadline, not of --against")
+    return gate_against(
+        args.results,
+        open_archive(args.against),
+        deadline_ns=question(args, args.results).deadline_ns,
+        margin_ns=args.margin,
+        false_alarms=args.false_alarms or FALSE_ALARMS,
+        platform=Platform(args.platform),
+    )

@@ -38,8 +38,8 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report.study import DEADLINE_NS
 
     deadline_ns = args.deadline or DEADLINE_NS
-    with connected(open_archive(args.archive)) as connection:
-        points = figures(connection, args.by, deadline_ns=deadline_ns)
+    with connected(open_archive(args.archive)) as archive:
+        points = figures(archive, args.by, deadline_ns=deadline_ns)
     if args.json:
         print_text(json.dumps(as_data(points, by=args.by, deadline_ns=deadline_ns), indent=1, allow_nan=False))
         return 0

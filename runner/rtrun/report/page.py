@@ -53,7 +53,7 @@ def html(study: Study, contents: Contents) -> str:
         choices={key: values for key, values in choices.items() if len(values) > 1},
         overview=_json(overview),
         plotly=get_plotlyjs(),
-        script=(_FOLDER / "page.js").read_text(encoding="utf-8"),
+        script="\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in ("plots.js", "page.js")),
     )
 
 

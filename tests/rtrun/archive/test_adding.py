@@ -239,6 +239,33 @@ def test_an_object_store_that_fails_in_the_middle_loses_nothing(capsys, results,
     assert "1 200" in capsys.readouterr().out
 
 
+class UnreadableStore(MemoryFileSystem):
+    """An object store that fails at each read of a table."""
+
+    protocol = "unreadable"
+    store: dict = {}  # noqa: RUF012
+    pseudo_dirs = [""]  # noqa: RUF012
+
+    @classmethod
+    def _strip_protocol(cls, path):
+        return super()._strip_protocol(path.removeprefix("unreadable://"))
+
+    def _open(self, path, mode="rb", **kwargs):
+        if path.endswith(".parquet") and "r" in mode:
+            raise ConnectionError("503 slow down")
+        return super()._open(path, mode, **kwargs)
+
+
+@pytest.mark.parametrize("command", ["history", "trends"])
+def test_an_object_store_that_fails_while_it_is_read_is_one_line(capsys, results, command):
+    fsspec.register_implementation("unreadable", UnreadableStore, clobber=True)
+    assert main(["archive", "add", str(results), "--to", "unreadable://bucket/archive"]) == 0
+    capsys.readouterr()
+    assert main([command, "unreadable://bucket/archive"]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "rtrun: unreadable://bucket/archive: cannot be read: 503 slow down"
+
+
 def test_several_writers_at_once(results, archive):
     command = [sys.executable, "-m", "rtrun.cli", "archive", "add", str(results), "--to", str(archive)]
     writers = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for _ in range(2)]

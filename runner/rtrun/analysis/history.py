@@ -1,0 +1,102 @@
+"""Is a build worse than its history? Boots are the units of both."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rtrun.analysis.change_points import Floats, levels
+from rtrun.analysis.dependence import cluster_effect
+
+LEAST_BOOTS = 5  # of a history
+GATES_A_YEAR = 365
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Against:
+    """A figure of a build against its history, in the unit of the figure.
+
+    `reference` is the mean of the best level that the history held, over `boots` boots; `value` is the build's mean.
+    `limit` is what a build as good as the reference, or worse by the margin, exceeds with the chance of the test's
+    level.
+    """
+
+    reference: float
+    boots: int
+    value: float
+    limit: float
+
+    @property
+    def worse(self) -> bool:
+        """Whether the build is worse than its history by more than the margin."""
+        return self.value > self.limit
+
+
+def level_of_test(false_alarms: float, tests: int) -> float:
+    """The level of each of `tests` tests of a gate, so that a year of daily gates without a change has any false alarm
+    with the chance `false_alarms` at most (Bonferroni)."""
+    return false_alarms / (GATES_A_YEAR * tests)
+
+
+def best_level(history: Floats) -> Floats:
+    """The lowest of the levels between the change points of a history (u,), among those of LEAST_BOOTS boots.
+
+    So a build that made it worse does not become what the next ones are held against.
+    """
+    long = [history[stretch] for stretch in levels(history) if stretch.stop - stretch.start >= LEAST_BOOTS]
+    return min(long, key=lambda level: float(level.mean()), default=history)
+
+
+def compare_figure(
+    history: Floats, build: Floats, *, level: float, margin: float | None, share: float = 0.0, least: float = 0.0
+) -> Against:
+    """Compare boots of a build (k,) with those of its history (u,), LEAST_BOOTS at least: lower is better.
+
+    The margin of no concern is, unless given, a `share` of the reference, and `least` at least.
+
+    The limit is that of a prediction for the mean of k boots (Student's t), with a tail as heavy as the kurtosis of the
+    reference tells: a t distribution with v degrees of freedom has the excess kurtosis 6 / (v - 4). The spread is the
+    larger of those on both sides of the median, so that a long upper tail counts whole.
+    """
+    from scipy.special import stdtrit
+
+    reference = best_level(history)
+    mean = float(reference.mean())
+    spread, degrees = _spread(reference)
+    reach = float(stdtrit(degrees, 1 - level)) * spread * math.sqrt(1 / build.size + 1 / reference.size)
+    allowed = max(least, share * abs(mean)) if margin is None else margin
+    return Against(reference=mean, boots=reference.size, value=float(build.mean()), limit=mean + allowed + reach)
+
+
+def _spread(reference: Floats) -> tuple[float, float]:
+    """Spread of one boot, and the degrees of freedom of a t distribution that has its tail."""
+    around = reference - float(reference.mean())
+    variance = float((around**2).sum()) / (reference.size - 1)
+    if variance == 0:
+        return 0.0, float(reference.size - 1)
+    from_median = reference - float(np.median(reference))
+    upper = from_median[from_median > 0]
+    one_sided = float((upper**2).sum()) * 2 / reference.size
+    excess = float((around**4).mean()) / float((around**2).mean()) ** 2 - 3
+    tail = 4 + 6 / excess if excess > 0 else math.inf
+    return math.sqrt(max(variance, one_sided)), min(float(reference.size - 1), tail)
+
+
+def compare_misses(history: Sequence[tuple[int, int]], build: Sequence[tuple[int, int]], *, level: float) -> Against:
+    """Compare P(miss) of a build with its history, from (measurements, misses) of each boot; the figure is P(miss).
+
+    The build is worse where both hold: its share exceeds the limit for the shares of boots (`compare_figure`), and,
+    given all misses together, so many fall on the build with a chance below the level only (Przyborowski & Wilenski
+    1940).
+    The second uses numbers divided by the design effect of boots; it speaks where the history has hardly any miss.
+    """
+    from scipy.special import betainc
+
+    shares, own = (np.array([misses / n for n, misses in boots]) for boots in (history, build))
+    against = compare_figure(shares, own, margin=0.0, level=level)
+    effect = max(1.0, cluster_effect(history))
+    n_a, k_a = (sum(numbers) / effect for numbers in zip(*history, strict=True))
+    n_b, k_b = (sum(numbers) / effect for numbers in zip(*build, strict=True))
+    chance = float(betainc(k_b, k_a + 1, n_b / (n_a + n_b))) if k_b else 1.0
+    return against if chance < level else replace(against, limit=max(against.limit, against.value))

@@ -1,0 +1,133 @@
+"""A build against its history: the cases of `rtrun gate --against`."""
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import get_args
+
+from rtrun.analysis.history import LEAST_BOOTS, Against, compare_figure, compare_misses, level_of_test
+from rtrun.archive.adding import add_results
+from rtrun.archive.courses import Course, Figure, courses
+from rtrun.archive.queries import connected
+from rtrun.archive.store import Store, make_archive
+from rtrun.archive.tables import Origin
+from rtrun.report.claims.examination import us
+from rtrun.report.gate import Case, Gate
+from rtrun.target.platform import Platform, weakest
+
+# The runs that are in no course, and why.
+_WITHOUT_COURSE = """
+    SELECT run, CASE WHEN status = 'ok' THEN 'it has no start time, so it has no place in a history'
+                     ELSE concat_ws(': ', status, reason) END
+    FROM runs WHERE status <> 'ok' OR start_utc IS NULL ORDER BY run
+"""
+_SHARE_OF_MARGIN = 0.05  # of the reference, where no margin is given; 1 us at least, as in compare
+
+
+def gate_against(
+    results: Path,
+    archive: Store,
+    *,
+    deadline_ns: int,
+    margin_ns: float | None,
+    false_alarms: float,
+    platform: Platform,
+) -> Gate:
+    """Fail what is worse than its history in the archive by more than the margin, or cannot be compared with it.
+
+    A year of daily gates of runs that are no worse than their history by more than the margin has any false alarm with
+    the chance `false_alarms` at most. The runs of `results` themselves are not part of the history.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        own = make_archive(folder)
+        added = add_results(results, own, Origin(), samples=False, on_added=lambda _count, _total: None)
+        builds: list[Course] = []
+        without_course: list[tuple[str, str]] = []
+        if added.added:
+            with connected(own) as opened:
+                builds = courses(opened, deadline_ns=deadline_ns)
+                without_course = opened.connection.execute(_WITHOUT_COURSE).fetchall()
+    with connected(archive) as opened:
+        histories = {course.identity: course for course in courses(opened, deadline_ns=deadline_ns)}
+    reasons = [text.split(": ", 1) for text in (*added.refused, *added.notes)]
+    cases = [
+        Case(about=name, answer="NOT ANALYSED", text=reason, passed=False)
+        for name, reason in (*reasons, *without_course)
+    ]
+    for build in builds:
+        history = _without(histories.get(build.identity), build)
+        cases.append(_case(build, history, margin_ns, false_alarms / len(builds), platform))
+    order = ("NOT ANALYSED", "WORSE", "NO HISTORY", "NOT WORSE")
+    return Gate(cases=tuple(sorted(cases, key=lambda case: order.index(case.answer))))
+
+
+def _without(history: Course | None, build: Course) -> Course | None:
+    """The history without the runs of the build; None where nothing is left."""
+    if history is None:
+        return None
+    own = {run.point.run_keys for run in build.runs}
+    others = tuple(run for run in history.runs if run.point.run_keys not in own)
+    return Course(runs=others) if others else None
+
+
+def _case(
+    build: Course, history: Course | None, margin_ns: float | None, false_alarms: float, platform: Platform
+) -> Case:
+    boots = 0 if history is None else len(history.boots())
+    measured = Platform(build.platform)
+    n, misses = (sum(numbers) for numbers in zip(*build.misses(), strict=True))
+    worst_ns = max((run.point.max_ns for run in build.runs if run.point.max_ns is not None), default=None)
+    shared = [figure for figure in get_args(Figure) if build.has(figure) and history and history.has(figure)]
+    if history is None or boots < LEAST_BOOTS or not shared:
+        text = f"{boots} boots of it are in the archive, {LEAST_BOOTS} are needed"
+        if boots >= LEAST_BOOTS:
+            text = "too few measurements a run for any figure"
+        return Case(
+            about=build.label, answer="NO HISTORY", text=text, passed=False, n=n, misses=misses, worst_ns=worst_ns
+        )
+    level = level_of_test(false_alarms, len(shared))
+    compared = [(figure, _compare(figure, build, history, margin_ns, level)) for figure in shared]
+    worse = [(figure, against) for figure, against in compared if against.worse]
+    text = "; ".join(_words(figure, against) for figure, against in worse or compared)
+    passed = not worse
+    if passed and weakest((measured, platform)) is not platform:
+        option = (
+            f": passes only with --platform {measured}"
+            if measured is Platform.VIRTUAL
+            else ", where times mean nothing"
+        )
+        text, passed = f"{text}; measured on {measured.machine}{option}", False
+    return Case(
+        about=build.label,
+        answer="WORSE" if worse else "NOT WORSE",
+        text=text,
+        passed=passed,
+        n=n,
+        misses=misses,
+        worst_ns=worst_ns,
+    )
+
+
+def _compare(figure: Figure, build: Course, history: Course, margin_ns: float | None, level: float) -> Against:
+    if figure == "P(miss)":
+        return compare_misses(history.misses(), build.misses(), level=level)
+    return compare_figure(
+        history.values(figure),
+        build.values(figure),
+        level=level,
+        margin=margin_ns,
+        share=_SHARE_OF_MARGIN,
+        least=1000.0,
+    )
+
+
+def _words(figure: Figure, against: Against) -> str:
+    if figure == "P(miss)":
+        numbers: Sequence[str] = [f"{value:.2g}" for value in (against.value, against.reference, against.limit)]
+        unit = ""
+    else:
+        numbers = [us(value) for value in (against.value, against.reference, against.limit)]
+        unit = " us"
+    return (
+        f"{figure} {numbers[0]}{unit}, best level of {against.boots} boots {numbers[1]}{unit}, limit {numbers[2]}{unit}"
+    )

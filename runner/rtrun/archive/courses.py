@@ -1,0 +1,138 @@
+"""The runs of a scenario on one board in the order of time, with their figures and circumstances."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Literal
+
+import numpy as np
+
+from rtrun.analysis.change_points import Floats, means_of_units
+from rtrun.archive.queries import Archive, Point, figures
+
+Figure = Literal["p50", "p99", "p99.9", "P(miss)"]
+"""What is held against history: figures that a single late value does not make."""
+
+PERCENTS: dict[Figure, float] = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
+# A percentile needs so many values beyond it in a run.
+_BEYOND = 20
+_TEXTS = ("kernel_release", "kernel_version", "commit", "image", "roscpp_version", "governor", "clock_source")
+_NUMBERS = ("temperature_max_mc", "frequency_max_khz", "load_1min_max")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ArchivedRun:
+    """A run: its figures (`point`), its boot, and what else was known of it.
+
+    `facts` are texts that were there or not (kernel, commit, package versions ...), `readings` numbers that vary.
+    """
+
+    point: Point
+    boot: str
+    facts: Mapping[str, str]
+    readings: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Course:
+    """Runs of one scenario on one board and platform, first to last, one at least, whatever the kernel."""
+
+    runs: tuple[ArchivedRun, ...]
+
+    @property
+    def identity(self) -> tuple[str, str, str, str]:
+        """What runs of the same course have in common."""
+        return _identity(self.runs[0])
+
+    @property
+    def scenario(self) -> str:
+        """What was measured, in a few words."""
+        return self.runs[-1].point.scenario
+
+    @property
+    def parameters(self) -> str:
+        """What was measured, as JSON."""
+        return self.runs[0].point.parameters
+
+    @property
+    def platform(self) -> str:
+        """hardware, virtual or emulated."""
+        return self.runs[0].point.platform
+
+    @property
+    def machine(self) -> str:
+        """The name of the board."""
+        return self.runs[0].point.machine
+
+    @property
+    def label(self) -> str:
+        """Scenario and board in a few words."""
+        return f"{self.scenario} on {self.machine}"
+
+    def has(self, figure: Figure) -> bool:
+        """Whether each run knows the figure, from enough values."""
+        if figure == "P(miss)":
+            return all(run.point.misses is not None and run.point.n for run in self.runs)
+        percent = PERCENTS[figure]
+        return all(
+            run.point.percentiles_ns[percent] is not None and run.point.n * (100 - percent) >= 100 * _BEYOND
+            for run in self.runs
+        )
+
+    def boots(self) -> tuple[tuple[ArchivedRun, ...], ...]:
+        """The runs of each boot, first to last."""
+        members: dict[str, list[ArchivedRun]] = {}
+        for run in self.runs:
+            members.setdefault(run.boot, []).append(run)
+        return tuple(tuple(runs) for runs in members.values())
+
+    def values(self, figure: Figure) -> Floats:
+        """The figure of each boot, shape (u,): the mean over its runs, in ns; for P(miss) the share of all misses."""
+        if figure == "P(miss)":
+            return np.array([misses / n for n, misses in self.misses()])
+        percent = PERCENTS[figure]
+        each = np.array([float(run.point.percentiles_ns[percent] or 0) for run in self.runs])
+        return means_of_units(each, [run.boot for run in self.runs])
+
+    def misses(self) -> list[tuple[int, int]]:
+        """(measurements, misses) of each boot."""
+        return [(sum(run.point.n for run in boot), sum(run.point.misses or 0 for run in boot)) for boot in self.boots()]
+
+
+def courses(archive: Archive, *, deadline_ns: int) -> list[Course]:
+    """Every course of an archive. Runs without a time are in none, as they have no place."""
+    points = {point.run_keys[0]: point for point in figures(archive, "run", deadline_ns=deadline_ns)}
+    columns = ("run_key", "boot_id", "packages", *_TEXTS, *_NUMBERS)
+    rows = archive.connection.execute(
+        f"SELECT {', '.join(columns)} FROM runs WHERE status = 'ok' AND start_utc IS NOT NULL"
+    ).fetchall()
+    runs = [_run(points[row[0]], dict(zip(columns, row, strict=True))) for row in rows if row[0] in points]
+    runs.sort(key=lambda run: (*_identity(run), run.point.start_utc, run.point.label))
+    return [Course(runs=tuple(members)) for _, members in groupby(runs, _identity)]
+
+
+def _identity(run: ArchivedRun) -> tuple[str, str, str, str]:
+    return run.point.suite, run.point.parameters, run.point.platform, run.point.machine
+
+
+def _run(point: Point, row: Mapping[str, object]) -> ArchivedRun:
+    packages = json.loads(str(row["packages"]))
+    facts = {name.removesuffix("_release"): str(row[name]) for name in _TEXTS if row[name] is not None}
+    return ArchivedRun(
+        point=point,
+        boot=str(row["boot_id"] or row["run_key"]),
+        facts=facts | {f"package {name}": str(version) for name, version in packages.items()},
+        readings={name: float(str(row[name])) for name in _NUMBERS if row[name] is not None},
+    )
+
+
+def facts_of(runs: Iterable[ArchivedRun], name: str) -> list[str]:
+    """The values of a fact in these runs, each once."""
+    return list(dict.fromkeys(run.facts[name] for run in runs if name in run.facts))
+
+
+def readings_of(boots: Sequence[Sequence[ArchivedRun]], name: str) -> Floats:
+    """The mean of a reading in each boot that has it."""
+    means = [[run.readings[name] for run in boot if name in run.readings] for boot in boots]
+    return np.array([sum(values) / len(values) for values in means if values])

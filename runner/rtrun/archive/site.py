@@ -1,0 +1,129 @@
+"""A site of static pages about an archive: one of all scenarios, one for each course, and figures for Grafana.
+
+Pages of the report and of the site share styles and plotting code.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rtfiles import atomic
+from rtrun.archive.courses import Course
+from rtrun.archive.metrics import grafana_dashboard, open_metrics
+from rtrun.archive.pictures import course_plots
+from rtrun.archive.trends import Trend, as_text
+from rtrun.report.tables import time_us
+from rtrun.report.terminal import BANNERS
+from rtrun.target.platform import Platform
+
+_REPORT = Path(__file__).parents[1] / "report"
+_SHOWN = (50.0, 99.0, 99.9, 99.99)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _State:
+    """What is said of a course: `text`, the class of its style, and its mark, for eyes and paper without colours."""
+
+    text: str
+    style: str
+    mark: str
+
+
+def write_site(
+    folder: Path,
+    archive: str,
+    courses: Sequence[Course],
+    trends: Sequence[Trend],
+    *,
+    deadline_ns: int,
+    confidence: float,
+) -> list[Path]:
+    """Write every file of the site into a folder that exists; returns them, the front page first. Raises OSError."""
+    from plotly.offline import get_plotlyjs
+
+    by_course: dict[tuple[str, str, str, str], list[Trend]] = {course.identity: [] for course in courses}
+    for trend in trends:
+        by_course[trend.course.identity].append(trend)
+    cards = [_card(course, by_course[course.identity], confidence) for course in courses]
+    cards.sort(key=lambda card: (card["state"].style != "refuted", card["label"]))
+    words = {"archive": archive, "deadline": time_us(deadline_ns), "percentiles": [f"p{p:g}" for p in _SHOWN]}
+    pages = {"index.html": _render("site.html.j2", cards=cards, **words)}
+    for card in cards:
+        drawn = course_plots(card["course"], card["trends"], deadline_ns=deadline_ns)
+        plots = [{"caption": plot.caption, "json": _json({"data": plot.data, "layout": plot.layout})} for plot in drawn]
+        pages[card["page"]] = _render("course.html.j2", card=card, plots=plots, **words)
+    pages["plotly.js"] = get_plotlyjs()
+    pages["metrics.txt"] = open_metrics(courses, deadline_ns=deadline_ns)
+    pages["grafana-dashboard.json"] = grafana_dashboard()
+    for name, text in pages.items():
+        atomic.write_bytes(folder / name, text.encode("utf-8", "replace"))
+    return [folder / name for name in pages]
+
+
+def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[str, Any]:
+    last = course.runs[-1].point
+    rows = [
+        (
+            f"{run.point.start_utc:%Y-%m-%d %H:%M}",
+            run.point.kernel or "unknown",
+            run.facts.get("commit", "unknown"),
+            str(run.point.n),
+            *(time_us(run.point.percentiles_ns[p]) for p in _SHOWN),
+            time_us(run.point.max_ns),
+            "unknown" if run.point.misses is None else str(run.point.misses),
+        )
+        for run in reversed(course.runs)
+    ]
+    return {
+        "course": course,
+        "trends": trends,
+        "label": course.label,
+        "page": f"{hashlib.sha256(repr(course.identity).encode()).hexdigest()[:16]}.html",
+        "state": _state(course, trends),
+        "banner": BANNERS.get(Platform(course.platform), ""),
+        "row": rows[0],
+        "rows": rows,
+        "since": f"{course.runs[0].point.start_utc:%Y-%m-%d}",
+        "last": last,
+        "boots": len(course.boots()),
+        "n": sum(run.point.n for run in course.runs),
+        "misses": sum(run.point.misses or 0 for run in course.runs) if course.has("P(miss)") else "not known how many",
+        "changes": [
+            ("refuted" if trend.is_worse else "proven", as_text(trend, confidence=confidence))
+            for trend in sorted(trends, key=lambda trend: trend.change.index, reverse=True)
+        ],
+    }
+
+
+def _state(course: Course, trends: Sequence[Trend]) -> _State:
+    """WORSE where a figure's last change made it so; NEW where there are too few boots for any change to be seen."""
+    last = {trend.figure: trend for trend in trends}
+    worse = [figure for figure, trend in last.items() if trend.is_worse]
+    if worse:
+        return _State(text=f"WORSE: {', '.join(worse)}", style="refuted", mark="✗")
+    if last:
+        return _State(text=f"BETTER: {', '.join(last)}", style="proven", mark="✓")
+    if len(course.boots()) < 6:
+        return _State(text="NEW", style="more", mark="?")
+    return _State(text="STEADY", style="proven", mark="✓")
+
+
+def _render(template: str, **words: Any) -> str:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader([Path(__file__).parent, _REPORT]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(script=(_REPORT / "plots.js").read_text(encoding="utf-8"), **words)
+
+
+def _json(value: Any) -> str:
+    """JSON that cannot end the script element that holds it."""
+    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -1,0 +1,137 @@
+"""Where the course of a figure changed, and what else changed there."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from typing import Any, get_args
+
+from rtrun.analysis.change_points import ChangePoint, find_changes
+from rtrun.analysis.effects import examine_effect
+from rtrun.archive.courses import ArchivedRun, Course, Figure, facts_of, readings_of
+
+_SIGNIFICANT = 0.01  # of a reading that differs between two levels
+_UNITS = {"temperature_max_mc": (1000, "°C"), "frequency_max_khz": (1000, "MHz"), "load_1min_max": (1, "")}
+_NAMES = {"temperature_max_mc": "temperature", "frequency_max_khz": "CPU frequency", "load_1min_max": "load"}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trend:
+    """A change of one figure of one course.
+
+    `last_before` and `first_after` are the starts of the boots that it lies between, `earliest` and `latest` those of
+    the boots that the new level may have begun with. `circumstances` name what differs between the two sides of that
+    interval, as "kernel: 6.1 -> 6.6".
+    """
+
+    course: Course
+    figure: Figure
+    change: ChangePoint
+    last_before: datetime | None
+    first_after: datetime | None
+    earliest: datetime | None
+    latest: datetime | None
+    circumstances: tuple[str, ...]
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the figure rose."""
+        return self.change.after > self.change.before
+
+
+def trends(courses: Sequence[Course], *, confidence: float) -> list[Trend]:
+    """Every change of every course; a course without any shows one with the chance 1 - confidence at most."""
+    shown: list[Trend] = []
+    for course in courses:
+        known = [figure for figure in get_args(Figure) if course.has(figure)]
+        for figure in known:
+            level = 1 - (1 - confidence) / len(known)  # Bonferroni
+            shown += [
+                _trend(course, figure, change) for change in find_changes(course.values(figure), confidence=level)
+            ]
+    return shown
+
+
+def _trend(course: Course, figure: Figure, change: ChangePoint) -> Trend:
+    boots = course.boots()
+    starts = [boot[0].point.start_utc for boot in boots]
+    before, after = boots[: change.earliest], boots[change.latest :]
+    return Trend(
+        course=course,
+        figure=figure,
+        change=change,
+        last_before=starts[change.index - 1],
+        first_after=starts[change.index],
+        earliest=starts[change.earliest],
+        latest=starts[min(change.latest, len(boots) - 1)],
+        circumstances=(*_changed_facts(before, after), *_changed_readings(before, after)),
+    )
+
+
+def _changed_facts(before: Sequence[Sequence[ArchivedRun]], after: Sequence[Sequence[ArchivedRun]]) -> list[str]:
+    """Facts of the last boot before that are others in the first boot after."""
+    old, new = (before[-1] if before else ()), (after[0] if after else ())
+    names = dict.fromkeys(name for run in (*old, *new) for name in run.facts)
+    changed = []
+    for name in names:
+        values = [", ".join(facts_of(runs, name)) or "not known" for runs in (old, new)]
+        if values[0] != values[1]:
+            changed.append(f"{name.replace('_', ' ')}: {values[0]} -> {values[1]}")
+    return changed
+
+
+def _changed_readings(before: Sequence[Sequence[ArchivedRun]], after: Sequence[Sequence[ArchivedRun]]) -> list[str]:
+    """Readings that differ between the two levels (Welch 1947, two-sided at 1 %)."""
+    changed = []
+    for name, (divisor, unit) in _UNITS.items():
+        old, new = readings_of(before, name), readings_of(after, name)
+        if min(old.size, new.size) < 2:
+            continue
+        effect = examine_effect(old, new, sign=1, least_ns=0, refuting_ns=0)
+        if min(effect.p_above, effect.p_below) < _SIGNIFICANT / 2:
+            changed.append(f"{_NAMES[name]}: {old.mean() / divisor:.1f} -> {new.mean() / divisor:.1f} {unit}".rstrip())
+    return changed
+
+
+def as_text(trend: Trend, *, confidence: float) -> list[str]:
+    """A change in a few lines: by how much, when, and what else changed then."""
+    change = trend.change
+    if trend.figure == "P(miss)":
+        amounts = [f"{value:.2g}" for value in (change.before, change.after)]
+        interval = f"{change.low:+.2g} to {change.high:+.2g}"
+    else:
+        amounts = [f"{value / 1000:.1f}" for value in (change.before, change.after)]
+        amounts[1] += " us"
+        interval = f"{change.low / 1000:+.1f} to {change.high / 1000:+.1f} us"
+    when = f"between {_time(trend.last_before)} and {_time(trend.first_after)}"
+    if trend.earliest != trend.latest:
+        when += f"; the new level may have begun from {_time(trend.earliest)} to {_time(trend.latest)}"
+    return [
+        f"{trend.figure} {amounts[0]} -> {amounts[1]}, {100 * confidence:g} % CI of the shift {interval}",
+        f"when: {when}",
+        f"changed there: {'; '.join(trend.circumstances) or 'nothing that the archive knows'}",
+    ]
+
+
+def _time(time: datetime | None) -> str:
+    return f"{time:%Y-%m-%d %H:%M}" if time else "unknown"
+
+
+def as_data(trend: Trend) -> dict[str, Any]:
+    """A change as plain data; times of a figure in ns."""
+    course = trend.course
+    times = {
+        name: f"{time.isoformat()}Z" if (time := getattr(trend, name)) else None
+        for name in ("last_before", "first_after", "earliest", "latest")
+    }
+    return {
+        "scenario": course.scenario,
+        "parameters": course.parameters,
+        "machine": course.machine,
+        "platform": course.platform,
+        "figure": trend.figure,
+        "worse": trend.is_worse,
+        **{f"{name}_boot" if name in ("index", "earliest", "latest") else name: value
+           for name, value in asdict(trend.change).items()},
+        **times,
+        "circumstances": list(trend.circumstances),
+    }  # fmt: skip

@@ -1,0 +1,47 @@
+"""rtrun trends: when a quantile or P(miss) changed, by how much, and what else changed then."""
+
+import argparse
+
+from rtrun.commands._question import add_confidence, time_argument
+
+NAME = "trends"
+HELP = "say when quantiles and P(miss) in an archive changed, by how much, and what else changed then"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The archive, the deadline, the confidence, how to print."""
+    parser.add_argument("archive", metavar="ARCHIVE", help="folder or address, as s3://bucket/archive")
+    parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
+    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    add_confidence(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print a few lines for each change."""
+    import json
+
+    from rtfiles.output import print_line, print_text
+    from rtrun.archive.extra import check_extra
+
+    check_extra()
+    from rtrun.archive.courses import courses
+    from rtrun.archive.queries import connected
+    from rtrun.archive.store import open_archive
+    from rtrun.archive.trends import as_data, as_text, trends
+    from rtrun.report.study import DEADLINE_NS
+
+    deadline_ns = args.deadline or DEADLINE_NS
+    with connected(open_archive(args.archive)) as archive:
+        known = courses(archive, deadline_ns=deadline_ns)
+    shown = trends(known, confidence=args.confidence)
+    if args.json:
+        data = {"schema": 1, "deadline_ns": deadline_ns, "changes": [as_data(trend) for trend in shown]}
+        print_text(json.dumps(data, indent=1, allow_nan=False))
+        return 0
+    print_line(f"{len(shown)} changes in {len(known)} courses, of {sum(len(one.boots()) for one in known)} boots")
+    for trend in shown:
+        amount, *rest = as_text(trend, confidence=args.confidence)
+        print_line(f"{'WORSE' if trend.is_worse else 'better'}  {trend.course.label}: {amount}")
+        for line in rest:
+            print_line(f"    {line}")
+    return 0

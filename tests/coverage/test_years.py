@@ -1,0 +1,85 @@
+"""Alarms of gates against history, in short: `make coverage` simulates whole years (tests/coverage/years.py)."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtrun.analysis import history
+from rtrun.analysis.change_points import find_changes, means_of_units
+
+# At the end: nothing here may stand in for a module of another folder.
+sys.path.append(str(Path(__file__).parent))
+import years
+
+LEVEL = 0.01
+DRAWS = 1500
+AT_MOST = 2.0  # percent: 1 %, and four standard errors
+
+
+def percent_of_alarms(boots, unit):
+    """How often the gate of one day fails a build of three boots against 40, at a level of 1 %, nothing changed."""
+    rng, alarms = np.random.default_rng(20140715), 0
+    for _ in range(DRAWS):
+        runs, units = years.days(rng, boots, 43)
+        old, new = (means_of_units(runs[part], unit(units[part])) for part in (slice(80), slice(80, None)))
+        alarms += history.compare_figure(old, new, margin=0.0, level=LEVEL).worse
+    return 100 * alarms / DRAWS
+
+
+def by_boot(units):
+    return units
+
+
+def by_run(units):
+    return [str(k) for k in range(len(units))]
+
+
+@pytest.fixture
+def without_change_points(monkeypatch):
+    """So that the level of the test alone is seen; the lowest of several levels is chosen, which adds to it."""
+    monkeypatch.setattr(history, "best_level", lambda values: values)
+
+
+@pytest.mark.parametrize("boots", [years.normal, years.skewed, years.two_kinds])
+def test_a_gate_fails_as_seldom_as_it_says(without_change_points, boots):
+    assert percent_of_alarms(boots, by_boot) <= AT_MOST
+
+
+def test_with_runs_as_units_it_fails_too_often(without_change_points):
+    assert percent_of_alarms(years.normal, by_run) > AT_MOST
+
+
+def test_an_alarm_in_a_month_of_gates_is_rare():
+    """Whole gates, change points with them; a month's share of the year's 5 %, in 100 months none or one."""
+    rng = np.random.default_rng(20140715)
+    assert sum(years.alarm_in_a_year(rng, boots=years.normal, year=30) for _ in range(25)) <= 1
+
+
+def test_at_the_level_of_a_single_gate_a_month_has_alarms(monkeypatch):
+    """What a year of gates takes from the level is needed."""
+    monkeypatch.setattr(history, "level_of_test", lambda false_alarms, tests: false_alarms)
+    rng = np.random.default_rng(20140715)
+    assert sum(years.alarm_in_a_year(rng, boots=years.normal, year=30) for _ in range(25)) > 5
+
+
+@pytest.mark.parametrize("boots", [years.normal, years.two_kinds])
+def test_a_course_without_a_change_seldom_shows_one(boots):
+    rng = np.random.default_rng(20140715)
+    assert sum(years.change_seen(rng, boots=boots, n=40) for _ in range(200)) <= 20  # 5 %, and three standard errors
+
+
+def test_runs_of_a_boot_taken_for_boots_show_changes_that_are_none():
+    rng = np.random.default_rng(20140715)
+    shown = 0
+    for _ in range(60):
+        levels = np.repeat(100 + 2 * rng.normal(size=8), 10) + rng.normal(size=80)
+        shown += bool(find_changes(levels))
+    assert shown > 30
+
+
+def test_power():
+    rng = np.random.default_rng(20140715)
+    assert sum(years.worse_build_fails(rng, shift=20, boots=1) for _ in range(40)) >= 36
+    assert sum(years.change_found(rng, shift=6) for _ in range(40)) >= 36

@@ -1,0 +1,94 @@
+"""Archives of many days, written without run directories: each day is a boot with two runs of one-shot timers."""
+
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from report.campaigns import oneshot_rows, write_run
+
+from rtrun.analysis.histogram import from_samples
+from rtrun.archive.store import make_archive, write_file
+from rtrun.archive.tables import Origin, as_parquet, histogram_table, partition_of, run_table
+from rtrun.results.record import Observed, RunRecord, RunStatus, TargetFacts
+from rtrun.results.series import Header, HistogramSeries
+from rtrun.target.platform import Platform
+
+START = datetime(2026, 1, 1, 10)
+N = 4000
+PARAMETERS: dict[str, Any] = {"policy": "RR", "repetitions": N, "timeout_us": 1000, "busy_mode": 0}
+
+
+def values_of_boots(levels_us: Sequence[float], rng: np.random.Generator) -> list[list[np.ndarray]]:
+    """Two runs for each boot: the boot differs from its level by 1 %, a run from its boot by half of that."""
+    boots = [level * (1 + 0.01 * rng.normal()) for level in levels_us]
+    runs = [[boot * (1 + 0.005 * rng.normal()) for _ in range(2)] for boot in boots]
+    return [[(1000 * rng.normal(mean, 3, N)).astype(np.int64) for mean in boot] for boot in runs]
+
+
+def write_course(
+    archive: Path,
+    levels_us: Sequence[float],
+    *,
+    facts: Sequence[dict[str, Any]] = (),
+    late: Sequence[int] = (),
+    platform: Platform = Platform.HARDWARE,
+    suite: str = "oneshot_timer_tests",
+    seed: int = 1,
+) -> Path:
+    """A day for each level; `facts` has kernel, commit, packages and temperature_mc of each, `late` how many misses."""
+    store = make_archive(str(archive))
+    for day, runs in enumerate(values_of_boots(levels_us, np.random.default_rng(seed))):
+        fact = facts[day] if facts else {}
+        for k, values in enumerate(runs):
+            values[: late[day] if late else 0] = 500_000
+            start = START + timedelta(days=day, hours=k)
+            temperature = fact.get("temperature_mc")
+            record = RunRecord(
+                schema=2,
+                run=f"{k:03d}-oneshot",
+                campaign="daily",
+                suite=suite,
+                parameters=PARAMETERS,
+                platform=platform,
+                platform_evidence="stated by the test",
+                status=RunStatus.OK,
+                reason=None,
+                in_effect=Observed(temperature_mc=temperature and [temperature - 500, temperature]),
+                start_time=f"{start.isoformat()}Z",
+                end_time=f"{start.isoformat()}Z",
+                programs=[],
+                outputs=["o"],
+                target=TargetFacts(name="board", kernel_release=fact.get("kernel", "6.1"), boot_id=f"boot-{day}"),
+                files={},
+            )
+            header = Header(run=record.run, suite=record.suite, output="o", series="measured", parameters={})
+            series = HistogramSeries(
+                header=header, histogram=from_samples(values, 16), top=(), lowest=(), absent_count=0
+            )
+            origin = Origin(commit=fact.get("commit"), packages=fact.get("packages", {}))
+            key = f"{seed:02d}{day:060d}{k:02d}"
+            place = f"{partition_of(record)}/{key}.parquet"
+            write_file(store, f"histograms/{place}", as_parquet(histogram_table(key, [series])))
+            write_file(store, f"runs/{place}", as_parquet(run_table(key, record, origin)))
+    return archive
+
+
+def write_build(root: Path, level_us: float, *, late: int = 0, seed: int = 99, platform: str = "hardware") -> Path:
+    """The results of a build: one boot with two runs."""
+    for k, values in enumerate(values_of_boots([level_us], np.random.default_rng(seed))[0]):
+        values[:late] = 500_000
+        write_run(
+            root,
+            f"{k:03d}-oneshot",
+            "oneshot_timer_tests",
+            [oneshot_rows(values, 1000)],
+            {name: value for name, value in PARAMETERS.items() if name != "repetitions"},
+            asked=N,
+            logs=False,
+            platform=platform,
+            start_time="2027-01-01T10:00:00Z",
+            target={"name": "board", "kernel_release": "6.6", "boot_id": "boot of the build"},
+        )
+    return root
