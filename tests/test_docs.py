@@ -1,6 +1,7 @@
 """The commands that README.md and docs/ show: the real parsers take all of them, and those that can run here do.
 
-A command is an indented line, or a part of a sentence in backquotes, that begins with rtgen, rtrun or make.
+A command is an indented line, or a part of a sentence in backquotes, that begins with rtgen, rtrun or make. Those in
+fenced blocks are for other tests.
 """
 
 import os
@@ -50,7 +51,8 @@ FAILED_GATE = ("rtrun gate",)  # the results that the tests make up prove nothin
 
 def commands(page: Path) -> Iterator[str]:
     """The commands of a page in the order in which they stand there, without the remark that follows some."""
-    for line in page.read_text().splitlines():
+    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.M | re.S)
+    for line in text.splitlines():
         if line.startswith("    "):
             command = re.split(r"\s{2,}|\s#", line.strip())[0].removeprefix("$ ").removeprefix(".venv/bin/")
             if command.partition(" ")[0] in COMMANDS:

@@ -8,7 +8,15 @@ from rtrun.commands._question import add_question, ask
 NAME = "report"
 HELP = "write one file: answer, plots, figures, claims"
 
-_ENDINGS = {"html": "html", "markdown": "md", "json": "json", "junit": "xml", "csv": "csv", "parquet": "parquet"}
+_ENDINGS = {
+    "html": "html",
+    "markdown": "md",
+    "json": "json",
+    "junit": "xml",
+    "lava": "lava",
+    "csv": "csv",
+    "parquet": "parquet",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
         "markdown": lambda: formats.markdown(written).encode("utf-8", "replace"),
         "json": lambda: formats.as_json(analysed, examined).encode("utf-8", "replace"),
         "junit": lambda: formats.junit(judged).encode("utf-8", "replace"),
+        "lava": lambda: formats.lava(analysed, judged).encode(),
         "csv": lambda: formats.as_csv(analysed).encode("utf-8", "replace"),
         "parquet": lambda: formats.parquet(analysed),
     }

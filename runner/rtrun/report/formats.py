@@ -1,10 +1,11 @@
-"""The other formats of a report: Markdown, JSON, JUnit, CSV, Parquet. The same study gives the same bytes."""
+"""The other formats of a report: Markdown, JSON, JUnit, LAVA, CSV, Parquet. The same study gives the same bytes."""
 
 import csv
 import dataclasses
 import io
 import json
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
@@ -146,6 +147,25 @@ def junit(gate: Gate) -> str:
 
 def _xml(text: str) -> str:
     return text.translate(_NOT_XML)
+
+
+def lava(study: Study, gate: Gate) -> str:
+    """The words for a call of LAVA's `lava-test-case` in each line: the gate's cases, and figures as measurements."""
+    lines = [f"{_test_case(case.about)} --result {'pass' if case.passed else 'fail'}" for case in gate.cases]
+    for one in study.digests:
+        figures = {f"p{p:g}": one.figures.percentiles_ns.get(p) for p in PERCENTILES} | {"max": one.figures.max_ns}
+        lines += [
+            f"{_test_case(f'{one.run} {one.header.output} {name}')} --result pass --measurement {value / 1000:g} "
+            "--units us"
+            for name, value in figures.items()
+            if value is not None
+        ]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _test_case(text: str) -> str:
+    """A name of a test case: no character in it means anything to LAVA or to a shell."""
+    return re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-")
 
 
 def rows(study: Study) -> list[dict[str, Any]]:

@@ -27,7 +27,7 @@ def write(capsysbinary, results, form):
     return capsysbinary.readouterr().out
 
 
-@pytest.mark.parametrize("form", ["html", "markdown", "json", "junit", "csv", "parquet"])
+@pytest.mark.parametrize("form", ["html", "markdown", "json", "junit", "lava", "csv", "parquet"])
 def test_the_same_input_gives_the_same_bytes(capsysbinary, campaign, form):
     first = write(capsysbinary, campaign, form)
     assert first and first == write(capsysbinary, campaign, form)
@@ -113,7 +113,7 @@ def test_what_a_target_says_stays_text(capsysbinary, tmp_path):
     assert b"\x1b" not in capsysbinary.readouterr().out
 
 
-@pytest.mark.parametrize("form", ["html", "markdown", "json", "junit", "csv", "parquet"])
+@pytest.mark.parametrize("form", ["html", "markdown", "json", "junit", "lava", "csv", "parquet"])
 def test_no_format_holds_commands_to_a_terminal_or_half_characters(capsysbinary, tmp_path, form):
     evil = "\x1b]0;x\x07\nFORGED line"
     parameters = {"policy": evil, "timeout_us": 1000, "busy_mode": 0}
