@@ -45,7 +45,7 @@ soak: setup
 # of docs/causes.md. Root, an hour; PLACES=here for this machine alone.
 test-why: setup
 	for place in $(or $(PLACES),here rt standard); do \
-	    PYTHONPATH=tests $(BIN)/python tests/why/planted.py --place $$place || failed=1; \
+	    PYTHONPATH=runner:tests $(BIN)/python tests/why/planted.py --place $$place || failed=1; \
 	done; test -z "$$failed"
 
 # What docs/archive.md asks polars and a Dask cluster of an archive; installs both.

@@ -1,6 +1,6 @@
 """Plant culprits and see whether `rtrun why` names them; the tables go into docs/causes.md.
 
-.venv/bin/python tests/why/planted.py [--place here] [--trials 10] [--only lock,equal]
+PYTHONPATH=runner:tests .venv/bin/python tests/why/planted.py [--place here] [--trials 10] [--only lock,equal]
 
 Here root, tracefs, a second CPU and gcc are needed; for the board what `rtgen board build` needs. A trial is a run of
 some seconds; those of one plant are the runs of one campaign.
