@@ -1,15 +1,18 @@
-"""A link between runner and target that a test can cut or freeze."""
+"""A link between runner and target that a test can cut, freeze or make slow."""
 
 import contextlib
 import socket
 import threading
+import time
 from collections.abc import Iterator
 
 
 class Proxy:
-    """Forwards TCP connections from a port of its own to another port of loopback."""
+    """Forwards TCP connections from a port of its own to another port of loopback, and counts the bytes."""
 
     def __init__(self, port: int) -> None:
+        self.bytes_per_s: float | None = None
+        self.total_bytes = 0
         self._target = port
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._server.getsockname()[1]
@@ -37,6 +40,9 @@ class Proxy:
         with contextlib.suppress(OSError):
             while data := source.recv(65536):
                 self._flowing.wait()
+                if self.bytes_per_s:
+                    time.sleep(len(data) / self.bytes_per_s)
+                self.total_bytes += len(data)
                 sink.sendall(data)
         for end in (source, sink):
             with contextlib.suppress(OSError):

@@ -1,7 +1,7 @@
 #!/bin/sh
 # Print what the runner needs to know before it can use this target: one line "name value" for each fact.
 #   inspect.sh WORK_DIR
-for tool in setsid flock sha256sum chrt sed; do
+for tool in setsid flock sha256sum md5sum chrt sed; do
     command -v $tool >/dev/null || echo "missing $tool"
 done
 for setup in /opt/ros/*/setup.sh; do

@@ -5,7 +5,6 @@ operation has a total deadline, and what a command may print is limited.
 """
 
 import contextlib
-import hashlib
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -18,6 +17,7 @@ from rtfiles.errors import InfrastructureError
 from rtrun.target.address import Address, ThisMachine
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.target.local import LocalShell
+from rtrun.target.receiving import LARGE_BYTES, Receiver, is_faster_compressed, reading
 from rtrun.target.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, Collector, Shell
 from rtrun.target.ssh import SshShell
 
@@ -46,6 +46,8 @@ class Connection:
         self.shell: Shell = (
             LocalShell(address) if isinstance(address, ThisMachine) else SshShell(address, timeout_s=timeout_s)
         )
+        # Whether large files are compressed for the way; measured with the first one.
+        self._is_compressing: bool | None = None
 
     def close(self) -> None:
         """Close the connection; what runs detached on the target goes on."""
@@ -94,27 +96,22 @@ class Connection:
             full = "; the target's disk is full (df -h)" if "No space left" in stderr else ""
             raise TargetError(f"{self.address}: cannot write {destination}: {_last_line(stderr)}{full}")
 
-    def download(self, source: PurePosixPath, destination: IO[bytes], *, limit_bytes: int) -> str:
-        """Copy a file from the target and return its SHA-256 in hexadecimal.
+    def download(self, source: PurePosixPath, destination: IO[bytes], *, size_bytes: int, limit_bytes: int) -> None:
+        """Copy a file of about `size_bytes` bytes from the target, compressed where that takes less time.
 
-        Raises TargetError when it has more than `limit_bytes` bytes or cannot be read, ConnectionLost, and
-        InfrastructureError when the copy cannot be written.
+        Raises TargetError when it has more than `limit_bytes` bytes, cannot be read or arrives with another checksum
+        than it has on the target; ConnectionLost; and InfrastructureError when the copy cannot be written.
         """
-        digest, total = hashlib.sha256(), 0
-
-        def take(chunk: bytes) -> None:
-            nonlocal total
-            total += len(chunk)
-            if total > limit_bytes:
-                raise TargetError(f"{self.address}: {source} has more than the {limit_bytes} bytes that were expected")
-            digest.update(chunk)
-            with _local_file(Path(destination.name)):
-                destination.write(chunk)
-
-        status, stderr = self.shell.execute(["cat", str(source)], [], take, _transfer_s(limit_bytes))
+        is_large = size_bytes >= LARGE_BYTES
+        if is_large and self._is_compressing is None:
+            self._is_compressing = is_faster_compressed(self.shell, source)
+        receiver = Receiver(self.address, source, destination, limit_bytes)
+        is_compressed = is_large and bool(self._is_compressing)
+        take = receiver.take_compressed if is_compressed else receiver.take
+        status, stderr = self.shell.execute(reading(source, is_compressed), [], take, _transfer_s(limit_bytes))
         if status != 0:
             raise TargetError(f"{self.address}: cannot read {source}: {_last_line(stderr)}")
-        return digest.hexdigest()
+        receiver.check(stderr)
 
     def list_files(self, folder: PurePosixPath) -> dict[str, int]:
         """Return name and size in bytes of each regular file in a folder of the target; links are not followed."""

@@ -16,6 +16,8 @@ from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.target.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, Collector, TooMuch
 from rtrun.target.transport import FORBIDDEN, connect, reason, shutting_down
 
+# All that a window holds: paramiko moves what is left in its buffer, up to 2 MiB, each time a part of it is taken.
+_READ_BYTES = 2 * 1024 * 1024
 KILL_GRACE_S = 5.0
 # Beyond the deadline of a command: to end it, and for the answers to that.
 GRACE_S = 3 * KILL_GRACE_S
@@ -127,8 +129,8 @@ class SshShell:
             # Asked before the buffers: what arrives in between is read in the next turn.
             ended = channel.eof_received or channel.closed
             chunks = (
-                channel.recv(CHUNK_BYTES) if channel.recv_ready() else b"",
-                channel.recv_stderr(CHUNK_BYTES) if channel.recv_stderr_ready() else b"",
+                channel.recv(_READ_BYTES) if channel.recv_ready() else b"",
+                channel.recv_stderr(_READ_BYTES) if channel.recv_stderr_ready() else b"",
             )
             if any(chunks):
                 self.stream.unread_bytes -= len(chunks[0]) + len(chunks[1])

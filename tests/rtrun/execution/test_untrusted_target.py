@@ -212,6 +212,7 @@ def test_a_lock_that_is_a_link_is_not_followed(results, tmp_path, measure):
 
 def test_a_full_disk_here_is_not_blamed_on_the_target(link):
     with Path("/dev/full").open("wb", buffering=0) as stream, pytest.raises(InfrastructureError) as caught:
-        link.do(lambda connection: connection.download(PurePosixPath("/etc/passwd"), stream, limit_bytes=1 << 20))
+        passwd = PurePosixPath("/etc/passwd")
+        link.do(lambda connection: connection.download(passwd, stream, size_bytes=1000, limit_bytes=1 << 20))
     assert str(caught.value) == "/dev/full: No space left on device"
     assert not isinstance(caught.value, TargetError)
