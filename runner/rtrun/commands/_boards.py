@@ -18,7 +18,7 @@ from rtrun.execution.farm import Board
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import Run
 from rtrun.results.record import RunStatus
-from rtrun.target import labgrid
+from rtrun.target import labgrid, labgrid_environment
 from rtrun.target.config import LabgridConfig, Target, TargetConfig, connect, parse_target, read_target
 
 
@@ -44,7 +44,7 @@ def read_targets(
     UsageError with what is wrong, also when two targets have one name, TargetError when a coordinator is silent.
     """
     named = [(path, TargetFile(config=read_target(path), folder=path.parent)) for path in paths]
-    given = None if environment is None else labgrid.read_environment(environment)
+    given = None if environment is None else labgrid_environment.read_environment(environment)
     places = [place for farm in farms for place in _find_places(farm, given)]
     if given is not None and not paths and not farms:
         places = list(given.keys)
@@ -62,13 +62,13 @@ def read_targets(
     return tuple(targets.values())
 
 
-def _find_places(farm: str, environment: labgrid.Environment | None) -> list[str]:
+def _find_places(farm: str, environment: labgrid_environment.Environment | None) -> list[str]:
     """The places of ``labgrid:KEY=VALUE,...``. Raises UsageError when there are none."""
     kind, _, text = farm.partition(":")
     tags = dict(pair.partition("=")[::2] for pair in text.split(","))
     if kind != "labgrid" or not all(tags) or not all(tags.values()):
         raise UsageError(f"--targets {farm}: takes labgrid:KEY=VALUE, tags of the places, several with a comma between")
-    coordinator = labgrid.coordinator_of(None, environment or labgrid.Environment())
+    coordinator = labgrid.coordinator_of(None, environment or labgrid_environment.Environment())
     places = labgrid.list_places(coordinator)
     if found := [place.name for place in labgrid.matching(places, tags)]:
         return found

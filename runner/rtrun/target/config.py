@@ -16,7 +16,7 @@ from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
 from rtfiles.output import print_note
 from rtrun.plan.run import KernelName
-from rtrun.target import labgrid, qemu
+from rtrun.target import labgrid, labgrid_environment, qemu
 from rtrun.target.address import Address, ThisMachine, check_host
 from rtrun.target.connection import Connection
 from rtrun.target.errors import ConnectionLost, TargetGone
@@ -244,9 +244,9 @@ def connect(
 def _place(
     config: LabgridConfig, folder: Path, console: Path, notify: Callable[[str], None], is_over: Callable[[], bool]
 ) -> AbstractContextManager[labgrid.AcquiredPlace]:
-    environment = labgrid.Environment()
+    environment = labgrid_environment.Environment()
     if config.environment is not None:
-        environment = labgrid.read_environment(_resolve(folder, config.environment))
+        environment = labgrid_environment.read_environment(_resolve(folder, config.environment))
     wanted = {"name": config.place} if config.place is not None else config.filter
     coordinator = labgrid.coordinator_of(config.coordinator, environment)
     return labgrid.acquired(coordinator, wanted, environment, console, notify, is_over)

@@ -1,9 +1,7 @@
 """Boards of a farm: a real labgrid coordinator and exporter on loopback, whose places are real SSH servers."""
 
 import contextlib
-import http.server
 import json
-import os
 import signal
 import socket
 import subprocess
@@ -14,13 +12,13 @@ from pathlib import Path
 
 import pytest
 from faulty import write_faulty_suites
+from labgrid_farm import farm_of, power_switch
 
 from conftest import SSHD, serve
-from ports import free_port
 from rtfiles.errors import UsageError
 from rtrun.cli import main
 from rtrun.commands._boards import read_targets
-from rtrun.target import labgrid
+from rtrun.target import labgrid_environment
 from rtrun.target.config import parse_target
 
 pytest.importorskip("labgrid", reason="pip install meta-rt-tests[farm]")
@@ -34,61 +32,6 @@ def on_farm(test):
 
 
 CAMPAIGN = "schema: 1\nname: test\nruns: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101]}]\n"
-
-
-class Farm:
-    """A coordinator, an exporter, and their places."""
-
-    def __init__(self, folder, port):
-        self.folder, self.coordinator = folder, f"127.0.0.1:{port}"
-        self.cycles = []
-
-    def client(self, *words, user=None):
-        environment = os.environ | ({"LG_USERNAME": user} if user else {})
-        command = [sys.executable, "-m", "labgrid.remote.client", "-x", self.coordinator, *words]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
-
-    def place(self, name="panda-1"):
-        return next(place for place in labgrid.list_places(self.coordinator) if place.name == name)
-
-    def await_free(self, name="panda-1"):
-        while self.place(name).holder:
-            time.sleep(0.2)
-
-
-@contextlib.contextmanager
-def running(*command, folder, ready=None):
-    """Run a server until the context is left; it is ready when it prints what `ready` says."""
-    log = folder / f"{command[2].rpartition('.')[2]}.log"
-    with log.open("wb") as output:
-        process = subprocess.Popen(command, cwd=folder, stdout=output, stderr=output)
-    try:
-        while ready and ready not in log.read_text():
-            assert process.poll() is None, log.read_text()
-            time.sleep(0.05)
-        yield process
-    finally:
-        process.terminate()
-        process.wait(60)
-
-
-@contextlib.contextmanager
-def power_switch(switch):
-    """A power switch with a REST interface, as labgrid's model `simplerest` drives it."""
-
-    class Handler(http.server.BaseHTTPRequestHandler):
-        def do_GET(self):
-            switch(self.path == "/1")
-            self.send_response(200)
-            self.end_headers()
-
-        def log_message(self, *_):
-            pass
-
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield server.server_port
-        server.shutdown()
 
 
 @contextlib.contextmanager
@@ -110,43 +53,29 @@ def serial_port(text):
 def servers(tmp_path_factory):
     """Coordinator and exporter with the place panda-1: an sshd that its power switch ends and starts again."""
     folder = tmp_path_factory.mktemp("farm")
-    farm = Farm(folder, free_port())
     (folder / "sshd").mkdir()
+    cycles = []
     with contextlib.ExitStack() as stack:
         sshd = stack.enter_context(serve(folder / "sshd"))
-        farm.sshd, farm.process = sshd, sshd.process
+        running = [sshd.process]
 
         def switch(is_on):
-            farm.cycles.append(is_on)
+            cycles.append(is_on)
             if is_on:
-                farm.process = subprocess.Popen(
-                    [SSHD, "-D", "-e", "-f", sshd.folder / "config"], stderr=subprocess.DEVNULL
-                )
-                stack.callback(farm.process.kill)
+                again = [SSHD, "-D", "-e", "-f", sshd.folder / "config"]
+                running.append(subprocess.Popen(again, stderr=subprocess.DEVNULL))
+                stack.callback(running[-1].kill)
             else:
-                farm.process.kill()
+                running[-1].kill()
 
-        farm.switch = switch
-        power = stack.enter_context(power_switch(switch))
         serial = stack.enter_context(serial_port(b"U-Boot 2026.10\r\nlogin:"))
-        service = {"address": "127.0.0.1", "port": sshd.port, "username": sshd.user}
         group = {
-            "NetworkService": service,
-            "NetworkPowerPort": {"model": "simplerest", "host": f"http://127.0.0.1:{power}/{{value}}", "index": "0"},
+            "NetworkService": {"address": "127.0.0.1", "port": sshd.port, "username": sshd.user},
+            "NetworkPowerPort": stack.enter_context(power_switch(switch)),
             "NetworkSerialPort": {"host": "127.0.0.1", "port": serial, "protocol": "raw"},
         }
-        (folder / "exporter.yaml").write_text(json.dumps({"panda": group}))
-        coordinator = (sys.executable, "-m", "labgrid.remote.coordinator", "-l", farm.coordinator)
-        stack.enter_context(running(*coordinator, folder=folder, ready="listening on"))
-        exporter = (sys.executable, "-m", "labgrid.remote.exporter", "-c", farm.coordinator, "-n", "bench")
-        exporting = stack.enter_context(running(*exporter, "exporter.yaml", folder=folder))
-        for name, group in (("panda-1", "panda"), ("empty-1", "none")):
-            farm.client("-p", name, "create")
-            farm.client("-p", name, "add-match", f"bench/{group}/*")
-        farm.client("-p", "panda-1", "set-tags", "board=panda")
-        while "NetworkSerialPort" not in farm.client("resources"):
-            assert exporting.poll() is None, (folder / "exporter.log").read_text()
-            time.sleep(1)
+        farm = stack.enter_context(farm_of(folder, {"panda-1": group, "empty-1": {}}, {"board": "panda"}))
+        farm.sshd, farm.switch, farm.cycles = sshd, switch, cycles
         yield farm
 
 
@@ -168,7 +97,7 @@ def farm(servers, tmp_path, monkeypatch, ros_master):
         "coordinator": servers.coordinator,
     }
     yield servers
-    assert not servers.place().holder and not servers.place().reservation, "it was given back"
+    assert not servers.place("panda-1").holder and not servers.place("panda-1").reservation, "it was given back"
 
 
 def write_target(farm, **keys):
@@ -235,10 +164,29 @@ def test_a_place_that_this_user_acquired_stays_acquired(farm, capsys):
     farm.client("-p", "panda-1", "acquire")
     try:
         assert main(write_target(farm, place="panda-1")) == 0
-        assert farm.place().holder
+        assert farm.place("panda-1").holder
     finally:
         farm.client("-p", "panda-1", "release")
     assert "acquired by" in capsys.readouterr().err
+
+
+@on_farm
+def test_a_second_runner_of_the_same_user_waits_for_the_place(farm, tmp_path):
+    words = write_target(farm, filter={"board": "panda"})
+    gate = tmp_path / "gate"
+    farm.wishes.will(f"await {gate}")
+    first, second = (
+        [sys.executable, "-m", "rtrun.cli", *words, "--results", results] for results in ("results/one", "results/two")
+    )
+    with subprocess.Popen(first, stderr=subprocess.DEVNULL) as measuring:
+        farm.wishes.await_calls()
+        with subprocess.Popen(second, stderr=subprocess.PIPE, text=True) as waiting:
+            line = waiting.stderr.readline()
+            gate.touch()
+            err = line + waiting.stderr.read()
+    assert (measuring.returncode, waiting.returncode) == (0, 0), err
+    assert "panda-1 is held by" in line and "reserved, and waited for" in line
+    assert len(farm.wishes.calls()) == 4
 
 
 @on_farm
@@ -247,10 +195,10 @@ def test_a_killed_runner_gives_the_place_back_and_the_next_call_goes_on(farm):
     farm.wishes.will("sleep 2")
     process = subprocess.Popen([sys.executable, "-m", "rtrun.cli", *words], stderr=subprocess.DEVNULL)
     farm.wishes.await_calls()
-    assert farm.place().holder
+    assert farm.place("panda-1").holder
     process.send_signal(signal.SIGKILL)
     process.wait()
-    farm.await_free()
+    farm.await_free("panda-1")
     assert main(words) == 0
     assert len(records()) == len(farm.wishes.calls()) == 2, "the run that went on was picked up"
 
@@ -322,7 +270,7 @@ def test_a_target_file_names_a_place_or_tags():
 def test_an_environment_file_without_a_place(tmp_path):
     (tmp_path / "env.yaml").write_text("targets: {main: {drivers: {}}}\n")
     with pytest.raises(UsageError, match="names no RemotePlace"):
-        labgrid.read_environment(tmp_path / "env.yaml")
+        labgrid_environment.read_environment(tmp_path / "env.yaml")
 
 
 def test_labgrid_is_loaded_for_its_own_targets_only():
