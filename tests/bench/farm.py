@@ -1,0 +1,204 @@
+"""What the runner itself needs for a farm: one campaign on 1, 8 and 64 boards, and on 64 of which a third fails.
+
+`make bench` runs it; it is no test. A board is a real SSH server on loopback. All that the runner does on a target is
+done there, but the suite: in its place a script copies what the real one wrote in a run that is recorded at the start.
+So the CPU time is counted of the runner's process alone, and its memory.
+"""
+
+import contextlib
+import itertools
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+import rtgen.cli
+from conftest import Sshd, serve
+from rtrun.results.record import RunStatus, read_record, verify
+
+TOP = Path(__file__).parents[2]
+FARMS = (1, 8, 64)
+# Of each board, on average.
+RUNS = 6
+CPU_MS_MAX = 50.0
+MEMORY_MIB_MAX = 300.0
+# What a run needs at 64 boards, in that at 8; and what a board adds to the memory from 8 to 64, in that from 1 to 8.
+GROWTH_MAX = 1.5
+RECONNECT_S = 10
+CAMPAIGN = """schema: 1
+name: farm
+runs: [{{suite: cyclic_timer_tests, frequency_hz: 1000, repetitions: 1000, repeats: {repeats}}}]
+"""
+REPLAY = """#!/bin/sh
+basename "$PWD" >>{calls}
+sleep 1
+cp {recorded}/* .
+"""
+
+pytestmark = pytest.mark.timeout(0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Board:
+    """A simulated board: its SSH server, its target file, and a line for each run that its suite was started for."""
+
+    name: str
+    sshd: Sshd
+    file: Path
+    calls: Path
+
+    def break_connections(self) -> None:
+        """End the server's sessions; the board answers again at once."""
+        pid = self.sshd.process.pid
+        for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(child), signal.SIGKILL)
+
+    def go_away(self, seconds: float) -> None:
+        """Answer to nobody for a time."""
+        self.sshd.process.send_signal(signal.SIGSTOP)
+        self.break_connections()
+        time.sleep(seconds)
+        self.sshd.process.send_signal(signal.SIGCONT)
+
+    def vanish(self) -> None:
+        """Never answer again."""
+        self.sshd.process.send_signal(signal.SIGSTOP)
+        self.break_connections()
+        self.sshd.process.kill()
+
+
+@contextlib.contextmanager
+def boards(folder: Path, count: int, recorded: Path, ros_master: int) -> Iterator[list[Board]]:
+    """So many boards that replay a recorded run."""
+    with contextlib.ExitStack() as stack:
+        made = []
+        for number in range(count):
+            own = folder / f"board-{number:02}"
+            program = own / "suites" / "lib" / "cyclic_timer_tests" / "cyclic_timer_tests"
+            program.parent.mkdir(parents=True)
+            program.write_text(REPLAY.format(calls=own / "calls", recorded=recorded))
+            program.chmod(0o755)
+            (own / "suites" / "build.json").write_text("{}")
+            sshd = stack.enter_context(serve(own))
+            made.append(Board(name=own.name, sshd=sshd, file=own / "target.yml", calls=own / "calls"))
+            write_target(made[-1].file, own.name, sshd, "suites", own / "target", ros_master)
+        yield made
+
+
+def write_target(file: Path, name: str, sshd: Sshd, suites: object, work_dir: Path, ros_master: int) -> None:
+    file.write_text(
+        f"schema: 1\nname: {name}\nkind: ssh\nhost: 127.0.0.1\nport: {sshd.port}\nuser: {sshd.user}\n"
+        f"key: {sshd.key}\nhost_key: {sshd.host_key}\nsuites: {suites}\nwork_dir: {work_dir}\n"
+        f"ros_master_port: {ros_master}\nreconnect_s: {RECONNECT_S}\n"
+    )
+
+
+def measure(folder: Path, repeats: int, targets: Sequence[Path]) -> tuple[float, float]:
+    """`rtrun run` of a campaign into `folder`/results; CPU time in s and highest memory in MiB of its process."""
+    (folder / "campaign.yml").write_text(CAMPAIGN.format(repeats=repeats))
+    words = [word for target in targets for word in ("--target", str(target))]
+    command = [sys.executable, "-m", "rtrun.cli", "run", "campaign.yml", *words, "--results", "results"]
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen(command, cwd=folder, stdout=log, stderr=log)
+        _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0, (folder / "log").read_text()[-2000:]
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+
+
+def record_a_run(folder: Path, sshd: Sshd, ros_master: int) -> Path:
+    """What the real suite writes in a run of the campaign."""
+    assert rtgen.cli.main(["suites", "build", "--machine", "host"]) == 0
+    suites = TOP / "build" / "suites" / "host"
+    write_target(folder / "target.yml", "recorder", sshd, suites, folder / "target", ros_master)
+    measure(folder, 1, [folder / "target.yml"])
+    (run,) = (folder / "results").glob("0*")
+    recorded = folder / "recorded"
+    recorded.mkdir()
+    for path in run.glob("cyclic_timer_tests_*"):
+        shutil.copy(path, recorded)
+    return recorded
+
+
+def injure(farm: Sequence[Board]) -> threading.Thread:
+    """Break links again and again, hang or vanish for good, each on a third of some boards once they measure."""
+
+    def cut(board: Board) -> None:
+        for _ in range(4):
+            board.break_connections()
+            time.sleep(2)
+
+    faults = itertools.cycle((cut, lambda board: board.go_away(RECONNECT_S / 2), Board.vanish))
+
+    def act() -> None:
+        acting = []
+        for board, fault in zip(farm, faults, strict=False):
+            while not board.calls.exists():
+                time.sleep(0.1)
+            acting.append(threading.Thread(target=fault, args=(board,)))
+            acting[-1].start()
+        for each in acting:
+            each.join()
+
+    thread = threading.Thread(target=act)
+    thread.start()
+    return thread
+
+
+def check(folder: Path, farm: Sequence[Board], repeats: int) -> None:
+    """Every run is closed, whole and ok, and was measured once: but for what a board had begun when it vanished."""
+    records = {path.parent.name: verify(path.parent) for path in (folder / "results").glob("0*/run.json")}
+    assert len(records) == repeats and {record.status for record in records.values()} == {RunStatus.OK}
+    calls = {board.name: Counter(board.calls.read_text().split()) for board in farm}
+    gone = {board.name for board in farm if board.sshd.process.poll() is not None}
+    for run in records:
+        there = [name for name in calls if calls[name][run] and name not in gone]
+        closed_by = read_record(folder / "results" / run).target.name
+        assert all(calls[name][run] <= 1 for name in calls), run
+        assert calls[closed_by][run] == 1 and (not there or there == [closed_by]), (run, there, closed_by)
+    assert sum(map(Counter.total, calls.values())) <= repeats + len(gone)
+
+
+@pytest.mark.parametrize("injured", [False, True], ids=["well", "a third injured"])
+def test_farm(sshd, ros_master, tmp_path, injured):
+    recording = tmp_path / "recording"
+    recording.mkdir()
+    recorded = record_a_run(recording, sshd, ros_master)
+    per_run_ms, memory_mib = {}, {}
+    for count in FARMS[-1:] if injured else FARMS:
+        folder = tmp_path / str(count)
+        folder.mkdir()
+        repeats = count * RUNS
+        with boards(folder, count, recorded, ros_master) as farm:
+            files = [board.file for board in farm]
+            faults = injure(farm[::3]) if injured else None
+            start = time.monotonic()
+            cpu_s, memory_mib[count] = measure(folder, repeats, files)
+            wall_s = time.monotonic() - start
+            if faults:
+                faults.join()
+            check(folder, farm, repeats)
+            # The same command once more: it starts, reads all and finds that nothing is left to do.
+            start_s, _ = measure(folder, repeats, files)
+        per_run_ms[count] = 1000 * (cpu_s - start_s) / repeats
+        print(
+            f"\n{count} boards, {repeats} runs in {wall_s:.0f} s: {per_run_ms[count]:.0f} ms of CPU time a run "
+            f"(limit {CPU_MS_MAX:g} ms), {memory_mib[count]:.0f} MiB (limit {MEMORY_MIB_MAX:g} MiB)"
+        )
+    assert per_run_ms[64] <= CPU_MS_MAX
+    assert memory_mib[64] <= MEMORY_MIB_MAX
+    if not injured:
+        added = [(memory_mib[many] - memory_mib[few]) / (many - few) for few, many in itertools.pairwise(FARMS)]
+        print(f"a board adds {added[0]:.1f} MiB from 1 to 8, {added[1]:.1f} MiB from 8 to 64")
+        assert added[1] <= GROWTH_MAX * max(added[0], 1.0)
+        assert per_run_ms[64] <= GROWTH_MAX * per_run_ms[8]
