@@ -7,7 +7,7 @@ the report's figure, rounded down to a step of the clock.
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 _NONE = -(2**63)  # stands for null
+_GRID_MAX = 1 << 24  # places: 128 MiB
 _LABELS: dict[By, str] = {
     "day": "coalesce(strftime(start_utc, '%Y-%m-%d'), 'unknown')",
     "month": "month",
@@ -147,8 +148,10 @@ def _read_bins(store: Store, path: str) -> tuple[Int64s, Int64s, Int64s]:
     import pyarrow.parquet
 
     try:
-        with store.file_system.open(path, "rb") as stream:
-            table = pyarrow.parquet.ParquetFile(stream).read(columns=["value_ns", "bin_ns", "count"])
+        # A file of this machine by its path: pyarrow reads it without Python's lock.
+        with nullcontext(path) if store.is_local else store.file_system.open(path, "rb") as source:
+            file = pyarrow.parquet.ParquetFile(source)
+            table = file.read(columns=["value_ns", "bin_ns", "count"], use_threads=False)
     except (pyarrow.ArrowException, ValueError) as error:
         raise _damaged(store, f"{path}: {error}") from error
     except Exception as error:  # each object store has exceptions of its own
@@ -163,8 +166,7 @@ def _figures_of(bins: Sequence[tuple[Int64s, Int64s, Int64s]], deadline_ns: int)
     came, known = value != _NONE, width != _NONE
     late = ~came | ~known | (value > deadline_ns - width + 1)
     is_reached = not np.any(came & ~known & (value < deadline_ns))
-    order = np.argsort(value[came], kind="stable")
-    values, reached = value[came][order], np.cumsum(count[came][order])
+    values, reached = _added_up(value[came], width[came], count[came])
     percentiles_ns: dict[float, int | None] = dict.fromkeys(PERCENTILES)
     highest_ns: int | None = None
     if values.size:
@@ -184,6 +186,21 @@ def _figures_of(bins: Sequence[tuple[Int64s, Int64s, Int64s]], deadline_ns: int)
         "percentiles_ns": percentiles_ns,
         "max_ns": highest_ns,
     }
+
+
+def _added_up(value: Int64s, width: Int64s, count: Int64s) -> tuple[Int64s, Int64s]:
+    """Values ascending, and how many measurements are at each or below, shape (k,)."""
+    step = width[0] if value.size and np.all(width == width[0]) else 0
+    if step > 0:
+        # Bins of one clock lie on a grid. To add them up there takes a fraction of the time of sorting them.
+        lowest = value.min()
+        places, beside = np.divmod(value - lowest, step)
+        if not beside.any() and places.max() < _GRID_MAX:
+            counts = np.bincount(places, weights=count).astype(np.int64)  # whole numbers below 2**53
+            filled = np.flatnonzero(counts)
+            return lowest + step * filled, np.cumsum(counts[filled])
+    order = np.argsort(value, kind="stable")
+    return value[order], np.cumsum(count[order])
 
 
 _POINTS = """

@@ -15,7 +15,7 @@ from rtrun.archive.courses import Course
 from rtrun.archive.metrics import grafana_dashboard, open_metrics
 from rtrun.archive.pictures import course_plots
 from rtrun.archive.trends import Trend, as_text
-from rtrun.report.tables import time_us
+from rtrun.report.tables import grouped, time_us
 from rtrun.report.terminal import BANNERS
 from rtrun.target.platform import Platform
 
@@ -70,7 +70,7 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
             f"{run.point.start_utc:%Y-%m-%d %H:%M}",
             run.point.kernel or "unknown",
             run.facts.get("commit", "unknown"),
-            str(run.point.n),
+            grouped(run.point.n),
             *(time_us(run.point.percentiles_ns[p]) for p in _SHOWN),
             time_us(run.point.max_ns),
             "unknown" if run.point.misses is None else str(run.point.misses),
@@ -89,7 +89,7 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
         "since": f"{course.runs[0].point.start_utc:%Y-%m-%d}",
         "last": last,
         "boots": len(course.boots()),
-        "n": sum(run.point.n for run in course.runs),
+        "n": grouped(sum(run.point.n for run in course.runs)),
         "misses": sum(run.point.misses or 0 for run in course.runs) if course.has("P(miss)") else "not known how many",
         "changes": [
             ("refuted" if trend.is_worse else "proven", as_text(trend, confidence=confidence))

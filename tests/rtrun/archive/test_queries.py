@@ -7,6 +7,7 @@ from archive.examples import answer_of, write_days
 from report.campaigns import latencies, oneshot_rows, write_campaign, write_run
 
 from rtrun.analysis.figures import PERCENTILES
+from rtrun.archive import queries
 from rtrun.cli import main
 from rtrun.report.study import study
 
@@ -90,6 +91,14 @@ def test_runs_of_a_point_are_pooled_by_their_counts(capsys, tmp_path):
     (point,) = history(capsys, archived(capsys, root, tmp_path / "archive"))
     assert (point["n"], len(point["run_keys"])) == (2000, 2)
     assert 89_000 < point["percentiles_ns"]["p50"] < 95_000 < 185_000 < point["percentiles_ns"]["p90"]
+
+
+def test_an_outlier_far_away_is_added_up_as_all_others_are(capsys, tmp_path, monkeypatch):
+    """Beyond a number of places bins are sorted instead."""
+    archive = archived(capsys, write_days(tmp_path / "results", 4), tmp_path / "archive")
+    points = history(capsys, archive, "--by", "month")
+    monkeypatch.setattr(queries, "_GRID_MAX", 0)
+    assert history(capsys, archive, "--by", "month") == points
 
 
 def test_what_a_histogram_does_not_reach_is_not_known(capsys, tmp_path):
