@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 _NONE = -(2**63)  # stands for null
-_GRID_MAX = 1 << 24  # places: 128 MiB
+_GRID_MAX = 4  # places of a grid for each bin on it
 _LABELS: dict[By, str] = {
     "day": "coalesce(strftime(start_utc, '%Y-%m-%d'), 'unknown')",
     "month": "month",
@@ -192,10 +192,10 @@ def _added_up(value: Int64s, width: Int64s, count: Int64s) -> tuple[Int64s, Int6
     """Values ascending, and how many measurements are at each or below, shape (k,)."""
     step = width[0] if value.size and np.all(width == width[0]) else 0
     if step > 0:
-        # Bins of one clock lie on a grid. To add them up there takes a fraction of the time of sorting them.
+        # Bins of one clock lie on a grid: to add up those of many runs there takes a fraction of the time of sorting.
         lowest = value.min()
         places, beside = np.divmod(value - lowest, step)
-        if not beside.any() and places.max() < _GRID_MAX:
+        if not beside.any() and places.max() < _GRID_MAX * value.size:
             counts = np.bincount(places, weights=count).astype(np.int64)  # whole numbers below 2**53
             filled = np.flatnonzero(counts)
             return lowest + step * filled, np.cumsum(counts[filled])
