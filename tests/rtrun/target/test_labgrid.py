@@ -36,14 +36,20 @@ CAMPAIGN = "schema: 1\nname: test\nruns: [{suite: cyclic_timer_tests, repetition
 
 @contextlib.contextmanager
 def serial_port(text):
-    """A serial port behind TCP that prints a text to whoever connects."""
+    """A serial port behind TCP that prints a text again and again: what comes at once the reader drops."""
     with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def talk(stream):
+            with contextlib.suppress(OSError), stream:
+                while True:
+                    stream.sendall(text)
+                    time.sleep(0.2)
 
         def answer():
             with contextlib.suppress(OSError):
                 while True:
                     stream, _ = server.accept()
-                    stream.sendall(text)
+                    threading.Thread(target=talk, args=(stream,), daemon=True).start()
 
         threading.Thread(target=answer, daemon=True).start()
         yield server.getsockname()[1]
