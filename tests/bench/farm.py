@@ -157,7 +157,7 @@ def injure(farm: Sequence[Board]) -> threading.Thread:
 
 def check(folder: Path, farm: Sequence[Board], repeats: int) -> None:
     """Every run is closed, whole and ok, and was measured once: but for what a board had begun when it vanished."""
-    records = {path.parent.name: verify(path.parent) for path in (folder / "results").glob("0*/run.json")}
+    records = {path.parent.name: verify(path.parent) for path in (folder / "results").glob("[0-9]*/run.json")}
     assert len(records) == repeats and {record.status for record in records.values()} == {RunStatus.OK}
     calls = {board.name: Counter(board.calls.read_text().split()) for board in farm}
     gone = {board.name for board in farm if board.sshd.process.poll() is not None}
