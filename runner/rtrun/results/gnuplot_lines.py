@@ -5,12 +5,15 @@ range of the values. Anything that cannot stand in such a log is refused with ``
 command gets through that gnuplot would execute for somebody else (``system``, backquotes, a pipe as output).
 """
 
+import os
 import re
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NoReturn
+
+import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import IndexedValue
@@ -31,6 +34,9 @@ _COMMANDS = re.compile(
     re.ASCII,
 )
 _BIN = re.compile(r"(#?)(-?[0-9]{1,15})[ \t]+([0-9]{1,12})[ \t]*", re.ASCII)
+# Bins as a suite writes them, line after line.
+_PLAIN_BINS = re.compile(rb"(?:-?[0-9]{1,15}[ \t]+[0-9]{1,12}\n)+")
+_PLAIN_BYTES = 1 << 20
 _NUMBER = r"(-?[0-9]{1,15}(?:\.[0-9]{1,6})?)"
 _BOUNDS = re.compile(rf"MIN:\s*{_NUMBER}us\s+AVG:\s*{_NUMBER}us\s+MAX:\s*{_NUMBER}us")
 _ENTRY = re.compile(rf"{_NUMBER}:([0-9]{{1,12}})")
@@ -122,6 +128,7 @@ def _read(path: Path, stream: BinaryIO) -> Text:
         _read_command(lines, text, line)
     else:
         lines.refuse("no log of a suite: '# Plot data for gnuplot' is missing")
+    are_plain_read = False
     for line in numbered:
         if line == "end":
             break
@@ -129,6 +136,9 @@ def _read(path: Path, stream: BinaryIO) -> Text:
             _read_comment(lines, text, line[2:])
         elif line:
             _read_bin(lines, text, line)
+            if not are_plain_read and not line.startswith("#"):
+                _read_plain_bins(lines, text)
+                are_plain_read = True
     else:
         lines.refuse("cut off: the last line must be 'end'")
     for line in numbered:
@@ -202,3 +212,19 @@ def _read_bin(lines: _Lines, text: Text, line: str) -> None:
             lines.refuse(f"more than {MAX_BINS} bins that hold something")
         text.values.append(value)
         text.numbers.append(number)
+
+
+def _read_plain_bins(lines: _Lines, text: Text) -> None:
+    """Read the plain bins that follow, many at a time, up to the first line that is none or that must be refused."""
+    while match := _PLAIN_BINS.match(piece := lines.stream.read(_PLAIN_BYTES)):
+        values, numbers = np.array(match[0].split()).astype(np.int64).reshape(-1, 2).T
+        filled = np.flatnonzero(numbers)
+        if np.any(np.diff(values, prepend=text.last[""]) <= 0) or len(text.values) + filled.size > MAX_BINS:
+            break
+        text.last[""] = int(values[-1])
+        text.values.extend(values[filled].tolist())
+        text.numbers.extend(numbers[filled].tolist())
+        lines.number += values.size
+        lines.stream.seek(match.end() - len(piece), os.SEEK_CUR)
+        piece = b""
+    lines.stream.seek(-len(piece), os.SEEK_CUR)

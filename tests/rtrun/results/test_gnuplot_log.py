@@ -1,5 +1,6 @@
 """The log reader on real logs of 2014, on logs written here from the format's description, and on junk."""
 
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -340,3 +341,25 @@ def test_junk_is_refused_and_nothing_else_happens(tmp_path: Path, data: st.DataO
     else:
         assert int(log.count.sum()) == 5
         figures_of(log)
+
+
+def test_bins_are_the_same_many_at_a_time_and_line_by_line(monkeypatch, tmp_path):
+    bins = "".join(f"{value:06d} \t{value % 3:06d}\n" for value in range(200_000))
+    text = (DATA / "oneshot_timer_tests_l50_tm2000-measured.log").read_text()
+    head, _, _ = text.partition("# Plot data for gnuplot\n")
+    logs = {path.name: path.read_bytes() for path in DATA.glob("*.log")}
+    logs["long.log"] = f"{head}# Plot data for gnuplot\n#-00003 \t000001\n{bins}end\n".encode()
+    # The last of these bins is refused, whichever way it is read.
+    logs["falls.log"] = logs["long.log"].replace(b"199999 \t", b"000007 \t")
+
+    def read(name):
+        (tmp_path / name).write_bytes(logs[name])
+        try:
+            return gnuplot_lines.read_text(tmp_path / name)
+        except UsageError as error:
+            return str(error)
+
+    at_once = {name: read(name) for name in logs}
+    assert "falls.log:200012: the bins must rise, 7 follows 199998" in at_once["falls.log"]
+    monkeypatch.setattr(gnuplot_lines, "_PLAIN_BINS", re.compile(rb"(?!)"))
+    assert {name: read(name) for name in logs} == at_once
