@@ -28,17 +28,19 @@ NO_LIMITS = {
     },
     "what is printed or computed at most": {
         "rtrun.analysis.recurrence._BINS_MAX",
+        "rtrun.archive.queries._GRID_MAX",
         "rtrun.causes.control.WINDOWS_MAX",
         "rtrun.report.causes.REMEDIES_MAX",
     },
     "pauses between two attempts, and parts of a time that stands on the page": {
-        "rtrun.target.labgrid.CONSOLE_RETRY_S",
         "rtrun.target.labgrid.POLL_S",
         "rtrun.target.link.RETRY_S",
         "rtrun.target.processes.POLL_S",
         "rtrun.target.processes.SLICE_S",
         "rtrun.target.processes.WAIT_S",
         "rtrun.target.restart.POLL_S",
+        "rtrun.target.serial_console._READ_S",
+        "rtrun.target.serial_console._RETRY_S",
         "rtrun.target.ssh.KILL_GRACE_S",
     },
     "times of programs of our own": {

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -52,16 +53,15 @@ def test_two_boards_share_a_campaign_and_a_dead_one_is_switched_on_again(tmp_pat
     monkeypatch.chdir(tmp_path)
     switched = {place: [] for place in PLACES}
     with contextlib.ExitStack() as stack:
+        # QEMU ends with the thread that started it, and each request to a switch is in a thread of its own.
+        starting = stack.enter_context(ThreadPoolExecutor(1))
         machines = {place: stack.enter_context(qemu.boot(board, tmp_path / f"{place}.console")) for place in PLACES}
         resources = {}
         for place, machine in machines.items():
 
             def switch(is_on, place=place, machine=machine):
                 switched[place].append(is_on)
-                if is_on:
-                    machine.start()
-                else:
-                    machine.end()
+                starting.submit(machine.start if is_on else machine.end).result()
 
             service = {"address": "127.0.0.1", "port": machine.port, "username": machine.address.user}
             power = stack.enter_context(power_switch(switch))

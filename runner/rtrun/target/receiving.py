@@ -16,9 +16,9 @@ from rtrun.target.shell import CHUNK_BYTES, Shell
 LARGE_BYTES = 4 * 1024 * 1024
 # Of the first large file, to measure with.
 _HEAD_BYTES = 2 * 1024 * 1024
-_HEAD_S = 60.0
+HEAD_S = 60.0
 # A link that is faster is not the bound: no board's processor compresses samples by gzip at this rate.
-_FAST_BYTES_PER_S = 50e6
+_FAST_RATE = 50e6  # bytes/s
 # The checksum is made while the file is on its way. It is for accidents on both disks: SSH guards the way, and whoever
 # can change the file can change its checksum. So MD5 will do: SHA-256 takes a target several times as long.
 _READ = 'md5sum <"$1" >&2 & cat <"$1" && wait $!'
@@ -34,7 +34,7 @@ def reading(source: PurePosixPath, is_compressed: bool) -> list[str]:
 def is_faster_compressed(shell: Shell, source: PurePosixPath) -> bool:
     """Whether the head of a file arrives sooner compressed than plain; not where the target has no gzip."""
     plain_bytes_per_s = _rate(shell, ["head", "-c", str(_HEAD_BYTES), str(source)])
-    if plain_bytes_per_s > _FAST_BYTES_PER_S:
+    if plain_bytes_per_s > _FAST_RATE:
         return False
     script = 'head -c "$2" "$1" | gzip -1'
     return _rate(shell, ["sh", "-c", script, "sh", str(source), str(_HEAD_BYTES)]) > plain_bytes_per_s
@@ -43,7 +43,7 @@ def is_faster_compressed(shell: Shell, source: PurePosixPath) -> bool:
 def _rate(shell: Shell, command: list[str]) -> float:
     """Bytes of the file's head that arrive in a second by this command; 0 where it fails."""
     start = time.monotonic()
-    status, _ = shell.execute(command, [], lambda _: None, _HEAD_S)
+    status, _ = shell.execute(command, [], lambda _: None, HEAD_S)
     return 0.0 if status else _HEAD_BYTES / (time.monotonic() - start)
 
 

@@ -25,7 +25,7 @@ BLOCK = os.urandom(1024) + bytes(3 * 1024)  # gzip makes a quarter of it
 def test_a_large_file_arrives_whole_and_over_a_slow_wire_compressed(sshd, tmp_path, monkeypatch, is_slow):
     samples = BLOCK * 1500
     (tmp_path / "there").write_bytes(samples)
-    monkeypatch.setattr(receiving, "_FAST_BYTES_PER_S", 50e6 if is_slow else 0.0)
+    monkeypatch.setattr(receiving, "_FAST_RATE", 50e6 if is_slow else 0.0)
     with proxy_to(sshd.port) as wire, (tmp_path / "here").open("wb") as stream:
         wire.bytes_per_s = 1.5e6 if is_slow else None
         connection = Connection(replace(sshd.address, port=wire.port))
