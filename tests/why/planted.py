@@ -90,15 +90,26 @@ def trials(plant: Plant, count: int, place: Place, folder: Path) -> Iterator[Ran
     is_beside = not plant.preloaded and plant.kind is not None
     with beside(place, plant.name, plant.cpu) if is_beside else contextlib.nullcontext():
         argv = [sys.executable, "-m", "rtrun.cli", "run", folder / "campaign.yml", "--target", folder / "target.yml"]
-        done = subprocess.run([*argv, "--results", results], capture_output=True, text=True, check=False)
+        output = run_program([*argv, "--results", results])
     runs = sorted(path.parent for path in results.glob("*/run.json"))
     if len(runs) != count:
-        raise RuntimeError(f"{len(runs)} of {count} runs\n{done.stdout}{done.stderr}")
+        raise RuntimeError(f"{len(runs)} of {count} runs\n{output}")
     for run in runs:
         ranking, _, refused = causes.ranked(find_source(run))
         if refused:
             raise RuntimeError("\n".join(refused))
         yield ranking
+
+
+def run_program(argv: list[str | Path]) -> str:
+    """What a program prints. It is interrupted when we are, and may then take down what it started."""
+    with subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as runner:
+        try:
+            return runner.communicate()[0]
+        except BaseException:
+            runner.send_signal(signal.SIGINT)
+            runner.communicate()
+            raise
 
 
 def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, bool]:

@@ -41,6 +41,14 @@ def spin(length_ms: int) -> None:
         pass
 
 
+def awake(cpu: int) -> None:
+    """A thread that has the CPU whenever nobody else wants it."""
+    named("planted_awake", cpu)
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    while True:
+        spin(1000)
+
+
 def busy(name: str, priority: int, cpu: int, length_ms: int) -> None:
     """A thread that has the CPU for some milliseconds, again and again."""
     named(name, cpu)
@@ -143,6 +151,7 @@ def accept_flood(cpu: int, length_ms: int) -> None:
 
 
 PLANTS = {
+    "awake": lambda cpu, length_ms: awake(cpu),
     "higher": lambda cpu, length_ms: busy("planted_hog", 98, cpu, length_ms),
     "equal": lambda cpu, length_ms: busy("planted_equal", 95, cpu, length_ms),
     "softirq": multiply,
