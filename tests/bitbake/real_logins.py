@@ -25,7 +25,7 @@ from rtgen.board.machine import find
 from rtgen.board.packages import packages
 from rtrun.target import qemu
 
-pytestmark = [pytest.mark.bitbake, pytest.mark.qemu, pytest.mark.timeout(1800)]
+pytestmark = [pytest.mark.bitbake, pytest.mark.qemu, pytest.mark.timeout(900)]
 
 # sshd_check_keys needs OpenSSH 9.3.
 SUITE = "trixie"
@@ -36,6 +36,8 @@ FOLDERS = {"@SBINDIR@": "/usr/sbin", "@BASE_BINDIR@": "/bin", "@LIBEXECDIR@": "/
 # In openembedded-core: where a server's files come from, and its own name for the service.
 SOURCES = {"openssh": "recipes-connectivity/openssh/openssh", "dropbear": "recipes-core/dropbear/dropbear"}
 SERVICES = {"openssh": "sshd", "dropbear": "dropbear"}
+# ROOT_HOME by INIT_MANAGER, which base-passwd writes into /etc/passwd.
+HOMES = {"systemd": "/root", "sysvinit": "/home/root"}
 # By the other server: the files that an image with the one does not have.
 OTHERS = {
     "openssh": ["usr/sbin/sshd", "usr/lib/openssh", "etc/ssh"],
@@ -101,12 +103,11 @@ def make_root(tree: Path, core: Path, server: str, init: str) -> None:
     shutil.rmtree(tree / "usr/lib/sysusers.d")
     disk.add_places(tree)
     disk.add_tools(tree)
-    (tree / "home/root").mkdir(parents=True, mode=0o700)
+    home = HOMES[init]
+    (tree / home[1:]).mkdir(parents=True, mode=0o700, exist_ok=True)
     hashed = subprocess.run(["openssl", "passwd", "-6", PASSWORD], check=True, capture_output=True, text=True).stdout
     passwd = (
-        (tree / "etc/passwd")
-        .read_text()
-        .replace("root:*:0:0:root:/root:", f"root:{hashed.strip()}:0:0:root:/home/root:")
+        (tree / "etc/passwd").read_text().replace("root:*:0:0:root:/root:", f"root:{hashed.strip()}:0:0:root:{home}:")
     )
     (tree / "etc/passwd").write_text(passwd)
 
@@ -127,6 +128,10 @@ def make_root(tree: Path, core: Path, server: str, init: str) -> None:
         install(core / "meta/recipes-core/initscripts/initscripts-1.0/functions", tree / "etc/init.d/functions")
         (tree / "etc/init.d/start").write_text(START.format(service=service))
         (tree / "etc/inittab").write_text("::sysinit:/etc/init.d/start\n")
+        # busybox goes by its name, which overlayfs-etc changes to init.orig.
+        (tree / "sbin/init").unlink()
+        (tree / "sbin/init").write_text("#!/bin/sh\nexec /bin/busybox init\n")
+        (tree / "sbin/init").chmod(0o755)
         return
     (tree / "sbin/init").unlink()
     (tree / "sbin/init").symlink_to("../lib/systemd/systemd")
@@ -179,7 +184,7 @@ def make_read_only(copy: Path, tree: Path) -> None:
             with part.open("rb") as source:
                 shutil.copyfileobj(source, stream, MIB)
             at = stream.tell()
-    subprocess.run(["sfdisk", "--quiet", "--label=dos", whole], input=table, text=True, check=True)
+    subprocess.run(["sfdisk", "--label=dos", whole], input=table, text=True, check=True, capture_output=True)
     machine = find("qemu-armv7")
     modules = debian_kernel(machine.kernel, machine, debian.source(SUITE)).loadable([*machine.modules, "overlay"])
     (copy / "initrd").write_bytes(initrd.archive((tree / "bin/busybox").read_bytes(), modules))
@@ -270,6 +275,6 @@ def wait_for(login: Callable[[], subprocess.CompletedProcess[str]], machine: qem
     """Log in as soon as the board answers; the test's own time limit ends the waiting."""
     while (done := login()).returncode != 0:
         shown = console.read_text(errors="replace")[-3000:] if console.exists() else ""
-        assert machine.failure() is None, shown
+        assert machine.failure() is None and "Kernel panic" not in shown, shown
         assert "verification failed" not in done.stderr and "Permission denied" not in done.stderr, done.stderr + shown
         time.sleep(1)
