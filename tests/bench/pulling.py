@@ -35,18 +35,20 @@ def test_pulling(sshd, tmp_path):
     source = tmp_path / "samples.npy"
     source.write_bytes(os.urandom(SIZE_BYTES))
 
-    def pull(destination: Path) -> None:
-        with contextlib.closing(Connection(sshd.address)) as connection, destination.open("wb") as stream:
-            connection.download(PurePosixPath(source), stream, size_bytes=SIZE_BYTES, limit_bytes=SIZE_BYTES)
+    def pull(folder: Path) -> None:
+        with contextlib.closing(Connection(sshd.address)) as connection:
+            connection.download(PurePosixPath(tmp_path), {source.name: SIZE_BYTES}, folder)
 
-    ways = {"rtrun": pull, "scp": lambda destination: scp(sshd, source, destination)}
+    ways = {"rtrun": pull, "scp": lambda folder: scp(sshd, source, folder)}
     taken_s: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(ROUNDS):
         for name, way in ways.items():
-            copy = tmp_path / name
+            folder = tmp_path / name
+            folder.mkdir(exist_ok=True)
             start = time.monotonic()
-            way(copy)
+            way(folder)
             taken_s[name].append(time.monotonic() - start)
+            copy = folder / source.name
             assert copy.stat().st_size == SIZE_BYTES
             copy.unlink()
     medians_s = {name: statistics.median(times) for name, times in taken_s.items()}

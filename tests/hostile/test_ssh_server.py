@@ -20,8 +20,8 @@ MEMORY_MIB = 300
 RUN = "with Link(target, print) as link: link.run(['true'], deadline_s={deadline})"
 LIST = "with Link(target, print) as link: link.do(lambda c: c.list_files(PurePosixPath('/tmp')))"
 COPY = (
-    "with Link(target, print) as link, open(folder + '/copy', 'wb') as copy:"
-    " link.do(lambda c: c.download(PurePosixPath('/etc/passwd'), copy, size_bytes=1000, limit_bytes=1000))"
+    "with Link(target, print) as link:"
+    " link.do(lambda c: c.download(PurePosixPath('/etc'), {'passwd': 1000}, Path(folder)))"
 )
 STATE = (
     "from rtrun.target import inspection\n"

@@ -8,7 +8,6 @@ from rtfiles.errors import UsageError
 from rtrun.plan import suites
 from rtrun.results import partial_samples
 from rtrun.results.gnuplot_lines import check_commands
-from rtrun.target.connection import Connection
 from rtrun.target.link import Link
 
 MIB = 1024 * 1024
@@ -60,7 +59,7 @@ def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[s
     }
     wanted = {name: size for name, size in sizes.items() if name not in refused}
     if wanted:
-        link.do(lambda connection: _copy(connection, source, destination, wanted, limits))
+        link.do(lambda connection: connection.download(source, wanted, destination))
     for name in wanted:
         if name.endswith(partial_samples.ENDING):
             partial_samples.salvage(destination / name)
@@ -79,15 +78,3 @@ def _traces(present: Iterable[str], limits: Mapping[str, int]) -> dict[str, int]
     outputs = [name.removesuffix(_TRACES) for name in limits if name.endswith(_TRACES)]
     traces = sorted(name for name in present if (trace := _TRACE.fullmatch(name)) and trace[1] in outputs)
     return dict.fromkeys(traces[: TRACES_MAX * len(outputs)], TRACE_LIMIT_BYTES)
-
-
-def _copy(
-    connection: Connection,
-    source: PurePosixPath,
-    destination: Path,
-    sizes: Mapping[str, int],
-    limits: Mapping[str, int],
-) -> None:
-    for name, size_bytes in sorted(sizes.items()):
-        with (destination / name).open("wb") as stream:
-            connection.download(source / name, stream, size_bytes=size_bytes, limit_bytes=limits[name])

@@ -6,18 +6,17 @@ operation has a total deadline, and what a command may print is limited.
 
 import contextlib
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from rtfiles import untrusted
-from rtfiles.errors import InfrastructureError
 from rtrun.target.address import Address, ThisMachine
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.target.local import LocalShell
-from rtrun.target.receiving import LARGE_BYTES, Receiver, is_faster_compressed, reading
+from rtrun.target.receiving import LARGE_BYTES, Receiver, is_faster_compressed, local_file, reading
 from rtrun.target.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, Collector, Shell
 from rtrun.target.ssh import SshShell
 
@@ -88,7 +87,7 @@ class Connection:
         After a lost connection a part of the file may stand there.
         """
         argv = ["sh", "-c", 'cat >"$1"', "sh", str(destination)]
-        with _local_file(source), source.open("rb") as stream:
+        with local_file(source), source.open("rb") as stream:
             chunks = iter(lambda: _read_local(source, stream), b"")
             size = source.stat().st_size
             status, stderr = self.shell.execute(argv, chunks, Collector(OUTPUT_BYTES_MAX), _transfer_s(size))
@@ -96,21 +95,27 @@ class Connection:
             full = "; the target's disk is full (df -h)" if "No space left" in stderr else ""
             raise TargetError(f"{self.address}: cannot write {destination}: {_last_line(stderr)}{full}")
 
-    def download(self, source: PurePosixPath, destination: IO[bytes], *, size_bytes: int, limit_bytes: int) -> None:
-        """Copy a file of about `size_bytes` bytes from the target, compressed where that takes less time.
+    def download(self, folder: PurePosixPath, sizes: Mapping[str, int], destination: Path) -> None:
+        """Copy files of a folder of the target into one here, all at a time, compressed where that takes less time.
 
-        Raises TargetError when it has more than `limit_bytes` bytes, cannot be read or arrives with another checksum
-        than it has on the target; ConnectionLost; and InfrastructureError when the copy cannot be written.
+        `sizes` are those that the target has told, by name. Raises TargetError when more arrives, a file cannot be read
+        or arrives with another checksum than it has on the target; ConnectionLost; and InfrastructureError when a copy
+        cannot be written.
         """
-        is_large = size_bytes >= LARGE_BYTES
+        large = max(sizes, key=lambda name: sizes[name])
+        is_large = sizes[large] >= LARGE_BYTES
         if is_large and self._is_compressing is None:
-            self._is_compressing = is_faster_compressed(self.shell, source)
-        receiver = Receiver(self.address, source, destination, limit_bytes)
+            self._is_compressing = is_faster_compressed(self.shell, folder / large)
         is_compressed = is_large and bool(self._is_compressing)
-        take = receiver.take_compressed if is_compressed else receiver.take
-        status, stderr = self.shell.execute(reading(source, is_compressed), [], take, _transfer_s(limit_bytes))
+        receiver = Receiver(self.address, folder, sizes, destination)
+        status, stderr = self.shell.execute(
+            reading(folder, sizes, is_compressed=is_compressed),
+            [],
+            receiver.take_compressed if is_compressed else receiver.take,
+            _transfer_s(sum(sizes.values())),
+        )
         if status != 0:
-            raise TargetError(f"{self.address}: cannot read {source}: {_last_line(stderr)}")
+            raise TargetError(f"{self.address}: cannot read {folder}: {_last_line(stderr)}")
         receiver.check(stderr)
 
     def list_files(self, folder: PurePosixPath) -> dict[str, int]:
@@ -140,17 +145,8 @@ def join_commands(commands: Iterable[Sequence[str]]) -> list[str]:
     return ["sh", "-c", " && ".join(map(shlex.join, commands))]
 
 
-@contextlib.contextmanager
-def _local_file(path: Path) -> Iterator[None]:
-    """A failure of a file of this machine is not one of the target."""
-    try:
-        yield
-    except OSError as error:
-        raise InfrastructureError(f"{path}: {error.strerror or error}") from error
-
-
 def _read_local(path: Path, stream: IO[bytes]) -> bytes:
-    with _local_file(path):
+    with local_file(path):
         return stream.read(CHUNK_BYTES)
 
 

@@ -210,9 +210,10 @@ def test_a_lock_that_is_a_link_is_not_followed(results, tmp_path, measure):
     assert campaign_runner.count_finished(results, runs_of(1)) == 0
 
 
-def test_a_full_disk_here_is_not_blamed_on_the_target(link):
-    with Path("/dev/full").open("wb", buffering=0) as stream, pytest.raises(InfrastructureError) as caught:
-        passwd = PurePosixPath("/etc/passwd")
-        link.do(lambda connection: connection.download(passwd, stream, size_bytes=1000, limit_bytes=1 << 20))
-    assert str(caught.value) == "/dev/full: No space left on device"
+def test_a_full_disk_here_is_not_blamed_on_the_target(link, tmp_path):
+    (tmp_path / "passwd").symlink_to("/dev/full")
+    size_bytes = Path("/etc/passwd").stat().st_size
+    with pytest.raises(InfrastructureError) as caught:
+        link.do(lambda connection: connection.download(PurePosixPath("/etc"), {"passwd": size_bytes}, tmp_path))
+    assert str(caught.value) == f"{tmp_path}/passwd: No space left on device"
     assert not isinstance(caught.value, TargetError)

@@ -84,12 +84,14 @@ def test_ctrl_c_ends_the_command_and_does_not_reach_it(connection, tmp_path):
 def test_files_both_ways(connection, tmp_path):
     (tmp_path / "up").write_bytes(bytes(range(256)) * 8192)
     connection.upload(tmp_path / "up", PurePosixPath(tmp_path / "there"))
-    with (tmp_path / "back").open("wb") as received:
-        connection.download(PurePosixPath(tmp_path / "there"), received, size_bytes=256 * 8192, limit_bytes=3_000_000)
-    assert (tmp_path / "back").read_bytes() == (tmp_path / "up").read_bytes()
+    (tmp_path / "back").mkdir()
     assert connection.list_files(PurePosixPath(tmp_path))["there"] == 256 * 8192
-    with pytest.raises(TargetError, match="more than the 10 bytes"), (tmp_path / "back").open("wb") as received:
-        connection.download(PurePosixPath(tmp_path / "there"), received, size_bytes=10, limit_bytes=10)
+    connection.download(PurePosixPath(tmp_path), {"there": 256 * 8192}, tmp_path / "back")
+    assert (tmp_path / "back" / "there").read_bytes() == (tmp_path / "up").read_bytes()
+    with pytest.raises(TargetError, match="more than the 10 bytes"):
+        connection.download(PurePosixPath(tmp_path), {"there": 10}, tmp_path / "back")
+    with pytest.raises(TargetError, match="this machine: cannot read"):
+        connection.download(PurePosixPath(tmp_path), {"nothing": 10}, tmp_path / "back")
     with pytest.raises(TargetError, match="this machine: cannot write"):
         connection.upload(tmp_path / "up", PurePosixPath(tmp_path / "no" / "folder"))
 

@@ -2,7 +2,6 @@
 
 import gzip
 import hashlib
-import io
 import os
 from dataclasses import replace
 from pathlib import PurePosixPath
@@ -14,7 +13,7 @@ from rtrun.target import receiving
 from rtrun.target.address import ThisMachine
 from rtrun.target.connection import Connection
 from rtrun.target.errors import TargetError
-from rtrun.target.receiving import LARGE_BYTES, Receiver, is_faster_compressed
+from rtrun.target.receiving import Receiver, is_faster_compressed
 
 SOURCE = PurePosixPath("/run/samples.npy")
 BLOCK = os.urandom(1024) + bytes(3 * 1024)  # gzip makes a quarter of it
@@ -22,19 +21,21 @@ BLOCK = os.urandom(1024) + bytes(3 * 1024)  # gzip makes a quarter of it
 
 @pytest.mark.sshd
 @pytest.mark.parametrize("is_slow", [True, False])
-def test_a_large_file_arrives_whole_and_over_a_slow_wire_compressed(sshd, tmp_path, monkeypatch, is_slow):
-    samples = BLOCK * 1500
-    (tmp_path / "there").write_bytes(samples)
+def test_large_files_arrive_whole_and_over_a_slow_wire_compressed(sshd, tmp_path, monkeypatch, is_slow):
+    contents = {"a.json": b"{}", "empty": b"", "samples.npy": BLOCK * 1500, "z": b"z" * 100_000}
+    for folder in ("there", "here"):
+        (tmp_path / folder).mkdir()
+    for name, data in contents.items():
+        (tmp_path / "there" / name).write_bytes(data)
+    sizes = {name: len(data) for name, data in contents.items()}
     monkeypatch.setattr(receiving, "_FAST_RATE", 50e6 if is_slow else 0.0)
-    with proxy_to(sshd.port) as wire, (tmp_path / "here").open("wb") as stream:
+    with proxy_to(sshd.port) as wire:
         wire.bytes_per_s = 1.5e6 if is_slow else None
         connection = Connection(replace(sshd.address, port=wire.port))
-        connection.download(
-            PurePosixPath(tmp_path / "there"), stream, size_bytes=len(samples), limit_bytes=len(samples)
-        )
+        connection.download(PurePosixPath(tmp_path / "there"), sizes, tmp_path / "here")
         connection.close()
-    assert (tmp_path / "here").read_bytes() == samples
-    assert (wire.total_bytes < len(samples)) is is_slow
+    assert {path.name: path.read_bytes() for path in (tmp_path / "here").iterdir()} == contents
+    assert (wire.total_bytes < sizes["samples.npy"]) is is_slow
 
 
 class Wire:
@@ -67,50 +68,62 @@ def test_what_is_measured_decides(monkeypatch, plain_s, gzip_s, status, compress
     assert wire.commands == commands
 
 
-def test_a_small_file_is_measured_by_nobody(tmp_path):
-    (tmp_path / "there").write_bytes(b"x")
+def test_small_files_are_measured_by_nobody(tmp_path):
+    (tmp_path / "x").write_bytes(b"x")
+    (tmp_path / "here").mkdir()
     connection = Connection(ThisMachine())
-    connection.download(PurePosixPath(tmp_path / "there"), io.BytesIO(), size_bytes=LARGE_BYTES - 1, limit_bytes=1)
+    connection.download(PurePosixPath(tmp_path), {"x": 1}, tmp_path / "here")
     assert connection._is_compressing is None
+    assert (tmp_path / "here" / "x").read_bytes() == b"x"
 
 
-def receiver(limit_bytes):
-    stream = io.BytesIO()
-    return Receiver(ThisMachine(), SOURCE, stream, limit_bytes), stream
+def receiver(folder, **sizes):
+    return Receiver(ThisMachine(), PurePosixPath("/run"), sizes, folder)
 
 
-def printed(data):
-    return f"sh: a warning\n{hashlib.md5(data).hexdigest()}  -\n"
+def printed(**contents):
+    digests = {name: hashlib.md5(data).hexdigest() for name, data in contents.items()}
+    return "sh: a warning\n" + "".join(f"{digest}  {name}\n" for name, digest in digests.items())
 
 
 @pytest.mark.parametrize("piece", [1, 100, 1_000_000])
-def test_what_was_compressed_is_as_before(piece):
-    receiving_, stream = receiver(len(BLOCK))
-    data = gzip.compress(BLOCK)
+@pytest.mark.parametrize("is_compressed", [False, True])
+def test_what_arrives_is_cut_into_files(tmp_path, piece, is_compressed):
+    contents = {"first": BLOCK, "empty": b"", "second": BLOCK[:100]}
+    files = receiver(tmp_path, **{name: len(data) for name, data in contents.items()})
+    data = b"".join(contents.values())
+    data, take = (gzip.compress(data), files.take_compressed) if is_compressed else (data, files.take)
     for start in range(0, len(data), piece):
-        receiving_.take_compressed(data[start : start + piece])
-    receiving_.check(printed(BLOCK))
-    assert stream.getvalue() == BLOCK
+        take(data[start : start + piece])
+    files.check(printed(**contents))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == contents
 
 
-def test_a_small_stream_that_becomes_huge_is_refused():
-    receiving_, stream = receiver(100_000)
-    with pytest.raises(TargetError, match=r"samples\.npy has more than the 100000 bytes that were expected"):
-        receiving_.take_compressed(gzip.compress(bytes(100_000_000)))
-    assert len(stream.getvalue()) <= 100_000
+def test_a_small_stream_that_becomes_huge_is_refused(tmp_path):
+    files = receiver(tmp_path, samples=100_000)
+    with pytest.raises(TargetError, match="/run: more than the 100000 bytes that were expected arrived"):
+        files.take_compressed(gzip.compress(bytes(100_000_000)))
+    assert (tmp_path / "samples").stat().st_size <= 100_000
 
 
 @pytest.mark.parametrize("data", [gzip.compress(BLOCK)[:-2000], b"no gzip at all"])
-def test_a_damaged_stream_is_refused(data):
-    receiving_, _ = receiver(len(BLOCK))
-    with pytest.raises(TargetError, match=r"samples\.npy arrived damaged"):
-        receiving_.take_compressed(data)
-        receiving_.check(printed(BLOCK))
+def test_a_damaged_stream_is_refused(tmp_path, data):
+    files = receiver(tmp_path, samples=len(BLOCK))
+    with pytest.raises(TargetError, match="arrived damaged"):
+        files.take_compressed(data)
+        files.check(printed(samples=BLOCK))
 
 
-@pytest.mark.parametrize("stderr", [printed(b"other"), "", "md5sum: not found\n"])
-def test_another_checksum_is_refused(stderr):
-    receiving_, _ = receiver(len(BLOCK))
-    receiving_.take(BLOCK)
-    with pytest.raises(TargetError, match="arrived damaged: its checksum differs"):
-        receiving_.check(stderr)
+@pytest.mark.parametrize("stderr", [printed(samples=b"other"), printed(other=BLOCK), "", "md5sum: not found\n"])
+def test_another_checksum_is_refused(tmp_path, stderr):
+    files = receiver(tmp_path, samples=len(BLOCK))
+    files.take(BLOCK)
+    with pytest.raises(TargetError, match="/run/samples arrived damaged: its checksum differs"):
+        files.check(stderr)
+
+
+def test_less_than_was_told_is_refused(tmp_path):
+    files = receiver(tmp_path, samples=len(BLOCK))
+    files.take(BLOCK[:-1])
+    with pytest.raises(TargetError, match="arrived damaged"):
+        files.check(printed(samples=BLOCK))

@@ -1,6 +1,5 @@
 """The SSH connection against a real sshd."""
 
-import io
 import socket
 import subprocess
 import threading
@@ -61,15 +60,16 @@ def test_no_delay_and_authenticated_cipher(connection):
 def test_files_both_ways(connection, tmp_path):
     (tmp_path / "up").write_bytes(bytes(range(256)) * 4096)
     connection.upload(tmp_path / "up", PurePosixPath(tmp_path / "there"))
-    with (tmp_path / "back").open("wb") as received:
-        connection.download(PurePosixPath(tmp_path / "there"), received, size_bytes=256 * 4096, limit_bytes=2_000_000)
-    assert (tmp_path / "back").read_bytes() == (tmp_path / "up").read_bytes()
+    (tmp_path / "back").mkdir()
+    connection.download(PurePosixPath(tmp_path), {"there": 256 * 4096}, tmp_path / "back")
+    assert (tmp_path / "back" / "there").read_bytes() == (tmp_path / "up").read_bytes()
 
 
-def test_a_file_larger_than_believable_is_refused(connection, tmp_path):
+def test_more_than_the_target_has_told_is_refused(connection, tmp_path):
     (tmp_path / "big").write_bytes(b"x" * 1001)
-    with pytest.raises(TargetError, match="has more than the 1000 bytes that were expected"):
-        connection.download(PurePosixPath(tmp_path / "big"), io.BytesIO(), size_bytes=1001, limit_bytes=1000)
+    (tmp_path / "back").mkdir()
+    with pytest.raises(TargetError, match="more than the 1000 bytes that were expected"):
+        connection.download(PurePosixPath(tmp_path), {"big": 1000}, tmp_path / "back")
 
 
 def test_a_listing_has_regular_files_only(connection, tmp_path):
