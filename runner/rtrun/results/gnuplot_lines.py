@@ -217,7 +217,7 @@ def _read_bin(lines: _Lines, text: Text, line: str) -> None:
 def _read_plain_bins(lines: _Lines, text: Text) -> None:
     """Read the plain bins that follow, many at a time, up to the first line that is none or that must be refused."""
     while match := _PLAIN_BINS.match(piece := lines.stream.read(_PLAIN_BYTES)):
-        values, numbers = np.array(match[0].split()).astype(np.int64).reshape(-1, 2).T
+        values, numbers = np.fromstring(match[0], np.int64, sep=" ").reshape(-1, 2).T
         filled = np.flatnonzero(numbers)
         if np.any(np.diff(values, prepend=text.last[""]) <= 0) or len(text.values) + filled.size > MAX_BINS:
             break
