@@ -195,7 +195,7 @@ ROWS = (
             draw=partial(build_that_misses_fails, mean=mean, times=times),
             at_least=least,
         )
-        for mean, times, least in ((0.05, 300, 95), (3, 10, 95))
+        for mean, times, least in ((0.05, 300, 85), (3, 20, 90))
     ),
     *(
         Row(name=f"a change by {shift:g} % is seen after 10 boots", draw=partial(change_found, shift=shift),
