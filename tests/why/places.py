@@ -26,8 +26,11 @@ HERE = Path(__file__).parent
 BOARD = "qemu-armv7"
 PROGRAM = Path("lib/cyclic_timer_tests/cyclic_timer_tests")
 BOOT_S = 600
+# Prints process group and process. When a command ends, the connection ends the rest of its session, so the plant gets
+# its own one before that.
+START = """setsid sh -c 'python3 "$@" </dev/null >/dev/null 2>&1 & echo $$ $!' sh "$@"; :"""
 # Until a plant has its name.
-NAMED = "while grep -q python /proc/$1/comm; do sleep 0.2; done; grep -q planted /proc/$1/comm"
+NAMED = "while ! grep -q planted /proc/$1/comm && [ -e /proc/$1 ]; do sleep 0.2; done; [ -e /proc/$1 ]"
 READY_S = 120
 WRAPPER = """\
 #!/bin/sh
@@ -156,10 +159,9 @@ def beside(place: Place, plant: str, cpu: int) -> Iterator[None]:
         script = PurePosixPath(f"/tmp/planted-{free_port()}.py")
         connection.upload(HERE / "plants.py", script)
         stack.callback(connection.run, ["rm", "-f", str(script)])
-        start = 'nohup setsid python3 "$@" </dev/null >/dev/null 2>&1 & echo $!'
         words = [str(script), plant, str(cpu), str(place.length_ms)]
-        pid = connection.check(["sh", "-c", start, "sh", *words]).strip()
-        stack.callback(connection.run, ["kill", "-KILL", "--", f"-{pid}"])
+        group, pid = connection.check(["sh", "-c", START, "sh", *words]).split()
+        stack.callback(connection.run, ["kill", "-KILL", "--", f"-{group}"])
         if plant == "storm" and place.flooded_port is not None:
             argv = [sys.executable, HERE / "plants.py", "flood", str(place.flooded_port()), str(place.length_ms)]
             flood = subprocess.Popen(argv)
