@@ -76,6 +76,12 @@ class Board:
         self.break_connections()
         self.sshd.process.kill()
 
+    def end_programs(self) -> None:
+        """End what goes on there when nobody can end it any more."""
+        for pid in self.sshd.folder.glob("target/runs/*/*/*.pid"):
+            with contextlib.suppress(ProcessLookupError, ValueError):
+                os.killpg(int(pid.read_text()), signal.SIGKILL)
+
 
 @contextlib.contextmanager
 def boards(folder: Path, count: int, recorded: Path, ros_master: int) -> Iterator[list[Board]]:
@@ -91,6 +97,7 @@ def boards(folder: Path, count: int, recorded: Path, ros_master: int) -> Iterato
             (own / "suites" / "build.json").write_text("{}")
             sshd = stack.enter_context(serve(own))
             made.append(Board(name=own.name, sshd=sshd, file=own / "target.yml", calls=own / "calls"))
+            stack.callback(made[-1].end_programs)
             write_target(made[-1].file, own.name, sshd, "suites", own / "target", ros_master)
         yield made
 
