@@ -176,8 +176,26 @@ class _Walk:
                 pid, at_ns = raised.pid, min(raised.at_ns, at_ns)
                 place = self._running(pid, at_ns)
                 continue
+            if (awaited := self._awaited(pid, change.waker, at_ns)) is not None:
+                pid, place = awaited, self.timeline.place(awaited, at_ns)
+                continue
             yield from _of(pid, State.ASLEEP, self._slept(slept, change.waker, asleep_ns, at_ns))
             at_ns, place = asleep_ns, place - 1
+
+    def _awaited(self, pid: int, waker: Waker, at_ns: int) -> int | None:
+        """The thread of the program that should have woken this one, but waited for a CPU when a timeout woke it.
+
+        A timer that expires after the value was due is a timeout. Who woke the thread before hands work over to it.
+        """
+        if waker.expiry is None or waker.expiry.soft_ns is None or waker.expiry.soft_ns <= self.due_ns:
+            return None
+        earlier = reversed(self.timeline.threads[pid][: self.timeline.place(pid, at_ns)])
+        wakers = (each.waker for each in earlier if each.waker and each.waker.context is Context.THREAD)
+        for mate in dict.fromkeys(each.pid for each in wakers if each.pid in self.own - {pid}):
+            place = self.timeline.place(mate, at_ns)
+            if place >= 0 and self.timeline.threads[mate][place].state is State.WAITING:
+                return mate
+        return None
 
     def _running(self, pid: int, at_ns: int) -> int:
         """The place of the change by which a thread ran at a moment: time stamps have microseconds."""

@@ -49,6 +49,35 @@ def test_a_thread_of_higher_priority():
     ]
 
 
+def timed_out(*, awaited_waits: bool) -> str:
+    """The measured thread waits for its mate with a timeout, which comes 400 us after the value was due."""
+    return (
+        line(100, "hrtimer_start: hrtimer=a function=hrtimer_wakeup expires=900000 softexpires=900000")
+        + waking(110, 1, by=5)
+        + switch(120, OTHER, ME)
+        + switch(200, ME, LOW)
+        + switch(900, LOW, HOG, state="R")
+        + (waking(995, 5, flags="d.h..") if awaited_waits else "")
+        + expiry(1400, late_us=400)
+        + ("" if awaited_waits else waking(1450, 5, flags="d.h.."))
+        + switch(1500, HOG, OTHER)
+        + switch(1510, OTHER, ME)
+        + line(1520, "x: y")
+    )
+
+
+def test_a_timeout_is_not_what_was_waited_for():
+    """The thread that should have handed work over waited for the CPU: it is followed."""
+    parts = parts_of(timed_out(awaited_waits=True), at=1520, own=(1, 5))
+    assert sum(length for kind, name, length in parts if (kind, name) == (Kind.HIGHER, "hog")) == 497
+    assert Kind.OWN_SLEEP not in {kind for kind, _, _ in parts}
+
+
+def test_a_timeout_before_there_was_work():
+    parts = parts_of(timed_out(awaited_waits=False), at=1520, own=(1, 5))
+    assert (Kind.OWN_SLEEP, "", 400) in parts
+
+
 def test_a_thread_of_the_same_priority():
     equal = ("equal", 4, 4)
     text = BEFORE + switch(990, LOW, equal, state="R") + expiry(1000) + switch(1400, equal, ME) + line(1410, "x: y")
