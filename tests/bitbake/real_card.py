@@ -69,7 +69,7 @@ def wic(yocto: Yocto, tmp_path_factory) -> Path:
     removed = git("log", "-1", "--diff-filter=D", "--format=%H", "--", "scripts/wic").decode().strip()
     folder = tmp_path_factory.mktemp("wic")
     with tarfile.open(fileobj=io.BytesIO(git("archive", f"{removed}^", "scripts", "meta/lib"))) as archive:
-        archive.extractall(folder, filter="data")
+        archive.extractall(folder)
     return folder / "scripts/wic"
 
 
