@@ -64,6 +64,9 @@ COMMANDS = [
     ("rtrun claims results", 0, "test:"),
     ("rtrun archive add results --to archive", 0, "runs added"),
     ("rtrun history archive", 0, "oneshot_timer"),
+    ("rtrun trends archive", 0, "0 changes in 15 courses"),
+    ("rtrun bisect archive --order order.txt", 2, "order.txt: none of its 1 lines is the commit of a run"),
+    ("rtrun site archive --out site", 0, "site/index.html"),
     ("rtrun import 2014.log --out imported", 0, "imported/"),
 ]
 
@@ -99,6 +102,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("work")
     (folder / "campaign.yml").write_text(CAMPAIGN)
     (folder / "target.yml").write_text(TARGET)
+    (folder / "order.txt").write_text("c0ffee\n")
     write_campaign(folder / "results", n=500)
     name = "oneshot_timer_tests_l50_tm2000-measured.log"
     shutil.copy(TOP / "tests/data/2014" / name, folder / "2014.log")
