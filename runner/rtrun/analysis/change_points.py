@@ -4,13 +4,14 @@ What differs from boot to boot is in the values, so that a boot that was a littl
 """
 
 import functools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rtrun.analysis.welch import standard_error
 
 Floats = NDArray[np.float64]
 
@@ -157,10 +158,6 @@ def _welch(a: Floats, b: Floats, confidence: float) -> tuple[float, float]:
     from scipy.special import stdtrit
 
     shift = float(b.mean() - a.mean())
-    parts = [float(level.var(ddof=1)) / level.size for level in (a, b)]
-    error = math.sqrt(sum(parts))
-    if not error:
-        return shift, shift
-    degrees = sum(parts) ** 2 / sum(part**2 / (level.size - 1) for part, level in zip(parts, (a, b), strict=True))
+    error, degrees = standard_error(a, b)
     reach = float(stdtrit(degrees, (1 + confidence) / 2)) * error
     return shift - reach, shift + reach

@@ -1,11 +1,12 @@
 """Is an effect at least as large as claimed? Runs are the units; each has one figure."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rtrun.analysis.welch import standard_error
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -32,9 +33,7 @@ def examine_effect(
     from scipy.special import stdtr
 
     shift = sign * float(b_ns.mean() - a_ns.mean())
-    a, b = (float(figures.var(ddof=1)) / figures.size for figures in (a_ns, b_ns))
-    error = math.sqrt(a + b)
-    degrees = (a + b) ** 2 / (a**2 / (a_ns.size - 1) + b**2 / (b_ns.size - 1)) if error else 1.0
+    error, degrees = standard_error(a_ns, b_ns)
 
     def chance(distance: float) -> float:
         if error:

@@ -8,6 +8,7 @@ import numpy as np
 
 from rtrun.analysis.blocks import Blocks
 from rtrun.analysis.interleaving import is_interleaved
+from rtrun.analysis.welch import standard_error
 
 _LEAST_RUNS = 3
 
@@ -62,14 +63,7 @@ def _added(figure: str, lower: np.ndarray, upper: np.ndarray, confidence: float)
         error, degrees = float(gaps.std(ddof=1)) / math.sqrt(gaps.size), gaps.size - 1.0
         method = f"{gaps.size} pairs of runs measured in turn, Student's t"
     else:
-        parts = [float(figures.var(ddof=1)) / figures.size for figures in (lower, upper)]
-        error = math.sqrt(sum(parts))
-        # Welch and Satterthwaite; runs all equal have no error, and any number of degrees of freedom.
-        degrees = (
-            sum(parts) ** 2 / sum(v**2 / (f.size - 1) for v, f in zip(parts, (lower, upper), strict=True))
-            if error
-            else 1.0
-        )
+        error, degrees = standard_error(lower, upper)
         method = f"{lower.size} and {upper.size} runs measured in turn, Welch's t"
     half = float(stdtrit(degrees, (1 + confidence) / 2)) * error
     middle = float(upper.mean() - lower.mean())

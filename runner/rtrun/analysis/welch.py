@@ -1,0 +1,20 @@
+"""The difference of two means with spreads of their own (Welch 1947)."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def standard_error(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, float]:
+    """The standard error of the difference of the means of values, shapes (u,) and (v,), two each at least; and its
+    degrees of freedom after Welch and Satterthwaite.
+
+    Values that are all equal have no error, and any number of degrees of freedom: 1 is returned.
+    """
+    parts = [float(values.var(ddof=1)) / values.size for values in (a, b)]
+    error = math.sqrt(sum(parts))
+    if not error:
+        return 0.0, 1.0
+    degrees = sum(parts) ** 2 / sum(part**2 / (values.size - 1) for part, values in zip(parts, (a, b), strict=True))
+    return error, degrees
