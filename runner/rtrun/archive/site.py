@@ -4,7 +4,6 @@ Pages of the report and of the site share styles and plotting code.
 """
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +14,11 @@ from rtrun.archive.courses import Course
 from rtrun.archive.metrics import grafana_dashboard, open_metrics
 from rtrun.archive.pictures import course_plots
 from rtrun.archive.trends import Trend, as_text
+from rtrun.report.html_pages import figures, script, templates
 from rtrun.report.tables import grouped, time_us
 from rtrun.report.terminal import BANNERS
 from rtrun.target.platform import Platform
 
-_REPORT = Path(__file__).parents[1] / "report"
 _SHOWN = (50.0, 99.0, 99.9, 99.99)
 
 
@@ -50,11 +49,13 @@ def write_site(
     cards = [_card(course, by_course[course.identity], confidence) for course in courses]
     cards.sort(key=lambda card: (card["state"].style != "refuted", card["label"]))
     words = {"archive": archive, "deadline": time_us(deadline_ns), "percentiles": [f"p{p:g}" for p in _SHOWN]}
-    pages = {"index.html": _render("site.html.j2", cards=cards, **words)}
+    environment = templates(Path(__file__).parent)
+    front, page = (environment.get_template(name) for name in ("site.html.j2", "course.html.j2"))
+    pages = {"index.html": front.render(cards=cards, **words)}
+    drawing = script("plots.js")
     for card in cards:
-        drawn = course_plots(card["course"], card["trends"], deadline_ns=deadline_ns)
-        plots = [{"caption": plot.caption, "json": _json({"data": plot.data, "layout": plot.layout})} for plot in drawn]
-        pages[card["page"]] = _render("course.html.j2", card=card, plots=plots, **words)
+        plots = figures(course_plots(card["course"], card["trends"], deadline_ns=deadline_ns))
+        pages[card["page"]] = page.render(card=card, plots=plots, script=drawing, **words)
     pages["plotly.js"] = get_plotlyjs()
     pages["metrics.txt"] = open_metrics(courses, deadline_ns=deadline_ns)
     pages["grafana-dashboard.json"] = grafana_dashboard()
@@ -64,7 +65,6 @@ def write_site(
 
 
 def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[str, Any]:
-    last = course.runs[-1].point
     rows = [
         (
             f"{run.point.start_utc:%Y-%m-%d %H:%M}",
@@ -87,7 +87,6 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
         "row": rows[0],
         "rows": rows,
         "since": f"{course.runs[0].point.start_utc:%Y-%m-%d}",
-        "last": last,
         "boots": len(course.boots()),
         "n": grouped(sum(run.point.n for run in course.runs)),
         "misses": sum(run.point.misses or 0 for run in course.runs) if course.has("P(miss)") else "not known how many",
@@ -109,21 +108,3 @@ def _state(course: Course, trends: Sequence[Trend]) -> _State:
     if len(course.boots()) < 6:
         return _State(text="NEW", style="more", mark="?")
     return _State(text="STEADY", style="proven", mark="✓")
-
-
-def _render(template: str, **words: Any) -> str:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader([Path(__file__).parent, _REPORT]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(template).render(script=(_REPORT / "plots.js").read_text(encoding="utf-8"), **words)
-
-
-def _json(value: Any) -> str:
-    """JSON that cannot end the script element that holds it."""
-    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -1,16 +1,14 @@
 """The report as one HTML file that needs no network: styles, script, plots, plotly and the data are in it."""
 
-import json
-from pathlib import Path
 from typing import Any
 
 from rtrun.report.contents import Contents
-from rtrun.report.plots.charts import Plot, plots
+from rtrun.report.html_pages import as_json, figures, script, templates
+from rtrun.report.plots.charts import plots
 from rtrun.report.scenarios import Scenario
 from rtrun.report.study import Study
 from rtrun.report.tables import time_us
 
-_FOLDER = Path(__file__).parent
 # The class of an answer in the styles, which give it its colour, and its mark, for eyes and paper without colours.
 _ANSWERS: dict[str, tuple[str, str]] = {
     "PROVEN": ("proven", "✓"),
@@ -25,16 +23,9 @@ _PICTURED = {"median": 50.0, "p99": 99.0, "p99.99": 99.99}
 
 def html(study: Study, contents: Contents) -> str:
     """Return the page. Everything that came from a target is escaped."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from plotly.offline import get_plotlyjs
 
-    environment = Environment(
-        loader=FileSystemLoader(_FOLDER),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templates()
     environment.filters["time_us"] = time_us
     cards = [_card(study, scenario) for scenario in contents.scenarios]
     choices = {
@@ -51,9 +42,9 @@ def html(study: Study, contents: Contents) -> str:
         failed=sum(card["style"] == "refuted" for card in cards),
         opened=_OPENED,
         choices={key: values for key, values in choices.items() if len(values) > 1},
-        overview=_json(overview),
+        overview=as_json(overview),
         plotly=get_plotlyjs(),
-        script="\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in ("plots.js", "page.js")),
+        script=script("plots.js", "page.js"),
     )
 
 
@@ -64,12 +55,8 @@ def _card(study: Study, scenario: Scenario) -> dict[str, Any]:
         "scenario": scenario,
         "style": style,
         "mark": mark,
-        "plots": [{"caption": plot.caption, "json": _json(_figure(plot))} for plot in drawn],
+        "plots": figures(drawn),
     }
-
-
-def _figure(plot: Plot) -> dict[str, Any]:
-    return {"data": plot.data, "layout": plot.layout}
 
 
 def _row(scenario: Scenario) -> dict[str, Any]:
@@ -86,8 +73,3 @@ def _row(scenario: Scenario) -> dict[str, Any]:
         "mark": mark,
         "us": dict(zip(("min", *_PICTURED, "max"), values_us, strict=True)),
     }
-
-
-def _json(value: Any) -> str:
-    """JSON that cannot end the script element that holds it."""
-    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
