@@ -4,7 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from rtrun.commands._question import add_confidence, time_argument
+from rtrun.commands._archive import add_archive, add_deadline, read_courses
+from rtrun.commands._question import add_confidence
 
 NAME = "bisect"
 HELP = "propose the commit or version to measure next, to find the one that made a scenario worse"
@@ -12,7 +13,7 @@ HELP = "propose the commit or version to measure next, to find the one that made
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The archive, what is bisected, the order of its versions, the deadline."""
-    parser.add_argument("archive", metavar="ARCHIVE", help="folder or address, as s3://bucket/archive")
+    add_archive(parser)
     parser.add_argument(
         "--by",
         default="commit",
@@ -26,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="every commit or version, one a line, oldest first, as git rev-list --reverse HEAD prints; - reads stdin",
     )
-    parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
+    add_deadline(parser)
     add_confidence(parser)
 
 
@@ -35,19 +36,12 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import print_line
     from rtfiles.untrusted import read_text
-    from rtrun.archive.extra import check_extra
-
-    check_extra()
-    from rtrun.archive.bisection import find_suspects
-    from rtrun.archive.courses import courses
-    from rtrun.archive.queries import connected
-    from rtrun.archive.store import open_archive
-    from rtrun.report.study import DEADLINE_NS
 
     text = sys.stdin.read() if args.order == Path("-") else read_text(args.order, max_bytes=1 << 26)
     order = list(dict.fromkeys(filter(None, map(str.strip, text.splitlines()))))
-    with connected(open_archive(args.archive)) as archive:
-        known = courses(archive, deadline_ns=args.deadline or DEADLINE_NS)
+    known, _ = read_courses(args)
+    from rtrun.archive.bisection import find_suspects
+
     if not any(run.facts.get(args.by) in order for course in known for run in course.runs):
         raise UsageError(
             f"{args.order}: none of its {len(order)} lines is the {args.by} of a run in {args.archive}: "

@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING, get_args
 
 from rtrun.archive import By
-from rtrun.commands._question import time_argument
+from rtrun.commands._archive import add_archive, add_deadline
 
 if TYPE_CHECKING:
     from rtrun.archive.queries import Point
@@ -15,11 +15,11 @@ HELP = "show how quantiles and P(miss) of each scenario went, by time, kernel, b
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The archive, what a row is, the deadline, how to print."""
-    parser.add_argument("archive", metavar="ARCHIVE", help="folder or address, as s3://bucket/archive")
+    add_archive(parser)
     parser.add_argument(
         "--by", choices=get_args(By), default="day", help="what a row is of; boards and kernels stay apart [day]"
     )
-    parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
+    add_deadline(parser)
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 
 

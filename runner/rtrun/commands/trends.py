@@ -2,7 +2,8 @@
 
 import argparse
 
-from rtrun.commands._question import add_confidence, time_argument
+from rtrun.commands._archive import add_archive, add_deadline, read_courses
+from rtrun.commands._question import add_confidence
 
 NAME = "trends"
 HELP = "say when quantiles and P(miss) in an archive changed, by how much, and what else changed then"
@@ -10,8 +11,8 @@ HELP = "say when quantiles and P(miss) in an archive changed, by how much, and w
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The archive, the deadline, the confidence, how to print."""
-    parser.add_argument("archive", metavar="ARCHIVE", help="folder or address, as s3://bucket/archive")
-    parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
+    add_archive(parser)
+    add_deadline(parser)
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")
     add_confidence(parser)
 
@@ -21,18 +22,10 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from rtfiles.output import print_line, print_text
-    from rtrun.archive.extra import check_extra
 
-    check_extra()
-    from rtrun.archive.courses import courses
-    from rtrun.archive.queries import connected
-    from rtrun.archive.store import open_archive
+    known, deadline_ns = read_courses(args)
     from rtrun.archive.trends import as_data, as_text, trends
-    from rtrun.report.study import DEADLINE_NS
 
-    deadline_ns = args.deadline or DEADLINE_NS
-    with connected(open_archive(args.archive)) as archive:
-        known = courses(archive, deadline_ns=deadline_ns)
     shown = trends(known, confidence=args.confidence)
     if args.json:
         data = {"schema": 1, "deadline_ns": deadline_ns, "changes": [as_data(trend) for trend in shown]}

@@ -1,0 +1,35 @@
+"""What commands that ask an archive share: which one, by which deadline, and its courses."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+from rtrun.commands._question import time_argument
+
+if TYPE_CHECKING:
+    from rtrun.archive.courses import Course
+
+
+def add_archive(parser: argparse.ArgumentParser) -> None:
+    """The archive."""
+    parser.add_argument("archive", metavar="ARCHIVE", help="folder or address, as s3://bucket/archive")
+
+
+def add_deadline(parser: argparse.ArgumentParser) -> None:
+    """The deadline, by default the thesis'."""
+    parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
+
+
+def read_courses(args: argparse.Namespace) -> "tuple[list[Course], int]":
+    """Every course of the archive, and the deadline in ns that its misses are of. Raises UsageError as `check_extra`,
+    `open_archive` and `connected` do, InfrastructureError."""
+    from rtrun.archive.extra import check_extra
+
+    check_extra()
+    from rtrun.archive.courses import courses
+    from rtrun.archive.queries import connected
+    from rtrun.archive.store import open_archive
+    from rtrun.report.study import DEADLINE_NS
+
+    deadline_ns = args.deadline or DEADLINE_NS
+    with connected(open_archive(args.archive)) as archive:
+        return courses(archive, deadline_ns=deadline_ns), deadline_ns
