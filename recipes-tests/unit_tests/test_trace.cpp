@@ -84,6 +84,7 @@ TEST_F(TraceTest, ThresholdTakesASnapshotAndGoesOn) {
   EXPECT_EQ(trace.above(), 2);
   EXPECT_EQ(trace.files(), (std::vector<std::string>{"out-trace-2.txt", "out-trace-3.txt"}));
   EXPECT_EQ(content("out-trace-2.txt"), head(7000, 2, 5000, "0.001000") + "1napshot");  // asked for: a snapshot
+  EXPECT_EQ(content("snapshot"), "2napshot");  // cleared, after it was copied
   EXPECT_EQ(content("out-trace-3.txt").substr(0, 45), "# program: 8000 ns at index 3 above 5000 ns, ");
   EXPECT_EQ(content("trace_marker"), "trace_marker");
 }

@@ -4,6 +4,7 @@ Each needs Python alone, as it is copied to a board. CPU is that of the measured
 is to last, where the program can choose it.
 """
 
+import contextlib
 import ctypes
 import os
 import resource
@@ -14,6 +15,9 @@ import time
 from pathlib import Path
 
 EVERY_MS = 700
+# Within these is a whole period of sched_rt_period_us.
+THROTTLED_MS = 2000
+MEASURED = "cyclic_timer_te\n"
 SOCKETS = 4000
 RECEIVERS_MAX = 50
 # For experiments (RFC 3692): nobody else speaks it.
@@ -104,13 +108,26 @@ def throttle(cpu: int, length_ms: int) -> None:
         named("planted_fair", cpu)
         while True:
             spin(length_ms)
-    named("planted_hog", cpu)
     if length_ms > 20:
         # Longer than the 50 ms of each second that Linux leaves to other threads.
         Path("/proc/sys/kernel/sched_rt_runtime_us").write_text(str(1_000_000 - 2000 * length_ms))
+    named("planted_hog", cpu)
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
     while True:
-        spin(length_ms)
+        # Between the runs, and now and then, RCU needs the CPU: setting up and copying the kernel's trace waits for it.
+        while not is_measured():
+            time.sleep(0.2)
+        spin(THROTTLED_MS)
+        time.sleep(1)
+
+
+def is_measured() -> bool:
+    """Whether a suite's thread runs with a real-time priority."""
+    for file in Path("/proc").glob("[0-9]*/comm"):
+        with contextlib.suppress(OSError):
+            if file.read_text() == MEASURED and os.sched_getscheduler(int(file.parent.name)) == os.SCHED_RR:
+                return True
+    return False
 
 
 def stop_machine(cpu: int, length_ms: int) -> None:

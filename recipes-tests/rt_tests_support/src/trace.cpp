@@ -131,7 +131,7 @@ void OutlierTrace::copy_new(bool measuring) noexcept {
     }
     const int64_t at_ns = now_ns(clock_);
     // No snapshot after the measurement: the trace itself then stays as it is, for the person who set it up.
-    const bool snapshot = measuring && write_at("snapshot", "2") && write_at("snapshot", "1");
+    const bool snapshot = measuring && write_at("snapshot", "1");
     const bool paused = !snapshot && stop_recording();
     const int source = openat(folder_, snapshot ? "snapshot" : "trace", O_RDONLY | O_CLOEXEC);
     if (source < 0) problem_ = errno;
@@ -147,6 +147,9 @@ void OutlierTrace::copy_new(bool measuring) noexcept {
       write_all(lock_, {&last, sizeof last}, 0);
     }
     if (source >= 0) close(source);
+    // The next snapshot records into this buffer, which must be empty then. Clearing it waits for RCU, and so for a
+    // thread that does not give up a CPU: it comes after the copy.
+    if (snapshot) write_at("snapshot", "2");
     if (paused) write_at("tracing_on", "1");
   }
   flock(lock_, LOCK_UN);

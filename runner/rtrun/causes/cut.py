@@ -18,6 +18,7 @@ from rtrun.causes.timeline import IDLE_PID, Change, Occupant, Span, State, Timel
 # The longest way from one thread to the one that woke it: a trace in a circle ends there.
 STEPS_MAX = 10_000
 TIMER = "the timer's own"
+IDLE = "idle"
 # A fault has no event at its end: between two that follow this closely the thread does little else.
 BETWEEN_FAULTS_NS = 50_000
 
@@ -25,7 +26,7 @@ BETWEEN_FAULTS_NS = 50_000
 class Kind(StrEnum):
     """What took a part of the time."""
 
-    TIMER_LATE = "timer interrupt late"
+    TIMER_LATE = "timer interrupt late during"
     TIMER_SLACK = "timer slack"
     INTERRUPT = "interrupt"
     SOFTIRQ = "softirq"
@@ -179,7 +180,7 @@ class _Walk:
             if (awaited := self._awaited(pid, change.waker, at_ns)) is not None:
                 pid, place = awaited, self.timeline.place(awaited, at_ns)
                 continue
-            yield from _of(pid, State.ASLEEP, self._slept(slept, change.waker, asleep_ns, at_ns))
+            yield from _of(pid, State.ASLEEP, self._slept(pid, slept, change.waker, asleep_ns, at_ns))
             at_ns, place = asleep_ns, place - 1
 
     def _awaited(self, pid: int, waker: Waker, at_ns: int) -> int | None:
@@ -286,10 +287,10 @@ class _Walk:
         times = self.timeline.consoles_ns.get(pid, ())
         return bisect_left(times, began_ns) < bisect_left(times, at_ns)
 
-    def _slept(self, slept: Change | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
+    def _slept(self, pid: int, slept: Change | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """The time from when a thread fell asleep until it was woken."""
         if waker.expiry is not None:
-            yield from self._timer(waker, asleep_ns, at_ns)
+            yield from self._timer(pid, waker, asleep_ns, at_ns)
         elif waker.context is Context.THREAD:
             why = slept.why if slept else Why.UNKNOWN
             kind = {Why.LOCK: Kind.LOCK, Why.FAULT: Kind.FAULT, Why.UNINTERRUPTIBLE: Kind.BLOCKED}.get(why, Kind.LOCK)
@@ -303,7 +304,7 @@ class _Walk:
                 begin_ns=asleep_ns, end_ns=waker.began_ns, cause=Cause(kind=kind, name=waker.name), cpu=waker.cpu
             )
 
-    def _timer(self, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
+    def _timer(self, pid: int, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """From the expiry of a timer until it woke the thread, latest first."""
         expiry = waker.expiry
         began_ns = min(waker.began_ns, at_ns)
@@ -315,19 +316,26 @@ class _Walk:
         soft_ns = max(asleep_ns, min(expiry.soft_ns, began_ns))
         hard_ns = max(soft_ns, min(expiry.hard_ns, began_ns))
         for span in self._spans(waker.cpu, hard_ns, began_ns):
-            yield self._part(span, waker.cpu, self._while_late(span))
+            yield self._part(span, waker.cpu, self._while_late(span, pid))
         yield Part(begin_ns=soft_ns, end_ns=hard_ns, cause=Cause(kind=Kind.TIMER_SLACK), cpu=waker.cpu)
         yield Part(begin_ns=asleep_ns, end_ns=soft_ns, cause=Cause(kind=Kind.OWN_SLEEP), cpu=waker.cpu)
 
-    def _while_late(self, span: Span) -> Cause:
-        """What a CPU did while the interrupt of a timer should have come."""
+    def _while_late(self, span: Span, pid: int) -> Cause:
+        """What a CPU did while the interrupt of a timer should have come, which then woke a thread.
+
+        A thread of higher priority kept that one from running anyway: with interrupts off, as stop_machine, or not.
+        """
         who = span.occupant
         if who is None or who.context is not Context.THREAD:
             return _of_no_thread(who)
         if who.pid == IDLE_PID:
-            return Cause(kind=Kind.TIMER_LATE, name="the CPU was idle")
-        kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.TIMER_LATE
-        return Cause(kind=kind, name=who.name, pid=who.pid, prio=self.timeline.prios.get(who.pid))
+            return Cause(kind=Kind.TIMER_LATE, name=IDLE)
+        other, prio = self.timeline.prios.get(who.pid), self.timeline.prios.get(pid)
+        if who.pid not in self.own and other is not None and prio is not None and other < prio:
+            kind = Kind.HIGHER
+        else:
+            kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.TIMER_LATE
+        return Cause(kind=kind, name=who.name, pid=who.pid, prio=other)
 
     def _softirq(self, pid: int, waker: Waker, at_ns: int) -> Iterator[Part]:
         """From when a softirq was raised until it woke the thread, latest first."""

@@ -119,7 +119,7 @@ def test_interrupts_off():
 def test_an_idle_state():
     text = START + switch(200, ME, IDLE) + expiry(1300, late_us=300) + switch(1350, IDLE, ME, state="R")
     assert parts_of(text + line(1360, "x: y"), at=1360) == [
-        (Kind.TIMER_LATE, "the CPU was idle", 300),
+        (Kind.TIMER_LATE, "idle", 300),
         (Kind.INTERRUPT, "the timer's own", 2),
         (Kind.INTERRUPT, "local_timer", 1),
         (Kind.IDLE_EXIT, "", 47),
@@ -263,11 +263,11 @@ def test_what_a_thread_printed_before_it_slept_is_not_to_blame():
 
 
 def test_stop_machine():
-    """The thread that stops the CPU has a priority above every other."""
+    """The thread that stops the CPU has a priority above every other: to blame with interrupts off as well as on."""
     stopper = ("migration/0", 6, 0)
     text = BEFORE + switch(990, LOW, stopper, state="R") + expiry(1300, late_us=300) + switch(1400, stopper, ME)
     assert parts_of(text + line(1410, "x: y"), at=1410) == [
-        (Kind.TIMER_LATE, "migration/0", 300),
+        (Kind.HIGHER, "migration/0", 300),
         (Kind.INTERRUPT, "the timer's own", 2),
         (Kind.INTERRUPT, "local_timer", 1),
         (Kind.HIGHER, "migration/0", 97),
