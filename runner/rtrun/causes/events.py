@@ -135,11 +135,11 @@ class Frequency(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """Events of a CPU are missing before this moment."""
+    """Events of a CPU are missing before this moment; `missing` is None where the kernel does not know how many."""
 
     at_ns: int
     cpu: int
-    missing: int
+    missing: int | None
 
 
 Event = (

@@ -51,7 +51,7 @@ _LINE = re.compile(
 )
 _TIME = re.compile(r" (\d{1,9})\.(\d{9}|\d{6}): ", re.ASCII)
 _TIMER_START_EVENT = ": hrtimer_start: "
-_LOST = re.compile(r"CPU:(\d{1,4}) \[LOST (\d{1,15}) EVENTS\]", re.ASCII)
+_LOST = re.compile(r"CPU:(\d{1,4}) \[LOST (?:(\d{1,15}) )?EVENTS\]", re.ASCII)
 _SWITCH = re.compile(
     r"prev_comm=(.{0,64}?) prev_pid=(\d{1,10}) prev_prio=(-?\d{1,4}) prev_state=(\S{1,8}) ==> "
     r"next_comm=(.{0,64}?) next_pid=(\d{1,10}) next_prio=(-?\d{1,4})\b",
@@ -197,13 +197,13 @@ def _ns(seconds: str, fraction: str) -> int:
 def parse(lines: Iterable[str]) -> Iterator[Event | None]:
     """Yield the events of a trace's lines, None for a line that is neither an event nor a comment."""
     cpus: set[str] = set()
-    lost: dict[int, int] = {}
+    lost: dict[int, int | None] = {}
     second, second_ns = "", 0
     for line in lines:
         match = _LINE.match(line)
         if match is None:
             if lost_match := _LOST.match(line):
-                lost[int(lost_match[1])] = int(lost_match[2])
+                lost[int(lost_match[1])] = int(lost_match[2]) if lost_match[2] else None
             elif not line.startswith("#") and line.strip():
                 yield None
             continue

@@ -126,12 +126,21 @@ def _explain(
     parts = cut(order, pid=pid, own=own, due_ns=outlier.due_ns, at_ns=outlier.at_ns)
     late = [(one.due_ns, one.at_ns) for one in all_outliers]
     control = windows_before(order, trace.events, begin_ns=outlier.due_ns, length_ns=outlier.value_ns, late=late)
-    lost = sum(one.missing for one in order.lost if outlier.due_ns <= one.at_ns <= outlier.at_ns)
-    note = f"{lost} events were lost within" if lost else ""
     begin_ns = outlier.due_ns - AROUND * outlier.value_ns
     around = {cpu: tuple(order.spans(cpu, begin_ns, outlier.at_ns)) for cpu in order.cpus}
     of_message = steps(parts, pid=pid, own=own) if is_message and known else {}
+    note = _what_is_missing(outlier, order, trace)
     return Explained(outlier=outlier, parts=parts, control=control, steps=of_message, around=around, note=note)
+
+
+def _what_is_missing(outlier: Outlier, order: Timeline, trace: Trace) -> str:
+    """What the kernel lost during an outlier, and what could not be read of its trace; empty if nothing."""
+    lost = [one.missing for one in order.lost if outlier.due_ns <= one.at_ns <= outlier.at_ns]
+    known = sum(missing or 0 for missing in lost)
+    notes = [f"{known} events were lost within" if known else "events were lost within"] if lost else []
+    if trace.not_read:
+        notes.append(f"{trace.not_read} line{'' if trace.not_read == 1 else 's'} of its trace could not be read")
+    return "; ".join(notes)
 
 
 def _why_none(path: Path, outlier: Outlier) -> str:
@@ -141,8 +150,8 @@ def _why_none(path: Path, outlier: Outlier) -> str:
         return NO_TIMES
     if ends[0] - ANOTHER_CLOCK_NS < outlier.at_ns < ends[1] + ANOTHER_CLOCK_NS:
         return NOT_RECORDED
-    between = f"{ends[0] / 1e9:.0f} to {ends[1] / 1e9:.0f} s"
-    return f"the trace is of another clock than {outlier.clock}: its times are {between}"
+    hours = abs(ends[0] - outlier.at_ns) / 3600e9
+    return f"the trace is of another clock than {outlier.clock}, which is {hours:.0f} h away from it"
 
 
 def _with_name(order: Timeline, names: set[str]) -> frozenset[int]:

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     table = causes.table(ranking, explained)
     cost, not_compared = tracing_cost_at(source)
     surroundings, not_held = causes.surroundings(source)
-    print_line(f"{table.outcome if explained else causes.no_traces(source)}.")
+    print_line(f"{table.outcome if explained or refused else causes.no_traces(source)}.")
     for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders])):
         print_line(note)
     if table.rows:

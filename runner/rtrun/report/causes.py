@@ -27,6 +27,8 @@ from rtrun.target.kernel_trace import OPTIONS
 T = TypeVar("T")
 
 REMEDIES_MAX = 3
+# The kernel's names of threads have 15 characters, those of CPUs and interrupts hardly more.
+NAME_WIDTH = 20
 # Who took less of all lateness than this is counted, not listed.
 LISTED_FROM = 0.01
 # A remedy is given for a culprit that took at least this share of all lateness.
@@ -221,7 +223,12 @@ def for_terminal(table: Table) -> rich.table.Table:
     """The table for a terminal."""
     made = rich.table.Table(box=rich.box.SIMPLE, padding=(0, 1), show_edge=False)
     for place, heading in enumerate(table.columns):
-        made.add_column(heading, justify="right" if place >= table.numbers else "left")
+        # A name that is cut off names nobody. Where all are long, each is wrapped.
+        longest = max((len(row[place]) for row in table.rows), default=0)
+        width = longest if longest <= NAME_WIDTH else None
+        made.add_column(
+            heading, justify="right" if place >= table.numbers else "left", min_width=width, overflow="fold"
+        )
     for row in table.rows:
         made.add_row(*(rich.text.Text(printable(cell)) for cell in row))
     return made
@@ -230,7 +237,10 @@ def for_terminal(table: Table) -> rich.table.Table:
 def without_trace(explained: Iterable[Explained]) -> list[str]:
     """How many outliers have no parts, and why."""
     notes = [one.note for one in explained if not one.parts]
-    return [f"{notes.count(note)} more without parts: {note}" for note in dict.fromkeys(notes)]
+    return [
+        f"{notes.count(note)} outlier{'' if notes.count(note) == 1 else 's'} without parts: {note}"
+        for note in dict.fromkeys(notes)
+    ]
 
 
 def lines(one: Explained) -> Iterator[str]:

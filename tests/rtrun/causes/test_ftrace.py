@@ -102,6 +102,11 @@ def test_lost_events_belong_to_the_next_line_of_their_cpu():
     assert [event for event in events(text) if isinstance(event, Lost)] == [Lost(3000, 1, 12)]
 
 
+def test_lost_events_that_the_kernel_did_not_count():
+    text = line(1, "x: y") + "CPU:0 [LOST EVENTS]\n" + line(2, "x: y")
+    assert [event for event in events(text) if isinstance(event, Lost)] == [Lost(2000, 0, None)]
+
+
 @pytest.mark.parametrize(
     "text",
     [

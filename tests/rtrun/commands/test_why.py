@@ -27,7 +27,7 @@ def test_the_answer_comes_first(results, capsys):
     )
     assert second.startswith("planted_hog: give the thread a lower real-time priority than the measured one")
     assert second.endswith("(sched(7), chrt(1))")
-    assert third.startswith("1 more without parts: the trace holds nothing of that moment")
+    assert third.startswith("1 outlier without parts: the trace holds nothing of that moment")
     lines = [line.split() for line in out.splitlines()]
     begin = next(k for k, words in enumerate(lines) if words[:4] == ["1722", "us", "too", "late:"])
     parts = [float(words[0]) for words in lines[begin + 1 :] if words[1:2] == ["us"] and "late:" not in words]
@@ -55,6 +55,24 @@ def test_what_was_refused_comes_after_the_answer(results, capsys):
     captured = capsys.readouterr()
     assert captured.out.startswith("thread of higher priority planted_hog")
     assert "its first line does not name an outlier" in captured.err
+
+
+def test_where_all_was_refused_the_answer_does_not_say_that_nothing_was_late(tmp_path, capsys):
+    write_traced_run(tmp_path, {3: ""}, [1])
+    assert main(["why", str(tmp_path)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out.startswith("No outlier has a trace that could be read.")
+    assert "its first line does not name an outlier" in captured.err
+
+
+def test_names_of_threads_are_not_cut_off(tmp_path, capsys):
+    me, hog = ("cyclic_timer_te", 1, 4), ("a_name_of_15_ch", 2, 1)
+    text = head(90_000_000, 3, 100_000_000) + switch(9_000_000, me, hog, state="R")
+    text += switch(99_999_000, hog, me, state="R")
+    write_traced_run(tmp_path, {3: text + line(100_000_001, "local_timer_entry: vector=1")}, [1])
+    assert main(["why", str(tmp_path)]) == 0
+    ranking, _ = capsys.readouterr().out.split("us too late")
+    assert "a_name_of_15_ch  " in ranking.split("what ")[1]
 
 
 def test_who_took_little_is_counted(tmp_path, capsys):
