@@ -114,11 +114,11 @@ def throttle(cpu: int, length_ms: int) -> None:
     named("planted_hog", cpu)
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
     while True:
-        # Between the runs, and now and then, RCU needs the CPU: setting up and copying the kernel's trace waits for it.
+        # With PREEMPT_RT the hog keeps RCU waiting, and with it whoever sets up or copies the kernel's trace.
         while not is_measured():
             time.sleep(0.2)
         spin(THROTTLED_MS)
-        time.sleep(1)
+        time.sleep(2 * THROTTLED_MS / 1000)
 
 
 def is_measured() -> bool:

@@ -167,6 +167,8 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
         if one.main or one.kind is Kind.UNEXPLAINED or one.total_ns >= LISTED_FROM * ranking.late_ns
     ]
     others = len(ranking.culprits) - len(listed)
+    nothing = (Kind.UNEXPLAINED.value, "", "", f"0 of {ranking.outliers}", "0", us(0), us(0), "-")
+    is_all_explained = ranking.outliers and all(one.kind is not Kind.UNEXPLAINED for one in listed)
     return Table(
         id="causes",
         title="What late values waited for",
@@ -183,7 +185,8 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
                 f"{culprit.as_long} of {culprit.windows}" if culprit.windows else "-",
             )
             for culprit in listed
-        ],
+        ]
+        + [nothing] * bool(is_all_explained),
         outcome=answer(ranking),
         numbers=3,
         notes=(
@@ -255,6 +258,8 @@ def lines(one: Explained) -> Iterator[str]:
     lengths: Counter[tuple[Cause, int | None]] = Counter()
     for part in one.parts:
         lengths[part.cause, part.cpu] += part.length_ns
+    if all(cause.kind is not Kind.UNEXPLAINED for cause, _ in lengths):
+        lengths[Cause(kind=Kind.UNEXPLAINED), None] = 0
     for (cause, cpu), length_ns in lengths.most_common():
         yield printable(f"  {us(length_ns):>10} us  {_cause(cause)}{'' if cpu is None else f', CPU {cpu}'}")
 

@@ -32,6 +32,12 @@ def test_the_answer_comes_first(results, capsys):
     begin = next(k for k, words in enumerate(lines) if words[:4] == ["1722", "us", "too", "late:"])
     parts = [float(words[0]) for words in lines[begin + 1 :] if words[1:2] == ["us"] and "late:" not in words]
     assert sum(parts) == pytest.approx(1721.9, abs=0.2)
+    # What no event explains is shown even where that is nothing: in the ranking and with the outlier.
+    unexplained = [words for words in lines if "unexplained" in words]
+    assert unexplained == [
+        ["unexplained", "0", "of", "1", "0", "0.0", "0.0", "-"],
+        ["0.0", "us", "unexplained"],
+    ]
 
 
 def test_a_run_with_traces_in_which_nothing_was_late(tmp_path, capsys):
