@@ -113,7 +113,7 @@ def board(kernel: KernelName, folder: Path) -> Iterator[Place]:
             length_ms=100,
             threshold_us=50_000,
             frequency_hz=50,
-            repetitions=350,
+            repetitions=150,
             flooded_port=flooded_port,
         )
 
@@ -162,12 +162,12 @@ def beside(place: Place, plant: str, cpu: int) -> Iterator[None]:
         words = [str(script), plant, str(cpu), str(place.length_ms)]
         group, pid = connection.check(["sh", "-c", START, "sh", *words]).split()
         stack.callback(connection.run, ["kill", "-KILL", "--", f"-{group}"])
+        connection.check(["sh", "-c", NAMED, "sh", pid], deadline_s=READY_S)
         if plant == "storm" and place.flooded_port is not None:
             argv = [sys.executable, HERE / "plants.py", "flood", str(place.flooded_port()), str(place.length_ms)]
             flood = subprocess.Popen(argv)
             stack.callback(flood.wait)
             stack.callback(flood.kill)
-        connection.check(["sh", "-c", NAMED, "sh", pid], deadline_s=READY_S)
         yield
         # A process that ended has no command line, even if nobody has asked for its exit status.
         connection.check(["grep", "-q", plant, f"/proc/{pid}/cmdline"])

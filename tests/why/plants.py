@@ -20,6 +20,8 @@ THROTTLED_MS = 2000
 MEASURED = "cyclic_timer_te\n"
 SOCKETS = 4000
 RECEIVERS_MAX = 50
+# A burst takes twice the time that a thread is to be late.
+FLOOD_PACKETS = 10
 # For experiments (RFC 3692): nobody else speaks it.
 PROTOCOL = 253
 TRACING = Path("/sys/kernel/tracing")
@@ -64,27 +66,33 @@ def busy(name: str, priority: int, cpu: int, length_ms: int) -> None:
 
 def multiply(cpu: int, length_ms: int) -> None:
     """Packets that the network's softirq copies to so many sockets that one packet takes long."""
-    sender = socket.socket(socket.AF_INET, socket.SOCK_RAW, PROTOCOL)
-    for _ in range(RECEIVERS_MAX):
-        # Twice as long: what else runs now makes it seem longer.
-        if sent_ns(sender) > 2 * length_ms * 1_000_000:
-            break
-        ready, done = os.pipe()
-        if os.fork() == 0:
-            receive(done)
-        os.read(ready, 1)
+    # Twice as long: what else runs now makes it seem longer.
+    sender = sender_to_many(PROTOCOL, 2 * length_ms)
     named("planted_net", cpu)
     while True:
         pause(length_ms)
         sender.sendto(b"x", ("127.0.0.1", 0))
 
 
-def receive(done: int) -> None:
+def sender_to_many(protocol: int, length_ms: float) -> socket.socket:
+    """Open so many sockets that a packet of a protocol takes a time to get to all of them; return one that sends."""
+    sender = socket.socket(socket.AF_INET, socket.SOCK_RAW, protocol)
+    for _ in range(RECEIVERS_MAX):
+        if sent_ns(sender) > length_ms * 1_000_000:
+            break
+        ready, done = os.pipe()
+        if os.fork() == 0:
+            receive(protocol, done)
+        os.read(ready, 1)
+    return sender
+
+
+def receive(protocol: int, done: int) -> None:
     """Have many sockets that nobody reads: their queues are full at once, and each packet takes as long as the last."""
     resource.setrlimit(resource.RLIMIT_NOFILE, (SOCKETS + 50, SOCKETS + 50))
     receivers = []
     for _ in range(SOCKETS):
-        receiver = socket.socket(socket.AF_INET, socket.SOCK_RAW, PROTOCOL)
+        receiver = socket.socket(socket.AF_INET, socket.SOCK_RAW, protocol)
         receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         receivers.append(receiver)
     os.write(done, b"x")
@@ -153,15 +161,15 @@ def flood(port: int, length_ms: int) -> None:
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     while True:
         pause(length_ms)
-        end_ns = time.monotonic_ns() + 2 * length_ms * 1_000_000
-        while time.monotonic_ns() < end_ns:
-            sender.sendto(b"x" * 64, ("127.0.0.1", port))
+        for _ in range(FLOOD_PACKETS):
+            sender.sendto(b"x", ("127.0.0.1", port))
 
 
 def accept_flood(cpu: int, length_ms: int) -> None:
-    """The board may handle packets for long at a time, and without giving way to threads."""
+    """The board handles each packet for long, and a burst of them without giving way to threads."""
     Path("/proc/sys/net/core/netdev_budget").write_text("100000")
-    Path("/proc/sys/net/core/netdev_budget_usecs").write_text(str(1000 * length_ms))
+    Path("/proc/sys/net/core/netdev_budget_usecs").write_text(str(4000 * length_ms))
+    sender_to_many(socket.IPPROTO_UDP, 2 * length_ms / FLOOD_PACKETS)
     named("planted_net", cpu)
     while True:
         time.sleep(1)

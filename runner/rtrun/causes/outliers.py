@@ -2,6 +2,7 @@
 
 import re
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from rtrun.causes.cut import Part, cut
 from rtrun.causes.events import Context
 from rtrun.causes.ftrace import Trace, read_ends, read_trace, refuse_trace_cmd
 from rtrun.causes.steps import Step, steps
-from rtrun.causes.timeline import Span, Timeline, timeline
+from rtrun.causes.timeline import IDLE_PID, Span, State, Timeline, timeline
 from rtrun.plan.suites import suite
 from rtrun.results.record import RunRecord, check_file
 from rtrun.results.samples import NON_MEASURING_THREADS, Record
@@ -64,8 +65,9 @@ class Explained:
     """An outlier, the parts that its lateness consists of, and what happened in as long a time when nothing was late.
 
     `steps` are those of a message, in nanoseconds; empty for a timer. `around` is what each CPU did from `AROUND` times
-    the value before until the outlier. Without parts `note` says why there are none; with parts it says what is wrong
-    with the trace, or is empty.
+    the value before until the outlier. `idle_ns` is how long each other CPU was idle while the measured thread waited
+    for its own. Without parts `note` says why there are none; with parts it says what is wrong with the trace, or is
+    empty.
     """
 
     outlier: Outlier
@@ -73,6 +75,7 @@ class Explained:
     control: Windows
     steps: Mapping[Step, int] = field(default_factory=dict)
     around: Mapping[int, tuple[Span, ...]] = field(default_factory=dict)
+    idle_ns: Mapping[int, int] = field(default_factory=dict)
     note: str = ""
 
 
@@ -129,8 +132,29 @@ def _explain(
     begin_ns = outlier.due_ns - AROUND * outlier.value_ns
     around = {cpu: tuple(order.spans(cpu, begin_ns, outlier.at_ns)) for cpu in order.cpus}
     of_message = steps(parts, pid=pid, own=own) if is_message and known else {}
-    note = _what_is_missing(outlier, order, trace)
-    return Explained(outlier=outlier, parts=parts, control=control, steps=of_message, around=around, note=note)
+    return Explained(
+        outlier=outlier,
+        parts=parts,
+        control=control,
+        steps=of_message,
+        around=around,
+        idle_ns=_idle_elsewhere(order, parts, pid),
+        note=_what_is_missing(outlier, order, trace),
+    )
+
+
+def _idle_elsewhere(order: Timeline, parts: Sequence[Part], pid: int) -> Mapping[int, int]:
+    """How long other CPUs were idle while a thread waited for its own: its affinity, or it was not moved."""
+    idle_ns: Counter[int] = Counter()
+    for part in parts:
+        if part.pid != pid or part.state is not State.WAITING:
+            continue
+        for cpu in set(order.cpus) - {part.cpu}:
+            for span in order.spans(cpu, part.begin_ns, part.end_ns):
+                who = span.occupant
+                if who is not None and who.context is Context.THREAD and who.pid == IDLE_PID:
+                    idle_ns[cpu] += span.end_ns - span.begin_ns
+    return idle_ns
 
 
 def _what_is_missing(outlier: Outlier, order: Timeline, trace: Trace) -> str:

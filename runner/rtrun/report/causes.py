@@ -29,6 +29,8 @@ T = TypeVar("T")
 REMEDIES_MAX = 3
 # The kernel's names of threads have 15 characters, those of CPUs and interrupts hardly more.
 NAME_WIDTH = 20
+# Idle CPUs are listed with an outlier from this share of its value on.
+IDLE_FROM = 0.1
 # Who took less of all lateness than this is counted, not listed.
 LISTED_FROM = 0.01
 # A remedy is given for a culprit that took at least this share of all lateness.
@@ -262,6 +264,10 @@ def lines(one: Explained) -> Iterator[str]:
         lengths[Cause(kind=Kind.UNEXPLAINED), None] = 0
     for (cause, cpu), length_ns in lengths.most_common():
         yield printable(f"  {us(length_ns):>10} us  {_cause(cause)}{'' if cpu is None else f', CPU {cpu}'}")
+    for cpu, idle_ns in one.idle_ns.items():
+        if idle_ns >= IDLE_FROM * outlier.value_ns:
+            why = "its affinity excludes it, or it was not moved there"
+            yield f"  meanwhile CPU {cpu} was idle for {us(idle_ns)} us: {why}"
 
 
 def _cause(cause: Cause) -> str:
