@@ -41,7 +41,11 @@ PLANT=%s LENGTH_MS=%d LD_PRELOAD=$here/planted.so exec $here/cyclic_timer_tests.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """A machine that answers. One event of a plant lasts `length_ms` there, longer than values are late without."""
+    """A machine that answers. One event of a plant lasts `length_ms` there, longer than values are late without.
+
+    A run is cut into `slices` of `repetitions` values each, which are trials: where a run takes a minute to begin and
+    to end, ten runs of a trial each would take too long.
+    """
 
     about: str
     address: Address | ThisMachine
@@ -54,6 +58,7 @@ class Place:
     threshold_us: int
     frequency_hz: int
     repetitions: int
+    slices: int = 1
     flooded_port: Callable[[], int] | None = None
     """Opens a UDP port of this machine that is forwarded to the board's network device."""
 
@@ -110,10 +115,11 @@ def board(kernel: KernelName, folder: Path) -> Iterator[Place]:
             ),
             built=built,
             compiler=f"{architectures()[machines()[BOARD].architecture].triplet}-gcc",
-            length_ms=100,
-            threshold_us=50_000,
+            length_ms=300,
+            threshold_us=200_000,
             frequency_hz=50,
-            repetitions=150,
+            repetitions=300,
+            slices=5,
             flooded_port=flooded_port,
         )
 

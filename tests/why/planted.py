@@ -2,8 +2,8 @@
 
 PYTHONPATH=runner:tests .venv/bin/python tests/why/planted.py [--place here] [--trials 10] [--only lock,equal]
 
-Here root, tracefs, a second CPU and gcc are needed; for the board what `rtgen board build` needs. A trial is a run of
-some seconds; those of one plant are the runs of one campaign.
+Here root, tracefs, a second CPU and gcc are needed; for the board what `rtgen board build` needs. A trial takes some
+seconds of a run; the runs beside one plant are those of one campaign.
 """
 
 import argparse
@@ -17,12 +17,13 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 from places import Place, beside, board, preloaded, this_machine
 
 from rtrun.causes.cut import Kind
-from rtrun.causes.ranking import Ranking
+from rtrun.causes.ranking import Ranking, rank
 from rtrun.report import causes
 from rtrun.results.reading import find_source
 
@@ -39,7 +40,7 @@ schema: 1
 name: planted
 runs:
   - {{suite: cyclic_timer_tests, frequency_hz: {frequency_hz}, repetitions: {repetitions}, policy: RR,
-     priority: {priority}, cpu: "{cpu}", trace: {{above: {threshold_us}us}}, repeats: {trials}}}
+     priority: {priority}, cpu: "{cpu}", trace: {{above: {threshold_us}us}}, repeats: {runs}}}
 exclude:
   - {{trace: "off"}}
 """
@@ -81,10 +82,18 @@ PLANTS = (
 
 
 def trials(plant: Plant, count: int, place: Place, folder: Path) -> Iterator[Ranking]:
-    """The ranking of each run of a campaign beside the plant."""
+    """The ranking of each trial, beside the plant: a slice of a run of a campaign."""
     built = preloaded(place, plant.name, folder) if plant.preloaded else place.built
-    shape = {name: getattr(place, name) for name in ("frequency_hz", "repetitions", "threshold_us")}
-    (folder / "campaign.yml").write_text(CAMPAIGN.format(**shape, cpu=plant.cpu, priority=plant.priority, trials=count))
+    runs_wanted = -(-count // place.slices)
+    campaign = CAMPAIGN.format(
+        frequency_hz=place.frequency_hz,
+        repetitions=place.repetitions * place.slices,
+        threshold_us=place.threshold_us,
+        cpu=plant.cpu,
+        priority=plant.priority,
+        runs=runs_wanted,
+    )
+    (folder / "campaign.yml").write_text(campaign)
     (folder / "target.yml").write_text(f"schema: 1\nname: place\nsuites: {built}\n{place.target}")
     results = folder / f"results-{plant.name}"
     is_beside = not plant.preloaded and plant.kind is not None
@@ -92,13 +101,18 @@ def trials(plant: Plant, count: int, place: Place, folder: Path) -> Iterator[Ran
         argv = [sys.executable, "-m", "rtrun.cli", "run", folder / "campaign.yml", "--target", folder / "target.yml"]
         output = run_program([*argv, "--results", results])
     runs = sorted(path.parent for path in results.glob("*/run.json"))
-    if len(runs) != count:
-        raise RuntimeError(f"{len(runs)} of {count} runs\n{output}")
-    for run in runs:
-        ranking, _, refused = causes.ranked(find_source(run))
-        if refused:
-            raise RuntimeError("\n".join(refused))
-        yield ranking
+    if len(runs) != runs_wanted:
+        raise RuntimeError(f"{len(runs)} of {runs_wanted} runs\n{output}")
+    yield from islice((ranking for run in runs for ranking in rankings(run, place)), count)
+
+
+def rankings(run: Path, place: Place) -> Iterator[Ranking]:
+    """The ranking of each slice of a run."""
+    explained, refused = causes.explain_source(find_source(run))
+    if refused:
+        raise RuntimeError("\n".join(refused))
+    for first in range(0, place.slices * place.repetitions, place.repetitions):
+        yield rank(one for one in explained if first <= one.outlier.index < first + place.repetitions)
 
 
 def run_program(argv: list[str | Path]) -> str:

@@ -25,8 +25,6 @@ FLOOD_PACKETS = 10
 # For experiments (RFC 3692): nobody else speaks it.
 PROTOCOL = 253
 TRACING = Path("/sys/kernel/tracing")
-# Functions of drivers that no emulated board has: none of them is called, so that nothing but their change takes time.
-PATCHED = ("omap*", "tegra*", "imx*", "exynos*")
 
 
 def named(name: str, cpu: int) -> None:
@@ -37,7 +35,7 @@ def named(name: str, cpu: int) -> None:
 
 def pause(length_ms: int) -> None:
     """Wait until the next event. On a slow machine events are longer, and so is the time between them."""
-    time.sleep((EVERY_MS + 5 * length_ms) / 1000)
+    time.sleep((EVERY_MS + 8 * length_ms) / 1000)
 
 
 def spin(length_ms: int) -> None:
@@ -140,11 +138,10 @@ def is_measured() -> bool:
 
 def stop_machine(cpu: int, length_ms: int) -> None:
     """The kernel changes its own code while every CPU is stopped: the function tracer is switched on and off."""
-    (TRACING / "set_ftrace_filter").write_text("\n".join(PATCHED))
     named("planted_stop", 1 - cpu)
     while True:
+        pause(length_ms)
         for tracer in ("function", "nop"):
-            pause(length_ms)
             (TRACING / "current_tracer").write_text(tracer)
 
 
