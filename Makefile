@@ -1,5 +1,7 @@
 # The front door: each target does all the set-up it needs. README.md says what they are for.
-MACHINE ?= qemu-armv7
+# The board of the demo, and all that tools/setup prepares for; for any other it is asked for all.
+DEMO := qemu-armv7
+MACHINE ?= $(DEMO)
 BIN := .venv/bin
 
 .PHONY: demo test fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-yocto lint coverage bench setup setup-demo board suites clean
@@ -74,7 +76,7 @@ setup:
 	@tools/setup dev
 
 setup-demo:
-	@tools/setup
+	@tools/setup $(if $(filter $(DEMO),$(MACHINE)),,all)
 
 board: setup-demo
 	$(BIN)/rtgen board build --machine $(MACHINE)

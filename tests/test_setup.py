@@ -17,6 +17,7 @@ def checkout(tmp_path: Path) -> Path:
     (tmp_path / "tools").mkdir()
     shutil.copy(TOP / "tools/setup", tmp_path / "tools")
     (tmp_path / "tools/apt-packages.txt").write_text("no-such-package-of-the-tests\n")
+    (tmp_path / "tools/apt-packages-all.txt").write_text("no-such-package-of-other-boards\n")
     (tmp_path / "tools/apt-packages-dev.txt").write_text("no-such-package-for-tests-alone\n")
     (tmp_path / "pyproject.toml").touch()
     (tmp_path / ".venv").mkdir()
@@ -74,8 +75,11 @@ def test_only_dev_installs_what_the_tests_alone_need(checkout: Path) -> None:
     assert setup(checkout, 0).returncode == 0
     assert "alone" not in log.read_text() and "pip" not in log.read_text()
     log.unlink()
+    assert "installing 2 Debian packages" in setup(checkout, 0, "all").stdout
+    assert "of-other-boards" in log.read_text() and "alone" not in log.read_text()
+    log.unlink()
     done = setup(checkout, 0, "dev")
-    assert "installing 2 Debian packages" in done.stdout
+    assert "installing 3 Debian packages" in done.stdout
     assert "alone" in log.read_text() and ".[dev]" in log.read_text()
     # The environment that has all is not made anew for a use that needs less.
     log.unlink()
@@ -86,4 +90,4 @@ def test_only_dev_installs_what_the_tests_alone_need(checkout: Path) -> None:
 
 def test_an_unknown_argument_is_refused(checkout: Path) -> None:
     done = setup(checkout, 0, "test")
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", "usage: tools/setup [dev]\n")
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", "usage: tools/setup [all|dev]\n")

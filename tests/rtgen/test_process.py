@@ -20,7 +20,7 @@ def test_output_input_folder_and_environment(tmp_path: Path) -> None:
 
 
 def test_a_missing_program_is_named() -> None:
-    with pytest.raises(InfrastructureError, match=r"^no-such-tool is not installed, see tools/apt-packages.txt$"):
+    with pytest.raises(InfrastructureError, match=r"^no-such-tool is not installed: `tools/setup all` installs it$"):
         process.run(["no-such-tool", "--version"])
 
 

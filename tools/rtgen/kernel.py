@@ -49,7 +49,7 @@ def build(data: Data, machine: str, verdict: Verdict, version: str | None = None
         raise UsageError(f"{verdict.subject}: options do not hold: {', '.join(m.symbol for m in verdict.mismatches)}")
     for tool in (f"{CROSS_COMPILE}gcc", "make", "flex", "bison", "bc", "patch", "xz", "depmod"):
         if shutil.which(tool) is None:
-            raise InfrastructureError(f"{tool} is not installed, see tools/apt-packages.txt")
+            raise InfrastructureError(f"{tool} is not installed: `tools/setup all` installs it")
     pinned = data.source(version)
     dtbs = data.machine(machine).dtbs
     device_tree = data.folder / "devicetree" / DEVICE_TREE

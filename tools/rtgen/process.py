@@ -45,7 +45,7 @@ def run(
                 process_group=0,
             )
         except FileNotFoundError as error:
-            raise InfrastructureError("setpriv is not installed, see tools/apt-packages.txt") from error
+            raise InfrastructureError("setpriv is not installed: tools/setup installs it") from error
         try:
             process.communicate(stdin, timeout=timeout_s)
         except BaseException as error:
@@ -57,7 +57,7 @@ def run(
         errors_file.seek(0)
         output, errors = output_file.read(), errors_file.read()
     if process.returncode == 127:
-        raise InfrastructureError(f"{arguments[0]} is not installed, see tools/apt-packages.txt")
+        raise InfrastructureError(f"{arguments[0]} is not installed: `tools/setup all` installs it")
     if process.returncode != 0:
         lines = (output + errors).decode(errors="replace").strip().splitlines()[-SHOWN_LINES:] or ["(no output)"]
         text = "\n  ".join(lines)

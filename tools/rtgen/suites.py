@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rtfiles import atomic, cache
 from rtfiles.config import read_yaml
-from rtfiles.errors import UsageError
+from rtfiles.errors import InfrastructureError, UsageError
 from rtgen.board import packages as board_packages
 from rtgen.board import sysroot
 from rtgen.board.machine import Architecture, architectures, machines
@@ -73,7 +73,10 @@ def toolchain(machine: str, suite: str | None) -> Toolchain:
     if machine == HOST:
         if suite is not None:
             raise UsageError(f"--suite {suite} is for boards: {HOST} has the libraries that are installed on it")
-        listing = run(["dpkg-query", "--show", *HOST_PACKAGES])
+        try:
+            listing = run(["dpkg-query", "--show", *HOST_PACKAGES])
+        except InfrastructureError as error:
+            raise InfrastructureError(f"{error}\n`tools/setup all` installs what suites for this machine need") from error
         return Toolchain("g++", FLAGS, None, None, None, (version("g++"), listing))
     source = board_packages.source(suite)
     name = machines()[machine].architecture
