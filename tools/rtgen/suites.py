@@ -76,7 +76,7 @@ def toolchain(machine: str, suite: str | None) -> Toolchain:
         try:
             listing = run(["dpkg-query", "--show", *HOST_PACKAGES])
         except InfrastructureError as error:
-            raise InfrastructureError(f"{error}\n`tools/setup all` installs what suites for this machine need") from error
+            raise InfrastructureError(f"{error}\n`tools/setup all` installs what this machine lacks") from error
         return Toolchain("g++", FLAGS, None, None, None, (version("g++"), listing))
     source = board_packages.source(suite)
     name = machines()[machine].architecture
