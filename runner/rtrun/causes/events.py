@@ -41,7 +41,7 @@ class Switch(NamedTuple):
 
 
 class Wake(NamedTuple):
-    """sched_waking, or sched_wakeup (`is_done`), which alone has the CPU that was chosen."""
+    """sched_waking, or sched_wakeup (`is_done`), which alone has the CPU that was chosen; sched_wakeup_new as well."""
 
     at_ns: int
     cpu: int

@@ -313,6 +313,7 @@ _READERS: dict[str, Callable[[_Head, str], Event | None]] = {
     "sched_switch": _switch,
     "sched_waking": _wake,
     "sched_wakeup": _wake,
+    "sched_wakeup_new": _wake,
     "sched_migrate_task": _migration,
     "irq_handler_entry": _handler,
     "irq_handler_exit": _handler_exit,

@@ -199,6 +199,7 @@ class _Builder:
         self.frequencies: dict[int, list[Frequency]] = defaultdict(list)
         self.lost: list[Lost] = []
         self.has_waking = False
+        self.not_woken: set[int] = set()
 
     def add(self, event: Event) -> None:
         cpu = self.cpus.get(event.cpu)
@@ -265,6 +266,8 @@ class _Builder:
                 self.threads[event.pid].append(change)
         if event.next_pid != IDLE_PID:
             self.faults.discard(event.next_pid)
+            if event.next_pid not in self.threads:
+                self.not_woken.add(event.next_pid)
             change = Change(event.at_ns, State.RUNNING, event.cpu, preferred=cpu.prefers_normal)
             self.threads[event.next_pid].append(change)
 
@@ -276,7 +279,8 @@ class _Builder:
         return Why.UNINTERRUPTIBLE if event.state.startswith("D") else Why.UNKNOWN
 
     def _wake(self, cpu: _Cpu, event: Wake) -> None:
-        if event.is_done and self.has_waking:
+        # A new thread has no sched_waking.
+        if event.is_done and self.has_waking and event.pid in self.threads:
             self._queue(event.pid, event.at_ns, event.target_cpu)
             return
         self.has_waking |= not event.is_done
@@ -317,6 +321,18 @@ class _Builder:
         cpu.close(event.at_ns)
         self.lost.append(event)
 
+    def wait_from_the_begin(self) -> None:
+        """Let threads wait that ran without having been woken: they could run when the trace began.
+
+        That is when each CPU has begun, as another one may have woken them, and after the last lost event.
+        """
+        begins_ns = [cpu.spans[0].begin_ns if cpu.spans else cpu.since_ns for cpu in self.cpus.values()]
+        for pid in self.not_woken:
+            ran = self.threads[pid][0]
+            begin_ns = max(*begins_ns, *(one.at_ns for one in self.lost if one.at_ns <= ran.at_ns), 0)
+            if begin_ns < ran.at_ns:
+                self.threads[pid].insert(0, Change(begin_ns, State.WAITING, ran.cpu))
+
 
 def _interrupt(cpu: _Cpu, event: Interrupt) -> None:
     if cpu.thread is None:
@@ -346,6 +362,7 @@ def timeline(events: Iterable[Event], *, started: Iterable[TimerStart] = ()) -> 
         end_ns = event.at_ns
     for cpu in builder.cpus.values():
         cpu.close(end_ns)
+    builder.wait_from_the_begin()
     return Timeline(
         begin_ns=begin_ns,
         cpus={number: cpu.spans for number, cpu in builder.cpus.items()},

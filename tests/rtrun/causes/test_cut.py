@@ -238,6 +238,37 @@ def test_a_trace_that_begins_too_late():
     ]
 
 
+def woken_before(cpu_1_begins_us, between=""):
+    """Nobody is seen to wake the measured thread, which waits for the CPU when the trace begins."""
+    text = line(1100, "x: y", name="hog", pid=2) + line(cpu_1_begins_us, "x: y", cpu=1, name="idle", pid=0) + between
+    return parts_of(text + switch(1400, HOG, ME) + line(1410, "x: y"), at=1410)
+
+
+def test_a_thread_that_was_woken_before_the_trace_begins():
+    """It waited from when every CPU is in the trace: before that, one that is not may have woken it."""
+    for begins_us, length in ((1090, 300), (1200, 200)):
+        assert woken_before(begins_us) == [
+            (Kind.UNEXPLAINED, "", 400 - length),
+            (Kind.HIGHER, "hog", length),
+            (Kind.PROGRAM, "me", 10),
+        ]
+
+
+def test_a_wake_up_may_be_among_lost_events():
+    assert woken_before(1090, "CPU:1 [LOST 5 EVENTS]\n" + line(1250, "x: y", cpu=1, name="idle", pid=0)) == [
+        (Kind.UNEXPLAINED, "", 250),
+        (Kind.HIGHER, "hog", 150),
+        (Kind.PROGRAM, "me", 10),
+    ]
+
+
+def test_a_new_thread_did_not_wait_since_the_trace_began():
+    new = waking(1150, 5, cpu=1) + line(
+        1300, "sched_wakeup_new: comm=me pid=1 prio=4 target_cpu=000", cpu=1, name="idle", pid=0
+    )
+    assert woken_before(1090, new)[-2:] == [(Kind.HIGHER, "hog", 100), (Kind.PROGRAM, "me", 10)]
+
+
 def test_a_thread_that_is_not_in_the_trace():
     assert parts_of(switch(1400, HOG, LOW), at=1410, pid=77) == [(Kind.UNEXPLAINED, "", 410)]
 
