@@ -123,7 +123,7 @@ def _contents(folder: Path, *patterns: str) -> list[bytes]:
 
 KEY = b"ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIPJs62duJcZ1UDeiYfJh47Sob6aBR0zYBWGFxamj6gCK"
 KNOWN_HOSTS = b"board,*.x " + KEY + b" me\n@revoked * " + KEY + b"\n|1|AAAA|AAAA " + KEY + b"\n"
-STATE = f"== governor\nperformance\n== threads\n12 (a) b) S {'0 ' * 36}95 1 0\n== machine\narmv7l\n"
+STATE = f"== governor\nperformance\n== threads\n12 (a) b) S {'0 ' * 36}95 1 0\n41\n== machine\narmv7l\n"
 SSH_CONFIG = (
     b"Host *\n Port=22\n User %u\n IdentityFile ~/%h%%\n UserKnownHostsFile a b\nInclude x*\n"
     b"Match host a,b !user c\n ProxyJump d@e:1,f\nMatch all\n IdentityAgent none\n"
@@ -399,8 +399,8 @@ READERS: dict[str, Reader] = {
         lambda link: processes.wait(link, PurePosixPath("/x"), "x", deadline_s=1), "0 12.00\n", "expired"
     ),
     "ended": of_answer(
-        lambda link: processes.end_background(link, PurePosixPath("/x"), [], [], [], []),
-        f"load 1\n== ended\n{STATE}",
+        lambda link: processes.end_background(link, PurePosixPath("/x"), [], [], [], master_pid="12", then=[]),
+        f"12\nload 1\n== ended\n{STATE}",
     ),
     "listing": of_answer(
         lambda link: Connection.list_files(cast(Connection, link), PurePosixPath("/x")),

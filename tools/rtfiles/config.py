@@ -1,5 +1,6 @@
 """YAML and JSON files parsed once, at the edge, into frozen typed objects."""
 
+import functools
 from collections.abc import Hashable
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -33,9 +34,10 @@ class Config(BaseModel):
         return data
 
 
-def key_names(model: type[Config]) -> list[str]:
+@functools.cache
+def key_names(model: type[Config]) -> tuple[str, ...]:
     """The keys of a Config as they stand in a file."""
-    return [field.alias or name for name, field in model.model_fields.items()]
+    return tuple(field.alias or name for name, field in model.model_fields.items())
 
 
 def _path(text: str) -> str:

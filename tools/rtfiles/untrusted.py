@@ -24,6 +24,7 @@ LINE_CHARACTERS_MAX = 262_144
 # Python refuses longer numbers only above 4300 digits, and those that it takes cost quadratic time.
 DIGITS_MAX = 20
 INT64_MAX = 2**63 - 1
+_WHOLE_NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS_MAX}}}", re.ASCII)
 
 
 def read_bytes(path: Path, *, max_bytes: int) -> bytes:
@@ -91,17 +92,16 @@ def parse_json(text: str, origin: str, *, max_bytes: int = JSON_BYTES_MAX, max_i
 
 def _check(data: Any) -> None:
     """Refuse plain data that cannot be written again: nested too deeply, or a text with half of a character."""
-    waiting = [(data, 1)]
+    waiting: list[tuple[Any, int]] = [([data], 0)]
     while waiting:
         value, depth = waiting.pop()
         if depth > JSON_DEPTH_MAX:
             raise ValueError(f"nested more than {JSON_DEPTH_MAX} deep")
-        if isinstance(value, str):
-            text(value)
-        elif isinstance(value, dict):
-            waiting += [(each, depth + 1) for pair in value.items() for each in pair]
-        elif isinstance(value, list):
-            waiting += [(each, depth + 1) for each in value]
+        for each in (*value, *value.values()) if isinstance(value, dict) else value:
+            if isinstance(each, str):
+                text(each)
+            elif isinstance(each, dict | list):
+                waiting.append((each, depth + 1))
 
 
 def text(word: str) -> str:
@@ -115,7 +115,7 @@ def text(word: str) -> str:
 
 def whole_number(word: str, *, lowest: int = -INT64_MAX - 1, highest: int = INT64_MAX) -> int:
     """Return the number in a text of ASCII digits. Raises ValueError for any other text and outside of the limits."""
-    if not re.fullmatch(rf"-?[0-9]{{1,{DIGITS_MAX}}}", word, re.ASCII):
+    if not _WHOLE_NUMBER.fullmatch(word):
         raise ValueError(f"expected a whole number of at most {DIGITS_MAX} digits, got {word[:40]!r}")
     number = int(word)
     if not lowest <= number <= highest:

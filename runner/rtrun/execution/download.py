@@ -42,14 +42,16 @@ def expected_files(
     return limits
 
 
-def pull(link: Link, source: PurePosixPath, destination: Path, limits: Mapping[str, int]) -> dict[str, str]:
-    """Copy the files of a run that are there and expected; return those that were not taken, name to reason.
+def pull(
+    link: Link, source: PurePosixPath, present: Mapping[str, int], destination: Path, limits: Mapping[str, int]
+) -> dict[str, str]:
+    """Copy the files of a run that are expected; return those that were not taken, name to reason.
 
+    `present` are the files in `source` with their sizes in bytes, as `Connection.list_files` returns them.
     A log with commands that no suite writes is kept as ``<name>.refused``: gnuplot would execute them.
 
     Raises TargetError when a file arrives with another checksum than it has on the target.
     """
-    present = link.do(lambda connection: connection.list_files(source))
     limits = {**limits, **_traces(present, limits)}
     sizes = {name: size for name, size in present.items() if name in limits}
     refused = {

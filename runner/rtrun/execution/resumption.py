@@ -66,6 +66,7 @@ class Attempt(Config):
 class Leftovers:
     """What an earlier call left in a run's folder on the target."""
 
+    has_folder: bool
     started: frozenset[str]
     """The programs that it started."""
     cut_off: bool
@@ -93,7 +94,7 @@ class Leftovers:
 def inspect_leftovers(link: Link, remote: PurePosixPath, programs: Collection[str]) -> Leftovers:
     """Look at what an earlier call left of a run with these programs of its suite."""
     command = ["sh", "-c", _INSPECT, "sh", str(remote), str(LIMIT_BYTES)]
-    head, _, text = link.check(command).partition("attempt\n")
+    head, mark, text = link.check(command).partition("attempt\n")
     words = [line.split() for line in head.splitlines()]
     boots = {word[1]: word[2] for word in words if len(word) == 3}
     cut_off = not set(boots.values()) <= {link.boot_id}
@@ -104,6 +105,7 @@ def inspect_leftovers(link: Link, remote: PurePosixPath, programs: Collection[st
         except UsageError as error:
             unreadable = str(error).splitlines()[0]
     return Leftovers(
+        has_folder=bool(mark),
         started=frozenset(boots),
         cut_off=cut_off,
         given_up=["given_up"] in words,

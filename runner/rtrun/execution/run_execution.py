@@ -22,6 +22,7 @@ from rtrun.plan.run import Run
 from rtrun.results import run_directory
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
 from rtrun.target import inspection, processes, ros_master
+from rtrun.target.connection import listing, parse_listing
 from rtrun.target.errors import StillMeasuring, TargetError
 from rtrun.target.link import OUT_OF_REACH, Link
 from rtrun.validity import baselines, requirements
@@ -33,6 +34,8 @@ SUBSCRIBED_S = 60.0
 END_GRACE_S = 60.0
 # The end of the console of a board in QEMU, which may print without end.
 CONSOLE_LIMIT_BYTES = 16 * MIB
+# Stands between the state of the target and the list of files.
+_FILES = "== files"
 # Facts of a target that run.json takes from its state under the same names.
 STATED = ("kernel_release", "kernel_version", "machine", "boot_id", "clocksource", "governor", "roscpp_version")
 
@@ -66,6 +69,8 @@ class _End:
     master_pid: str
     after: inspection.TargetState
     """State of the target."""
+    files: Mapping[str, int]
+    """What the run's folder on the target holds, name to size in bytes."""
 
 
 def measure(
@@ -119,10 +124,12 @@ def _resume(work: _Work, life: RunLife) -> Attempt | None:
         life.move(RunEvent.RESTART, "the target was restarted while nobody looked")
         kept = run_directory.unused(work.folder, "incomplete")
         with run_directory.filling(kept) as partial:
-            download.pull(work.link, work.remote, partial, work.programs.file_limits)
+            present = work.link.do(lambda connection: connection.list_files(work.remote))
+            download.pull(work.link, work.remote, present, partial, work.programs.file_limits)
             run_directory.rename(partial, kept)
         life.move(RunEvent.KEEP, f"kept as {kept.name}")
-    processes.give_up(work.link, work.remote, work.programs.names)
+    if leftovers.has_folder:
+        processes.give_up(work.link, work.remote, work.programs.names)
     if leftovers.started:
         life.move(RunEvent.GIVE_UP, leftovers.unreadable or "left by an earlier call")
     return None
@@ -192,28 +199,34 @@ def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str]:
         processes.wait(work.link, work.remote, program.name, deadline_s=program.deadline_s + END_GRACE_S)
         for program in work.programs.of_suite
     ]
-    # Written down before anything is ended: a call that is repeated must not find the master ended by ourselves.
-    master_pid = processes.write_if_absent(work.link, work.remote, "master_pid", str(ros_master.ask_pid(work.link)))
+    master_pid = str(ros_master.ask_pid(work.link))
     life.move(RunEvent.END)
     return exits, master_pid
 
 
 def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str) -> _End:
-    state = ["sh", str(work.prepared.scripts / "state.sh")]
-    ended_early, output = processes.end_background(
+    ended = processes.end_background(
         work.link,
         work.remote,
         work.programs.suite_names,
         work.programs.load_names,
         work.programs.other_names,
-        state,
+        master_pid=master_pid,
+        then=[["sh", str(work.prepared.scripts / "state.sh")], ["echo", _FILES], listing(work.remote)],
     )
-    return _End(exits=exits, ended_early=ended_early, master_pid=master_pid, after=inspection.parse_state(output))
+    state, _, files = ended.output.partition(f"{_FILES}\n")
+    return _End(
+        exits=exits,
+        ended_early=ended.early,
+        master_pid=ended.master_pid,
+        after=inspection.parse_state(state),
+        files=parse_listing(files, f"{work.link.target.address}: {work.remote}"),
+    )
 
 
 def _download(work: _Work, partial: Path, attempt: Attempt, end: _End) -> dict[str, str]:
     """Fill a run directory; return the files that were not taken, name to reason."""
-    refused = download.pull(work.link, work.remote, partial, work.programs.file_limits)
+    refused = download.pull(work.link, work.remote, end.files, partial, work.programs.file_limits)
     if work.prepared.kernel_config:
         (partial / "kernel.config.gz").write_bytes(work.prepared.kernel_config)
     before, after = attempt.before.model_dump(), end.after.model_dump()

@@ -2,6 +2,7 @@
 # Print the state of the target, one section for each fact, headed "== name". A section is empty where there is no such
 # fact.
 section() { echo "== $1"; }
+state() {
 section boot_id;            cat /proc/sys/kernel/random/boot_id 2>/dev/null
 section kernel_release;     uname -r
 section kernel_version;     uname -v
@@ -26,5 +27,9 @@ section roscpp_version
     ls /usr/lib/libroscpp.so.*.* /usr/lib/*/libroscpp.so.*.* | sed 's/.*[.]so[.]//'
 } 2>/dev/null | head -n 1
 section cpuinfo;            cat /proc/cpuinfo 2>/dev/null
-section threads;            cat /proc/[0-9]*/task/[0-9]*/stat 2>/dev/null
-exit 0
+# Real-time threads (field 40, rt_priority, is not 0), then how many threads there are of any kind.
+section threads;            cat /proc/[0-9]*/task/[0-9]*/stat 2>/dev/null |
+                                sed -nE -e '/\) [A-Za-z]( -?[0-9]+){36} [1-9]/p' -e '$='
+}
+# In one piece: over SSH each write of a command is a packet, and there would be a hundred.
+printf '%s\n' "$(state)"

@@ -152,13 +152,13 @@ class Samples:
     series: dict[str, IndexedValues]
 
 
-def read_samples(path: Path) -> Samples:
-    """Read an output by its json or its npy; the other one must stand beside it.
+def read_samples(path: Path, record: Record | None = None) -> Samples:
+    """Read an output by its json or its npy; the other one must stand beside it. `record` is the json, if read before.
 
     Raises UsageError that names the file, or both where they disagree.
     """
     json_path, npy_path = path.with_suffix(".json"), path.with_suffix(".npy")
-    record = read_json(json_path, Record)
+    record = record or read_json(json_path, Record)
     if record.suite not in _SERIES_OF_SUITE:
         raise UsageError(f"{json_path}: suite: unknown suite {record.suite!r}, known: {', '.join(_SERIES_OF_SUITE)}")
     kind = suite(record.suite)

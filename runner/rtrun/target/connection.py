@@ -120,17 +120,7 @@ class Connection:
 
     def list_files(self, folder: PurePosixPath) -> dict[str, int]:
         """Return name and size in bytes of each regular file in a folder of the target; links are not followed."""
-        files = {}
-        for line in self.check(["env", "LC_ALL=C", "ls", "-ln", f"{folder}/"]).splitlines():
-            # Mode, links, user, group, size, three words of the time, name.
-            words = line.split(None, 8)
-            if len(words) < 9 or not line.startswith("-"):
-                continue
-            with contextlib.suppress(ValueError):
-                files[words[8]] = untrusted.whole_number(words[4], lowest=0)
-            if len(files) > FILES_MAX:
-                raise TargetError(f"{self.address}: {folder} has more than {FILES_MAX} files")
-        return files
+        return parse_listing(self.check(listing(folder)), f"{self.address}: {folder}")
 
     def open_port(self, port: int, *, deadline_s: float) -> AbstractContextManager[Any]:
         """Yield a stream to a port of the target's own loopback, which is closed after `deadline_s` seconds.
@@ -138,6 +128,26 @@ class Connection:
         Raises ConnectionRefusedError when nobody listens.
         """
         return self.shell.open_port(port, deadline_s)
+
+
+def listing(folder: PurePosixPath) -> list[str]:
+    """The command whose output `parse_listing` reads."""
+    return ["env", "LC_ALL=C", "ls", "-ln", f"{folder}/"]
+
+
+def parse_listing(text: str, what: str) -> dict[str, int]:
+    """As `Connection.list_files`, from the output of `listing`; `what` names the folder in an error."""
+    files = {}
+    for line in text.splitlines():
+        # Mode, links, user, group, size, three words of the time, name.
+        words = line.split(None, 8)
+        if len(words) < 9 or not line.startswith("-"):
+            continue
+        with contextlib.suppress(ValueError):
+            files[words[8]] = untrusted.whole_number(words[4], lowest=0)
+        if len(files) > FILES_MAX:
+            raise TargetError(f"{what} has more than {FILES_MAX} files")
+    return files
 
 
 def join_commands(commands: Iterable[Sequence[str]]) -> list[str]:

@@ -1,7 +1,6 @@
 """What a target has, asked before a campaign, and its state before and after every run."""
 
 import gzip
-import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -178,14 +177,14 @@ def read_state(link: Link, script: PurePosixPath) -> TargetState:
 
 
 def parse_state(text: str) -> TargetState:
-    """Read the output of state.sh. Real-time threads are listed, all threads counted; other sections are ignored."""
+    """Read the output of state.sh. Sections that are not known are ignored."""
     state: dict[str, Any] = {}
     sections = re.split(r"^== (\w+)$", text, flags=re.MULTILINE)
     for name, body in zip(sections[1::2], sections[2::2], strict=True):
         if name == "threads":
-            threads = [thread for line in io.StringIO(body) if (thread := _thread(line))]
-            state["threads"] = len(threads)
-            state["rt_threads"] = [thread for thread in threads if thread.priority > 0]
+            *lines, count = body.strip().split("\n")
+            state["threads"] = _count([count], lowest=0, highest=INT64_MAX)
+            state["rt_threads"] = [thread for line in lines if (thread := _thread(line))]
         elif name in _TEXTS:
             state[name] = body.strip() or None
         elif name in TargetState.model_fields and name != "rt_threads":
@@ -207,7 +206,7 @@ def _thread(line: str) -> Thread | None:
             tid=whole_number(match.group(1)),
             name=match.group(2),
             policy=POLICIES.get(policy, str(policy)),
-            priority=whole_number(fields[37], lowest=0),
+            priority=whole_number(fields[37], lowest=1),
         )
     except ValueError:
         return None

@@ -1,7 +1,8 @@
 """Programs on the target, detached from the connection: started once, waited for, ended."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 from rtfiles.untrusted import whole_number
@@ -52,21 +53,19 @@ _SOON = "0.05 0.05 0.1"
 # supervise.sh starts nothing in a folder with this mark, not even when it was called before the mark was made.
 _GIVE_UP = '[ ! -d "$1" ] || : >"$1/given_up"; exit 0'
 _MARK = "== ended"
-# Of two callers that write at the same time the first wins. On a full disk the new word is used, and not kept.
-_WRITE_IF_ABSENT = """
+# A background program ended early when it ended before the last of the suite's programs. This answer and the ROS master
+# that was seen at the end are kept in the folder before anything is ended: the caller may ask again after a lost link,
+# or after the runner was killed, and then what the runner itself has ended must not count.
+_KEEP_END = """
 cd "$1" || exit 1
+# Of two callers that write at the same time the first wins. On a full disk the new word is used, and not kept.
 write_if_absent() {
     echo "$2" >"$1.$$" && ln "$1.$$" "$1" 2>/dev/null
     cat "$1" || echo "$2"
 }
-"""
-# A background program ended early when it ended before the last of the suite's programs. The answer is kept in the
-# folder before anything is ended, because the caller may ask again after a lost link, or after the runner was killed:
-# then it must not count the programs that the runner itself has ended.
-_ENDED_EARLY = (
-    _WRITE_IF_ABSENT
-    + """suite=$2
-shift 2
+write_if_absent master_pid "$2"
+suite=$3
+shift 3
 # In hundredths of a second since the boot: the wall clock may have been set meanwhile.
 end_of() {
     uptime=0.00
@@ -85,7 +84,20 @@ early=$(for name; do
 done)
 write_if_absent ended_early "$early"
 """
-)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ended:
+    """What the end of a run found.
+
+    `early` are the background programs that ended before the suite did, name to exit status, which is empty where there
+    is none. `master_pid` is that of the ROS master when the suite had ended, as it was first seen.
+    """
+
+    early: Mapping[str, str]
+    master_pid: str
+    output: str
+    """Of the commands that followed."""
 
 
 def start(
@@ -150,26 +162,25 @@ def end_background(
     programs: Sequence[str],
     loads: Sequence[str],
     others: Sequence[str],
-    then: Sequence[str],
-) -> tuple[dict[str, str], str]:
-    """End the background programs of a suite whose `programs` have ended, then run the command `then`.
+    *,
+    master_pid: str,
+    then: Sequence[Sequence[str]],
+) -> Ended:
+    """End the background programs of a suite whose `programs` have ended, then run the commands `then`.
 
-    The `loads` are killed soon, the `others` get time to put right what they changed.
-
-    Returns the background programs that ended before the suite did (name to exit status, empty where it has none) and
-    the output of `then`.
+    The `loads` are killed soon, the `others` get time to put right what they changed. `master_pid` is that of the ROS
+    master now.
     """
-    ended_early = ["sh", "-c", _ENDED_EARLY, "sh", str(folder), " ".join(programs), *loads, *others]
-    commands = [ended_early, ["echo", _MARK], _end(folder, loads, _SOON), _end(folder, others), then]
+    keep_end = ["sh", "-c", _KEEP_END, "sh", str(folder), master_pid, " ".join(programs), *loads, *others]
+    commands = [keep_end, ["echo", _MARK], _end(folder, loads, _SOON), _end(folder, others), *then]
     output = link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)
-    early, _, rest = output.partition(f"{_MARK}\n")
-    return {name: status for name, _, status in (line.partition(" ") for line in early.split("\n") if line)}, rest
-
-
-def write_if_absent(link: Link, folder: PurePosixPath, name: str, word: str) -> str:
-    """Write a word into a file of a folder unless the file exists, and return what the file holds."""
-    command = ["sh", "-c", f'{_WRITE_IF_ABSENT}write_if_absent "$2" "$3"', "sh", str(folder), name, word]
-    return link.check(command).strip()
+    kept, _, rest = output.partition(f"{_MARK}\n")
+    master_pid, *early = kept.split("\n")
+    return Ended(
+        early={name: status for name, _, status in (line.partition(" ") for line in early if line)},
+        master_pid=master_pid.strip(),
+        output=rest,
+    )
 
 
 def read_last_line(link: Link, path: PurePosixPath) -> str:

@@ -103,9 +103,9 @@ def _of_outputs(
                 if unseen := requirements.find_unseen_option(run, {}):
                     return RunStatus.INVALID, f"{output}: {unseen}"
                 continue
-            records[output] = read_json(folder / names[0], Record)
+            record = records[output] = read_json(folder / names[0], Record)
             status = RunStatus.INVALID
-            record = read_samples(folder / names[0]).record
+            read_samples(folder / names[0], record)
         except UsageError as error:
             return status, str(error).replace(f"{folder}/", "")
         if wrong := _asked_otherwise(run, record) or find_count_mismatch(record, logs):

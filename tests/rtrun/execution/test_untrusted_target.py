@@ -87,8 +87,8 @@ def test_an_output_that_is_nonsense_fails_its_run_and_no_other(results, wishes, 
 def test_a_sampler_that_prints_nonsense_makes_its_run_invalid(results, wishes, measure, monkeypatch):
     real = download.pull
 
-    def pull(link, source, destination, limits):
-        refused = real(link, source, destination, limits)
+    def pull(link, source, present, destination, limits):
+        refused = real(link, source, present, destination, limits)
         (destination / "sampler.stdout").write_text("at inf 0.1 - - cpu 1 2 3 4 5 6 7 8\n")
         return refused
 

@@ -1,5 +1,6 @@
 """What a target says of itself, read into types."""
 
+import contextlib
 import json
 import platform
 import subprocess
@@ -15,12 +16,26 @@ from rtrun.target.deploy import ON_TARGET
 THREAD = "12 (a) b) S " + " ".join("0" * 36) + " "
 
 
+def real_time_threads():
+    """Those of the kernel, which stay: field 40 of each stat is its priority (proc(5))."""
+    threads = set()
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            pid, _, rest = path.read_text(errors="replace").partition(" ")
+            fields = rest.rpartition(") ")[2].split()
+            if fields[1] == "2" and fields[37] != "0":  # the parent is kthreadd
+                threads.add(int(pid))
+    return threads
+
+
 def test_the_state_of_this_machine():
+    real_time = real_time_threads()
     done = subprocess.run(["sh", ON_TARGET / "state.sh"], capture_output=True, text=True, check=True)
     state = inspection.parse_state(done.stdout)
     assert state.kernel_release == Path("/proc/sys/kernel/osrelease").read_text().strip()
     assert state.boot_id == Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     assert state.threads > len(state.rt_threads)
+    assert {thread.tid for thread in state.rt_threads} >= real_time
     assert state.cpuinfo and state.cpuinfo.startswith("processor")
     assert inspection.TargetState.model_validate(state.model_dump()) == state
 
@@ -34,9 +49,9 @@ def test_one_value_several_and_none():
 
 
 def test_real_time_threads():
-    text = "== threads\n" + "".join(f"{THREAD}{words}\n" for words in ("95 1", "0 0", "40 7"))
+    text = "== threads\n" + "".join(f"{THREAD}{words}\n" for words in ("95 1", "40 7")) + "13\n"
     state = inspection.parse_state(text)
-    assert state.threads == 3
+    assert state.threads == 13
     threads = [(thread.tid, thread.name, thread.policy, thread.priority) for thread in state.rt_threads]
     assert threads == [(12, "a) b", "FIFO", 95), (12, "a) b", "7", 40)]
 
@@ -54,7 +69,8 @@ def test_real_time_threads():
     ],
 )
 def test_a_thread_that_is_none(line):
-    assert inspection.parse_state(f"== threads\n{line}\n").threads == 0
+    state = inspection.parse_state(f"== threads\n{line}\n{line}\n")
+    assert (state.threads, state.rt_threads) == (0, [])
 
 
 @pytest.mark.parametrize(

@@ -124,11 +124,16 @@ def test_the_last_line_of_a_file_is_short(link, folder):
     assert processes.read_last_line(link, PurePosixPath(folder / "none")) == ""
 
 
-def test_of_two_words_the_first_is_kept(link, folder):
-    words = [processes.write_if_absent(link, PurePosixPath(folder), "master_pid", word) for word in ("17", "18")]
-    assert words == ["17", "17"]
+def end_background(link, folder, loads=(), others=(), master_pid="17"):
+    folder = PurePosixPath(folder)
+    return processes.end_background(link, folder, ["suite"], loads, others, master_pid=master_pid, then=[["echo", "x"]])
+
+
+def test_the_master_that_was_seen_first_counts(link, folder):
+    ends = [end_background(link, folder, master_pid=word) for word in ("17", "18")]
+    assert [(end.master_pid, end.early, end.output) for end in ends] == [("17", {}, "x\n")] * 2
     # /proc takes no new files, as a full disk does.
-    assert processes.write_if_absent(link, PurePosixPath("/proc"), "master_pid", "19") == "19"
+    assert end_background(link, "/proc", master_pid="19").master_pid == "19"
 
 
 def test_end_takes_the_whole_group_even_the_stubborn(link, scripts, folder):
@@ -206,13 +211,12 @@ def test_the_clock_on_the_wall_does_not_tell_who_died(link, folder):
         (folder / f"{name}.exit").write_text(f"0 {uptime}\n")
         os.utime(folder / f"{name}.exit", (1e9, 1e9 - float(uptime)))
 
-    def end_background():
-        loads = ["load", "other"]
-        return processes.end_background(link, PurePosixPath(folder), ["suite"], loads, ["sampler"], ["true"])[0]
+    def ended_early():
+        return end_background(link, folder, ["load", "other"], ["sampler"]).early
 
-    assert end_background() == {"sampler": "0"}
+    assert ended_early() == {"sampler": "0"}
     (folder / "load.exit").write_text("0 1.00\n")
-    assert end_background() == {"sampler": "0"}, "the first answer counts: by now the runner has ended them itself"
+    assert ended_early() == {"sampler": "0"}, "the first answer counts: by now the runner has ended them itself"
 
 
 @pytest.mark.parametrize("word", ["²", "9" * 6000, "-1", "256", "0x0", ""])
