@@ -81,12 +81,13 @@ class Connection:
         except DeadlineExpired as error:
             raise ConnectionLost(f"{self.address}: does not answer: {error}") from error
 
-    def upload(self, source: Path, destination: PurePosixPath) -> None:
-        """Copy a local file to the target. Raises TargetError when the target cannot hold it, ConnectionLost.
+    def upload(self, source: Path, destination: PurePosixPath, then: Sequence[str] = ("true",)) -> None:
+        """Copy a local file to the target, and run a command there on what has arrived.
 
-        After a lost connection a part of the file may stand there.
+        Raises TargetError when the target cannot hold the file or the command fails, ConnectionLost. A lost connection
+        ends the file early, and the command runs on that.
         """
-        argv = ["sh", "-c", 'cat >"$1"', "sh", str(destination)]
+        argv = ["sh", "-c", 'cat >"$1" && shift && exec "$@"', "sh", str(destination), *then]
         with local_file(source), source.open("rb") as stream:
             chunks = iter(lambda: _read_local(source, stream), b"")
             size = source.stat().st_size

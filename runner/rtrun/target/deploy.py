@@ -11,7 +11,6 @@ from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
 
 ON_TARGET = Path(__file__).parents[1] / "on_target"
-UPLOAD_DEADLINE_S = 120.0
 
 _MISSING = 'cd "$1" && shift && for object; do [ -e "$object" ] || echo "$object"; done'
 # The file is its name's word: checked where it lies, then renamed, so that a power cut leaves no half of it.
@@ -57,9 +56,8 @@ def _send(connection: Connection, objects: PurePosixPath, by_digest: Mapping[str
             raise TargetError(f"{connection.address}: asked for an object that was not offered: {digest[:80]!r}")
         temporary = f".{digest}.{secrets.token_hex(4)}"
         try:
-            connection.upload(by_digest[digest], objects / temporary)
-            command = ["sh", "-c", _ADOPT, "sh", str(objects), temporary, digest]
-            connection.check(command, deadline_s=UPLOAD_DEADLINE_S)
+            adopt = ["sh", "-c", _ADOPT, "sh", str(objects), temporary, digest]
+            connection.upload(by_digest[digest], objects / temporary, adopt)
         except TargetError:
             # Best effort: on a full disk the half that was sent is in the way of everything else.
             connection.run(["rm", "-f", str(objects / temporary)])

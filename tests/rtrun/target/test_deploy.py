@@ -27,9 +27,9 @@ def uploads(monkeypatch):
     sent = []
     real = Connection.upload
 
-    def counting(self, source, destination):
+    def counting(self, source, destination, then):
         sent.append(source.name)
-        real(self, source, destination)
+        real(self, source, destination, then)
 
     monkeypatch.setattr(Connection, "upload", counting)
     return sent
@@ -70,16 +70,17 @@ def test_a_tree_of_which_half_the_listing_arrived_is_never_adopted(link, tree, t
     assert (there / "data").exists() and (there / "lib/deep/program").exists()
 
 
-def test_a_half_sent_object_is_never_adopted(link, tree, target, monkeypatch):
+def test_a_half_sent_object_is_never_adopted(link, tree, target, tmp_path, monkeypatch):
     real = Connection.upload
 
-    def truncating(self, source, destination):
-        real(self, source, destination)
-        Path(destination).write_bytes(source.read_bytes()[:-1])
+    def truncating(self, source, destination, then):
+        half = tmp_path / "half"
+        half.write_bytes(source.read_bytes()[:-1])
+        real(self, half, destination, then)
 
     with monkeypatch.context() as patch:
         patch.setattr(Connection, "upload", truncating)
-        with pytest.raises(Exception, match="failed with exit status 1"):
+        with pytest.raises(TargetError, match=r"cannot write .*did NOT match"):
             deploy.deploy(link, tree, "suites")
     assert list(Path(target.work_dir / "objects").iterdir()) == []
     assert (Path(deploy.deploy(link, tree, "suites")) / "data").exists()
