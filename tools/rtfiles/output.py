@@ -22,6 +22,8 @@ PLAIN_WIDTH = 100  # columns of a table, where the output is no terminal
 
 def printable(text: str) -> str:
     """One line of text, in which every control character and line break has become a question mark."""
+    if text.isprintable():
+        return text
     return "".join(character if character.isprintable() or character == "\t" else "?" for character in text)
 
 

@@ -1,7 +1,7 @@
 """The course of a scenario through an archive, as a table for people and as data for programs."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import fields
 from typing import Any
 
 from rich import box
@@ -60,7 +60,7 @@ def as_data(points: Sequence[Point], *, by: By, deadline_ns: int) -> dict[str, A
         "by": by,
         "deadline_ns": deadline_ns,
         "points": [
-            asdict(point)
+            {field.name: getattr(point, field.name) for field in fields(point)}
             | {
                 "start_utc": point.start_utc.isoformat() + "Z" if point.start_utc else None,
                 "percentiles_ns": {f"p{p:g}": value for p, value in point.percentiles_ns.items()},
