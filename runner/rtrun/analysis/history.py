@@ -11,6 +11,9 @@ from rtrun.analysis.dependence import cluster_effect
 
 LEAST_BOOTS = 5  # of a history
 GATES_A_YEAR = 365
+# The margin is so many spreads of a boot at least. With less a year of gates has more false alarms than stated where
+# boots have a long upper tail or drift: a test at 1 in 7300 extrapolates from some hundred boots (docs/archive.md).
+LEAST_MARGIN = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -53,7 +56,8 @@ def compare_figure(
 ) -> Against:
     """Compare boots of a build (k,) with those of its history (u,), LEAST_BOOTS at least: lower is better.
 
-    The margin of no concern is, unless given, a `share` of the reference, and `least` at least.
+    The margin of no concern is, unless given, a `share` of the reference, and `least` at least; in either case
+    LEAST_MARGIN spreads of a boot at least.
 
     The limit is that of a prediction for the mean of k boots (Student's t), with a tail as heavy as the kurtosis of the
     reference tells: a t distribution with v degrees of freedom has the excess kurtosis 6 / (v - 4). The spread is the
@@ -65,7 +69,7 @@ def compare_figure(
     mean = float(reference.mean())
     spread, degrees = _spread(reference)
     reach = float(stdtrit(degrees, 1 - level)) * spread * math.sqrt(1 / build.size + 1 / reference.size)
-    allowed = max(least, share * abs(mean)) if margin is None else margin
+    allowed = max(LEAST_MARGIN * spread, max(least, share * abs(mean)) if margin is None else margin)
     return Against(reference=mean, boots=reference.size, value=float(build.mean()), limit=mean + allowed + reach)
 
 
@@ -86,17 +90,24 @@ def _spread(reference: Floats) -> tuple[float, float]:
 def compare_misses(history: Sequence[tuple[int, int]], build: Sequence[tuple[int, int]], *, level: float) -> Against:
     """Compare P(miss) of a build with its history, from (measurements, misses) of each boot; the figure is P(miss).
 
-    The build is worse where both hold: its share exceeds the limit for the shares of boots (`compare_figure`), and,
-    given all misses together, so many fall on the build with a chance below the level only (Przyborowski & Wilenski
-    1940).
-    The second uses numbers divided by the design effect of boots; it speaks where the history has hardly any miss.
+    The build is worse where both hold: its share exceeds the limit for the shares of boots (`compare_figure`), and the
+    chance of its misses is below the level. The second speaks where the history has hardly any miss.
+    """
+    shares, own = (np.array([misses / n for n, misses in boots]) for boots in (history, build))
+    against = compare_figure(shares, own, margin=0.0, level=level)
+    if chance_of_misses(history, build) < level:
+        return against
+    return replace(against, limit=max(against.limit, against.value))
+
+
+def chance_of_misses(history: Sequence[tuple[int, int]], build: Sequence[tuple[int, int]]) -> float:
+    """The chance that, given all misses together, so many or more fall on the build (Przyborowski & Wilenski 1940).
+
+    The numbers, (measurements, misses) of each boot, are divided by the design effect of boots (Rao & Scott 1992).
     """
     from scipy.special import betainc
 
-    shares, own = (np.array([misses / n for n, misses in boots]) for boots in (history, build))
-    against = compare_figure(shares, own, margin=0.0, level=level)
     effect = max(1.0, cluster_effect(history))
     n_a, k_a = (sum(numbers) / effect for numbers in zip(*history, strict=True))
     n_b, k_b = (sum(numbers) / effect for numbers in zip(*build, strict=True))
-    chance = float(betainc(k_b, k_a + 1, n_b / (n_a + n_b))) if k_b else 1.0
-    return against if chance < level else replace(against, limit=max(against.limit, against.value))
+    return float(betainc(k_b, k_a + 1, n_b / (n_a + n_b))) if k_b else 1.0
