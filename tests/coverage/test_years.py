@@ -37,7 +37,12 @@ def by_run(units):
 
 
 @pytest.fixture
-def without_change_points(monkeypatch):
+def without_margin(monkeypatch):
+    monkeypatch.setattr(history, "LEAST_MARGIN", 0.0)
+
+
+@pytest.fixture
+def without_change_points(monkeypatch, without_margin):
     """So that the level of the test alone is seen; the lowest of several levels is chosen, which adds to it."""
     monkeypatch.setattr(history, "best_level", lambda values: values)
 
@@ -57,7 +62,17 @@ def test_an_alarm_in_a_month_of_gates_is_rare():
     assert sum(years.alarm_in_a_year(rng, boots=years.normal, year=30) for _ in range(25)) <= 1
 
 
-def test_at_the_level_of_a_single_gate_a_month_has_alarms(monkeypatch):
+def test_boots_that_drift_need_the_margin_of_three_spreads(monkeypatch):
+    def times_with_an_alarm():
+        rng = np.random.default_rng(20140715)
+        return sum(years.alarm_in_a_year(rng, boots=years.drifting, year=60) for _ in range(25))
+
+    assert times_with_an_alarm() <= 1
+    monkeypatch.setattr(history, "LEAST_MARGIN", 0.0)
+    assert times_with_an_alarm() > 3
+
+
+def test_at_the_level_of_a_single_gate_a_month_has_alarms(monkeypatch, without_margin):
     """What a year of gates takes from the level is needed."""
     monkeypatch.setattr(history, "level_of_test", lambda false_alarms, tests: false_alarms)
     rng = np.random.default_rng(20140715)
@@ -81,5 +96,5 @@ def test_runs_of_a_boot_taken_for_boots_show_changes_that_are_none():
 
 def test_power():
     rng = np.random.default_rng(20140715)
-    assert sum(years.worse_build_fails(rng, shift=20, boots=1) for _ in range(40)) >= 36
+    assert sum(years.worse_build_fails(rng, shift=25, boots=1) for _ in range(40)) >= 36
     assert sum(years.change_found(rng, shift=6) for _ in range(40)) >= 36

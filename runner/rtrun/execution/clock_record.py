@@ -1,7 +1,7 @@
 """The clock a run was measured with: what it is called, what wakes timers, and its step."""
 
 import contextlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from rtfiles.config import read_json
@@ -32,10 +32,14 @@ def record(state: TargetState, seen_ns: Iterable[int]) -> Clock:
     return Clock(source=source, event=state.clockevent, step_ns=max(steps, default=None))
 
 
-def steps_seen(folder: Path, outputs: Iterable[str]) -> list[int]:
-    """The clock steps that programs wrote down in ``<output>.json``, in ns; a program of 2014 writes none."""
+def steps_seen(folder: Path, outputs: Iterable[str], records: Mapping[str, samples.Record]) -> list[int]:
+    """The clock steps that programs wrote down in ``<output>.json``, in ns; a program of 2014 writes none.
+
+    `records` are those of these files that were read before, by output.
+    """
     steps = []
     for output in outputs:
         with contextlib.suppress(UsageError):
-            steps.append(read_json(folder / f"{output}.json", samples.Record).in_effect.clock_step_ns)
+            record = records.get(output) or read_json(folder / f"{output}.json", samples.Record)
+            steps.append(record.in_effect.clock_step_ns)
     return steps

@@ -301,7 +301,7 @@ def _record(
             address=str(target.address),
             preempt_rt=inspection.is_preempt_rt(attempt.before),
             cpus=work.prepared.equipment.cpus,
-            clock=clock_record.record(attempt.before, clock_record.steps_seen(partial, outputs)),
+            clock=clock_record.record(attempt.before, clock_record.steps_seen(partial, outputs, verdict.records)),
             ros_setup=work.prepared.equipment.setup,
             **{name: getattr(attempt.before, name) for name in STATED},
         ),

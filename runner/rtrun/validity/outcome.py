@@ -25,6 +25,8 @@ class Verdict:
     status: RunStatus
     reason: str | None
     in_effect: Observed
+    records: Mapping[str, Record]
+    """The json of outputs, by output, as far as they were read."""
 
 
 def judge(
@@ -63,7 +65,7 @@ def judge(
         if wrong is not None:
             status, reason = RunStatus.INVALID, wrong
     in_effect = summarize(observations, requirements.measuring_threads(run, observations, records))
-    return Verdict(status=status, reason=reason, in_effect=in_effect)
+    return Verdict(status=status, reason=reason, in_effect=in_effect, records=records)
 
 
 def _of_programs(folder: Path, programs: Sequence[Program], exits: Sequence[Exit]) -> tuple[RunStatus, str] | None:

@@ -31,4 +31,4 @@ def test_steps_come_from_what_the_programs_wrote(tmp_path):
     deep = '{"in_effect": ' * 50_000 + "1" + "}" * 50_000
     for name, text in (("b", '{"in_effect": {}}'), ("c", "cut o"), ("d", deep)):
         (tmp_path / f"{name}.json").write_text(text)
-    assert clock_record.steps_seen(tmp_path, [path.stem, "b", "c", "d", "none"]) == [16]
+    assert clock_record.steps_seen(tmp_path, [path.stem, "b", "c", "d", "none"], {}) == [16]
