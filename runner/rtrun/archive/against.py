@@ -35,8 +35,8 @@ def gate_against(
 ) -> Gate:
     """Fail what is worse than its history in the archive by more than the margin, or cannot be compared with it.
 
-    A year of daily gates of runs that are no worse than their history by more than the margin has any false alarm with
-    the chance `false_alarms` at most. The runs of `results` themselves are not part of the history.
+    A year of daily gates of builds that are as good as their history has any false alarm with the chance `false_alarms`
+    at most. The runs of `results` themselves are not part of the history.
     """
     with tempfile.TemporaryDirectory() as folder:
         own = make_archive(folder)
