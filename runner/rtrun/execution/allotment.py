@@ -36,11 +36,13 @@ def rounds_of_blocks(
     has_kernels = len({run.kernel for block in blocks for run in block}) > 1
 
     def next_round(taken: Collection[str], begun: Collection[str]) -> Round | None:
-        ordered = sorted(blocks, key=lambda block: set(begun).isdisjoint(run.name for run in block))
+        # Boards that wait ask again whenever a run ends: of many runs this must take little time.
+        no_more = {*taken, *done}
+        ordered = sorted(blocks, key=lambda block: {*begun}.isdisjoint(run.name for run in block)) if begun else blocks
         for block in ordered:
-            if todo := tuple(run for run in block if run.name in needed and run.name not in {*taken, *done}):
-                others = [run for each in blocks if each is not block for run in each]
-                boots = filter(None, (_boot_of(results / run.name) for run in others)) if has_kernels else ()
+            if todo := tuple(run for run in block if run.name in needed and run.name not in no_more):
+                others = [run for each in blocks if has_kernels and each is not block for run in each]
+                boots = filter(None, (_boot_of(results / run.name) for run in others))
                 return Round(runs=todo, used_boots=frozenset(boots))
         return None
 
