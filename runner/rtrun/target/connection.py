@@ -22,8 +22,8 @@ from rtrun.target.ssh import SshShell
 
 # What a command on the target may take unless its caller says otherwise.
 COMMAND_S = 30.0
-# A transfer that is slower than this has failed.
-TRANSFER_S = 60.0
+# A transfer that is slower than this has failed. The time is for what is done with a file when it has arrived, too.
+TRANSFER_S = 120.0
 TRANSFER_BYTES_PER_S = 50_000
 FILES_MAX = 10_000
 
