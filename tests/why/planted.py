@@ -63,18 +63,27 @@ class Plant:
     preloaded: bool = False
     cpu: int = 1
     priority: int = 95
+    threshold_percent: int = 100
+    """Of the threshold of the place, where an event does not last as long as another's."""
 
 
 PLANTS = (
-    Plant("higher", "thread at priority 98", Kind.HIGHER, "planted_hog"),
+    Plant("higher", "thread at priority 98", Kind.HIGHER, "planted_hog", ("here", "rt", "standard")),
     Plant("equal", "thread at the same priority", Kind.EQUAL, "planted_equal"),
-    Plant("softirq", "a packet for some thousand sockets", Kind.SOFTIRQ, "NET_RX", ("here", "standard")),
+    Plant("softirq", "a packet for some thousand sockets", Kind.SOFTIRQ, "NET_RX", ("here",)),
     Plant("throttling", "real-time thread that never sleeps", Kind.THROTTLED, "planted_fair"),
     Plant("lock", "thread that keeps a mutex", Kind.LOCK, "planted_lock", preloaded=True),
     Plant(
         "faults", "8192 page faults in the callback", Kind.FAULT, "cyclic_timer_te", places=("here",), preloaded=True
     ),
-    Plant("stop_machine", "stop_machine, by the function tracer", Kind.HIGHER, "migration/1", places=("rt",)),
+    Plant(
+        "stop_machine",
+        "stop_machine, by the function tracer",
+        Kind.HIGHER,
+        "migration/1",
+        ("rt",),
+        threshold_percent=35,
+    ),
     Plant("printk", "printk to a serial console", Kind.CONSOLE, "planted_printk", places=("standard",)),
     Plant("storm", "packets from outside", Kind.SOFTIRQ, "NET_RX", places=("rt", "standard"), cpu=0, priority=40),
     Plant("nothing", "nothing", None, places=("here", "rt", "standard")),
@@ -88,7 +97,7 @@ def trials(plant: Plant, count: int, place: Place, folder: Path) -> Iterator[Ran
     campaign = CAMPAIGN.format(
         frequency_hz=place.frequency_hz,
         repetitions=place.repetitions * place.slices,
-        threshold_us=place.threshold_us,
+        threshold_us=place.threshold_us * plant.threshold_percent // 100,
         cpu=plant.cpu,
         priority=plant.priority,
         runs=runs_wanted,

@@ -318,7 +318,7 @@ class _Walk:
         for span in self._spans(waker.cpu, hard_ns, began_ns):
             yield self._part(span, waker.cpu, self._while_late(span, pid))
         yield Part(begin_ns=soft_ns, end_ns=hard_ns, cause=Cause(kind=Kind.TIMER_SLACK), cpu=waker.cpu)
-        yield Part(begin_ns=asleep_ns, end_ns=soft_ns, cause=Cause(kind=Kind.OWN_SLEEP), cpu=waker.cpu)
+        yield Part(begin_ns=asleep_ns, end_ns=soft_ns, cause=self._cause(Kind.OWN_SLEEP, pid), cpu=waker.cpu)
 
     def _while_late(self, span: Span, pid: int) -> Cause:
         """What a CPU did while the interrupt of a timer should have come, which then woke a thread.

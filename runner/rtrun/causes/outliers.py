@@ -183,7 +183,10 @@ def _with_name(order: Timeline, names: set[str]) -> frozenset[int]:
 
 
 def _measured_thread(order: Timeline, at_ns: int, threads: Mapping[int, str]) -> int | None:
-    """The thread that had the value: one of the program that ran then, by id, or by name in a container."""
+    """The thread that had the value: one of the program that ran then, by id, or by name in a container.
+
+    Of several, that is the main thread, the first of `threads`: it measures, but for one-shots, of which it waits.
+    """
     ran = [
         span
         for cpu in order.cpus
@@ -191,7 +194,8 @@ def _measured_thread(order: Timeline, at_ns: int, threads: Mapping[int, str]) ->
         if span.occupant and span.occupant.context is Context.THREAD
     ]
     pids = [span.occupant.pid for span in sorted(ran, key=lambda span: -span.end_ns) if span.occupant]
-    by_id = [pid for pid in pids if pid in threads]
+    main = next(iter(threads), None)
+    by_id = sorted((pid for pid in pids if pid in threads), key=lambda pid: pid != main)
     by_name = [pid for pid in pids if pid in _with_name(order, set(threads.values()))]
     return next(iter(by_id or by_name), None)
 

@@ -75,7 +75,7 @@ def test_a_timeout_is_not_what_was_waited_for():
 
 def test_a_timeout_before_there_was_work():
     parts = parts_of(timed_out(awaited_waits=False), at=1520, own=(1, 5))
-    assert (Kind.OWN_SLEEP, "", 400) in parts
+    assert (Kind.OWN_SLEEP, "me", 400) in parts
 
 
 def test_a_thread_of_the_same_priority():

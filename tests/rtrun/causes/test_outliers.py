@@ -39,6 +39,15 @@ def test_outliers_that_share_a_trace(tmp_path):
     ]
 
 
+def test_of_two_threads_that_ran_then_the_main_one_measured(tmp_path):
+    """The other one held a lock, gave it free, and still runs on another CPU."""
+    mate, idle = ("mate", 5, 120), ("swapper/1", 0, 120)
+    text = head(500, 3, 5000) + switch(3000, idle, mate, cpu=1) + switch(4800, HOG, ME)
+    text += switch(5010, ME, HOG) + switch(5020, mate, idle, cpu=1)
+    (one,) = explained(write_traced_run(tmp_path, {3: text}, [1, 5]))
+    assert [part.cause.name for part in one.parts if part.cause.kind is Kind.PROGRAM] == ["cyclic_timer_te"]
+
+
 def test_a_thread_of_a_container_is_known_by_its_name(tmp_path):
     """Its own number is another one than that in the kernel's trace."""
     folder = write_traced_run(tmp_path, {1558: specimen(1558)}, [7])
