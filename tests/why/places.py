@@ -118,7 +118,7 @@ def board(kernel: KernelName, folder: Path) -> Iterator[Place]:
             length_ms=300,
             threshold_us=200_000,
             frequency_hz=50,
-            repetitions=400,
+            repetitions=330,
             slices=5,
             flooded_port=flooded_port,
         )

@@ -40,8 +40,9 @@ def named(name: str, cpu: int) -> None:
 
 
 def pause(length_ms: int) -> None:
-    """Wait until the next event. On a slow machine events are longer, and so is the time between them."""
-    time.sleep((EVERY_MS + 20 * length_ms) / 1000)
+    """Wait until the next event. On a slow machine events are longer, and so is the time from one to the next."""
+    period_s = (EVERY_MS + 18 * length_ms) / 1000
+    time.sleep(period_s - time.monotonic() % period_s)
 
 
 def spin(length_ms: int) -> None:
@@ -144,7 +145,9 @@ def is_measured() -> bool:
 
 def stop_machine(cpu: int, length_ms: int) -> None:
     """The kernel changes its own code while every CPU is stopped: the function tracer is switched on and off."""
-    (TRACING / "set_ftrace_filter").write_text("\n".join(f"{prefix}*" for prefix in PATCHED))
+    for prefix in PATCHED:
+        with contextlib.suppress(OSError), (TRACING / "set_ftrace_filter").open("a") as functions:
+            functions.write(f"{prefix}*")
     named("planted_stop", 1 - cpu)
     while True:
         for tracer in ("function", "nop"):
