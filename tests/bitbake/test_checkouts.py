@@ -1,12 +1,12 @@
 """Checkouts given to `make test-yocto` that fit no profile."""
 
-import re
 import subprocess
 
 import pytest
 
+import bitbake.yocto
 from bitbake.yocto import open_checkouts
-from rtgen.profile import load_profile
+from rtgen.profile import load_profile, profile_names
 
 
 def git(folder, *arguments):
@@ -14,16 +14,31 @@ def git(folder, *arguments):
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def test_a_layer_at_another_commit_is_named_with_both(tmp_path):
-    layer = tmp_path / "meta-ros"
-    layer.mkdir()
-    git(layer, "init", "-q")
-    git(layer, "commit", "-q", "--allow-empty", "-m", "other")
-    there, pinned = git(layer, "rev-parse", "HEAD"), load_profile("scarthgap-noetic")[0].repositories["meta-ros"].commit
-    said = f"scarthgap-noetic: .*meta-ros is at {there}, not at {pinned}"
-    with pytest.raises(
-        AssertionError, match=re.escape(str(tmp_path)) + rf" holds no profile's checkouts:\n(.*\n)*{said}"
-    ):
+def test_a_layer_at_another_commit_is_named_with_both(tmp_path, monkeypatch):
+    """Of the profile that comes nearest only."""
+    profile, release = load_profile("scarthgap-noetic")
+    commits = {}
+    for name in profile.repositories:
+        (tmp_path / name).mkdir()
+        git(tmp_path / name, "init", "-q")
+        git(tmp_path / name, "commit", "-q", "--allow-empty", "-m", "other")
+        commits[name] = git(tmp_path / name, "rev-parse", "HEAD")
+    # The profile follows all folders but one: nobody can make a commit of the name that it pins.
+    repositories = {
+        name: pinned if name == "meta-ros" else pinned.model_copy(update={"commit": commits[name]})
+        for name, pinned in profile.repositories.items()
+    }
+    profiles = {name: load_profile(name) for name in profile_names()}
+    profiles["scarthgap-noetic"] = profile.model_copy(update={"repositories": repositories}), release
+    monkeypatch.setattr(bitbake.yocto, "load_profile", profiles.get)
+    with pytest.raises(AssertionError) as error:
         open_checkouts(tmp_path)
-    with pytest.raises(AssertionError, match="bitbake is at no checkout, not at "):
+    assert str(error.value) == (
+        f"{tmp_path} holds no profile's checkouts, scarthgap-noetic comes nearest:\n"
+        f"meta-ros is at {commits['meta-ros']}, not at {profile.repositories['meta-ros'].commit}"
+    )
+
+
+def test_a_layer_that_is_not_there_is_named_with_its_commit(tmp_path):
+    with pytest.raises(AssertionError, match=r"\nmeta-ros is not there, it should be at [0-9a-f]{40}"):
         open_checkouts(tmp_path)

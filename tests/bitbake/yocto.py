@@ -196,21 +196,15 @@ class Yocto:
 def open_checkouts(top: Path) -> Yocto:
     """Find the profile whose commits are checked out, render it, and configure a build of its first machine.
 
-    Fails with the commits that differ, for each profile, where none fits.
+    Fails with the commits that differ from those of the profile that comes nearest, where none fits.
     """
-    wrong = []
-    for name in profile_names():
-        profile, release = load_profile(name)
-        differences = [
-            f"{repository} is at {commit}, not at {pinned.commit}"
-            for repository, pinned in profile.repositories.items()
-            if (commit := _head(top / repository)) != pinned.commit
-        ]
-        if not differences:
-            break
-        wrong.append(f"{name}: {', '.join(differences)}")
-    else:
-        raise AssertionError(f"{top} holds no profile's checkouts:\n" + "\n".join(wrong))
+    profiles = {name: load_profile(name) for name in profile_names()}
+    differences = {name: _differences(top, profile) for name, (profile, _) in profiles.items()}
+    name = min(differences, key=lambda name: len(differences[name]))
+    assert not differences[name], f"{top} holds no profile's checkouts, {name} comes nearest:\n" + "\n".join(
+        differences[name]
+    )
+    profile, release = profiles[name]
     # Another checkout of this repository may have linked its own sources there.
     (top / "rendered" / "recipes-tests").unlink(missing_ok=True)
     output.write(render(name, profile, release), top / "rendered")
@@ -219,9 +213,18 @@ def open_checkouts(top: Path) -> Yocto:
     return yocto
 
 
-def _head(folder: Path) -> str:
-    done = subprocess.run(["git", "-C", folder, "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
-    return done.stdout.strip() or "no checkout"
+def _differences(top: Path, profile: Profile) -> list[str]:
+    """What is wrong with each checkout that is not at its profile's commit."""
+    differences = []
+    for name, pinned in profile.repositories.items():
+        command = ["git", "-C", top / name, "rev-parse", "HEAD"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        commit = done.stdout.strip()
+        if done.returncode != 0:
+            differences.append(f"{name} is not there, it should be at {pinned.commit}")
+        elif commit != pinned.commit:
+            differences.append(f"{name} is at {commit}, not at {pinned.commit}")
+    return differences
 
 
 def _write(path: Path, text: str) -> None:
