@@ -155,7 +155,7 @@ class Yocto:
         files: dict[str, list[Path]] = {}
         for layer in others:
             for path in layer.rglob("*.bb"):
-                files.setdefault(path.stem.partition("_")[0], []).append(path)
+                files.setdefault(_recipe(path), []).append(path)
         needed: set[str] = set()
         # Of ours every word counts: an image names packages in other variables.
         ours = " ".join(path.read_text().replace('"', " ") for path in self.layer.glob("recipes-*/**/*.bb"))
@@ -164,20 +164,35 @@ class Yocto:
             words = {
                 word for value in NEEDS.findall(texts.pop()) for word in re.findall(r"[a-z0-9][a-z0-9.+-]*", value)
             }
-            begins = {"-".join(split[:end]) for word in words for split in [word.split("-")] for end in range(1, 9)}
-            new = (begins & files.keys()) - needed
+            new = (_beginnings(words) & files.keys()) - needed
             needed |= new
             folders = {path.parent for name in new for path in files[name]}
             parts = {path for folder in folders for path in folder.iterdir() if path.suffix in (".bb", ".inc")}
             texts += [path.read_text().replace("${PYTHON_PN}", "python3") for path in parts]
-        known = needed | {path.stem.partition("_")[0] for path in core.glob("recipes-*/*/*.bb")}
+        return self._mask(others, needed, needed | {_recipe(path) for path in core.glob("recipes-*/*/*.bb")})
+
+    def mask_of_all_but(self, needed: set[str], machine: str) -> str:
+        """Return a BBMASK for a machine that keeps the recipes of another machine's image.
+
+        What starts, builds or writes an image is kept too, and what the machine's layer adds to: it may need more.
+        """
+        core, *others = self.kas(self.machine)[0]
+        names = _beginnings(needed)
+        for folder in ("bsp", "core", "devtools", "extended", "kernel", "support"):
+            names |= {_recipe(path) for path in core.glob(f"recipes-{folder}/*/*.bb")}
+        for layer in {*self.kas(machine)[0]} - {core, *others}:
+            names |= {_recipe(path) for path in layer.rglob("*.bbappend")}
+        return self._mask([core, *others], names, names)
+
+    def _mask(self, layers: list[Path], recipes: set[str], appended: set[str]) -> str:
+        """Return a BBMASK that keeps these recipes of the layers, and the bbappends of `appended`."""
+        names = {".bb": recipes, ".bbappend": appended}
         masks = []
-        for layer in others:
+        for layer in layers:
             keep = [
                 str(path.relative_to(layer)).replace(".", "[.]").replace("+", "[+]")
                 for path in layer.rglob("*.bb*")
-                if path.suffix in (".bb", ".bbappend")
-                and path.stem.partition("_")[0] in (needed if path.suffix == ".bb" else known)
+                if _recipe(path) in names.get(path.suffix, ())
             ]
             masks.append(f"^{layer}/(?!({'|'.join(sorted(keep))})$)")
         return " ".join(masks)
@@ -191,6 +206,16 @@ class Yocto:
             if not (folder / name).exists():
                 (folder / name).symlink_to(python)
         return folder
+
+
+def _recipe(path: Path) -> str:
+    """The name of the recipe that a .bb file makes, or to which a .bbappend adds."""
+    return path.stem.partition("_")[0]
+
+
+def _beginnings(words: set[str]) -> set[str]:
+    """Each word, and what is before each of its hyphens: gcc-cross-arm comes from the recipe gcc-cross."""
+    return {"-".join(split[:end]) for word in words for split in [word.split("-")] for end in range(1, 9)}
 
 
 def open_checkouts(top: Path) -> Yocto:
