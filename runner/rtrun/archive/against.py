@@ -12,8 +12,8 @@ from rtrun.archive.queries import connected
 from rtrun.archive.store import Store, make_archive
 from rtrun.archive.tables import Origin
 from rtrun.report.claims.examination import us
-from rtrun.report.gate import Case, Gate
-from rtrun.target.platform import Platform, weakest
+from rtrun.report.gate import Case, Gate, why_not_accepted
+from rtrun.target.platform import Platform
 
 # The runs that are in no course, and why.
 _WITHOUT_COURSE = """
@@ -74,7 +74,6 @@ def _case(
     build: Course, history: Course | None, margin_ns: float | None, false_alarms: float, platform: Platform
 ) -> Case:
     boots = 0 if history is None else len(history.boots())
-    measured = Platform(build.platform)
     n, misses = (sum(numbers) for numbers in zip(*build.misses(), strict=True))
     worst_ns = max((run.point.max_ns for run in build.runs if run.point.max_ns is not None), default=None)
     shared = [figure for figure in get_args(Figure) if build.has(figure) and history and history.has(figure)]
@@ -90,13 +89,8 @@ def _case(
     worse = [(figure, against) for figure, against in compared if against.worse]
     text = "; ".join(_words(figure, against) for figure, against in worse or compared)
     passed = not worse
-    if passed and weakest((measured, platform)) is not platform:
-        option = (
-            f": passes only with --platform {measured}"
-            if measured is Platform.VIRTUAL
-            else ", where times mean nothing"
-        )
-        text, passed = f"{text}; measured on {measured.machine}{option}", False
+    if passed and (why := why_not_accepted(Platform(build.platform), platform)):
+        text, passed = f"{text}; {why}", False
     return Case(
         about=build.label,
         answer="WORSE" if worse else "NOT WORSE",
