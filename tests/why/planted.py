@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from datetime import date
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -161,7 +162,7 @@ def write_row(where: str, about: str, row: str) -> None:
     plants = [plant.about for plant in PLANTS]
     by_plant = {text.split(" | ")[0].removeprefix("| "): text for text in [*table.splitlines(), row] if "|" in text}
     kept = [by_plant[plant] for plant in plants if plant in by_plant]
-    DOCS.write_text("\n".join([before + begin, f"{about}:", "", HEAD, *kept, end]) + after)
+    DOCS.write_text("\n".join([before + begin, f"{about}, latest row of {date.today()}:", "", HEAD, *kept, end]) + after)
 
 
 def main() -> int:
