@@ -157,6 +157,8 @@ def stop_machine(cpu: int, length_ms: int) -> None:
 
 def printk(cpu: int, length_ms: int) -> None:
     """The kernel prints what each thread does on the console, as it does when one hangs."""
+    # The board boots with `quiet`.
+    Path("/proc/sys/kernel/printk").write_text("8")
     named("planted_printk", cpu)
     while True:
         pause(length_ms)
