@@ -162,7 +162,8 @@ def write_row(where: str, about: str, row: str) -> None:
     plants = [plant.about for plant in PLANTS]
     by_plant = {text.split(" | ")[0].removeprefix("| "): text for text in [*table.splitlines(), row] if "|" in text}
     kept = [by_plant[plant] for plant in plants if plant in by_plant]
-    DOCS.write_text("\n".join([before + begin, f"{about}, latest row of {date.today()}:", "", HEAD, *kept, end]) + after)
+    head = f"{about}, latest row of {date.today()}:"
+    DOCS.write_text("\n".join([before + begin, head, "", HEAD, *kept, end]) + after)
 
 
 def main() -> int:
