@@ -44,7 +44,7 @@ def without_margin(monkeypatch):
 @pytest.fixture
 def without_change_points(monkeypatch, without_margin):
     """So that the level of the test alone is seen; the lowest of several levels is chosen, which adds to it."""
-    monkeypatch.setattr(history, "best_level", lambda values: values)
+    monkeypatch.setattr(history, "levels", lambda values: [slice(0, len(values))])
 
 
 @pytest.mark.parametrize("boots", [years.normal, years.skewed, years.two_kinds])
@@ -62,14 +62,30 @@ def test_an_alarm_in_a_month_of_gates_is_rare():
     assert sum(years.alarm_in_a_year(rng, boots=years.normal, year=30) for _ in range(25)) <= 1
 
 
-def test_boots_that_drift_need_the_margin_of_three_spreads(monkeypatch):
-    def times_with_an_alarm():
-        rng = np.random.default_rng(20140715)
-        return sum(years.alarm_in_a_year(rng, boots=years.drifting, year=60) for _ in range(25))
+def test_a_margin_below_that_of_the_boots_changes_nothing(monkeypatch):
+    boots = 100 + 2 * np.random.default_rng(20140715).normal(size=40)
 
-    assert times_with_an_alarm() <= 1
-    monkeypatch.setattr(history, "LEAST_MARGIN", 0.0)
-    assert times_with_an_alarm() > 3
+    def limit(margin):
+        return history.compare_figure(boots, boots[:1], margin=margin, level=LEVEL).limit
+
+    assert limit(0.0) == limit(0.01) < limit(8.0)
+    spread = (limit(0.0) - limit_without_margin(monkeypatch, boots)) / history.LEAST_MARGIN
+    assert 1.5 < spread < 2.7
+
+
+def limit_without_margin(monkeypatch, boots):
+    with monkeypatch.context() as patch:
+        patch.setattr(history, "LEAST_MARGIN", 0.0)
+        return history.compare_figure(boots, boots[:1], margin=0.0, level=LEVEL).limit
+
+
+def test_a_level_of_boots_that_lie_close_together_does_not_say_how_much_boots_differ():
+    rng = np.random.default_rng(20140715)
+    before, after = (rng.permutation(np.linspace(96, 104, 30)) for _ in range(2))
+    close = rng.permutation(np.linspace(89.9, 90.1, 20))
+    against = history.compare_figure(np.concatenate([before, close, after]), before[:1], margin=0.0, level=LEVEL)
+    assert against.boots == 20
+    assert against.limit - against.reference > 8
 
 
 def test_at_the_level_of_a_single_gate_a_month_has_alarms(monkeypatch, without_margin):

@@ -13,7 +13,7 @@ LEAST_BOOTS = 5  # of a history
 GATES_A_YEAR = 365
 # The margin is so many spreads of a boot at least. With less a year of gates has more false alarms than stated where
 # boots have a long upper tail or drift: a test at 1 in 7300 extrapolates from some hundred boots (docs/archive.md).
-LEAST_MARGIN = 3.0
+LEAST_MARGIN = 2.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -42,13 +42,17 @@ def level_of_test(false_alarms: float, tests: int) -> float:
     return false_alarms / (GATES_A_YEAR * tests)
 
 
-def best_level(history: Floats) -> Floats:
+def best_level(history: Floats) -> tuple[Floats, float]:
     """The lowest of the levels between the change points of a history (u,), among those of LEAST_BOOTS boots.
 
-    So a build that made it worse does not become what the next ones are held against.
+    So a build that made it worse does not become what the next ones are held against. The second value is the standard
+    deviation of boots within their levels: a level of few boots may be the lowest because they lie close together.
     """
-    long = [history[stretch] for stretch in levels(history) if stretch.stop - stretch.start >= LEAST_BOOTS]
-    return min(long, key=lambda level: float(level.mean()), default=history)
+    stretches = [history[stretch] for stretch in levels(history)]
+    squares = sum(float(((level - level.mean()) ** 2).sum()) for level in stretches)
+    within = math.sqrt(squares / (history.size - len(stretches)))
+    long = [level for level in stretches if level.size >= LEAST_BOOTS]
+    return min(long, key=lambda level: float(level.mean()), default=history), within
 
 
 def compare_figure(
@@ -61,13 +65,14 @@ def compare_figure(
 
     The limit is that of a prediction for the mean of k boots (Student's t), with a tail as heavy as the kurtosis of the
     reference tells: a t distribution with v degrees of freedom has the excess kurtosis 6 / (v - 4). The spread is the
-    larger of those on both sides of the median, so that a long upper tail counts whole.
+    larger of those on both sides of the median, so that a long upper tail counts whole, and of that in all levels.
     """
     from scipy.special import stdtrit
 
-    reference = best_level(history)
+    reference, within = best_level(history)
     mean = float(reference.mean())
     spread, degrees = _spread(reference)
+    spread = max(spread, within)
     reach = float(stdtrit(degrees, 1 - level)) * spread * math.sqrt(1 / build.size + 1 / reference.size)
     allowed = max(LEAST_MARGIN * spread, max(least, share * abs(mean)) if margin is None else margin)
     return Against(reference=mean, boots=reference.size, value=float(build.mean()), limit=mean + allowed + reach)

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--margin",
         type=time_argument,
         metavar="TIME",
-        help="with --against: a shift that is of no concern, as 5us; three standard deviations of the history's boots "
+        help="with --against: a shift that is of no concern, as 5us; two standard deviations of the history's boots "
         "at least [5 %% of the history's figure, at least 1us]",
     )
     parser.add_argument(
