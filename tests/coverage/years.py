@@ -150,16 +150,20 @@ class Row:
 
 
 _YEAR = "any false alarm in a year of daily gates"
-_IN_A_YEAR = 9.0  # 5 %, and two standard errors of
-_YEARS = 100  # draws
-_OF_COURSES = 8.0  # 5 %, and two standard errors of 200 draws
+
+
+def five_percent(draws: int) -> float:
+    """5 %, and two standard errors of so many draws, in percent."""
+    return float(round(5 + 200 * np.sqrt(0.05 * 0.95 / draws)))
+
+
 ROWS = (
     *(
         Row(
             name=f"{_YEAR}, boots {kind.__name__}, no margin given",
             draw=partial(alarm_in_a_year, boots=kind),
-            at_most=_IN_A_YEAR,
-            draws=_YEARS,
+            at_most=five_percent(40),
+            draws=40,
         )
         for kind in (normal, skewed, weekly, two_kinds, heavy, drifting)
     ),
@@ -167,8 +171,8 @@ ROWS = (
         Row(
             name=f"{_YEAR}, boots {kind.__name__}, margin 10 %, builds slower by {slower:g} %",
             draw=partial(alarm_in_a_year, boots=kind, margin=10.0, slower=slower),
-            at_most=_IN_A_YEAR,
-            draws=_YEARS,
+            at_most=five_percent(40),
+            draws=40,
         )
         for kind, slower in ((skewed, 3.0), (drifting, 3.0), (normal, 10.0))
     ),
@@ -176,14 +180,14 @@ ROWS = (
         Row(
             name=f"{_YEAR}, P(miss), {mean:g} misses a boot",
             draw=partial(miss_alarm_in_a_year, mean=mean),
-            at_most=_IN_A_YEAR,
-            draws=_YEARS,
+            at_most=five_percent(100),
+            draws=100,
         )
         for mean in (0.05, 3.0)
     ),
     *(
         Row(name=f"a change in 120 boots without one, boots {kind.__name__}", draw=partial(change_seen, boots=kind),
-            at_most=100.0 if kind is drifting else _OF_COURSES)
+            at_most=100.0 if kind is drifting else five_percent(200))
         for kind in (normal, skewed, two_kinds, heavy, drifting)
     ),
     *(
