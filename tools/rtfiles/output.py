@@ -27,6 +27,11 @@ def printable(text: str) -> str:
     return "".join(character if character.isprintable() or character == "\t" else "?" for character in text)
 
 
+def counted(number: int, noun: str) -> str:
+    """A number and its noun, with an s but for one."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def print_line(text: str = "") -> None:
     """Print one line of the answer to standard output."""
     print(printable(text), flush=True)

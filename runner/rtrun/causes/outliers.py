@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
+from rtfiles.output import counted
 from rtfiles.untrusted import whole_number
 from rtrun.causes.control import Windows, control_ns, windows_before
 from rtrun.causes.cut import Part, cut
@@ -163,7 +164,7 @@ def _what_is_missing(outlier: Outlier, order: Timeline, trace: Trace) -> str:
     known = sum(missing or 0 for missing in lost)
     notes = [f"{known} events were lost within" if known else "events were lost within"] if lost else []
     if trace.not_read:
-        notes.append(f"{trace.not_read} line{'' if trace.not_read == 1 else 's'} of its trace could not be read")
+        notes.append(f"{counted(trace.not_read, 'line')} of its trace could not be read")
     return "; ".join(notes)
 
 

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from rtfiles.errors import UsageError
-    from rtfiles.output import print_line, print_text
+    from rtfiles.output import counted, print_line, print_text
     from rtrun.plan.campaign import read_campaign
     from rtrun.plan.kernels import blocks
 
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     times = _times(runs, restarts)
     settling = f", {times['settling_s']:.0f} s for loads to settle" if times["settling_s"] else ""
     restarting = (
-        f", about {times['restarting_s']:.0f} s for {_counted(restarts, 'restart')} into a kernel" if restarts else ""
+        f", about {times['restarting_s']:.0f} s for {counted(restarts, 'restart')} into a kernel" if restarts else ""
     )
     print_line(
         f"{len(runs)} runs, {_in_hours(times['total_s'])}: {_in_hours(times['measuring_s'])} of measuring{settling}, "
@@ -91,10 +91,6 @@ def _times(runs: "Sequence[Run]", restarts: int) -> dict[str, float]:
     }
 
 
-def _counted(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
-
-
 def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Iterator[_Forecast]:
     """How long the goal takes in the best case, and at a rate of misses where one is given."""
     from rtrun.analysis.deadline import plan_measurements
@@ -113,6 +109,8 @@ def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Ite
 
 
 def _goal_lines(goal: "Goal", forecasts: Sequence[_Forecast]) -> Iterator[str]:
+    from rtfiles.output import counted
+
     at_most_s = goal.at_most_ns / 1e9
     yield (
         f"until P(miss) of {goal.deadline_ns / 1000:g} us is proven or refuted to be below {goal.probability:g}, "
@@ -123,11 +121,11 @@ def _goal_lines(goal: "Goal", forecasts: Sequence[_Forecast]) -> Iterator[str]:
         if each.outlook is None:
             yield f"{name}: no number of measurements is likely to decide it"
             continue
-        restarts = f" and {_counted(each.outlook.boots - 1, 'restart')}" if goal.boots > 1 else ""
+        restarts = f" and {counted(each.outlook.boots - 1, 'restart')}" if goal.boots > 1 else ""
         longer = ", longer than at_most" if each.outlook.total_s > at_most_s else ""
         chance = " nine times in ten" if each.assumed_rate else ""
         yield (
-            f"{name}: {each.answer} after {_counted(each.outlook.rounds, 'round')}{restarts}{chance}, about "
+            f"{name}: {each.answer} after {counted(each.outlook.rounds, 'round')}{restarts}{chance}, about "
             f"{_in_hours(each.outlook.total_s)}, of which {_in_hours(each.outlook.measuring_s)} are measuring{longer}"
         )
 

@@ -10,7 +10,7 @@ import rich.table
 import rich.text
 
 from rtfiles.errors import UsageError
-from rtfiles.output import printable
+from rtfiles.output import counted, printable
 from rtrun.causes.cut import Cause, Kind
 from rtrun.causes.outliers import Explained, explain_run
 from rtrun.causes.ranking import NAMELESS, Culprit, Ranking, rank
@@ -69,7 +69,7 @@ def periods(source: Source) -> tuple[Table, tuple[str, ...]]:
         title="Late values that come at a period",
         columns=("run", "output", "highest values", "come every", "periods that have one", "p"),
         rows=rows,
-        outcome=f"every {named[0][0]}, in {named[0][1]} output{'' if named[0][1] == 1 else 's'}" if named else "",
+        outcome=f"every {named[0][0]}, in {counted(named[0][1], 'output')}" if named else "",
         numbers=2,
         notes=("How it is found: docs/causes.md, Periods.",),
     ), refused
@@ -114,7 +114,7 @@ def surroundings(source: Source) -> tuple[Table, tuple[str, ...]]:
             )
             for one in found
         ],
-        outcome=f"{named[0][0]}, in {named[0][1]} output{'' if named[0][1] == 1 else 's'}" if named else "",
+        outcome=f"{named[0][0]}, in {counted(named[0][1], 'output')}" if named else "",
         numbers=4,
         notes=(
             "Medians of the tenth of all observations with the highest values, and of the others. What coincides need "
@@ -135,7 +135,7 @@ def answer(ranking: Ranking) -> str:
     """The culprit of most outliers, in one sentence."""
     if not ranking.outliers:
         return "No outlier has a trace that could be read"
-    outliers = f"{ranking.outliers} traced outlier{'' if ranking.outliers == 1 else 's'}"
+    outliers = counted(ranking.outliers, "traced outlier")
     if (named := ranking.named) is not None:
         return (
             f"{culprit_name(named)}: the main cause of {named.main} of {outliers}, "
@@ -242,10 +242,7 @@ def for_terminal(table: Table) -> rich.table.Table:
 def without_trace(explained: Iterable[Explained]) -> list[str]:
     """How many outliers have no parts, and why."""
     notes = [one.note for one in explained if not one.parts]
-    return [
-        f"{notes.count(note)} outlier{'' if notes.count(note) == 1 else 's'} without parts: {note}"
-        for note in dict.fromkeys(notes)
-    ]
+    return [f"{counted(notes.count(note), 'outlier')} without parts: {note}" for note in dict.fromkeys(notes)]
 
 
 def lines(one: Explained) -> Iterator[str]:

@@ -10,7 +10,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from rtfiles.output import printable
+from rtfiles.output import counted, printable
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.analysis.standing import Standing
 from rtrun.analysis.stationarity import Change
@@ -168,7 +168,7 @@ def missing(standing: Standing) -> str:
 
 
 def _count(number: int, noun: str, more: str = "more ") -> str:
-    return f"{number} {more}{noun}{'' if number == 1 else 's'}"
+    return counted(number, f"{more}{noun}")
 
 
 def _measurements(verdict: Verdict, number: int) -> str:
