@@ -251,7 +251,7 @@ class _Walk:
         if who is None or who.context is not Context.THREAD:
             return _of_no_thread(who)
         if who.pid == IDLE_PID:
-            return Cause(kind=Kind.IDLE_EXIT)
+            return Cause(kind=Kind.THROTTLED, name=IDLE) if who.preferred else Cause(kind=Kind.IDLE_EXIT)
         if who.pid == pid:
             return self._cause(Kind.PROGRAM if pid == self.pid else Kind.OTHER_THREAD, pid)
         other = who.prio if who.prio is not None else self.timeline.prios.get(who.pid)
@@ -263,19 +263,16 @@ class _Walk:
             kind = Kind.HIGHER
         elif other == prio:
             kind = Kind.EQUAL
-        elif self._was_chosen(who.pid, since_ns, span.end_ns):
+        elif who.preferred or self._was_chosen(who.pid, since_ns, span.end_ns):
             kind = Kind.THROTTLED
         else:
             kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.NOT_PREEMPTED
         return Cause(kind=kind, name=who.name, pid=who.pid, prio=other)
 
     def _was_chosen(self, pid: int, begin_ns: int, end_ns: int) -> bool:
-        """Whether the scheduler preferred a thread of lower priority: to this one, or before to another."""
+        """Whether the scheduler gave a thread the CPU that has it at the end of a time, and had not at its begin."""
         place = self._running(pid, end_ns - 1)
-        if place < 0:
-            return False
-        change = self.timeline.threads[pid][place]
-        return change.preferred or begin_ns < change.at_ns
+        return place >= 0 and begin_ns < self.timeline.threads[pid][place].at_ns
 
     def _printed(self, pid: int, at_ns: int) -> bool:
         """Whether a thread had a line for the console since it was given the CPU that it has at a moment.

@@ -34,12 +34,17 @@ _FUTEX_COMMAND = 127
 
 
 class Occupant(NamedTuple):
-    """What has a CPU: a thread, or an interrupt or softirq within it. The priority of a thread is None if not known."""
+    """What has a CPU: a thread, or an interrupt or softirq within it. The priority of a thread is None if not known.
+
+    `preferred`: the scheduler chose a thread without a real-time priority, or none, though one with such a priority
+    was on the queue of the CPU.
+    """
 
     context: Context
     name: str
     pid: int
     prio: int | None
+    preferred: bool = False
 
 
 class Span(NamedTuple):
@@ -88,17 +93,13 @@ class Waker(NamedTuple):
 
 
 class Change(NamedTuple):
-    """From this moment on a thread is in a state. `cpu` is that of its run queue; `waker` stands where it was woken.
-
-    `preferred`: it runs without a real-time priority, since a thread that has one and could go on was passed over.
-    """
+    """From this moment on a thread is in a state. `cpu` is that of its run queue; `waker` stands where it was woken."""
 
     at_ns: int
     state: State
     cpu: int
     waker: Waker | None = None
     why: Why = Why.UNKNOWN
-    preferred: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -162,9 +163,12 @@ class _Cpu:
     raises: dict[str, Raise] = field(default_factory=dict)
     expiry: TimerExpiry | None = None
     offset_ns: int = 0
-    # Threads without a real-time priority run, since one with such a priority was passed over.
-    prefers_normal: bool = False
+    # Threads with a real-time priority that could run here, but do not.
+    queued: set[int] = field(default_factory=set)
     spans: list[Span] = field(default_factory=list)
+    # The first span of the trace, or after lost events; by thread the softirq that ended since, but began before.
+    first_known: int = 0
+    began_before: dict[int, Span] = field(default_factory=dict)
 
     def occupant(self) -> Occupant | None:
         layer = self.layer()
@@ -181,6 +185,18 @@ class _Cpu:
         if at_ns > self.since_ns:
             self.spans.append(Span(self.since_ns, at_ns, self.occupant()))
             self.since_ns = at_ns
+
+    def name_what_began_before(self) -> None:
+        """A thread that was in a softirq when the trace began, or while events were lost, was in it until its end."""
+        for place in range(self.first_known, len(self.spans)) if self.began_before else ():
+            span = self.spans[place]
+            if span.occupant is None or span.occupant.context is not Context.THREAD:
+                continue
+            softirq = self.began_before.get(span.occupant.pid)
+            if softirq is not None and span.end_ns <= softirq.end_ns:
+                self.spans[place] = span._replace(occupant=softirq.occupant)
+        self.began_before.clear()
+        self.first_known = len(self.spans)
 
 
 class _Builder:
@@ -200,6 +216,8 @@ class _Builder:
         self.lost: list[Lost] = []
         self.has_waking = False
         self.not_woken: set[int] = set()
+        # The CPU on whose queue a thread with a real-time priority is.
+        self.queues: dict[int, _Cpu] = {}
 
     def add(self, event: Event) -> None:
         cpu = self.cpus.get(event.cpu)
@@ -223,6 +241,8 @@ class _Builder:
                 cpu.raises.setdefault(event.name, event)
             case Migration():
                 self._queue(event.pid, event.at_ns, event.to_cpu)
+                if event.pid in self.queues:
+                    self._enqueue(event.pid, event.to_cpu)
             case Futex():
                 self.faults.discard(event.pid)
                 if event.operation is None:
@@ -249,10 +269,13 @@ class _Builder:
         cpu.close(event.at_ns)
         cpu.hard.clear()
         cpu.expiry = None
-        cpu.thread = Occupant(Context.THREAD, event.next_name, event.next_pid, event.next_prio)
-        is_normal = event.next_prio >= NORMAL_PRIO and event.next_pid != IDLE_PID
-        passes_over = event.state.startswith("R") and event.prio < NORMAL_PRIO
-        cpu.prefers_normal = is_normal and (cpu.prefers_normal or passes_over)
+        self._dequeue(event.next_pid)
+        if event.prio < NORMAL_PRIO and event.state.startswith("R"):
+            self._enqueue(event.pid, event.cpu)
+        else:
+            self._dequeue(event.pid)
+        preferred = event.next_prio >= NORMAL_PRIO and bool(cpu.queued)
+        cpu.thread = Occupant(Context.THREAD, event.next_name, event.next_pid, event.next_prio, preferred)
         for pid, name, prio in (
             (event.pid, event.name, event.prio),
             (event.next_pid, event.next_name, event.next_prio),
@@ -268,8 +291,7 @@ class _Builder:
             self.faults.discard(event.next_pid)
             if event.next_pid not in self.threads:
                 self.not_woken.add(event.next_pid)
-            change = Change(event.at_ns, State.RUNNING, event.cpu, preferred=cpu.prefers_normal)
-            self.threads[event.next_pid].append(change)
+            self.threads[event.next_pid].append(Change(event.at_ns, State.RUNNING, event.cpu))
 
     def _why(self, event: Switch) -> Why:
         if event.pid in self.faults:
@@ -278,7 +300,19 @@ class _Builder:
             return Why.LOCK
         return Why.UNINTERRUPTIBLE if event.state.startswith("D") else Why.UNKNOWN
 
+    def _enqueue(self, pid: int, cpu: int) -> None:
+        self._dequeue(pid)
+        if (queue := self.cpus.get(cpu)) is not None:
+            queue.queued.add(pid)
+            self.queues[pid] = queue
+
+    def _dequeue(self, pid: int) -> None:
+        if (queue := self.queues.pop(pid, None)) is not None:
+            queue.queued.discard(pid)
+
     def _wake(self, cpu: _Cpu, event: Wake) -> None:
+        if event.is_done and self.prios.get(event.pid, NORMAL_PRIO) < NORMAL_PRIO:
+            self._enqueue(event.pid, event.target_cpu)
         # A new thread has no sched_waking.
         if event.is_done and self.has_waking and event.pid in self.threads:
             self._queue(event.pid, event.at_ns, event.target_cpu)
@@ -318,7 +352,10 @@ class _Builder:
         cpu.hard.clear()
         cpu.soft.clear()
         cpu.expiry = None
+        for pid in tuple(cpu.queued):
+            self._dequeue(pid)
         cpu.close(event.at_ns)
+        cpu.name_what_began_before()
         self.lost.append(event)
 
     def wait_from_the_begin(self) -> None:
@@ -344,6 +381,9 @@ def _interrupt(cpu: _Cpu, event: Interrupt) -> None:
         layers.append(_Layer(Occupant(event.context, event.name, cpu.thread.pid, None), event.at_ns, raised))
     elif layers:
         layers.pop()
+    elif event.context is Context.SOFT:
+        softirq = Occupant(event.context, event.name, cpu.thread.pid, None)
+        cpu.began_before.setdefault(cpu.thread.pid, Span(0, event.at_ns, softirq))
     cpu.expiry = None
 
 
@@ -362,6 +402,7 @@ def timeline(events: Iterable[Event], *, started: Iterable[TimerStart] = ()) -> 
         end_ns = event.at_ns
     for cpu in builder.cpus.values():
         cpu.close(end_ns)
+        cpu.name_what_began_before()
     builder.wait_from_the_begin()
     return Timeline(
         begin_ns=begin_ns,

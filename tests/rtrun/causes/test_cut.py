@@ -111,6 +111,40 @@ def test_throttling_that_began_before():
     )
 
 
+def woken_on_an_idle_cpu(before_idle=""):
+    """Real-time threads are throttled; then the CPU goes idle, and the measured thread wakes up there."""
+    below = ("below", 7, 49)
+    text = START + switch(200, ME, below) + switch(900, below, LOW, state="R") + before_idle + switch(960, LOW, IDLE)
+    text += expiry(1000) + switch(1400, IDLE, ME, state="R") + line(1410, "x: y")
+    return parts_of(text, at=1410)
+
+
+def test_throttling_of_a_cpu_that_is_left_idle():
+    """No thread but real-time ones could go on: the CPU is idle until they may."""
+    assert (Kind.THROTTLED, "idle", 397) in woken_on_an_idle_cpu()
+
+
+def test_a_thread_that_went_to_another_cpu_was_not_passed_over():
+    moved = line(950, "sched_migrate_task: comm=below pid=7 prio=49 orig_cpu=0 dest_cpu=1")
+    assert (Kind.IDLE_EXIT, "", 397) in woken_on_an_idle_cpu(moved)
+    runs = line(940, "x: y", cpu=1) + switch(950, OTHER, ("below", 7, 49), cpu=1)
+    assert (Kind.IDLE_EXIT, "", 397) in woken_on_an_idle_cpu(runs), "nor one that already runs there"
+
+
+def woken_before_a_switch(event):
+    """The measured thread was woken on a CPU that then goes from a thread without real-time priority to idle."""
+    text = BEFORE + expiry(1000) + line(1004, f"{event}: comm=me pid=1 prio=4 target_cpu=000", flags="d.h..")
+    return parts_of(text + switch(1050, LOW, IDLE) + switch(1400, IDLE, ME, state="R") + line(1410, "x: y"), at=1410)
+
+
+def test_throttling_when_the_cpu_goes_idle_although_the_thread_is_on_its_queue():
+    assert (Kind.THROTTLED, "idle", 350) in woken_before_a_switch("sched_wakeup")
+
+
+def test_a_thread_that_is_not_yet_on_the_queue_was_not_passed_over():
+    assert (Kind.IDLE_EXIT, "", 350) in woken_before_a_switch("sched_stat_x")
+
+
 def test_interrupts_off():
     text = BEFORE + expiry(1300, late_us=300) + switch(1304, LOW, ME, state="R") + line(1310, "x: y")
     assert parts_of(text, at=1310)[:2] == [(Kind.TIMER_LATE, "low", 300), (Kind.INTERRUPT, "the timer's own", 2)]
@@ -252,6 +286,37 @@ def test_a_thread_that_was_woken_before_the_trace_begins():
             (Kind.HIGHER, "hog", length),
             (Kind.PROGRAM, "me", 10),
         ]
+
+
+def test_a_softirq_that_began_before_the_trace_is_known_by_its_end():
+    """Also where another thread, as with PREEMPT_RT, or an interrupt ran within it; not in other threads."""
+    other = ("other", 8, 0)
+    text = line(900, "x: y", name="hog", pid=2) + waking(990, 1, flags="d.h..")
+    text += switch(1100, HOG, other, state="R") + switch(1150, other, HOG)
+    text += line(1200, "irq_handler_entry: irq=53 name=eth0") + line(1210, "irq_handler_exit: irq=53 ret=handled")
+    text += line(1300, "softirq_exit: vec=3 [action=NET_RX]", name="hog", pid=2, flags="..s..")
+    text += switch(1400, HOG, ME) + line(1410, "x: y")
+    assert parts_of(text, at=1410) == [
+        (Kind.SOFTIRQ, "NET_RX", 100),
+        (Kind.HIGHER, "other", 50),
+        (Kind.SOFTIRQ, "NET_RX", 50),
+        (Kind.INTERRUPT, "53 eth0", 10),
+        (Kind.SOFTIRQ, "NET_RX", 90),
+        (Kind.HIGHER, "hog", 100),
+        (Kind.PROGRAM, "me", 10),
+    ]
+
+
+def test_a_softirq_that_began_among_lost_events_is_known_by_its_end():
+    text = BEFORE + waking(990, 1, flags="d.h..") + line(1000, "x: y") + "CPU:0 [LOST 5 EVENTS]\n"
+    text += line(1100, "x: y", name="other", pid=8) + switch(1150, ("other", 8, 0), HOG)
+    text += line(1300, "softirq_exit: vec=3 [action=NET_RX]", name="hog", pid=2, flags="..s..")
+    assert parts_of(text + switch(1400, HOG, ME) + line(1410, "x: y"), at=1410)[-4:] == [
+        (Kind.UNEXPLAINED, "events are missing", 150),
+        (Kind.SOFTIRQ, "NET_RX", 150),
+        (Kind.HIGHER, "hog", 100),
+        (Kind.PROGRAM, "me", 10),
+    ]
 
 
 def test_a_wake_up_may_be_among_lost_events():
