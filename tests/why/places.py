@@ -32,6 +32,10 @@ START = """setsid sh -c 'python3 "$@" </dev/null >/dev/null 2>&1 & echo $$ $!' s
 # Until a plant has its name.
 NAMED = "while ! grep -q planted /proc/$1/comm && [ -e /proc/$1 ]; do sleep 0.2; done; [ -e /proc/$1 ]"
 READY_S = 120
+# A plant puts back what it set, unless it does not end by itself.
+END = """kill -s TERM -- -$1
+for _ in 1 2 3 4 5 6 7 8 9 10; do sleep 0.5; kill -s 0 -- -$1 || exit 0; done
+kill -s KILL -- -$1"""
 WRAPPER = """\
 #!/bin/sh
 here=${0%%/*}
@@ -118,7 +122,7 @@ def board(kernel: KernelName, folder: Path) -> Iterator[Place]:
             length_ms=300,
             threshold_us=200_000,
             frequency_hz=50,
-            repetitions=330,
+            repetitions=500,
             slices=5,
             flooded_port=flooded_port,
         )
@@ -167,7 +171,7 @@ def beside(place: Place, plant: str, cpu: int) -> Iterator[None]:
         stack.callback(connection.run, ["rm", "-f", str(script)])
         words = [str(script), plant, str(cpu), str(place.length_ms)]
         group, pid = connection.check(["sh", "-c", START, "sh", *words]).split()
-        stack.callback(connection.run, ["kill", "-KILL", "--", f"-{group}"])
+        stack.callback(connection.run, ["sh", "-c", END, "sh", group])
         connection.check(["sh", "-c", NAMED, "sh", pid], deadline_s=READY_S)
         if plant == "storm" and place.flooded_port is not None:
             argv = [sys.executable, HERE / "plants.py", "flood", str(place.flooded_port()), str(place.length_ms)]

@@ -50,7 +50,7 @@ __attribute__((constructor)) static void plant(void) {
 static int is_time(const struct timespec* now) {
   const int64_t ms = (int64_t)now->tv_sec * 1000 + now->tv_nsec / 1000000;
   if (last_ms == 0) last_ms = ms;
-  if (ms - last_ms <= 700 + 18 * length_ms) return 0;
+  if (ms - last_ms <= 700 + 30 * length_ms) return 0;
   last_ms = ms;
   return 1;
 }
