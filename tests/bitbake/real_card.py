@@ -1,10 +1,11 @@
 """Cards as openembedded-core's own wic makes them: partitions, file systems and boot files.
 
 `make test-yocto` runs this beside real_layers.py. The root file system is that of the emulated board; the boot files,
-which would have to be built, are stand-ins. wic needs parted, mtools, dosfstools and e2fsprogs on this machine.
+which would have to be built, are stand-ins. wic needs parted, gdisk, mtools, dosfstools and e2fsprogs on this machine.
 """
 
 import io
+import itertools
 import json
 import os
 import re
@@ -23,25 +24,37 @@ pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(1800)]
 SECTOR = 512
 MIB = 2**20
 # Of the image.
-VARIABLES = ("IMAGE_BOOT_FILES", "IMAGE_FSTYPES", "WKS_FULL_PATH")
+VARIABLES = (
+    "EFI_PROVIDER", "IMAGE_BOOT_FILES", "IMAGE_CLASSES", "IMAGE_FSTYPES", "INITRAMFS_FSTYPES", "INITRAMFS_IMAGE",
+    "KERNEL_IMAGETYPE", "WKS_FULL_PATH", "_WKS_TEMPLATE",
+)  # fmt: skip
+# Types of partitions: with an MBR, and with a GPT, where parted chooses that of a FAT partition.
 FAT, LINUX = "c", "83"
+GPT_FAT, GPT_LINUX = "EBD0A0A2-B9E5-4433-87C0-68B6B72699C7", "0FC63DAF-8483-4772-8E79-3D69D8477DE4"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Card:
-    """A machine's card by its .wks: alignment of the partitions, and the size of the first (None: wic chooses)."""
+    """A machine's card by its .wks, where `boot_mib` is None with a size of the boot partition that wic chooses."""
 
     align_kib: int
-    boot_mib: int | None
+    boot_mib: int | None = None
+    boot_label: str = "boot"
+    root_label: str = "root"
+    efi: str | None = None
+    """The name of the boot loader that UEFI starts from a removable medium."""
 
 
-# wic's plugin for those of the other machines takes boot loaders that only a build makes.
 CARDS = {
     "pandaboard-es": Card(align_kib=4096, boot_mib=64),
     "beaglebone-yocto": Card(align_kib=4, boot_mib=32),
-    "raspberrypi4-64": Card(align_kib=4096, boot_mib=None),
-    "raspberrypi5": Card(align_kib=4096, boot_mib=None),
+    "genericarm64": Card(align_kib=1024, efi="bootaa64.efi"),
+    "genericx86-64": Card(align_kib=1024, boot_label="msdos", root_label="platform", efi="bootx64.efi"),
+    "raspberrypi4-64": Card(align_kib=4096),
+    "raspberrypi5": Card(align_kib=4096),
 }
+# By EFI_PROVIDER: what comes before a boot loader's name in DEPLOY_DIR_IMAGE.
+LOADERS = {"grub-efi": "grub-efi-", "systemd-boot": "systemd-"}
 
 
 @pytest.fixture(scope="session")
@@ -93,9 +106,14 @@ def create(wic: Path, yocto: Yocto, variables: dict[str, str], root: Path, folde
     image = yocto.profile.image.name
     places = {"IMAGE_ROOTFS": root, "DEPLOY_DIR_IMAGE": folder / "deploy", "STAGING_DATADIR": folder / "deploy"}
     lines = {**variables, **places, "RECIPE_SYSROOT_NATIVE": "/"}
+    # BitBake has what a .wks.in comes to as a value. The task that writes the file follows those that build the image.
+    template = lines.pop("_WKS_TEMPLATE")
+    wks = folder / "filled-in.wks" if template else variables["WKS_FULL_PATH"]
+    if template:
+        wks.write_text(template)
     (folder / "variables").mkdir()
     (folder / f"variables/{image}.env").write_text("".join(f'{name}="{value}"\n' for name, value in lines.items()))
-    command = [wic, "create", variables["WKS_FULL_PATH"], "--vars", folder / "variables", "-e", image]
+    command = [wic, "create", wks, "--vars", folder / "variables", "-e", image]
     path = f"{yocto.top / 'bitbake/bin'}:/usr/sbin:/usr/bin:/sbin:/bin"
     return subprocess.run(
         [*command, "--skip-build-check", "-o", folder / "card", "-w", folder / "work"],
@@ -110,6 +128,18 @@ def variables_of(yocto: Yocto, machine: str) -> dict[str, str]:
     yocto.configure(build, machine)
     (recipe,) = yocto.layer.glob(f"recipes-core/*/{yocto.profile.image.name}.bb")
     return yocto.variables(f"--buildfile={recipe}", names=VARIABLES, build=build)
+
+
+def boot_files_of(card: Card, variables: dict[str, str], machine: str) -> dict[str, str]:
+    """The path on the card of each file that is there for booting, by its name in DEPLOY_DIR_IMAGE."""
+    if card.efi is None:
+        return boot_files(variables["IMAGE_BOOT_FILES"])
+    files = {variables["KERNEL_IMAGETYPE"]: variables["KERNEL_IMAGETYPE"]}
+    if variables["INITRAMFS_IMAGE"]:
+        initramfs = f"{variables['INITRAMFS_IMAGE']}-{machine}.{variables['INITRAMFS_FSTYPES']}"
+        files[initramfs] = initramfs
+    files[LOADERS[variables["EFI_PROVIDER"]] + card.efi] = f"EFI/BOOT/{card.efi}"
+    return files
 
 
 def deploy(files: dict[str, str], folder: Path) -> None:
@@ -130,31 +160,40 @@ def content(image: Path, offset: int, path: str) -> str:
 def test_card(yocto, wic, root_file_system, machine, tmp_path):
     if machine not in yocto.profile.machines:
         pytest.skip(f"{yocto.name} has no {machine}")
+    expected = CARDS[machine]
     variables = variables_of(yocto, machine)
     assert any(kind.split(".")[0] == "wic" for kind in variables["IMAGE_FSTYPES"].split())
-    files = boot_files(variables["IMAGE_BOOT_FILES"])
+    files = boot_files_of(expected, variables, machine)
     deploy(files, tmp_path)
     done = create(wic, yocto, variables, root_file_system, tmp_path)
     assert done.returncode == 0, done.stdout
     (card,) = (tmp_path / "card").glob("*.direct")
 
     table = json.loads(subprocess.run(["sfdisk", "--json", card], check=True, capture_output=True).stdout)
-    assert table["partitiontable"]["label"] == "dos"
-    boot, root = table["partitiontable"]["partitions"]
-    expected = CARDS[machine]
-    assert (boot["type"], boot["bootable"], root["type"]) == (FAT, True, LINUX)
-    assert {part["start"] * SECTOR % (expected.align_kib * 1024) for part in (boot, root)} == {0}
-    assert boot["start"] > 0 and root["start"] >= boot["start"] + boot["size"]
-    assert (root["start"] + root["size"]) * SECTOR <= card.stat().st_size
+    table = table["partitiontable"]
+    assert table["label"] == ("gpt" if expected.efi else "dos")
+    partitions = table["partitions"]
+    (boot,) = [one for one in partitions if one["type"] == (GPT_FAT if expected.efi else FAT)]
+    (root,) = [one for one in partitions if one["type"] == (GPT_LINUX if expected.efi else LINUX)]
+    assert boot.get("bootable") or boot.get("attrs") == "LegacyBIOSBootable"
+    aligned = [one["start"] * SECTOR % (expected.align_kib * 1024) for one in (boot, root)]
+    assert aligned == [0, 0] and boot["start"] > 0
+    for one, following in itertools.pairwise(partitions):
+        assert following["start"] >= one["start"] + one["size"]
+    assert (partitions[-1]["start"] + partitions[-1]["size"]) * SECTOR <= card.stat().st_size
     if expected.boot_mib is not None:
         assert boot["size"] * SECTOR == expected.boot_mib * MIB
 
-    label = subprocess.run(
-        ["mlabel", "-s", "-i", f"{card}@@{boot['start'] * SECTOR}", "::"], capture_output=True, text=True
-    )
-    assert label.stdout.split()[-1] == "boot"
+    offset = boot["start"] * SECTOR
+    label = subprocess.run(["mlabel", "-s", "-i", f"{card}@@{offset}", "::"], capture_output=True, text=True)
+    assert label.stdout.split()[-1] == expected.boot_label
     for name, path in files.items():
-        assert content(card, boot["start"] * SECTOR, path) == (tmp_path / "deploy" / name).read_text(), path
+        assert content(card, offset, path) == (tmp_path / "deploy" / name).read_text(), path
+    if expected.efi:
+        entry = {"grub-efi": "EFI/BOOT/grub.cfg", "systemd-boot": "loader/entries/boot.conf"}
+        started = content(card, offset, entry[variables["EFI_PROVIDER"]])
+        assert f"linux /{variables['KERNEL_IMAGETYPE']}" in started
+        assert f"root=PARTUUID={root['uuid'].lower()}" in started
 
     system = tmp_path / "root.ext4"
     with card.open("rb") as stream:
@@ -162,9 +201,9 @@ def test_card(yocto, wic, root_file_system, machine, tmp_path):
         system.write_bytes(stream.read(root["size"] * SECTOR))
     subprocess.run(["e2fsck", "-f", "-n", system], check=True, capture_output=True)
     assert read(system, "/usr/lib/os-release") == (root_file_system / "usr/lib/os-release").read_text()
-    assert re.search(r"^(/dev/mmcblk0p1|UUID=\S+)\t/boot\tvfat\t", read(system, "/etc/fstab"), re.MULTILINE)
+    assert re.search(r"^(/dev/\S+1|(PART)?UUID=\S+)\t/boot\tvfat\t", read(system, "/etc/fstab"), re.MULTILINE)
     header = subprocess.run(["dumpe2fs", "-h", system], check=True, capture_output=True, text=True).stdout
-    assert "Filesystem volume name:   root\n" in header
+    assert f"Filesystem volume name:   {expected.root_label}\n" in header
     if machine == "pandaboard-es":
         figures = dict(line.split(":", 1) for line in header.splitlines() if ":" in line)
         free = int(figures["Free blocks"]) * int(figures["Block size"])

@@ -102,10 +102,10 @@ class Yocto:
         output = self.run("bitbake", "-e", *target, build=build, masked=masked)
         values = {}
         for name in names:
-            match = re.search(rf'^(?:export )?{re.escape(name)}="((?:[^"\\]|\\.)*)"$', output, re.MULTILINE)
+            match = re.search(rf'^(?:export )?{re.escape(name)}="((?:[^"\\]|\\.|\\\n)*)"$', output, re.MULTILINE)
             # kirkstone shows what it runs in the root file system as a function.
             match = match or re.search(rf"^{re.escape(name)}\(\) {{\n(.*)$", output, re.MULTILINE)
-            values[name] = re.sub(r"\\\n", " ", match[1]) if match else ""
+            values[name] = match[1].replace(" \\\n", "\n").replace('\\"', '"') if match else ""
         return values
 
     def configure(self, build: Path, machine: str, *more: str) -> None:
