@@ -257,10 +257,9 @@ ATTEMPT = json.dumps(
         "master_pid": 12,
         "own_master": True,
         "argv": {"cyclic_timer_tests": ["cyclic_timer_tests", "-l", "10"]},
-        "before": {"boot_id": "1-1", "governor": ["a", "b"], "rt_threads": []},
     }
 )
-LEFTOVERS = f"started cyclic_timer_tests 1-1\nstarted sampler 1-1\nattempt\n{ATTEMPT}"
+LEFTOVERS = f"started cyclic_timer_tests 1-1\nstarted sampler 1-1\nattempt\n{ATTEMPT}\n{STATE}"
 
 
 def _runs() -> list[Files]:

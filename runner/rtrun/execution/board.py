@@ -112,7 +112,7 @@ def measure_rounds(
                     session.statuses[run.name] = RunStatus.INCOMPLETE
                     observer.ended(number, run, RunStatus.INCOMPLETE, f"no limit for its traces: {error}")
                     continue
-                record = _measure(session, prepared, run, observer)
+                record = _measure(session, prepared, run, observer, is_begun=run.name in begun)
                 session.statuses[run.name] = record.status
                 observer.ended(number, run, record.status, record.reason)
         # Nothing of the campaign stays on the board, not even an empty folder.
@@ -125,7 +125,9 @@ def _is_foreign(session: Session, run: str, target: str) -> bool:
     return session.owners.get(run, target) != target or is_finished(session.results / run)
 
 
-def _measure(session: Session, prepared: "_PreparedTarget", run: Run, observer: Observer) -> RunRecord:
+def _measure(
+    session: Session, prepared: "_PreparedTarget", run: Run, observer: Observer, *, is_begun: bool
+) -> RunRecord:
     """Measure a run, again after each restart of the target that cut it off. Raises TargetRebooted after too many."""
     folder = session.results / run.name
     for attempts_left in reversed(range(ATTEMPTS)):
@@ -133,9 +135,12 @@ def _measure(session: Session, prepared: "_PreparedTarget", run: Run, observer: 
         try:
             ready = prepared.get(run.kernel).for_run(run)
             with tracing(ready.link, ready.scripts, run.parameters):
-                return run_execution.measure(ready, session.log.uid, session.campaign, run, folder, life, session.now)
+                return run_execution.measure(
+                    ready, session.log.uid, session.campaign, run, folder, life, session.now, may_be_begun=is_begun
+                )
         except TargetRebooted as error:
             prepared.drop()
+            is_begun = True
             life.move(RunEvent.RESTART, str(error))
             observer.note(f"{run.name}: {error}")
             if life.state is RunState.CLOSED:

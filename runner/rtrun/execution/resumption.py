@@ -19,7 +19,7 @@ from rtfiles.untrusted import parse_json
 from rtrun.results.record import RunRecord
 from rtrun.target import processes
 from rtrun.target.errors import TargetError
-from rtrun.target.inspection import TargetState
+from rtrun.target.inspection import TargetState, parse_state
 from rtrun.target.link import Link
 
 FILE = "attempt.json"
@@ -32,8 +32,10 @@ for file in *.boot_id; do
     [ -e "$file" ] && echo "started ${file%.boot_id} $(cat "$file")"
 done
 echo attempt
-[ -e attempt.json ] && [ "$(wc -c <attempt.json)" -le "$2" ] && cat attempt.json
-exit 0
+for file in attempt.json state; do
+    [ -e "$file" ] && [ "$(wc -c <"$file")" -le "$2" ] && cat "$file"
+    echo
+done
 """
 # Prints the first program that lives of any run, and ends then. A program has its lock as long as one of its processes
 # is there.
@@ -43,15 +45,19 @@ for lock in "$1"/*/*/*.lock; do
     flock -n -s "$lock" true || { echo "${lock%.lock}"; exit 0; }
 done
 """
-# Makes the folder. A lost link ends the input early: a file that is not complete does not get its name.
+# Makes the folder, prints the target's state. A lost link ends the input early: a file that is not complete does not
+# get its name.
 _WRITE = """
 mkdir -p "$2" && cd "$2" && cat >attempt.new && [ "$(wc -c <attempt.new)" -eq "$3" ] || exit 1
-sync attempt.new && mv attempt.new attempt.json
+sync attempt.new && mv attempt.new attempt.json && echo state && sh "$4" >state && cat state
 """
 
 
 class Attempt(Config):
-    """How a run began: when, with which ROS master, the target's state, the command line of each of its programs."""
+    """How a run began: when, with which ROS master, the command line of each of its programs, and the target's state.
+
+    The state is in a file of its own, which the target writes.
+    """
 
     schema_number: Literal[1] = Field(alias="schema")
     uid: Annotated[str, Field(min_length=1, max_length=64)]
@@ -59,7 +65,7 @@ class Attempt(Config):
     master_pid: int
     own_master: bool
     argv: dict[str, list[str]]
-    before: TargetState
+    before: TargetState = Field(default_factory=TargetState)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,9 +105,11 @@ def inspect_leftovers(link: Link, remote: PurePosixPath, programs: Collection[st
     boots = {word[1]: word[2] for word in words if len(word) == 3}
     cut_off = not set(boots.values()) <= {link.boot_id}
     attempt, unreadable = None, None
+    text, _, state = text.partition("\n")
     if boots and text and not cut_off:
         try:
             attempt = _parse_attempt(text, f"{link.target.address}: {remote / FILE}", programs)
+            attempt = attempt.model_copy(update={"before": parse_state(state)})
         except UsageError as error:
             unreadable = str(error).splitlines()[0]
     return Leftovers(
@@ -155,9 +163,9 @@ def begin(
     master_pid: int,
     own_master: bool,
     argv: Mapping[str, Sequence[str]],
-    before: TargetState,
+    state_script: PurePosixPath,
 ) -> Attempt:
-    """Make the folder of a run with its attempt file.
+    """Make the folder of a run with its attempt file, and the target's state as a script there prints it.
 
     Raises TargetError when a program of another run still lives on the target: each would disturb the other.
     """
@@ -168,9 +176,9 @@ def begin(
         "master_pid": master_pid,
         "own_master": own_master,
         "argv": {name: list(words) for name, words in argv.items()},
-        "before": before.model_dump(),
     }
     text = json.dumps(data)
-    command = ["sh", "-c", _BUSY + _WRITE, "sh", str(remote.parent.parent), str(remote), str(len(text.encode()))]
-    _refuse_busy(link, link.check(command, stdin=text))
-    return parse(data, Attempt, FILE)
+    words = [str(remote.parent.parent), str(remote), str(len(text.encode())), str(state_script)]
+    busy, _, state = link.check(["sh", "-c", _BUSY + _WRITE, "sh", *words], stdin=text).partition("state\n")
+    _refuse_busy(link, busy)
+    return parse(data, Attempt, FILE).model_copy(update={"before": parse_state(state)})

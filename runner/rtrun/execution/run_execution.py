@@ -74,11 +74,20 @@ class _End:
 
 
 def measure(
-    prepared: Prepared, uid: str, campaign: str, run: Run, folder: Path, life: RunLife, now: Clock
+    prepared: Prepared,
+    uid: str,
+    campaign: str,
+    run: Run,
+    folder: Path,
+    life: RunLife,
+    now: Clock,
+    *,
+    may_be_begun: bool = True,
 ) -> RunRecord:
     """Measure one run, or pick it up where an earlier call left it; return the record that `folder` is closed with.
 
-    Raises TargetError when the target cannot go on, TargetRebooted when this run was cut off by a restart.
+    Where `may_be_begun` is false, nobody looks for what an earlier call left. Raises TargetError when the target cannot
+    go on, TargetRebooted when this run was cut off by a restart.
     """
     remote = prepared.link.target.work_dir / "runs" / uid / run.name
     token = secrets.token_hex(4)
@@ -92,7 +101,7 @@ def measure(
         token=token,
     )
     try:
-        attempt = _resume(work, life) or _start(work, life, now)
+        attempt = (_resume(work, life) if may_be_begun else None) or _start(work, life, now)
         exits, master_pid = _wait(work, life)
     except (KeyboardInterrupt, InfrastructureError) as error:
         if must_give_up(life.state, error):
@@ -158,7 +167,7 @@ def _begin(work: _Work, now: Clock) -> Attempt:
         master_pid=master_pid,
         own_master=work.prepared.own_master,
         argv={program.name: program.argv for program in work.programs.of_suite},
-        before=inspection.read_state(work.link, work.prepared.scripts / "state.sh"),
+        state_script=work.prepared.scripts / "state.sh",
     )
 
 

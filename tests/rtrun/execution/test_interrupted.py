@@ -253,7 +253,7 @@ def test_what_a_killed_runner_left_of_a_closed_run_is_removed_before_the_next(
 def test_a_target_that_restarts_again_and_again_is_given_up(target, measure, interrupt):
     attempts = []
 
-    def restarts(prepared, *_):
+    def restarts(prepared, *_, **__):
         attempts.append(prepared)
         raise TargetRebooted("the target was restarted")
 

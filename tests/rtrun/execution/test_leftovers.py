@@ -9,7 +9,6 @@ import pytest
 from rtrun.execution import resumption
 from rtrun.target.connection import Connection
 from rtrun.target.errors import TargetError
-from rtrun.target.inspection import TargetState
 
 pytestmark = pytest.mark.sshd
 
@@ -24,6 +23,9 @@ def begin(link, folder):
     """Begin the run of a suite with one program, and let these programs be started on this boot."""
 
     def begin(*started):
+        script = folder.parents[2] / "state.sh"
+        script.parent.mkdir(parents=True, exist_ok=True)
+        script.write_text("echo == host; echo board")
         resumption.begin(
             link,
             PurePosixPath(folder),
@@ -31,7 +33,7 @@ def begin(link, folder):
             master_pid=17,
             own_master=True,
             argv={"suite": ["suite", "-r", "10"]},
-            before=TargetState(host="board"),
+            state_script=PurePosixPath(script),
         )
         for name in started:
             (folder / f"{name}.boot_id").write_text(f"{link.boot_id}\n")

@@ -44,7 +44,7 @@ def deep(key, value):
 @pytest.mark.parametrize(
     "forge",
     [
-        lambda data: deep("before", 1),
+        lambda data: deep("argv", 1),
         lambda data: json.dumps(data | {"argv": {}}),
         lambda data: json.dumps(data | {"argv": {"cyclic_timer_tests": 5}}),
         lambda data: json.dumps(data | {"start_time": "\ud800"}),
