@@ -2,8 +2,9 @@
 
 PYTHONPATH=runner:tests .venv/bin/python tests/why/planted.py [--place here] [--trials 10] [--only lock,equal]
 
-Here root, tracefs, a second CPU and gcc are needed; for the board what `rtgen board build` needs. A trial takes some
-seconds of a run; the runs beside one plant are those of one campaign.
+Here root, tracefs, a second CPU and gcc are needed; for the board what `rtgen board build` needs. A trial is a slice of
+a run, of some seconds. A slice of whose outliers no trace could be read is none, and another one is made: it does not
+tell what would have been named. The table counts these slices.
 """
 
 import argparse
@@ -18,7 +19,6 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import date
 from functools import partial
-from itertools import islice
 from pathlib import Path
 
 from places import Place, beside, board, preloaded, this_machine
@@ -31,8 +31,8 @@ from rtrun.results.reading import find_source
 DOCS = Path(__file__).parents[2] / "docs" / "causes.md"
 BEGIN, END = "<!-- make test-why writes {} from here -->", "<!-- to here -->"
 HEAD = """\
-| planted | must come first | came first | trials | traced outliers | otherwise |
-|---|---|---:|---:|---:|---|"""
+| planted | must come first | came first | trials | traced outliers | slices without trace | otherwise |
+|---|---|---:|---:|---:|---:|---|"""
 AT_LEAST = 0.9
 # With fewer than these a row is printed and not written.
 TRIALS = 10
@@ -91,10 +91,21 @@ PLANTS = (
 )
 
 
-def trials(plant: Plant, count: int, place: Place, folder: Path) -> Iterator[Ranking]:
-    """The ranking of each trial, beside the plant: a slice of a run of a campaign."""
+def slices(plant: Plant, count: int, place: Place, folder: Path) -> Iterator[Ranking]:
+    """The ranking of each slice of the runs beside a plant: `count`, then more, run by run, at most as many again."""
     built = preloaded(place, plant.name, folder) if plant.preloaded else place.built
-    runs_wanted = -(-count // place.slices)
+    (folder / "target.yml").write_text(f"schema: 1\nname: place\nsuites: {built}\n{place.target}")
+    is_beside = not plant.preloaded and plant.kind is not None
+    at_first = -(-count // place.slices)
+    with beside(place, plant.name, plant.cpu) if is_beside else contextlib.nullcontext():
+        for number, runs_wanted in enumerate([at_first] + at_first * [1]):
+            results = folder / f"results-{plant.name}-{number}"
+            for run in measured(plant, runs_wanted, place, folder, results):
+                yield from rankings(run, place)
+
+
+def measured(plant: Plant, runs_wanted: int, place: Place, folder: Path, results: Path) -> list[Path]:
+    """The runs of a campaign beside a plant."""
     campaign = CAMPAIGN.format(
         frequency_hz=place.frequency_hz,
         repetitions=place.repetitions * place.slices,
@@ -104,16 +115,12 @@ def trials(plant: Plant, count: int, place: Place, folder: Path) -> Iterator[Ran
         runs=runs_wanted,
     )
     (folder / "campaign.yml").write_text(campaign)
-    (folder / "target.yml").write_text(f"schema: 1\nname: place\nsuites: {built}\n{place.target}")
-    results = folder / f"results-{plant.name}"
-    is_beside = not plant.preloaded and plant.kind is not None
-    with beside(place, plant.name, plant.cpu) if is_beside else contextlib.nullcontext():
-        argv = [sys.executable, "-m", "rtrun.cli", "run", folder / "campaign.yml", "--target", folder / "target.yml"]
-        output = run_program([*argv, "--results", results])
+    argv = [sys.executable, "-m", "rtrun.cli", "run", folder / "campaign.yml", "--target", folder / "target.yml"]
+    output = run_program([*argv, "--results", results])
     runs = sorted(path.parent for path in results.glob("*/run.json"))
     if len(runs) != runs_wanted:
         raise RuntimeError(f"{len(runs)} of {runs_wanted} runs\n{output}")
-    yield from islice((ranking for run in runs for ranking in rankings(run, place)), count)
+    return runs
 
 
 def rankings(run: Path, place: Place) -> Iterator[Ranking]:
@@ -138,18 +145,25 @@ def run_program(argv: list[str | Path]) -> str:
 
 def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, bool]:
     """The row of a plant, and whether it was named, or nothing, often enough."""
-    hits, outliers, others = 0, 0, []
-    for ranking in trials(plant, count, place, folder):
-        outliers += ranking.outliers
-        # Beside a plant it must be the first of the ranking; beside none, nobody may be named.
-        first = ranking.named if plant.kind is None else next(iter(ranking.culprits), None)
-        if (first and (first.kind, first.name)) == (plant.kind and (plant.kind, plant.who)):
-            hits += 1
-        else:
-            others.append(causes.culprit_name(first) if first else causes.answer(ranking))
+    hits, outliers, trials, untraced, others = 0, 0, 0, 0, []
+    with contextlib.closing(slices(plant, count, place, folder)) as made:
+        for ranking in made:
+            if plant.kind is not None and not ranking.outliers:
+                untraced += 1
+                continue
+            trials += 1
+            outliers += ranking.outliers
+            # Beside a plant it must be the first of the ranking; beside none, nobody may be named.
+            first = ranking.named if plant.kind is None else next(iter(ranking.culprits), None)
+            if (first and (first.kind, first.name)) == (plant.kind and (plant.kind, plant.who)):
+                hits += 1
+            else:
+                others.append(causes.culprit_name(first) if first else causes.answer(ranking))
+            if trials == count:
+                break
     expected = f"{plant.kind} `{plant.who}`" if plant.kind else "nobody"
     otherwise = "; ".join(f"{others.count(one)} x {one}" for one in dict.fromkeys(others))
-    row = f"| {plant.about} | {expected} | {hits} | {count} | {outliers} | {otherwise} |"
+    row = f"| {plant.about} | {expected} | {hits} | {trials} | {outliers} | {untraced} | {otherwise} |"
     return row, hits >= AT_LEAST * count
 
 
