@@ -1,7 +1,6 @@
 """The time before an outlier in windows of its length, in which nothing was late: who had a CPU then, and how long."""
 
 from bisect import bisect_left
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -48,7 +47,7 @@ def windows_before(
     while count < WINDOWS_MAX and length_ns > 0 and end_ns - length_ns >= timeline.begin_ns:
         start_ns, stop_ns = end_ns - length_ns, end_ns
         end_ns = start_ns
-        place = bisect_left(events, start_ns, key=lambda event: event.at_ns)
+        place = bisect_left(events, (start_ns,))
         if place == len(events):
             continue
         if events[place].at_ns >= stop_ns:
@@ -61,9 +60,9 @@ def windows_before(
             continue
         count += 1
         for cpu, windows in times.items():
-            window: Counter[str] = Counter()
-            for span in timeline.spans(cpu, start_ns, stop_ns):
-                if span.occupant is not None:
-                    window[span.occupant.name] += span.end_ns - span.begin_ns
+            window: dict[str, int] = {}
+            for span_begin_ns, span_end_ns, who in timeline.spans(cpu, start_ns, stop_ns):
+                if who is not None:
+                    window[who.name] = window.get(who.name, 0) + span_end_ns - span_begin_ns
             windows.append(window)
     return Windows(count=count, times_ns=times)

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from operator import itemgetter
 from os import SEEK_END
 from pathlib import Path
 from sys import intern
@@ -39,6 +40,8 @@ EVENTS_MAX = 200_000
 # Timers that were started before the events that are read.
 TIMERS_MAX = 10_000
 PIECE_BYTES = 1 << 16
+# Arguments of switches and wake-ups that are kept as they were read: a trace repeats them.
+REPEATED_MAX = 4096
 # trace-cmd.dat(5): how a file of trace-cmd begins.
 _TRACE_CMD = b"\x17\x08\x44tracing"
 
@@ -49,8 +52,8 @@ _LINE = re.compile(
     r"(\d{1,9})\.(\d{9}|\d{6}): (\w+)(?:: | -> |\()(.*)",
     re.ASCII,
 )
-_TIME = re.compile(r" (\d{1,9})\.(\d{9}|\d{6}): ", re.ASCII)
-_TIMER_START_EVENT = ": hrtimer_start: "
+_TIME = re.compile(rb" (\d{1,9})\.(\d{9}|\d{6}): ")
+_TIMER_START_EVENT = b": hrtimer_start: "
 _LOST = re.compile(r"CPU:(\d{1,4}) \[LOST (?:(\d{1,15}) )?EVENTS\]", re.ASCII)
 _SWITCH = re.compile(
     r"prev_comm=(.{0,64}?) prev_pid=(\d{1,10}) prev_prio=(-?\d{1,4}) prev_state=(\S{1,8}) ==> "
@@ -68,19 +71,23 @@ _TIMER_EXPIRY = re.compile(r"hrtimer=(\w{1,32}) function=\S{1,128} now=(\d{1,19}
 _FREQUENCY = re.compile(r"state=(\d{1,10}) cpu_id=(\d{1,4})\b", re.ASCII)
 _FUTEX = re.compile(r".{0,64}\bop: (?:0x)?([0-9a-f]{1,8})\b", re.ASCII)
 # Vectors of x86 whose handlers have a pair of events (arch/x86/include/asm/trace/irq_vectors.h).
-_VECTORS = (
-    "local_timer",
-    "reschedule",
-    "call_function",
-    "call_function_single",
-    "irq_work",
-    "x86_platform_ipi",
-    "thermal_apic",
-    "error_apic",
-    "spurious_apic",
-    "threshold_apic",
-    "deferred_error_apic",
-)
+_VECTOR_EVENTS = {
+    f"{name}_{edge}": (name, edge == "entry")
+    for edge in ("entry", "exit")
+    for name in (
+        "local_timer",
+        "reschedule",
+        "call_function",
+        "call_function_single",
+        "irq_work",
+        "x86_platform_ipi",
+        "thermal_apic",
+        "error_apic",
+        "spurious_apic",
+        "threshold_apic",
+        "deferred_error_apic",
+    )
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -134,8 +141,8 @@ def read_ends(path: Path) -> tuple[int, int] | None:
         ends = []
         for place in (0, max(0, size - PIECE_BYTES)):
             stream.seek(place)
-            ends.append(stream.read(PIECE_BYTES).decode("utf-8", errors="replace").split("\n"))
-    first_ns, last_ns = _time_ns(ends[0]), _time_ns(reversed(ends[1]))
+            ends.append(stream.read(PIECE_BYTES))
+    first_ns, last_ns = _first_ns(ends[0]), _last_ns(ends[1])
     return None if first_ns is None or last_ns is None else (first_ns, last_ns)
 
 
@@ -149,7 +156,7 @@ def _read(stream: BinaryIO, from_ns: int, until_ns: int) -> Trace:
             not_read += 1
         elif event.at_ns <= until_ns:
             events.append(event)
-    in_order = tuple(sorted(events, key=lambda event: event.at_ns))
+    in_order = tuple(sorted(events, key=itemgetter(0)))
     return Trace(events=in_order, started=tuple(started.values()), not_read=not_read)
 
 
@@ -162,35 +169,48 @@ def _lines(stream: BinaryIO, from_ns: int, started: dict[str, TimerStart]) -> It
     while data := stream.read(PIECE_BYTES):
         piece = rest + data
         end = piece.rfind(b"\n") + 1 or len(piece)
-        rest = piece[end:]
-        lines = piece[:end].decode("utf-8", errors="replace").split("\n")
-        first_ns, last_ns = _time_ns(lines), _time_ns(reversed(lines))
+        piece, rest = piece[:end], piece[end:]
+        first_ns, last_ns = _first_ns(piece), _last_ns(piece)
         if from_ns and first_ns is not None and last_ns is not None:
             if not before_ns <= first_ns <= last_ns:
                 raise _NotInOrder
             before_ns = last_ns
             if last_ns < from_ns:
-                _keep_started(lines, started)
+                _keep_started(piece, started)
                 continue
-        yield from lines
+        yield from piece.decode("utf-8", errors="replace").split("\n")
     yield rest.decode("utf-8", errors="replace")
 
 
-def _time_ns(lines: Iterable[str]) -> int | None:
+def _first_ns(lines: bytes) -> int | None:
     """The time of the first line that has one."""
-    match = next(filter(None, map(_TIME.search, lines)), None)
+    match = _TIME.search(lines)
     return _ns(*match.groups()) if match else None
 
 
-def _keep_started(lines: Iterable[str], started: dict[str, TimerStart]) -> None:
-    for event in parse(line for line in lines if _TIMER_START_EVENT in line):
+def _last_ns(lines: bytes) -> int | None:
+    """The time of the last line that has one."""
+    end = len(lines)
+    while end > 0:
+        begin = lines.rfind(b"\n", 0, end - 1) + 1
+        if match := _TIME.search(lines, begin, end):
+            return _ns(*match.groups())
+        end = begin
+    return None
+
+
+def _keep_started(lines: bytes, started: dict[str, TimerStart]) -> None:
+    if _TIMER_START_EVENT not in lines:
+        return
+    of_timers = (line.decode("utf-8", errors="replace") for line in lines.split(b"\n") if _TIMER_START_EVENT in line)
+    for event in parse(of_timers):
         if isinstance(event, TimerStart):
             started[event.timer] = event
             if len(started) > TIMERS_MAX:
                 del started[next(iter(started))]
 
 
-def _ns(seconds: str, fraction: str) -> int:
+def _ns(seconds: str | bytes, fraction: str | bytes) -> int:
     return int(seconds) * 1_000_000_000 + int(fraction) * (1000 if len(fraction) == 6 else 1)
 
 
@@ -236,21 +256,30 @@ def _context(flags: str | None) -> Context:
     return Context.SOFT if "s" in letters else Context.THREAD
 
 
-def _switch(head: _Head, arguments: str) -> Event | None:
+@lru_cache(maxsize=REPEATED_MAX)
+def _switch_arguments(arguments: str) -> tuple[int, str, int, str, int, str, int] | None:
     if not (match := _SWITCH.match(arguments)):
         return None
     name, pid, prio, state, next_name, next_pid, next_prio = match.groups()
-    return Switch(
-        head[0], head[1], int(pid), intern(name), int(prio), intern(state),
-        int(next_pid), intern(next_name), int(next_prio),
-    )  # fmt: skip
+    return int(pid), intern(name), int(prio), intern(state), int(next_pid), intern(next_name), int(next_prio)
+
+
+def _switch(head: _Head, arguments: str) -> Event | None:
+    read = _switch_arguments(arguments)
+    return read and Switch(head[0], head[1], *read)
+
+
+@lru_cache(maxsize=REPEATED_MAX)
+def _wake_arguments(arguments: str) -> tuple[int, int] | None:
+    match = _WAKE.match(arguments)
+    return match and (int(match[1]), int(match[2]))
 
 
 def _wake(head: _Head, arguments: str) -> Event | None:
-    if not (match := _WAKE.match(arguments)):
+    if (read := _wake_arguments(arguments)) is None:
         return None
     at_ns, cpu, pid, flags, event = head
-    return Wake(at_ns, cpu, pid, _context(flags), int(match[1]), int(match[2]), event != "sched_waking")
+    return Wake(at_ns, cpu, pid, _context(flags), *read, event != "sched_waking")
 
 
 def _migration(head: _Head, arguments: str) -> Event | None:
@@ -268,8 +297,8 @@ def _handler_exit(head: _Head, _: str) -> Event:
 
 
 def _vector(head: _Head, _: str) -> Event:
-    name, edge = head[4].rsplit("_", 1)
-    return Interrupt(head[0], head[1], Context.HARD, intern(name), begins=edge == "entry")
+    name, begins = _VECTOR_EVENTS[head[4]]
+    return Interrupt(head[0], head[1], Context.HARD, name, begins)
 
 
 def _softirq(head: _Head, arguments: str) -> Event | None:
@@ -317,7 +346,7 @@ _READERS: dict[str, Callable[[_Head, str], Event | None]] = {
     "sched_migrate_task": _migration,
     "irq_handler_entry": _handler,
     "irq_handler_exit": _handler_exit,
-    **{f"{name}_{edge}": _vector for name in _VECTORS for edge in ("entry", "exit")},
+    **dict.fromkeys(_VECTOR_EVENTS, _vector),
     "softirq_raise": _softirq,
     "softirq_entry": _softirq,
     "softirq_exit": _softirq,

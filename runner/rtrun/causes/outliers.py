@@ -121,7 +121,7 @@ def _explain(
     `threads` are those of the program that measured; `is_message` if its values are latencies of messages.
     """
     pid = _measured_thread(order, outlier.at_ns, threads)
-    place = bisect_left(trace.events, outlier.due_ns, key=lambda event: event.at_ns)
+    place = bisect_left(trace.events, (outlier.due_ns,))
     if pid is None or place == len(trace.events) or trace.events[place].at_ns > outlier.at_ns:
         return Explained(outlier=outlier, control=Windows(), note=NOT_RECORDED)
     # In a container threads are known by name alone, which those of publisher and subscriber have in common.

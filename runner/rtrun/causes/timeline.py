@@ -1,6 +1,6 @@
 """Events put into order: what each CPU did at each moment, and what became of each thread."""
 
-from bisect import bisect_right
+from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -123,7 +123,8 @@ class Timeline:
     def spans(self, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Span]:
         """What a CPU did between two moments, without gaps."""
         spans = self.cpus.get(cpu, ())
-        place = max(0, bisect_right(spans, begin_ns, key=lambda span: span.begin_ns) - 1)
+        # Tuples are compared without a call of a key function: a span begins with its time, as a change does.
+        place = max(0, bisect_left(spans, (begin_ns + 1,)) - 1)
         while begin_ns < end_ns:
             while place < len(spans) and spans[place].end_ns <= begin_ns:
                 place += 1
@@ -134,12 +135,13 @@ class Timeline:
             if span.begin_ns > begin_ns:
                 yield Span(begin_ns, span.begin_ns, None)
                 begin_ns = span.begin_ns
-            yield Span(begin_ns, min(span.end_ns, end_ns), span.occupant)
+            is_whole = span.begin_ns == begin_ns and span.end_ns <= end_ns
+            yield span if is_whole else Span(begin_ns, min(span.end_ns, end_ns), span.occupant)
             begin_ns = span.end_ns
 
     def place(self, pid: int, at_ns: int) -> int:
         """The place of the last change of a thread up to a moment; -1 where the trace begins later."""
-        return bisect_right(self.threads.get(pid, ()), at_ns, key=lambda change: change.at_ns) - 1
+        return bisect_left(self.threads.get(pid, ()), (at_ns + 1,)) - 1
 
 
 class _Layer(NamedTuple):
@@ -170,10 +172,6 @@ class _Cpu:
     first_known: int = 0
     began_before: dict[int, Span] = field(default_factory=dict)
 
-    def occupant(self) -> Occupant | None:
-        layer = self.layer()
-        return layer.occupant if layer else self.thread
-
     def layer(self) -> _Layer | None:
         if self.hard:
             return self.hard[-1]
@@ -183,7 +181,8 @@ class _Cpu:
     def close(self, at_ns: int) -> None:
         """End the span of whoever has the CPU."""
         if at_ns > self.since_ns:
-            self.spans.append(Span(self.since_ns, at_ns, self.occupant()))
+            layer = self.layer()
+            self.spans.append(Span(self.since_ns, at_ns, layer.occupant if layer else self.thread))
             self.since_ns = at_ns
 
     def name_what_began_before(self) -> None:
@@ -266,32 +265,30 @@ class _Builder:
         cpu.last_ns = event.at_ns
 
     def _switch(self, cpu: _Cpu, event: Switch) -> None:
-        cpu.close(event.at_ns)
+        at_ns, number, pid, name, prio, state, next_pid, next_name, next_prio = event
+        can_run = state.startswith("R")
+        cpu.close(at_ns)
         cpu.hard.clear()
         cpu.expiry = None
-        self._dequeue(event.next_pid)
-        if event.prio < NORMAL_PRIO and event.state.startswith("R"):
-            self._enqueue(event.pid, event.cpu)
+        self._dequeue(next_pid)
+        if can_run and prio < NORMAL_PRIO:
+            self._enqueue(pid, number)
         else:
-            self._dequeue(event.pid)
-        preferred = event.next_prio >= NORMAL_PRIO and bool(cpu.queued)
-        cpu.thread = Occupant(Context.THREAD, event.next_name, event.next_pid, event.next_prio, preferred)
-        for pid, name, prio in (
-            (event.pid, event.name, event.prio),
-            (event.next_pid, event.next_name, event.next_prio),
-        ):
-            self.names[pid], self.prios[pid] = name, prio
-        if event.pid != IDLE_PID:
-            if event.state.startswith("R"):
-                self.threads[event.pid].append(Change(event.at_ns, State.WAITING, event.cpu))
+            self._dequeue(pid)
+        preferred = next_prio >= NORMAL_PRIO and bool(cpu.queued)
+        cpu.thread = Occupant(Context.THREAD, next_name, next_pid, next_prio, preferred)
+        self.names[pid], self.prios[pid] = name, prio
+        self.names[next_pid], self.prios[next_pid] = next_name, next_prio
+        if pid != IDLE_PID:
+            if can_run:
+                self.threads[pid].append(Change(at_ns, State.WAITING, number))
             else:
-                change = Change(event.at_ns, State.ASLEEP, event.cpu, why=self._why(event))
-                self.threads[event.pid].append(change)
-        if event.next_pid != IDLE_PID:
-            self.faults.discard(event.next_pid)
-            if event.next_pid not in self.threads:
-                self.not_woken.add(event.next_pid)
-            self.threads[event.next_pid].append(Change(event.at_ns, State.RUNNING, event.cpu))
+                self.threads[pid].append(Change(at_ns, State.ASLEEP, number, why=self._why(event)))
+        if next_pid != IDLE_PID:
+            self.faults.discard(next_pid)
+            if next_pid not in self.threads:
+                self.not_woken.add(next_pid)
+            self.threads[next_pid].append(Change(at_ns, State.RUNNING, number))
 
     def _why(self, event: Switch) -> Why:
         if event.pid in self.faults:
