@@ -40,8 +40,8 @@ EVENTS_MAX = 200_000
 # Timers that were started before the events that are read.
 TIMERS_MAX = 10_000
 PIECE_BYTES = 1 << 16
-# Arguments of switches and wake-ups that are kept as they were read: a trace repeats them.
-REPEATED_MAX = 4096
+# Arguments of switches and wake-ups that are kept as they were read, since a trace repeats them, and their length.
+REPEATED_MAX, ARGUMENTS_MAX = 1024, 512
 # trace-cmd.dat(5): how a file of trace-cmd begins.
 _TRACE_CMD = b"\x17\x08\x44tracing"
 
@@ -265,7 +265,7 @@ def _switch_arguments(arguments: str) -> tuple[int, str, int, str, int, str, int
 
 
 def _switch(head: _Head, arguments: str) -> Event | None:
-    read = _switch_arguments(arguments)
+    read = _switch_arguments(arguments[:ARGUMENTS_MAX])
     return read and Switch(head[0], head[1], *read)
 
 
@@ -276,7 +276,7 @@ def _wake_arguments(arguments: str) -> tuple[int, int] | None:
 
 
 def _wake(head: _Head, arguments: str) -> Event | None:
-    if (read := _wake_arguments(arguments)) is None:
+    if (read := _wake_arguments(arguments[:ARGUMENTS_MAX])) is None:
         return None
     at_ns, cpu, pid, flags, event = head
     return Wake(at_ns, cpu, pid, _context(flags), *read, event != "sched_waking")

@@ -196,6 +196,15 @@ def test_the_memory_does_not_grow_with_the_file(from_ns, tmp_path, monkeypatch):
     assert peaks[1] < 1.2 * peaks[0], peaks
 
 
+@pytest.mark.parametrize("event", ["sched_switch", "sched_waking"])
+def test_long_arguments_take_no_memory(event):
+    lines = (line(us, f"{event}: {us}" + 20_000 * "x") for us in range(1000))
+    tracemalloc.start()
+    assert [one for one in parse(lines) if one is not None] == [Current(0, 0, 9, "x")]
+    assert tracemalloc.get_traced_memory()[1] < 5e6
+    tracemalloc.stop()
+
+
 def test_a_real_trace_is_read_whole(tmp_path):
     made = list(parse((head(1, 1, 1) + specimen(1558)).split("\n")))
     assert None not in made
