@@ -129,6 +129,8 @@ def test_a_thread_that_went_to_another_cpu_was_not_passed_over():
     assert (Kind.IDLE_EXIT, "", 397) in woken_on_an_idle_cpu(moved)
     runs = line(940, "x: y", cpu=1) + switch(950, OTHER, ("below", 7, 49), cpu=1)
     assert (Kind.IDLE_EXIT, "", 397) in woken_on_an_idle_cpu(runs), "nor one that already runs there"
+    lost = "CPU:0 [LOST 5 EVENTS]\n"
+    assert (Kind.IDLE_EXIT, "", 397) in woken_on_an_idle_cpu(lost), "nor one that may have gone among lost events"
 
 
 def woken_before_a_switch(event):
