@@ -17,7 +17,9 @@ from pathlib import Path
 import pytest
 
 from bitbake.yocto import Yocto
+from rtgen import debian
 from rtgen.board import build as board
+from rtgen.board import packages
 
 pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(1800)]
 
@@ -88,6 +90,24 @@ def wic(yocto: Yocto, tmp_path_factory) -> Path:
     return folder / "scripts/wic"
 
 
+@pytest.fixture(scope="session")
+def native_sysroot(tmp_path_factory) -> Path:
+    """This machine's programs, with Debian 13's sfdisk: wic of wrynose has options for it that Debian 12's lacks."""
+    unpacked = packages.unpacked("fdisk", "amd64", debian.source("trixie"))
+    folder = tmp_path_factory.mktemp("native")
+    program = folder / "usr/sbin/sfdisk"
+    program.parent.mkdir(parents=True)
+    for other in Path("/usr/sbin").iterdir():
+        (program.parent / other.name).symlink_to(other)
+    (folder / "usr/bin").symlink_to("/usr/bin")
+    program.unlink()
+    libraries = f"{unpacked}/lib/x86_64-linux-gnu:{unpacked}/usr/lib/x86_64-linux-gnu"
+    loader = f"{unpacked}/lib64/ld-linux-x86-64.so.2 --library-path {libraries}"
+    program.write_text(f'#!/bin/sh\nexec {loader} {unpacked}/usr/sbin/sfdisk "$@"\n')
+    program.chmod(0o755)
+    return folder
+
+
 def boot_files(value: str) -> dict[str, str]:
     """The path on the card of each file in IMAGE_BOOT_FILES, by its name; a pattern becomes a name that it matches."""
     files = {}
@@ -101,11 +121,13 @@ def boot_files(value: str) -> dict[str, str]:
     return files
 
 
-def create(wic: Path, yocto: Yocto, variables: dict[str, str], root: Path, folder: Path) -> subprocess.CompletedProcess:
+def create(
+    wic: Path, native: Path, yocto: Yocto, variables: dict[str, str], root: Path, folder: Path
+) -> subprocess.CompletedProcess:
     """Run wic as do_image_wic does; the card is in `folder`/card."""
     image = yocto.profile.image.name
     places = {"IMAGE_ROOTFS": root, "DEPLOY_DIR_IMAGE": folder / "deploy", "STAGING_DATADIR": folder / "deploy"}
-    lines = {**variables, **places, "RECIPE_SYSROOT_NATIVE": "/"}
+    lines = {**variables, **places, "RECIPE_SYSROOT_NATIVE": native}
     # BitBake has what a .wks.in comes to as a value. The task that writes the file follows those that build the image.
     template = lines.pop("_WKS_TEMPLATE")
     wks = folder / "filled-in.wks" if template else variables["WKS_FULL_PATH"]
@@ -157,7 +179,7 @@ def content(image: Path, offset: int, path: str) -> str:
 
 
 @pytest.mark.parametrize("machine", CARDS)
-def test_card(yocto, wic, root_file_system, machine, tmp_path):
+def test_card(yocto, wic, native_sysroot, root_file_system, machine, tmp_path):
     if machine not in yocto.profile.machines:
         pytest.skip(f"{yocto.name} has no {machine}")
     expected = CARDS[machine]
@@ -165,7 +187,7 @@ def test_card(yocto, wic, root_file_system, machine, tmp_path):
     assert any(kind.split(".")[0] == "wic" for kind in variables["IMAGE_FSTYPES"].split())
     files = boot_files_of(expected, variables, machine)
     deploy(files, tmp_path)
-    done = create(wic, yocto, variables, root_file_system, tmp_path)
+    done = create(wic, native_sysroot, yocto, variables, root_file_system, tmp_path)
     assert done.returncode == 0, done.stdout
     (card,) = (tmp_path / "card").glob("*.direct")
 
@@ -215,13 +237,13 @@ def read(system: Path, path: str) -> str:
     return subprocess.run(["debugfs", "-R", f"cat {path}", system], check=True, capture_output=True, text=True).stdout
 
 
-def test_boot_files_that_are_larger_than_their_partition(yocto, wic, tmp_path):
+def test_boot_files_that_are_larger_than_their_partition(yocto, wic, native_sysroot, tmp_path):
     variables = variables_of(yocto, "pandaboard-es")
     deploy(boot_files(variables["IMAGE_BOOT_FILES"]), tmp_path)
     with (tmp_path / "deploy/zImage").open("wb") as stream:
         stream.truncate(65 * MIB)
     (tmp_path / "root").mkdir()
-    done = create(wic, yocto, variables, tmp_path / "root", tmp_path)
+    done = create(wic, native_sysroot, yocto, variables, tmp_path / "root", tmp_path)
     assert done.returncode != 0
     assert "is larger than allowed size 65536 kB" in done.stdout
     assert not list((tmp_path / "card").glob("*.direct"))
