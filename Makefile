@@ -62,8 +62,8 @@ lint: setup
 
 # The error rates of verdicts, simulated at length and written into docs/analysis.md; `make test` has a short version.
 coverage: setup
-	nice -n 5 $(BIN)/python tests/coverage/simulate.py
-	nice -n 5 $(BIN)/python tests/coverage/years.py
+	PYTHONPATH=tests nice -n 5 $(BIN)/python tests/coverage/simulate.py
+	PYTHONPATH=tests nice -n 5 $(BIN)/python tests/coverage/years.py
 
 bench: setup
 	nice -n 5 $(BIN)/python tests/bench/bench_analysis.py --check

@@ -1,6 +1,6 @@
 """Simulate the error rates of verdicts at length, and write them into docs/analysis.md.
 
-.venv/bin/python tests/coverage/simulate.py [--draws 0.1] [--only bursts]
+PYTHONPATH=tests .venv/bin/python tests/coverage/simulate.py [--draws 0.1] [--only bursts]
 
 All processors share the work. The numbers do not depend on how many there are: each part of a row has its own seed.
 """
@@ -15,8 +15,10 @@ from pathlib import Path
 
 from rows import ROWS, SEED, Row, percent
 
+from docs_table import write_rows
+
 DOCS = Path(__file__).parents[2] / "docs" / "analysis.md"
-BEGIN, END = "<!-- make coverage writes from here -->", "<!-- to here -->"
+BEGIN = "<!-- make coverage writes from here -->"
 HEAD = """\
 | data, P(miss) = target = 1e-3 | event | before | now | allowed | draws |
 |---|---|---:|---:|---:|---:|"""
@@ -38,13 +40,11 @@ def draw(row: int, draws: int, part: int) -> tuple[int, int]:
 
 def write(lines: list[str], minutes: float) -> None:
     """Replace the table of docs/analysis.md."""
-    before, _, rest = DOCS.read_text().partition(BEGIN)
-    _, _, after = rest.partition(END)
     made = (
         f"Seed {SEED} for each row, confidence 95 %; made in {minutes:.0f} minutes on {os.cpu_count()} cores.\n"
         f"A share of 5 % in 2000 draws has a standard error of {100 * math.sqrt(0.05 * 0.95 / 2000):.1f} %."
     )
-    DOCS.write_text("\n".join([before + BEGIN, made, "", HEAD, *lines, END]) + after)
+    write_rows(DOCS, BEGIN, f"{made}\n\n{HEAD}", lines)
 
 
 def main() -> int:

@@ -3,7 +3,7 @@
 Each day is a boot with two runs. Boots differ by 2 % (standard deviation), the runs of a boot by 1 % more. Of misses
 a boot has a number that varies from boot to boot by more than chance.
 
-.venv/bin/python tests/coverage/years.py [--only drifting]
+PYTHONPATH=tests .venv/bin/python tests/coverage/years.py [--only drifting]
 """
 
 import argparse
@@ -16,12 +16,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from docs_table import write_rows
 from rtrun.analysis import history
 from rtrun.analysis.change_points import find_changes, means_of_units
 
 DOCS = Path(__file__).parents[2] / "docs" / "archive.md"
-BEGIN, END = "<!-- make coverage writes from here -->", "<!-- to here -->"
+BEGIN = "<!-- make coverage writes from here -->"
 SEED = 20140715
+HEAD = f"""\
+Seed {SEED} for each row.
+
+| what | share | allowed | draws |
+|---|---:|---:|---:|"""
 
 Floats = NDArray[np.float64]
 Rng = np.random.Generator
@@ -221,18 +227,6 @@ def bound_of(row: Row) -> str:
     return f"at least {row.at_least:g} %" if row.at_least else "-"
 
 
-def write(lines: dict[str, str]) -> None:
-    """Put lines, by the name of their row, into the table of docs/archive.md; those of other rows stay."""
-    before, _, rest = DOCS.read_text().partition(BEGIN)
-    table, _, after = rest.partition(END)
-    present = {line.split(" | ")[0].removeprefix("| "): line for line in table.splitlines()}
-    lines = present | lines
-    head = f"Seed {SEED} for each row.\n\n| what | share | allowed | draws |\n|---|---:|---:|---:|"
-    DOCS.write_text(
-        "\n".join([before + BEGIN, head, *(lines[row.name] for row in ROWS if row.name in lines), END]) + after
-    )
-
-
 def main() -> int:
     """Simulate, print and write each row. Exit 1 when a share is beyond its bound."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -247,7 +241,7 @@ def main() -> int:
         holds = row.at_least <= share <= row.at_most
         failed += not holds
         line = f"| {row.name} | {share:.1f} % | {bound_of(row)} | {row.draws} |"
-        write({row.name: line})
+        write_rows(DOCS, BEGIN, HEAD, [line], [row.name for row in ROWS])
         print(f"{'ok    ' if holds else 'FAILED'} {line} in {time.monotonic() - start:.0f} s", flush=True)
     return 1 if failed else 0
 

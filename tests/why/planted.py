@@ -23,13 +23,14 @@ from pathlib import Path
 
 from places import Place, beside, board, preloaded, this_machine
 
+from docs_table import write_rows
 from rtrun.causes.cut import Kind
 from rtrun.causes.ranking import Ranking, rank
 from rtrun.report import causes
 from rtrun.results.reading import find_source
 
 DOCS = Path(__file__).parents[2] / "docs" / "causes.md"
-BEGIN, END = "<!-- make test-why writes {} from here -->", "<!-- to here -->"
+BEGIN = "<!-- make test-why writes {} from here -->"
 HEAD = """\
 | planted | must come first | came first | trials | traced outliers | slices without trace | otherwise |
 |---|---|---:|---:|---:|---:|---|"""
@@ -167,19 +168,6 @@ def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, boo
     return row, hits >= AT_LEAST * count
 
 
-def write_row(where: str, about: str, row: str) -> None:
-    """Put a row into the table of a place, in the order of PLANTS; those of other plants stay."""
-    before, begin, rest = DOCS.read_text().partition(BEGIN.format(where))
-    table, end, after = rest.partition(END)
-    if not begin or not end:
-        raise RuntimeError(f"{DOCS}: has no place for the table: {BEGIN.format(where)}")
-    plants = [plant.about for plant in PLANTS]
-    by_plant = {text.split(" | ")[0].removeprefix("| "): text for text in [*table.splitlines(), row] if "|" in text}
-    kept = [by_plant[plant] for plant in plants if plant in by_plant]
-    head = f"{about}, latest row of {date.today()}:"
-    DOCS.write_text("\n".join([before + begin, head, "", HEAD, *kept, end]) + after)
-
-
 def main() -> int:
     """Plant, print, write. Exit 1 when a culprit is named too rarely."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -201,7 +189,8 @@ def main() -> int:
             failed += not holds
             print(f"{row} {time.monotonic() - start_s:.0f} s", flush=True)
             if args.trials >= TRIALS:
-                write_row(args.place, place.about, row)
+                head = f"{place.about}, latest row of {date.today()}:\n\n{HEAD}"
+                write_rows(DOCS, BEGIN.format(args.place), head, [row], [plant.about for plant in PLANTS])
     return 1 if failed else 0
 
 
