@@ -44,7 +44,7 @@ soak: setup
 	SEED=$(SEED) RUNS=$(RUNS) FAULTS=$(FAULTS) $(BIN)/pytest -s tests/hostile/soak.py
 
 # Culprits planted on this machine and on both kernels of the emulated board, which rtrun why must name; writes the tables
-# of docs/causes.md. Root, an hour; PLACES=here for this machine alone.
+# of docs/causes.md. Root, an hour and a half; PLACES=here for this machine alone.
 test-why: setup
 	for place in $(or $(PLACES),here rt standard); do \
 	    PYTHONPATH=runner:tests $(BIN)/python tests/why/planted.py --place $$place || failed=1; \
