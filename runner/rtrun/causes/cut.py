@@ -93,7 +93,29 @@ def cut(timeline: Timeline, *, pid: int, own: frozenset[int], due_ns: int, at_ns
         end_ns = min(begin_ns, limit_ns)
     if end_ns > due_ns:
         parts.append(_unexplained(due_ns, end_ns))
-    return tuple(_joined(piece for part in reversed(parts) for piece in _slowed(timeline, part)))
+    pieces = (piece for part in reversed(parts) for piece in _not_interrupted(timeline, part))
+    return tuple(_joined(piece for part in pieces for piece in _slowed(timeline, part)))
+
+
+def _not_interrupted(timeline: Timeline, part: Part) -> Iterator[Part]:
+    """A part in which another thread of the program had the CPU, cut where a timer's interrupt did not come.
+
+    Interrupts were off, or the CPU was not run: the thread may be innocent.
+    """
+    at_ns = part.begin_ns
+    if part.cause.kind is Kind.OTHER_THREAD and part.cpu is not None:
+        late_ns = timeline.late_ns.get(part.cpu, ())
+        for place in range(bisect_right(late_ns, at_ns, key=lambda late: late[1]), len(late_ns)):
+            begin_ns, end_ns = max(late_ns[place][0], at_ns), min(late_ns[place][1], part.end_ns)
+            if begin_ns >= part.end_ns:
+                break
+            if begin_ns < end_ns:
+                if at_ns < begin_ns:
+                    yield replace(part, begin_ns=at_ns, end_ns=begin_ns)
+                yield replace(part, begin_ns=begin_ns, end_ns=end_ns, cause=replace(part.cause, kind=Kind.TIMER_LATE))
+                at_ns = end_ns
+    if at_ns < part.end_ns:
+        yield replace(part, begin_ns=at_ns)
 
 
 def _slowed(timeline: Timeline, part: Part) -> Iterator[Part]:

@@ -119,6 +119,8 @@ class Timeline:
     """When each thread had a line for the console."""
     frequencies: Mapping[int, Sequence[Frequency]]
     """Of each CPU, from when on it had which."""
+    late_ns: Mapping[int, Sequence[tuple[int, int]]]
+    """Of each CPU, from when a timer should have expired until its interrupt came, in order."""
 
     def spans(self, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Span]:
         """What a CPU did between two moments, without gaps."""
@@ -171,6 +173,7 @@ class _Cpu:
     # The first span of the trace, or after lost events; by thread the softirq that ended since, but began before.
     first_known: int = 0
     began_before: dict[int, Span] = field(default_factory=dict)
+    late_ns: list[tuple[int, int]] = field(default_factory=list)
 
     def layer(self) -> _Layer | None:
         if self.hard:
@@ -184,6 +187,12 @@ class _Cpu:
             layer = self.layer()
             self.spans.append(Span(self.since_ns, at_ns, layer.occupant if layer else self.thread))
             self.since_ns = at_ns
+
+    def note_late(self, start: TimerStart) -> None:
+        """A timer expires in its interrupt: the time for which it had waited for that."""
+        begin_ns = max(start.hard_ns + self.offset_ns, start.at_ns)
+        if self.hard and begin_ns < self.hard[-1].began_ns:
+            self.late_ns.append((begin_ns, self.hard[-1].began_ns))
 
     def name_what_began_before(self) -> None:
         """A thread that was in a softirq when the trace began, or while events were lost, was in it until its end."""
@@ -236,6 +245,8 @@ class _Builder:
                 if cpu.expiry is None or cpu.expiry.now_ns != event.now_ns:
                     cpu.offset_ns = event.at_ns - event.now_ns
                 cpu.expiry = event
+                if (start := self.timers.get(event.timer)) is not None:
+                    cpu.note_late(start)
             case Raise():
                 cpu.raises.setdefault(event.name, event)
             case Migration():
@@ -411,4 +422,5 @@ def timeline(events: Iterable[Event], *, started: Iterable[TimerStart] = ()) -> 
         faults_ns=dict(builder.faults_ns),
         consoles_ns=dict(builder.consoles_ns),
         frequencies=dict(builder.frequencies),
+        late_ns={number: cpu.late_ns for number, cpu in builder.cpus.items()},
     )

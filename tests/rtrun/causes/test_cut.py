@@ -152,6 +152,35 @@ def test_interrupts_off():
     assert parts_of(text, at=1310)[:2] == [(Kind.TIMER_LATE, "low", 300), (Kind.INTERRUPT, "the timer's own", 2)]
 
 
+def mate_without_interrupts(timer_started_us=900):
+    """A thread of the program has the CPU; another timer of that CPU was due at 1050 us, and its interrupt is late."""
+    tick = "hrtimer_start: hrtimer=b function=tick_sched_timer expires=550000 softexpires=550000"
+    text = START + switch(200, ME, OTHER) + expiry(1000)
+    text += line(timer_started_us, tick) + line(1350, "local_timer_entry: vector=236")
+    text += line(1350, "hrtimer_expire_entry: hrtimer=b function=tick_sched_timer now=850000", flags="d.h..")
+    text += line(1352, "local_timer_exit: vector=236") + switch(1400, OTHER, ME) + line(1410, "x: y")
+    return parts_of("".join(sorted(text.splitlines(keepends=True), key=lambda one: one[35:47])), at=1410, own=(1, 5))
+
+
+def test_a_thread_of_the_program_while_no_interrupt_came():
+    """Interrupts were off, or the CPU was not run: the thread may be innocent."""
+    assert mate_without_interrupts()[2:] == [
+        (Kind.OTHER_THREAD, "mate", 47),
+        (Kind.TIMER_LATE, "mate", 300),
+        (Kind.INTERRUPT, "local_timer", 2),
+        (Kind.OTHER_THREAD, "mate", 48),
+        (Kind.PROGRAM, "me", 10),
+    ]
+
+
+def test_a_timer_that_was_started_too_late_did_not_wait_for_interrupts():
+    assert mate_without_interrupts(timer_started_us=1300)[2:5] == [
+        (Kind.OTHER_THREAD, "mate", 297),
+        (Kind.TIMER_LATE, "mate", 50),
+        (Kind.INTERRUPT, "local_timer", 2),
+    ]
+
+
 def test_an_idle_state():
     text = START + switch(200, ME, IDLE) + expiry(1300, late_us=300) + switch(1350, IDLE, ME, state="R")
     assert parts_of(text + line(1360, "x: y"), at=1360) == [
