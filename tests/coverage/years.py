@@ -23,6 +23,7 @@ from rtrun.analysis.change_points import find_changes, means_of_units
 DOCS = Path(__file__).parents[2] / "docs" / "archive.md"
 BEGIN = "<!-- make coverage writes from here -->"
 SEED = 20140715
+DRAWS = 200  # of each row
 HEAD = f"""\
 Seed {SEED} for each row.
 
@@ -152,15 +153,11 @@ class Row:
     draw: Callable[[Rng], bool]
     at_most: float = 100.0
     at_least: float = 0.0
-    draws: int = 200
 
 
 _YEAR = "any false alarm in a year of daily gates"
-
-
-def five_percent(draws: int) -> float:
-    """5 %, and two standard errors of so many draws, in percent."""
-    return float(round(5 + 200 * np.sqrt(0.05 * 0.95 / draws)))
+# 5 %, and two standard errors of the draws, in percent.
+_FIVE_PERCENT = float(round(5 + 200 * np.sqrt(0.05 * 0.95 / DRAWS)))
 
 
 ROWS = (
@@ -168,8 +165,7 @@ ROWS = (
         Row(
             name=f"{_YEAR}, boots {kind.__name__}, no margin given",
             draw=partial(alarm_in_a_year, boots=kind),
-            at_most=five_percent(40),
-            draws=40,
+            at_most=_FIVE_PERCENT,
         )
         for kind in (normal, skewed, weekly, two_kinds, heavy, drifting)
     ),
@@ -177,8 +173,7 @@ ROWS = (
         Row(
             name=f"{_YEAR}, boots {kind.__name__}, margin 10 %, builds slower by {slower:g} %",
             draw=partial(alarm_in_a_year, boots=kind, margin=10.0, slower=slower),
-            at_most=five_percent(40),
-            draws=40,
+            at_most=_FIVE_PERCENT,
         )
         for kind, slower in ((skewed, 3.0), (drifting, 3.0), (normal, 10.0))
     ),
@@ -186,14 +181,13 @@ ROWS = (
         Row(
             name=f"{_YEAR}, P(miss), {mean:g} misses a boot",
             draw=partial(miss_alarm_in_a_year, mean=mean),
-            at_most=five_percent(100),
-            draws=100,
+            at_most=_FIVE_PERCENT,
         )
         for mean in (0.05, 3.0)
     ),
     *(
         Row(name=f"a change in 120 boots without one, boots {kind.__name__}", draw=partial(change_seen, boots=kind),
-            at_most=100.0 if kind is drifting else five_percent(200))
+            at_most=100.0 if kind is drifting else _FIVE_PERCENT)
         for kind in (normal, skewed, two_kinds, heavy, drifting)
     ),
     *(
@@ -237,10 +231,10 @@ def main() -> int:
         if args.only not in row.name:
             continue
         start, rng = time.monotonic(), np.random.default_rng(SEED)
-        share = 100 * sum(row.draw(rng) for _ in range(row.draws)) / row.draws
+        share = 100 * sum(row.draw(rng) for _ in range(DRAWS)) / DRAWS
         holds = row.at_least <= share <= row.at_most
         failed += not holds
-        line = f"| {row.name} | {share:.1f} % | {bound_of(row)} | {row.draws} |"
+        line = f"| {row.name} | {share:.1f} % | {bound_of(row)} | {DRAWS} |"
         write_rows(DOCS, BEGIN, HEAD, [line], [row.name for row in ROWS])
         print(f"{'ok    ' if holds else 'FAILED'} {line} in {time.monotonic() - start:.0f} s", flush=True)
     return 1 if failed else 0

@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
     """Print a few lines for each change."""
     import json
 
-    from rtfiles.output import print_line, print_text
+    from rtfiles.output import counted, print_line, print_text
 
     known, deadline_ns = read_courses(args)
     from rtrun.archive.trends import as_data, as_text, trends
@@ -31,7 +31,8 @@ def run(args: argparse.Namespace) -> int:
         data = {"schema": 1, "deadline_ns": deadline_ns, "changes": [as_data(trend) for trend in shown]}
         print_text(json.dumps(data, indent=1, allow_nan=False))
         return 0
-    print_line(f"{len(shown)} changes in {len(known)} courses, of {sum(len(one.boots()) for one in known)} boots")
+    boots = sum(len(one.boots()) for one in known)
+    print_line(f"{counted(len(shown), 'change')} in {counted(len(known), 'course')}, of {counted(boots, 'boot')}")
     for trend in shown:
         amount, *rest = as_text(trend, confidence=args.confidence)
         print_line(f"{'WORSE' if trend.is_worse else 'better'}  {trend.course.label}: {amount}")

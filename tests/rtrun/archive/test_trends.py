@@ -63,7 +63,7 @@ def test_a_change_is_told_with_when_how_much_and_what_changed_there(capsys, slow
 def test_a_change_is_told_in_words(capsys, slower):
     assert main(["trends", str(slower)]) == 0
     first, *lines = capsys.readouterr().out.splitlines()
-    assert first == "2 changes in 1 courses, of 30 boots"
+    assert first == "2 changes in 1 course, of 30 boots"
     assert lines[0].startswith("WORSE  oneshot_timer RR 1000 us on board: p50 ")
     assert "when: between 2026-01-18 10:00 and 2026-01-19 10:00" in lines[1]
 
