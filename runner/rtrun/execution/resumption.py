@@ -18,6 +18,7 @@ from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json
 from rtrun.results.record import RunRecord
 from rtrun.target import processes
+from rtrun.target.connection import COMMAND_S
 from rtrun.target.errors import TargetError
 from rtrun.target.inspection import TargetState, parse_state
 from rtrun.target.link import Link
@@ -179,6 +180,9 @@ def begin(
     }
     text = json.dumps(data)
     words = [str(remote.parent.parent), str(remote), str(len(text.encode())), str(state_script)]
-    busy, _, state = link.check(["sh", "-c", _BUSY + _WRITE, "sh", *words], stdin=text).partition("state\n")
+    command = ["sh", "-c", _BUSY + _WRITE, "sh", *words]
+    # It does the work of two.
+    printed = link.check(command, deadline_s=2 * COMMAND_S, stdin=text)
+    busy, _, state = printed.partition("state\n")
     _refuse_busy(link, busy)
     return parse(data, Attempt, FILE).model_copy(update={"before": parse_state(state)})
