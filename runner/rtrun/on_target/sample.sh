@@ -9,7 +9,8 @@
 #   counts NAME=NUMBER..
 # with what was counted since the observation before, without zeros: context_switches, new_processes, interrupts,
 # memory_stall_us (proc(5), "some" of Documentation/accounting/psi.rst), and each line of /proc/interrupts, as 24:eth0;
-# and, where something has changed since the observation before, the present state, up to the line "end":
+# and, where something has changed since the observation before, the present state, up to the line "end UPTIME_S": when all
+# of it had been read, which on a busy target takes seconds:
 #   thread PROGRAM TID POLICY PRIORITY CPUS NAME      each thread of the suite
 #   load PROGRAM PROCESSES CPUS                       each background program
 #   rival TID POLICY PRIORITY NAME                    every other thread of its priority or above
@@ -124,8 +125,9 @@ while :; do
         echo "governor $(joined /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor)"
         echo "sched_rt_runtime_us $(joined /proc/sys/kernel/sched_rt_runtime_us)")
     if [ "$now" != "$before" ]; then
+        read -r until _ </proc/uptime
         echo "$now"
-        echo end
+        echo "end $until"
         before=$now
     fi
 done

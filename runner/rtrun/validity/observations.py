@@ -35,6 +35,8 @@ class Observation:
     """What was in effect at one moment; `threads` by program, `loads` by program: processes and CPUs."""
 
     uptime_s: float
+    until_s: float
+    """When all of it had been read."""
     load_1min: float
     temperature_mc: tuple[int, ...]
     frequency_khz: tuple[int, ...]
@@ -80,8 +82,8 @@ def read_observations(text: str) -> list[Observation]:
                 if not _COUNTS.fullmatch(line) or len(words) > COUNTS_MAX:
                     raise ValueError
                 observations[-1] = replace(observations[-1], counts=line[len("counts ") :])
-            elif words == ["end"]:
-                observations[-1] = _complete(observations[-1], block)
+            elif words[:1] == ["end"]:
+                observations[-1] = _complete(observations[-1], block, words[1:])
             else:
                 if len(block) == STATE_LINES_MAX:
                     raise ValueError
@@ -98,6 +100,7 @@ def _begin(words: list[str], before: Observation | None) -> Observation:
         raise ValueError
     gauges: dict[str, Any] = {
         "uptime_s": real_number(words[1]),
+        "until_s": real_number(words[1]),
         "load_1min": real_number(words[2]),
         "temperature_mc": _numbers(words[3]),
         "frequency_khz": _numbers(words[4]),
@@ -107,7 +110,7 @@ def _begin(words: list[str], before: Observation | None) -> Observation:
     return replace(before, **gauges) if before else Observation(**gauges)
 
 
-def _complete(observation: Observation, block: list[list[str]]) -> Observation:
+def _complete(observation: Observation, block: list[list[str]], until: list[str]) -> Observation:
     threads: dict[str, list[ThreadState]] = {}
     loads: dict[str, tuple[int, frozenset[int]]] = {}
     rivals: set[tuple[str, str, int]] = set()
@@ -127,8 +130,11 @@ def _complete(observation: Observation, block: list[list[str]]) -> Observation:
             governor = () if words[1] == "-" else tuple(words[1].split(","))
         elif words[0] == "sched_rt_runtime_us":
             runtime_us = None if words[1] == "-" else whole_number(words[1])
+    # Runs that were measured before 2026-11-23 do not tell.
+    until_s = real_number(until[0]) if until else observation.uptime_s
     return replace(
         observation,
+        until_s=until_s,
         threads={name: tuple(states) for name, states in threads.items()},
         loads=loads,
         rivals=frozenset(rivals),

@@ -137,18 +137,18 @@ def _counted(
 
     A program that starts has no priority yet, and a program that has measured, or stopped early, gives it up. So
     observations before the first one as asked for, and after the last one, do not count: unless the program has had
-    STARTING_S, or should still be measuring.
+    STARTING_S, or should still be measuring. While a busy target is observed, a program may end.
     """
     fits = _requirement_of(run)
     complete = all(record.complete for record in records.values())
     for program in dict.fromkeys(name for each in observations for name in each.threads):
-        states = [(each.uptime_s, each.threads[program]) for each in observations if program in each.threads]
-        first_s, fitting_s = states[0][0], [uptime_s for uptime_s, threads in states if fits(threads)]
-        begin_s = min([first_s + STARTING_S, *fitting_s])
-        end_s = max([first_s - APART_S + run.least_s if complete else 0.0, *fitting_s])
-        for uptime_s, threads in states:
-            if begin_s <= uptime_s <= end_s:
-                yield program, uptime_s - first_s, threads
+        states = [(each, each.threads[program]) for each in observations if program in each.threads]
+        first_s, fitting = states[0][0].uptime_s, [each for each, threads in states if fits(threads)]
+        begin_s = min([first_s + STARTING_S, *(each.uptime_s for each in fitting)])
+        end_s = max([first_s - APART_S + run.least_s if complete else 0.0, *(each.until_s for each in fitting)])
+        for each, threads in states:
+            if begin_s <= each.uptime_s and each.until_s <= end_s:
+                yield program, each.uptime_s - first_s, threads
 
 
 def _requirement_of(run: Run) -> Callable[[Iterable[ThreadState]], bool]:

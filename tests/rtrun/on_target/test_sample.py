@@ -27,6 +27,7 @@ def test_it_counts_from_one_observation_to_the_next(tmp_path):
         sampler.terminate()
         sampler.wait(60)
     first, second = read_observations(output.read_text())[:2]
+    assert f"\nend {first.until_s:.2f}\n" in output.read_text() and first.until_s >= first.uptime_s > 0
     assert first.counts == ""
     counts = dict(word.split("=") for word in second.counts.split())
     assert {"context_switches", "interrupts"} <= set(counts)

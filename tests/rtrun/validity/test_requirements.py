@@ -17,9 +17,9 @@ from rtrun.validity.requirements import find_unseen_option, find_violation, meas
 STAT = "cpu {busy} 0 0 {idle} 0 0 0 0 0 0"
 
 
-def sample(at_s, *block, busy=0, idle=0):
+def sample(at_s, *block, until_s=None, busy=0, idle=0):
     lines = [f"at {at_s} 0.50 - 700000,920000 {STAT.format(busy=busy, idle=idle)}"]
-    return "\n".join([*lines, *block, *(["end"] if block else [])]) + "\n"
+    return "\n".join([*lines, *block, *([f"end {until_s or at_s}"] if block else [])]) + "\n"
 
 
 def thread(policy=2, priority=95, cpus="0-1", program="cyclic_timer_tests"):
@@ -118,6 +118,13 @@ def test_a_program_gives_its_priority_up_when_it_has_measured():
     assert wrong(run, *looks) is None
     assert observed(run, *looks).policy == ["RR"], "while it measured"
     assert wrong(run, sample(100, thread()), sample(100.5, thread(0, 0))) is not None
+
+
+def test_a_program_that_ended_while_a_busy_target_was_observed():
+    """After 15 of 20 s the sampler began to read, and found it without priority and CPUs when it had measured."""
+    run, ended = run_of(repetitions=200), thread(0, 0, cpus="-")
+    assert wrong(run, sample(100, thread()), sample(115, ended, until_s=121)) is None
+    assert wrong(run, sample(100, thread()), sample(115, ended, until_s=116)) is not None
 
 
 def test_a_run_that_stopped_early_gave_its_priority_up_early(tmp_path):
