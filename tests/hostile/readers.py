@@ -149,7 +149,7 @@ load stress-ng 2 0,1
 rival 5 1 99 migration/0
 governor performance,performance
 sched_rt_runtime_us 950000
-end 12.50
+end 11.50
 at 12.00 0.50 - - cpu 11 12 13 14 15 16 17 18 0 0
 """
 TIMERLAT = b"""# RTLA timerlat histogram

@@ -75,7 +75,9 @@ def make_archive(address: str) -> Store:
     if not _has_marker(store):
         with _naming(store, "cannot be listed"):
             names = store.file_system.ls(store.root, detail=False) if store.file_system.exists(store.root) else []
-        if any(not name.endswith(f"/{MARKER}") for name in names):
+        # The marker of another writer is renamed into place, and files follow it.
+        is_foreign = any(not name.rpartition("/")[2].lstrip(".").startswith(MARKER) for name in names)
+        if is_foreign and not _has_marker(store):
             raise UsageError(
                 f"{address}: holds files, but no {MARKER} of an archive: name an archive, or a new or empty folder"
             )

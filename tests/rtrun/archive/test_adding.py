@@ -266,6 +266,28 @@ def test_an_object_store_that_fails_while_it_is_read_is_one_line(capsys, results
     assert line == "rtrun: unreadable://bucket/archive: cannot be read: 503 slow down"
 
 
+def test_a_writer_that_comes_while_another_one_makes_the_archive(results, archive, monkeypatch):
+    """It sees no marker, and then the files of the other one."""
+    command = ["archive", "add", str(results), "--to", str(archive)]
+    has_marker, others = store._has_marker, [command]
+
+    def look(each):
+        seen = has_marker(each)
+        if others:
+            assert main(others.pop()) == 0
+        return seen
+
+    monkeypatch.setattr(store, "_has_marker", look)
+    assert main(command) == 0
+    assert rows(archive, "runs") == 3
+
+
+def test_a_marker_that_another_writer_has_not_renamed_yet_is_no_foreign_file(results, archive):
+    archive.mkdir()
+    (archive / ".archive.json.x7").touch()
+    assert main(["archive", "add", str(results), "--to", str(archive)]) == 0
+
+
 def test_several_writers_at_once(results, archive):
     command = [sys.executable, "-m", "rtrun.cli", "archive", "add", str(results), "--to", str(archive)]
     writers = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for _ in range(2)]
