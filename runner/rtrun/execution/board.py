@@ -112,7 +112,7 @@ def measure_rounds(
                     session.statuses[run.name] = RunStatus.INCOMPLETE
                     observer.ended(number, run, RunStatus.INCOMPLETE, f"no limit for its traces: {error}")
                     continue
-                record = _measure(session, prepared, run, observer, is_begun=run.name in begun)
+                record = _measure(session, prepared, run, observer, may_be_begun=run.name in begun)
                 session.statuses[run.name] = record.status
                 observer.ended(number, run, record.status, record.reason)
         # Nothing of the campaign stays on the board, not even an empty folder.
@@ -126,7 +126,7 @@ def _is_foreign(session: Session, run: str, target: str) -> bool:
 
 
 def _measure(
-    session: Session, prepared: "_PreparedTarget", run: Run, observer: Observer, *, is_begun: bool
+    session: Session, prepared: "_PreparedTarget", run: Run, observer: Observer, *, may_be_begun: bool
 ) -> RunRecord:
     """Measure a run, again after each restart of the target that cut it off. Raises TargetRebooted after too many."""
     folder = session.results / run.name
@@ -136,11 +136,11 @@ def _measure(
             ready = prepared.get(run.kernel).for_run(run)
             with tracing(ready.link, ready.scripts, run.parameters):
                 return run_execution.measure(
-                    ready, session.log.uid, session.campaign, run, folder, life, session.now, may_be_begun=is_begun
+                    ready, session.log.uid, session.campaign, run, folder, life, session.now, may_be_begun=may_be_begun
                 )
         except TargetRebooted as error:
             prepared.drop()
-            is_begun = True
+            may_be_begun = True
             life.move(RunEvent.RESTART, str(error))
             observer.note(f"{run.name}: {error}")
             if life.state is RunState.CLOSED:

@@ -82,7 +82,7 @@ def measure(
     life: RunLife,
     now: Clock,
     *,
-    may_be_begun: bool = True,
+    may_be_begun: bool,
 ) -> RunRecord:
     """Measure one run, or pick it up where an earlier call left it; return the record that `folder` is closed with.
 
