@@ -179,17 +179,17 @@ def test_graph_of_a_machine(yocto, machine, needed):
     yocto.note(machine, recipes=str(len(recipes)), tasks=str(len(tasks)))
 
 
-@MACHINES
-def test_dry_run_of_a_machine(yocto, machine, mask):
+def test_dry_run_of_the_image(yocto, mask):
     """BitBake's queue goes through every task; each parses its recipe once more."""
-    described(yocto, machine)
-    build = yocto.top / "build-machines"
-    yocto.configure(build, machine, mask)
-    output = yocto.run("bitbake", "-n", yocto.profile.image.name, build=build)
+    if not yocto.release.modern:
+        pytest.skip("BitBake 1.20 starts pseudo, which would have to be built, for a dry run")
+    build, image = yocto.top / "build-machines", yocto.profile.image.name
+    yocto.configure(build, yocto.machine, mask)
+    output = yocto.run("bitbake", "-n", image, build=build)
     counted = re.search(r"Attempted (\d+) tasks of which \d+ didn't need to be rerun and all succeeded", output)
     assert counted and int(counted[1]) > 1000, output[-2000:]
-    assert f"{yocto.profile.image.name}.bb:do_image_complete" in output, output[-2000:]
-    yocto.note(machine, dry_run=f"{counted[1]} tasks")
+    assert f"{image}.bb:do_image_complete" in output, output[-2000:]
+    yocto.note(yocto.machine, dry_run=f"{counted[1]} tasks")
 
 
 def test_suites_are_fetched_and_unpacked(yocto):
@@ -217,14 +217,16 @@ def test_suites_are_compiled_and_installed(yocto, built_suites):
             assert "ELF 32-bit" in kind and "ARM" in kind and "EABI5" in kind
 
 
-def test_yocto_check_layer(yocto, mask):
+def test_yocto_check_layer(yocto, needed):
     if not os.environ.get("RT_TESTS_CHECK_LAYER"):
         pytest.skip("takes forty minutes: RT_TESTS_CHECK_LAYER=1 asks for it")
     build = yocto.top / "build-check"
     # The machines that need no layer of their own; qemuarm is openembedded-core's.
     machines = [yocto.profile.default_machine, "qemuarm"]
     core, *others = yocto.kas(yocto.machine)[0]
-    # As somebody else has it who adds the layer: nothing of ours is switched on.
+    # As somebody else has it who adds the layer: nothing of ours is switched on. It needs every recipe in the world to
+    # find what it depends on, as those that the image needs do.
+    mask = f'BBMASK = "{yocto.mask_of_others_but(needed)}"'
     yocto.write_configuration(build, [core], [*yocto.local("qemuarm"), mask])
     output = yocto.run(
         "yocto-check-layer", str(yocto.layer), "--dependency", *map(str, others), "--no-auto", "--no-auto-dependency",

@@ -1,7 +1,8 @@
 """Who can log in to a booted image: BitBake runs the image's rootfs functions on a root file system, QEMU boots it.
 
-`make test-yocto` runs this. The functions are all of ROOTFS_POSTPROCESS_COMMAND, those of openembedded-core and of our
-layer. The programs are Debian's. The SSH servers' configuration, init scripts and units are openembedded-core's.
+`make test-yocto` runs this. The functions are all of ROOTFS_POSTPROCESS_COMMAND and IMAGE_PREPROCESS_COMMAND, those of
+openembedded-core and of our layer. The programs are Debian's; the configuration, init scripts and units of the SSH
+servers are openembedded-core's.
 """
 
 import json
@@ -36,18 +37,22 @@ FOLDERS = {"@SBINDIR@": "/usr/sbin", "@BASE_BINDIR@": "/bin", "@LIBEXECDIR@": "/
 # In openembedded-core: where a server's files come from, and its own name for the service.
 SOURCES = {"openssh": "recipes-connectivity/openssh/openssh", "dropbear": "recipes-core/dropbear/dropbear"}
 SERVICES = {"openssh": "sshd", "dropbear": "dropbear"}
-# ROOT_HOME by INIT_MANAGER, which base-passwd writes into /etc/passwd.
-HOMES = {"systemd": "/root", "sysvinit": "/home/root"}
+ROOT_HOME = re.compile(r'^ROOT_HOME \?+= "(.+)"$', re.MULTILINE)
 # By the other server: the files that an image with the one does not have.
 OTHERS = {
     "openssh": ["usr/sbin/sshd", "usr/lib/openssh", "etc/ssh"],
     "dropbear": ["usr/sbin/dropbear", "usr/bin/dropbearkey"],
 }
-# Runs what do_rootfs runs when all packages are installed. There were none.
+# Runs what do_rootfs and do_image run when all packages are installed. There were none: kirkstone asks opkg for them.
+# systemctl enables units by their presets, for wrynose in the first list and for older releases in the second.
+# A build would make both programs.
 ROOTFS_FUNCTIONS = """
+HOSTTOOLS += "systemctl"
+PATH:prepend = "${TOPDIR}/programs:"
 python do_rootfs_functions() {
     import oe.utils
-    oe.utils.execute_pre_post_process(d, d.getVar("ROOTFS_POSTPROCESS_COMMAND"))
+    for name in ("ROOTFS_POSTPROCESS_COMMAND", "IMAGE_PREPROCESS_COMMAND"):
+        oe.utils.execute_pre_post_process(d, d.getVar(name))
 }
 do_rootfs_functions[nostamp] = "1"
 do_rootfs_functions[cleandirs] = "${IMGDEPLOYDIR}"
@@ -62,7 +67,10 @@ OVERLAYFS_ETC_FSTYPE = "ext4"
 """
 READ_ONLY = 'EXTRA_IMAGE_FEATURES += "read-only-rootfs"'
 MIB = 2**20
+# Like sysfs.sh of openembedded-core: since wrynose overlayfs-etc leaves neither of the first two mounted.
 START = """#!/bin/sh
+[ -d /proc/1 ] || mount -t proc proc /proc
+[ -d /sys/class ] || mount -t sysfs sysfs /sys
 mkdir -p /dev/pts
 mount -t devpts devpts /dev/pts
 mount -t tmpfs tmpfs /run
@@ -72,6 +80,8 @@ mount -t tmpfs tmpfs /run
 NETWORK = """[Service]
 Type=oneshot
 ExecStart=/etc/init.d/network
+[Install]
+WantedBy=multi-user.target
 """
 
 
@@ -94,6 +104,12 @@ def install(source: Path, target: Path, mode: int = 0o644) -> None:
     target.chmod(mode)
 
 
+def root_home(core: Path, init: str) -> str:
+    """ROOT_HOME for an INIT_MANAGER, which base-passwd writes into /etc/passwd; it differs from release to release."""
+    files = (core / f"meta/conf/distro/include/init-manager-{init}.inc", core / "meta/conf/bitbake.conf")
+    return next(match[1] for file in files if (match := ROOT_HOME.search(file.read_text())))
+
+
 def make_root(tree: Path, core: Path, server: str, init: str) -> None:
     """Fill a folder with a root file system as an image has it before its rootfs functions run."""
     shutil.copytree(programs(), tree, symlinks=True, dirs_exist_ok=True)
@@ -103,7 +119,7 @@ def make_root(tree: Path, core: Path, server: str, init: str) -> None:
     shutil.rmtree(tree / "usr/lib/sysusers.d")
     disk.add_places(tree)
     disk.add_tools(tree)
-    home = HOMES[init]
+    home = root_home(core, init)
     (tree / home[1:]).mkdir(parents=True, mode=0o700, exist_ok=True)
     hashed = subprocess.run(["openssl", "passwd", "-6", PASSWORD], check=True, capture_output=True, text=True).stdout
     passwd = (
@@ -140,9 +156,12 @@ def make_root(tree: Path, core: Path, server: str, init: str) -> None:
         install(unit, units / unit.name)
     (units / f"{service}.service").unlink(missing_ok=True)
     (units / "network.service").write_text(NETWORK)
-    for target, unit in (("sockets", f"{service}.socket"), ("multi-user", "network.service")):
-        (units / f"{target}.target.wants").mkdir(exist_ok=True)
-        (units / f"{target}.target.wants" / unit).symlink_to(f"../{unit}")
+    # As the packages of the server and of systemd bring them, in the place of those of Debian.
+    presets = tree / "usr/lib/systemd/system-preset"
+    shutil.rmtree(presets)
+    presets.mkdir()
+    (presets / "98-test.preset").write_text(f"enable {service}.socket\nenable network.service\n")
+    install(core / "meta/recipes-core/systemd/systemd/99-default.preset", presets / "99-default.preset")
     (tree / "etc/machine-id").write_text("0123456789abcdef0123456789abcdef\n")
 
 
@@ -151,6 +170,9 @@ def run_rootfs_functions(yocto: Yocto, tree: Path, *settings: str) -> None:
     build = yocto.top / "build-logins"
     (build / "classes").mkdir(parents=True, exist_ok=True)
     (build / "classes/rootfs-functions.bbclass").write_text(ROOTFS_FUNCTIONS)
+    (build / "programs").mkdir(exist_ok=True)
+    (build / "programs/opkg").write_text("#!/bin/sh\n")
+    (build / "programs/opkg").chmod(0o755)
     ours = ('INHERIT += "rootfs-functions"', f'IMAGE_ROOTFS:forcevariable = "{tree}"')
     yocto.configure(build, "qemuarm", *ours, *settings)
     (recipe,) = yocto.layer.glob(f"recipes-core/*/{yocto.profile.image.name}.bb")

@@ -151,7 +151,7 @@ class Yocto:
         A recipe may need every other that its DEPENDS, RDEPENDS and the like name, or whose name begins a name there:
         too many rather than too few, but hundreds instead of thousands. BitBake says so if one is missing.
         """
-        core, *others = self.kas(self.machine)[0]
+        _, *others = self.kas(self.machine)[0]
         files: dict[str, list[Path]] = {}
         for layer in others:
             for path in layer.rglob("*.bb"):
@@ -169,7 +169,13 @@ class Yocto:
             folders = {path.parent for name in new for path in files[name]}
             parts = {path for folder in folders for path in folder.iterdir() if path.suffix in (".bb", ".inc")}
             texts += [path.read_text().replace("${PYTHON_PN}", "python3") for path in parts]
-        return self._mask(others, needed, needed | {_recipe(path) for path in core.glob("recipes-*/*/*.bb")})
+        return self.mask_of_others_but(needed)
+
+    def mask_of_others_but(self, needed: set[str]) -> str:
+        """Return a BBMASK that keeps these recipes of the layers beside openembedded-core, and all of that one."""
+        core, *others = self.kas(self.machine)[0]
+        recipes = {name.removesuffix("-native") for name in needed}
+        return self._mask(others, recipes, recipes | {_recipe(path) for path in core.glob("recipes-*/*/*.bb")})
 
     def mask_of_all_but(self, needed: set[str], machine: str) -> str:
         """Return a BBMASK for a machine that keeps the recipes of another machine's image.
