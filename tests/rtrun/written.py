@@ -6,23 +6,39 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 NOT_FIRED = -(2**63)
+OTHER = {"policy": "OTHER", "priority": 0}
+Rows = list[tuple[int, ...]] | NDArray[np.int64]
 
 
-def write_npy(path: Path, rows: list[tuple[int, ...]], announced: int | None = None) -> None:
+def write_npy(path: Path, rows: Rows, announced: int | None = None) -> None:
     """Write rows by hand in NumPy format 1.0; a part announces more of them."""
-    header = f"{{'descr': '<i8', 'fortran_order': False, 'shape': ({announced or len(rows)}, {len(rows[0])}), }}"
+    array = np.array(rows, dtype="<i8")
+    header = f"{{'descr': '<i8', 'fortran_order': False, 'shape': ({announced or len(array)}, {array.shape[1]}), }}"
     header += " " * (-(10 + len(header) + 1) % 64) + "\n"
     magic = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little")
-    path.write_bytes(magic + header.encode() + np.array(rows, dtype="<i8").tobytes())
+    path.write_bytes(magic + header.encode() + array.tobytes())
 
 
 def write_output(
-    folder: Path, output: str, suite: str, rows: list[tuple[int, ...]], *, requested: dict[str, Any], **counts: int
+    folder: Path,
+    output: str,
+    suite: str,
+    rows: Rows,
+    *,
+    requested: dict[str, Any],
+    logs: list[str] | None = None,
+    **counts: int,
 ) -> Path:
-    """Write ``<output>.npy`` and ``<output>.json``; counts that are not given are 0. Returns the json's path."""
+    """Write ``<output>.npy`` and ``<output>.json``. Returns the json's path.
+
+    Counts that are not given are 0, and the only log is ``<output>.log`` unless `logs` names others.
+    """
     write_npy(folder / f"{output}.npy", rows)
+    real_time = requested.get("policy", "RR") != "0"
+    measuring = {"policy": requested.get("policy", "RR"), "priority": 95} if real_time else OTHER
     names = ("asked", "measured", "not_fired", "missing", "duplicate", "out_of_order")
     record = {
         "schema": 1,
@@ -33,7 +49,10 @@ def write_output(
         "incomplete_reason": None,
         "requested": {"policy": "RR", "priority": 95, "cpu": "", "break_trace_us": None, **requested},
         "in_effect": {
-            "threads": [{"tid": 123, "name": suite[:15], "policy": "RR", "priority": 95, "cpus": [0, 1]}],
+            "threads": [
+                {"tid": 123, "name": suite[:15], **measuring, "cpus": [0, 1]},
+                {"tid": 124, "name": "rt_blocks", **OTHER, "cpus": [0, 1]},
+            ],
             "clock": "CLOCK_MONOTONIC_RAW",
             "clock_resolution_ns": 1,
             "clock_step_ns": 16,
@@ -46,7 +65,7 @@ def write_output(
         "counts": dict.fromkeys(names, 0) | counts,
         "indices": {"not_fired": [], "missing": [], "duplicate": [], "out_of_order": []},
         "summary": {"x": {"n": 0, "min_ns": None, "mean_ns": None, "max_ns": None, "top": [], "lowest": []}},
-        "files": {"logs": [f"{output}.log"], "npy": f"{output}.npy"},
+        "files": {"logs": [f"{output}.log"] if logs is None else logs, "npy": f"{output}.npy"},
         "traces": {"above_limit": 0, "files": []},
     }
     path = folder / f"{output}.json"
@@ -121,7 +140,7 @@ def write_record(folder: Path, suite: str, outputs: list[str], parameters: dict[
         "suite": suite,
         "parameters": parameters,
         "platform": "hardware",
-        "platform_evidence": "no sign of a virtual machine",
+        "platform_evidence": "stated by the test",
         "status": "ok",
         "reason": None,
         "start_time": "2026-11-21T10:00:00Z",

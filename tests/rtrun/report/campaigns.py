@@ -1,14 +1,12 @@
 """Campaigns as a board would leave them, made of numbers drawn by lot: run directories with npy, json and log."""
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from written import NOT_FIRED, write_output, write_record
 
-NOT_FIRED = -(2**63)
 Int64s = NDArray[np.int64]
 
 
@@ -123,37 +121,15 @@ def write_run(
         output = base if len(outputs) == 1 else f"s{k}_{base}"
         names.append(output)
         _write_output(folder, output, suite, rows, parameters, asked, logs)
-    files = {
-        path.name: {"size_bytes": path.stat().st_size, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-        for path in sorted(folder.iterdir())
-    }
-    closing = {
-        "schema": 2,
-        "run": name,
-        "campaign": root.name,
-        "suite": suite,
-        "parameters": parameters,
-        "platform": platform,
-        "platform_evidence": "stated by the test",
-        "status": "ok",
-        "reason": None,
-        "start_time": "2026-11-21T10:00:00Z",
-        "end_time": "2026-11-21T10:00:01Z",
-        "programs": [{"name": suite, "argv": [suite, "-r", str(asked)], "exit_status": 0}],
-        "outputs": names,
-        "target": {"name": "board", "kernel_release": "6.1.0-rt", "kernel_version": "#1 SMP PREEMPT_RT", "cpus": 2},
-        "files": files,
-    }
-    (folder / "run.json").write_text(json.dumps(closing | record))
+    record = {"campaign": root.name, "platform": platform, **record}
+    write_record(folder, suite, names, parameters, **record)
     return folder
 
 
 def _write_output(
     folder: Path, output: str, suite: str, rows: Int64s, parameters: dict[str, Any], asked: int, logs: bool
 ) -> None:
-    with (folder / f"{output}.npy").open("wb") as stream:
-        np.lib.format.write_array(stream, np.ascontiguousarray(rows, dtype="<i8"), version=(1, 0))
-    counts = dict.fromkeys(("not_fired", "missing", "duplicate", "out_of_order"), 0)
+    counts = {}
     if suite == "oneshot_timer_tests":
         values = rows[:, 2][rows[:, 2] != NOT_FIRED]
         counts["not_fired"] = asked - values.size
@@ -165,41 +141,10 @@ def _write_output(
         values = rows[:, 1] - rows[:, 0]
         counts["missing"] = asked - values.size
         label, names = "Latency:", [f"{output}.log"]
-    record = {
-        "schema": 1,
-        "suite": suite,
-        "program": suite,
-        "version": "0.1.0",
-        "complete": True,
-        "incomplete_reason": None,
-        "requested": {"priority": 95, "cpu": "", **parameters},
-        "in_effect": {
-            "threads": [
-                {
-                    "tid": 7,
-                    "name": suite[:15],
-                    "policy": {"0": "OTHER"}.get(parameters["policy"], parameters["policy"]),
-                    "priority": 0 if parameters["policy"] == "0" else 95,
-                    "cpus": [0, 1],
-                },
-                {"tid": 8, "name": "rt_blocks", "policy": "OTHER", "priority": 0, "cpus": [0, 1]},
-            ],
-            "clock": "CLOCK_MONOTONIC_RAW",
-            "clock_resolution_ns": 1,
-            "clock_step_ns": 16,
-            "mlockall": True,
-        },
-        "host": "board",
-        "kernel": {"release": "6.1.0-rt", "version": "#1 SMP PREEMPT_RT", "machine": "armv7l"},
-        "start_time": "2026-11-21T10:00:00Z",
-        "end_time": "2026-11-21T10:00:01Z",
-        "counts": {"asked": asked, "measured": int(values.size), **counts},
-        "indices": {"not_fired": [], "missing": [], "duplicate": [], "out_of_order": []},
-        "summary": {},
-        "files": {"logs": names if logs else [], "npy": f"{output}.npy"},
-    }
-    (folder / f"{output}.json").write_text(json.dumps(record))
-    if logs and values.size:
+    names = names if logs else []
+    counts |= {"asked": asked, "measured": int(values.size)}
+    write_output(folder, output, suite, rows, requested=parameters, logs=names, **counts)
+    if values.size:
         for name in names:
             write_log(folder / name, suite, values, label=label, asked=asked)
 
