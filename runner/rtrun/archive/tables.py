@@ -19,7 +19,7 @@ import pyarrow
 import pyarrow.parquet
 
 from rtrun.analysis.histogram import from_samples
-from rtrun.report.study import format_parameters, telling_parameters
+from rtrun.report.groups import format_parameters, telling_parameters
 from rtrun.results.record import FILE, RunRecord
 from rtrun.results.series import HistogramSeries, SampleSeries, Series
 from rtrun.target.inspection import Fact

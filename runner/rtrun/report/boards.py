@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from rtrun.analysis.figures import figures_of_histogram
 from rtrun.report.claims.examination import us
-from rtrun.report.study import Group
+from rtrun.report.groups import Group
 
 _SPREAD_PERCENT = 99.9
 

@@ -12,8 +12,9 @@ from typing import Any
 from rtfiles.errors import UsageError
 from rtrun.analysis.comparison import Change, Comparison, Ratio, compare, ratio_of_misses
 from rtrun.report.claims.examination import us
+from rtrun.report.groups import Group
 from rtrun.report.sides import By, split
-from rtrun.report.study import Group, Study, study
+from rtrun.report.study import Study, study
 from rtrun.report.terminal import banner_of
 from rtrun.results.series import MEASURED_2014
 from rtrun.target.platform import Platform

@@ -15,7 +15,8 @@ from rtrun.report import causes
 from rtrun.report.claims.examination import is_rt, select, us
 from rtrun.report.claims.examiners import Examined
 from rtrun.report.claims.reference import oneshot_rows, published
-from rtrun.report.study import Group, Study, environment
+from rtrun.report.groups import Group
+from rtrun.report.study import Study, environment
 from rtrun.report.tables import Table, how, printable_table, time_us
 from rtrun.report.tracing_cost import thresholds, tracing_cost
 from rtrun.results.samples import NON_MEASURING_THREADS

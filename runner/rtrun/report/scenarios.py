@@ -14,7 +14,8 @@ from rtrun.analysis.histogram import merge
 from rtrun.plan.conditions import IDLE
 from rtrun.report.claims.examination import us
 from rtrun.report.digest import Digest
-from rtrun.report.study import Group, Study
+from rtrun.report.groups import Group
+from rtrun.report.study import Study
 from rtrun.report.tables import Table, how, printable_table, time_us
 from rtrun.report.verdicts import severity, verdict_line
 from rtrun.results.series import MEASURED_2014, NOTE_2014

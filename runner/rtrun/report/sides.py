@@ -10,7 +10,8 @@ from typing import Literal, get_args
 from rtfiles.errors import UsageError
 from rtrun.plan.run import UNTRACED, KernelName
 from rtrun.plan.suites import Value
-from rtrun.report.study import Group, Study
+from rtrun.report.groups import Group
+from rtrun.report.study import Study
 
 By = Literal["variant", "kernel", "trace"]
 """What the two sides differ in: a circumstance of their runs."""

@@ -17,7 +17,8 @@ from rtrun.analysis.stationarity import Change
 from rtrun.execution.goal import Progress
 from rtrun.plan.goal import Goal
 from rtrun.report.digest import Digest
-from rtrun.report.study import Group, Study, study
+from rtrun.report.groups import Group
+from rtrun.report.study import Study, study
 from rtrun.report.tables import grouped
 from rtrun.results.record import is_closed
 

@@ -7,7 +7,7 @@ from rtfiles.output import printable
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.report.boards import spread
 from rtrun.report.claims.examination import us
-from rtrun.report.study import Group
+from rtrun.report.groups import Group
 from rtrun.report.tables import grouped
 
 # Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).

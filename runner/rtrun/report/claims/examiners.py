@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from rtrun.report.claims import general, timers
 from rtrun.report.claims.examination import Finding, Result
 from rtrun.report.claims.reference import published
-from rtrun.report.study import Group, Study
+from rtrun.report.groups import Group
+from rtrun.report.study import Study
 from rtrun.target.platform import Platform
 
 

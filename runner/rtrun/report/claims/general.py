@@ -21,7 +21,8 @@ from rtrun.report.claims.examination import (
     us,
 )
 from rtrun.report.digest import Digest
-from rtrun.report.study import Group, Study, slowest
+from rtrun.report.groups import Group, slowest
+from rtrun.report.study import Study
 
 ONESHOT, COMMUNICATION, CYCLICTEST = "oneshot_timer_tests", "communication_tests", "cyclictest"
 _BROADER_NS = 300_000  # of the claim: from about 200 to about 500 us

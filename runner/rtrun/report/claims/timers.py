@@ -16,7 +16,8 @@ from rtrun.report.claims.examination import (
     select,
     us,
 )
-from rtrun.report.study import Group, Study, format_parameters
+from rtrun.report.groups import Group, format_parameters
+from rtrun.report.study import Study
 
 ONESHOT, CYCLIC = "oneshot_timer_tests", "cyclic_timer_tests"
 _MS = 1_000_000

@@ -1,0 +1,146 @@
+"""Runs of one suite that were asked for the same way: what they measured, and what it was measured on."""
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from rtrun.analysis.blocks import Blocks, add_outputs
+from rtrun.analysis.deadline import Verdict
+from rtrun.analysis.extreme_values import Bound
+from rtrun.analysis.histogram import Histogram, merge
+from rtrun.analysis.trials import Trials
+from rtrun.plan.suites import Value, suites
+from rtrun.report.digest import Digest
+from rtrun.results.record import RunRecord
+from rtrun.results.series import MEASURED_2014
+from rtrun.target.platform import Platform
+
+_UNITS = {"timeout_us": " us", "frequency_hz": " Hz", "payload_bytes": " B", "subscribers": " sub", "priority": " prio"}
+# These do not change what is measured: runs that differ in them only are alike.
+_NOT_TELLING = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s")
+# Boards that agree in these facts of run.json, and in platform and clock step, are alike.
+_ENVIRONMENT = (
+    "machine",
+    "cpus",
+    "kernel_release",
+    "kernel_version",
+    "preempt_rt",
+    "clocksource",
+    "governor",
+    "roscpp_version",
+)
+# Always told, default or not.
+_TELLING = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Runs of one suite with the same parameters on the same target; outputs of one run stand together.
+
+    A group of several boards has a group of each of them as `members`.
+    """
+
+    suite: str
+    series: str
+    target: str
+    parameters: dict[str, Value]
+    digests: tuple[Digest, ...]
+    trials: tuple[Trials, ...]
+    verdict: Verdict | None
+    undecidable: str | None
+    bounds: tuple[Bound, ...]
+    no_bound: str | None
+    records: tuple[RunRecord, ...]
+    members: tuple["Group", ...] = ()
+
+    @property
+    def boards(self) -> tuple[str, ...]:
+        """The names of the targets that it was measured on."""
+        return tuple(sorted({record.target.name for record in self.records}))
+
+    @functools.cached_property
+    def environment(self) -> tuple[tuple[str, str], ...]:
+        """What the target has to be alike in for its runs to be pooled with those of another: (fact, values)."""
+        facts = {fact: {str(getattr(one.target, fact)) for one in self.records} for fact in _ENVIRONMENT}
+        facts |= {"platform": {str(self.platform)}, "clock step": {f"{self.clock_step_ns} ns"}}
+        return tuple((fact, ", ".join(sorted(values))) for fact, values in facts.items())
+
+    @property
+    def label(self) -> str:
+        """Suite and parameters in a few words; the series, too, where it is the one of 2014."""
+        words = [self.suite.removesuffix("_tests"), self.series if self.series == MEASURED_2014 else ""]
+        return " ".join(filter(None, [*words, format_parameters(self.parameters)]))
+
+    @property
+    def platform(self) -> Platform:
+        """What it was measured on."""
+        return self.digests[0].header.platform
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of its runs, each once."""
+        return tuple(dict.fromkeys(one.run for one in self.digests))
+
+    @property
+    def n(self) -> int:
+        """Measurements in all runs."""
+        return sum(one.n for one in self.digests)
+
+    @functools.cached_property
+    def blocks(self) -> tuple[Blocks, ...]:
+        """One `Blocks` a run; its subscribers, who received the same messages, are added up."""
+        by_run: dict[str, list[Blocks]] = {}
+        for one in self.digests:
+            if one.blocks is not None:
+                by_run.setdefault(one.run, []).append(one.blocks)
+        records = {record.run: record for record in self.records}
+        return tuple(_blocks_of_run(outputs, records.get(run)) for run, outputs in by_run.items())
+
+    @property
+    def clock_step_ns(self) -> int:
+        """The widest step of a clock that any of it was measured with; 1 where none is known."""
+        return max((one.header.clock_step_ns or 1 for one in self.digests), default=1)
+
+    @functools.cached_property
+    def histogram(self) -> Histogram:
+        """All counts: the digests of a group have bins of one width."""
+        return merge(one.histogram for one in self.digests)
+
+
+def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:
+    """The parameters that tell what was measured: runs in which they are the same are alike."""
+    return {key: value for key, value in parameters.items() if key not in _NOT_TELLING}
+
+
+def format_parameters(parameters: dict[str, Value]) -> str:
+    """Parameters in a few words: policy first, what is not the default, units behind the number."""
+    words: list[str] = []
+    options = suites().options
+    for key, value in parameters.items():
+        if key in _NOT_TELLING or value is None or value == "":
+            continue
+        option = options.get(key)
+        if key not in _TELLING and option is not None and value == option.default:
+            continue
+        if key == "policy":
+            words.insert(0, "OTHER" if value == "0" else str(value))
+        else:
+            words.append(f"{value}{_UNITS[key]}" if key in _UNITS else f"{key}={value}")
+    return " ".join(words)
+
+
+def slowest(alike: Sequence[Digest]) -> list[Digest]:
+    """Of each run the output with the highest value: subscribers of one run peak with the same messages."""
+    worst: dict[str, Digest] = {}
+    for one in alike:
+        known = worst.get(one.run)
+        if known is None or (one.figures.max_ns or 0) > (known.figures.max_ns or 0):
+            worst[one.run] = one
+    return list(worst.values())
+
+
+def _blocks_of_run(outputs: Sequence[Blocks], record: RunRecord | None) -> Blocks:
+    blocks = add_outputs(outputs)
+    if record is None:
+        return blocks
+    return replace(blocks, boot=str(record.target.boot_id or ""), start_time=record.start_time)
