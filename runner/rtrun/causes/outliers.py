@@ -17,8 +17,9 @@ from rtrun.causes.control import Windows, control_ns, windows_before
 from rtrun.causes.cut import Part, cut
 from rtrun.causes.events import Context
 from rtrun.causes.ftrace import Trace, read_ends, read_trace, refuse_trace_cmd
+from rtrun.causes.reconstruction import reconstruct
 from rtrun.causes.steps import Step, steps
-from rtrun.causes.timeline import IDLE_PID, Span, State, Timeline, timeline
+from rtrun.causes.timeline import IDLE_PID, Span, State, Timeline
 from rtrun.plan.suites import suite
 from rtrun.results.record import RunRecord, check_file
 from rtrun.results.samples import NON_MEASURING_THREADS, Record
@@ -105,7 +106,7 @@ def explain_run(folder: Path, record: RunRecord) -> Iterator[Explained]:
         until_ns = max(one.at_ns for one in of_trace) + AFTER_NS
         with _without_garbage_collection():
             trace = read_trace(folder / name, from_ns=max(0, from_ns), until_ns=until_ns)
-            order = timeline(trace.events, started=trace.started)
+            order = reconstruct(trace.events, started=trace.started)
             every = [_explain(one, order, trace, outliers, threads[one.output], is_message) for one in of_trace]
         for explained in every:
             yield explained if explained.parts else replace(explained, note=_why_none(folder / name, explained.outlier))

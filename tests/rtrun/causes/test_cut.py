@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from traced import events, line, switch, waking
 
 from rtrun.causes.cut import Kind, cut
-from rtrun.causes.timeline import timeline
+from rtrun.causes.reconstruction import reconstruct
 
 ME, HOG, LOW, IDLE, OTHER = ("me", 1, 4), ("hog", 2, 1), ("low", 3, 120), ("idle", 0, 120), ("mate", 5, 4)
 # The timer of a thread was due at 1000 us, and the clock of the trace is 500 us ahead of the timers' clock.
@@ -28,7 +28,7 @@ def expiry(us, late_us=0):
 
 def parts_of(text, *, due=1000, at, pid=1, own=(1,)):
     """What the lines say, as (kind, name, microseconds); what has one cause and follows each other is one."""
-    made = cut(timeline(events(text)), pid=pid, own=frozenset(own), due_ns=due * 1000, at_ns=at * 1000)
+    made = cut(reconstruct(events(text)), pid=pid, own=frozenset(own), due_ns=due * 1000, at_ns=at * 1000)
     assert sum(part.length_ns for part in made) == (at - due) * 1000
     return [
         (kind, name, sum(part.length_ns for part in alike) // 1000)
@@ -462,7 +462,7 @@ def test_parts_add_up_whatever_the_trace_says(steps, due, length):
     for step, made in steps:
         us += step
         text += made(us)
-    made = cut(timeline(events(text)), pid=1, own=frozenset({1, 5}), due_ns=due * 1000, at_ns=(due + length) * 1000)
+    made = cut(reconstruct(events(text)), pid=1, own=frozenset({1, 5}), due_ns=due * 1000, at_ns=(due + length) * 1000)
     assert [part.begin_ns for part in made[1:]] == [part.end_ns for part in made[:-1]]
     assert (made[0].begin_ns, made[-1].end_ns) == (due * 1000, (due + length) * 1000)
     assert all(part.length_ns > 0 for part in made)

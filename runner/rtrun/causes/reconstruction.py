@@ -1,0 +1,311 @@
+"""From the events of a trace to its timeline, one event at a time."""
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from rtrun.causes.events import (
+    Console,
+    Context,
+    Current,
+    Event,
+    Fault,
+    Frequency,
+    Futex,
+    Interrupt,
+    Lost,
+    Migration,
+    Raise,
+    Switch,
+    TimerExpiry,
+    TimerStart,
+    Wake,
+)
+from rtrun.causes.timeline import IDLE_PID, Change, Expiry, Occupant, Span, State, Timeline, Waker, Why
+
+NORMAL_PRIO = 100  # from here on a thread has no real-time priority
+# Operations that wait for the owner of a lock (include/uapi/linux/futex.h): FUTEX_WAIT, which glibc uses for mutexes
+# but not for condition variables, FUTEX_LOCK_PI, FUTEX_LOCK_PI2. The bits above 127 are flags.
+_LOCKING = frozenset({0, 6, 13})
+_FUTEX_COMMAND = 127
+
+
+class _Layer(NamedTuple):
+    """An interrupt or softirq that a CPU is in."""
+
+    occupant: Occupant
+    began_ns: int
+    raised: Raise | None
+
+
+@dataclass(kw_only=True, slots=True)
+class _Cpu:
+    """A CPU while its events are read."""
+
+    thread: Occupant | None = None
+    since_ns: int
+    last_ns: int
+    hard: list[_Layer] = field(default_factory=list)
+    # By thread: with PREEMPT_RT another thread may run in the middle of a softirq.
+    soft: dict[int, list[_Layer]] = field(default_factory=lambda: defaultdict(list))
+    raises: dict[str, Raise] = field(default_factory=dict)
+    expiry: TimerExpiry | None = None
+    offset_ns: int = 0
+    # Threads with a real-time priority that could run here, but do not.
+    queued: set[int] = field(default_factory=set)
+    spans: list[Span] = field(default_factory=list)
+    # The first span of the trace, or after lost events; by thread the softirq that ended since, but began before.
+    first_known: int = 0
+    began_before: dict[int, Span] = field(default_factory=dict)
+    late_ns: list[tuple[int, int]] = field(default_factory=list)
+
+    def layer(self) -> _Layer | None:
+        if self.hard:
+            return self.hard[-1]
+        soft = self.soft.get(self.thread.pid) if self.thread else None
+        return soft[-1] if soft else None
+
+    def close(self, at_ns: int) -> None:
+        """End the span of whoever has the CPU."""
+        if at_ns > self.since_ns:
+            layer = self.layer()
+            self.spans.append(Span(self.since_ns, at_ns, layer.occupant if layer else self.thread))
+            self.since_ns = at_ns
+
+    def note_late(self, start: TimerStart) -> None:
+        """A timer expires in its interrupt: the time for which it had waited for that."""
+        begin_ns = max(start.hard_ns + self.offset_ns, start.at_ns)
+        if self.hard and begin_ns < self.hard[-1].began_ns:
+            self.late_ns.append((begin_ns, self.hard[-1].began_ns))
+
+    def name_what_began_before(self) -> None:
+        """A thread that was in a softirq when the trace began, or while events were lost, was in it until its end."""
+        for place in range(self.first_known, len(self.spans)) if self.began_before else ():
+            span = self.spans[place]
+            if span.occupant is None or span.occupant.context is not Context.THREAD:
+                continue
+            softirq = self.began_before.get(span.occupant.pid)
+            if softirq is not None and span.end_ns <= softirq.end_ns:
+                self.spans[place] = span._replace(occupant=softirq.occupant)
+        self.began_before.clear()
+        self.first_known = len(self.spans)
+
+
+class _Builder:
+    """A timeline while the events are read, one at a time in the order of time."""
+
+    def __init__(self) -> None:
+        self.cpus: dict[int, _Cpu] = {}
+        self.threads: dict[int, list[Change]] = defaultdict(list)
+        self.names: dict[int, str] = {}
+        self.prios: dict[int, int] = {}
+        self.timers: dict[str, TimerStart] = {}
+        self.futexes: dict[int, int] = {}
+        self.faults: set[int] = set()
+        self.faults_ns: dict[int, list[int]] = defaultdict(list)
+        self.consoles_ns: dict[int, list[int]] = defaultdict(list)
+        self.frequencies: dict[int, list[Frequency]] = defaultdict(list)
+        self.lost: list[Lost] = []
+        self.has_waking = False
+        self.not_woken: set[int] = set()
+        # The CPU on whose queue a thread with a real-time priority is.
+        self.queues: dict[int, _Cpu] = {}
+
+    def add(self, event: Event) -> None:
+        cpu = self.cpus.get(event.cpu)
+        if cpu is None:
+            cpu = self.cpus[event.cpu] = _Cpu(since_ns=event.at_ns, last_ns=event.at_ns)
+        match event:
+            case Switch():
+                self._switch(cpu, event)
+            case Wake():
+                self._wake(cpu, event)
+            case Interrupt():
+                _interrupt(cpu, event)
+            case TimerStart():
+                self.timers[event.timer] = event
+            case TimerExpiry():
+                # All timers of one interrupt have the same `now`, which was read when it began.
+                if cpu.expiry is None or cpu.expiry.now_ns != event.now_ns:
+                    cpu.offset_ns = event.at_ns - event.now_ns
+                cpu.expiry = event
+                if (start := self.timers.get(event.timer)) is not None:
+                    cpu.note_late(start)
+            case Raise():
+                cpu.raises.setdefault(event.name, event)
+            case Migration():
+                self._queue(event.pid, event.at_ns, event.to_cpu)
+                if event.pid in self.queues:
+                    self._enqueue(event.pid, event.to_cpu)
+            case Futex():
+                self.faults.discard(event.pid)
+                if event.operation is None:
+                    self.futexes.pop(event.pid, None)
+                else:
+                    self.futexes[event.pid] = event.operation & _FUTEX_COMMAND
+            case Fault():
+                self.faults.add(event.pid)
+                self.faults_ns[event.pid].append(event.at_ns)
+            case Console():
+                self.consoles_ns[event.pid].append(event.at_ns)
+            case Frequency():
+                self.frequencies[event.of_cpu].append(event)
+            case Current():
+                self.names.setdefault(event.pid, event.name)
+                if cpu.thread is None:
+                    cpu.thread = Occupant(Context.THREAD, event.name, event.pid, None)
+                    self.threads[event.pid].append(Change(event.at_ns, State.RUNNING, event.cpu))
+            case Lost():
+                self._lose(cpu, event)
+        cpu.last_ns = event.at_ns
+
+    def _switch(self, cpu: _Cpu, event: Switch) -> None:
+        at_ns, number, pid, name, prio, state, next_pid, next_name, next_prio = event
+        can_run = state.startswith("R")
+        cpu.close(at_ns)
+        cpu.hard.clear()
+        cpu.expiry = None
+        self._dequeue(next_pid)
+        if can_run and prio < NORMAL_PRIO:
+            self._enqueue(pid, number)
+        else:
+            self._dequeue(pid)
+        preferred = next_prio >= NORMAL_PRIO and bool(cpu.queued)
+        cpu.thread = Occupant(Context.THREAD, next_name, next_pid, next_prio, preferred)
+        self.names[pid], self.prios[pid] = name, prio
+        self.names[next_pid], self.prios[next_pid] = next_name, next_prio
+        if pid != IDLE_PID:
+            if can_run:
+                self.threads[pid].append(Change(at_ns, State.WAITING, number))
+            else:
+                self.threads[pid].append(Change(at_ns, State.ASLEEP, number, why=self._why(event)))
+        if next_pid != IDLE_PID:
+            self.faults.discard(next_pid)
+            if next_pid not in self.threads:
+                self.not_woken.add(next_pid)
+            self.threads[next_pid].append(Change(at_ns, State.RUNNING, number))
+
+    def _why(self, event: Switch) -> Why:
+        if event.pid in self.faults:
+            return Why.FAULT
+        if self.futexes.get(event.pid) in _LOCKING:
+            return Why.LOCK
+        return Why.UNINTERRUPTIBLE if event.state.startswith("D") else Why.UNKNOWN
+
+    def _enqueue(self, pid: int, cpu: int) -> None:
+        self._dequeue(pid)
+        if (queue := self.cpus.get(cpu)) is not None:
+            queue.queued.add(pid)
+            self.queues[pid] = queue
+
+    def _dequeue(self, pid: int) -> None:
+        if (queue := self.queues.pop(pid, None)) is not None:
+            queue.queued.discard(pid)
+
+    def _wake(self, cpu: _Cpu, event: Wake) -> None:
+        if event.is_done and self.prios.get(event.pid, NORMAL_PRIO) < NORMAL_PRIO:
+            self._enqueue(event.pid, event.target_cpu)
+        # A new thread has no sched_waking.
+        if event.is_done and self.has_waking and event.pid in self.threads:
+            self._queue(event.pid, event.at_ns, event.target_cpu)
+            return
+        self.has_waking |= not event.is_done
+        changes = self.threads[event.pid]
+        # Woken while it still runs, or again before it ran: it goes on as it was.
+        if changes and changes[-1].state is not State.ASLEEP:
+            return
+        waker = self._waker(cpu, event)
+        changes.append(Change(event.at_ns, State.WAITING, event.target_cpu, waker=waker))
+
+    def _waker(self, cpu: _Cpu, event: Wake) -> Waker:
+        layer = cpu.layer()
+        expiry = None
+        if event.context is not Context.THREAD and cpu.expiry is not None:
+            start = self.timers.get(cpu.expiry.timer)
+            soft_ns = start.soft_ns + cpu.offset_ns if start else None
+            hard_ns = start.hard_ns + cpu.offset_ns if start else None
+            expiry = Expiry(soft_ns, hard_ns, event.cpu)
+        if event.context is Context.THREAD or layer is None:
+            name = self.names.get(event.by_pid, "") if event.context is Context.THREAD else event.context.value
+            began_ns = cpu.expiry.at_ns if expiry and cpu.expiry else event.at_ns
+            return Waker(event.cpu, event.by_pid, event.context, name, began_ns, expiry, None)
+        context, name = layer.occupant.context, layer.occupant.name
+        return Waker(event.cpu, event.by_pid, context, name, layer.began_ns, expiry, layer.raised)
+
+    def _queue(self, pid: int, at_ns: int, cpu: int) -> None:
+        """A thread that waits does so on another CPU from now on."""
+        changes = self.threads.get(pid)
+        if changes and changes[-1].state is State.WAITING and changes[-1].cpu != cpu:
+            changes.append(Change(at_ns, State.WAITING, cpu))
+
+    def _lose(self, cpu: _Cpu, event: Lost) -> None:
+        cpu.close(cpu.last_ns)
+        cpu.thread = None
+        cpu.hard.clear()
+        cpu.soft.clear()
+        cpu.expiry = None
+        for pid in tuple(cpu.queued):
+            self._dequeue(pid)
+        cpu.close(event.at_ns)
+        cpu.name_what_began_before()
+        self.lost.append(event)
+
+    def wait_from_the_begin(self) -> None:
+        """Let threads wait that ran without having been woken: they could run when the trace began.
+
+        That is when each CPU has begun, as another one may have woken them, and after the last lost event.
+        """
+        begins_ns = [cpu.spans[0].begin_ns if cpu.spans else cpu.since_ns for cpu in self.cpus.values()]
+        for pid in self.not_woken:
+            ran = self.threads[pid][0]
+            begin_ns = max(*begins_ns, *(one.at_ns for one in self.lost if one.at_ns <= ran.at_ns), 0)
+            if begin_ns < ran.at_ns:
+                self.threads[pid].insert(0, Change(begin_ns, State.WAITING, ran.cpu))
+
+
+def _interrupt(cpu: _Cpu, event: Interrupt) -> None:
+    if cpu.thread is None:
+        return
+    cpu.close(event.at_ns)
+    layers = cpu.hard if event.context is Context.HARD else cpu.soft[cpu.thread.pid]
+    if event.begins:
+        raised = cpu.raises.pop(event.name, None) if event.context is Context.SOFT else None
+        layers.append(_Layer(Occupant(event.context, event.name, cpu.thread.pid, None), event.at_ns, raised))
+    elif layers:
+        layers.pop()
+    elif event.context is Context.SOFT:
+        softirq = Occupant(event.context, event.name, cpu.thread.pid, None)
+        cpu.began_before.setdefault(cpu.thread.pid, Span(0, event.at_ns, softirq))
+    cpu.expiry = None
+
+
+def reconstruct(events: Iterable[Event], *, started: Iterable[TimerStart] = ()) -> Timeline:
+    """Put the events of a trace, which must be in the order of time, into a timeline.
+
+    `started` are timers that were started before.
+    """
+    builder = _Builder()
+    builder.timers.update({start.timer: start for start in started})
+    begin_ns = end_ns = 0
+    for event in events:
+        if not builder.cpus:
+            begin_ns = event.at_ns
+        builder.add(event)
+        end_ns = event.at_ns
+    for cpu in builder.cpus.values():
+        cpu.close(end_ns)
+        cpu.name_what_began_before()
+    builder.wait_from_the_begin()
+    return Timeline(
+        begin_ns=begin_ns,
+        cpus={number: cpu.spans for number, cpu in builder.cpus.items()},
+        threads=dict(builder.threads),
+        names=builder.names,
+        prios=builder.prios,
+        lost=tuple(builder.lost),
+        faults_ns=dict(builder.faults_ns),
+        consoles_ns=dict(builder.consoles_ns),
+        frequencies=dict(builder.frequencies),
+        late_ns={number: cpu.late_ns for number, cpu in builder.cpus.items()},
+    )
