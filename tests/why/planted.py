@@ -24,7 +24,7 @@ from pathlib import Path
 from places import Place, beside, board, preloaded, this_machine
 
 from docs_table import write_rows
-from rtrun.causes.cut import Kind
+from rtrun.causes.parts import Kind
 from rtrun.causes.ranking import Ranking, rank
 from rtrun.report import causes
 from rtrun.results.reading import find_source

@@ -9,10 +9,10 @@ is followed in the same way, also into another process.
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from itertools import pairwise
 
 from rtrun.causes.events import Context
+from rtrun.causes.parts import Cause, Kind, Part
 from rtrun.causes.timeline import IDLE_PID, Change, Occupant, Span, State, Timeline, Waker, Why
 
 # The longest way from one thread to the one that woke it: a trace in a circle ends there.
@@ -21,60 +21,6 @@ TIMER = "the timer's own"
 IDLE = "idle"
 # A fault has no event at its end: between two that follow this closely the thread does little else.
 BETWEEN_FAULTS_NS = 50_000
-
-
-class Kind(StrEnum):
-    """What took a part of the time."""
-
-    TIMER_LATE = "timer interrupt late during"
-    TIMER_SLACK = "timer slack"
-    INTERRUPT = "interrupt"
-    SOFTIRQ = "softirq"
-    HIGHER = "thread of higher priority"
-    EQUAL = "thread of the same priority"
-    NOT_PREEMPTED = "thread of lower priority, not preempted"
-    THROTTLED = "throttled: a thread of lower priority was chosen"
-    IDLE_EXIT = "idle CPU woke up late"
-    CONSOLE = "printk to a console by"
-    SLOWED = "CPU slowed down"
-    LOCK = "lock held by"
-    FAULT = "page fault"
-    BLOCKED = "blocked in the kernel, woken by"
-    OTHER_THREAD = "thread of the measured programs"
-    PROGRAM = "the measured thread itself"
-    OWN_SLEEP = "asleep by its own timer"
-    OUTSIDE = "nothing to do before the interrupt"
-    UNEXPLAINED = "unexplained"
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Cause:
-    """What took time: the name and id of a thread where there is one, and its priority as the kernel counts."""
-
-    kind: Kind
-    name: str = ""
-    pid: int | None = None
-    prio: int | None = None
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Part:
-    """A piece of the time and what took it, from `begin_ns` to `end_ns` on the clock of the trace.
-
-    `pid` is the thread that is followed, and `state` what it does; None on the way from one thread to the next.
-    """
-
-    begin_ns: int
-    end_ns: int
-    cause: Cause
-    cpu: int | None = None
-    pid: int | None = None
-    state: State | None = None
-
-    @property
-    def length_ns(self) -> int:
-        """How long it took."""
-        return self.end_ns - self.begin_ns
 
 
 def cut(timeline: Timeline, *, pid: int, own: frozenset[int], due_ns: int, at_ns: int) -> tuple[Part, ...]:

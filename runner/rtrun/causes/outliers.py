@@ -14,9 +14,10 @@ from rtfiles.errors import UsageError
 from rtfiles.output import counted
 from rtfiles.untrusted import whole_number
 from rtrun.causes.control import Windows, control_ns, windows_before
-from rtrun.causes.cut import Part, cut
+from rtrun.causes.cut import cut
 from rtrun.causes.events import Context
 from rtrun.causes.ftrace import Trace, read_ends, read_trace, refuse_trace_cmd
+from rtrun.causes.parts import Part
 from rtrun.causes.reconstruction import reconstruct
 from rtrun.causes.steps import Step, steps
 from rtrun.causes.timeline import IDLE_PID, Span, State, Timeline

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from rtrun.causes.cut import Cause, Kind, Part
 from rtrun.causes.outliers import Explained
+from rtrun.causes.parts import Cause, Kind, Part
 
 # Kinds that name nobody.
 NAMELESS = frozenset({Kind.UNEXPLAINED, Kind.PROGRAM, Kind.OUTSIDE, Kind.OWN_SLEEP})

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from rtfiles.config import Config, load
-from rtrun.causes.cut import Kind
+from rtrun.causes.parts import Kind
 
 DATA = Path(__file__).with_suffix(".yml")
 

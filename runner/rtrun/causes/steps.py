@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 
-from rtrun.causes.cut import Kind, Part
+from rtrun.causes.parts import Kind, Part
 from rtrun.causes.timeline import State
 
 

@@ -11,8 +11,8 @@ import rich.text
 
 from rtfiles.errors import UsageError
 from rtfiles.output import counted, printable
-from rtrun.causes.cut import Cause, Kind
 from rtrun.causes.outliers import Explained, explain_run
+from rtrun.causes.parts import Cause, Kind
 from rtrun.causes.ranking import NAMELESS, Culprit, Ranking, rank
 from rtrun.causes.recurring import Recurring, recurring
 from rtrun.causes.remedies import remedy

@@ -4,8 +4,8 @@ import pytest
 from traced import head, line, specimen, switch, waking, write_traced_run
 
 from rtfiles.errors import UsageError
-from rtrun.causes.cut import Kind
 from rtrun.causes.outliers import NO_TIMES, NOT_RECORDED, explain_run
+from rtrun.causes.parts import Kind
 from rtrun.cli import main
 from rtrun.results.record import read_record
 

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from traced import events, line, switch, waking
 
-from rtrun.causes.cut import Kind, cut
+from rtrun.causes.cut import cut
+from rtrun.causes.parts import Kind
 from rtrun.causes.reconstruction import reconstruct
 
 ME, HOG, LOW, IDLE, OTHER = ("me", 1, 4), ("hog", 2, 1), ("low", 3, 120), ("idle", 0, 120), ("mate", 5, 4)

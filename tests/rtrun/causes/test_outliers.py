@@ -4,8 +4,8 @@ import pytest
 from traced import OUTPUT, head, line, specimen, switch, write_traced_run
 
 from rtfiles.errors import UsageError
-from rtrun.causes.cut import Kind
 from rtrun.causes.outliers import NOT_RECORDED, explain_run
+from rtrun.causes.parts import Kind
 from rtrun.causes.ranking import rank
 from rtrun.results.record import read_record
 

@@ -1,8 +1,8 @@
 """The ranking of culprits over many outliers."""
 
 from rtrun.causes.control import Windows
-from rtrun.causes.cut import Cause, Kind, Part
 from rtrun.causes.outliers import Explained, Outlier
+from rtrun.causes.parts import Cause, Kind, Part
 from rtrun.causes.ranking import rank
 from rtrun.causes.remedies import read_remedies, remedy
 

@@ -3,8 +3,8 @@
 import pytest
 from traced import specimen, write_traced_run
 
-from rtrun.causes.cut import Cause, Kind, Part
 from rtrun.causes.outliers import explain_run
+from rtrun.causes.parts import Cause, Kind, Part
 from rtrun.causes.steps import Step, steps
 from rtrun.causes.timeline import State
 from rtrun.cli import main
