@@ -139,7 +139,7 @@ def test_kernel_of_a_machine(yocto, machine):
     assert "preempt-rt" in variables["MACHINE_FEATURES"].split()
     assert f"{console.baud};{console.device}" in variables["SERIAL_CONSOLES"].split()
     types = " ".join(dict.fromkeys(variables["IMAGE_FSTYPES"].split()))
-    yocto.note(machine, kernel=f"{kernel.recipe} {variables['PV'].removesuffix('+git')}", image_types=types)
+    yocto.note(machine, kernel=f"{kernel.recipe} {variables['PV'].partition('+git')[0]}", image_types=types)
 
 
 def graph(yocto, machine, mask):
