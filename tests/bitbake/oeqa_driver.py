@@ -24,7 +24,10 @@ def main(target_file: str, core: str, layer: str, path: str, answer: str) -> Non
         "simpleremote", logger, f"{given['ip']}:{given['port']}", "10.0.2.2"
     )
     settings = {"ORIGPATH": path, "TEST_LOG_DIR": given["log"], "MLPREFIX": "", "IMAGE_PKGTYPE": "ipk"}
-    context = OERuntimeTestContext(settings, logger, target, {"openssh-sshd"}, given["log"])
+    # kirkstone's has one argument more.
+    has_dumper = hasattr(OERuntimeTestContextExecutor, "getHostDumper")
+    dumper = [OERuntimeTestContextExecutor.getHostDumper("", given["log"])] if has_dumper else []
+    context = OERuntimeTestContext(settings, logger, target, *dumper, {"openssh-sshd"}, given["log"])
     folders = [f"{top}/lib/oeqa/runtime/cases" for top in (f"{core}/meta", layer)]
     context.loadTests(folders, modules=["ping", "ssh", "rt_tests"])
     results = context.runTests()
