@@ -172,9 +172,12 @@ class Yocto:
         return self.mask_of_others_but(needed)
 
     def mask_of_others_but(self, needed: set[str]) -> str:
-        """Return a BBMASK that keeps these recipes of the layers beside openembedded-core, and all of that one."""
+        """Return a BBMASK that keeps these recipes of the layers beside openembedded-core, and all of that one.
+
+        A native one may come from a recipe of its own, or from the one without that ending.
+        """
         core, *others = self.kas(self.machine)[0]
-        recipes = {name.removesuffix("-native") for name in needed}
+        recipes = needed | {name.removesuffix("-native") for name in needed}
         return self._mask(others, recipes, recipes | {_recipe(path) for path in core.glob("recipes-*/*/*.bb")})
 
     def mask_of_all_but(self, needed: set[str], machine: str) -> str:
