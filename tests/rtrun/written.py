@@ -37,8 +37,8 @@ def write_output(
     Counts that are not given are 0, and the only log is ``<output>.log`` unless `logs` names others.
     """
     write_npy(folder / f"{output}.npy", rows)
-    real_time = requested.get("policy", "RR") != "0"
-    measuring = {"policy": requested.get("policy", "RR"), "priority": 95} if real_time else OTHER
+    policy = requested.get("policy", "RR")
+    measuring = OTHER if policy == "0" else {"policy": policy, "priority": 95}
     names = ("asked", "measured", "not_fired", "missing", "duplicate", "out_of_order")
     record = {
         "schema": 1,
@@ -147,7 +147,7 @@ def write_record(folder: Path, suite: str, outputs: list[str], parameters: dict[
         "end_time": "2026-11-21T10:00:01Z",
         "programs": [{"name": suite, "argv": [suite], "exit_status": 0}],
         "outputs": outputs,
-        "target": {"name": "board", "kernel_release": "6.1.0-rt"},
+        "target": {"name": "board", "kernel_release": "6.1.0-rt", "kernel_version": "#1 SMP PREEMPT_RT", "cpus": 2},
         "files": files,
     }
     path = folder / "run.json"

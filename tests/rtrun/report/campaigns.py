@@ -121,15 +121,14 @@ def write_run(
         output = base if len(outputs) == 1 else f"s{k}_{base}"
         names.append(output)
         _write_output(folder, output, suite, rows, parameters, asked, logs)
-    record = {"campaign": root.name, "platform": platform, **record}
-    write_record(folder, suite, names, parameters, **record)
+    write_record(folder, suite, names, parameters, **{"campaign": root.name, "platform": platform, **record})
     return folder
 
 
 def _write_output(
     folder: Path, output: str, suite: str, rows: Int64s, parameters: dict[str, Any], asked: int, logs: bool
 ) -> None:
-    counts = {}
+    counts = {"asked": asked}
     if suite == "oneshot_timer_tests":
         values = rows[:, 2][rows[:, 2] != NOT_FIRED]
         counts["not_fired"] = asked - values.size
@@ -141,9 +140,9 @@ def _write_output(
         values = rows[:, 1] - rows[:, 0]
         counts["missing"] = asked - values.size
         label, names = "Latency:", [f"{output}.log"]
-    names = names if logs else []
-    counts |= {"asked": asked, "measured": int(values.size)}
-    write_output(folder, output, suite, rows, requested=parameters, logs=names, **counts)
+    if not logs:
+        names = []
+    write_output(folder, output, suite, rows, requested=parameters, logs=names, measured=values.size, **counts)
     if values.size:
         for name in names:
             write_log(folder / name, suite, values, label=label, asked=asked)
