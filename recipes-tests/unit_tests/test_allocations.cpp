@@ -92,7 +92,7 @@ TEST(Allocations, NoneInTheOneshotLoop) {
 
 TEST(Allocations, NoneInTheCyclicBookkeeping) {
   cyclic::Samples samples(10000);
-  EXPECT_EQ(allocations_in([&] { for (int64_t i = 0; i < 20000; ++i) samples.append({i}); }), 0);
+  EXPECT_EQ(allocations_in([&] { for (int64_t i = 0; i < 20000; ++i) samples.append({i, i, i}); }), 0);
   EXPECT_TRUE(samples.full());
 }
 
@@ -117,17 +117,17 @@ TEST(Allocations, NoneInTheWriterOfBlocks) {
   struct stat state {};
   EXPECT_EQ(allocations_in([&] {
               for (int64_t i = 0; i < 200; ++i) {
-                samples.append({i});
+                samples.append({i, i, i});
                 timespec pause{0, 1000000};
                 nanosleep(&pause, nullptr);
               }
-              for (int i = 0; i < 3000 && (stat(part.c_str(), &state) != 0 || state.st_size < 200 * 8); ++i) {
+              for (int i = 0; i < 3000 && (stat(part.c_str(), &state) != 0 || state.st_size < 200 * 24); ++i) {
                 timespec pause{0, 10000000};
                 nanosleep(&pause, nullptr);
               }
             }),
             0);
-  EXPECT_GT(state.st_size, 200 * 8);  // it did write meanwhile
+  EXPECT_GT(state.st_size, 200 * 24);  // it did write meanwhile
   blocks.discard();
   rmdir(folder);
 }

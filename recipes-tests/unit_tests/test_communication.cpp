@@ -82,6 +82,8 @@ TEST(Pace, ALateMessageIsNotFollowedByABurst) {
   std::this_thread::sleep_for(std::chrono::milliseconds(50));
   const int64_t before = rt_tests::now_ns(CLOCK_MONOTONIC);
   EXPECT_TRUE(pace.wait());
+  EXPECT_GE(pace.overruns(), 1);
+  EXPECT_GE(pace.skipped(), 4);  // due after 10 ms, sent after 50 ms or more: those due at 20, 30, 40 and 50 ms
   EXPECT_TRUE(pace.wait());
   EXPECT_GE(rt_tests::now_ns(CLOCK_MONOTONIC) - before, 10000000);
 }

@@ -1,5 +1,8 @@
 #include <gtest/gtest.h>
 
+#include <utility>
+#include <vector>
+
 #include "jitter.h"
 
 using rt_tests::Series;
@@ -15,7 +18,7 @@ TEST(Cyclic, SevenKilohertzDoesNotDrift) {
 
 TEST(Cyclic, JitterAndGridFromTheSameTimestamps) {
   cyclic::Samples samples(5);
-  for (int64_t t : {1000, 1001000, 2501000, 3001000, 4001000}) samples.append({t});
+  for (int64_t t : {1000, 1001000, 2501000, 3001000, 4001000}) samples.append({t, 0, 0});
   Series jitter("jitter"), grid("grid");
   cyclic::analyse(samples, 1000, jitter, grid);
   EXPECT_EQ(jitter.n(), 4);
@@ -30,7 +33,7 @@ TEST(Cyclic, JitterAndGridFromTheSameTimestamps) {
 
 TEST(Cyclic, IdealTimestampsHaveNoLateness) {
   cyclic::Samples samples(70001);
-  for (int64_t i = 0; i <= 70000; ++i) samples.append({500 + cyclic::grid_ns(i, 7000)});
+  for (int64_t i = 0; i <= 70000; ++i) samples.append({500 + cyclic::grid_ns(i, 7000), 0, 0});
   Series jitter("jitter"), grid("grid");
   cyclic::analyse(samples, 7000, jitter, grid);
   EXPECT_EQ(grid.min_ns(), 0);
@@ -44,12 +47,40 @@ TEST(Cyclic, StoppedEarlyOnlyWhatIsThere) {
   Series none("jitter"), none_grid("grid");
   cyclic::analyse(samples, 1000, none, none_grid);
   EXPECT_EQ(none.n(), 0);
-  samples.append({5});
+  samples.append({5, 0, 0});
   cyclic::analyse(samples, 1000, none, none_grid);
   EXPECT_EQ(none.n(), 0);
-  samples.append({1000005});
+  samples.append({1000005, 0, 0});
   Series one("jitter"), one_grid("grid");
   cyclic::analyse(samples, 1000, one, one_grid);
   EXPECT_EQ(one.n(), 1);
   EXPECT_EQ(one.max_ns(), 0);
+}
+
+// Calls as roscpp makes them, in periods: it goes on from the current time once it is two periods behind.
+TEST(Cyclic, AGridThatRoscppMovesHasSkippedPeriods) {
+  constexpr int64_t period = 1000000;
+  const auto counted = [](const std::vector<std::pair<double, double>>& calls, Series& lateness) {
+    cyclic::Samples samples(calls.size());
+    for (const auto& [expected, real] : calls) {
+      samples.append({0, static_cast<int64_t>(expected * period), static_cast<int64_t>(real * period)});
+    }
+    cyclic::analyse_lateness(samples, lateness);
+    return cyclic::count_overruns(samples, 1000);
+  };
+  Series kept("lateness"), burst("lateness"), moved("lateness"), long_call("lateness"), back("lateness");
+  auto result = counted({{1, 1.25}, {2, 2.5}, {3, 3}}, kept);
+  EXPECT_EQ(std::pair(result.overruns, result.skipped), std::pair(INT64_C(0), INT64_C(0)));
+  EXPECT_EQ(kept.n(), 2);  // the first call is the origin
+  EXPECT_EQ(kept.top()[0].value_ns, 500000);
+  EXPECT_EQ(kept.top()[0].index, 0);
+  result = counted({{1, 1}, {2, 3.75}, {3, 3.75}, {4, 4}}, burst);  // made up for: late, but none is skipped
+  EXPECT_EQ(std::pair(result.overruns, result.skipped), std::pair(INT64_C(1), INT64_C(0)));
+  result = counted({{1, 1}, {2, 7.25}, {7.25, 7.25}, {8.25, 8.25}}, moved);  // those due at 3, 4, 5 and 6
+  EXPECT_EQ(std::pair(result.overruns, result.skipped), std::pair(INT64_C(1), INT64_C(4)));
+  EXPECT_EQ(moved.max_ns(), 5250000);
+  result = counted({{1, 1}, {2, 2}, {4.5, 4.5}, {5.5, 5.5}}, long_call);  // called in time, ended too late
+  EXPECT_EQ(std::pair(result.overruns, result.skipped), std::pair(INT64_C(1), INT64_C(1)));
+  result = counted({{1000, 1000}, {3, 2}, {4, 4}}, back);  // the wall clock was put back
+  EXPECT_EQ(std::pair(result.overruns, result.skipped), std::pair(INT64_C(0), INT64_C(0)));
 }

@@ -124,6 +124,17 @@ TEST(Oneshot, ShotsThatDoNotFireAreCountedAndLateCallbacksAreNobodyElses) {
   for (std::size_t i : {0u, 3u, 5u}) EXPECT_GE(samples[i][1], samples[i][0]);
 }
 
+// Between the time limit and the measuring thread's look at the outcome.
+TEST(Oneshot, ACallbackAfterTheTimeLimitChangesNoOutcome) {
+  ShotBox box(clock_used, 0);
+  box.arm(rt_tests::now_ns(clock_used) - 1);
+  ASSERT_TRUE(box.settle());
+  box.fire(rt_tests::now_ns(clock_used), 7);
+  EXPECT_FALSE(box.has_fired());
+  EXPECT_EQ(box.end_ns(), did_not_fire);
+  EXPECT_FALSE(box.settle());
+}
+
 TEST(Oneshot, StopLeavesOnlyWholeRows) {
   oneshot::Samples samples(3);
   rt_tests::Events not_fired;

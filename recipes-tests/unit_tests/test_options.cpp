@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <stdexcept>
+
 #include "rt_tests_support/errors.h"
 #include "rt_tests_support/options.h"
 
@@ -43,6 +45,12 @@ TEST(Options, ShortAndLongFormsAndRosRemappings) {
   EXPECT_EQ(options.text("policy"), "RR");
   EXPECT_EQ(options.number("priority"), 42);
   EXPECT_EQ(options.number("repetitions"), 8);  // the last one counts, as in 2014
+}
+
+TEST(Options, AnUnknownKeyIsADefectThatSaysSo) {
+  EXPECT_THROW(parsed({}).number("payload_bytes"), std::logic_error);
+  EXPECT_THROW(parsed({}).text("clok"), std::logic_error);
+  EXPECT_THROW(Options({"suite", "program", "", {"clok"}}), std::logic_error);
 }
 
 TEST(Options, RefusalsNameTheOptionAndWhatItTakes) {

@@ -104,6 +104,26 @@ TEST_F(TraceTest, ValuesOfBeforeACopyShareIt) {
   EXPECT_EQ(content("other-trace-2.txt"), head(6000, 2, 5000, "0.007000") + "# in out-trace-2.txt\n");
 }
 
+// What one program leaves stays for those that still run: whoever comes later shares their copies.
+TEST_F(TraceTest, TheLastProgramRemovesWhatTheyShare) {
+  options.assign("--trace-threshold", "5");
+  std::optional<OutlierTrace> first, second, third;
+  first.emplace(options, "program", folder + "/first", current_cpus(), std::vector{folder});
+  second.emplace(options, "program", output(), current_cpus(), std::vector{folder});
+  first.reset();
+  third.emplace(options, "program", folder + "/third", current_cpus(), std::vector{folder});
+  second->exceeded(7000, 2, 5000000);
+  ASSERT_TRUE(comes("out-trace-2.txt"));
+  second->finish();
+  third->exceeded(6000, 2, 7000000);
+  third->finish();
+  EXPECT_EQ(content("third-trace-2.txt"), head(6000, 2, 5000, "0.007000") + "# in out-trace-2.txt\n");
+  second.reset();
+  EXPECT_TRUE(is_there(".rt_tests-trace"));
+  third.reset();
+  EXPECT_FALSE(is_there(".rt_tests-trace"));
+}
+
 TEST_F(TraceTest, ACopyOfAnotherBootIsNotShared) {
   options.assign("--break-trace", "5");
   struct {

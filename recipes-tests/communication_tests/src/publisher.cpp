@@ -2,9 +2,13 @@
 #include <communication_tests/timestamp_msg.h>
 #include <ros/ros.h>
 
+#include "output.h"
 #include "pace.h"
 #include "rt_tests_support/errors.h"
+#include "rt_tests_support/files.h"
+#include "rt_tests_support/json.h"
 #include "rt_tests_support/process.h"
+#include "rt_tests_support/report.h"
 
 namespace {
 
@@ -12,25 +16,46 @@ const rt_tests::Program program = {"communication_tests",
                                    "communication_tests_publisher",
                                    "Publishes time-stamped messages for communication_tests_subscriber.",
                                    {"policy", "repetitions", "prefix", "frequency_hz", "payload_bytes",
-                                    "start_delay_s", "priority", "cpu", "clock", "rt_scope"}};
+                                    "start_delay_s", "priority", "cpu", "clock", "out_dir", "rt_scope",
+                                    "cpu_dma_latency_us"}};
 
-// Returns the number of messages published.
-int64_t publish(const rt_tests::Options& options, ros::Publisher& publisher) {
-  const clockid_t clock = rt_tests::clock_of(options.text("clock"));
+struct Published {
+  int64_t messages = 0;
+  rt_tests::Rate rate;
+};
+
+Published publish(const rt_tests::Options& options, clockid_t clock, ros::Publisher& publisher) {
   const int64_t count = options.number("repetitions");
   communication_tests::timestamp_msg message;
   message.payload.assign(static_cast<std::size_t>(options.number("payload_bytes")), 0xff);
   communication::Pace pace(options.number("frequency_hz"));
-  for (int64_t i = 0; i < count; ++i) {
-    message.seq = static_cast<uint32_t>(i);
-    message.last_msg = i == count - 1;
-    const int64_t publication_ns = rt_tests::now_ns(clock);
+  int64_t sent = 0, first_ns = 0, publication_ns = 0;
+  while (true) {
+    message.seq = static_cast<uint32_t>(sent);
+    message.last_msg = sent == count - 1;
+    publication_ns = rt_tests::now_ns(clock);
+    if (sent == 0) first_ns = publication_ns;
     message.sec = static_cast<uint32_t>(publication_ns / rt_tests::ns_per_s);
     message.nsec = static_cast<uint32_t>(publication_ns % rt_tests::ns_per_s);
     publisher.publish(message);
-    if (!pace.wait() || !ros::ok()) return i + 1;
+    ++sent;
+    if (!ros::ok()) rt_tests::request_stop();
+    if (sent == count || !pace.wait()) break;
   }
-  return count;
+  return {sent, {options.number("frequency_hz"), rt_tests::frequency_hz(static_cast<std::size_t>(sent), first_ns,
+                                                                        publication_ns),
+                 pace.overruns(), pace.skipped()}};
+}
+
+void write_json(const std::string& path, const rt_tests::Options& options, const std::string& incomplete_reason,
+                const rt_tests::Surroundings& surroundings, const Published& published) {
+  rt_tests::Json json;
+  json.open('{');
+  rt_tests::write_head(json, program, options, incomplete_reason, surroundings);
+  json.key("counts").open('{').field("asked", options.number("repetitions")).field("sent", published.messages).close();
+  rt_tests::write_rate(json, published.rate);
+  const std::string text = json.close().text();
+  rt_tests::write_file(path, {{text.data(), text.size()}});
 }
 
 // ros::shutdown drops messages that are still queued. Our subscribers leave after the last message; other subscribers
@@ -52,7 +77,10 @@ void delay(int64_t seconds) {
 
 int run(int argc, char* argv[]) {
   const rt_tests::Options options = rt_tests::parse(program, argc, argv);
+  const rt_tests::Destination destination = rt_tests::destination(options, communication::output(options));
   rt_tests::set_up_process(options);
+  const rt_tests::CpuDmaLatency cpu_dma_latency(options);
+  rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));
   ros::init(argc, argv, program.name, ros::init_options::NoSigintHandler);
   ros::NodeHandle node;
   ros::Publisher publisher = node.advertise<communication_tests::timestamp_msg>("communication_tests", 1000);
@@ -60,14 +88,20 @@ int run(int argc, char* argv[]) {
   rt_tests::catch_stop_signals(nullptr);
 
   delay(options.number("start_delay_s"));
-  const int64_t published = rt_tests::stop_requested() ? 0 : publish(options, publisher);
-  const bool all = published == options.number("repetitions");
+  Published published{0, {options.number("frequency_hz"), std::nullopt, 0, 0}};
+  if (!rt_tests::stop_requested()) published = publish(options, surroundings.clock, publisher);
+  const bool all = published.messages == options.number("repetitions");
   if (all) wait_for_subscribers_to_leave(publisher);
+  surroundings.finish();  // not before: reading the threads takes CPU time that the last message may need
   rt_tests::give_up_realtime();
   ros::shutdown();
-  rt_tests::info(all ? "Done publishing..."
-                     : "Stopped publishing after " + std::to_string(published) + " of " +
-                           std::to_string(options.number("repetitions")) + " messages");
+  const std::string reason = all ? "" : rt_tests::stop_reason();
+  write_json(destination.path("-publisher.json"), options, reason, surroundings, published);
+  if (!all) {
+    throw rt_tests::Failure(reason + " after " + std::to_string(published.messages) + " of " +
+                            std::to_string(options.number("repetitions")) + " messages");
+  }
+  rt_tests::info("Done publishing...");
   return 0;
 }
 

@@ -3,6 +3,7 @@
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 
+#include "output.h"
 #include "receptions.h"
 #include "rt_tests_support/errors.h"
 #include "rt_tests_support/session.h"
@@ -17,7 +18,8 @@ const rt_tests::Program program = {
     "communication_tests_subscriber",
     "Measures the latency of the messages of communication_tests_publisher.",
     {"policy", "repetitions", "prefix", "frequency_hz", "payload_bytes", "start_delay_s", "priority", "cpu", "clock",
-     "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us", "idle_timeout_s"}};
+     "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us", "cpu_dma_latency_us", "idle_timeout_s"},
+    {"publication_ns", "reception_ns", "seq"}};
 
 // Decides whether to wait longer for a publisher that sends nothing.
 class Silence {
@@ -100,11 +102,9 @@ void list_events(const rt_tests::Events& noted, const std::string& kind, const s
 int run(int argc, char* argv[]) {
   const rt_tests::Options options = rt_tests::parse(program, argc, argv);
   const std::string asked = std::to_string(options.number("repetitions"));
-  const std::string frequency = std::to_string(options.number("frequency_hz"));
   const std::string payload = std::to_string(options.number("payload_bytes"));
-  Session session(program, options,
-                  "ct_gnuplot_l" + asked + "_fq" + frequency + "_pl" + payload + rt_tests::policy_suffix(options),
-                  options.number("repetitions"), rt_tests::ns_per_s / options.number("frequency_hz"));
+  Session session(program, options, communication::output(options), options.number("repetitions"),
+                  rt_tests::ns_per_s / options.number("frequency_hz"));
   Receptions receptions(session.samples);
 
   ros::init(argc, argv, program.name, ros::init_options::NoSigintHandler);
@@ -119,6 +119,11 @@ int run(int argc, char* argv[]) {
   }
   rt_tests::Report& report = session.report;
   report.measured = latency.n();
+  report.rate.asked_hz = options.number("frequency_hz");
+  if (const std::size_t received = session.samples.size(); received > 0) {
+    report.rate.achieved_hz =
+        rt_tests::frequency_hz(received, session.samples[0][1], session.samples[received - 1][1]);
+  }
   report.missing = receptions.missing();
   report.duplicate = receptions.duplicate;
   report.out_of_order = receptions.out_of_order;

@@ -1,6 +1,7 @@
-// The jitter of a cyclic timer, computed from its timestamps. Without ROS.
+// The jitter and the lateness of a cyclic timer, computed from its samples. Without ROS.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 
 #include "rt_tests_support/clock.h"
@@ -9,7 +10,8 @@
 
 namespace cyclic {
 
-constexpr std::size_t columns = 1;  // timestamp
+// timestamp, and what roscpp told the callback on its own clock: when it was due, and when it was called.
+constexpr std::size_t columns = 3;
 using Samples = rt_tests::Samples<columns>;
 
 // i / f, rounded to the nearest nanosecond. The error does not grow with i, so a grid of these times does not drift.
@@ -24,6 +26,34 @@ inline void analyse(const Samples& samples, int64_t frequency_hz, rt_tests::Seri
     jitter.add(samples[i + 1][0] - samples[i][0] - grid_ns(1, frequency_hz), index);
     grid.add(samples[i + 1][0] - samples[0][0] - grid_ns(index + 1, frequency_hz), index);
   }
+}
+
+// How much later than due roscpp called, for the same i as above. No measure of how the timer keeps its grid where roscpp
+// has moved it: skipped periods are counted beside it.
+inline void analyse_lateness(const Samples& samples, rt_tests::Series& lateness) {
+  for (std::size_t i = 1; i < samples.size(); ++i) {
+    const auto& [timestamp_ns, expected_ns, real_ns] = samples[i];
+    lateness.add(real_ns - expected_ns, static_cast<int64_t>(i) - 1);
+  }
+}
+
+// `overruns` are calls that began more than a period after they were due, or ended so late that roscpp moved its grid:
+// a timer that is two periods behind goes on from the current time. `skipped` are the periods without a call.
+struct Overruns {
+  int64_t overruns = 0, skipped = 0;
+};
+
+inline Overruns count_overruns(const Samples& samples, int64_t frequency_hz) {
+  const int64_t period_ns = grid_ns(1, frequency_hz);
+  Overruns result;
+  for (std::size_t i = 0; i < samples.size(); ++i) {
+    const auto& [timestamp_ns, expected_ns, real_ns] = samples[i];
+    const int64_t to_next_ns = i + 1 < samples.size() ? samples[i + 1][1] - expected_ns : period_ns;
+    const int64_t skipped = std::max<int64_t>(to_next_ns / period_ns - 1, 0);
+    if (skipped > 0 || real_ns - expected_ns > period_ns) ++result.overruns;
+    result.skipped += skipped;
+  }
+  return result;
 }
 
 }  // namespace cyclic

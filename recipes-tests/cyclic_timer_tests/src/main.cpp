@@ -12,7 +12,9 @@ const rt_tests::Program program = {"cyclic_timer_tests",
                                    "cyclic_timer_tests",
                                    "Measures the jitter of the ROS cyclic timer.",
                                    {"policy", "repetitions", "prefix", "frequency_hz", "priority", "cpu", "clock",
-                                    "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us"}};
+                                    "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us",
+                                    "cpu_dma_latency_us"},
+                                   {"timestamp_ns", "expected_ns", "real_ns"}};
 
 using Session = rt_tests::MeasurementSession<cyclic::columns>;
 
@@ -26,16 +28,18 @@ void measure(const rt_tests::Options& options, Session& session) {
   int64_t previous_ns = 0;
 
   ros::NodeHandle node;
-  const boost::function<void(const ros::TimerEvent&)> callback = [&](const ros::TimerEvent&) {
+  const boost::function<void(const ros::TimerEvent&)> callback = [&](const ros::TimerEvent& event) {
     const int64_t now_ns = rt_tests::now_ns(clock);
-    if (broke || !samples.append({now_ns})) return;
+    if (broke || !samples.append({now_ns, static_cast<int64_t>(event.current_expected.toNSec()),
+                                  static_cast<int64_t>(event.current_real.toNSec())})) {
+      return;
+    }
     const auto rows = static_cast<int64_t>(samples.size());
     broke = rows > 1 && session.outliers.exceeded(now_ns - previous_ns - period_ns, rows - 2, now_ns);
     previous_ns = now_ns;
   };
-  ros::Timer timer = node.createTimer(period, callback);
-
   session.begin();
+  ros::Timer timer = node.createTimer(period, callback);
   while (!samples.full() && !broke && !rt_tests::stop_requested()) {
     if (!ros::ok()) rt_tests::request_stop();
     ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
@@ -59,10 +63,19 @@ int run(int argc, char* argv[]) {
   ros::shutdown();
 
   rt_tests::Series jitter("jitter", rt_tests::Rounding::down), grid("grid", rt_tests::Rounding::down);
-  cyclic::analyse(session.samples, options.number("frequency_hz"), jitter, grid);
+  rt_tests::Series lateness("lateness", rt_tests::Rounding::down);
+  const int64_t frequency_hz = options.number("frequency_hz");
+  const cyclic::Samples& samples = session.samples;
+  cyclic::analyse(samples, frequency_hz, jitter, grid);
+  cyclic::analyse_lateness(samples, lateness);
+  const cyclic::Overruns overruns = cyclic::count_overruns(samples, frequency_hz);
   rt_tests::Report& report = session.report;
   report.measured = jitter.n();
-  report.series = {&jitter, &grid};
+  report.rate = {frequency_hz, std::nullopt, overruns.overruns, overruns.skipped};
+  if (const std::size_t calls = samples.size(); calls > 0) {
+    report.rate.achieved_hz = rt_tests::frequency_hz(calls, samples[0][0], samples[calls - 1][0]);
+  }
+  report.series = {&jitter, &grid, &lateness};
   report.plot = rt_tests::Plot::cyclic;
   report.logs = {{".log", &jitter}};
   report.title = "cyclic_timer_tests plot " + rt_tests::machine_title() + " -  " + repetitions +

@@ -32,11 +32,11 @@ class ShotBox {
     armed_.fetch_add(1, std::memory_order_release);
   }
 
-  // In the timer's callback.
+  // In the timer's callback. Changes nothing for a shot that is settled.
   void fire(int64_t end_ns, int64_t reported_ns) noexcept {
     fired_ = armed_.load(std::memory_order_acquire);
-    end_ns_ = end_ns;
-    reported_ns_ = reported_ns;
+    fired_end_ns_ = end_ns;
+    fired_reported_ns_ = reported_ns;
   }
 
   // On the thread that runs the callbacks, after they returned: true once for each shot, when it fired or its time
@@ -45,7 +45,10 @@ class ShotBox {
   bool settle() noexcept {
     const uint32_t shot = armed_.load(std::memory_order_acquire);
     if (shot == settled_.load(std::memory_order_relaxed)) return false;
-    if (fired_ != shot) {
+    if (fired_ == shot) {
+      end_ns_ = fired_end_ns_;
+      reported_ns_ = fired_reported_ns_;
+    } else {
       if (rt_tests::now_ns(clock_) - start_ns_.load(std::memory_order_relaxed) < limit_ns_) return false;
       end_ns_ = did_not_fire;
     }
@@ -80,8 +83,12 @@ class ShotBox {
   std::atomic<uint32_t> armed_{0};
   std::atomic<uint32_t> settled_{0};
   std::atomic<int64_t> start_ns_{0};
-  // Written by the thread that runs the callbacks, read when the shot is settled.
+  static_assert(std::atomic<int64_t>::is_always_lock_free, "a lock could be held by a thread of lower priority");
+  // Of the thread that runs the callbacks alone: a callback may come when its shot is settled already.
   uint32_t fired_ = 0;
+  int64_t fired_end_ns_ = 0;
+  int64_t fired_reported_ns_ = 0;
+  // Written by settle() until the shot is settled, read by the measuring thread from then until it arms the next one.
   int64_t end_ns_ = 0;
   int64_t reported_ns_ = 0;
 };

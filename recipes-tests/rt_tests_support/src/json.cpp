@@ -1,6 +1,9 @@
 #include "rt_tests_support/json.h"
 
 #include <cstdio>
+#include <iomanip>
+#include <locale>
+#include <sstream>
 
 namespace rt_tests {
 namespace {
@@ -53,6 +56,13 @@ void Json::separate() {
   else if (!first_ && !after_key_) text_ += " ";
   first_ = false;
   after_key_ = false;
+}
+
+Json& Json::value(double number) {
+  std::ostringstream text;
+  text.imbue(std::locale::classic());
+  text << std::fixed << std::setprecision(6) << number;
+  return raw(text.str());
 }
 
 Json& Json::raw(const std::string& token) {

@@ -7,6 +7,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <iostream>
+#include <stdexcept>
 
 #include "rt_tests_support/errors.h"
 
@@ -32,6 +33,8 @@ const std::vector<Option> all_options = {
      "stop at the first value above it in microseconds, and keep the kernel trace"},
     {"trace_threshold_us", "--trace-threshold", Kind::integer, 1, 60000000, {}, nullptr,
      "keep the kernel trace around values above it in microseconds, and go on"},
+    {"cpu_dma_latency_us", "--cpu-dma-latency", Kind::integer, 0, 1000000, {}, nullptr,
+     "hold /dev/cpu_dma_latency at so many microseconds, as cyclictest does at 0"},
     {"idle_timeout_s", "--idle-timeout", Kind::integer, 1, 86400, {}, "10",
      "subscriber: end when nothing arrives for so many seconds"},
 };
@@ -77,6 +80,7 @@ Options::Options(const Program& program) {
   for (const auto& key : program.keys) {
     const auto option =
         std::find_if(all_options.begin(), all_options.end(), [&](const Option& one) { return key == one.key; });
+    if (option == all_options.end()) throw std::logic_error("no program takes an option '" + key + "'");
     Value value;
     value.option = *option;
     if (option->fallback) set(value, option->fallback);
@@ -85,7 +89,10 @@ Options::Options(const Program& program) {
 }
 
 const Options::Value& Options::find(const std::string& key) const {
-  return *std::find_if(values_.begin(), values_.end(), [&](const Value& one) { return key == one.option.key; });
+  const auto value =
+      std::find_if(values_.begin(), values_.end(), [&](const Value& one) { return key == one.option.key; });
+  if (value == values_.end()) throw std::logic_error("this program takes no option '" + key + "'");
+  return *value;
 }
 
 bool Options::has(const std::string& key) const {

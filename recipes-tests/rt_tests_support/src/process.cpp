@@ -1,6 +1,7 @@
 #include "rt_tests_support/process.h"
 
 #include <dirent.h>
+#include <fcntl.h>
 #include <link.h>
 #include <malloc.h>
 #include <pthread.h>
@@ -13,6 +14,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
+#include <new>
 
 #include "rt_tests_support/errors.h"
 
@@ -22,6 +24,7 @@ namespace {
 // Each thread's stack is locked as a whole. The threads of roscpp use 12 KiB of it; the default size is 8 MiB.
 constexpr std::size_t thread_stack_bytes = 256 * 1024;
 constexpr std::size_t touched_stack_bytes = 256 * 1024;
+constexpr char cpu_dma_latency[] = "/dev/cpu_dma_latency";
 
 std::string limit_of(__rlimit_resource resource) {
   rlimit limit{};
@@ -57,9 +60,7 @@ int release_unicode_tables(dl_phdr_info* library, std::size_t, void*) {
 }
 
 void lock_memory() {
-  // Freed memory stays in the process: memory handed back to the kernel would cause page faults when allocated again.
-  mallopt(M_TRIM_THRESHOLD, -1);
-  mallopt(M_MMAP_MAX, 0);
+  share_heap();
   pthread_attr_t attributes;
   pthread_attr_init(&attributes);
   pthread_attr_setstacksize(&attributes, thread_stack_bytes);
@@ -127,7 +128,52 @@ cpu_set_t set_up_process(const Options& options) {
 }
 
 void set_up_measuring_thread(const Options& options) {
-  if (is_realtime(options) && options.text("rt_scope") != "process") set_policy(options);
+  if (!is_realtime(options)) return;
+  reserve_heap();
+  if (options.text("rt_scope") != "process") set_policy(options);
+}
+
+void share_heap() {
+  // Freed memory stays in the process: memory handed back to the kernel would cause page faults when allocated again.
+  mallopt(M_TRIM_THRESHOLD, -1);
+  mallopt(M_MMAP_MAX, 0);
+  // A heap of a thread's own would grow by a few pages at a time, and reserve 64 MiB of address space.
+  mallopt(M_ARENA_MAX, 1);
+}
+
+void reserve_heap() {
+  mallopt(M_TOP_PAD, 0);
+  void* const reserve = malloc(heap_reserve_bytes);
+  if (!reserve) throw std::bad_alloc();
+  const auto page = static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
+  for (std::size_t i = 0; i < heap_reserve_bytes; i += page) static_cast<volatile char*>(reserve)[i] = 0;
+  free(reserve);
+  // Should it be used up, the heap grows as rarely as possible.
+  mallopt(M_TOP_PAD, heap_reserve_bytes);
+}
+
+CpuDmaLatency::CpuDmaLatency(const Options& options) {
+  if (!options.given("cpu_dma_latency_us")) return;
+  const auto asked_us = static_cast<int32_t>(options.number("cpu_dma_latency_us"));
+  file_ = open(cpu_dma_latency, O_RDWR | O_CLOEXEC);
+  if (file_ >= 0 && write(file_, &asked_us, sizeof asked_us) == sizeof asked_us) return;
+  const int reason = errno;
+  if (file_ >= 0) close(file_);
+  throw Failure("cannot hold " + std::string(cpu_dma_latency) + " at " + std::to_string(asked_us) +
+                " us: --cpu-dma-latency needs root and a kernel with CONFIG_CPU_IDLE: " + std::strerror(reason));
+}
+
+CpuDmaLatency::~CpuDmaLatency() {
+  if (file_ >= 0) close(file_);
+}
+
+std::optional<int32_t> cpu_dma_latency_us() {
+  int32_t lowest_us = 0;
+  const int file = open(cpu_dma_latency, O_RDONLY | O_CLOEXEC);
+  if (file < 0) return std::nullopt;
+  const bool good = read(file, &lowest_us, sizeof lowest_us) == sizeof lowest_us;
+  close(file);
+  return good ? std::optional(lowest_us) : std::nullopt;
 }
 
 cpu_set_t current_cpus() {

@@ -35,7 +35,8 @@ void write_in_effect(Json& json, const Surroundings& surroundings) {
   json.field("clock", clock_name(surroundings.clock));
   json.field("clock_resolution_ns", clock_resolution_ns(surroundings.clock));
   json.field("clock_step_ns", surroundings.clock_step_ns);
-  json.field("mlockall", surroundings.memory_locked).close();
+  json.field("mlockall", surroundings.memory_locked);
+  json.field("cpu_dma_latency_us", surroundings.cpu_dma_latency_us).close();
 }
 
 void write_series(Json& json, const Series& series) {
@@ -77,25 +78,42 @@ void Surroundings::finish() {
   end_time = utc_now();
   threads = read_threads();
   memory_locked = memory_is_locked();
+  cpu_dma_latency_us = rt_tests::cpu_dma_latency_us();
 }
 
-std::string json_of(const Report& report, const Surroundings& surroundings, const Destination& destination) {
+std::optional<double> frequency_hz(std::size_t count, int64_t first_ns, int64_t last_ns) {
+  if (count < 2 || last_ns <= first_ns) return std::nullopt;
+  return static_cast<double>(count - 1) * ns_per_s / static_cast<double>(last_ns - first_ns);
+}
+
+void write_head(Json& json, const Program& program, const Options& options, const std::string& incomplete_reason,
+                const Surroundings& surroundings) {
   utsname names{};
   uname(&names);
-  Json json;
-  json.open('{').field("schema", 1).field("suite", report.program->suite).field("program", report.program->name);
-  json.field("version", version()).field("complete", report.incomplete_reason.empty()).key("incomplete_reason");
-  if (report.incomplete_reason.empty()) {
+  json.field("schema", 1).field("suite", program.suite).field("program", program.name);
+  json.field("version", version()).field("complete", incomplete_reason.empty()).key("incomplete_reason");
+  if (incomplete_reason.empty()) {
     json.null();
   } else {
-    json.value(report.incomplete_reason);
+    json.value(incomplete_reason);
   }
-  write_requested(json, *report.options);
+  write_requested(json, options);
   write_in_effect(json, surroundings);
   json.field("host", std::string(names.nodename)).key("kernel").open('{');
   json.field("release", std::string(names.release)).field("version", std::string(names.version));
   json.field("machine", std::string(names.machine)).close();
   json.field("start_time", surroundings.start_time).field("end_time", surroundings.end_time);
+}
+
+void write_rate(Json& json, const Rate& rate) {
+  json.key("rate").open('{').field("asked_hz", rate.asked_hz).field("achieved_hz", rate.achieved_hz);
+  json.field("overruns", rate.overruns).field("skipped", rate.skipped).close();
+}
+
+std::string json_of(const Report& report, const Surroundings& surroundings, const Destination& destination) {
+  Json json;
+  json.open('{');
+  write_head(json, *report.program, *report.options, report.incomplete_reason, surroundings);
 
   const std::vector<std::pair<const char*, const Events*>> events = {{"not_fired", &report.not_fired},
                                                                     {"missing", &report.missing},
@@ -105,11 +123,14 @@ std::string json_of(const Report& report, const Surroundings& surroundings, cons
   for (const auto& [name, noted] : events) json.field(name, noted->count());
   json.close().key("indices").open('{');
   for (const auto& [name, noted] : events) json.field(name, noted->indices());
-  json.close().key("summary").open('{');
+  json.close();
+  write_rate(json, report.rate);
+  json.key("summary").open('{');
   for (const Series* series : report.series) write_series(json, *series);
   json.close().key("files").open('{').key("logs").open('[');
   for (const auto& log : report.logs) json.value(name_of(destination.path(log.ending)));
   json.close().field("npy", name_of(destination.path(".npy"))).close();
+  json.field("columns", report.program->columns);
   json.key("traces").open('{').field("above_limit", report.traces ? report.traces->above() : 0);
   json.field("files", report.traces ? report.traces->files() : std::vector<std::string>{}).close();
   return json.close().text();

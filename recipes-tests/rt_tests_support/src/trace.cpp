@@ -25,6 +25,21 @@ int64_t limit_of(const Options& options, const char* key) {
   return options.has(key) && options.given(key) ? options.number(key) * ns_per_us : std::numeric_limits<int64_t>::max();
 }
 
+// Only one program at a time uses a trace, and what is known of its copies: a lock of its folder.
+class TraceLock {
+ public:
+  explicit TraceLock(int folder) noexcept : folder_(folder) {
+    while (flock(folder_, LOCK_EX) != 0 && errno == EINTR) {
+    }
+  }
+  ~TraceLock() { flock(folder_, LOCK_UN); }
+  TraceLock(const TraceLock&) = delete;
+  TraceLock& operator=(const TraceLock&) = delete;
+
+ private:
+  const int folder_;
+};
+
 }  // namespace
 
 const std::vector<std::string> trace_folders = {"/sys/kernel/tracing/instances/rtrun", "/sys/kernel/tracing",
@@ -52,8 +67,12 @@ OutlierTrace::OutlierTrace(const Options& options, const char* program, const st
   if (marker_ < 0) {
     throw Failure("--break-trace and --trace-threshold need tracefs mounted and the right to write to it: " + problems);
   }
-  lock_path_ = folder_of(output) + "/.rt_tests-trace";
-  lock_ = open(lock_path_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
+  {
+    const TraceLock lock(folder_);
+    last_copy_path_ = folder_of(output) + "/.rt_tests-trace";
+    last_copy_ = open(last_copy_path_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
+    flock(last_copy_, LOCK_SH);  // as long as this program may need it
+  }
   buffer_.resize(buffer_bytes);
   if (threshold_ns_ != std::numeric_limits<int64_t>::max()) {
     copier_.emplace("rt_traces", period_ms, cpus, [this] { copy_new(true); });
@@ -62,10 +81,15 @@ OutlierTrace::OutlierTrace(const Options& options, const char* program, const st
 
 OutlierTrace::~OutlierTrace() {
   copier_.reset();
-  for (const int file : {marker_, folder_, lock_}) {
+  if (last_copy_ >= 0) {
+    const TraceLock lock(folder_);
+    const bool is_last_user = flock(last_copy_, LOCK_EX | LOCK_NB) == 0;
+    if (is_last_user) unlink(last_copy_path_.c_str());
+    close(last_copy_);
+  }
+  for (const int file : {marker_, folder_}) {
     if (file >= 0) close(file);
   }
-  if (lock_ >= 0) unlink(lock_path_.c_str());
 }
 
 bool OutlierTrace::note(int64_t value_ns, int64_t index, int64_t at_ns) noexcept {
@@ -112,15 +136,14 @@ bool OutlierTrace::stop_recording() noexcept {
   return recording && write_at("tracing_on", "0");
 }
 
-// Programs that share a trace (several subscribers that see the same late message) also share its copies. The lock
-// file tells each of them when the last copy was taken, and its name.
+// Programs that share a trace (several subscribers that see the same late message) also share its copies. A file tells
+// each of them when the last copy was taken, and its name.
 void OutlierTrace::copy_new(bool measuring) noexcept {
   const std::size_t noted = std::min(above_.load(std::memory_order_acquire), outliers_.size());
   if (noted == copied_) return;
-  while (flock(lock_, LOCK_EX) != 0 && errno == EINTR) {
-  }
+  const TraceLock lock(folder_);
   Copy last{};
-  const bool known = pread(lock_, &last, sizeof last, 0) == static_cast<ssize_t>(sizeof last);
+  const bool known = pread(last_copy_, &last, sizeof last, 0) == static_cast<ssize_t>(sizeof last);
   // A time in the future was written before the machine restarted.
   if (!known || last.at_ns > now_ns(clock_)) last.at_ns = std::numeric_limits<int64_t>::min();
   for (; copied_ < noted; ++copied_) {
@@ -144,7 +167,7 @@ void OutlierTrace::copy_new(bool measuring) noexcept {
       const std::size_t length = std::min(std::strlen(file), sizeof last.file - 1);
       std::memcpy(last.file, file, length);
       last.file[length] = '\0';
-      write_all(lock_, {&last, sizeof last}, 0);
+      write_all(last_copy_, {&last, sizeof last}, 0);
     }
     if (source >= 0) close(source);
     // The next snapshot records into this buffer, which must be empty then. Clearing it waits for RCU, and so for a
@@ -152,7 +175,6 @@ void OutlierTrace::copy_new(bool measuring) noexcept {
     if (snapshot) write_at("snapshot", "2");
     if (paused) write_at("tracing_on", "1");
   }
-  flock(lock_, LOCK_UN);
 }
 
 void OutlierTrace::name(char* path, std::size_t size, int64_t index) const noexcept {

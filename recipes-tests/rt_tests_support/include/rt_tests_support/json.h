@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -17,8 +18,13 @@ class Json {
   Json& value(int64_t number) { return raw(std::to_string(number)); }
   Json& value(int number) { return value(int64_t{number}); }
   Json& value(bool truth) { return raw(truth ? "true" : "false"); }
+  Json& value(double number);  // finite; to the millionth
   Json& null() { return raw("null"); }
 
+  template <class Value>
+  Json& value(const std::optional<Value>& content) {
+    return content ? value(*content) : null();
+  }
   template <class Value>
   Json& field(const std::string& name, const Value& content) {
     return key(name).value(content);

@@ -23,7 +23,8 @@ struct Program {
   const char* suite;
   const char* name;
   const char* purpose;
-  std::vector<std::string> keys;  // the options it takes
+  std::vector<std::string> keys;          // the options it takes
+  std::vector<std::string> columns = {};  // of its samples, as in suites.yml
 };
 
 class Options {

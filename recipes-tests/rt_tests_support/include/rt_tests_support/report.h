@@ -3,9 +3,13 @@
 
 #include <time.h>
 
+#include <cstddef>
+#include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "rt_tests_support/json.h"
 #include "rt_tests_support/log.h"
 #include "rt_tests_support/options.h"
 #include "rt_tests_support/process.h"
@@ -35,10 +39,22 @@ struct Surroundings {
   std::string end_time;
   std::vector<ThreadState> threads;
   bool memory_locked = false;
+  std::optional<int32_t> cpu_dma_latency_us;
 
   explicit Surroundings(clockid_t clock);  // before the measurement
   void finish();                           // right after it
 };
+
+// What a program did, and how often it should have: measurements, messages, calls of a timer.
+struct Rate {
+  std::optional<int64_t> asked_hz;
+  std::optional<double> achieved_hz;  // none of less than two
+  std::optional<int64_t> overruns;    // none where nothing is done periodically
+  std::optional<int64_t> skipped;
+};
+
+// Of `count` events, of which the first and the last came at these times.
+std::optional<double> frequency_hz(std::size_t count, int64_t first_ns, int64_t last_ns);
 
 struct LogFile {
   std::string ending;  // "-measured.log"
@@ -54,6 +70,7 @@ struct Report {
   int64_t asked = 0;
   int64_t measured = 0;
   Events not_fired, missing, duplicate, out_of_order;
+  Rate rate;
   const OutlierTrace* traces = nullptr;
   std::vector<const Series*> series;
   std::string title;
@@ -62,6 +79,11 @@ struct Report {
   Plot plot = Plot::oneshot;
   std::vector<LogFile> logs;
 };
+
+// What the json of every program begins with, and its `rate`.
+void write_head(Json& json, const Program& program, const Options& options, const std::string& incomplete_reason,
+                const Surroundings& surroundings);
+void write_rate(Json& json, const Rate& rate);
 
 std::string json_of(const Report& report, const Surroundings& surroundings, const Destination& destination);
 

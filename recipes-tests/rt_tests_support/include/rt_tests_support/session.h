@@ -27,6 +27,7 @@ class MeasurementSession {
   const Options& options_;
   const Destination destination_;
   const cpu_set_t spare_cpus_;
+  const CpuDmaLatency cpu_dma_latency_;
 
  public:
   OutlierTrace outliers;
@@ -46,6 +47,7 @@ class MeasurementSession {
       : options_(options),
         destination_(destination(options, output)),
         spare_cpus_(set_up_process(options)),
+        cpu_dma_latency_(options),
         outliers(options, program.name, destination_.path(""), spare_cpus_),
         samples(available_rows(rows)),
         blocks_(destination_.path(".npy"), samples, rows * std::max(period_ns, shortest_period_ns), spare_cpus_),
@@ -57,7 +59,8 @@ class MeasurementSession {
 
   clockid_t clock() const noexcept { return surroundings.clock; }
 
-  // On the measuring thread, when the threads of ROS run. From here on a signal ends the measurement, and posts `wake`.
+  // On the measuring thread, once ROS is initialised, before the first timer: roscpp's thread that waits for the timers
+  // starts with it, and inherits the policy. From here on a signal ends the measurement, and posts `wake`.
   void begin(sem_t* wake = nullptr) {
     set_up_measuring_thread(options_);
     catch_stop_signals(wake);

@@ -75,8 +75,8 @@ class OutlierTrace {
   int64_t threshold_ns_, break_ns_, lowest_limit_ns_;
   int folder_ = -1;
   int marker_ = -1;
-  int lock_ = -1;
-  std::string lock_path_;
+  int last_copy_ = -1;  // a file with the last Copy, next to the outputs; the last program that uses it removes it
+  std::string last_copy_path_;
 
   // Written by the measuring thread. Other threads may read the outliers before `above_`.
   std::array<Outlier, traced_at_most> outliers_{};
