@@ -3,15 +3,26 @@
 DEMO := qemu-armv7
 MACHINE ?= $(DEMO)
 BIN := .venv/bin
+# Many tests wait for one another's processes rather than work: twice as many workers as processors, with 0.3 GB each.
+WORKERS ?= $(shell expr 2 '*' $$(nproc))
+# OpenBLAS would start threads in each, which wait for one another busily.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup --no-loadscope-reorder
+# Workers and the programs that they start find their modules compiled, whatever the environment says.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-yocto lint coverage bench setup setup-demo board suites clean
+.PHONY: demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-yocto lock lint coverage bench setup setup-demo board suites clean
 
 demo: setup-demo
 	@$(MAKE) --no-print-directory -j2 board suites
 	@MACHINE=$(MACHINE) tools/demo
 
+# Its last line is pytest's summary: nothing is to be printed after it, neither here nor by .ci/run.
 test: setup
-	$(BIN)/pytest -m "not kernel and not slow and not boards"
+	$(PYTEST) -m "not kernel and not slow and not boards"
+
+# What needs no board, no ROS master and no BitBake: for the loop of change and test.
+test-fast: setup
+	$(PYTEST) -m "not kernel and not slow and not boards and not qemu and not ros and not bitbake"
 
 # What takes long: each load of conditions.yml for two and a half minutes beside a suite (twenty minutes), campaigns with
 # a goal on the emulated board, and a labgrid farm on loopback.
@@ -55,6 +66,12 @@ test-archive: setup
 	$(BIN)/pip install --quiet 'polars>=1.0' 'dask[dataframe,distributed]>=2024.8'
 	$(BIN)/pytest tests/rtrun/archive/other_programs.py
 
+# The Python packages of `tools/setup dev`: the newest of pyproject.toml's ranges, with hashes, for Python 3.11 and newer.
+lock: setup
+	$(BIN)/pip install --quiet uv
+	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --upgrade \
+	    --no-annotate --quiet --custom-compile-command "make lock" --output-file tools/python-packages.txt
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -67,7 +84,7 @@ coverage: setup
 
 bench: setup
 	nice -n 5 $(BIN)/python tests/bench/bench_analysis.py --check
-	$(BIN)/pytest -q -s tests/bench/overhead.py
+	$(BIN)/pytest -q -s tests/bench/overhead.py tests/bench/sampler.py
 	$(BIN)/pytest -q -s tests/bench/pulling.py tests/bench/farm.py
 	nice -n 5 $(BIN)/python tests/bench/archived_year.py
 	PYTHONPATH=tests/rtrun $(BIN)/pytest -q -s tests/bench/causes.py

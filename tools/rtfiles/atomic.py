@@ -1,6 +1,7 @@
 """Files written whole or not at all."""
 
 import os
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -8,10 +9,17 @@ from pathlib import Path
 def write_bytes(path: Path, data: bytes, mode: int = 0o644) -> None:
     """Write a file under a temporary name in its folder, flush it to disk, rename it into place.
 
-    The folder must exist. Raises OSError, and leaves no temporary file behind then.
+    Where `path` is a link, the file that it names is written. What is no regular file, as /dev/null or a pipe, is
+    written to. The folder must exist. Raises OSError, and leaves no temporary file behind then.
     """
+    named = Path(os.path.realpath(path))
+    # Of a link in /proc/<pid>/fd, as /dev/stdout is one, the text may be the path of no file.
+    if path.exists() and not named.is_file():
+        with path.open("wb") as stream:
+            stream.write(data)
+        return
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, temporary = tempfile.mkstemp(dir=named.parent, prefix=f".{named.name}.")
     except OSError as error:
         error.filename = str(path)  # the message has to name the file that was asked for
         raise
@@ -21,11 +29,11 @@ def write_bytes(path: Path, data: bytes, mode: int = 0o644) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         Path(temporary).chmod(mode)
-        Path(temporary).replace(path)
+        Path(temporary).replace(named)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
-    sync_folder(path.parent)
+    sync_folder(named.parent)
 
 
 def write_text(path: Path, text: str, mode: int = 0o644) -> None:
@@ -50,6 +58,20 @@ def replace_link(path: Path, target: Path | str) -> None:
         temporary.unlink()
         error.filename = str(path)
         raise
+
+
+def copy_folder(source: Path, copy: Path) -> None:
+    """Copy a folder under a temporary name beside its copy, and rename it into place; one that is there stays.
+
+    Missing folders above it are made. Raises OSError, and leaves no temporary folder behind then.
+    """
+    if copy.is_dir():
+        return
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=copy.parent, prefix=f"{copy.name}.") as temporary:
+        shutil.copytree(source, Path(temporary) / copy.name)
+        (Path(temporary) / copy.name).rename(copy)
+    sync_folder(copy.parent)
 
 
 def sync_folder(folder: Path) -> None:

@@ -12,7 +12,8 @@ from types import ModuleType
 from typing import Any
 
 from rtfiles.errors import DEFECT_STATUS, INTERRUPTED_STATUS, InfrastructureError, UsageError
-from rtfiles.output import print_line, print_note, print_text, surviving_output
+from rtfiles.output import print_line, print_note, print_status, print_text, surviving_output
+from rtfiles.wording import did_you_mean, unknown
 
 DISTRIBUTION = "meta-rt-tests"  # the name in pyproject.toml
 SHELLS = ("bash", "zsh")
@@ -31,7 +32,10 @@ def dispatch(prog: str, description: str, commands: Sequence[ModuleType], argv: 
     with surviving_output() as losses, _interruptible():
         try:
             args = parser_of(prog, description, commands).parse_args(argv)
-            status = int(args.run(args))
+            try:
+                status = int(args.run(args))
+            finally:
+                print_status("")
         except SystemExit as end:  # the parser has printed the help, or what is wrong with the arguments
             status = int(end.code or 0)
         except (UsageError, InfrastructureError) as error:
@@ -76,7 +80,7 @@ def _interruptible() -> Iterator[None]:
 
 def parser_of(prog: str, description: str, commands: Sequence[ModuleType]) -> argparse.ArgumentParser:
     """The parser of a program with these commands."""
-    parser = argparse.ArgumentParser(prog=prog, description=description)
+    parser = _Parser(prog=prog, description=description)
     parser.add_argument("--version", action=_PrintVersion, nargs=0, help="print the version")
     parser.add_argument(
         "--print-completion", action=_PrintCompletion, choices=SHELLS, help="print the completion script of a shell"
@@ -87,6 +91,25 @@ def parser_of(prog: str, description: str, commands: Sequence[ModuleType]) -> ar
         command.add_arguments(subparser)
         subparser.set_defaults(run=command.run)
     return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that takes no part of an option for it, and says what may be meant; so are those of its commands."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**{**settings, "allow_abbrev": False})
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        known, others = super().parse_known_args(args, namespace)
+        if others:
+            words = [word.partition("=")[0] for word in others if word.startswith("-")]
+            hint = did_you_mean(words, list(self._option_string_actions))
+            self.error(f"unknown argument{'s' if others[1:] else ''} {' '.join(others)}{',' if hint else ''}{hint}")
+        return known, others
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            raise argparse.ArgumentError(action, unknown("word", value, known=map(str, action.choices)))
 
 
 class _PrintVersion(argparse.Action):

@@ -1,19 +1,22 @@
 """YAML and JSON files parsed once, at the edge, into frozen typed objects."""
 
 import functools
+import re
 from collections.abc import Hashable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import JSON_BYTES_MAX, JSON_ITEMS_MAX, parse_json, read_text
+from rtfiles.wording import SHOWN_CHARACTERS, mistake, unknown
 
 # Of data that is wrong, which somebody else may have written.
 SHOWN_ERRORS = 20
-SHOWN_CHARACTERS = 80
 
 
 class Config(BaseModel):
@@ -27,10 +30,9 @@ class Config(BaseModel):
         # pydantic's own message does not say what is allowed.
         if isinstance(data, dict):
             names = key_names(cls)
-            unknown = [str(key) for key in data if key not in names]
-            if unknown:
-                shown = ", ".join(repr(key[:SHOWN_CHARACTERS]) for key in unknown[:SHOWN_ERRORS])
-                raise ValueError(f"unknown key {shown}, allowed: {', '.join(names)}")
+            if refused := [key for key in data if key not in names]:
+                text = unknown("key", *refused, known=names, label="allowed")
+                raise PydanticCustomError("unknown_key", "{text}", {"text": text, "key": refused[0]})
         return data
 
 
@@ -38,6 +40,17 @@ class Config(BaseModel):
 def key_names(model: type[Config]) -> tuple[str, ...]:
     """The keys of a Config as they stand in a file."""
     return tuple(field.alias or name for name, field in model.model_fields.items())
+
+
+def matching(pattern: str, allowed: str) -> AfterValidator:
+    """Take a text that is wholly of this form, in ASCII; a message says it is not `allowed`."""
+
+    def check(value: str) -> str:
+        if not re.fullmatch(pattern, value, re.ASCII):
+            raise ValueError(f"{value[:SHOWN_CHARACTERS]!r} is not {allowed}")
+        return value
+
+    return AfterValidator(check)
 
 
 def _path(text: str) -> str:
@@ -54,6 +67,34 @@ def _path(text: str) -> str:
 UserPath = Annotated[str, Field(min_length=1), AfterValidator(_path)]
 
 ConfigT = TypeVar("ConfigT", bound=Config)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place in data, for messages: ``a.yml:7: runs.0.suite``, with the line of the entry where that is known."""
+
+    origin: str
+    path: tuple[str | int, ...] = ()
+    node: yaml.Node | None = None
+    """What stands there in a YAML file."""
+    line: int | None = None
+
+    def __truediv__(self, key: str | int) -> Self:
+        """The place of a key, or of an entry of a list, in the mapping or list that is here."""
+        key_node, node = None, None
+        if isinstance(self.node, yaml.MappingNode):
+            pairs = (pair for pair in self.node.value if pair[0].value == str(key))
+            key_node, node = next(pairs, (None, None))
+        elif isinstance(self.node, yaml.SequenceNode) and isinstance(key, int) and key < len(self.node.value):
+            key_node = node = self.node.value[key]
+        line = self.line if key_node is None else key_node.start_mark.line + 1
+        return replace(self, path=(*self.path, key), node=node, line=line)
+
+    def __str__(self) -> str:
+        where = ".".join(str(part)[:SHOWN_CHARACTERS] for part in self.path)
+        line = "" if self.line is None else f":{self.line}"
+        return f"{self.origin}{line}: {where}" if where else f"{self.origin}{line}"
+
 
 YAML_BYTES_MAX = 1 << 20
 # With every alias written out: a few hundred bytes of nested aliases stand for more than memory holds.
@@ -121,14 +162,25 @@ def _count_nodes(node: yaml.Node, known: dict[yaml.Node, int]) -> int:
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the plain data in a YAML file.
+    """Return the plain data in a YAML file. Raises UsageError as `read_yaml_with_place` does."""
+    return read_yaml_with_place(path)[0]
+
+
+def read_yaml_with_place(path: Path) -> tuple[Any, Place]:
+    """Return the plain data in a YAML file, and the place that knows the lines of its entries.
 
     Raises UsageError naming file and line when it cannot be read, is not YAML, gives a key twice, or stands for more
     than any file of ours does.
     """
     text = read_text(path, max_bytes=YAML_BYTES_MAX)
     try:
-        return yaml.load(text, Loader=_StrictLoader)
+        loader = _StrictLoader(text)
+        try:
+            node = loader.get_single_node()
+            data = None if node is None else loader.construct_document(node)
+        finally:
+            loader.dispose()
+        return data, Place(str(path), node=node)
     except yaml.MarkedYAMLError as error:
         line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
         raise UsageError(f"{path}{line}: {error.problem}") from error
@@ -138,32 +190,44 @@ def read_yaml(path: Path) -> Any:
         raise UsageError(f"{path}: not YAML: {error}") from error
 
 
-def parse(data: Any, model: type[ConfigT], origin: str) -> ConfigT:
+def parse(data: Any, model: type[ConfigT], origin: str | Place) -> ConfigT:
     """Turn plain data into a Config; the errors found are in the UsageError, one line each.
 
-    A line reads ``origin: path.to.key: what is wrong, what is allowed``.
+    A line reads ``origin:line: path.to.key: what is wrong, what is allowed``.
     """
+    top = Place(origin) if isinstance(origin, str) else origin
     if not isinstance(data, dict):
-        raise UsageError(f"{origin}: expected a mapping with the keys {', '.join(key_names(model))}")
+        raise UsageError(f"{top}: expected a mapping with the keys {', '.join(key_names(model))}")
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        lines = []
-        for item in error.errors()[:SHOWN_ERRORS]:
-            where = ".".join(str(part)[:SHOWN_CHARACTERS] for part in item["loc"])
-            message = item["msg"].removeprefix("Value error, ")
-            got = item["input"]
-            if isinstance(got, str | int | float | bool) and item["type"] not in ("missing", "value_error"):
-                message += f", got {repr(got)[:SHOWN_CHARACTERS]}"
-            lines.append(f"{origin}: {where + ': ' if where else ''}{message}")
-        if error.error_count() > SHOWN_ERRORS:
-            lines.append(f"{origin}: and {error.error_count() - SHOWN_ERRORS} more errors")
+        by_place: dict[Place, list[ErrorDetails]] = {}
+        for item in error.errors():
+            by_place.setdefault(_place_of(item, data, top), []).append(item)
+        lines = [f"{place}: {mistake(errors)}" for place, errors in by_place.items()]
+        if (more := len(lines) - SHOWN_ERRORS) > 0:
+            lines[SHOWN_ERRORS:] = [f"{top}: and {more} more errors"]
         raise UsageError("\n".join(lines)) from error
+
+
+def _place_of(error: ErrorDetails, data: Any, top: Place) -> Place:
+    """The place of an error; pydantic's path to it also names the alternatives that the value may be."""
+    place = top
+    for part in error["loc"]:
+        is_there = part in data if isinstance(data, dict) else isinstance(data, list) and isinstance(part, int)
+        if is_there:
+            place, data = place / part, data[part]
+    if error["type"] == "missing":
+        place = place / error["loc"][-1]
+    if error["type"] == "unknown_key":
+        place = replace(place, line=(place / error["ctx"]["key"]).line)
+    return place
 
 
 def load(path: Path, model: type[ConfigT]) -> ConfigT:
     """Read a YAML file into a Config. Raises UsageError as `read_yaml` and `parse` do."""
-    return parse(read_yaml(path), model, str(path))
+    data, place = read_yaml_with_place(path)
+    return parse(data, model, place)
 
 
 def read_json(

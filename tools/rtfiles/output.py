@@ -10,14 +10,16 @@ import io
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+T = TypeVar("T")
 PLAIN_WIDTH = 100  # columns of a table, where the output is no terminal
+WIDTH_MAX = 1000
 
 
 def printable(text: str) -> str:
@@ -68,16 +70,28 @@ def print_status(text: str) -> None:
         print(f"\r\x1b[K{printable(text)}", end="", file=sys.stderr, flush=True)
 
 
+def showing_progress(items: Sequence[T], doing: str) -> Iterator[T]:
+    """Yield each of the items, and show on a terminal how far it is; the line is gone when the last one is done."""
+    try:
+        for number, item in enumerate(items, start=1):
+            print_status(f"{doing} {number} of {len(items)}")
+            yield item
+    finally:
+        print_status("")
+
+
 def console() -> "Console":
-    """A console for tables and bars: as wide as the terminal, or plain text where there is none.
+    """A console for tables and bars, as wide as COLUMNS says, or else as the terminal; plain text where there is none.
 
     It takes text as it is: what may come from a target has to pass `printable` before.
     """
     from rich.console import Console
 
-    return Console(
-        highlight=False, markup=False, emoji=False, soft_wrap=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH
-    )
+    columns = os.environ.get("COLUMNS", "")
+    width = min(int(columns), WIDTH_MAX) if columns.isdecimal() and len(columns) < 9 and int(columns) else None
+    if width is None and not sys.stdout.isatty():
+        width = PLAIN_WIDTH
+    return Console(highlight=False, markup=False, emoji=False, soft_wrap=False, width=width)
 
 
 @dataclass(kw_only=True, slots=True)

@@ -123,11 +123,13 @@ def whole_number(word: str, *, lowest: int = -INT64_MAX - 1, highest: int = INT6
     return number
 
 
-def real_number(word: str) -> float:
-    """Return the finite number in a text as C and JSON write it. Raises ValueError."""
+def real_number(word: str, *, lowest: float = -math.inf, highest: float = math.inf) -> float:
+    """Return the finite number in a text as C and JSON write it. Raises ValueError, outside of the limits as well."""
     if not re.fullmatch(r"-?[0-9]{1,400}(\.[0-9]{1,400})?([eE][+-]?[0-9]{1,4})?", word, re.ASCII):
         raise ValueError(f"expected a number, got {word[:40]!r}")
     number = float(word)
     if not math.isfinite(number):
         raise ValueError(f"expected a finite number, got {word[:40]!r}")
+    if not lowest <= number <= highest:
+        raise ValueError(f"expected a number from {lowest} to {highest}, got {word[:40]!r}")
     return number

@@ -2,28 +2,16 @@
 
 import sys
 from collections.abc import Sequence
-from types import ModuleType
 
-from rtfiles.command import dispatch
-from rtgen.commands import board, doctor, explain, flash, kconfig, kernel, new_profile, profiles, render, suites
+from rtfiles.start import start
 
-COMMANDS: tuple[ModuleType, ...] = (
-    board,
-    doctor,
-    explain,
-    flash,
-    kconfig,
-    kernel,
-    new_profile,
-    profiles,
-    render,
-    suites,
-)
+# In the order of --help.
+COMMANDS = ("board", "doctor", "explain", "flash", "kconfig", "kernel", "new_profile", "profiles", "render", "suites")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``rtgen``; see `rtfiles.command.dispatch` for the exit status."""
-    return dispatch("rtgen", "Generate images, kernels and the emulated board.", COMMANDS, argv)
+    return start("rtgen", "Generate images, kernels and the emulated board.", COMMANDS, argv)
 
 
 if __name__ == "__main__":

@@ -4,16 +4,27 @@ import os
 import platform
 import re
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
 
 from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.output import print_note
 from rtgen.process import run
 
-# Folders that neither a board nor a compiler reads: a third of all bytes.
-DROPPED = ("usr/share/doc", "usr/share/man", "usr/share/locale", "usr/share/info", "usr/share/lintian", "dev")
+# Folders that neither a board nor a compiler reads, a third of all bytes; and the settings of apt for this download.
+DROPPED = (
+    *("usr/share/doc", "usr/share/man", "usr/share/locale", "usr/share/info", "usr/share/lintian", "dev"),
+    "etc/apt/apt.conf.d/99mmdebstrap",
+)
+
+# The reason of a failure is read from what apt says.
+ENGLISH = {"LC_ALL": "C.UTF-8"}
+# A download that failed, as apt reports it: the address, the reason.
+FAILED = re.compile(r"^ *E: Failed to fetch (\S+) +(.+)$", re.M)
+# The reasons where the index is not that of the files: the mirror, or a cache before it, is in the middle of an update.
+OUT_OF_STEP = ("File has unexpected size", "Hash Sum mismatch", "404 ")
 
 # The file in which a hook of mmdebstrap lists the packages that were unpacked.
 LIST = "packages.list"
@@ -77,6 +88,31 @@ def extraction_mode() -> str:
     return "unshare"
 
 
+def download(attempt: Callable[[Mapping[str, str]], None]) -> None:
+    """Call an attempt to download packages with settings for apt, for which it raises InfrastructureError if apt fails.
+
+    Where index and files do not belong together, there is a second one, with settings that ask caches on the way for
+    what the mirror has now.
+    """
+    try:
+        attempt({})
+    except InfrastructureError as error:
+        if not any(reason.startswith(OUT_OF_STEP) for _, reason in FAILED.findall(str(error))):
+            raise
+        print_note("Debian's mirror or a cache before it is in the middle of an update: downloading again, past caches")
+        # apt takes it for https, too.
+        attempt({"Acquire::http::No-Cache": "true"})
+
+
+def failed_download(output: str) -> str | None:
+    """What could not be downloaded and why, in one line, from the output of an apt; None if that was not the reason."""
+    failed = FAILED.search(output)
+    if failed is None:
+        return None
+    later = " (past caches, too: try again later)" if failed[2].startswith(OUT_OF_STEP) else ""
+    return f"cannot download {failed[1]}: {failed[2]}{later}"
+
+
 def extract(names: list[str], folder: Path, architecture: str, source: Source, dropped: Iterable[str] = ()) -> None:
     """Unpack packages of an architecture and their dependencies into an existing folder; the caller owns every file.
 
@@ -89,11 +125,15 @@ def extract(names: list[str], folder: Path, architecture: str, source: Source, d
     archive = folder / "packages.tar"
     command = ["mmdebstrap", "--variant=extract", f"--mode={mode}", f"--architectures={architecture}"]
     command += [f'--extract-hook=ls "$1"/var/cache/apt/archives > "$1"/{LIST}']
-    command += ["--format=tar", f"--include={','.join(names)}", source.release, str(archive)]
-    command += [source.line] if source.line else []
+    command += ["--format=tar", f"--include={','.join(names)}"]
+    from_where = [source.release, str(archive), *([source.line] if source.line else [])]
+
+    def attempt(settings: Mapping[str, str]) -> None:
+        options = [f'--aptopt={name} "{value}"' for name, value in settings.items()]
+        run([*command, *options, *from_where], environment={**os.environ, **ENGLISH})
+
     try:
-        # In English, as the reason of a failure is read from it.
-        run(command, environment={**os.environ, "LC_ALL": "C.UTF-8"})
+        download(attempt)
         # mknod and foreign owners need rights that nothing here needs.
         excluded = [f"--exclude=./{name}" for name in (*DROPPED, *dropped)]
         run(["tar", "-x", "-f", str(archive), "-C", str(folder), "--no-same-owner", *excluded])
@@ -106,8 +146,8 @@ def extract(names: list[str], folder: Path, architecture: str, source: Source, d
                 f"Debian's suite {source.release} at {where} has no package {', '.join(unknown)} for {architecture}"
             )
             raise InfrastructureError(missing) from error
-        if failed := re.search(r"^ *E: Failed to fetch (\S+) +(.+)$", str(error), re.M):
-            raise InfrastructureError(f"cannot download {failed[1]}: {failed[2]}") from error
+        if failed := failed_download(str(error)):
+            raise InfrastructureError(failed) from error
         raise
     finally:
         archive.unlink(missing_ok=True)

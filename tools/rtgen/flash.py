@@ -21,17 +21,23 @@ SECTOR = 512
 BLKFLSBUF = 0x1261  # linux/fs.h: drop the cached content of a device, so that reading back reads the card
 BLKRRPART = 0x125F  # linux/fs.h: read the partition table again
 Progress = Callable[[str, int], None]
+Chunk = tuple[int, bytes]  # the size of a piece in bytes, its SHA-256
 PACKED = (".bz2", ".gz", ".lz4", ".xz", ".zst", ".zip")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Card:
-    """A device that may be written to."""
+    """A device that may be written to.
+
+    `sequence` is the kernel's number of this card: another one in the same reader, or behind the same name, has another
+    one. It is empty before Linux 5.15.
+    """
 
     path: Path
     name: str
     model: str
     size_bytes: int
+    sequence: str
 
 
 def check_image(image: Path) -> int:
@@ -78,8 +84,7 @@ def check_device(device: Path, image_bytes: int, sys: Path = Path("/sys"), proc:
         raise UsageError(f"{device}: {error.strerror}") from error
     if not stat.S_ISBLK(status.st_mode):
         raise UsageError(f"{device}: not a block device, give that of the card, e.g. /dev/sdX or /dev/mmcblkN")
-    number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
-    node = (sys / "dev/block" / number).resolve()
+    node = _node(status, sys)
     if (node / "partition").exists():
         raise UsageError(f"{device}: a partition, give the whole card: /dev/{node.parent.name}")
     parts = [node, *(part.parent for part in node.glob("*/partition"))]
@@ -101,14 +106,16 @@ def check_device(device: Path, image_bytes: int, sys: Path = Path("/sys"), proc:
     model = " ".join(
         filter(None, (_read(node / "device/vendor"), _read(node / "device/model"), _read(node / "device/name")))
     )
-    return Card(path=device, name=node.name, model=model or node.name, size_bytes=size)
+    return Card(
+        path=device, name=node.name, model=model or node.name, size_bytes=size, sequence=_read(node / "diskseq")
+    )
 
 
-def write(image: Path, card: Card, progress: Progress) -> str:
-    """Write an image to a card, read it back, return its SHA-256. `progress` gets the step and its bytes so far.
+def write(image: Path, size_bytes: int, card: Card, progress: Progress) -> str:
+    """Write an image of a size to a card, read it back, return its SHA-256. `progress` gets the step and its bytes.
 
-    Raises InfrastructureError when the card fails, is used by another program, or reads back wrong, and when the image
-    cannot be read.
+    Raises InfrastructureError when the card fails, is used by another program, is not the one that was checked, or
+    reads back wrong, and when the image cannot be read or has another size.
     """
     try:
         # O_EXCL on a block device: the kernel refuses if it is mounted, and refuses to mount it while it is open.
@@ -116,17 +123,25 @@ def write(image: Path, card: Card, progress: Progress) -> str:
     except OSError as error:
         raise InfrastructureError(f"{card.path}: {error.strerror}") from error
     with FileIO(handle, "r+b") as device:
+        # Somebody was asked since the check, and may have changed cards.
+        if _read(_node(os.fstat(handle), Path("/sys")) / "diskseq") != card.sequence:
+            raise InfrastructureError(f"{card.path}: another device than the one that was checked: nothing was written")
         try:
-            written = _copy(image, device, progress)
+            chunks = _copy(image, size_bytes, device, progress)
             os.fsync(device)
             fcntl.ioctl(device, BLKFLSBUF)
-            _compare(image, device, card, progress)
+            written = _compare(chunks, device, card, progress)
         except OSError as error:
             raise InfrastructureError(f"{card.path}: {error.strerror}") from error
         # A loop device without partitions refuses this; those of a card are read again when it is inserted.
         with contextlib.suppress(OSError):
             fcntl.ioctl(device, BLKRRPART)
     return written
+
+
+def _node(status: os.stat_result, sys: Path) -> Path:
+    """The folder of a block device in /sys."""
+    return (sys / "dev/block" / f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}").resolve()
 
 
 def _chunks(image: Path) -> Iterator[bytes]:
@@ -139,34 +154,43 @@ def _chunks(image: Path) -> Iterator[bytes]:
         raise InfrastructureError(f"{image}: {error.strerror}") from error
 
 
-def _copy(image: Path, device: FileIO, progress: Progress) -> str:
-    total = hashlib.sha256()
+def _copy(image: Path, size_bytes: int, device: FileIO, progress: Progress) -> list[Chunk]:
+    """Write the image; what was written. It is read once: a build may replace it meanwhile."""
+    chunks: list[Chunk] = []
     done = 0
     for chunk in _chunks(image):
-        total.update(chunk)
+        chunks.append((len(chunk), hashlib.sha256(chunk).digest()))
+        done += len(chunk)
+        if done > size_bytes:
+            break
         view = memoryview(chunk)
         while view:
             view = view[device.write(view) :]
-        done += len(chunk)
         progress("written", done)
-    return total.hexdigest()
+    if done != size_bytes:
+        raise InfrastructureError(f"{image}: changed while it was written, the card has a part of it: write it again")
+    return chunks
 
 
-def _compare(image: Path, device: FileIO, card: Card, progress: Progress) -> None:
+def _compare(chunks: list[Chunk], device: FileIO, card: Card, progress: Progress) -> str:
+    """Read the card back; the SHA-256 of all that was written."""
     device.seek(0)
+    total = hashlib.sha256()
     done = 0
-    for chunk in _chunks(image):
+    for size, digest in chunks:
         have = b""
-        while len(have) < len(chunk):
-            more = device.read(len(chunk) - len(have))
+        while len(have) < size:
+            more = device.read(size - len(have))
             if not more:
                 break
             have += more
-        if have != chunk:
-            at = next((i for i, (a, b) in enumerate(zip(have, chunk, strict=False)) if a != b), len(have))
-            raise InfrastructureError(f"{card.path}: byte {done + at} reads back wrong, the card is broken")
-        done += len(chunk)
+        if hashlib.sha256(have).digest() != digest:
+            where = f"bytes {done} to {done + size - 1}"
+            raise InfrastructureError(f"{card.path}: {where} read back otherwise than written, the card is broken")
+        total.update(have)
+        done += size
         progress("verified", done)
+    return total.hexdigest()
 
 
 def _users(node: Path, proc: Path) -> list[str]:

@@ -1,11 +1,11 @@
 """The one way in which rtgen starts other programs."""
 
-import contextlib
 import os
 import shlex
 import signal
 import subprocess
 import tempfile
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from rtfiles.errors import InfrastructureError
 TIMEOUT_S = 900
 # How long a program may take to clean up after SIGTERM; mmdebstrap removes its mounts and files then.
 GRACE_S = 60
+POLL_S = 0.05
 SHOWN_LINES = 20
 
 
@@ -66,12 +67,15 @@ def run(
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    # The whole group, as Ctrl-C in a terminal would reach it: mmdebstrap waits for its apt-get before it cleans up.
-    with contextlib.suppress(ProcessLookupError):
+    # The number of the group belongs to it as long as nobody has waited for the program.
+    if process.returncode is None:
+        # The whole group, as Ctrl-C in a terminal would reach it: mmdebstrap waits for its apt-get before it cleans up.
         os.killpg(process.pid, signal.SIGTERM)
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.communicate(timeout=GRACE_S)
-    # The program may have left others behind.
-    with contextlib.suppress(ProcessLookupError):
+        deadline = time.monotonic() + GRACE_S
+        while os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None:
+            if time.monotonic() >= deadline:
+                break
+            time.sleep(POLL_S)
+        # The program may have left others behind.
         os.killpg(process.pid, signal.SIGKILL)
     process.communicate()

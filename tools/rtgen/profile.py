@@ -9,10 +9,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from rtfiles.config import Config, load
+from rtfiles.config import Config, load, matching
 from rtfiles.errors import UsageError
+from rtfiles.wording import unknown
 
 PROFILES = Path(__file__).with_name("profiles")
 RELEASES_FILE = Path(__file__).parent / "layer" / "releases.yml"
@@ -22,26 +23,17 @@ LAYER = "meta-rt-tests"  # the rendered folder
 Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
 
 
-def _matches(pattern: str, allowed: str) -> AfterValidator:
-    def check(value: str) -> str:
-        if not re.fullmatch(pattern, value, re.ASCII):
-            raise ValueError(f"{value!r} is not {allowed}")
-        return value
-
-    return AfterValidator(check)
-
-
 # These values end up in recipes and shell: they hold no character that is syntax to BitBake, kas or a shell.
-Commit = Annotated[str, _matches(r"[0-9a-f]{40}", "a commit of 40 lower-case hex digits")]
-Url = Annotated[str, _matches(r"(https?|git)://[\w.~:/@%+-]+", "an http(s) or git address")]
-Name = Annotated[str, _matches(r"[a-z0-9][a-z0-9.+_-]*", "a name of lower-case letters, digits and . + _ -")]
+Commit = Annotated[str, matching(r"[0-9a-f]{40}", "a commit of 40 lower-case hex digits")]
+Url = Annotated[str, matching(r"(https?|git)://[\w.~:/@%+-]+", "an http(s) or git address")]
+Name = Annotated[str, matching(r"[a-z0-9][a-z0-9.+_-]*", "a name of lower-case letters, digits and . + _ -")]
 # BitBake reads the part after an underscore as the version.
-RecipeName = Annotated[str, _matches(r"[a-z0-9][a-z0-9.+-]*", "a name of lower-case letters, digits and . + -")]
-Branch = Annotated[str, _matches(r"\w[\w.+/-]*", "a branch of letters, digits and . + / _ -")]
-LayerPath = Annotated[str, _matches(r"\.|\w[\w.+-]*(/\w[\w.+-]*)*", "a folder in the repository, or . for its top")]
-Argument = Annotated[str, _matches(r"[\w.,:/=+-]+", "one boot argument without blanks or quotes")]
+RecipeName = Annotated[str, matching(r"[a-z0-9][a-z0-9.+-]*", "a name of lower-case letters, digits and . + -")]
+Branch = Annotated[str, matching(r"\w[\w.+/-]*", "a branch of letters, digits and . + / _ -")]
+LayerPath = Annotated[str, matching(r"\.|\w[\w.+-]*(/\w[\w.+-]*)*", "a folder in the repository, or . for its top")]
+Argument = Annotated[str, matching(r"[\w.,:/=+-]+", "one boot argument without blanks or quotes")]
 Line = Annotated[
-    str, _matches(r"[^$\\\x00-\x1f\x7f-\x9f\u2028\u2029]+", "one line of printable text without $ and backslash")
+    str, matching(r"[^$\\\x00-\x1f\x7f-\x9f\u2028\u2029]+", "one line of printable text without $ and backslash")
 ]
 
 # Kinds of public keys, and the form of the base64 that follows: its beginning and its length, so that a truncated key
@@ -61,7 +53,7 @@ def key_pattern(kinds: Iterable[str]) -> str:
     return "|".join(f"{kind} {KEY_TYPES[kind]}" for kind in kinds)
 
 
-KeyType = Annotated[str, _matches("|".join(KEY_TYPES), f"one of {', '.join(KEY_TYPES)}")]
+KeyType = Annotated[str, matching("|".join(KEY_TYPES), f"one of {', '.join(KEY_TYPES)}")]
 
 
 RtSource = Literal["branch", "mainline", "patch"]
@@ -147,7 +139,7 @@ class KernelSource(Config):
     branch: Branch
     commit: Commit
     rt_patch: Url
-    rt_patch_sha256: Annotated[str, _matches(r"[0-9a-f]{64}", "64 lower-case hex digits")] | None = None
+    rt_patch_sha256: Annotated[str, matching(r"[0-9a-f]{64}", "64 lower-case hex digits")] | None = None
 
 
 class Kernel(Config):
@@ -158,7 +150,7 @@ class Kernel(Config):
     """
 
     recipe: Name
-    version: Annotated[str, _matches(r"\d+\.\d+", "a kernel series such as 6.6")]
+    version: Annotated[str, matching(r"\d+\.\d+", "a kernel series such as 6.6")]
     rt: RtSource
     source: KernelSource | None = None
 
@@ -177,7 +169,7 @@ class Kernel(Config):
 class Console(Config):
     """A serial console."""
 
-    device: Annotated[str, _matches(r"tty[A-Za-z]+\d+", "a serial device such as ttyS2")]
+    device: Annotated[str, matching(r"tty[A-Za-z]+\d+", "a serial device such as ttyS2")]
     baud: Annotated[int, Field(ge=1200, le=4_000_000)]
 
 
@@ -203,7 +195,7 @@ class SuiteSource(Config):
     url: Url
     branch: Branch
     commit: Commit
-    version: Annotated[str, _matches(r"\d+(\.\d+)+", "a version such as 0.1.2")]
+    version: Annotated[str, matching(r"\d+(\.\d+)+", "a version such as 0.1.2")]
 
 
 class Image(Config):
@@ -260,7 +252,7 @@ def profile_path(name: str) -> Path:
     if name.endswith(".yml"):
         return Path(name)
     if name not in profile_names():
-        raise UsageError(f"profile {name!r} is unknown: give one of {', '.join(profile_names())}, or a file (….yml)")
+        raise UsageError(f"{unknown('profile', name, known=profile_names())}, or a file (….yml)")
     return PROFILES / f"{name}.yml"
 
 
@@ -270,7 +262,7 @@ def load_profile(name: str) -> tuple[Profile, Release]:
     profile = load(path, Profile)
     releases = load_releases()
     if profile.release not in releases:
-        raise UsageError(f"{path}: release: {profile.release!r} is unknown, allowed: {', '.join(releases)}")
+        raise UsageError(f"{path}: release: {unknown('release', profile.release, known=releases)}")
     release = releases[profile.release]
     problems = _misfits(profile, release)
     if problems:

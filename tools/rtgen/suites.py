@@ -11,6 +11,7 @@ from pathlib import Path
 from rtfiles import atomic, cache
 from rtfiles.config import read_yaml
 from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.wording import unknown
 from rtgen.board import packages as board_packages
 from rtgen.board import sysroot
 from rtgen.board.machine import Architecture, architectures, machines
@@ -21,6 +22,8 @@ SCHEMA = 1
 TOOLCHAIN_FILE = Path(__file__).with_name("debian.cmake")
 FLAGS = "-O2"
 SUPPORT = "rt_tests_support"
+# What observes a target while it measures, in C; every other package is a suite.
+SAMPLER = "rt_tests_sampler"
 # The name of this machine among those that suites are built for.
 HOST = "host"
 
@@ -54,7 +57,7 @@ def sources() -> Path:
 
 def packages() -> list[str]:
     """The catkin packages in the order of their dependencies."""
-    return [SUPPORT, *read_yaml(sources() / "suites.yml")["suites"]]
+    return [SUPPORT, SAMPLER, *read_yaml(sources() / "suites.yml")["suites"]]
 
 
 def names() -> list[str]:
@@ -69,7 +72,7 @@ def toolchain(machine: str, suite: str | None) -> Toolchain:
     for an unknown machine or suite, InfrastructureError when a tool or package is missing.
     """
     if machine not in names():
-        raise UsageError(f"unknown machine {machine!r}, known: {', '.join(names())}")
+        raise UsageError(unknown("machine", machine, known=names()))
     if machine == HOST:
         if suite is not None:
             raise UsageError(f"--suite {suite} is for boards: {HOST} has the libraries that are installed on it")
@@ -89,10 +92,11 @@ def toolchain(machine: str, suite: str | None) -> Toolchain:
 
 
 def build(machine: str, place: Path, suite: str | None = None) -> Path:
-    """Build for `host` or a board of Debian's suite; return `place`/<machine>, a link to the result in the cache.
+    """Build for `host` or a board of Debian's suite; return `place`/<machine>, a link to a copy of it beside the link.
 
-    Takes about half a minute; an unchanged build is taken from the cache. Raises UsageError as `toolchain` does and
-    InfrastructureError with the compiler's output.
+    It is no link into the cache: that belongs to the user who builds, and others may run the suites. Takes about half
+    a minute; an unchanged build is taken from the cache. Raises UsageError as `toolchain` does and InfrastructureError
+    with the compiler's output.
     """
     tools = toolchain(machine, suite)
     folder = sources()
@@ -120,7 +124,12 @@ def build(machine: str, place: Path, suite: str | None = None) -> Path:
 
     # The record names the machine, so each machine needs an entry of its own.
     entry = cache.entry("suites", f"{machine}-{key}", build_in)
-    atomic.replace_link(place / machine, entry)
+    copy = place / f".{entry.name}"
+    atomic.copy_folder(entry, copy)
+    atomic.replace_link(place / machine, copy.name)
+    for earlier in place.iterdir():
+        if earlier.name.rpartition("-")[0] == f".{machine}" and earlier != copy:
+            shutil.rmtree(earlier)
     return place / machine
 
 
@@ -131,6 +140,7 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
         "CMAKE_INSTALL_PREFIX": str(stage),
         "CMAKE_PREFIX_PATH": str(stage),
         "CMAKE_BUILD_TYPE": "None",
+        "CMAKE_C_FLAGS": tools.flags,
         "CMAKE_CXX_FLAGS": tools.flags,
         "CATKIN_ENABLE_TESTING": "OFF",
         # catkin of Debian 12 and of Debian 13 read one each.
@@ -146,7 +156,7 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
             "META_WORK": str(temporary),
         }
     if shutil.which("ccache"):
-        options["CMAKE_CXX_COMPILER_LAUNCHER"] = "ccache"
+        options |= {"CMAKE_C_COMPILER_LAUNCHER": "ccache", "CMAKE_CXX_COMPILER_LAUNCHER": "ccache"}
     definitions = [f"-D{name}={value}" for name, value in options.items()]
     # The temporary folder's name changes with every build; ccache has to ignore it.
     environment = {
@@ -167,7 +177,9 @@ def collect(stage: Path, result: Path) -> None:
             continue
         shutil.copytree(stage / "lib" / package, result / "lib" / package)
         data = result / "share" / package
-        shutil.copytree(stage / "share" / package / "launch", data / "launch")
+        data.mkdir(parents=True)
+        if package != SAMPLER:
+            shutil.copytree(stage / "share" / package / "launch", data / "launch")
         shutil.copyfile(stage / "share" / package / "package.xml", data / "package.xml")
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from rtfiles import atomic, cache
 from rtfiles.errors import UsageError
+from rtfiles.wording import unknown
 from rtgen import debian
 from rtgen.board import card, disk, initrd, packages
 from rtgen.board.kernel import Kernel, built_kernel, debian_kernel
@@ -40,7 +41,7 @@ def build(name: str, place: Path, kernel: str = "debian", login: Path | None = N
     if login is not None:
         card.check_login(login)
     if kernel not in KINDS and kernel not in (pinned := kconfig.load().sources):
-        raise UsageError(f"kernel {kernel!r} is unknown, known: {', '.join([*KINDS, *pinned])} (--kernel)")
+        raise UsageError(f"--kernel: {unknown('kernel', kernel, known=[*KINDS, *pinned])}")
     if kernel == "both" and machine.standard_kernel is None:
         raise UsageError(f"{name}: no standard_kernel in the file of this machine: --kernel both is for others")
     if kernel in ("debian", "both"):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.untrusted import read_text
 from rtgen import debian
 from rtgen.board import disk, u_boot, uefi
 from rtgen.board.boot import Boot, BootFiles
@@ -16,6 +17,8 @@ from rtgen.process import run
 IMAGE = "card.img"
 HOST_KEY = "/etc/ssh/ssh_host_ed25519_key"
 LOGIN_KEYS = "/root/.ssh/authorized_keys"
+# Thousands of keys.
+LOGIN_BYTES_MAX = 2**20
 MIB = 2**20
 # Room for several kernels.
 BOOT_MIB = 128
@@ -132,10 +135,7 @@ def file_system_id(system: Path) -> str:
 
 def check_login(login: Path) -> None:
     """Raise UsageError if this is no file of public keys."""
-    try:
-        text = login.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{login}: cannot be read: {error}") from error
+    text = read_text(login, max_bytes=LOGIN_BYTES_MAX)
     if "PRIVATE KEY" in text:
         raise UsageError(f"{login}: a private key, give the public one: {login}.pub")
     try:

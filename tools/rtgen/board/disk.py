@@ -36,7 +36,8 @@ def build(machine: Machine, kernels: Iterable[Kernel], source: debian.Source, fo
     tree = folder / "tree"
     tree.mkdir()
     names = package_names(machine, source.release)
-    debian.extract(names, tree, machine.architecture, source, packages().dropped)
+    downloaded = unpacked(names, machine.architecture, source, packages().dropped)
+    run(["cp", "--archive", "--reflink=auto", f"{downloaded}/.", tree])
     add_places(tree)
     add_tools(tree)
     for kernel in kernels:
@@ -108,7 +109,7 @@ def add_bytecode(tree: Path, source: debian.Source) -> None:
     if library.name == f"python{sys.version_info.major}.{sys.version_info.minor}":
         run([sys.executable, *command, "-j", "2"])
         return
-    python = unpacked(f"{library.name}-minimal", run(["dpkg", "--print-architecture"]).strip(), source)
+    python = unpacked([f"{library.name}-minimal"], run(["dpkg", "--print-architecture"]).strip(), source)
     loader = next(python.glob("usr/lib*/ld-linux*.so.*"))
     libraries = ":".join(str(path) for path in python.glob("usr/lib/*-linux-*"))
     program: list[str | Path] = [loader, "--library-path", libraries, python / f"usr/bin/{library.name}"]

@@ -53,7 +53,7 @@ class Kernel:
 
 def debian_kernel(package: str, machine: Machine, source: debian.Source) -> Kernel:
     """The kernel of Debian's package for a machine, from the cache or downloaded (about 10 s)."""
-    folder = unpacked(package, machine.architecture, source)
+    folder = unpacked([package], machine.architecture, source)
     releases = [path.name for path in (folder / "lib/modules").iterdir()]
     if len(releases) != 1:
         raise InfrastructureError(f"{package}: expected one kernel in {folder}, found {releases}")

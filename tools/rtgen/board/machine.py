@@ -4,16 +4,19 @@ import functools
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, model_validator
 
-from rtfiles.config import Config, load, parse, read_yaml
+from rtfiles.config import Config, load, matching, parse, read_yaml
 from rtfiles.errors import UsageError
+from rtfiles.wording import unknown
 
 HERE = Path(__file__).parent
 ARCHITECTURES = HERE / "architectures.yml"
 # Words of a command line or of a file name, and names of packages, modules and programs.
-Text = Annotated[str, StringConstraints(min_length=1, pattern=r"^[^\x00-\x1f\x7f]+$")]
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$")]
+Text = Annotated[str, matching(r"[^\x00-\x1f\x7f]+", "one line of text")]
+Name = Annotated[
+    str, matching(r"[A-Za-z0-9][A-Za-z0-9._+-]*", "a name of letters, digits and . _ + -, a letter or digit first")
+]
 
 
 class Architecture(Config):
@@ -102,7 +105,7 @@ def read_machine(path: Path) -> Machine:
     machine = load(path, Machine)
     known = architectures()
     if machine.architecture not in known:
-        raise UsageError(f"{path}: architecture: {machine.architecture!r} is unknown, known: {', '.join(known)}")
+        raise UsageError(f"{path}: architecture: {unknown('architecture', machine.architecture, known=known)}")
     if machine.medium == "uefi" and known[machine.architecture].uefi is None:
         raise UsageError(f"{path}: medium: {machine.architecture} has no name in UEFI, see {ARCHITECTURES}")
     return machine
@@ -112,7 +115,7 @@ def find(name: str) -> Machine:
     """The machine of this name. Raises UsageError that lists the known ones."""
     known = machines()
     if name not in known:
-        raise UsageError(f"unknown machine {name!r}, known: {', '.join(known)}")
+        raise UsageError(unknown("machine", name, known=known))
     return known[name]
 
 

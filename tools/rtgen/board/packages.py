@@ -1,5 +1,6 @@
 """The Debian packages that the board and the sysroot are made of, and what differs by release: packages.yml."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,7 @@ from pydantic import StringConstraints
 from rtfiles import cache
 from rtfiles.config import Config, load
 from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.wording import unknown
 from rtgen import debian
 from rtgen.process import run
 
@@ -45,28 +47,30 @@ def source(suite: str | None) -> debian.Source:
     chosen = debian.source(suite)
     known = packages().releases
     if chosen.release not in known:
-        raise UsageError(f"Debian's suite {chosen.release!r} is unknown, known: {', '.join(known)} (--suite)")
+        raise UsageError(f"--suite: {unknown('suite of Debian', chosen.release, known=known)}")
     return chosen
 
 
 def file_of(package: str, file: str, architecture: str, source: debian.Source) -> Path:
     """A file of a package by its path in it. Raises InfrastructureError when there is none, and as `unpacked` does."""
-    path = unpacked(package, architecture, source) / file
+    path = unpacked([package], architecture, source) / file
     if not path.is_file():
         raise InfrastructureError(f"{package} of Debian {source.release} ({architecture}) has no file {file}")
     return path
 
 
-def unpacked(package: str, architecture: str, source: debian.Source) -> Path:
-    """The folder of an unpacked package and its dependencies, from the cache or downloaded. Raises as `extract`.
+def unpacked(names: list[str], architecture: str, source: debian.Source, dropped: Iterable[str] = ()) -> Path:
+    """The folder of unpacked packages and their dependencies, from the cache or downloaded. Raises as `extract`.
 
-    A kernel in it has its modules.dep, which the package's script would have made.
+    It is not to be changed: what is made of these packages is made in a copy. A kernel in it has its modules.dep, which
+    the package's script would have made.
     """
+    dropped = sorted(dropped)
 
     def build(folder: Path) -> None:
-        debian.extract([package], folder, architecture, source)
+        debian.extract(names, folder, architecture, source, dropped)
         for modules in folder.glob("lib/modules/*"):
             run(["depmod", "--basedir", str(folder), modules.name])
 
-    key = cache.digest([package, architecture, repr(source), Path(debian.__file__), Path(__file__)])
+    key = cache.digest([*names, architecture, repr(source), *dropped, Path(debian.__file__), Path(__file__)])
     return cache.entry("package", key, build)

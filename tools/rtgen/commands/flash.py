@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     def show(what: str, done: int) -> None:
         print_status(f"{what} {done * 100 // size} %")
 
-    digest = flash.write(args.image, card, show)
+    digest = flash.write(args.image, size, card, show)
     print_status("")
     print_line(f"{card.path}: {size} bytes written and verified, sha256 {digest}")
     return 0

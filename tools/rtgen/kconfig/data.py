@@ -3,27 +3,29 @@
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
 from rtfiles import config
 from rtfiles.errors import UsageError
+from rtfiles.wording import unknown
 from rtgen.checkout import checkout
 
 _VERSION = r"[0-9]{1,4}\.[0-9]{1,4}"
+Version = Annotated[str, config.matching(_VERSION, "a version of the kernel like 6.1")]
 _VALUE = re.compile(r'[ymn]|-?\d+|0x[0-9a-fA-F]+|"[^"]*"')
 
 
 class Option(config.Config):
     """A kernel option: its value, the reason, the source of that reason, and its kernels (since <= kernel < before)."""
 
-    symbol: str = Field(pattern=r"^[A-Z0-9_]+$")
+    symbol: Annotated[str, config.matching("[A-Z0-9_]+", "a symbol of Kconfig without CONFIG_")]
     value: str | int
     reason: str = Field(min_length=1)
     source: str = Field(min_length=1)
-    since: str | None = Field(default=None, pattern=f"^{_VERSION}$")
-    before: str | None = Field(default=None, pattern=f"^{_VERSION}$")
+    since: Version | None = None
+    before: Version | None = None
 
     @field_validator("value")
     @classmethod
@@ -68,7 +70,7 @@ class Machine(config.Config):
 
     summary: str
     architecture: Architecture
-    since: str | None = Field(default=None, pattern=f"^{_VERSION}$")
+    since: Version | None = None
     bases: list[str] = Field(min_length=1)
     concerns: list[str] = Field(min_length=1)
     boards: list[str] = Field(default=[])
@@ -79,7 +81,7 @@ class SourceFile(config.Config):
     """A file that Debian serves."""
 
     file: str
-    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    sha256: Annotated[str, config.matching("[0-9a-f]{64}", "a SHA-256 of 64 lower-case hex digits")]
     package: str | None = None
     folder: str | None = None
 
@@ -126,7 +128,7 @@ class Data:
     def kernel(self, version: str) -> Kernel:
         """The kernel of that version. Raises UsageError, naming the known ones."""
         if version not in self.kernels:
-            raise UsageError(f"kernel {version} is unknown, known: {', '.join(self.kernels)}")
+            raise UsageError(unknown("kernel", version, known=self.kernels))
         return self.kernels[version]
 
     def source(self, version: str | None = None) -> DebianSource:
@@ -141,7 +143,7 @@ class Data:
     def machine(self, name: str) -> Machine:
         """The machine of that name. Raises UsageError, naming the known ones."""
         if name not in self.machines:
-            raise UsageError(f"machine {name} is unknown, known: {', '.join(self.machines)}")
+            raise UsageError(unknown("machine", name, known=self.machines))
         return self.machines[name]
 
     def fragment_of(self, board: str) -> str:
@@ -203,10 +205,8 @@ def load(folder: Path | None = None) -> Data:
     for name, machine in data.machines.items():
         for concern in machine.concerns:
             if concern not in data.concerns:
-                raise UsageError(
-                    f"{folder / 'machines.yml'}: machines.{name}.concerns: there is no {concern}, "
-                    f"known: {', '.join(data.concerns)}"
-                )
+                where = f"{folder / 'machines.yml'}: machines.{name}.concerns"
+                raise UsageError(f"{where}: {unknown('concern', concern, known=data.concerns)}")
         for kernel in data.kernels_of(name):
             _refuse_twice(data, name, kernel)
     return data

@@ -6,14 +6,16 @@ the download and leaves the machine's package lists and sources as they are.
 """
 
 import hashlib
+import os
 import re
 import shutil
 import tarfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from rtfiles import cache
 from rtfiles.errors import InfrastructureError
-from rtgen.debian import source
+from rtgen.debian import ENGLISH, download, failed_download, source
 from rtgen.kconfig.data import Data, DebianSource
 from rtgen.kconfig.tree import PATTERNS, Tree, open_tree, wanted
 from rtgen.process import run
@@ -90,13 +92,22 @@ def downloads(pinned: DebianSource) -> Path:
         apt = folder / "apt"
         options = _private_apt(apt, pinned)
         package = f"{pinned.tree.package}={pinned.version}"
-        packaging = f"{pinned.source}={pinned.version}"
-        try:
-            run(["apt-get", *options, "update", "--error-on=any"])
-            run(["apt-get", *options, "download", package], folder=folder)
+
+        def attempt(settings: Mapping[str, str]) -> None:
+            command = ["apt-get", *options, *(f"-o{name}={value}" for name, value in settings.items())]
+            environment = {**os.environ, **ENGLISH}
+            run([*command, "update", "--error-on=any"], environment=environment)
+            run([*command, "download", package], folder=folder, environment=environment)
             if pinned.patches is not None:
-                run(["apt-get", *options, "source", "--diff-only", "--download-only", packaging], folder=folder)
+                packaging = f"{pinned.source}={pinned.version}"
+                command += ["source", "--diff-only", "--download-only", packaging]
+                run(command, folder=folder, environment=environment)
+
+        try:
+            download(attempt)
         except InfrastructureError as error:
+            if failed := failed_download(str(error)):
+                raise InfrastructureError(failed) from error
             served = run(["apt-cache", *options, "madison", str(pinned.tree.package)])
             versions = dict.fromkeys(line.split("|")[1].strip() for line in served.splitlines() if "|" in line)
             instead = f" (served: {', '.join(versions)}; pin one in kconfig/sources.yml)" if versions else ""

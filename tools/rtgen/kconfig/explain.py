@@ -4,7 +4,6 @@ The kernel's own ``conf`` decides whether an option holds; this only explains it
 process environment and runs the compiler in the current folder, so `explain` runs this module as another process.
 """
 
-import difflib
 import json
 import re
 import sys
@@ -41,12 +40,6 @@ def explain(tree: Tree, architecture: Architecture, config: str, wanted: Mapping
             return dict.fromkeys(wanted, f"no explanation, kconfiglib cannot read this tree: {last}")
     reasons: dict[str, str] = json.loads(output)
     return reasons
-
-
-def nearest(symbol: str, known: frozenset[str]) -> str:
-    """A hint at the symbol that may have been meant, or nothing."""
-    close = difflib.get_close_matches(symbol, known, n=1, cutoff=0.75)
-    return f", did you mean {close[0]}?" if close else ""
 
 
 class _Kconfig(kconfiglib.Kconfig):  # type: ignore[misc]  # kconfiglib has no types; its reader is a method

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from rtfiles import cache
 from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.untrusted import MIB, read_text
 from rtgen.process import run
 
 
@@ -128,12 +129,12 @@ def open_tree(path: Path, name: str | None = None) -> Tree:
 
 def read_version(path: Path) -> tuple[str, str]:
     """(``6.1``, ``6.1.176-rt64``) from the Makefile and the localversion files. Raises UsageError."""
-    text = (path / "Makefile").read_text(encoding="utf-8")
+    text = read_text(path / "Makefile", max_bytes=MIB)
     numbers = [re.search(rf"^{part} = (\d+)$", text, re.M) for part in ("VERSION", "PATCHLEVEL", "SUBLEVEL")]
     version, level, sub = (match[1] if match else None for match in numbers)
     if version is None or level is None:
         raise UsageError(f"{path / 'Makefile'}: not the Makefile of a kernel, it has no VERSION and PATCHLEVEL")
-    local = "".join(file.read_text(encoding="utf-8").strip() for file in sorted(path.glob("localversion*")))
+    local = "".join(read_text(file, max_bytes=MIB).strip() for file in sorted(path.glob("localversion*")))
     return f"{version}.{level}", f"{version}.{level}.{sub or 0}{local}"
 
 

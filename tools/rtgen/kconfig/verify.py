@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import read_text
+from rtfiles.wording import did_you_mean
 from rtgen.kconfig import explain
 from rtgen.kconfig.data import Data
 from rtgen.kconfig.fragment import CONFIG_BYTES_MAX, Line, kernel_of, parse, parse_defconfig, parse_fragment, values
@@ -37,7 +38,7 @@ def read_base(data: Data, tree: Tree, architecture: Architecture, name: str) -> 
     """A base of a machine: a file in ``bases/``, or a defconfig of the tree. Raises UsageError."""
     own = data.folder / "bases" / name
     path = own if own.is_file() else tree.defconfig(name, architecture)
-    return parse_defconfig(path.read_text(encoding="utf-8"), name if path != own else str(own))
+    return parse_defconfig(read_text(path, max_bytes=CONFIG_BYTES_MAX), name if path != own else str(own))
 
 
 def merge(base: Sequence[Line], fragment: Sequence[Line]) -> str:
@@ -69,7 +70,8 @@ def verify_tree(
     mismatches = []
     for name, value in wrong.items():
         if name not in known:
-            why = f"undefined symbol in {tree.name}{explain.nearest(name, known)}"
+            hint = did_you_mean([name], sorted(known))
+            why = f"undefined symbol in {tree.name}{',' if hint else ''}{hint}"
         else:
             why = reasons.get(name, "no explanation: kconfiglib sees no difference")
             if origin and name not in given:

@@ -1,0 +1,32 @@
+"""The start of both programs. It imports as little as can be, so that nothing of ours runs before Ctrl-C is seen to."""
+
+import signal
+from collections.abc import Sequence
+from importlib import import_module
+from types import ModuleType
+
+
+def start(prog: str, description: str, commands: Sequence[str], argv: Sequence[str] | None) -> int:
+    """Import the commands of a program, modules of ``<prog>.commands``, run one, and return the exit status.
+
+    Ctrl-C while they are imported ends the process as it ends a program that knows nothing of signals: an import that
+    is interrupted leaves a traceback, and nothing is to be cleaned up yet.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    # One that is ignored, or that a caller has taken for itself, stays.
+    quiet = before is signal.default_int_handler
+    if quiet:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        from rtfiles.command import dispatch
+
+        modules = commands_of(prog, commands)
+    finally:
+        if quiet:
+            signal.signal(signal.SIGINT, before)
+    return dispatch(prog, description, modules, argv)
+
+
+def commands_of(prog: str, names: Sequence[str]) -> list[ModuleType]:
+    """The commands of a program as `rtfiles.command.dispatch` takes them."""
+    return [import_module(f"{prog}.commands.{name}") for name in names]
