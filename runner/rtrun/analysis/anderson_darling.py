@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.tails import GPD, Float64s, Parameters
@@ -26,7 +25,9 @@ def p_value(excesses_ns: Int64s, quantum_ns: int, parameters: Parameters) -> flo
     A value measured in steps says no more than its step: it is put at random between the distribution function at both
     ends of it (fixed seed), so that the statistic has the distribution of continuous values.
     """
-    lower, upper = (GPD.cdf(excesses_ns.astype(np.float64) + offset, parameters) for offset in (0, quantum_ns))
+    ends = excesses_ns.astype(np.float64) + np.array([[0], [quantum_ns]])
+    with np.errstate(divide="ignore"):  # beyond the end of the distribution
+        lower, upper = GPD.cdf(ends, parameters)
     places = np.random.default_rng(_SEED).random(excesses_ns.size)
     return _exceeding(_statistic(lower + places * (upper - lower)), round(parameters[0], 2))
 
@@ -53,22 +54,23 @@ def _statistic(uniform: Float64s) -> float:
 def _exceeding(statistic: float, shape: float) -> float:
     """P(the statistic or more) after both parameters were fitted by maximum likelihood.
 
-    The limit is a sum of squared normal variates with the weights below (Choulakian & Stephens 2001). Its upper tail is
+    The limit is a sum of squared normal variates (Choulakian & Stephens 2001). Its upper tail is
     that of the chi-squared distribution with the same first three moments (Buckley & Eagleson 1988).
     """
     from scipy.special import chdtrc
 
-    weights = _weights(min(max(shape, _SHAPES[0]), _SHAPES[1]))
-    mean, variance, third = weights.sum(), 2 * (weights**2).sum(), 8 * (weights**3).sum()
+    mean, variance, third = _moments(min(max(shape, _SHAPES[0]), _SHAPES[1]))
     degrees = 8 * variance**3 / third**2
     standardised = (statistic - mean) / math.sqrt(variance)
     return float(chdtrc(degrees, max(0.0, degrees + standardised * math.sqrt(2 * degrees))))
 
 
 @functools.lru_cache(maxsize=256)
-def _weights(shape: float) -> NDArray[np.float64]:
-    """Eigenvalues of the covariance of the weighted empirical process, whose fitted parameters make it smaller.
+def _moments(shape: float) -> tuple[float, float, float]:
+    """Mean, variance and third central moment of that limit.
 
+    The weights are the eigenvalues of the covariance of the weighted empirical process, which fitted parameters make
+    smaller; their sums of powers are traces of its powers.
     With S the chance of a larger value and scale 1, log S = -log(1 + shape x) / shape; the covariance of the estimates
     is that of Smith (1987).
     """
@@ -85,5 +87,6 @@ def _weights(shape: float) -> NDArray[np.float64]:
     estimates = (1 + shape) * np.array([[1 + shape, -1], [-1, 2]])
     covariance = np.minimum.outer(below, below) - np.outer(below, below) - gradient.T @ estimates @ gradient
     spread = np.sqrt(lengths / 2 / (below * above))
-    values: NDArray[np.float64] = np.linalg.eigvalsh(covariance * np.outer(spread, spread))
-    return np.maximum(values, 0.0)
+    weighted = covariance * np.outer(spread, spread)
+    squared = weighted @ weighted
+    return float(np.trace(weighted)), 2 * float(np.trace(squared)), 8 * float(np.sum(weighted * squared))

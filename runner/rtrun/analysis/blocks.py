@@ -18,7 +18,7 @@ _SEED = 20140715
 class Blocks:
     """Counts of bins in each block of a run: ``counts`` (b, m) for bins from ``values_ns`` (m,), ascending.
 
-    ``sums_ns`` (b,) are exact sums of each block. ``ordered`` is False where a histogram was split at random, which
+    ``sums_ns`` (b,) are the sums of each block. ``ordered`` is False where a histogram was split at random, which
     takes its measurements for independent. Bins are ``bin_ns`` wide; ``values_ns`` beyond a few thousand bins are
     coarser. ``boot`` and ``start_time`` of the run are "" where they are not known.
     """
@@ -57,7 +57,7 @@ def cut(values_ns: Int64s, blocks: int = BLOCKS) -> Blocks:
         part = values_ns[start:stop]
         bins = from_samples(part, whole.bin_ns)
         np.add.at(counts[row], np.searchsorted(columns, bins.values_ns, side="right") - 1, bins.counts)
-        sums[row] = float(part.sum())
+        sums[row] = float(part.sum(dtype=np.float64))
     return Blocks(values_ns=columns, counts=counts, sums_ns=sums, bin_ns=whole.bin_ns)
 
 

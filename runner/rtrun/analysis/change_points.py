@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rtrun.analysis.ranks import ranks
 from rtrun.analysis.welch import standard_error
 
 Floats = NDArray[np.float64]
@@ -73,11 +74,10 @@ def _ends_of_levels(values: Floats, confidence: float) -> list[int]:
     if values.size < 2 * LEAST_UNITS or np.ptp(values) == 0:
         return [values.size]
     import ruptures
-    from scipy.stats import rankdata
 
-    ranks = np.asarray(rankdata(values))
-    penalty = _penalty(np.sort(ranks).tobytes(), confidence)
-    search = ruptures.KernelCPD(kernel="linear", min_size=LEAST_UNITS).fit(_normal_scores(ranks)[:, None])
+    ranked = ranks(values)
+    penalty = _penalty(np.sort(ranked).tobytes(), confidence)
+    search = ruptures.KernelCPD(kernel="linear", min_size=LEAST_UNITS).fit(_normal_scores(ranked)[:, None])
     return [int(end) for end in search.predict(pen=penalty)]
 
 
@@ -94,11 +94,11 @@ def _penalty(sorted_ranks: bytes, confidence: float) -> float:
     return max(1e-9, float(np.quantile(most, confidence, method="higher")))
 
 
-def _normal_scores(ranks: Floats) -> Floats:
+def _normal_scores(ranked: Floats) -> Floats:
     """Standard normal quantiles of ranks (van der Waerden), of which ties have their mean; the scores' mean is 0."""
     from scipy.special import ndtri
 
-    scores = np.asarray(ndtri(ranks / (ranks.size + 1)))
+    scores = np.asarray(ndtri(ranked / (ranked.size + 1)))
     return np.asarray(scores - scores.mean())
 
 

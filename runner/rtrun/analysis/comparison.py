@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rtrun.analysis.blocks import Blocks, align
 from rtrun.analysis.deadline import Verdict
+from rtrun.analysis.effects import holm
 from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.intervals import clopper_pearson
@@ -102,8 +103,11 @@ def compare(
     confidence: float = 0.95,
     margin_ns: float | None = None,
     clock_step_ns: int = 1,
+    tests: int = 1,
 ) -> Comparison:
     """Compare two sets of runs of the same series; the margin of no concern is 5 % of A's figure unless given.
+
+    It is one of so many `tests` that `correct` takes together.
 
     DIFFERENT needs five runs a side, or boots where the sets have none in common, measured in turn.
 
@@ -151,13 +155,15 @@ def compare(
         shifts.append(
             Shift(figure=name, a_ns=at_a, b_ns=at_b, low_ns=float(low), high_ns=float(high), margin_ns=margin)
         )
-    distance, p_value = _permutation_test(np.concatenate(rows_a), np.concatenate(rows_b), rng)
+    distance, p_value = _permutation_test(
+        np.concatenate(rows_a), np.concatenate(rows_b), rng, max(ROUNDS, math.ceil(2 * tests / (1 - confidence)))
+    )
     if min(units) < _LEAST_UNITS:
         answer = Change.UNDECIDED
     elif p_value < 1 - confidence:
         answer = Change.DIFFERENT if whole_runs and interleaved else Change.RUNS_DIFFER
     else:
-        answer = Change.SAME if all(shift.within_margin for shift in shifts) else Change.NOT_SEEN
+        answer = _no_difference(shifts)
     return Comparison(
         answer=answer,
         shifts=() if answer == Change.UNDECIDED else tuple(shifts),
@@ -170,6 +176,23 @@ def compare(
         seed=SEED,
         assumes=tuple(assumes),
     )
+
+
+def _no_difference(shifts: Sequence[Shift]) -> Change:
+    return Change.SAME if all(shift.within_margin for shift in shifts) else Change.NOT_SEEN
+
+
+def correct(comparisons: Sequence[Comparison]) -> list[Comparison]:
+    """Comparisons of the same confidence taken together: with the chance 1 - confidence any of them sees a difference
+    where there is none (Holm 1979)."""
+    decided = [one for one in comparisons if one.answer is not Change.UNDECIDED]
+    rejected = iter(holm([one.p_value for one in decided], 1 - decided[0].confidence) if decided else [])
+    return [
+        one
+        if one.answer is Change.UNDECIDED or next(rejected) or one.answer not in (Change.DIFFERENT, Change.RUNS_DIFFER)
+        else replace(one, answer=_no_difference(one.shifts))
+        for one in comparisons
+    ]
 
 
 def ratio_of_misses(a: Verdict, b: Verdict, confidence: float = 0.95) -> Ratio:
@@ -234,7 +257,7 @@ def _sums_by_key(rows: Sequence[Int64s], keys: Sequence[str]) -> Int64s:
     )
 
 
-def _permutation_test(rows_a: Int64s, rows_b: Int64s, rng: np.random.Generator) -> tuple[float, float]:
+def _permutation_test(rows_a: Int64s, rows_b: Int64s, rng: np.random.Generator, rounds: int) -> tuple[float, float]:
     rows = np.concatenate((rows_a, rows_b)).astype(np.float64)
     total = rows.sum(axis=0)
 
@@ -248,8 +271,8 @@ def _permutation_test(rows_a: Int64s, rows_b: Int64s, rng: np.random.Generator) 
     truth = np.zeros((1, len(rows)))
     truth[0, : len(rows_a)] = 1
     seen = float(distances(truth)[0])
-    shuffled = rng.permuted(np.repeat(truth, ROUNDS, axis=0), axis=1)
+    shuffled = rng.permuted(np.repeat(truth, rounds, axis=0), axis=1)
     reached = 0
-    for part in np.array_split(shuffled, max(1, ROUNDS * rows.shape[1] // 2_000_000)):
+    for part in np.array_split(shuffled, max(1, rounds * rows.shape[1] // 2_000_000)):
         reached += int((distances(part) >= seen - 1e-12).sum())
-    return seen, (1 + reached) / (1 + ROUNDS)
+    return seen, (1 + reached) / (1 + rounds)

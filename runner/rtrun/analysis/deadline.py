@@ -1,24 +1,21 @@
 """Is a deadline met, with what probability, and how sure is that?"""
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
+from rtrun.analysis.constancy import examine_constancy, join_boots
 from rtrun.analysis.dependence import Events, cluster_effect, design_effect, effect_of_few, pool
-from rtrun.analysis.intervals import anytime_interval, anytime_lower, anytime_upper
+from rtrun.analysis.further import chance_of_no_miss, likely_further, longest_burst, missing_without_miss
+from rtrun.analysis.intervals import anytime_interval, anytime_lower
 from rtrun.analysis.stationarity import SIGNIFICANT, Change
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials
+from rtrun.plan.question import Question, unlike_share
 
-# Beyond this a number of measurements is no plan: at 1 kHz it is 30 000 years.
-_UNATTAINABLE = 10**15
 # Lengths of bursts for which a proof says how much longer it would have to measure.
 BURSTS = (20, 50)
-# The chance with which `further_likely` measurements are enough, if rate and dependence stay; 0.9 is promised, for a
-# test may see a change by chance.
-LIKELY = 0.95
 
 
 class Answer(StrEnum):
@@ -35,21 +32,19 @@ class Answer(StrEnum):
 class Verdict:
     """The answer to one deadline.
 
-    ``lower`` and ``upper`` bound P(miss) at ``confidence``, however often somebody looks (`anytime_interval`).
-    ``boots`` counts the boots that were measured, None where they are not known; the answer is to rest on
-    ``boots_wanted``. ``boards`` counts the boards that were measured. ``longest_burst`` is the mean length of bursts of
-    misses, none of which was seen, up to which PROVEN would hold; ``further_for_bursts`` gives (length, measurements
-    without a miss that would cover it).
+    ``lower`` and ``upper`` bound P(miss) at the confidence asked for, however often somebody looks
+    (`anytime_interval`). ``boots`` counts the boots that were measured, None where they are not known. ``boards``
+    counts the boards that were measured. ``longest_burst`` is the mean length of bursts of misses, none of which was
+    seen, up to which PROVEN would hold; ``further_for_bursts`` gives (length, measurements without a miss that would
+    cover it).
 
-    ``further`` measurements without any further miss would give PROVEN (0: it is given, None: no number would);
-    ``further_likely`` gives (answer, measurements) that nine times in ten are enough if misses go on at the rate seen,
-    None where no number is.
+    ``further`` measurements without any further miss would give PROVEN (0: it is given, None: no number would), which
+    has the chance ``further_chance``. ``further_likely`` gives (answer, measurements) that nine times in ten are enough
+    if misses go on at the rate seen, None where no number is.
     """
 
     answer: Answer
-    deadline_ns: int
-    probability: float
-    confidence: float
+    question: Question
     n: int
     late: int
     absent: int
@@ -60,11 +55,11 @@ class Verdict:
     design_effect: float
     n_effective: float
     boots: int | None
-    boots_wanted: int
     boards: int
     longest_burst: float
     further_for_bursts: tuple[tuple[int, int], ...]
     further: int | None
+    further_chance: float
     further_likely: tuple[Answer, int] | None
     period_ns: float | None
     assumes: tuple[str, ...]
@@ -79,7 +74,12 @@ class Verdict:
     @property
     def boots_missing(self) -> int:
         """How many more boots the answer is to rest on, as far as boots are known."""
-        return 0 if self.boots is None else max(0, self.boots_wanted - self.boots)
+        return 0 if self.boots is None else max(0, self.question.boots - self.boots)
+
+    @property
+    def unlike_share(self) -> float | None:
+        """The largest share of boots of another kind that the answer may have missed; None for boots not known."""
+        return unlike_share(self.boots, self.question.confidence) if self.boots else None
 
     def hours(self, measurements: int) -> float | None:
         """How long so many measurements take; None when the period is not known."""
@@ -88,25 +88,23 @@ class Verdict:
 
 def judge(
     runs: Sequence[Trials],
+    question: Question,
     *,
-    deadline_ns: int,
-    probability: float,
-    confidence: float,
     period_ns: float | None = None,
     clock_step_ns: int | None = None,
     emulated: bool = False,
     measurements_per_event: int = 1,
-    boots_wanted: int = 1,
 ) -> Verdict:
-    """Answer for runs of one set of parameters: is P(miss) below `probability`, at this confidence?
+    """Answer a question for runs of one set of parameters.
 
     PROVEN: the interval's upper end is below it, and no run shows a change. IF_INDEPENDENT: the same, from counts that
-    kept no order. REFUTED: the lower end is above it. Else, and with fewer than `boots_wanted` boots, NEEDS MORE, with
+    kept no order. REFUTED: the lower end is above it. Else, and with fewer boots than asked for, NEEDS MORE, with
     how many.
     `measurements_per_event` measurements of one event (the subscribers of one message) count as one measurement.
     Numbers from an emulated board, or for a deadline below two clock steps, are no real-time statement.
     Raises ValueError when probability or confidence is not between 0 and 1.
     """
+    deadline_ns, probability, confidence = question.deadline_ns, question.probability, question.confidence
     if not 0 < probability < 1 or not 0 < confidence < 1:
         raise ValueError("probability and confidence must lie between 0 and 1, both ends excluded")
     runs = sorted(runs, key=lambda run: run.start_time)
@@ -114,14 +112,18 @@ def judge(
     late, absent = sum(run.late for run in runs), sum(run.absent for run in runs)
     misses = late + absent
     ordered = all(run.misses is not None for run in runs)
+    joined = join_boots(runs)
+    constancy = examine_constancy(joined, probability=probability, confidence=confidence)
     effect, assumes = _effect_of_runs(runs, misses, confidence, measurements_per_event)
+    effect = max(effect, _effect_of_clusters(constancy.clusters, misses, confidence))
     effect = min(max(effect, float(measurements_per_event)), max(1.0, float(n)))
     lower, upper = anytime_interval(misses / effect, n / effect, confidence)
     if unclear := sum(run.unclear for run in runs):
         # What may have met the deadline counts against a proof, and not for the contrary.
         lower = anytime_lower((misses - unclear) / effect, n / effect, confidence)
         assumes = (*assumes, f"{unclear} values in the same bin of a log as the deadline are late")
-    change = _strongest_change(runs)
+    change = constancy.change
+    covered = longest_burst(misses, n, effect, question)
     refused = None
     if emulated:
         refused = "measured on an emulated board"
@@ -130,26 +132,23 @@ def judge(
     boots = len({run.boot for run in runs}) if all(run.boot for run in runs) else None
     if refused:
         answer = Answer.NO_STATEMENT
-    elif boots is not None and boots < boots_wanted:
+    elif boots is not None and boots < question.boots:
         answer = Answer.NEEDS_MORE
-    elif n and upper < probability and change is None:
+    elif covered >= question.bursts and change is None:
         answer = Answer.PROVEN if ordered else Answer.IF_INDEPENDENT
     elif n and lower > probability:
         answer = Answer.REFUTED
     else:
         answer = Answer.NEEDS_MORE
     proven = answer in (Answer.PROVEN, Answer.IF_INDEPENDENT)
-    # So many independent measurements would prove it after as many independent misses as these are worth.
-    needed = _smallest(lambda total: anytime_upper(misses / effect, total, confidence) < probability, 0)
-
-    def further(burst: float) -> int | None:
-        return None if needed is None else max(0, math.ceil(needed * max(effect, burst)) - n)
+    further = missing_without_miss(misses, n, effect, question)
+    longer = [(length, replace(question, bursts=length)) for length in BURSTS] if proven else []
+    is_open = answer == Answer.NEEDS_MORE and change is None
+    likely = likely_further(misses, n, effect, question) if is_open else None
 
     return Verdict(
         answer=answer,
-        deadline_ns=deadline_ns,
-        probability=probability,
-        confidence=confidence,
+        question=question,
         n=n,
         late=late,
         absent=absent,
@@ -160,50 +159,19 @@ def judge(
         design_effect=effect,
         n_effective=n / effect,
         boots=boots,
-        boots_wanted=boots_wanted,
         boards=len({run.board for run in runs}),
-        longest_burst=n / needed if needed else 0.0,
-        further_for_bursts=tuple((length, more) for length in BURSTS if proven and (more := further(length))),
-        further=further(1.0),
-        further_likely=_likely_further(misses, n, effect, probability, confidence)
-        if answer == Answer.NEEDS_MORE
-        else None,
+        longest_burst=covered,
+        further_for_bursts=tuple(
+            (length, more) for length, asked in longer if (more := missing_without_miss(misses, n, effect, asked))
+        ),
+        further=further,
+        further_chance=chance_of_no_miss(misses, n, effect, further or 0),
+        further_likely=likely and (Answer.PROVEN if likely[0] else Answer.REFUTED, likely[1]),
         period_ns=period_ns,
         assumes=assumes,
         change=change,
         refused=refused,
     )
-
-
-def plan_measurements(*, probability: float, confidence: float, rate: float = 0.0) -> tuple[Answer, int] | None:
-    """Answer and independent measurements that nine times in ten are enough, if misses come at this rate.
-
-    Without misses it is the fewest that prove it. None where no number decides.
-    """
-    from scipy.special import pdtrik
-
-    if not rate:
-        total = _smallest(lambda total: anytime_interval(0, total, confidence)[1] < probability, 0)
-        return None if total is None else (Answer.PROVEN, total)
-
-    def decided(total: int) -> bool:
-        # The LIKELY quantile of the Poisson number of misses, on the side that delays the answer.
-        if rate < probability:
-            misses = math.ceil(max(0.0, float(pdtrik(LIKELY, rate * total))))
-            return anytime_interval(misses, total, confidence)[1] < probability
-        misses = math.floor(max(0.0, float(pdtrik(1 - LIKELY, rate * total))))
-        return anytime_interval(misses, total, confidence)[0] > probability
-
-    total = _smallest(decided, 0)
-    return None if total is None else (Answer.PROVEN if rate < probability else Answer.REFUTED, total)
-
-
-def _strongest_change(runs: Sequence[Trials]) -> Change | None:
-    """The most significant change in any run, if it is one among so many tests (Bonferroni)."""
-    changes = [change for run in runs for change in run.changes]
-    strongest = min(changes, key=lambda change: change.p_value / change.significant, default=None)
-    seen = strongest is not None and strongest.p_value * len(changes) < strongest.significant
-    return strongest if seen else None
 
 
 def _effect_of_runs(
@@ -219,7 +187,7 @@ def _effect_of_runs(
     if misses >= ENOUGH_MISSES:
         return max(measurements_per_event * _widened(pool(located), confidence), between), ()
     starts = np.cumsum([0, *(run.n for run in runs)])
-    places = [run.first_misses + start for run, start in zip(runs, starts, strict=False)]
+    places = [run.missed_at + start for run, start in zip(runs, starts, strict=False)]
     own = effect_of_few(np.concatenate(places), int(starts[-1])) if misses > 1 else 1.0
     levels = [run.level for run in runs if run.level is not None]
     assumes = () if levels else ("independent measurements: too few to see bursts",)
@@ -273,49 +241,11 @@ def _few(degrees: float, confidence: float) -> float:
 
 
 def _widened(events: Events, confidence: float) -> float:
-    """The design effect, larger where it rests on few bursts: their number counts as degrees of freedom."""
-    effect = design_effect(events)
-    return 1.0 if effect == 1 else effect * _few(max(1.0, events.count / effect), confidence)
+    """The design effect, larger where it rests on few bursts: their number counts as degrees of freedom.
 
-
-def _likely_further(
-    misses: int, n: int, effect: float, probability: float, confidence: float
-) -> tuple[Answer, int] | None:
-    """Answer and measurements that are enough with the chance LIKELY, if misses go on at the rate seen.
-
-    The rate is uncertain itself: misses still to come are negative binomial, as predicted after Jeffreys' prior for a
-    Poisson rate (Gelman et al. 2013, section 2.6).
+    It is not beyond what it would be if all events were one burst.
     """
-    from scipy.special import nbdtrik
-
-    if not n:
-        return None
-    k, n_effective = misses / effect, n / effect
-    proving = misses / n < probability
-
-    def decided(total: int) -> bool:
-        more = total / effect - n_effective
-        chance = LIKELY if proving else 1 - LIKELY
-        coming = max(0.0, float(nbdtrik(chance, k + 0.5, n_effective / (n_effective + more)))) if more > 0 else 0.0
-        k_then = k + (math.ceil(coming) if proving else math.floor(coming))
-        if proving:
-            return anytime_upper(k_then, n_effective + more, confidence) < probability
-        return anytime_lower(k_then, n_effective + more, confidence) > probability
-
-    total = _smallest(decided, n)
-    return None if total is None else (Answer.PROVEN if proving else Answer.REFUTED, total - n)
-
-
-def _smallest(condition: Callable[[int], bool], start: int) -> int | None:
-    """The smallest total from `start` on for which a monotone condition holds; None beyond all plans."""
-    if start and condition(start):
-        return start
-    low, high = start, max(1, start)
-    while not condition(high):
-        low, high = high, 2 * high
-        if high > _UNATTAINABLE:
-            return None
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if condition(middle) else (middle, high)
-    return high
+    effect = design_effect(events)
+    if effect == 1:
+        return 1.0
+    return max(effect, min(effect * _few(max(1.0, events.count / effect), confidence), float(events.count)))

@@ -37,6 +37,13 @@ def anytime_upper(k: float, n: float, confidence: float) -> float:
     return upper_bound(k, n, (1 - confidence) / ((whole + 1) * (whole + 2)))
 
 
+def chance_of_so_many(k: float, n: float, p: float) -> float:
+    """The chance of k or more events in n trials of probability p; k and n need not be whole."""
+    from scipy.special import betainc
+
+    return 1.0 if k <= 0 or n <= 0 else float(betainc(min(k, n), max(n - k, 0.0) + 1, p))
+
+
 def lower_bound(k: float, n: float, level: float) -> float:
     """The probability at which k or more events in n trials have the chance `level`; 0 when k is 0."""
     from scipy.special import betaincinv

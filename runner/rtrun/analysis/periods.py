@@ -1,8 +1,9 @@
-"""Do events come at a fixed distance? Bursts count once."""
+"""Do events come at a fixed distance, or anywhere alike? Bursts count once."""
 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtrun.analysis.histogram import Int64s
 
@@ -11,6 +12,20 @@ def burst_peaks(positions: Sequence[int], loops: int) -> Int64s:
     """Ascending places of events, those nearer than 1/500 of the run to the one before left out (one a burst)."""
     places = np.sort(np.asarray(positions, dtype=np.int64))
     return places[np.diff(places, prepend=-loops) > loops // 500]
+
+
+def evenly_spread_p(places: NDArray[np.float64]) -> float:
+    """The p-value that places, as parts of 1, are spread evenly: two-sided test of Kolmogorov and Smirnov.
+
+    Twice the exact p of one side (Birnbaum & Tingey 1951): above 0.1 too high, below exact to 1 in 10^4, as both sides
+    are seldom so far off. scipy.stats.kstest takes longer to load than a report takes.
+    """
+    from scipy.special import smirnov
+
+    ordered = np.sort(places)
+    steps = np.arange(ordered.size + 1) / ordered.size
+    farthest = max(float((steps[1:] - ordered).max()), float((ordered - steps[:-1]).max()))
+    return min(1.0, 2 * float(smirnov(ordered.size, farthest)))
 
 
 def find_period(runs: Sequence[tuple[Int64s, int]]) -> tuple[int, float]:

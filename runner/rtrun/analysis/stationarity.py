@@ -10,20 +10,26 @@ from rtrun.analysis.histogram import Int64s
 SIGNIFICANT = 0.01
 SIGNIFICANT_OF_MISSES = 0.05
 PARTS = 8
+# Events are compared from piece to piece, too: no burst is as long as a piece, and no change is taken for a burst.
+PIECES = 64
+SEED = 20140715
+_PERMUTATIONS = 999
 # Cochran (1954): the chi-squared test needs about five expected events in each part.
 _LEAST_FOR_PARTS = 5 * PARTS
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Change:
-    """The strongest sign in one run that it did not stay the same, seen if ``p_value`` is below ``significant``.
+    """A sign that it did not stay the same, seen if ``p_value`` is below ``significant``.
 
-    ``p_value`` is corrected for all tests made in the run.
+    ``p_value`` is corrected for all tests made in the run. Where a load comes and goes, ``missing_loops`` more would
+    show whether that goes on.
     """
 
     p_value: float
     significant: float
     text: str
+    missing_loops: int | None = None
 
 
 def test_of_parts(positions: Int64s, loops: int) -> tuple[float, Int64s]:
@@ -57,12 +63,37 @@ def test_of_ends(positions: Int64s, loops: int) -> tuple[float, int, float]:
 def find_change(positions: Int64s, loops: int, events: str, significant: float = SIGNIFICANT) -> Change | None:
     """The strongest sign that `events` at ascending positions, int64 (k,), do not come evenly; None with fewer than 2.
 
-    Events nearer to the one before than 1/500 of the run count once, so that a burst is not taken for a change (runs
-    declustering, Smith & Weissman 1994; the intervals estimator would take a change for one long burst).
+    Three tests: do events gather at an end, do they come as often in each eighth, and are the first or last pieces of
+    the run worse than others (`test_of_order`)? In the first two, events nearer to the one before than 1/500 of the run
+    count once, so that a burst is not taken for a change (runs declustering, Smith & Weissman 1994; the intervals
+    estimator would take a change for one long burst). The last one needs no such rule, and sees what that rule hides.
     """
+    if positions.size < 2 or loops < PIECES:
+        return None
+    found = [*_in_pieces(positions, loops, events, significant), *_by_places(positions, loops, events, significant)]
+    strongest = min(found, key=lambda change: change.p_value, default=None)
+    return strongest and replace(strongest, p_value=min(1.0, len(found) * strongest.p_value))
+
+
+def count_until(positions: Int64s, ends: Int64s) -> Int64s:
+    """How many events at ascending positions, int64 (k,), lie before each of ascending ends, (m,), and not before the
+    end before it."""
+    return np.diff(np.searchsorted(positions, ends), prepend=0).astype(np.int64)
+
+
+def _in_pieces(positions: Int64s, loops: int, events: str, significant: float) -> list[Change]:
+    ends = np.arange(1, PIECES + 1) * loops // PIECES
+    counts = count_until(positions, ends)
+    if np.count_nonzero(counts) < 2:
+        return []  # it may be one burst
+    p_value, text = test_of_order(counts, np.diff(ends, prepend=0))
+    return [Change(p_value=p_value, significant=significant, text=f"{events} in pieces of a run: {text}")]
+
+
+def _by_places(positions: Int64s, loops: int, events: str, significant: float) -> list[Change]:
     starts = positions[np.diff(positions, prepend=-loops) > loops // 500]
     if starts.size < 2:
-        return None
+        return []
     ends_p, count, fraction = test_of_ends(starts, loops)
     where = "last" if fraction > 0 else "first"
     ends = Change(
@@ -71,9 +102,77 @@ def find_change(positions: Int64s, loops: int, events: str, significant: float =
         text=f"{count} of {starts.size} {events} lie in the {where} {100 * abs(fraction):.2g} % of a run",
     )
     if starts.size < _LEAST_FOR_PARTS:
-        return ends
+        return [ends]
     parts_p, counts = test_of_parts(starts, loops)
     text = f"{events} in eighths of a run: {', '.join(map(str, counts))}"
     parts = Change(p_value=parts_p, significant=significant, text=text)
-    strongest = min(ends, parts, key=lambda change: change.p_value)
-    return replace(strongest, p_value=min(1.0, 2 * strongest.p_value))
+    return [ends, parts]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Visits:
+    """When a higher level of events was entered: the loops at which it began each time, int64 (v,), ascending."""
+
+    starts: Int64s
+
+    @property
+    def returns(self) -> int:
+        """How often it was left and entered again."""
+        return max(0, self.starts.size - 1)
+
+
+def find_visits(positions: Int64s, loops: int) -> Visits:
+    """When events at ascending positions, int64 (k,), came oftener than on average, and then seldomer again.
+
+    The number of events so far, less what an even rate gives, rises while there are more of them, and falls while there
+    are fewer. A rise or fall of at least a quarter of its range is one of level, if it is more than chance makes:
+    events at an even rate rise and fall k / h^2 times by h (a random walk of k steps). So a drift or a step is one rise
+    and one fall, and a load that comes and goes has as many as it has turns.
+    """
+    k = positions.size
+    even = positions * (k / loops)
+    # The course just before and just after each event.
+    course = np.stack((np.arange(k) - even, np.arange(1, k + 1) - even), axis=1).ravel()
+    least = max(np.ptp(course) / 4, k**0.5) if k else 0.0
+    starts: list[int] = []
+    low = high = 0.0
+    low_at, rising = 0, False
+    for place, height in zip(np.repeat(positions, 2).tolist(), course.tolist(), strict=True):
+        if height < low:
+            low, low_at = height, place
+        if rising:
+            high = max(high, height)
+            if high - height >= least:
+                rising, low, low_at = False, height, place
+        elif height - low >= least:
+            rising, high = True, height
+            starts.append(low_at)
+    return Visits(starts=np.array(starts, np.int64))
+
+
+def test_of_order(counts: Int64s, loops: Int64s) -> tuple[float, str]:
+    """P-value of the test that the first or the last units have no more events than others, and the strongest sign.
+
+    `counts` and `loops` are int64 (m,), events and loops of units (boots, turns of a load) in the order of time. The
+    sums of the first and the last 1, 2, 4, ... units are compared with those of the same units in random order. However
+    much units differ, as long as their order does not matter, a p-value below x has the chance x (permutation test;
+    Westfall & Young 1993 for the largest of several sums).
+    """
+    m = counts.size
+    rest = counts - counts.sum() * (loops / loops.sum())
+    j = 2 ** np.arange(max(1, (m // 2).bit_length()))
+
+    is_first = np.arange(m)[:, None] < j
+    # What each unit adds to each sum, (m, sums); a sum's standard deviation is the same for all of them.
+    ends = np.concatenate((is_first, is_first[::-1]), axis=1) / np.sqrt(np.tile(j * (m - j), 2))
+    observed = rest @ ends
+    best = int(observed.argmax())
+    number, is_last = int(np.tile(j, 2)[best]), best >= j.size
+    inside = int(counts[m - number :].sum() if is_last else counts[:number].sum())
+    p_value = 1.0
+    # No permutations for what is no sign: less than two standard deviations of the sum.
+    if observed[best] > 2 * np.sqrt((rest**2).sum() / (m * (m - 1))):
+        rng = np.random.default_rng(SEED)
+        highest = (rng.permuted(np.tile(rest, (_PERMUTATIONS, 1)), axis=1) @ ends).max(axis=1)
+        p_value = (1 + int(np.count_nonzero(highest >= observed[best] - 1e-9))) / (1 + _PERMUTATIONS)
+    return p_value, f"{inside} of {counts.sum()} lie in the {'last' if is_last else 'first'} {number} of {m}"

@@ -4,8 +4,9 @@ A value v measured in steps of q says that the true one lies in [v, v + q): the 
 1 us logs and 1 ns samples are fitted by the same formula and quantisation biases neither.
 """
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ Float64s = NDArray[np.float64]
 Parameters = tuple[float, ...]
 # Beyond these shapes the likelihood has no proper maximum (below -1) or the mean is infinite (above 1).
 _SHAPES = (-1.0, 1.0)
+_NEAR_LIMIT = 0.1
 _GROUPS = 400
 # Finite, so that a simplex search can still subtract.
 _EXCLUDED = 1e200
@@ -26,14 +28,14 @@ _EXCLUDED = 1e200
 class Family:
     """A distribution of excesses or maxima; parameters are (shape, scale) for GPD, (shape, scale, location) for GEV.
 
-    ``log_interval(x, step, parameters)`` is log P(x <= X < x + step), ``cdf(x, parameters)`` is P(X <= x),
-    ``level(chance, parameters)`` is exceeded with `chance`. ``with_level(level, chance, free)`` completes the
-    parameters so that this level is exceeded with `chance`: `free` is (shape,) for GPD, (shape, log scale) for GEV.
+    ``log_interval(ends, parameters)`` is log P(ends[0] <= X < ends[1]), both of shape (m,), ``cdf(x, parameters)`` is
+    P(X <= x), ``level(chance, parameters)`` is exceeded with `chance`. ``with_level(level, chance, free)`` completes
+    the parameters so that this level is exceeded with `chance`: `free` is (shape,) for GPD, (shape, log scale) for GEV.
     ``start(x, counts)`` gives parameters to begin the search with, from moments.
     """
 
     name: str
-    log_interval: Callable[[Float64s, float, Parameters], Float64s]
+    log_interval: Callable[[Float64s, Parameters], Float64s]
     cdf: Callable[[Float64s, Parameters], Float64s]
     level: Callable[[float, Parameters], float]
     with_level: Callable[[float, float, Sequence[float]], Parameters]
@@ -47,6 +49,11 @@ class Sample:
     edges: Float64s
     counts: Float64s
     step: float
+
+    @functools.cached_property
+    def ends(self) -> Float64s:
+        """Lower and upper ends of the intervals, shape (2, m)."""
+        return np.stack((self.edges, self.edges + self.step))
 
     @property
     def n(self) -> int:
@@ -65,30 +72,58 @@ def sample_of(values_ns: Int64s, quantum_ns: int) -> Sample:
 
 def fit(family: Family, sample: Sample) -> tuple[Parameters, float]:
     """Maximum likelihood (shape, scale[, location]) and its negative log likelihood."""
-    from scipy.optimize import minimize
+    shape, scale, *location = family.start(sample.edges + sample.step / 2, sample.counts)
 
-    first = family.start(sample.edges + sample.step / 2, sample.counts)
+    def parameters(free: Sequence[float]) -> Parameters:
+        # The location in units of the first scale: one tolerance does for all.
+        moved = [first + scale * by for first, by in zip(location, free[2:], strict=True)]
+        return (free[0], math.exp(min(free[1], 60.0)), *moved)
 
     def cost(free: Float64s) -> float:
-        return negative_log_likelihood(family, sample, (free[0], math.exp(min(free[1], 60.0)), *free[2:]))
+        return negative_log_likelihood(family, sample, parameters(free.tolist()))
 
-    best = None
-    for shape in (first[0], 0.2, -0.2):
-        begin = np.array([shape, math.log(first[1]), *first[2:]])
-        optimum = minimize(cost, begin, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-6, "maxiter": 1500})
-        if best is None or optimum.fun < best.fun - 1e-9:
-            best = optimum
-    assert best is not None
-    return (float(best.x[0]), math.exp(best.x[1]), *map(float, best.x[2:])), float(best.fun)
+    with np.errstate(all="ignore"):
+        begins = [[first, math.log(scale), *(0.0 for _ in location)] for first in (shape, 0.2, -0.2)]
+        best, least = begins[0], math.inf
+        for begin in sorted(begins, key=lambda free: cost(np.array(free))):
+            found, lowest = _lowest(cost, begin, step=0.1, tolerance=1e-6)
+            if lowest < least - 1e-9:
+                best, least = found, lowest
+            # At the limit of the shapes a search may stop too early. Elsewhere, all begin in one valley (simulated).
+            if _SHAPES[0] + _NEAR_LIMIT < best[0] < _SHAPES[1] - _NEAR_LIMIT:
+                break
+    return parameters(best), least
+
+
+def _lowest(
+    cost: Callable[[Float64s], float], begin: Sequence[float], *, step: float, tolerance: float
+) -> tuple[list[float], float]:
+    """Where a cost is lowest, and how low, by a simplex that begins with so wide steps."""
+    from scipy.optimize import minimize
+
+    first = np.array(begin)
+    optimum = minimize(
+        cost,
+        first,
+        method="Nelder-Mead",
+        options={
+            "xatol": 10 * tolerance,
+            "fatol": tolerance,
+            "maxiter": 1500,
+            "initial_simplex": np.vstack([first, first + step * np.eye(first.size)]),
+        },
+    )
+    return optimum.x.tolist(), float(optimum.fun)
 
 
 def negative_log_likelihood(family: Family, sample: Sample, parameters: Parameters) -> float:
-    """Minus the log likelihood; `_EXCLUDED` where the parameters exclude a measured value."""
+    """Minus the log likelihood; `_EXCLUDED` where the parameters exclude a measured value.
+
+    The caller has numpy ignore what is no number: searches ask thousands of times.
+    """
     if not _SHAPES[0] <= parameters[0] <= _SHAPES[1] or parameters[1] <= 0:
         return _EXCLUDED
-    with np.errstate(all="ignore"):
-        logs = family.log_interval(sample.edges, sample.step, parameters)
-        total = -float(np.dot(sample.counts, logs))
+    total = -float(np.dot(sample.counts, family.log_interval(sample.ends, parameters)))
     return total if math.isfinite(total) else _EXCLUDED
 
 
@@ -99,48 +134,61 @@ def profile_interval(
 
     Ends are infinite where the likelihood does not bound the level.
     """
-    from scipy.optimize import minimize
+    from scipy.optimize import brentq
     from scipy.special import chdtri
 
     parameters, least = best
-    drop = float(chdtri(1, 1 - confidence)) / 2
-    point = family.level(chance, parameters)
-    nuisance = [parameters[0]] if len(parameters) == 2 else [parameters[0], math.log(parameters[1])]
+    limit = math.sqrt(float(chdtri(1, 1 - confidence)) / 2)
+    point, base = family.level(chance, parameters), float(sample.edges[0])
 
-    def excess(level: float, guess: list[float]) -> tuple[float, list[float]]:
-        def cost(free: Float64s) -> float:
-            return negative_log_likelihood(family, sample, family.with_level(level, chance, free.tolist()))
-
-        spread = np.vstack([guess, *(np.array(guess) + step for step in np.eye(len(guess)) * 0.05)])
-        optimum = minimize(
-            cost, guess, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-4, "initial_simplex": spread}
-        )
-        return float(optimum.fun) - least - drop, optimum.x.tolist()
-
-    base = float(sample.edges[0])
+    def begins(level: float, near: Parameters) -> Iterator[list[float]]:
+        """Where a search may begin: shapes around that of a level nearby, and its location."""
+        location = near[2] if len(near) == 3 else 0.0
+        for by in (0.0, 0.02, -0.02, 0.05, -0.05, 0.1, -0.1, 0.2, -0.2, 0.4, -0.4):
+            shape = near[0] + by
+            scale = (level - location) / max(family.level(chance, (shape, 1.0, 0.0)), 1e-300)
+            if scale > 0:
+                yield [shape, math.log(scale)][: len(near) - 1]
 
     def end(direction: int) -> float:
-        inner, width, guess = point, 0.02 * max(point - base, sample.step), nuisance
-        for _ in range(60):
-            outer = inner + direction * width
-            if outer <= base:
-                return base
-            value, after = excess(outer, guess)
-            if value > 0:
-                break
-            inner, width, guess = outer, width * 1.5, after
-        else:
-            return math.inf * direction
-        for _ in range(12):
-            middle = (inner + outer) / 2
-            value, after = excess(middle, guess)
-            if value > 0:
-                outer = middle
-            else:
-                inner, guess = middle, after
-        return outer
+        seen = {point: -limit}
+        near = parameters
 
-    return end(-1), end(+1)
+        def beyond(level: float) -> float:
+            """How far a level is beyond the interval: a root of the likelihood's drop, which is nearly straight."""
+            nonlocal near
+            if level not in seen:
+
+                def cost(free: Float64s) -> float:
+                    return negative_log_likelihood(family, sample, family.with_level(level, chance, free.tolist()))
+
+                begin = min(begins(level, near), key=lambda free: cost(np.array(free)))
+                found, lowest = _lowest(cost, begin, step=0.02, tolerance=1e-5)
+                drop = lowest - least
+                # Far beyond, where measured values may be excluded, only the sign is of use.
+                seen[level] = min(math.sqrt(max(drop, 0.0)), 3 * limit) - limit
+                if seen[level] <= 0:
+                    near = family.with_level(level, chance, found)
+            return seen[level]
+
+        inner, width = point, 0.1 * max(point - base, sample.step)
+        for _ in range(24):
+            outer = inner + direction * width
+            if direction < 0:
+                if inner - base < 1e-3 * (point - base):
+                    return base
+                outer = max(outer, (inner + base) / 2)
+            value = beyond(outer)
+            if value > 0:
+                return float(brentq(beyond, inner, outer, xtol=abs(outer - inner) / 1024))
+            # A little beyond where a straight line has the end.
+            distance = abs(outer - point)
+            width = distance * min(4.0, max(0.1, 1.1 * limit / max(value + limit, 1e-9) - 1))
+            inner = outer
+        return math.inf * direction
+
+    with np.errstate(all="ignore"):
+        return end(-1), end(+1)
 
 
 def goodness(family: Family, sample: Sample, parameters: Parameters) -> float | None:
@@ -168,13 +216,15 @@ def _gpd_log_sf(x: Float64s, p: Parameters) -> Float64s:
     shape, scale = p[0], p[1]
     if abs(shape) < 1e-8:
         return -x / scale
-    inside = 1 + shape * x / scale
-    return np.where(inside > 0, -np.log(np.maximum(inside, 1e-300)) / shape, -np.inf)
+    # Above the end of a distribution with one: log 0 over a negative shape is minus infinity.
+    out: Float64s = np.log(np.maximum(1 + x * (shape / scale), 0.0)) * (-1 / shape)
+    return out
 
 
-def _gpd_interval(x: Float64s, step: float, p: Parameters) -> Float64s:
-    log_above = _gpd_log_sf(x, p)
-    return log_above + np.log(-np.expm1(_gpd_log_sf(x + step, p) - log_above))
+def _gpd_interval(ends: Float64s, p: Parameters) -> Float64s:
+    above, next_above = _gpd_log_sf(ends, p)
+    out: Float64s = above + np.log(-np.expm1(next_above - above))
+    return out
 
 
 def _power(log_x: float, shape: float) -> float:
@@ -198,14 +248,15 @@ def _gev_log_cdf(x: Float64s, p: Parameters) -> Float64s:
     z = (x - location) / scale
     if abs(shape) < 1e-8:
         return -np.exp(-z)
-    inside = 1 + shape * z
-    out = np.where(inside > 0, -np.exp(-np.log(np.maximum(inside, 1e-300)) / shape), 0.0 if shape < 0 else -np.inf)
-    return np.asarray(out, dtype=np.float64)
+    # Beyond the end of a distribution with one: log 0 over the shape, 1 or 0 as it must be.
+    out: Float64s = -np.exp(np.log(np.maximum(1 + shape * z, 0.0)) * (-1 / shape))
+    return out
 
 
-def _gev_interval(x: Float64s, step: float, p: Parameters) -> Float64s:
-    right = _gev_log_cdf(x + step, p)
-    return right + np.log(-np.expm1(_gev_log_cdf(x, p) - right))
+def _gev_interval(ends: Float64s, p: Parameters) -> Float64s:
+    left, right = _gev_log_cdf(ends, p)
+    out: Float64s = right + np.log(-np.expm1(left - right))
+    return out
 
 
 def _gev_start(x: Float64s, counts: Float64s) -> Parameters:

@@ -6,11 +6,13 @@ import numpy as np
 
 from rtrun.analysis.dependence import Events, locate
 from rtrun.analysis.histogram import Histogram, Int64s
-from rtrun.analysis.stationarity import SIGNIFICANT_OF_MISSES, Change, find_change
 
 # With this many misses normal theory on blocks holds for their bursts; fewer are tested exactly.
 ENOUGH_MISSES = 20
 _LEVEL_EVENTS = 200
+# So many places of misses are kept of a run: enough for every test of where they lie.
+_MOST_PLACES = 4096
+_NONE = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -18,26 +20,34 @@ class Trials:
     """What one output of one run says about one deadline: how many came late or never, and where.
 
     ``late`` measurements exceeded the deadline, ``absent`` were not fired or went missing: they met no deadline
-    either. ``misses`` holds both by position; None where a log kept no order. ``first_misses`` are the positions of
-    the first 20. ``level`` holds where the run passed a lower level often enough (about 200 times) to show whether its
-    high values come in bursts. ``changes`` are the strongest signs that the run did not stay the same. ``worst_ns`` is
-    the highest value seen. ``unclear`` of the late ones lie in the bin of a histogram that holds the deadline, and may
-    have met it. ``run``, ``boot``, ``board`` and ``start_time`` say where it belongs; "" where that is not known.
+    either. ``misses`` holds both by position; None where a log kept no order. ``missed_at`` are their loop positions,
+    int64 (k,), of many only every ``stride``-th. ``level`` holds where the run passed a lower level often enough (about
+    200 times) to show whether its high values come in bursts; ``high_at`` and ``high_ns`` are the places and the
+    heights of these, int64 (h,). ``worst_ns`` is the highest value seen. ``unclear`` of the late ones lie in the bin of
+    a histogram that holds the deadline, and may have met it. ``run``, ``boot``, ``board`` and ``start_time`` say where
+    it belongs; "" where that is not known.
     """
 
     n: int
     late: int
     absent: int
     misses: Events | None
-    first_misses: Int64s
+    missed_at: Int64s
     level: Events | None
-    changes: tuple[Change, ...]
+    high_at: Int64s
+    high_ns: Int64s
     worst_ns: int | None
+    stride: int = 1
     unclear: int = 0
     run: str = ""
     boot: str = ""
     board: str = ""
     start_time: str = ""
+
+
+def high_values(loops: int) -> int:
+    """How many of so many values are high ones."""
+    return min(_LEVEL_EVENTS, loops // 20)
 
 
 def count_misses(values_ns: Int64s, deadline_ns: int, absent: Int64s | None = None) -> Trials:
@@ -53,24 +63,26 @@ def count_misses(values_ns: Int64s, deadline_ns: int, absent: Int64s | None = No
     late = misses.size
     if absent.size:
         misses = np.sort(np.concatenate((_loop_positions(misses, absent), absent)))
-    level = None
-    changes = [find_change(misses, loops, "misses", SIGNIFICANT_OF_MISSES)]
-    level_events = min(_LEVEL_EVENTS, values_ns.size // 20)
+    level, high = None, _NONE
+    level_events = high_values(values_ns.size)
     if level_events >= 10:
         limit = np.partition(values_ns, values_ns.size - level_events)[values_ns.size - level_events]
         high = np.flatnonzero(values_ns >= limit).astype(np.int64)
         level = locate(high, values_ns.size)
         # A level that a quarter of all values reaches says nothing on the high ones.
-        if 4 * high.size < values_ns.size:
-            changes.append(find_change(high, values_ns.size, "high values"))
+        if 4 * high.size >= values_ns.size:
+            high = _NONE
+    stride = max(1, -(-misses.size // _MOST_PLACES))
     return Trials(
         n=loops,
         late=late,
         absent=absent.size,
         misses=locate(misses, loops),
-        first_misses=misses[:ENOUGH_MISSES],
+        missed_at=misses[::stride],
         level=level,
-        changes=tuple(change for change in changes if change is not None),
+        high_at=high,
+        high_ns=values_ns[high],
+        stride=stride,
         worst_ns=int(values_ns.max()) if values_ns.size else None,
     )
 
@@ -92,9 +104,10 @@ def count_misses_in_histogram(histogram: Histogram, deadline_ns: int, absent: in
         late=histogram.above(deadline_ns),
         absent=absent,
         misses=None,
-        first_misses=np.empty(0, np.int64),
+        missed_at=_NONE,
         level=None,
-        changes=(),
+        high_at=_NONE,
+        high_ns=_NONE,
         worst_ns=top,
         unclear=histogram.unclear(deadline_ns),
     )

@@ -4,7 +4,8 @@ So a run whose row is there is there as a whole, and what an interrupted call le
 writers that add the same run write the same bytes under the same name.
 """
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,8 +20,9 @@ from rtrun.archive.tables import (
     run_table,
     sample_table,
 )
+from rtrun.results.copies import find_copies
 from rtrun.results.reading import find_source, read_series
-from rtrun.results.record import RunRecord, RunStatus, verify
+from rtrun.results.record import RunRecord, RunStatus, read_record, verify
 from rtrun.results.series import Series
 
 
@@ -53,7 +55,11 @@ def add_results(
     added: list[str] = []
     present: list[str] = []
     notes: list[str] = []
+    copies = _copies(source.folders)
+    refused += copies.values()
     for folder in source.folders:
+        if folder in copies:
+            continue
         try:
             record = verify(folder)
             if _add_run(folder, record, store, origin, samples, notes):
@@ -69,6 +75,15 @@ def add_results(
             ) from error
         on_added(len(added) + len(present), len(source.folders))
     return Addition(added=tuple(added), present=tuple(present), refused=tuple(refused), notes=tuple(notes))
+
+
+def _copies(folders: Sequence[Path]) -> dict[Path, str]:
+    """The runs that are copies of one another; what has no record that can be read is refused when it is added."""
+    records: dict[Path, RunRecord] = {}
+    for folder in folders:
+        with contextlib.suppress(UsageError):
+            records[folder] = read_record(folder)
+    return find_copies(records)
 
 
 def _add_run(folder: Path, record: RunRecord, store: Store, origin: Origin, samples: bool, notes: list[str]) -> bool:

@@ -1,6 +1,5 @@
 """The runs of a scenario on one board in the order of time, with their figures and circumstances."""
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -8,6 +7,8 @@ from typing import Literal
 
 import numpy as np
 
+from rtfiles.errors import UsageError
+from rtfiles.untrusted import parse_json
 from rtrun.analysis.change_points import Floats, means_of_units
 from rtrun.archive.queries import Archive, Point, figures
 
@@ -107,7 +108,8 @@ def courses(archive: Archive, *, deadline_ns: int) -> list[Course]:
     rows = archive.connection.execute(
         f"SELECT {', '.join(columns)} FROM runs WHERE status = 'ok' AND start_utc IS NOT NULL"
     ).fetchall()
-    runs = [_run(points[row[0]], dict(zip(columns, row, strict=True))) for row in rows if row[0] in points]
+    origin = archive.store.address
+    runs = [_run(points[row[0]], dict(zip(columns, row, strict=True)), origin) for row in rows if row[0] in points]
     runs.sort(key=lambda run: (*_identity(run), run.point.start_utc, run.point.label))
     return [Course(runs=tuple(members)) for _, members in groupby(runs, _identity)]
 
@@ -116,8 +118,10 @@ def _identity(run: ArchivedRun) -> tuple[str, str, str, str]:
     return run.point.suite, run.point.parameters, run.point.platform, run.point.machine
 
 
-def _run(point: Point, row: Mapping[str, object]) -> ArchivedRun:
-    packages = json.loads(str(row["packages"]))
+def _run(point: Point, row: Mapping[str, object], origin: str) -> ArchivedRun:
+    packages = parse_json(str(row["packages"]), f"{origin}: run {row['run_key']}: packages")
+    if not isinstance(packages, dict):
+        raise UsageError(f"{origin}: run {row['run_key']}: packages: expected versions by name")
     facts = {name.removesuffix("_release"): str(row[name]) for name in _TEXTS if row[name] is not None}
     return ArchivedRun(
         point=point,

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from datetime import UTC
 from typing import Any
 
+from rtfiles.output import printable
 from rtrun.archive.courses import Course
 
 _QUANTILES = {"0.5": 50.0, "0.99": 99.0, "0.999": 99.9, "0.9999": 99.99}
@@ -59,7 +60,8 @@ def _line(metric: str, course: Course, value: float, **labels: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    # Of the control characters the format takes all but the line's end; a terminal would obey them.
+    return printable(text).replace("\\", "\\\\").replace('"', '\\"')
 
 
 def grafana_dashboard() -> str:

@@ -19,12 +19,23 @@ from rtrun.analysis.figures import PERCENTILES
 from rtrun.analysis.histogram import Int64s
 from rtrun.archive import By
 from rtrun.archive.store import Store, find_files
+from rtrun.plan.limits import BINS_MAX, TIME_MAX_NS
+from rtrun.target.platform import Platform
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 _NONE = -(2**63)  # stands for null
 _GRID_MAX = 4  # places of a grid for each bin on it
+_COUNT_MAX = 2**53  # of all bins: above, a double no longer counts one by one
+_MEMORY = "1GB"  # for the table of runs: a row of a run takes some KB
+# Whoever may write a file of the archive may write anything into it: every value is given its type of docs/archive.md.
+_TEXTS = ("run_key", "run", "scenario", "parameters", "platform", "status", "packages", "machine", "suite", "month")
+_OPTIONAL_TEXTS = (
+    *("reason", "boot_id", "kernel_release", "kernel_version", "commit", "image", "roscpp_version", "governor"),
+    "clock_source",
+)
+_NUMBERS = {"temperature_max_mc": "BIGINT", "frequency_max_khz": "BIGINT", "load_1min_max": "DOUBLE"}
 _LABELS: dict[By, str] = {
     "day": "coalesce(strftime(start_utc, '%Y-%m-%d'), 'unknown')",
     "month": "month",
@@ -92,14 +103,17 @@ def connected(store: Store) -> Iterator[Archive]:
 
     if not find_files(store, "runs"):
         raise UsageError(f"{store.address}: there are no runs in this archive")
-    connection = duckdb.connect(config={"autoinstall_known_extensions": False})
+    # Without a folder for what does not fit into the memory.
+    connection = duckdb.connect(
+        config={"autoinstall_known_extensions": False, "memory_limit": _MEMORY, "temp_directory": ""}
+    )
     try:
         if not store.is_local:
             connection.register_filesystem(store.file_system)
         files = store.url("runs/**/*.parquet").replace("'", "''")
-        connection.execute(
-            f"CREATE VIEW runs AS FROM read_parquet('{files}', hive_partitioning = true, hive_types_autocast = false)"
-        )
+        if wrong := connection.execute(_NOT_ONE_ROW.format(files=files)).fetchone():
+            raise _damaged(store, f"{wrong[0]}: has {wrong[1]} rows, the file of a run has one")
+        connection.execute(_runs_view(files))
         histograms = {
             path.rpartition("/")[2].removesuffix(".parquet"): path for path in find_files(store, "histograms")
         }
@@ -112,6 +126,23 @@ def connected(store: Store) -> Iterator[Archive]:
         raise _damaged(store, text) from error
     finally:
         connection.close()
+
+
+def _runs_view(files: str) -> str:
+    """The statement that makes the table of runs, with each value of its type: a value of another one is an error."""
+
+    def valid(column: str, kind: str, condition: str, wrong: str) -> str:
+        value = f"CAST({column} AS {kind})"
+        return f"CASE WHEN {condition.format(value)} THEN error('{column}: {wrong}') ELSE {value} END AS {column}"
+
+    columns = [
+        *(valid(column, "VARCHAR", "{} IS NULL", "missing") for column in _TEXTS),
+        *(f"CAST({column} AS VARCHAR) AS {column}" for column in _OPTIONAL_TEXTS),
+        *(valid(column, kind, "NOT isfinite(CAST({} AS DOUBLE))", "no number") for column, kind in _NUMBERS.items()),
+        valid("start_utc", "TIMESTAMP", "NOT {} BETWEEN TIMESTAMP '1900-01-01' AND TIMESTAMP '3000-01-01'", "no time"),
+    ]
+    source = f"read_parquet('{files}', hive_partitioning = true, hive_types_autocast = false)"
+    return f"CREATE VIEW runs AS SELECT {', '.join(columns)} FROM {source}"
 
 
 def _unreadable(store: Store, reason: str) -> InfrastructureError:
@@ -128,6 +159,8 @@ def figures(archive: Archive, by: By, *, deadline_ns: int) -> list[Point]:
     cursor = archive.connection.execute(query)
     names = [column[0] for column in cursor.description or ()]
     rows = [dict(zip(names, row, strict=True)) for row in cursor.fetchall()]
+    if unknown := {row["platform"] for row in rows} - {*Platform}:
+        raise _damaged(archive.store, f"platform: {min(unknown)[:40]!r}, expected one of {', '.join(Platform)}")
 
     def point(row: dict[str, Any]) -> Point | None:
         paths = [archive.histograms[key] for key in row["run_keys"] if key in archive.histograms]
@@ -143,21 +176,45 @@ def figures(archive: Archive, by: By, *, deadline_ns: int) -> list[Point]:
 
 
 def _read_bins(store: Store, path: str) -> tuple[Int64s, Int64s, Int64s]:
-    """value_ns, bin_ns and count of a histogram's rows, shape (n,); _NONE where the table has null."""
+    """value_ns, bin_ns and count of a histogram's rows, shape (n,); _NONE where the table has null.
+
+    Raises UsageError for a file that is no histogram, before more than BINS_MAX rows are read.
+    """
     import pyarrow
     import pyarrow.parquet
 
+    names = ("value_ns", "bin_ns", "count")
     try:
         # A file of this machine by its path: pyarrow reads it without Python's lock.
         with nullcontext(path) if store.is_local else store.file_system.open(path, "rb") as source:
             file = pyarrow.parquet.ParquetFile(source)
-            table = file.read(columns=["value_ns", "bin_ns", "count"], use_threads=False)
+            if file.metadata.num_rows > BINS_MAX:
+                raise ValueError(f"{file.metadata.num_rows} bins, a histogram has at most {BINS_MAX}")
+            types = {field.name: field.type for field in file.schema_arrow}
+            if wrong := [name for name in names if types.get(name) != pyarrow.int64()]:
+                raise ValueError(f"{wrong[0]}: expected int64, got {types.get(wrong[0], 'no such column')}")
+            table = file.read(columns=list(names), use_threads=False)
+        columns = [table[name].fill_null(_NONE).combine_chunks().to_numpy() for name in names]
+        _check_bins(*columns)
     except (pyarrow.ArrowException, ValueError) as error:
         raise _damaged(store, f"{path}: {error}") from error
     except Exception as error:  # each object store has exceptions of its own
         raise _unreadable(store, " ".join(str(error).split()) or type(error).__name__) from error
-    value, width, count = (column.fill_null(_NONE).combine_chunks().to_numpy() for column in table.columns)
+    value, width, count = columns
     return value, width, count
+
+
+def _check_bins(value: Int64s, width: Int64s, count: Int64s) -> None:
+    """Raise ValueError where a number is none that `histogram_table` writes."""
+    for name, column, lowest, highest in (
+        ("value_ns", value[value != _NONE], -TIME_MAX_NS, TIME_MAX_NS),
+        ("bin_ns", width[width != _NONE], 1, TIME_MAX_NS),
+        ("count", count, 0, _COUNT_MAX),
+    ):
+        if column.size and not lowest <= column.min() <= column.max() <= highest:
+            raise ValueError(f"{name}: from {column.min()} to {column.max()}, expected {lowest} to {highest}")
+    if (total := count.sum(dtype=np.float64)) > _COUNT_MAX:
+        raise ValueError(f"count: {total:g} in all, expected at most {_COUNT_MAX}")
 
 
 def _figures_of(bins: Sequence[tuple[Int64s, Int64s, Int64s]], deadline_ns: int) -> dict[str, Any]:
@@ -203,6 +260,7 @@ def _added_up(value: Int64s, width: Int64s, count: Int64s) -> tuple[Int64s, Int6
     return value[order], np.cumsum(count[order])
 
 
+_NOT_ONE_ROW = "SELECT file_name, num_rows FROM parquet_file_metadata('{files}') WHERE num_rows <> 1 LIMIT 1"
 _POINTS = """
 SELECT scenario, parameters, suite, machine, platform, kernel_release AS kernel, {label} AS label,
        min(runs.start_utc) AS start_utc, list(run_key ORDER BY runs.start_utc, run_key) AS run_keys,

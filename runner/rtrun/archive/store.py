@@ -16,6 +16,7 @@ from pydantic import Field, ValidationError
 from rtfiles import atomic
 from rtfiles.config import Config
 from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.untrusted import text
 
 SCHEMA = 1
 MARKER = "archive.json"
@@ -88,6 +89,7 @@ def make_archive(address: str) -> Store:
 def _reach(address: str) -> Store:
     import fsspec.core
 
+    _check_utf8(address)
     try:
         file_system, root = fsspec.core.url_to_fs(address)
     except (ImportError, ValueError) as error:  # no package for this protocol, or no such protocol
@@ -99,9 +101,9 @@ def _has_marker(store: Store) -> bool:
     with _naming(store, "cannot be read"):
         if not store.file_system.exists(store.locate(MARKER)):
             return False
-        text = store.file_system.cat_file(store.locate(MARKER))
+        content = store.file_system.cat_file(store.locate(MARKER))
     try:
-        marker = _Marker.model_validate_json(text)
+        marker = _Marker.model_validate_json(content)
     except ValidationError:  # cut off while it was written: it does not count as there
         return False
     if marker.schema_number > SCHEMA:
@@ -140,7 +142,18 @@ def write_file(store: Store, name: str, content: bytes) -> None:
 def find_files(store: Store, folder: str) -> list[str]:
     """The paths of all Parquet files below a folder of the archive."""
     with _naming(store, "cannot be listed"):
-        return sorted(str(path) for path in store.file_system.glob(store.locate(f"{folder}/**/*.parquet")))
+        paths = sorted(str(path) for path in store.file_system.glob(store.locate(f"{folder}/**/*.parquet")))
+    for path in paths:
+        _check_utf8(path)
+    return paths
+
+
+def _check_utf8(path: str) -> None:
+    """Raise UsageError for a path that DuckDB cannot be given."""
+    try:
+        text(path)
+    except ValueError as error:
+        raise UsageError(f"{path!r}: not UTF-8: rename it") from error
 
 
 @contextmanager
@@ -151,5 +164,5 @@ def _naming(store: Store, what: str) -> Iterator[None]:
     except (UsageError, InfrastructureError):
         raise
     except Exception as error:  # each object store has exceptions of its own
-        text = (isinstance(error, OSError) and error.strerror) or str(error) or type(error).__name__
-        raise InfrastructureError(f"{store.address}: {what}: {' '.join(text.split())}") from error
+        reason = (isinstance(error, OSError) and error.strerror) or str(error) or type(error).__name__
+        raise InfrastructureError(f"{store.address}: {what}: {' '.join(reason.split())}") from error

@@ -9,7 +9,7 @@ import io
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -18,9 +18,11 @@ import numpy as np
 import pyarrow
 import pyarrow.parquet
 
+from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import from_samples
+from rtrun.plan.limits import BINS_MAX
 from rtrun.report.groups import format_parameters, telling_parameters
-from rtrun.results.record import FILE, RunRecord
+from rtrun.results.record import FILE, RunRecord, moment
 from rtrun.results.series import HistogramSeries, SampleSeries, Series
 from rtrun.target.inspection import Fact
 
@@ -119,10 +121,10 @@ def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
         "preempt_rt": target.preempt_rt,
         "cpus": target.cpus,
         "clock_step_ns": target.clock.step_ns if target.clock else None,
-        "temperature_min_mc": _whole(temperature[0]),
-        "temperature_max_mc": _whole(temperature[1]),
-        "frequency_min_khz": _whole(frequency[0]),
-        "frequency_max_khz": _whole(frequency[1]),
+        "temperature_min_mc": temperature[0],
+        "temperature_max_mc": temperature[1],
+        "frequency_min_khz": frequency[0],
+        "frequency_max_khz": frequency[1],
         "load_1min_min": load[0],
         "load_1min_max": load[1],
         "busy_percent": seen.busy_percent,
@@ -134,9 +136,12 @@ def histogram_table(key: str, judged: Iterable[Series]) -> Table:
     """The bins of a run's outputs, ascending: samples in steps of their clock, logs in their own bins.
 
     Beside the bins stands a row without ``value_ns`` that counts what never came, and for values that are known by
-    number only, a row without ``bin_ns``, whose ``value_ns`` none of them is below.
+    number only, a row without ``bin_ns``, whose ``value_ns`` none of them is below. Raises UsageError where these
+    are more than BINS_MAX.
     """
     parts = [_bins(key, series) for series in judged]
+    if (rows := sum(part.num_rows for part in parts)) > BINS_MAX:
+        raise UsageError(f"{key}: {rows} bins, an archive takes at most {BINS_MAX} of a run")
     return pyarrow.concat_tables(parts) if parts else HISTOGRAMS.empty_table()
 
 
@@ -187,19 +192,12 @@ def as_parquet(table: Table) -> bytes:
 
 def _utc(text: str) -> datetime | None:
     """A time of a record in UTC, without its zone; None where an imported run has none."""
-    try:
-        time = datetime.fromisoformat(text)
-    except ValueError:
-        return None
-    return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
+    time = moment(text)
+    return time and time.replace(tzinfo=None)
 
 
 def _text(fact: Fact) -> str | None:
     return " ".join(fact) if isinstance(fact, list) else fact
-
-
-def _whole(value: float | None) -> int | None:
-    return None if value is None else round(value)
 
 
 def _json(mapping: Mapping[str, Any]) -> str:

@@ -13,6 +13,7 @@ from itertools import pairwise
 
 from rtrun.causes.events import Context
 from rtrun.causes.parts import Cause, Kind, Part
+from rtrun.causes.reconstruction import NORMAL_PRIO
 from rtrun.causes.timeline import IDLE_PID, Change, Occupant, Span, State, Timeline, Waker, Why
 
 # The longest way from one thread to the one that woke it: a trace in a circle ends there.
@@ -135,7 +136,7 @@ class _Walk:
             if change.waker is None or at_ns <= self.due_ns:
                 continue
             slept = self.timeline.threads[pid][place] if place >= 0 else None
-            if change.waker.context is Context.THREAD and not self._is_blocked(slept, change.waker):
+            if change.waker.context is Context.THREAD and not self._is_held_up(slept, change.waker):
                 pid, place = change.waker.pid, self._running(change.waker.pid, at_ns)
                 continue
             asleep_ns = min(slept.at_ns, at_ns) if slept else self.due_ns
@@ -173,8 +174,10 @@ class _Walk:
             place -= 1
         return place
 
-    def _is_blocked(self, slept: Change | None, waker: Waker) -> bool:
-        """Whether a thread waits for another that keeps something, rather than for something to do."""
+    def _is_held_up(self, slept: Change | None, waker: Waker) -> bool:
+        """Whether a thread waits for another that keeps something, or itself, rather than for something to do."""
+        if waker.held is not Why.UNKNOWN:
+            return True
         if slept is None:
             return False
         if slept.why is not Why.UNKNOWN:
@@ -219,6 +222,8 @@ class _Walk:
         if who is None or who.context is not Context.THREAD:
             return _of_no_thread(who)
         if who.pid == IDLE_PID:
+            if prio is not None and prio >= NORMAL_PRIO:
+                return Cause(kind=Kind.GROUP if pid in who.passed_over else Kind.IDLE_EXIT)
             return Cause(kind=Kind.THROTTLED, name=IDLE) if who.preferred else Cause(kind=Kind.IDLE_EXIT)
         if who.pid == pid:
             return self._cause(Kind.PROGRAM if pid == self.pid else Kind.OTHER_THREAD, pid)
@@ -227,10 +232,15 @@ class _Walk:
             kind = Kind.OTHER_THREAD
         elif prio is None or other is None:
             kind = Kind.UNEXPLAINED
+        elif other < 0:
+            kind = Kind.DEADLINE
         elif other < prio:
             kind = Kind.HIGHER
         elif other == prio:
             kind = Kind.EQUAL
+        elif prio >= NORMAL_PRIO and not self._printed(who.pid, span.end_ns):
+            # The scheduler shares the CPU among them; real-time throttling is of no concern to either.
+            kind = Kind.SHARED
         elif who.preferred or self._was_chosen(who.pid, since_ns, span.end_ns):
             kind = Kind.THROTTLED
         else:
@@ -254,7 +264,9 @@ class _Walk:
 
     def _slept(self, pid: int, slept: Change | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """The time from when a thread fell asleep until it was woken."""
-        if waker.expiry is not None:
+        if waker.held is not Why.UNKNOWN:
+            yield from self._held(pid, slept, waker, asleep_ns, at_ns)
+        elif waker.expiry is not None:
             yield from self._timer(pid, waker, asleep_ns, at_ns)
         elif waker.context is Context.THREAD:
             why = slept.why if slept else Why.UNKNOWN
@@ -268,6 +280,17 @@ class _Walk:
             yield Part(
                 begin_ns=asleep_ns, end_ns=waker.began_ns, cause=Cause(kind=kind, name=waker.name), cpu=waker.cpu
             )
+
+    def _held(self, pid: int, slept: Change | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
+        """The time for which a thread was stopped or frozen, latest first: by whom it was stopped, or let go on."""
+        kind, by = (Kind.FROZEN if waker.held is Why.FROZEN else Kind.STOPPED), (waker.pid, waker.name)
+        if kind is Kind.STOPPED and slept is not None:
+            of_program = (one for one in reversed(self.timeline.stops) if one.pid in self.own | {pid})
+            sent = next((one for one in of_program if one.at_ns <= slept.at_ns), None)
+            by = (sent.by_pid, "") if sent else by
+        begin_ns = max(asleep_ns, min(waker.held_ns or asleep_ns, at_ns))
+        yield Part(begin_ns=begin_ns, end_ns=at_ns, cause=self._cause(kind, *by), cpu=waker.cpu)
+        yield Part(begin_ns=asleep_ns, end_ns=begin_ns, cause=self._cause(Kind.OWN_SLEEP, pid), cpu=waker.cpu)
 
     def _timer(self, pid: int, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """From the expiry of a timer until it woke the thread, latest first."""
@@ -297,7 +320,7 @@ class _Walk:
             return Cause(kind=Kind.TIMER_LATE, name=IDLE)
         other, prio = self.timeline.prios.get(who.pid), self.timeline.prios.get(pid)
         if who.pid not in self.own and other is not None and prio is not None and other < prio:
-            kind = Kind.HIGHER
+            kind = Kind.DEADLINE if other < 0 else Kind.HIGHER
         else:
             kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.TIMER_LATE
         return Cause(kind=kind, name=who.name, pid=who.pid, prio=other)

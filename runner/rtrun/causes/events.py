@@ -82,13 +82,17 @@ class Raise(NamedTuple):
 
 
 class TimerStart(NamedTuple):
-    """hrtimer_start, in nanoseconds of the timer's own clock: may expire from `soft_ns` on, must at `hard_ns`."""
+    """hrtimer_start, in nanoseconds of the timer's own clock: may expire from `soft_ns` on, must at `hard_ns`.
+
+    `wakes` is the thread that sleeps until then; None for a timer that does something else.
+    """
 
     at_ns: int
     cpu: int
     timer: str
     soft_ns: int
     hard_ns: int
+    wakes: int | None
 
 
 class TimerExpiry(NamedTuple):
@@ -125,6 +129,24 @@ class Console(NamedTuple):
     pid: int
 
 
+class Signal(NamedTuple):
+    """signal_generate: a thread sends a signal to another one, of a program to its first."""
+
+    at_ns: int
+    cpu: int
+    by_pid: int
+    number: int
+    pid: int
+
+
+class Thaw(NamedTuple):
+    """cgroup_unfreeze: a thread lets the processes of a control group (version 2) go on."""
+
+    at_ns: int
+    cpu: int
+    by_pid: int
+
+
 class Frequency(NamedTuple):
     """cpu_frequency: from now on `of_cpu`, which need not be the CPU that says so, runs at a frequency."""
 
@@ -154,6 +176,8 @@ Event = (
     | Futex
     | Fault
     | Console
+    | Signal
+    | Thaw
     | Frequency
     | Lost
 )

@@ -29,7 +29,9 @@ from rtrun.causes.events import (
     Lost,
     Migration,
     Raise,
+    Signal,
     Switch,
+    Thaw,
     TimerExpiry,
     TimerStart,
     Wake,
@@ -65,10 +67,13 @@ _MIGRATION = re.compile(r"comm=.{0,64}? pid=(\d{1,10}) prio=-?\d{1,4} orig_cpu=\
 _HANDLER = re.compile(r"irq=(\d{1,10}) name=(.{1,64})", re.ASCII)
 _SOFTIRQ = re.compile(r"vec=\d{1,4} \[action=(\w{1,32})\]", re.ASCII)
 _TIMER_START = re.compile(
-    r"hrtimer=(\w{1,32}) function=\S{1,128} expires=(\d{1,19}) softexpires=(\d{1,19})\b", re.ASCII
+    r"hrtimer=(\w{1,32}) function=(\S{1,128}) expires=(\d{1,19}) softexpires=(\d{1,19})\b", re.ASCII
 )
 _TIMER_EXPIRY = re.compile(r"hrtimer=(\w{1,32}) function=\S{1,128} now=(\d{1,19})\b", re.ASCII)
 _FREQUENCY = re.compile(r"state=(\d{1,10}) cpu_id=(\d{1,4})\b", re.ASCII)
+_SIGNAL = re.compile(r"sig=(\d{1,3}) errno=-?\d{1,10} code=-?\d{1,10} comm=.{0,64}? pid=(\d{1,10}) grp=", re.ASCII)
+# What the timer of a thread does that sleeps until then (hrtimer_init_sleeper).
+_WAKES_ITS_THREAD = "hrtimer_wakeup"
 _FUTEX = re.compile(r".{0,64}\bop: (?:0x)?([0-9a-f]{1,8})\b", re.ASCII)
 # Vectors of x86 whose handlers have a pair of events (arch/x86/include/asm/trace/irq_vectors.h).
 _VECTOR_EVENTS = {
@@ -312,7 +317,10 @@ def _softirq(head: _Head, arguments: str) -> Event | None:
 
 def _timer_start(head: _Head, arguments: str) -> Event | None:
     match = _TIMER_START.match(arguments)
-    return match and TimerStart(head[0], head[1], intern(match[1]), int(match[3]), int(match[2]))
+    if match is None:
+        return None
+    wakes = head[2] if match[2] == _WAKES_ITS_THREAD else None
+    return TimerStart(head[0], head[1], intern(match[1]), int(match[4]), int(match[3]), wakes)
 
 
 def _timer_expiry(head: _Head, arguments: str) -> Event | None:
@@ -331,6 +339,15 @@ def _fault(head: _Head, _: str) -> Event:
 
 def _console(head: _Head, _: str) -> Event:
     return Console(head[0], head[1], head[2])
+
+
+def _signal(head: _Head, arguments: str) -> Event | None:
+    match = _SIGNAL.match(arguments)
+    return match and Signal(head[0], head[1], head[2], int(match[1]), int(match[2]))
+
+
+def _thaw(head: _Head, _: str) -> Event:
+    return Thaw(head[0], head[1], head[2])
 
 
 def _frequency(head: _Head, arguments: str) -> Event | None:
@@ -356,5 +373,7 @@ _READERS: dict[str, Callable[[_Head, str], Event | None]] = {
     "sys_futex_time32": _futex,
     "page_fault_user": _fault,
     "console": _console,
+    "signal_generate": _signal,
+    "cgroup_unfreeze": _thaw,
     "cpu_frequency": _frequency,
 }

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from rtrun.analysis.histogram import Int64s
-from rtrun.plan.suites import suite
 from rtrun.results.record import RunRecord, check_file
 from rtrun.results.samples import IndexedValues, Samples, read_samples
 
@@ -44,11 +43,11 @@ def read_measured(folder: Path, record: RunRecord) -> Iterator[Measured]:
 
 
 def _times(samples: Samples, values: IndexedValues) -> Int64s:
-    columns = suite(samples.record.suite).columns
-    times = np.asarray(samples.rows[:, columns.index(_TIMES[samples.record.suite])])
+    columns = samples.columns
+    times = np.asarray(columns[_TIMES[samples.record.suite]])
     if "seq" in columns:
         # Messages are in the order of reception, their values in that of their numbers.
-        _, order = np.unique(samples.rows[:, columns.index("seq")], return_index=True)
+        _, order = np.unique(columns["seq"], return_index=True)
         return np.asarray(times[order])
     # The first row of a cyclic timer is the origin of the first period.
     return np.asarray(times[values.index + (1 if samples.record.suite == "cyclic_timer_tests" else 0)])

@@ -17,6 +17,7 @@ from rtrun.causes.control import Windows, control_ns, windows_before
 from rtrun.causes.cut import cut
 from rtrun.causes.events import Context
 from rtrun.causes.ftrace import Trace, read_ends, read_trace, refuse_trace_cmd
+from rtrun.causes.group_limits import limits, with_groups
 from rtrun.causes.parts import Part
 from rtrun.causes.reconstruction import reconstruct
 from rtrun.causes.steps import Step, steps
@@ -71,8 +72,8 @@ class Explained:
 
     `steps` are those of a message, in nanoseconds; empty for a timer. `around` is what each CPU did from `AROUND` times
     the value before until the outlier. `idle_ns` is how long each other CPU was idle while the measured thread waited
-    for its own. Without parts `note` says why there are none; with parts it says what is wrong with the trace, or is
-    empty.
+    for its own. `limits` are those of the control groups of its run, in words. Without parts `note` says why there are
+    none; with parts it says what is wrong with the trace, or is empty.
     """
 
     outlier: Outlier
@@ -81,6 +82,7 @@ class Explained:
     steps: Mapping[Step, int] = field(default_factory=dict)
     around: Mapping[int, tuple[Span, ...]] = field(default_factory=dict)
     idle_ns: Mapping[int, int] = field(default_factory=dict)
+    limits: tuple[str, ...] = ()
     note: str = ""
 
 
@@ -108,7 +110,7 @@ def explain_run(folder: Path, record: RunRecord) -> Iterator[Explained]:
         with _without_garbage_collection():
             trace = read_trace(folder / name, from_ns=max(0, from_ns), until_ns=until_ns)
             order = reconstruct(trace.events, started=trace.started)
-            every = [_explain(one, order, trace, outliers, threads[one.output], is_message) for one in of_trace]
+            every = [_explain(one, order, trace, outliers, threads[one.output], is_message, record) for one in of_trace]
         for explained in every:
             yield explained if explained.parts else replace(explained, note=_why_none(folder / name, explained.outlier))
 
@@ -132,6 +134,7 @@ def _explain(
     all_outliers: Sequence[Outlier],
     threads: Mapping[int, str],
     is_message: bool,
+    record: RunRecord,
 ) -> Explained:
     """One outlier. `all_outliers` are those of the run: no time of theirs is a control.
 
@@ -145,6 +148,7 @@ def _explain(
     known = pid in threads
     own = frozenset(threads) if known else _with_name(order, set(threads.values()))
     parts = cut(order, pid=pid, own=own, due_ns=outlier.due_ns, at_ns=outlier.at_ns)
+    parts = with_groups(parts, record, order.prios)
     late = [(one.due_ns, one.at_ns) for one in all_outliers]
     control = windows_before(order, trace.events, begin_ns=outlier.due_ns, length_ns=outlier.value_ns, late=late)
     begin_ns = outlier.due_ns - AROUND * outlier.value_ns
@@ -157,6 +161,7 @@ def _explain(
         steps=of_message,
         around=around,
         idle_ns=_idle_elsewhere(order, parts, pid),
+        limits=limits(record),
         note=_what_is_missing(outlier, order, trace),
     )
 

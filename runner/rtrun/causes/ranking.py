@@ -5,22 +5,25 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from rtrun.analysis.intervals import chance_of_so_many
 from rtrun.causes.outliers import Explained
 from rtrun.causes.parts import Cause, Kind, Part
 
 # Kinds that name nobody.
 NAMELESS = frozenset({Kind.UNEXPLAINED, Kind.PROGRAM, Kind.OUTSIDE, Kind.OWN_SLEEP})
 # Who has the CPU then, has it at other times too without harm: only the time beyond that counts.
-_FREQUENT = frozenset({Kind.HIGHER, Kind.EQUAL, Kind.INTERRUPT, Kind.SOFTIRQ})
+_FREQUENT = frozenset({Kind.HIGHER, Kind.DEADLINE, Kind.EQUAL, Kind.SHARED, Kind.INTERRUPT, Kind.SOFTIRQ})
 # Who had the CPU while the kernel could not be interrupted or preempted may be innocent, on a virtual machine that was
 # not run by its host above all. It counts by the share of the time in which it does not have the CPU anyway.
 _CIRCUMSTANTIAL = frozenset({Kind.TIMER_LATE, Kind.NOT_PREEMPTED, Kind.CONSOLE})
+BY_CHANCE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Culprit:
     """What took time, over all outliers.
 
+    `name`, `pid` and `prio` are those of the thread that took longest, `threads` is the number of threads of that name.
     `main` is the number of outliers of which it took more than half. `extra_ns` is its time beyond that in windows of
     the same length when nothing was late, `as_long` the number of such windows, of `windows`, in which it had the same
     CPU for at least half as long as in the outlier.
@@ -30,6 +33,7 @@ class Culprit:
     name: str
     pid: int | None
     prio: int | None
+    threads: int
     count: int
     main: int
     total_ns: int
@@ -49,11 +53,22 @@ class Ranking:
 
     @property
     def named(self) -> Culprit | None:
-        """The culprit that is the main one of at least half of the outliers; of two, if it is circumstantial."""
+        """The culprit that is the main one of at least half of the outliers, but not by chance."""
         first = next((one for one in self.culprits if one.kind not in NAMELESS), None)
         if first is None or 2 * first.main < max(1, self.outliers):
             return None
-        return first if first.main > 1 or first.kind not in _CIRCUMSTANTIAL else None
+        return None if self.is_by_chance(first) else first
+
+    def is_by_chance(self, culprit: Culprit) -> bool:
+        """Whether somebody who had the CPU may have had it just as often if it had nothing to do with the outliers.
+
+        That is so of one outlier alone. Of more, their number is binomial with its share of the time when nothing is
+        late.
+        """
+        if culprit.kind not in _CIRCUMSTANTIAL:
+            return False
+        share = 1 - culprit.extra_ns / max(1, culprit.total_ns)
+        return culprit.main < 2 or chance_of_so_many(culprit.main, self.outliers, share) > BY_CHANCE
 
 
 def rank(explained: Iterable[Explained]) -> Ranking:
@@ -66,7 +81,7 @@ def rank(explained: Iterable[Explained]) -> Ranking:
             parts[_identity(part.cause)].append(part)
         for culprit, of_culprit in parts.items():
             occurrences[culprit].append(_occurrence(one, of_culprit))
-    culprits = [_culprit(kind, name, occurred) for (kind, name, _), occurred in occurrences.items()]
+    culprits = [_culprit(kind, occurred) for (kind, _), occurred in occurrences.items()]
     return Ranking(
         culprits=tuple(sorted(culprits, key=lambda one: (-one.main, -one.extra_ns, one.kind, one.name))),
         outliers=len(cut),
@@ -74,18 +89,22 @@ def rank(explained: Iterable[Explained]) -> Ranking:
     )
 
 
-_Identity = tuple[Kind, str, int | None]
+_Identity = tuple[Kind, str]
 
 
 def _identity(cause: Cause) -> _Identity:
-    """What is one culprit: threads of one name, but a single thread where being there is the only evidence."""
-    return cause.kind, cause.name, cause.pid if cause.kind in _CIRCUMSTANTIAL else None
+    """What is one culprit: threads of one name, as a script starts the same program again and again.
+
+    Who is chosen while real-time threads are throttled has no part in that.
+    """
+    return cause.kind, "" if cause.kind is Kind.THROTTLED else cause.name
 
 
 class _Occurrence(NamedTuple):
     """One culprit in one outlier."""
 
     cause: Cause
+    pids: frozenset[int | None]
     length_ns: int
     usual_ns: int
     is_main: bool
@@ -102,17 +121,22 @@ def _occurrence(one: Explained, parts: Sequence[Part]) -> _Occurrence:
         mean_ns = control.mean_ns(longest.cpu, cause.name)
         usual_ns = min(length_ns, mean_ns if cause.kind in _FREQUENT else mean_ns * length_ns // value_ns)
         windows, as_long = control.count, control.with_at_least(longest.cpu, cause.name, length_ns // 2)
-    return _Occurrence(cause, length_ns, usual_ns, 2 * (length_ns - usual_ns) > value_ns, windows, as_long)
+    pids = frozenset(part.cause.pid for part in parts if part.cause.name == cause.name)
+    return _Occurrence(cause, pids, length_ns, usual_ns, 2 * (length_ns - usual_ns) > value_ns, windows, as_long)
 
 
-def _culprit(kind: Kind, name: str, occurred: Sequence[_Occurrence]) -> Culprit:
+def _culprit(kind: Kind, occurred: Sequence[_Occurrence]) -> Culprit:
     worst = max(occurred, key=lambda one: one.length_ns)
     total_ns = sum(one.length_ns for one in occurred)
     return Culprit(
         kind=kind,
-        name=name,
+        name=worst.cause.name,
         pid=worst.cause.pid,
         prio=worst.cause.prio,
+        threads=len(
+            frozenset[int | None]().union(*(one.pids for one in occurred if one.cause.name == worst.cause.name))
+            - {None}
+        ),
         count=len(occurred),
         main=sum(one.is_main for one in occurred),
         total_ns=total_ns,

@@ -17,7 +17,9 @@ from rtrun.causes.events import (
     Lost,
     Migration,
     Raise,
+    Signal,
     Switch,
+    Thaw,
     TimerExpiry,
     TimerStart,
     Wake,
@@ -29,6 +31,10 @@ NORMAL_PRIO = 100  # from here on a thread has no real-time priority
 # but not for condition variables, FUTEX_LOCK_PI, FUTEX_LOCK_PI2. The bits above 127 are flags.
 _LOCKING = frozenset({0, 6, 13})
 _FUTEX_COMMAND = 127
+# signal(7), the numbers of every architecture that Linux has but MIPS, Alpha, PA-RISC and SPARC: SIGCONT, and SIGSTOP,
+# SIGTSTP, SIGTTIN and SIGTTOU.
+_CONTINUING = 18
+_STOPPING = frozenset({19, 20, 21, 22})
 
 
 class _Layer(NamedTuple):
@@ -52,8 +58,9 @@ class _Cpu:
     raises: dict[str, Raise] = field(default_factory=dict)
     expiry: TimerExpiry | None = None
     offset_ns: int = 0
-    # Threads with a real-time priority that could run here, but do not.
+    # Threads that could run here, but do not: with a real-time priority, and without.
     queued: set[int] = field(default_factory=set)
+    queued_normal: set[int] = field(default_factory=set)
     spans: list[Span] = field(default_factory=list)
     # The first span of the trace, or after lost events; by thread the softirq that ended since, but began before.
     first_known: int = 0
@@ -106,10 +113,16 @@ class _Builder:
         self.faults_ns: dict[int, list[int]] = defaultdict(list)
         self.consoles_ns: dict[int, list[int]] = defaultdict(list)
         self.frequencies: dict[int, list[Frequency]] = defaultdict(list)
+        self.stops: list[Signal] = []
+        # By the thread that did it, until that sleeps: whom it woke, and whether it let a control group go on.
+        self.woke: dict[int, list[int]] = defaultdict(list)
+        self.thawing: set[int] = set()
+        # Threads that still slept when the timer until which they slept had expired, and when it did.
+        self.overslept_ns: dict[int, int] = {}
         self.lost: list[Lost] = []
         self.has_waking = False
         self.not_woken: set[int] = set()
-        # The CPU on whose queue a thread with a real-time priority is.
+        # The CPU on whose queue a thread is.
         self.queues: dict[int, _Cpu] = {}
 
     def add(self, event: Event) -> None:
@@ -125,6 +138,8 @@ class _Builder:
                 _interrupt(cpu, event)
             case TimerStart():
                 self.timers[event.timer] = event
+                if event.wakes is not None:
+                    self.overslept_ns.pop(event.wakes, None)
             case TimerExpiry():
                 # All timers of one interrupt have the same `now`, which was read when it began.
                 if cpu.expiry is None or cpu.expiry.now_ns != event.now_ns:
@@ -132,6 +147,8 @@ class _Builder:
                 cpu.expiry = event
                 if (start := self.timers.get(event.timer)) is not None:
                     cpu.note_late(start)
+                    if start.wakes is not None:
+                        self.overslept_ns[start.wakes] = event.at_ns
             case Raise():
                 cpu.raises.setdefault(event.name, event)
             case Migration():
@@ -149,6 +166,10 @@ class _Builder:
                 self.faults_ns[event.pid].append(event.at_ns)
             case Console():
                 self.consoles_ns[event.pid].append(event.at_ns)
+            case Signal():
+                self._signal(event)
+            case Thaw():
+                self.thawing.add(event.by_pid)
             case Frequency():
                 self.frequencies[event.of_cpu].append(event)
             case Current():
@@ -167,12 +188,14 @@ class _Builder:
         cpu.hard.clear()
         cpu.expiry = None
         self._dequeue(next_pid)
-        if can_run and prio < NORMAL_PRIO:
+        self.prios[pid] = prio
+        if can_run and pid != IDLE_PID:
             self._enqueue(pid, number)
         else:
             self._dequeue(pid)
         preferred = next_prio >= NORMAL_PRIO and bool(cpu.queued)
-        cpu.thread = Occupant(Context.THREAD, next_name, next_pid, next_prio, preferred)
+        passed_over = frozenset(cpu.queued_normal) if next_pid == IDLE_PID else frozenset()
+        cpu.thread = Occupant(Context.THREAD, next_name, next_pid, next_prio, preferred, passed_over)
         self.names[pid], self.prios[pid] = name, prio
         self.names[next_pid], self.prios[next_pid] = next_name, next_prio
         if pid != IDLE_PID:
@@ -180,6 +203,8 @@ class _Builder:
                 self.threads[pid].append(Change(at_ns, State.WAITING, number))
             else:
                 self.threads[pid].append(Change(at_ns, State.ASLEEP, number, why=self._why(event)))
+                self.woke.pop(pid, None)
+                self.thawing.discard(pid)
         if next_pid != IDLE_PID:
             self.faults.discard(next_pid)
             if next_pid not in self.threads:
@@ -187,6 +212,8 @@ class _Builder:
             self.threads[next_pid].append(Change(at_ns, State.RUNNING, number))
 
     def _why(self, event: Switch) -> Why:
+        if event.state.startswith(("T", "t")):
+            return Why.STOPPED
         if event.pid in self.faults:
             return Why.FAULT
         if self.futexes.get(event.pid) in _LOCKING:
@@ -196,15 +223,17 @@ class _Builder:
     def _enqueue(self, pid: int, cpu: int) -> None:
         self._dequeue(pid)
         if (queue := self.cpus.get(cpu)) is not None:
-            queue.queued.add(pid)
+            is_normal = self.prios.get(pid, NORMAL_PRIO) >= NORMAL_PRIO
+            (queue.queued_normal if is_normal else queue.queued).add(pid)
             self.queues[pid] = queue
 
     def _dequeue(self, pid: int) -> None:
         if (queue := self.queues.pop(pid, None)) is not None:
             queue.queued.discard(pid)
+            queue.queued_normal.discard(pid)
 
     def _wake(self, cpu: _Cpu, event: Wake) -> None:
-        if event.is_done and self.prios.get(event.pid, NORMAL_PRIO) < NORMAL_PRIO:
+        if event.is_done:
             self._enqueue(event.pid, event.target_cpu)
         # A new thread has no sched_waking.
         if event.is_done and self.has_waking and event.pid in self.threads:
@@ -216,6 +245,10 @@ class _Builder:
         if changes and changes[-1].state is not State.ASLEEP:
             return
         waker = self._waker(cpu, event)
+        if event.context is Context.THREAD:
+            waker = self._held(cpu, event, waker)
+            self.woke[event.by_pid].append(event.pid)
+        self.overslept_ns.pop(event.pid, None)
         changes.append(Change(event.at_ns, State.WAITING, event.target_cpu, waker=waker))
 
     def _waker(self, cpu: _Cpu, event: Wake) -> Waker:
@@ -233,6 +266,32 @@ class _Builder:
         context, name = layer.occupant.context, layer.occupant.name
         return Waker(event.cpu, event.by_pid, context, name, layer.began_ns, expiry, layer.raised)
 
+    def _held(self, cpu: _Cpu, event: Wake, waker: Waker) -> Waker:
+        """The thread that woke another, if it let it go on: where it is not followed, whatever it did before."""
+        slept = self.threads[event.pid][-1] if self.threads[event.pid] else None
+        if slept is not None and slept.why is Why.STOPPED:
+            return waker._replace(held=Why.STOPPED)
+        if event.by_pid in self.thawing:
+            return waker._replace(held=Why.FROZEN)
+        # The freezer of version 1 has no event: a frozen thread's timer expires without effect.
+        expired_ns = self.overslept_ns.get(event.pid)
+        if expired_ns is None or slept is None or expired_ns < slept.at_ns:
+            return waker
+        start = self.timers.get(cpu.expiry.timer) if cpu.expiry else None
+        # With PREEMPT_RT a thread may run the timers.
+        is_timer = start is not None and start.wakes == event.pid
+        return waker if is_timer else waker._replace(held=Why.FROZEN, held_ns=expired_ns)
+
+    def _signal(self, event: Signal) -> None:
+        """A signal is said after the threads that it wakes: what they waited for may be before the trace."""
+        if event.number in _STOPPING:
+            self.stops.append(event)
+        elif event.number == _CONTINUING:
+            for pid in self.woke.get(event.by_pid, ()):
+                first = self.threads[pid][0]
+                if first.waker is not None and first.waker.pid == event.by_pid:
+                    self.threads[pid][0] = first._replace(waker=first.waker._replace(held=Why.STOPPED))
+
     def _queue(self, pid: int, at_ns: int, cpu: int) -> None:
         """A thread that waits does so on another CPU from now on."""
         changes = self.threads.get(pid)
@@ -245,7 +304,7 @@ class _Builder:
         cpu.hard.clear()
         cpu.soft.clear()
         cpu.expiry = None
-        for pid in tuple(cpu.queued):
+        for pid in (*cpu.queued, *cpu.queued_normal):
             self._dequeue(pid)
         cpu.close(event.at_ns)
         cpu.name_what_began_before()
@@ -304,6 +363,7 @@ def reconstruct(events: Iterable[Event], *, started: Iterable[TimerStart] = ()) 
         names=builder.names,
         prios=builder.prios,
         lost=tuple(builder.lost),
+        stops=tuple(builder.stops),
         faults_ns=dict(builder.faults_ns),
         consoles_ns=dict(builder.consoles_ns),
         frequencies=dict(builder.frequencies),

@@ -9,17 +9,24 @@ from pydantic import Field, field_validator
 
 from rtfiles.config import Config, load
 from rtrun.causes.parts import Kind
+from rtrun.target.rt_readiness import with_safety_net
 
 DATA = Path(__file__).with_suffix(".yml")
 
 
 class Remedy(Config):
-    """One entry of the file. `kinds` are names of `Kind`; empty: all."""
+    """One entry of the file. `kinds` are names of `Kind`; empty: all. `safety_net` is what the change takes away."""
 
     kinds: list[str] = Field(default_factory=list)
     name: str = ""
     change: str
+    safety_net: str = ""
     source: str
+
+    @property
+    def advice(self) -> str:
+        """The change, and what safety it costs."""
+        return with_safety_net(self.change, self.safety_net)
 
     @field_validator("kinds")
     @classmethod

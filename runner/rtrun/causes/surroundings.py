@@ -10,15 +10,14 @@ import numpy as np
 from pydantic import Field
 
 from rtfiles.config import Config, read_json
-from rtfiles.untrusted import real_number
 from rtrun.analysis.coincidence import LEAST_INTERVALS, Floats, find_coincidences
 from rtrun.analysis.histogram import Int64s
 from rtrun.causes.measured import Measured, read_measured
 from rtrun.results.record import RunRecord, check_file
 from rtrun.target.inspection import TargetState
-from rtrun.validity.observations import COUNTS_MAX, Observation, read_observations, read_text
+from rtrun.validity.observations import COUNTS_MAX, SAMPLER_OUTPUT, Observation, observations_of
 
-SAMPLER, STATES = "sampler.stdout", "target.json"
+STATES = "target.json"
 # The ticks in the first line of /proc/stat, by their place (proc(5)).
 _TICKS = {
     0: "user time", 1: "time at low priority", 2: "kernel time", 4: "waiting for disks",
@@ -57,10 +56,10 @@ def find_unusual(folder: Path, record: RunRecord) -> Iterator[Unusual]:
 
     Raises UsageError for files that are not what they should be.
     """
-    if SAMPLER not in record.files:
+    if SAMPLER_OUTPUT not in record.files:
         return
-    check_file(folder, record, SAMPLER)
-    observations = read_observations(read_text(folder / SAMPLER))
+    check_file(folder, record, SAMPLER_OUTPUT)
+    observations = observations_of(folder)
     bounds_s = _bounds_s(folder, record)
     for measured in read_measured(folder, record):
         within, highest = _intervals(observations, measured, bounds_s)
@@ -87,8 +86,8 @@ def _bounds_s(folder: Path, record: RunRecord) -> tuple[float, float] | None:
         return None
     check_file(folder, record, STATES)
     states = read_json(folder / STATES, _States)
-    words = [str(state.uptime or "").split() for state in (states.before, states.after)]
-    return (real_number(words[0][0]), real_number(words[1][0])) if all(words) else None
+    before_s, after_s = states.before.uptime, states.after.uptime
+    return None if before_s is None or after_s is None else (before_s, after_s)
 
 
 def _intervals(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import NamedTuple
 
-from rtrun.causes.events import Context, Frequency, Lost, Raise
+from rtrun.causes.events import Context, Frequency, Lost, Raise, Signal
 
 IDLE_PID = 0
 
@@ -15,7 +15,7 @@ class Occupant(NamedTuple):
     """What has a CPU: a thread, or an interrupt or softirq within it. The priority of a thread is None if not known.
 
     `preferred`: the scheduler chose a thread without a real-time priority, or none, though one with such a priority
-    was on the queue of the CPU.
+    was on the queue of the CPU. `passed_over`: the threads without one that were on it when nobody was chosen.
     """
 
     context: Context
@@ -23,6 +23,7 @@ class Occupant(NamedTuple):
     pid: int
     prio: int | None
     preferred: bool = False
+    passed_over: frozenset[int] = frozenset()
 
 
 class Span(NamedTuple):
@@ -47,6 +48,8 @@ class Why(Enum):
     UNKNOWN = auto()
     LOCK = auto()
     FAULT = auto()
+    STOPPED = auto()
+    FROZEN = auto()
     UNINTERRUPTIBLE = auto()
 
 
@@ -59,7 +62,11 @@ class Expiry(NamedTuple):
 
 
 class Waker(NamedTuple):
-    """What woke a thread: a thread, an interrupt or a softirq, which began at `began_ns`."""
+    """What woke a thread: a thread, an interrupt or a softirq, which began at `began_ns`.
+
+    `held` is STOPPED or FROZEN where the thread was let go on rather than woken, `held_ns` since when it would have
+    been awake, if that is known.
+    """
 
     cpu: int
     pid: int
@@ -68,6 +75,8 @@ class Waker(NamedTuple):
     began_ns: int
     expiry: Expiry | None
     raised: Raise | None
+    held: Why = Why.UNKNOWN
+    held_ns: int | None = None
 
 
 class Change(NamedTuple):
@@ -91,6 +100,8 @@ class Timeline:
     prios: Mapping[int, int]
     """The latest priority of each thread that was seen to be switched to or from."""
     lost: Sequence[Lost]
+    stops: Sequence[Signal]
+    """The signals that stop a program."""
     faults_ns: Mapping[int, Sequence[int]]
     """When each thread had page faults."""
     consoles_ns: Mapping[int, Sequence[int]]

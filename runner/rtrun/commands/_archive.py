@@ -28,8 +28,8 @@ def read_courses(args: argparse.Namespace) -> "tuple[list[Course], int]":
     from rtrun.archive.courses import courses
     from rtrun.archive.queries import connected
     from rtrun.archive.store import open_archive
-    from rtrun.report.study import DEADLINE_NS
+    from rtrun.plan.question import THESIS
 
-    deadline_ns = args.deadline or DEADLINE_NS
+    deadline_ns = args.deadline or THESIS.deadline_ns
     with connected(open_archive(args.archive)) as archive:
         return courses(archive, deadline_ns=deadline_ns), deadline_ns

@@ -2,17 +2,18 @@
 
 import argparse
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from rtrun.plan.quantities import read_probability, read_time_ns
+from rtrun.plan.question import THESIS, Question
 
 if TYPE_CHECKING:
     from rtrun.report.study import Study
 
 T = TypeVar("T")
-CONFIDENCE = 0.95
+CONFIDENCE = THESIS.confidence
 
 
 def _argument(read: Callable[[object], T]) -> Callable[[str], T]:
@@ -29,16 +30,6 @@ def _argument(read: Callable[[object], T]) -> Callable[[str], T]:
 
 time_argument = _argument(read_time_ns)
 probability_argument = _argument(read_probability)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Question:
-    """Is P(miss) of this deadline below `probability`, at this confidence, on at least so many boots?"""
-
-    deadline_ns: int
-    probability: float
-    confidence: float
-    boots: int
 
 
 def add_question(parser: argparse.ArgumentParser) -> None:
@@ -68,28 +59,15 @@ def add_confidence(parser: argparse.ArgumentParser) -> None:
 
 def question(args: argparse.Namespace, results: Path) -> Question:
     """What the arguments ask; what they leave open is the goal of the campaign, or else the thesis' question."""
-    from rtrun.report.study import DEADLINE_NS, PROBABILITY
     from rtrun.results.goal_file import read_goal
 
     goal = read_goal(results)
-    return Question(
-        deadline_ns=args.deadline or (goal.deadline_ns if goal else DEADLINE_NS),
-        probability=args.probability or (goal.probability if goal else PROBABILITY),
-        confidence=args.confidence or (goal.confidence if goal else CONFIDENCE),
-        boots=goal.boots if goal else 1,
-    )
+    given = {"deadline_ns": args.deadline, "probability": args.probability, "confidence": args.confidence}
+    return replace(goal.question if goal else THESIS, **{key: value for key, value in given.items() if value})
 
 
 def ask(args: argparse.Namespace, *, bounds: bool = True) -> "Study":
     """Examine what the arguments name."""
     from rtrun.report.study import study
 
-    asked = question(args, args.results)
-    return study(
-        args.results,
-        deadline_ns=asked.deadline_ns,
-        probability=asked.probability,
-        confidence=asked.confidence,
-        boots=asked.boots,
-        bounds=bounds,
-    )
+    return study(args.results, question(args, args.results), bounds=bounds)

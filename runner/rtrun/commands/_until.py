@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.output import print_line, print_note
-from rtrun.analysis.deadline import plan_measurements
+from rtrun.analysis.further import plan_measurements
 from rtrun.commands._boards import TargetFile, measure_on
 from rtrun.commands.verdict import print_answers
 from rtrun.execution import campaign_runner
@@ -15,8 +15,9 @@ from rtrun.execution.progress import RoundProgress
 from rtrun.plan.campaign import Campaign, variants_of
 from rtrun.plan.goal import Goal
 from rtrun.plan.run import Run
-from rtrun.report.standings import duration, evaluator, progress_line
+from rtrun.report.standings import evaluator, progress_line
 from rtrun.report.study import study
+from rtrun.report.tables import duration
 from rtrun.results.goal_file import write_goal
 from rtrun.results.record import RunStatus, is_closed
 
@@ -36,7 +37,7 @@ def measure_until(
     0: it was measured as planned, whatever the answers are (`rtrun gate` judges them), 3: some run failed or the target
     did.
     """
-    best = plan_measurements(probability=goal.probability, confidence=goal.confidence)
+    best = plan_measurements(goal.question)
     if best is None:
         raise UsageError(f"{file}: until: no number of measurements proves P(miss) below {goal.probability:g}")
     for config in (target.config for target in targets):
@@ -85,15 +86,7 @@ def measure_until(
             f"{file}: until.at_most: {duration(goal.at_most_ns / 1e9)} were over before a run was finished, "
             "allow more: the start of the target counts too"
         )
-    measured = study(
-        results,
-        deadline_ns=goal.deadline_ns,
-        probability=goal.probability,
-        confidence=goal.confidence,
-        boots=goal.boots,
-        bounds=False,
-    )
-    print_answers(measured)
+    print_answers(study(results, goal.question, bounds=False))
     bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
     for line in bad:
         print_line(line)

@@ -77,7 +77,7 @@ def _as_json(finding: "Finding") -> dict[str, Any]:
         "status": finding.status,
         "found": list(finding.evidence),
         "why": check.why,
-        "remedy": check.remedy,
+        "remedy": check.advice,
     }
 
 
@@ -104,7 +104,7 @@ def _print(target: str, platform: "Platform", findings: "list[Finding]") -> None
         if len(each.evidence) > SHOWN_LINES:
             print_line(f"          and {len(each.evidence) - SHOWN_LINES} more like it")
         print_line(f"  why     {each.check.why}")
-        print_line(f"  remedy  {each.check.remedy}")
+        print_line(f"  remedy  {each.check.advice}")
     if unknown:
         print_line()
         print_line(f"not to be seen: {', '.join(f'{each.check.name} ({each.evidence[0]})' for each in unknown)}")

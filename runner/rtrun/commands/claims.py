@@ -22,11 +22,13 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from rtfiles.output import print_line, print_text
+    from rtrun.plan.question import Question
     from rtrun.report.claims.examiners import examine_claims
+    from rtrun.report.screen import print_styled
     from rtrun.report.study import study
     from rtrun.report.terminal import print_banner
 
-    analysed = study(args.results, confidence=args.confidence, bounds=False)
+    analysed = study(args.results, Question(confidence=args.confidence), bounds=False)
     examined = examine_claims(analysed)
     if args.json:
         data = {"schema": 2, "platform": analysed.platform, "claims": [dataclasses.asdict(claim) for claim in examined]}
@@ -35,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     print_banner(analysed.platform)
     for claim in examined:
         result = claim.result
-        print_line(f"{result.finding:9}  {claim.id} ({claim.section}): {claim.text}")
+        print_styled(result.finding, f"{' ' * (9 - len(result.finding))}  {claim.id} ({claim.section}): {claim.text}")
         print_line(f"           {result.numbers}")
         if result.runs:
             shown = ", ".join(result.runs[:4]) + (f" and {len(result.runs) - 4} more" if len(result.runs) > 4 else "")

@@ -2,19 +2,11 @@
 
 import argparse
 from pathlib import Path
-from typing import TypedDict
 
 from rtrun.commands._question import add_question, question, time_argument
 
 NAME = "compare"
 HELP = "compare two folders of runs, or two sides of one campaign: what shifted, and how sure that is"
-
-
-class _Words(TypedDict):
-    deadline_ns: int
-    probability: float
-    confidence: float
-    margin_ns: float | None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,21 +36,15 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report import compare
 
     asked = question(args, args.a)
-    words: _Words = {
-        "deadline_ns": asked.deadline_ns,
-        "probability": asked.probability,
-        "confidence": asked.confidence,
-        "margin_ns": args.margin,
-    }
     sides = (str(args.a), str(args.b))
     if args.b is None:
-        sides, compared = compare.compare_sides(args.a, args.by, args.variants, **words)
+        sides, compared = compare.compare_sides(args.a, args.by, args.variants, asked, margin_ns=args.margin)
         if not args.json:
             print_line(f"A: {sides[0]}, B: {sides[1]}")
     elif args.variants or args.by:
         raise UsageError("--by, --variants: go with one folder, that of a campaign with variants, kernels or traces")
     else:
-        compared = compare.compare_sets(args.a, args.b, **words)
+        compared = compare.compare_sets(args.a, args.b, asked, margin_ns=args.margin)
     if not compared.changes:
         if compared.ambiguous:
             raise UsageError("\n".join(compared.ambiguous))

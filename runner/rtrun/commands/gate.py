@@ -56,10 +56,10 @@ def run(args: argparse.Namespace) -> int:
     """Print one line a case. Raises UsageError when there is nothing to judge."""
     from rtfiles import atomic
     from rtfiles.errors import UsageError
-    from rtfiles.output import print_line
     from rtrun.report.answers import print_answers
     from rtrun.report.formats import junit
     from rtrun.report.gate import gate
+    from rtrun.report.screen import print_styled
     from rtrun.report.terminal import print_banner
     from rtrun.target.platform import Platform
 
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         analysed = ask(args, bounds=False)
         judged = gate(analysed, assume_independent=args.assume_independent, platform=Platform(args.platform))
         print_banner(analysed.platform)
-    print_line("passed" if judged.passed else "failed")
+    print_styled("passed" if judged.passed else "failed")
     print_answers(judged.cases, judged=True)
     if args.junit:
         try:

@@ -35,9 +35,9 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.archive.history import as_data, print_course
     from rtrun.archive.queries import connected, figures
     from rtrun.archive.store import open_archive
-    from rtrun.report.study import DEADLINE_NS
+    from rtrun.plan.question import THESIS
 
-    deadline_ns = args.deadline or DEADLINE_NS
+    deadline_ns = args.deadline or THESIS.deadline_ns
     with connected(open_archive(args.archive)) as archive:
         points = figures(archive, args.by, deadline_ns=deadline_ns)
     if args.json:

@@ -14,8 +14,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--platform",
         choices=["hardware", "virtual", "emulated"],
-        default="hardware",
-        help="what they were measured on [hardware]",
+        required=True,
+        help="what they were measured on",
+    )
+    parser.add_argument("--board", default="", metavar="NAME", help="the board that they were measured on")
+    parser.add_argument("--kernel", default="", metavar="RELEASE", help="its kernel, as uname -r has it")
+    parser.add_argument("--boot", default="", metavar="ID", help="the boot; runs of an unknown one are a boot each")
+    parser.add_argument("--start", default="", metavar="TIME", help="when they were begun, as 2026-11-23T10:00:00")
+    parser.add_argument(
+        "--names", metavar="PATTERN", help="read these from the files' names, as '{board}-{kernel}-{start}.txt'"
     )
 
 
@@ -24,12 +31,16 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import print_line
     from rtrun.results.importers.adopt import adopt
+    from rtrun.results.importers.identity import FIELDS, Identity, read_pattern
     from rtrun.target.platform import Platform
 
+    given = {name: getattr(args, name) for name in FIELDS}
+    read_name = read_pattern(args.names) if args.names else lambda _: {}
     refused = []
     for path in args.files:
         try:
-            for folder, left_out in adopt(path, args.out, platform=Platform(args.platform)):
+            identity = Identity(**{**given, **read_name(path)})
+            for folder, left_out in adopt(path, args.out, platform=Platform(args.platform), identity=identity):
                 print_line(str(folder))
                 for text in left_out:
                     print_line(f"    not known: {text}")

@@ -1,7 +1,7 @@
 """``rtrun plan``: every run of a campaign and how long it takes, without a target."""
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from rtrun.plan.run import Run
 
 NAME = "plan"
+# Lengths of bursts whose price is told.
+BURSTS = (5, 20)
 HELP = "print every run of a campaign and how long it takes, without a target"
 
 
@@ -70,51 +72,68 @@ def run(args: argparse.Namespace) -> int:
     )
     print_line(
         f"{len(runs)} runs, {_in_hours(times['total_s'])}: {_in_hours(times['measuring_s'])} of measuring{settling}, "
-        f"about {times['start_and_end_s']:.0f} s for programs to start and end{restarting}"
+        f"about {times['start_and_end_s']:.0f} s for set-up and for programs to start and end{restarting}"
     )
     if campaign.until:
-        for line in _goal_lines(campaign.until, forecasts):
+        for line in _goal_lines(campaign.until, forecasts, _prices_of_bursts(campaign.until, runs)):
             print_line(line)
     return 0
 
 
 def _times(runs: "Sequence[Run]", restarts: int) -> dict[str, float]:
     """How long runs take in all with so many restarts of the target between them, and what for."""
-    from rtrun.plan.run import RESTART_S, START_AND_END_S
+    from rtrun.plan.run import RESTART_S, SET_UP_S
 
     return {
-        "total_s": sum(each.total_s for each in runs) + restarts * RESTART_S,
+        "total_s": SET_UP_S + sum(each.total_s for each in runs) + restarts * RESTART_S,
         "measuring_s": sum(each.expected_s for each in runs),
         "settling_s": sum(each.settle_s for each in runs),
-        "start_and_end_s": len(runs) * START_AND_END_S,
+        "start_and_end_s": SET_UP_S + sum(each.start_and_end_s for each in runs),
         "restarting_s": restarts * RESTART_S,
     }
 
 
 def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Iterator[_Forecast]:
     """How long the goal takes in the best case, and at a rate of misses where one is given."""
-    from rtrun.analysis.deadline import plan_measurements
+    from rtrun.analysis.deadline import Answer
+    from rtrun.analysis.further import plan_measurements
     from rtrun.plan.rounds import outlook, rounds_a_boot
 
-    best = plan_measurements(probability=goal.probability, confidence=goal.confidence)
+    best = plan_measurements(goal.question)
     for assumed in (0.0,) if rate is None else (0.0, rate):
-        planned = plan_measurements(probability=goal.probability, confidence=goal.confidence, rate=assumed)
+        planned = plan_measurements(goal.question, rate=assumed)
         if planned is None or best is None:
             yield _Forecast(assumed_rate=assumed)
             continue
-        answer, measurements = planned
+        is_proven, measurements = planned
+        answer = Answer.PROVEN if is_proven else Answer.REFUTED
         a_boot = rounds_a_boot(groups, best[1], goal.boots)
         expected = outlook(groups, measurements, boots=goal.boots, a_boot=a_boot)
         yield _Forecast(assumed_rate=assumed, answer=answer, outlook=expected)
 
 
-def _goal_lines(goal: "Goal", forecasts: Sequence[_Forecast]) -> Iterator[str]:
+def _prices_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> "dict[int, Outlook]":
+    """How long the goal takes without a miss if a proof has to cover longer bursts, by their length."""
+    lengths = [length for length in BURSTS if length > goal.bursts]
+    forecasts = {
+        length: next(_forecasts(goal.model_copy(update={"bursts": length}), groups, None)) for length in lengths
+    }
+    return {length: each.outlook for length, each in forecasts.items() if each.outlook is not None}
+
+
+def _goal_lines(goal: "Goal", forecasts: Sequence[_Forecast], prices: "Mapping[int, Outlook]") -> Iterator[str]:
     from rtfiles.output import counted
+    from rtrun.plan.question import unlike_share
 
     at_most_s = goal.at_most_ns / 1e9
     yield (
         f"until P(miss) of {goal.deadline_ns / 1000:g} us is proven or refuted to be below {goal.probability:g}, "
         f"confidence {goal.confidence:g}, in at most {_in_hours(at_most_s)}: each round repeats these runs"
+    )
+    share = f"{100 * unlike_share(goal.boots, goal.confidence):.2g} %"
+    yield (
+        f"on {counted(goal.boots, 'boot')}: boots of another kind, of which none is measured, may be {share} of all; "
+        f"a proof covers {goal.question.covered}"
     )
     for each in forecasts:
         name = f"if {each.assumed_rate} of all measurements miss it" if each.assumed_rate else "without a miss"
@@ -128,6 +147,8 @@ def _goal_lines(goal: "Goal", forecasts: Sequence[_Forecast]) -> Iterator[str]:
             f"{name}: {each.answer} after {counted(each.outlook.rounds, 'round')}{restarts}{chance}, about "
             f"{_in_hours(each.outlook.total_s)}, of which {_in_hours(each.outlook.measuring_s)} are measuring{longer}"
         )
+    for length, outlook in prices.items():
+        yield f"to cover bursts of {length} (bursts: {length}): {_in_hours(outlook.total_s)} without a miss"
 
 
 def _in_hours(seconds: float) -> str:

@@ -22,21 +22,24 @@ def run(args: argparse.Namespace) -> int:
     import json
     from dataclasses import asdict
 
-    from rtfiles.output import print_line, print_text
+    from rtfiles.output import print_line, print_status, print_text
     from rtrun.commands._link import linked
     from rtrun.target import deploy, inspection, platform_signs, ros_master
     from rtrun.target.config import read_target
 
     config = read_target(args.target)
 
+    print_status(f"connecting to {config.name}")
     with linked(config, args.target.parent) as link:
         target = link.target
+        print_status(f"asking {config.name} what it is")
         equipment = inspection.inspect(link)
         if target.suites is not None:
             inspection.check_suites(target.suites, target, equipment)
         known = platform_signs.find_platform(link)
         state = inspection.read_state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
         answers = ros_master.ask_pid(link) is not None
+    print_status("")
     if args.json:
         facts = {
             "platform": asdict(known),

@@ -22,7 +22,7 @@ _ENDINGS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The results, the format, the question."""
     parser.add_argument("results", type=Path, help="folder of runs, run directory, .log or .npy of a suite")
-    parser.add_argument("--format", choices=list(_ENDINGS), default="html", help="[html]")
+    parser.add_argument("--format", choices=list(_ENDINGS), help="[as FILE ends, else html]")
     parser.add_argument(
         "--output", type=Path, metavar="FILE", help="file to write, - for standard output [beside RESULTS]"
     )
@@ -33,14 +33,15 @@ def run(args: argparse.Namespace) -> int:
     """Write the report, and say the verdicts. Raises UsageError when there is nothing to report on."""
     from rtfiles import atomic
     from rtfiles.errors import UsageError
-    from rtfiles.output import print_bytes, print_line, print_note
+    from rtfiles.output import print_bytes, print_line, print_note, print_status
     from rtrun.report import answers, formats, gate, page
     from rtrun.report.claims.examiners import examine_claims
     from rtrun.report.contents import contents
     from rtrun.report.plots import pictures
 
     # The other formats hold neither worst cases nor claims.
-    whole = args.format in ("html", "markdown", "json")
+    format_ = _format(args.format, args.output)
+    whole = format_ in ("html", "markdown", "json")
     analysed = ask(args, bounds=whole)
     examined = examine_claims(analysed) if whole else ()
     written = contents(analysed, examined)
@@ -54,11 +55,13 @@ def run(args: argparse.Namespace) -> int:
         "csv": lambda: formats.as_csv(analysed).encode("utf-8", "replace"),
         "parquet": lambda: formats.parquet(analysed),
     }
-    content = writers[args.format]()
+    print_status("writing the report")
+    content = writers[format_]()
+    print_status("")
     if args.output == Path("-"):
         print_bytes(content)
         return 0
-    ending = _ENDINGS[args.format]
+    ending = _ENDINGS[format_]
     folder = args.results if args.results.is_dir() else args.results.parent
     name = "report" if args.results.is_dir() else f"{args.results.stem}.report"
     output = args.output or folder / f"{name}.{ending}"
@@ -77,3 +80,17 @@ def run(args: argparse.Namespace) -> int:
     answers.print_answers(judged.cases, judged=False)
     print_line(str(output))
     return 0
+
+
+def _format(given: str | None, output: Path | None) -> str:
+    """The format that was asked for by name, or by the end of the file. Raises UsageError where the two differ."""
+    from rtfiles.errors import UsageError
+
+    ending = output.suffix.removeprefix(".").lower() if output is not None else ""
+    by_ending = next((name for name, each in _ENDINGS.items() if each == ending), None)
+    if given is not None and by_ending not in (None, given):
+        raise UsageError(f"--format {given}, --output {output}: a file that ends in .{ending} holds {by_ending}")
+    if ending and given is None and by_ending is None:
+        endings = ", ".join(f".{each}" for each in _ENDINGS.values())
+        raise UsageError(f"--output {output}: which format? End it in one of {endings}, or name one by --format")
+    return given or by_ending or "html"

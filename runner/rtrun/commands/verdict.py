@@ -47,7 +47,8 @@ def print_answers(study: "Study") -> None:
     print_banner(study.platform)
     print_line(standings.question(study))
     groups = standings.standings(study)
-    console().print(standings.table(groups), crop=False)
+    screen = console()
+    screen.print(standings.table(groups, screen.width))
     for text in standings.reasons(groups):
         print_line(text)
     for group in study.pooled:

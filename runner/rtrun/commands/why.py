@@ -37,14 +37,15 @@ def run(args: argparse.Namespace) -> int:
     print_line(f"{table.outcome if explained or refused else causes.no_traces(source)}.")
     for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders])):
         print_line(note)
+    screen = console()
     if table.rows:
         print_line()
-        console().print(causes.for_terminal(table), crop=False)
+        screen.print(causes.for_terminal(table, screen.width))
     for more in (causes.step_table(explained), periods, surroundings, cost):
         if more is not None and more.rows:
             print_line()
             print_line(f"{more.title}: {more.outcome}")
-            console().print(causes.for_terminal(more), crop=False)
+            screen.print(causes.for_terminal(more, screen.width))
     for one in (one for one in explained if one.parts):
         print_line()
         for line in causes.lines(one):

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,8 +70,11 @@ class Allotment:
         self._measuring: dict[str, tuple[str, ...]] = {}
         self._is_stopped = False
         self.is_over = False
-        """Whether nothing is left to measure, or `stop` was called."""
+        """Whether nothing is left to measure, or `end` or `stop` was called."""
         self._changed = threading.Condition()
+        self._is_planning = False
+        self._returned = 0
+        """How often a board gave back what it had."""
 
     def take(self, board: str, begun: Collection[str]) -> Round | None:
         """Return what a board measures next, now that it has closed the runs of its round before.
@@ -79,32 +83,72 @@ class Allotment:
         leave their runs to this one. None: the campaign is over. Raises KeyboardInterrupt after `stop`.
         """
         with self._changed:
-            self._measuring.pop(board, None)
-            self._changed.notify_all()
+            self._return(board)
+            asked_at = -1
             while not self._is_stopped:
+                if self.is_over:
+                    return None
+                if self._is_planning or asked_at == self._returned:
+                    self._changed.wait()
+                    continue
                 of_others = {run for runs in self._measuring.values() for run in runs}
                 of_others |= {run for run, owner in self._owners.items() if owner != board}
-                each = self._next_round(of_others, begun)
+                asked_at = self._returned
+                each = self._plan(of_others, begun)
                 # What an earlier call gave to this board was offered to it first.
                 self._owners = {run: owner for run, owner in self._owners.items() if owner != board}
+                if self.is_over:
+                    continue
                 if each is not None:
                     self._measuring[board] = tuple(run.name for run in each.runs)
                     return each
-                if not self._measuring and not self._owners:
+                if asked_at == self._returned and not self._measuring and not self._owners:
                     self.is_over = True
                     return None
-                self._changed.wait()
             raise KeyboardInterrupt
+
+    def _plan(self, of_others: Collection[str], begun: Collection[str]) -> Round | None:
+        """Find the next round, which may take an analysis of all results; None when the campaign is over before that.
+
+        The analysis has a thread of its own, and nobody else waits for it but boards that want a round, too.
+        """
+        planned: Future[Round | None] = Future()
+
+        def plan() -> None:
+            try:
+                planned.set_result(self._next_round(of_others, begun))
+            except BaseException as error:
+                planned.set_exception(error)
+            with self._changed:
+                self._changed.notify_all()
+
+        self._is_planning = True
+        threading.Thread(target=plan, daemon=True).start()
+        while not planned.done() and not self.is_over:
+            self._changed.wait()
+        self._is_planning = False
+        self._changed.notify_all()
+        return planned.result() if planned.done() else None
+
+    def _return(self, board: str) -> None:
+        self._measuring.pop(board, None)
+        self._returned += 1
+        self._changed.notify_all()
 
     def withdraw(self, board: str) -> None:
         """Leave what a board had to the others; it takes no more."""
         with self._changed:
-            self._measuring.pop(board, None)
             self._owners = {run: owner for run, owner in self._owners.items() if owner != board}
+            self._return(board)
+
+    def end(self) -> None:
+        """Hand out nothing more; the boards end what they have."""
+        with self._changed:
+            self.is_over = True
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """Hand out nothing more."""
+        """Let the boards end at once."""
         with self._changed:
             self._is_stopped = self.is_over = True
             self._changed.notify_all()

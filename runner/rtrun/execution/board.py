@@ -18,6 +18,7 @@ from rtrun.execution.trace_threshold import with_found_threshold
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import KernelName, Run
 from rtrun.results.record import RunRecord, RunStatus, is_finished, read_record
+from rtrun.target import processes
 from rtrun.target.errors import TargetError
 from rtrun.target.inspection import running_kernel
 from rtrun.target.kernel_trace import tracing
@@ -88,7 +89,7 @@ def measure_rounds(
         begun = frozenset(resumption.list_folders(link, remote))
         foreign = {name for name in begun if _is_foreign(session, name, link.target.name)}
         for name in foreign:
-            resumption.give_up(link, remote / name)
+            processes.give_up(link, remote / name)
         while each := take_round(begun - foreign):
             if len(session.log.targets) > 1:
                 for run in each.runs:
@@ -106,6 +107,11 @@ def measure_rounds(
                 # In a round the name of a run is not that of its group.
                 number = numbers.get(run.name, 0)
                 observer.began(number, run)
+                if is_finished(session.results / run.name):
+                    # By another board, which could not go on when it had closed the run.
+                    session.statuses[run.name] = RunStatus.OK
+                    observer.ended(number, run, RunStatus.OK, None)
+                    continue
                 try:
                     run = with_found_threshold(run, session.results)
                 except UsageError as error:
@@ -117,7 +123,7 @@ def measure_rounds(
                 observer.ended(number, run, record.status, record.reason)
         # Nothing of the campaign stays on the board, not even an empty folder.
         with contextlib.suppress(TargetRebooted):
-            link.check(["rm", "-rf", str(remote)])
+            processes.remove(link, remote)
 
 
 def _is_foreign(session: Session, run: str, target: str) -> bool:
@@ -134,7 +140,9 @@ def _measure(
         life = RunLife(lambda state, reason: session.log.note(session.now().isoformat(), run.name, state, reason))
         try:
             ready = prepared.get(run.kernel).for_run(run)
-            with tracing(ready.link, ready.scripts, run.parameters):
+            runs = ready.link.target.work_dir / "runs" / session.log.uid
+            may_run_go_on = functools.partial(resumption.may_run_go_on, ready.link, runs)
+            with tracing(ready.link, ready.scripts, run.parameters, may_run_go_on):
                 return run_execution.measure(
                     ready, session.log.uid, session.campaign, run, folder, life, session.now, may_be_begun=may_be_begun
                 )

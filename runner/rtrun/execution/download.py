@@ -8,6 +8,7 @@ from rtfiles.errors import UsageError
 from rtrun.plan import suites
 from rtrun.results import partial_samples
 from rtrun.results.gnuplot_lines import check_commands
+from rtrun.target import connection
 from rtrun.target.link import Link
 
 MIB = 1024 * 1024
@@ -16,8 +17,14 @@ JSON_LIMIT_BYTES = 16 * MIB
 LOG_LIMIT_BYTES = 64 * MIB
 NPY_HEADER_BYTES = 64 * 1024
 TRACE_LIMIT_BYTES = 64 * MIB
+# Some lines for each control group, of which one has a path of 4096 characters at most.
+CGROUPS_LIMIT_BYTES = MIB
 # Traces that a suite keeps of each output.
 TRACES_MAX = 16
+# Text that says something as far as it goes.
+_STREAMS = (".stdout", ".stderr")
+# Without room on the disk, and with any dd.
+_CUT = 'cd "$1" && dd if=/dev/null of="$2" bs=1 seek="$3" 2>/dev/null'
 _TRACES = "-trace-*.txt"
 _TRACE = re.compile(r"(.+)-trace-[0-9]{1,18}\.txt", re.ASCII)
 
@@ -29,7 +36,7 @@ def expected_files(
 
     A run that is `traced` writes traces as well, whose names are a pattern: ``<output>-trace-*.txt``.
     """
-    limits = dict.fromkeys((f"{name}.{kind}" for name in programs for kind in ("stdout", "stderr")), STREAM_LIMIT_BYTES)
+    limits = dict.fromkeys((f"{name}{kind}" for name in programs for kind in _STREAMS), STREAM_LIMIT_BYTES)
     for output in outputs:
         logs = [f"{output}-{log}.log" for log in suites.suite(suite).logs] or [f"{output}.log"]
         limits |= dict.fromkeys(logs, LOG_LIMIT_BYTES)
@@ -42,26 +49,37 @@ def expected_files(
     return limits
 
 
+def listing(folder: PurePosixPath, limits: Mapping[str, int]) -> list[str]:
+    """The command that lists the files of a run, which are named by `limits`, for `parse_listing`."""
+    return connection.listing(folder, limits, matches_max=TRACES_MAX)
+
+
 def pull(
     link: Link, source: PurePosixPath, present: Mapping[str, int], destination: Path, limits: Mapping[str, int]
 ) -> dict[str, str]:
-    """Copy the files of a run that are expected; return those that were not taken, name to reason.
+    """Copy the files of a run that are expected; return those that were not taken, or not whole, name to reason.
 
-    `present` are the files in `source` with their sizes in bytes, as `Connection.list_files` returns them.
+    `present` are the files in `source` with their sizes in bytes.
+    What a program printed is cut off at its limit, on the target, where no program of the run is alive any more.
     A log with commands that no suite writes is kept as ``<name>.refused``: gnuplot would execute them.
 
     Raises TargetError when a file arrives with another checksum than it has on the target.
     """
     limits = {**limits, **_traces(present, limits)}
-    sizes = {name: size for name, size in present.items() if name in limits}
-    refused = {
-        name: f"{name} has {size} bytes, at most {limits[name]} were expected: it was not taken"
-        for name, size in sizes.items()
-        if size > limits[name]
-    }
-    wanted = {name: size for name, size in sizes.items() if name not in refused}
+    wanted = {name: size for name, size in present.items() if name in limits}
+    refused: dict[str, str] = {}
+    for name, size in list(wanted.items()):
+        if size <= limits[name]:
+            continue
+        refused[name] = f"{name} has {size} bytes, at most {limits[name]} were expected: "
+        if name.endswith(_STREAMS) and _cut(link, source, name, limits[name]):
+            wanted[name] = limits[name]
+            refused[name] += "the rest was not taken"
+        else:
+            del wanted[name]
+            refused[name] += "it was not taken"
     if wanted:
-        link.do(lambda connection: connection.download(source, wanted, destination))
+        link.do(lambda connected: connected.download(source, wanted, destination))
     for name in wanted:
         if name.endswith(partial_samples.ENDING):
             partial_samples.salvage(destination / name)
@@ -73,6 +91,10 @@ def pull(
                 (destination / name).rename(destination / f"{name}.refused")
                 refused[name] = f"kept as {name}.refused: {str(error).replace(f'{destination}/', '')}"
     return refused
+
+
+def _cut(link: Link, folder: PurePosixPath, name: str, size_bytes: int) -> bool:
+    return link.run(["sh", "-c", _CUT, "sh", str(folder), name, str(size_bytes)]).status == 0
 
 
 def _traces(present: Iterable[str], limits: Mapping[str, int]) -> dict[str, int]:

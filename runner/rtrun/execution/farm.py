@@ -40,7 +40,8 @@ def measure_on_boards(session: Session, boards: Sequence[Board], next_round: Nex
     """Measure rounds on whichever board is free, until there are no more.
 
     A board that fails leaves its runs to the others. Raises TargetError when no board is left; KeyboardInterrupt once
-    every board has cleaned up; what is wrong with the campaign or the program itself ends the work on all boards.
+    every board has cleaned up; InfrastructureError when this machine cannot keep a run, once the boards have ended what
+    they had; what is wrong with the campaign or the program itself ends the work on all boards.
     """
     # A thread computes for milliseconds and then waits for its board. To let another one go on after 5 ms, as Python
     # does by default, costs CPU time and gains nothing.
@@ -60,10 +61,16 @@ def measure_on_boards(session: Session, boards: Sequence[Board], next_round: Nex
             thread.join()
         raise
     for error in work.errors.values():
-        if not isinstance(error, InfrastructureError | KeyboardInterrupt):
+        if _is_of_this_machine(error) or not isinstance(error, InfrastructureError | KeyboardInterrupt):
             raise error
     if len(work.errors) == len(boards):
         raise TargetError("\n".join(f"{name}: {error}" for name, error in work.errors.items()))
+
+
+def _is_of_this_machine(error: BaseException) -> bool:
+    """Whether it is no failure of a board: another one would measure the run again, and could not keep it either."""
+    causes = (error, error.__cause__)  # a run that goes on is told by a TargetError
+    return any(isinstance(cause, InfrastructureError) and not isinstance(cause, TargetError) for cause in causes)
 
 
 class _Work:
@@ -94,12 +101,15 @@ class _Work:
                 return
             # The thread that waits for all boards decides what it means for them.
             error = self.errors[board.name] = raised
-            if not isinstance(raised, InfrastructureError):
+            if _is_of_this_machine(raised):
+                self._allotment.end()
+            elif not isinstance(raised, InfrastructureError):
                 self.stop()
         finally:
             self._allotment.withdraw(board.name)
             with contextlib.suppress(Exception):
-                board.observer.left(str(error) if isinstance(error, InfrastructureError) else None)
+                is_shown = isinstance(error, InfrastructureError) and not _is_of_this_machine(error)
+                board.observer.left(str(error) if is_shown else None)
 
     def stop(self) -> None:
         """Let every board clean up and end."""

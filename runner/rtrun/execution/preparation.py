@@ -1,12 +1,14 @@
 """Prepare a target: deploy scripts and suites, check its tools, see to it that a ROS master answers."""
 
 import contextlib
+import functools
 import gzip
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from rtfiles.invocation import as_called
+from rtrun.execution import resumption
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import Run
@@ -14,6 +16,9 @@ from rtrun.target import deploy, inspection, platform_signs, ros_master
 from rtrun.target.errors import TargetError
 from rtrun.target.link import Link
 from rtrun.target.platform import KnownPlatform
+
+# Both the package of the suites and its program.
+SAMPLER = "rt_tests_sampler"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +29,8 @@ class Prepared:
     equipment: inspection.Equipment
     platform: KnownPlatform
     scripts: PurePosixPath
+    sampler: str
+    """The path of what observes the target: the program of the suites, or the script where they have none."""
     programs: dict[str, str]
     kernel_config: bytes
     own_master: bool
@@ -46,12 +53,17 @@ def prepared(
         inspection.check_suites(folder, target, equipment)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     installed = equipment.programs if target.suites is None else _deploy_suites(link, target.suites)
+    # What a runner that was killed left would slow down what is measured next; a trace that is in use stays.
+    link.check([str(scripts / "trace.sh"), "down"])
     kernel_config = inspection.read_kernel_config(link)
     tools = _tools(link, scripts, runs, kernel_config)
     programs = {
         name: (_deploy_suites(link, variant.suites) if variant.suites else installed) | tools
         for name, variant in ({"": Variant()} | dict(variants or {})).items()
     }
+    # One for all variants: what it costs must not be taken for an effect of one of them.
+    samplers = [each[SAMPLER] for each in (*programs.values(), equipment.programs) if SAMPLER in each]
+    deploy.prune(link, 1 + len(variants or {}))
     for run in runs:
         for program in (*suites.suite(run.suite).programs, *conditions.suites_programs(run.condition)):
             if program not in programs[run.variant]:
@@ -60,12 +72,15 @@ def prepared(
                     f"name a folder of {as_called('rtgen')} suites build as suites in the target file"
                 )
     priority = _highest_priority(runs)
-    with ros_master.running(link, scripts, equipment, owner, priority + 1 if priority else None) as own_master:
+    may_run_go_on = functools.partial(resumption.may_run_go_on, link, target.work_dir / "runs" / owner)
+    master = ros_master.running(link, scripts, equipment, owner, priority + 1 if priority else None, may_run_go_on)
+    with master as own_master:
         ready = Prepared(
             link=link,
             equipment=equipment,
             platform=platform_signs.find_platform(link),
             scripts=scripts,
+            sampler=samplers[0] if samplers else str(scripts / "sample.sh"),
             programs=programs[""],
             kernel_config=kernel_config,
             own_master=own_master,
@@ -84,10 +99,13 @@ def prepared(
 def _deploy_suites(link: Link, folder: Path) -> dict[str, str]:
     """Put a folder of suites on the target; return the paths of its programs there, by name."""
     tree = deploy.deploy(link, folder, "suites")
+    of_suites = {suite: described.programs for suite, described in suites.suites().suites.items()}
+    # Suites of an earlier version have no sampler.
+    sampler = {SAMPLER: (SAMPLER,)} if (folder / "lib" / SAMPLER / SAMPLER).is_file() else {}
     return {
-        program: str(tree / "lib" / suite / program)
-        for suite, described in suites.suites().suites.items()
-        for program in described.programs
+        program: str(tree / "lib" / package / program)
+        for package, programs in (of_suites | sampler).items()
+        for program in programs
     }
 
 

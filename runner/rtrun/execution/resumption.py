@@ -5,6 +5,7 @@ of the suites at hand: what really runs is in this file.
 """
 
 import json
+import re
 import secrets
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,14 +17,17 @@ from pydantic import Field
 from rtfiles.config import Config, parse
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json
-from rtrun.results.record import RunRecord
-from rtrun.target import processes
+from rtrun.plan.limits import Pid
+from rtrun.results.record import Moment, RunRecord
+from rtrun.target import groups
 from rtrun.target.connection import COMMAND_S
 from rtrun.target.errors import TargetError
 from rtrun.target.inspection import TargetState, parse_state
 from rtrun.target.link import Link
 
 FILE = "attempt.json"
+# What a file system takes, and nothing that leads out of a folder.
+_RUN_NAME = re.compile(r"(?![.])[^/\0]{1,255}")
 LIMIT_BYTES = 4 * 1024 * 1024
 # Not head -c: the busybox of a Yocto image need not have it.
 _INSPECT = """
@@ -38,13 +42,32 @@ for file in attempt.json state; do
     echo
 done
 """
-# Prints the first program that lives of any run, and ends then. A program has its lock as long as one of its processes
-# is there.
-_BUSY = """
+# Prints the first program that lives of any run and its process group, if that is known, and ends then. A program has
+# its lock as long as one of its processes is there.
+_BUSY = (
+    groups.OF_PROGRAM
+    + """
 for lock in "$1"/*/*/*.lock; do
     [ -e "$lock" ] || continue
-    flock -n -s "$lock" true || { echo "${lock%.lock}"; exit 0; }
+    flock -n -s "$lock" true && continue
+    name=${lock%.lock}
+    find_group || group=
+    echo "$name"
+    echo "$group"
+    exit 0
 done
+"""
+)
+# Prints the first run that may go on. What _KEEP_END of processes.py has kept says that the programs of a suite ended.
+_GOING_ON = """
+boot_id=$(cat /proc/sys/kernel/random/boot_id)
+for folder in "$1"/*; do
+    { [ -e "$folder/given_up" ] || [ -e "$folder/ended_early" ]; } && continue
+    for file in "$folder"/*.boot_id; do
+        [ -e "$file" ] && [ "$(cat "$file")" = "$boot_id" ] && echo "$folder" && exit
+    done
+done
+exit 0
 """
 # Makes the folder, prints the target's state. A lost link ends the input early: a file that is not complete does not
 # get its name.
@@ -62,8 +85,8 @@ class Attempt(Config):
 
     schema_number: Literal[1] = Field(alias="schema")
     uid: Annotated[str, Field(min_length=1, max_length=64)]
-    start_time: Annotated[str, Field(max_length=64)]
-    master_pid: int
+    start_time: Moment
+    master_pid: Pid
     own_master: bool
     argv: dict[str, list[str]]
     before: TargetState = Field(default_factory=TargetState)
@@ -131,15 +154,25 @@ def _parse_attempt(text: str, origin: str, programs: Collection[str]) -> Attempt
 
 
 def list_folders(link: Link, runs: PurePosixPath) -> list[str]:
-    """Return the names of the runs of a campaign that an earlier call has left something of."""
+    """Return the names of the runs of a campaign that an earlier call has left something of.
+
+    Raises TargetError for what cannot be the name of a run: folders of these names are removed.
+    """
     command = ["sh", "-c", 'ls "$1" 2>/dev/null; exit 0', "sh", str(runs)]
-    return link.check(command).splitlines()
+    names = link.check(command).splitlines()
+    for name in names:
+        if not _RUN_NAME.fullmatch(name):
+            raise TargetError(f"{link.target.address}: {runs}: {name[:80]!r} is no name of a run")
+    return names
 
 
-def give_up(link: Link, remote: PurePosixPath) -> None:
-    """End whatever runs in a run's folder on the target, and remove the folder."""
-    locks = link.do(lambda connection: connection.list_files(remote))
-    processes.give_up(link, remote, [name.removesuffix(".lock") for name in locks if name.endswith(".lock")])
+def may_run_go_on(link: Link, runs: PurePosixPath) -> bool:
+    """Whether a run of a campaign may go on on the target: it was started on this boot, and nobody has seen its end.
+
+    This is asked of the target whenever something is to be ended that runs need: no error tells it, as the link may
+    have broken before, while or after a run was started, and an earlier call may have left one.
+    """
+    return bool(link.check(["sh", "-c", _GOING_ON, "sh", str(runs)]).strip())
 
 
 def check_idle(link: Link) -> None:
@@ -149,10 +182,11 @@ def check_idle(link: Link) -> None:
 
 def _refuse_busy(link: Link, printed: str) -> None:
     """Raise TargetError when `_BUSY` printed a program."""
-    if busy := printed.strip():
+    if busy := printed.splitlines():
+        how = f": kill -- -{busy[1]}" if busy[1:] and busy[1].isdecimal() else ""
         raise TargetError(
-            f"{link.target.address}: another run is still going on: {busy}; "
-            f"resume its campaign, or end it there: kill -- -$(cat {busy}.pid)"
+            f"{link.target.address}: another run is still going on: {busy[0]}; "
+            f"resume its campaign, or end it there{how}"
         )
 
 

@@ -21,9 +21,10 @@ from rtrun.plan.program import Exit
 from rtrun.plan.run import Run
 from rtrun.results import run_directory
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
-from rtrun.target import inspection, processes, ros_master
-from rtrun.target.connection import listing, parse_listing
-from rtrun.target.errors import StillMeasuring, TargetError
+from rtrun.target import control_groups, inspection, processes, ros_master
+from rtrun.target.connection import parse_listing
+from rtrun.target.control_groups import ControlGroup
+from rtrun.target.errors import TargetError
 from rtrun.target.link import OUT_OF_REACH, Link
 from rtrun.validity import baselines, requirements
 from rtrun.validity.outcome import Verdict, judge
@@ -34,6 +35,10 @@ SUBSCRIBED_S = 60.0
 END_GRACE_S = 60.0
 # The end of the console of a board in QEMU, which may print without end.
 CONSOLE_LIMIT_BYTES = 16 * MIB
+# A run has some ten files for each of its programs. Of a folder with more than this the user is told.
+FILES_USUAL = 10_000
+# For a folder with some million files.
+LISTING_S = 120.0
 # Stands between the state of the target and the list of files.
 _FILES = "== files"
 # Facts of a target that run.json takes from its state under the same names.
@@ -63,6 +68,8 @@ class _Work:
 class _End:
     """How a run ended on the target."""
 
+    not_started: str | None
+    """Why the measuring programs were not started, if so."""
     exits: Sequence[Exit]
     ended_early: Mapping[str, str]
     """Background programs that ended before the suite, name to exit status."""
@@ -70,7 +77,7 @@ class _End:
     after: inspection.TargetState
     """State of the target."""
     files: Mapping[str, int]
-    """What the run's folder on the target holds, name to size in bytes."""
+    """What the run has left in its folder on the target, name to size in bytes."""
 
 
 def measure(
@@ -101,7 +108,9 @@ def measure(
         token=token,
     )
     try:
-        attempt = (_resume(work, life) if may_be_begun else None) or _start(work, life, now)
+        attempt, not_started = (_resume(work, life) if may_be_begun else None), None
+        if attempt is None:
+            attempt, not_started = _start(work, life, now)
         exits, master_pid = _wait(work, life)
     except (KeyboardInterrupt, InfrastructureError) as error:
         if must_give_up(life.state, error):
@@ -109,16 +118,16 @@ def measure(
                 processes.give_up(work.link, remote, work.programs.names)
             life.move(RunEvent.GIVE_UP, str(error) or type(error).__name__)
         elif life.state is RunState.MEASURING and not isinstance(error, OUT_OF_REACH):
-            raise StillMeasuring(f"{error}; the run goes on and is picked up by the next call") from error
+            raise TargetError(f"{error}; the run goes on and is picked up by the next call") from error
         raise
-    end = _end_background(work, exits, master_pid)
+    end = _end_background(work, exits, master_pid, not_started)
     with run_directory.filling(folder) as partial:
         refused = _download(work, partial, attempt, end)
         verdict = _judge(work, partial, attempt, end, refused)
         record = _record(work, partial, attempt, end, refused, verdict, now)
         run_directory.close(partial, folder, record)
     life.move(RunEvent.CLOSE, f"{record.status}: {record.reason}" if record.reason else record.status)
-    work.link.check(["rm", "-rf", str(remote)])
+    processes.remove(work.link, remote)
     return record
 
 
@@ -133,8 +142,9 @@ def _resume(work: _Work, life: RunLife) -> Attempt | None:
         life.move(RunEvent.RESTART, "the target was restarted while nobody looked")
         kept = run_directory.unused(work.folder, "incomplete")
         with run_directory.filling(kept) as partial:
-            present = work.link.do(lambda connection: connection.list_files(work.remote))
-            download.pull(work.link, work.remote, present, partial, work.programs.file_limits)
+            limits = work.programs.file_limits
+            present = parse_listing(work.link.check(download.listing(work.remote, limits), deadline_s=LISTING_S)).sizes
+            download.pull(work.link, work.remote, present, partial, limits)
             run_directory.rename(partial, kept)
         life.move(RunEvent.KEEP, f"kept as {kept.name}")
     if leftovers.has_folder:
@@ -144,15 +154,18 @@ def _resume(work: _Work, life: RunLife) -> Attempt | None:
     return None
 
 
-def _start(work: _Work, life: RunLife, now: Clock) -> Attempt:
-    """Start the background, then the suite. Raises TargetError when nothing can be measured."""
+def _start(work: _Work, life: RunLife, now: Clock) -> tuple[Attempt, str | None]:
+    """Start the background, then the suite; return why its measuring programs were not started, if so.
+
+    Raises TargetError when nothing can be measured.
+    """
     life.move(RunEvent.BEGIN)
     attempt = _begin(work, now)
     if work.programs.background:
         _start_background(work)
-    _start_suite(work)
+    not_started = _start_suite(work)
     life.move(RunEvent.START)
-    return attempt
+    return attempt, not_started
 
 
 def _begin(work: _Work, now: Clock) -> Attempt:
@@ -182,14 +195,17 @@ def _start_background(work: _Work) -> None:
         raise TargetError(f"{link.target.address}: condition {work.run.condition}: {name} does not run: {reason}")
 
 
-def _start_suite(work: _Work) -> None:
-    """Start the sampler, then the subscribers, and the rest once these have registered with the ROS master."""
+def _start_suite(work: _Work) -> str | None:
+    """Start the sampler, then the subscribers, and the rest once these have registered with the ROS master.
+
+    Return why the rest was not started: a subscriber has ended.
+    """
     link, scripts, setup = work.link, work.prepared.scripts, work.prepared.equipment.setup
     subscribers, measuring = work.programs.subscribers, work.programs.measuring
+    sampler = [work.programs.sampler] if work.programs.sampler else []
+    processes.start(link, scripts, work.remote, *sampler, *(subscribers or measuring), setup=setup)
     if not subscribers:
-        processes.start(link, scripts, work.remote, work.programs.sampler, *measuring, setup=setup)
-        return
-    processes.start(link, scripts, work.remote, work.programs.sampler, *subscribers, setup=setup)
+        return None
     names = [program.name for program in subscribers]
     processes.wait_until(
         lambda: (
@@ -199,7 +215,13 @@ def _start_suite(work: _Work) -> None:
         deadline_s=SUBSCRIBED_S,
         what=f"{link.target.address}: {len(names)} subscribers to register with the ROS master",
     )
+    if ended := processes.list_ended(link, work.remote, names):
+        # The run has failed. What publishes would not notice, and take as long as if all were there.
+        processes.end(link, work.remote, *names)
+        last_line = processes.read_last_line(link, work.remote / f"{ended[0]}.stderr") or "it said nothing"
+        return f"{ended[0]} ended before {measuring[0].name} was started: {last_line}"
     processes.start(link, scripts, work.remote, *measuring, setup=setup)
+    return None
 
 
 def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str]:
@@ -213,7 +235,8 @@ def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str]:
     return exits, master_pid
 
 
-def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str) -> _End:
+def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str, not_started: str | None) -> _End:
+    limits = work.programs.file_limits
     ended = processes.end_background(
         work.link,
         work.remote,
@@ -221,15 +244,19 @@ def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str) -> _End
         work.programs.load_names,
         work.programs.other_names,
         master_pid=master_pid,
-        then=[["sh", str(work.prepared.scripts / "state.sh")], ["echo", _FILES], listing(work.remote)],
+        then=[["sh", str(work.prepared.scripts / "state.sh")], ["echo", _FILES], download.listing(work.remote, limits)],
     )
-    state, _, files = ended.output.partition(f"{_FILES}\n")
+    state, _, listed = ended.output.partition(f"{_FILES}\n")
+    files = parse_listing(listed)
+    if files.total > FILES_USUAL:
+        work.link.note(f"{work.remote}: has {files.total} files; those that are not of the run are removed with it")
     return _End(
+        not_started=not_started,
         exits=exits,
         ended_early=ended.early,
         master_pid=ended.master_pid,
         after=inspection.parse_state(state),
-        files=parse_listing(files, f"{work.link.target.address}: {work.remote}"),
+        files=files.sizes,
     )
 
 
@@ -258,10 +285,21 @@ def _judge(work: _Work, partial: Path, attempt: Attempt, end: _End, refused: Map
         background=work.programs.background,
         ended_early=end.ended_early,
     )
+    if end.not_started:
+        return replace(verdict, status=RunStatus.FAILED, reason=end.not_started)
     if end.master_pid != str(attempt.master_pid):
         reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
         return replace(verdict, status=RunStatus.FAILED, reason=reason)
     return verdict
+
+
+def _take_control_groups(path: Path) -> list[ControlGroup]:
+    """The control groups of a program, whose file is not kept: the record says the same."""
+    if not path.is_file():
+        return []
+    text = path.read_bytes().decode("utf-8", errors="replace")
+    path.unlink()
+    return control_groups.parse_around(text)
 
 
 def _record(
@@ -300,7 +338,12 @@ def _record(
         start_time=attempt.start_time,
         end_time=now().isoformat(),
         programs=[
-            ProgramRecord(name=program.name, argv=attempt.argv[program.name], exit_status=exit_.status)
+            ProgramRecord(
+                name=program.name,
+                argv=attempt.argv[program.name],
+                exit_status=exit_.status,
+                control_groups=_take_control_groups(partial / f"{program.name}.cgroups"),
+            )
             for program, exit_ in zip(work.programs.of_suite, end.exits, strict=True)
         ],
         outputs=outputs,

@@ -10,6 +10,7 @@ from rtrun.plan import conditions, suites
 from rtrun.plan.program import Program
 from rtrun.plan.run import Run
 from rtrun.target.kernel_trace import OPTIONS as TRACE_OPTIONS
+from rtrun.validity.observations import SAMPLER_OUTPUT, output_bytes_max
 
 SUBSCRIBER = "ct_subscriber"
 # A suite that needs longer than this for the time it should take hangs.
@@ -27,7 +28,8 @@ class RunPrograms:
     measuring: tuple[Program, ...]
     """The other programs of the suite; before they start nothing is measured."""
     background: tuple[conditions.Background, ...]
-    sampler: Program
+    sampler: Program | None
+    """What observes all that; None where the campaign has switched it off."""
     outputs: tuple[str, ...]
     """What the suite writes, without ending."""
     file_limits: Mapping[str, int]
@@ -51,7 +53,8 @@ class RunPrograms:
     @property
     def other_names(self) -> list[str]:
         """The names of the background programs that hold a setting, and of the sampler."""
-        return [*(each.program.name for each in self.background if not each.is_load), self.sampler.name]
+        names = [each.program.name for each in self.background if not each.is_load]
+        return [*names, *([self.sampler.name] if self.sampler else [])]
 
     @property
     def names(self) -> list[str]:
@@ -82,7 +85,7 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
     priority = str(run.parameters.get("priority") or 1)
     sampler = Program(
         name=SAMPLER,
-        argv=(str(prepared.scripts / "sample.sh"), str(remote), priority, " ".join(names)),
+        argv=(prepared.sampler, str(remote), priority, " ".join(names)),
         deadline_s=deadline_s + conditions.OUTLIVE_S,
     )
     limits = download.expected_files(
@@ -92,13 +95,16 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
         int(run.parameters.get("repetitions") or 0),
         traced=any(run.parameters.get(option) is not None for option in TRACE_OPTIONS),
     )
+    program_json = suites.program_json_names(run.suite, run.parameters)
+    limits |= {f"{program.name}.cgroups": download.CGROUPS_LIMIT_BYTES for program in (*measuring, *subscribers)}
+    limits[SAMPLER_OUTPUT] = output_bytes_max(sampler.deadline_s)
     return RunPrograms(
         subscribers=tuple(subscribers),
         measuring=tuple(measuring),
         background=tuple(background),
-        sampler=sampler,
+        sampler=None if run.settings.get(conditions.SAMPLER) else sampler,
         outputs=tuple(outputs),
-        file_limits=limits,
+        file_limits=limits | dict.fromkeys(program_json, download.JSON_LIMIT_BYTES),
     )
 
 

@@ -107,7 +107,8 @@ for folder in /sys/kernel/tracing /sys/kernel/debug/tracing; do
     [ -r "$folder/current_tracer" ] && { show "$folder/current_tracer"; break; }
 done
 section threads
-# proc(5): after the name, in brackets, come state and then flags (7th), rt_priority (38th) and policy (39th).
+# proc(5): after the name, in brackets, come state and then flags (7th), rt_priority (38th) and policy (39th). A thread at
+# SCHED_DEADLINE (6) has no priority; the chrt of busybox does not know its budget.
 for file in /proc/[0-9]*/task/[0-9]*/stat; do
     { IFS= read -r line <"$file"; } 2>/dev/null || continue
     rest=${line##*) }
@@ -115,9 +116,16 @@ for file in /proc/[0-9]*/task/[0-9]*/stat; do
     # shellcheck disable=SC2086 # the fields are to be split
     set -- $rest
     [ $# -ge 39 ] || continue
-    [ "${38}" -gt 0 ] || continue
-    kind=program
+    [ "${38}" -gt 0 ] || [ "${39}" -eq 6 ] || continue
+    kind=program priority=${38} budget=
     [ $(($7 / 2097152 % 2)) -eq 1 ] && kind=kernel
-    echo "${38} $kind ${name#*(}"
+    if [ "${39}" -eq 6 ]; then
+        priority=deadline
+        budget=$(LC_ALL=C chrt -p "${line%% *}" 2>/dev/null) || budget=
+        case $budget in *"/period parameters: "*) ;; *) budget= ;; esac
+        budget=${budget:+ (${budget##* } ns of runtime/deadline/period)}
+    fi
+    # A name may hold backslashes, which echo would read.
+    printf '%s\n' "$priority $kind ${name#*(}$budget"
 done
 exit 0

@@ -10,7 +10,7 @@ done
 for master in /opt/ros/*/bin/rosmaster /usr/bin/rosmaster; do
     [ -x "$master" ] && echo "master $master"
 done
-for program in /opt/ros/*/lib/*_tests/*_tests* /usr/lib/*_tests/*_tests*; do
+for program in /opt/ros/*/lib/*_tests/*_tests* /opt/ros/*/lib/rt_tests_sampler/rt_tests_sampler /usr/lib/*_tests/*_tests*; do
     [ -x "$program" ] && echo "program $program"
 done
 # The runner removes folders in its working folder: it must be new, empty, or known by the mark. One of a version without
@@ -39,6 +39,4 @@ if mkdir -p "$1/objects" "$1/suites" "$1/runs" "$1/master" && : >>"$mark"; then
 else
     echo "readonly $1"
 fi
-# A trace left by a runner that was killed would slow down the next measurement. One that is in use stays: rmdir fails.
-rmdir /sys/kernel/tracing/instances/rtrun 2>/dev/null
 exit 0

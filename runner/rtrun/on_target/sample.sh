@@ -1,5 +1,6 @@
 #!/bin/sh
-# Observe what is in effect while a run measures. It disturbs the run: it reads little, every two seconds.
+# Observe what is in effect while a run measures, every two seconds, where the suites on the target lack rt_tests_sampler:
+# that program does and prints the same for a fraction of the CPU time.
 #
 #   sample.sh FOLDER PRIORITY LOADS
 #
@@ -13,11 +14,12 @@
 # of it had been read, which on a busy target takes seconds:
 #   thread PROGRAM TID POLICY PRIORITY CPUS NAME      each thread of the suite
 #   load PROGRAM PROCESSES CPUS                       each background program
-#   rival TID POLICY PRIORITY NAME                    every other thread of its priority or above
+#   rival TID POLICY PRIORITY NAME                    every other thread of its priority or above; one at SCHED_DEADLINE
+#                                                     (policy 6) has RUNTIME_NS/PERIOD_NS, or -, in place of a priority
 #   governor NAME,..    sched_rt_runtime_us NUMBER
 set -u
 cd "$1" || exit 1
-priority=$2 loads=" $3 "
+folder=$(pwd) priority=$2 loads=" $3 "
 trap 'exit 0' TERM
 # Not every busybox has nice or renice; chrt every target has.
 renice -n 19 -p $$ >/dev/null 2>&1 || chrt --idle -p 0 $$
@@ -42,11 +44,14 @@ threads() {
         {
             path = $0; sub(/\/stat:.*/, "", path)
             split(path, part, "/")
-            name = $0; sub(/^[^(]*\(/, "", name); sub(/\) [A-Za-z] .*/, "", name)
+            # The name itself may hold brackets.
+            name = $0; sub(/^[^(]*\(/, "", name)
             sub(/.*\) /, "")
+            name = substr(name, 1, length(name) - length($0) - 2)
             # From here $1 is field 3 of proc(5): $4 the session, $38 and $39 the real-time priority and the policy.
             owner = program[$4]
-            if (owner == "") { if ($38 >= priority && $38 > 0) print "rival", part[5], $39, $38, name }
+            if (owner == "" && $39 == 6) print "rival", part[5], 6, "-", name
+            else if (owner == "") { if ($38 >= priority && $38 > 0) print "rival", part[5], $39, $38, name }
             # supervise.sh and its watchdog are not the program that they started.
             else if (owner == "sampler" || name == "supervise.sh" || name == "sleep") next
             else if (index(loads, " " owner " ")) { if (part[3] == part[5]) print "process", owner, path }
@@ -54,10 +59,20 @@ threads() {
         }'
 }
 
-affinity() {
+# The budget of each thread at SCHED_DEADLINE that is listed; the chrt of busybox does not know it.
+budgets() {
+    for tid in $(printf '%s\n' "$1" | awk '$1 == "rival" && $3 == 6 { print $2 }'); do
+        LC_ALL=C chrt -p "$tid" 2>/dev/null |
+            sed -n "s|.* runtime/deadline/period parameters: \([0-9]*\)/[0-9]*/\([0-9]*\)$|budget $tid \1/\2|p"
+    done
+}
+
+details() {
     awk '
+        /^budget / { budget[$2] = $3; next }
+        $1 == "rival" && ($2 in budget) { sub(/ 6 - /, " 6 " budget[$2] " ") }
         /^cpus / { sub(/\/status:.*/, "", $2); cpus[$2] = $4; next }
-        $1 == "thread" { path = $6; $6 = (path in cpus) ? cpus[path] : "-"; print; next }
+        $1 == "thread" { sub(" " $6 " ", " " (($6 in cpus) ? cpus[$6] : "-") " "); print; next }
         $1 == "process" { count[$2]++; if ($3 in cpus) of[$2] = cpus[$3]; next }
         { print }
         END { for (name in count) print "load", name, count[name], (name in of) ? of[name] : "-" }'
@@ -68,14 +83,15 @@ count() {
     cat /proc/stat /proc/pressure/memory /proc/interrupts 2>/dev/null | awk -v before="$1" '
         BEGIN {
             words = split(before, word, " ")
-            for (i = 1; i <= words; i++) { name = word[i]; sub(/=.*/, "", name); sub(/.*=/, "", word[i]); old[name] = word[i] }
+            for (i = 1; i <= words; i++) { name = word[i]; sub(/=.*/, "", name); sub(/.*=/, "", word[i]); old[name] = word[i] + 0 }
         }
-        function add(name, number) { if (number > 0) total[name] += number }
+        # As many names as the reader takes.
+        function add(name, number) { if (number > 0 && (name in total || names++ < 511)) total[name] += number }
         $1 == "ctxt" { add("context_switches", $2) }
         $1 == "intr" { add("interrupts", $2) }
         $1 == "processes" { add("new_processes", $2) }
         $1 == "some" { sub(/.*total=/, ""); add("memory_stall_us", $1) }
-        $1 == "CPU0" { cpus = NF; next }
+        $1 ~ /^CPU[0-9]+$/ { cpus = NF; next }
         cpus && $1 ~ /:$/ {
             number = 0
             for (i = 2; i <= cpus + 1 && $i ~ /^[0-9]+$/; i++) number += $i
@@ -104,6 +120,7 @@ while :; do
     sleep $pause &
     wait $!
     pause=2
+    [ -d "$folder" ] || exit 0
     read -r uptime _ </proc/uptime
     read -r load _ </proc/loadavg
     read -r busy </proc/stat
@@ -116,17 +133,20 @@ while :; do
     echo "${counts#*"$newline"}"
     listed=$(threads)
     # The CPUs of one process of each load are enough: its other processes inherit them.
-    paths=$(echo "$listed" | awk '$1 == "thread" { print $6 "/status" } $1 == "process" && !seen[$2]++ { print $3 "/status" }')
+    # Names may hold backslashes, which echo would read.
+    paths=$(printf '%s\n' "$listed" | awk '$1 == "thread" { print $6 "/status" } $1 == "process" && !seen[$2]++ { print $3 "/status" }')
     # shellcheck disable=SC2086 # the words of the list are wanted
     now=$({
         [ -z "$paths" ] || grep -sH Cpus_allowed_list: $paths | sed 's/^/cpus /; s/Cpus_allowed_list:/ x /'
-        echo "$listed"
-    } | affinity
+        budgets "$listed"
+        # Nothing is listed where the kernel threads are hidden, as in a container, and no program has begun.
+        [ -z "$listed" ] || printf '%s\n' "$listed"
+    } | details
         echo "governor $(joined /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor)"
         echo "sched_rt_runtime_us $(joined /proc/sys/kernel/sched_rt_runtime_us)")
     if [ "$now" != "$before" ]; then
         read -r until _ </proc/uptime
-        echo "$now"
+        printf '%s\n' "$now"
         echo "end $until"
         before=$now
     fi

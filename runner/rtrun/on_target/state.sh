@@ -27,9 +27,10 @@ section roscpp_version
     ls /usr/lib/libroscpp.so.*.* /usr/lib/*/libroscpp.so.*.* | sed 's/.*[.]so[.]//'
 } 2>/dev/null | head -n 1
 section cpuinfo;            cat /proc/cpuinfo 2>/dev/null
-# Real-time threads (field 40, rt_priority, is not 0), then how many threads there are of any kind.
+# Real-time threads (field 40, rt_priority, is not 0, or 41, policy, is 6, SCHED_DEADLINE), then how many threads there are of
+# any kind.
 section threads;            cat /proc/[0-9]*/task/[0-9]*/stat 2>/dev/null |
-                                sed -nE -e '/\) [A-Za-z]( -?[0-9]+){36} [1-9]/p' -e '$='
+                                sed -nE -e '/\) [A-Za-z]( -?[0-9]+){36} ([1-9]|0 6 )/p' -e '$='
 }
 # In one piece: over SSH each write of a command is a packet, and there would be a hundred.
 printf '%s\n' "$(state)"

@@ -4,7 +4,7 @@
 #   supervise.sh FOLDER NAME DEADLINE_S SETUP PROGRAM [ARGUMENT...]
 #
 # SETUP is a shell file to read first, or empty. In FOLDER stand afterwards NAME.boot_id, NAME.pid (also the process
-# group), NAME.stdout, NAME.stderr, NAME.expired when the deadline ended it, and last NAME.exit with the exit status
+# group), NAME.stdout, NAME.stderr, NAME.cgroups (cgroups.sh before and after it), NAME.expired when the deadline ended it, and last NAME.exit with the exit status
 # and the time since the boot in seconds.
 # NAME.lock is held as long as a process of it lives: waiting for the lock costs the target nothing.
 # A program that was started already is not started again, so the caller may repeat the call after a lost link.
@@ -23,6 +23,9 @@ if [ "${RTRUN_INSIDE:-}" != 1 ]; then
     done
     # The program may have run and ended while this waited for the lock. In a folder that was given up nothing starts.
     { [ -e "$name.boot_id" ] || [ -e given_up ]; } && exit 0
+    # Room for the exit status: a run that is whole must not be lost to a disk that is full when it ends.
+    printf '%40s\n' '' >"$name.exit.new" ||
+        { echo "no room for the exit status of $name: is the disk full (df -h)?" >&2; exit 1; }
     cat /proc/sys/kernel/random/boot_id >"$name.boot_id.new" && mv "$name.boot_id.new" "$name.boot_id" || exit 1
     # After a power cut the runner must see that this run was cut off.
     sync "$name.boot_id" .
@@ -34,7 +37,7 @@ fi
 { [ -e "$name.boot_id" ] && [ ! -e given_up ]; } || exit 1
 deadline_s=$3 setup=$4
 shift 4
-unset RTRUN_INSIDE
+unset RTRUN_INSIDE RTRUN_COMMAND
 # Only now is this process the leader of its session, so that its pid names the process group.
 echo $$ >"$name.pid"
 if [ -n "$setup" ]; then
@@ -44,24 +47,36 @@ if [ -n "$setup" ]; then
     set -u
 fi
 
+# The number of a process that has ended may be another's by now: only what is of this session gets a signal.
+send() {
+    stat=$(cat "/proc/$2/stat") || return
+    # After the name, which may hold blanks: state, parent, group, session (proc(5)).
+    stat=${stat##*) }
+    stat=${stat#* * * }
+    [ "${stat%% *}" = $$ ] && kill "-$1" "$2"
+} 2>/dev/null
+
+"${0%/*}/cgroups.sh" >"$name.cgroups" 2>/dev/null
 "$@" </dev/null >"$name.stdout" 2>"$name.stderr" &
 program=$!
 (
     exec 9>&-
     sleep "$deadline_s" &
     sleeper=$!
-    trap 'kill $sleeper; exit 0' TERM
+    trap 'send TERM $sleeper; exit 0' TERM
     wait $sleeper
     # true, not ":": a shell exits where a special builtin cannot open its file, and the program would run on.
     true >"$name.expired"
-    kill -TERM $program
+    send TERM $program
     sleep 5
-    kill -KILL $program
+    send KILL $program
 ) &
 watchdog=$!
 
 wait $program
 status=$?
-kill $watchdog
+send TERM $watchdog
 read -r uptime _ </proc/uptime
-echo "$status $uptime" >"$name.exit.new" && mv "$name.exit.new" "$name.exit"
+{ echo "== after"; "${0%/*}/cgroups.sh"; } >>"$name.cgroups" 2>/dev/null
+# Over the blanks that were written for it: more room there may not be.
+echo "$status $uptime" 1<>"$name.exit.new" && mv "$name.exit.new" "$name.exit"

@@ -8,11 +8,12 @@ set -u
 tracing=/sys/kernel/tracing
 instance=$tracing/instances/rtrun
 osnoise=$tracing/osnoise/options
+# There while osnoise does without its workload because of us: it is the option of everybody, and goes with a reboot.
+changed=/run/rtrun-osnoise
 
 down() {
-    [ -d $instance ] || return 0
-    rmdir $instance 2>/dev/null || return 0
-    if grep -q NO_OSNOISE_WORKLOAD $osnoise 2>/dev/null; then echo OSNOISE_WORKLOAD >$osnoise; fi
+    [ ! -d $instance ] || rmdir $instance 2>/dev/null || return 0
+    [ ! -e $changed ] || { echo OSNOISE_WORKLOAD >$osnoise; rm -f $changed; }
 }
 
 fail() {
@@ -36,9 +37,10 @@ up() {
     # For each CPU: some tenths of a second of a busy one.
     echo 512 >$instance/buffer_size_kb
     # Where osnoise can do without its workload, which would keep every CPU busy: its events.
-    if grep -q OSNOISE_WORKLOAD $osnoise 2>/dev/null; then
-        echo NO_OSNOISE_WORKLOAD >$osnoise && echo osnoise >$instance/current_tracer
+    if grep -qw OSNOISE_WORKLOAD $osnoise 2>/dev/null; then
+        : >$changed && echo NO_OSNOISE_WORKLOAD >$osnoise
     fi
+    if grep -qw NO_OSNOISE_WORKLOAD $osnoise 2>/dev/null; then echo osnoise >$instance/current_tracer; fi
     for event; do
         if [ -e "$instance/events/$event/enable" ]; then echo 1 >"$instance/events/$event/enable"; fi
     done

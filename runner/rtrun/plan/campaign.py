@@ -9,12 +9,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from rtfiles.config import Config, parse, read_yaml
+from rtfiles.config import Config, Place, matching, parse, read_yaml_with_place
 from rtfiles.errors import UsageError
+from rtfiles.wording import unknown
 from rtrun.plan import conditions, suites
 from rtrun.plan.goal import Goal
 from rtrun.plan.kernels import order_by_kernel
-from rtrun.plan.run import KernelName, Run, interleave, label, too_short
+from rtrun.plan.limits import Seed
+from rtrun.plan.run import KernelName, Run, interleave, label, never_observed
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.plan.trace import read_trace, too_few, traced, with_warm_ups
 
@@ -33,7 +35,12 @@ VARIANT_KEYS = ("suites", "ros_setup")
 GAP_SEARCH = "hwlatdetect"
 
 Entry = dict[str, Any]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
+Name = Annotated[
+    str,
+    matching(
+        r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", "a name of at most 100 letters, digits and . _ -, a letter or digit first"
+    ),
+]
 
 
 class Campaign(Config):
@@ -43,7 +50,7 @@ class Campaign(Config):
     name: Name
     order: Literal["listed", "interleaved"] = "listed"
     """interleaved: blocks of one repeat of every combination, each block in an order drawn with `seed`."""
-    seed: Annotated[int, Field(ge=0)] | None = None
+    seed: Seed | None = None
     common: Entry = Field(default_factory=dict)
     """Values of every run that takes them; a run's own value wins."""
     runs: Annotated[list[Entry], Field(min_length=1)]
@@ -69,8 +76,9 @@ class Variant:
 
 def read_campaign(path: Path) -> tuple[Campaign, tuple[Run, ...]]:
     """Read a campaign file and plan it. Raises UsageError with every mistake found, one a line."""
-    campaign = parse(read_yaml(path), Campaign, str(path))
-    return campaign, plan(campaign, str(path))
+    data, top = read_yaml_with_place(path)
+    campaign = parse(data, Campaign, top)
+    return campaign, plan(campaign, top)
 
 
 def variants_of(campaign: Campaign, folder: Path) -> dict[str, Variant]:
@@ -84,29 +92,31 @@ def variants_of(campaign: Campaign, folder: Path) -> dict[str, Variant]:
     }
 
 
-def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
-    """Return the runs in their order. Raises UsageError ``origin: runs.0.key: what is wrong, what is allowed``."""
+def plan(campaign: Campaign, origin: Place | str) -> tuple[Run, ...]:
+    """Return the runs in their order. Raises UsageError ``origin:7: runs.0.key: what is wrong, what is allowed``."""
     errors: list[str] = []
-    _check_common(campaign, origin, errors)
-    _check_variants(campaign, origin, errors)
+    top = Place(origin) if isinstance(origin, str) else origin
+    _check_common(campaign, top / "common", errors)
+    _check_variants(campaign, top / "variants", errors)
     if (campaign.order == "interleaved") != (campaign.seed is not None):
-        errors.append(f"{origin}: seed: give one, a whole number, with order: interleaved, and only then")
+        errors.append(f"{top / 'seed'}: give one, a whole number, with order: interleaved, and only then")
     if campaign.kernels and len(set(campaign.kernels)) < len(campaign.kernels):
-        errors.append(f"{origin}: kernels: names a kernel twice")
-    listed = _runs_of(campaign.runs, campaign, f"{origin}: runs", errors)
+        errors.append(f"{top / 'kernels'}: names a kernel twice")
+    listed = _runs_of(campaign.runs, campaign, top / "runs", errors)
     for number, pattern in enumerate(campaign.exclude):
         kept = [run for run in listed if not _matches(run, pattern)]
         if not pattern or len(kept) == len(listed):
-            errors.append(f"{origin}: exclude.{number}: no run has all of {pattern}, so there is nothing to leave out")
+            where = top / "exclude" / number
+            errors.append(f"{where}: no run has all of {pattern}, so there is nothing to leave out")
         listed = kept
-    listed += _runs_of(campaign.include, campaign, f"{origin}: include", errors)
+    listed += _runs_of(campaign.include, campaign, top / "include", errors)
     if len(listed) > RUNS_MAX:
-        errors.append(f"{origin}: makes {len(listed)} runs, at most {RUNS_MAX} are allowed")
+        errors.append(f"{top}: makes {len(listed)} runs, at most {RUNS_MAX} are allowed")
     if campaign.until:
-        _check_goal(campaign, listed, origin, errors)
+        _check_goal(campaign, listed, top / "until", errors)
     if not errors and not listed:
-        errors.append(f"{origin}: exclude: leaves no run")
-    errors += dict.fromkeys(f"{origin}: {wrong}" for run in listed if (wrong := too_short(run) or too_few(run)))
+        errors.append(f"{top / 'exclude'}: leaves no run")
+    errors += dict.fromkeys(f"{top}: {wrong}" for run in listed if (wrong := never_observed(run) or too_few(run)))
     if errors:
         raise UsageError("\n".join(errors))
     width = max(3, len(str(len(listed))))
@@ -115,17 +125,17 @@ def plan(campaign: Campaign, origin: str) -> tuple[Run, ...]:
     return tuple(with_warm_ups(order_by_kernel(ordered, campaign.kernels or ())))
 
 
-def _runs_of(entries: Sequence[Entry], campaign: Campaign, where: str, errors: list[str]) -> list[Run]:
+def _runs_of(entries: Sequence[Entry], campaign: Campaign, where: Place, errors: list[str]) -> list[Run]:
     """The runs of these entries; no more than one entry's above the limit."""
     runs: list[Run] = []
     for number, entry in enumerate(entries):
         if len(runs) <= RUNS_MAX:
-            of_entry = list(_of_variants(entry, campaign, f"{where}.{number}", errors))
+            of_entry = list(_of_variants(entry, campaign, where / number, errors))
             runs += [replace(run, kernel=kernel) for kernel in campaign.kernels or (None,) for run in of_entry]
     return runs
 
 
-def _of_variants(entry: Entry, campaign: Campaign, where: str, errors: list[str]) -> Iterator[Run]:
+def _of_variants(entry: Entry, campaign: Campaign, where: Place, errors: list[str]) -> Iterator[Run]:
     """Yield the runs of an entry for each variant, or just once where there are none."""
     if not campaign.variants:
         yield from _combinations(entry, campaign.common, where, errors)
@@ -136,28 +146,27 @@ def _of_variants(entry: Entry, campaign: Campaign, where: str, errors: list[str]
 
 
 def _combinations(
-    entry: Entry, common: Entry, where: str, errors: list[str], overrides: Entry | None = None
+    entry: Entry, common: Entry, where: Place, errors: list[str], overrides: Entry | None = None
 ) -> Iterator[Run]:
     """Yield the runs of an entry, all of their names empty; `overrides` win over its values where it takes them."""
     try:
         suite = suites.suite(str(entry.get("suite", "")))
     except UsageError as error:
-        errors.append(f"{where}.suite: {error}")
+        errors.append(f"{where / 'suite'}: {error}")
         return
     takes = _takes(suite)
     if TRACE_PARAMETER in entry:
-        errors.append(f"{where}.{TRACE_PARAMETER}: write {_trace_instead(entry[TRACE_PARAMETER])}")
+        errors.append(f"{where / TRACE_PARAMETER}: write {_trace_instead(entry[TRACE_PARAMETER])}")
         return
     settings = conditions.conditions().settings
     keys = (*_given(takes), "condition", "repeats", *settings)
-    if unknown := [key for key in entry if key not in ("suite", *keys)]:
-        names = ", ".join(map(repr, unknown))
-        errors.append(f"{where}: unknown key {names}, {entry['suite']} takes: suite, {', '.join(keys)}")
+    if refused := [key for key in entry if key not in ("suite", *keys)]:
+        errors.append(_unknown_keys(where, refused, ("suite", *keys), f"{entry['suite']} takes"))
     merged = common | entry | (overrides or {})
-    axes = {key: _axis(f"{where}.{key}", key, merged[key], errors) for key in merged if key in keys}
+    axes = {key: _axis(where / key, key, merged[key], errors) for key in merged if key in keys}
     repeats = axes.pop("repeats", [1])
     if len(repeats) > 1:
-        errors.append(f"{where}.repeats: one whole number, not a list")
+        errors.append(f"{where / 'repeats'}: one whole number, not a list")
     if not all(axes.values()) or not repeats:
         return
     number = math.prod(map(len, axes.values())) * int(repeats[0] or 1)
@@ -207,14 +216,17 @@ def _trace_instead(value: object) -> str:
     return f"trace: {{above: {value}us}}, or a quantile as {{above: p99.9}}: it is found in a short warm-up"
 
 
-def _check_common(campaign: Campaign, origin: str, errors: list[str]) -> None:
+def _unknown_keys(where: Place, keys: Sequence[str], known: Sequence[str], label: str = "allowed") -> str:
+    return f"{replace(where, line=(where / keys[0]).line)}: {unknown('key', *keys, known=known, label=label)}"
+
+
+def _check_common(campaign: Campaign, where: Place, errors: list[str]) -> None:
     known = _common_keys()
     if TRACE_PARAMETER in campaign.common:
-        value = campaign.common[TRACE_PARAMETER]
-        errors.append(f"{origin}: common.{TRACE_PARAMETER}: write {_trace_instead(value)}")
+        errors.append(f"{where / TRACE_PARAMETER}: write {_trace_instead(campaign.common[TRACE_PARAMETER])}")
         return
-    if unknown := [key for key in campaign.common if key not in known]:
-        errors.append(f"{origin}: common: unknown key {', '.join(map(repr, unknown))}, allowed: {', '.join(known)}")
+    if refused := [key for key in campaign.common if key not in known]:
+        errors.append(_unknown_keys(where, refused, known))
 
 
 def _common_keys() -> list[str]:
@@ -222,37 +234,36 @@ def _common_keys() -> list[str]:
     return [*known, "condition", "repeats", *conditions.conditions().settings]
 
 
-def _check_variants(campaign: Campaign, origin: str, errors: list[str]) -> None:
+def _check_variants(campaign: Campaign, where: Place, errors: list[str]) -> None:
     known = [*VARIANT_KEYS, *(key for key in _common_keys() if key != "repeats")]
     for name, variant in campaign.variants.items():
-        where = f"{origin}: variants.{name}"
-        if unknown := [key for key in variant if key not in known]:
-            errors.append(f"{where}: unknown key {', '.join(map(repr, unknown))}, allowed: {', '.join(known)}")
+        if refused := [key for key in variant if key not in known]:
+            errors.append(_unknown_keys(where / name, refused, known))
         for key, value in variant.items():
             if key in VARIANT_KEYS and not (isinstance(value, str) and value):
-                errors.append(f"{where}.{key}: takes a path, got {value!r}")
+                errors.append(f"{where / name / key}: takes a path, got {value!r}")
             if isinstance(value, list):
-                errors.append(f"{where}.{key}: one value, not a list: each variant is one of two sides")
+                errors.append(f"{where / name / key}: one value, not a list: each variant is one of two sides")
     if len(campaign.variants) == 1:
-        errors.append(f"{origin}: variants: give at least two, or none")
+        errors.append(f"{where}: give at least two, or none")
     if campaign.variants and campaign.order != "interleaved":
-        errors.append(f"{origin}: variants: give order: interleaved and a seed, else time is compared with time")
+        errors.append(f"{where}: give order: interleaved and a seed, else time is compared with time")
 
 
-def _check_goal(campaign: Campaign, runs: Sequence[Run], origin: str, errors: list[str]) -> None:
+def _check_goal(campaign: Campaign, runs: Sequence[Run], where: Place, errors: list[str]) -> None:
     if campaign.order != "interleaved":
-        errors.append(f"{origin}: until: give order: interleaved and a seed: its rounds are drawn with it")
+        errors.append(f"{where}: give order: interleaved and a seed: its rounds are drawn with it")
     if any(run.repeat > 1 for run in runs):
-        errors.append(f"{origin}: until: takes no repeats: each round is one")
+        errors.append(f"{where}: takes no repeats: each round is one")
     if any(run.trace for run in runs):
-        errors.append(f"{origin}: until: takes no trace: tracing costs time, and would be in the answer")
+        errors.append(f"{where}: takes no trace: tracing costs time, and would be in the answer")
     if campaign.kernels and len(campaign.kernels) > 1:
-        errors.append(f"{origin}: until: takes one kernel: give each kernel a campaign of its own")
+        errors.append(f"{where}: takes one kernel: give each kernel a campaign of its own")
     if any(run.suite == GAP_SEARCH for run in runs):
-        errors.append(f"{origin}: until: {GAP_SEARCH} measures no deadline, leave it out")
+        errors.append(f"{where}: {GAP_SEARCH} measures no deadline, leave it out")
 
 
-def _axis(where: str, key: str, value: Any, errors: list[str]) -> list[suites.Value]:
+def _axis(where: Place, key: str, value: Any, errors: list[str]) -> list[suites.Value]:
     values = value if isinstance(value, list) else [value]
     if not values:
         errors.append(f"{where}: the list is empty, give at least one value")
@@ -265,19 +276,19 @@ def _axis(where: str, key: str, value: Any, errors: list[str]) -> list[suites.Va
     return checked
 
 
-def _check(where: str, key: str, value: Any) -> suites.Value:
+def _check(where: Place, key: str, value: Any) -> suites.Value:
     if key == "trace":
         return read_trace(value, where)
     if key == "condition":
-        conditions.condition(value, where)
+        conditions.condition(value, str(where))
         return str(value)
     if key in conditions.conditions().settings:
-        return conditions.check(key, value, where)
+        return conditions.check(key, value, str(where))
     for limited, limit in (("subscribers", SUBSCRIBERS_MAX), ("priority", PRIORITY_MAX), ("repeats", REPEATS_MAX)):
         if key == limited and not (isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= limit):
             raise UsageError(f"{where}: {key} takes a whole number from 1 to {limit}, got {value!r}")
     if key in ("subscribers", "repeats"):
         return int(value)
-    accepted = suites.check(key, value, where)
-    conditions.check_cpus(key, accepted, where)
+    accepted = suites.check(key, value, str(where))
+    conditions.check_cpus(key, accepted, str(where))
     return accepted

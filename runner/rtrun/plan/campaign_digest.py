@@ -43,12 +43,15 @@ def _without_defaults(values: Mapping[str, suites.Value], options: Mapping[str, 
     return {key: value for key, value in values.items() if key not in options or value != options[key].default}
 
 
-# The fields that a run had when its digest was made of all of them.
+# The fields that a run had when its digest was made of all of them, and a setting that it did not have.
 _FIELDS_1 = ("name", "suite", "parameters", "condition", "settings", "repeat", "seed")
 
 
 def _digest_1(runs: Sequence[Run]) -> str:
-    return _sha256([{key: value for key, value in asdict(run).items() if key in _FIELDS_1} for run in runs])
+    forms = [{key: value for key, value in asdict(run).items() if key in _FIELDS_1} for run in runs]
+    for form in forms:
+        form["settings"] = {key: value for key, value in form["settings"].items() if key != conditions.SAMPLER or value}
+    return _sha256(forms)
 
 
 def _sha256(data: Any) -> str:

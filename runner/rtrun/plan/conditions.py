@@ -5,15 +5,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import whole_number
+from rtfiles.wording import unknown
+from rtrun.plan.limits import CPUS_MAX
 from rtrun.plan.program import Program
-from rtrun.plan.suites import Option, Strings, Value
+from rtrun.plan.suites import Option, Strings, Value, check_numbers
 
 FILE = Path(__file__).with_name("conditions.yml")
 IDLE = "idle"
@@ -24,10 +26,10 @@ MESSAGES_FACTOR = 2
 MESSAGES_EXTRA_S = 120.0
 # Time for loads to start their workers and allocate memory before the suite starts.
 SETTLE_S = 1.0
-# sample.sh makes its first observation this long after its start, which comes just before that of the suite.
+# The sampler makes its first observation this long after its start, which comes just before that of the suite.
 FIRST_OBSERVATION_S = 1.0
-# The kernel builds with at most 8192 CPUs (CONFIG_NR_CPUS); numbers in data files have at most four digits.
-CPUS_MAX = 8192
+# The setting that switches off the sampler.
+SAMPLER = "sampler"
 # Parameters and settings that are lists of CPUs.
 CPU_LISTS = ("cpu", "load_cpu", "irq_cpu")
 
@@ -72,6 +74,14 @@ class Background:
     """Whether it is a load of the condition; otherwise it keeps a setting in effect."""
 
 
+def _check_settings(values: dict[str, Value]) -> dict[str, Value]:
+    return check_numbers(values, conditions().settings)
+
+
+Settings = Annotated[dict[str, Value], AfterValidator(_check_settings)]
+"""Settings of a run, by key."""
+
+
 @functools.cache
 def conditions() -> Conditions:
     """The conditions of this version, read once."""
@@ -82,13 +92,13 @@ def condition(name: object, where: str) -> Condition:
     """The condition of this name. Raises UsageError ``where: …`` that lists the known ones."""
     known = conditions().conditions
     if not isinstance(name, str) or name not in known:
-        raise UsageError(f"{where}: unknown condition {name!r}, known: {', '.join(known)}")
+        raise UsageError(f"{where}: {unknown('condition', name, known=known)}")
     return known[name]
 
 
 def settings_of(name: str) -> tuple[str, ...]:
     """The settings that a condition takes; what every condition takes stands last."""
-    return (*conditions().conditions[name].takes, *conditions().pinned)
+    return (*conditions().conditions[name].takes, *conditions().pinned, SAMPLER)
 
 
 def check(key: str, value: object, where: str) -> Value:

@@ -2,10 +2,11 @@
 
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from rtfiles.config import Config
-from rtrun.plan.quantities import read_probability, read_time_ns
+from rtrun.plan.quantities import read_probability, read_share, read_time_ns
+from rtrun.plan.question import THESIS, Question, boots_for
 
 Time = Annotated[int, BeforeValidator(read_time_ns)]
 Probability = Annotated[float, BeforeValidator(read_probability)]
@@ -17,8 +18,33 @@ class Goal(Config):
     deadline_ns: Time = Field(alias="deadline")
     probability: Probability
     """What P(miss) must stay below."""
-    confidence: Probability = 0.95
+    confidence: Probability = THESIS.confidence
     at_most_ns: Time = Field(alias="at_most")
     """Time for all of it: runs, what lies between them, and restarts."""
     boots: Annotated[int, Field(ge=1, le=1000)] = 1
-    """How many boots of the target an answer must rest on; above 1 the target is restarted between rounds."""
+    """How many boots of the target an answer must rest on; above 1 the target is restarted between rounds.
+
+    In a file also ``{unlike: 5%}``: as many as leave at most this share of boots of another kind unseen.
+    """
+    bursts: Annotated[int, Field(ge=1, le=1000)] = 1
+    """The mean length of bursts of misses that a proof must cover, even if none was seen."""
+
+    @field_validator("boots", mode="before")
+    @classmethod
+    def _count_boots(cls, value: object, info: ValidationInfo) -> object:
+        if not isinstance(value, dict):
+            return value
+        if set(value) != {"unlike"}:
+            raise ValueError("neither a number of boots nor {unlike: SHARE}, as {unlike: 5%}")
+        return boots_for(read_share(value["unlike"]), info.data.get("confidence", THESIS.confidence))
+
+    @property
+    def question(self) -> Question:
+        """What is to be answered."""
+        return Question(
+            deadline_ns=self.deadline_ns,
+            probability=self.probability,
+            confidence=self.confidence,
+            boots=self.boots,
+            bursts=self.bursts,
+        )

@@ -36,3 +36,13 @@ def read_probability(value: object) -> float:
     if not 0 < number < 1:
         raise ValueError(f"{str(value)[:40]!r} is no number between 0 and 1, as 1e-6 or 0.95")
     return number
+
+
+def read_share(value: object) -> float:
+    """Read a share, as ``5%`` or 0.05, both ends excluded. Raises ValueError."""
+    try:
+        if isinstance(value, str) and value.endswith("%"):
+            return read_probability(float(value.removesuffix("%")) / 100)
+        return read_probability(value)
+    except ValueError:
+        raise ValueError(f"{str(value)[:40]!r} is no share between 0 and 1, as 5% or 0.05") from None

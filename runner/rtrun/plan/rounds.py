@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from rtrun.plan.run import RESTART_S, Run, interleave
+from rtrun.plan.run import RESTART_S, SET_UP_S, Run, interleave
 
 # Start-up values are in no verdict: at most two a run (thesis 4.2).
 STARTUP_VALUES = 2
@@ -69,5 +69,5 @@ def outlook(groups: Sequence[Run], measurements: int, *, boots: int, a_boot: int
         rounds=most,
         boots=restarts + 1,
         measuring_s=sum(rounds[group.name] * group.expected_s for group in groups),
-        total_s=sum(rounds[group.name] * group.total_s for group in groups) + restarts * RESTART_S,
+        total_s=SET_UP_S + sum(rounds[group.name] * group.total_s for group in groups) + restarts * RESTART_S,
     )

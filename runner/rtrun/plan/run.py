@@ -15,9 +15,14 @@ UNTRACED = "off"
 # Of one measurement beside its timeout: the latency of the timer, and arming it again (75 to 170 us on a PC). No
 # measurement takes less, however short its period is.
 MEASUREMENT_COST_S = 200e-6
-# Of one run, where nothing better is known: ROS nodes start and end, the runner starts the programs and copies what
-# they wrote. A PC takes half of it, an emulated board more.
-START_AND_END_S = 2.0
+# Before the first run: the target is reached and inspected, and gets what it lacks. This and the next two are those of
+# a PC with suites deployed (10 runs of demo.yml, 12 of smoke.yml); an emulated board takes more.
+SET_UP_S = 1.5
+# Of one run: ROS nodes start and end, the runner starts the programs and copies what they wrote.
+START_AND_END_S = 0.6
+# Of one run under a condition that loads the target, beside that: the loads are started and ended, on CPUs that they
+# keep busy.
+LOADS_S = 0.7
 # Of one restart of the target, where nothing better is known: it shuts down, boots, and is prepared for runs anew. A
 # small board takes half of it, the firmware of a server more.
 RESTART_S = 60.0
@@ -59,9 +64,14 @@ class Run:
         return conditions.settle_s(self.condition, self.settings)
 
     @property
+    def start_and_end_s(self) -> float:
+        """How long its programs should take to start and to end, in seconds."""
+        return START_AND_END_S + (LOADS_S if conditions.conditions().conditions[self.condition].loads else 0.0)
+
+    @property
     def total_s(self) -> float:
         """How long the run should take, with all that is waited for, in seconds."""
-        return self.expected_s + self.settle_s + START_AND_END_S
+        return self.expected_s + self.settle_s + self.start_and_end_s
 
     def _measuring_s(self, cost_s: float) -> float:
         """How long the measuring takes, in seconds, where `cost_s` comes on top of a timeout, and no period is less."""
@@ -81,10 +91,8 @@ def interleave(runs: Iterable[Run], seed: int) -> tuple[Run, ...]:
     return tuple(replace(run, seed=seed) for run in sorted(runs, key=lambda run: (run.repeat, draw[run.name])))
 
 
-def too_short(run: Run) -> str | None:
-    """Say why a run can never be valid because it ends before it is observed, or None."""
-    if run.least_s >= conditions.FIRST_OBSERVATION_S:
-        return None
+def never_observed(run: Run) -> str | None:
+    """Say why a run can never be valid because it is not observed, or ends before it is, or None."""
     suite = suites.suite(run.suite)
     observed = {key: value for key, value in run.settings.items() if value and key in conditions.conditions().pinned}
     if conditions.conditions().conditions[run.condition].loads:
@@ -96,6 +104,10 @@ def too_short(run: Run) -> str | None:
     if not observed:
         return None
     what = ", ".join(f"{key} {value}" for key, value in observed.items())
+    if run.settings.get(conditions.SAMPLER):
+        return f"{what} must be observed: sampler none is for runs without it"
+    if run.least_s >= conditions.FIRST_OBSERVATION_S:
+        return None
     return (
         f"{run.suite} measures {run.least_s:.3g} s, but {what} must be observed, for which it must measure "
         f"{conditions.FIRST_OBSERVATION_S:g} s at least"

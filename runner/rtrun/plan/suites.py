@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
+from rtfiles.wording import did_you_mean, unknown
 
 Value = str | int | None
 Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
@@ -66,7 +67,8 @@ class Option(Config):
             text = str(value)
             if not text or (text.isprintable() and (not self.pattern or re.fullmatch(self.pattern, text, re.ASCII))):
                 return text
-        raise ValueError(f"takes {self.allowed}, got {value!r}")
+        hint = did_you_mean([value], self.choices) if isinstance(value, str) else ""
+        raise ValueError(f"takes {self.allowed}, got {value!r}{',' if hint else ''}{hint}")
 
 
 class Packages(Config):
@@ -88,6 +90,8 @@ class Suite(Config):
     added_columns: Strings = ()
     """The last columns, which samples of earlier versions lack."""
     packages: Packages
+    program_json: dict[str, str] = Field(default_factory=dict)
+    """Of programs without samples: what stands between the output and ``.json`` in the name of the json they write."""
     repeated: str | None = None
     """The program that runs once per subscriber; none: there are no subscribers."""
     launch: dict[str, Value] = Field(default_factory=dict)
@@ -135,7 +139,7 @@ def _check_options(described_suites: Suites, known: Mapping[str, Option]) -> Non
     for name, described in described_suites.suites.items():
         for key in described.parameters:
             if key not in known:
-                raise UsageError(f"suites.{name}: unknown option {key!r}, known: {', '.join(known)}")
+                raise UsageError(f"suites.{name}: {unknown('option', key, known=known)}")
 
 
 @functools.cache
@@ -148,8 +152,33 @@ def suite(name: str) -> Suite:
     """The suite or baseline of this name. Raises UsageError that lists the known ones."""
     known = suites().suites | baselines().suites
     if name not in known:
-        raise UsageError(f"unknown suite {name!r}, known: {', '.join(known)}")
+        raise UsageError(unknown("suite", name, known=known))
     return known[name]
+
+
+def check_numbers(values: dict[str, Value], known: Mapping[str, Option]) -> dict[str, Value]:
+    """Return values by key as they are. Raises ValueError where the option of a key takes no such number."""
+    for key, value in values.items():
+        if isinstance(value, int) and key in known and known[key].type == "int":
+            try:
+                known[key].accept(value)
+            except ValueError as error:
+                raise ValueError(f"{key} {error}") from None
+    return values
+
+
+def _check_parameters(values: dict[str, Value]) -> dict[str, Value]:
+    return check_numbers(values, options())
+
+
+def _check_asked(number: int) -> int:
+    return number and int(options()["repetitions"].accept(number) or 0)
+
+
+Parameters = Annotated[dict[str, Value], AfterValidator(_check_parameters)]
+"""Parameters of a suite, by key."""
+Asked = Annotated[int, Field(ge=0), AfterValidator(_check_asked)]
+"""How many measurements a suite was asked for."""
 
 
 def check(key: str, value: object, where: str) -> Value:
@@ -158,7 +187,7 @@ def check(key: str, value: object, where: str) -> Value:
     `where` is the whole place, ``file: path.to.key``.
     """
     if key not in options():
-        raise UsageError(f"{where}: unknown parameter {key!r}, known: {', '.join(options())}")
+        raise UsageError(f"{where}: {unknown('parameter', key, known=options())}")
     try:
         return options()[key].accept(value)
     except ValueError as error:
@@ -214,6 +243,12 @@ def log_names(suite_name: str, parameters: Mapping[str, Value]) -> list[str]:
     return [f"{output}-{log}.log" for log in suite(suite_name).logs] or [f"{output}.log"]
 
 
+def program_json_names(suite_name: str, parameters: Mapping[str, Value]) -> list[str]:
+    """The names of the json files that the programs without samples write in a run with these parameters."""
+    output = output_name(suite_name, parameters)
+    return [f"{output}-{ending}.json" for ending in suite(suite_name).program_json.values()]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogFacts:
     """What can be read from the name of a log; `log` is empty for a suite that writes one log only."""
@@ -237,6 +272,10 @@ def read_log_name(name: str) -> LogFacts | None:
                     parameters[key] = int(text)
             if match["prefix"]:
                 parameters["prefix"] = match["prefix"]
+            try:
+                _check_parameters(parameters)
+            except ValueError:
+                return None
             return LogFacts(suite=suite_name, log=match.groupdict().get("log") or "", parameters=parameters)
     return None
 

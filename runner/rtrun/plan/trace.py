@@ -9,10 +9,10 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from rtfiles.config import Config, parse
+from rtfiles.config import Config, Place, parse
 from rtfiles.errors import UsageError
 from rtrun.plan.quantities import read_time_ns
-from rtrun.plan.run import UNTRACED, Run, too_short
+from rtrun.plan.run import UNTRACED, Run, never_observed
 from rtrun.plan.suites import Value, options
 
 PARAMETER = "trace_threshold_us"
@@ -28,7 +28,7 @@ class Trace(Config):
     above: str
 
 
-def read_trace(value: object, where: str) -> str:
+def read_trace(value: object, where: Place) -> str:
     """Return `above` in one form: a whole number of microseconds as ``300us``, or a quantile as ``p99.9``.
 
     Raises UsageError. A run without `trace` has an empty text.
@@ -45,8 +45,8 @@ def read_trace(value: object, where: str) -> str:
         microseconds, rest = 0, 1
     if rest or not allowed.min <= microseconds <= allowed.max:
         raise UsageError(
-            f"{where}.above: takes a time in whole microseconds up to {allowed.max // 10**6}s, as 300us, or a quantile "
-            f"from p50 up, as p99.9; got {above!r}"
+            f"{where / 'above'}: takes a time in whole microseconds up to {allowed.max // 10**6}s, as 300us, or a "
+            f"quantile from p50 up, as p99.9; got {above!r}"
         )
     return f"{microseconds}us"
 
@@ -86,7 +86,7 @@ def _warm_up(run: Run) -> Run:
     number = min(_repetitions(run), math.ceil(VALUES_ABOVE / _above(run)))
     alike = replace(with_threshold(run, options()[PARAMETER].max), name=f"{run.name}{WARM_UP}", trace="")
     short = replace(alike, parameters={**alike.parameters, "repetitions": number})
-    return alike if too_short(short) else short
+    return alike if never_observed(short) else short
 
 
 def too_few(run: Run) -> str | None:

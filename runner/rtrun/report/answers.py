@@ -3,23 +3,14 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from rtfiles.output import console, print_line, printable
-from rtrun.analysis.deadline import Answer
+from rtfiles.output import console, print_line
 from rtrun.report.claims.examination import us
 from rtrun.report.gate import Case
+from rtrun.report.screen import fitted
 from rtrun.report.tables import grouped
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-_STYLES: dict[str, str] = {
-    Answer.PROVEN: "green",
-    Answer.IF_INDEPENDENT: "yellow",
-    Answer.NEEDS_MORE: "yellow",
-    Answer.REFUTED: "bold red",
-    "NOT ANALYSED": "bold red",
-}
-_UNBOUNDED = 10_000  # columns: the terminal breaks a line that is too long for it, no cell is cut
 
 
 def print_answers(cases: Sequence[Case], *, judged: bool) -> None:
@@ -29,9 +20,8 @@ def print_answers(cases: Sequence[Case], *, judged: bool) -> None:
     """
     if not cases:
         return
-    screen, rows = console(), _table(cases, judged=judged)
-    screen.width = screen.measure(rows, options=screen.options.update(max_width=_UNBOUNDED)).maximum
-    screen.print(rows)
+    screen = console()
+    screen.print(_table(cases, judged=judged, width=screen.width))
     print_line()
     refusals = {case.refused for case in cases}
     refused = refusals.pop() if len(cases) > 1 and len(refusals) == 1 else None
@@ -41,20 +31,16 @@ def print_answers(cases: Sequence[Case], *, judged: bool) -> None:
         print_line(f"{case.about}: {case.text.removeprefix(f'{refused}; ')}")
 
 
-def _table(cases: Sequence[Case], *, judged: bool) -> "Table":
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    rows = Table(box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False, pad_edge=False)
-    for heading in (*["gate"] * judged, "answer", "scenario"):
-        rows.add_column(heading, no_wrap=True)
-    for heading in ("n", "misses", "worst us"):
-        rows.add_column(heading, justify="right", no_wrap=True)
-    for case in cases:
-        gate = Text("pass", style="green") if case.passed else Text("FAIL", style="bold red")
-        numbers = ["-" if count is None else grouped(count) for count in (case.n, case.misses)]
-        numbers.append("-" if case.worst_ns is None else us(case.worst_ns))
-        answer = Text(case.answer, style=_STYLES.get(case.answer, ""))
-        rows.add_row(*[gate] * judged, answer, Text(printable(case.about)), *numbers)
-    return rows
+def _table(cases: Sequence[Case], *, judged: bool, width: int) -> "Table":
+    headings = (*["gate"] * judged, "answer", "scenario", "n", "misses", "worst us")
+    rows = [
+        (
+            *["pass" if case.passed else "FAIL"] * judged,
+            case.answer,
+            case.about,
+            *("-" if count is None else grouped(count) for count in (case.n, case.misses)),
+            "-" if case.worst_ns is None else us(case.worst_ns),
+        )
+        for case in cases
+    ]
+    return fitted(headings, rows, range(len(headings) - 3, len(headings)), width)

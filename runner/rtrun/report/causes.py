@@ -3,32 +3,30 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
-
-import rich.box
-import rich.table
-import rich.text
+from typing import TYPE_CHECKING, TypeVar
 
 from rtfiles.errors import UsageError
-from rtfiles.output import counted, printable
+from rtfiles.output import counted, printable, showing_progress
 from rtrun.causes.outliers import Explained, explain_run
 from rtrun.causes.parts import Cause, Kind
-from rtrun.causes.ranking import NAMELESS, Culprit, Ranking, rank
+from rtrun.causes.ranking import Culprit, Ranking, rank
 from rtrun.causes.recurring import Recurring, recurring
 from rtrun.causes.remedies import remedy
 from rtrun.causes.steps import Step
 from rtrun.causes.surroundings import find_unusual
 from rtrun.report.claims.examination import us
+from rtrun.report.screen import fitted
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
 from rtrun.target.kernel_trace import OPTIONS
 
+if TYPE_CHECKING:
+    import rich.table
+
 T = TypeVar("T")
 
 REMEDIES_MAX = 3
-# The kernel's names of threads have 15 characters, those of CPUs and interrupts hardly more.
-NAME_WIDTH = 20
 # Idle CPUs are listed with an outlier from this share of its value on.
 IDLE_FROM = 0.1
 # Who took less of all lateness than this is counted, not listed.
@@ -41,7 +39,7 @@ def explain_source(source: Source) -> tuple[tuple[Explained, ...], tuple[str, ..
     """The traced outliers of every run at a path, and why a run's traces could not be read."""
     explained: list[Explained] = []
     refused: list[str] = []
-    for folder in source.folders:
+    for folder in showing_progress(source.folders, "looking for causes in run"):
         try:
             explained += explain_run(folder, read_record(folder))
         except UsageError as error:
@@ -79,7 +77,7 @@ def _search(source: Source, find: Callable[[Path, RunRecord], Iterable[T]]) -> t
     """What is found in the runs that may count, and why a run could not be searched."""
     found: list[T] = []
     refused: list[str] = []
-    for folder in source.folders:
+    for folder in showing_progress(source.folders, "searching run"):
         try:
             record = read_record(folder)
             if record.status not in (RunStatus.FAILED, RunStatus.INVALID):
@@ -136,20 +134,30 @@ def answer(ranking: Ranking) -> str:
     if not ranking.outliers:
         return "No outlier has a trace that could be read"
     outliers = counted(ranking.outliers, "traced outlier")
-    if (named := ranking.named) is not None:
+    first = ranking.culprits[0]
+    is_half = 2 * first.main >= max(1, ranking.outliers)
+    if (named := ranking.named or (first if is_half else None)) is not None:
+        perhaps = "Perhaps " if ranking.is_by_chance(named) else ""
+        chance = ", which may be by chance" if perhaps else ""
         return (
-            f"{culprit_name(named)}: the main cause of {named.main} of {outliers}, "
-            f"{_percent(named.total_ns, ranking.late_ns)} of their lateness"
+            f"{perhaps}{culprit_name(named)}: the main cause of {named.main} of {outliers}, "
+            f"{_percent(named.total_ns, ranking.late_ns)} of their lateness{chance}"
         )
-    text = f"No single cause: nobody is the main one of half of {outliers}"
-    first = next((one for one in ranking.culprits if one.main and one.kind not in NAMELESS), None)
-    return text if first is None else f"{text}; most often it is {culprit_name(first)}, of {first.main}"
+    text = f"No single cause: nothing is the main one of half of {outliers}"
+    return f"{text}; most often it is {culprit_name(first)}, of {first.main}" if first.main else text
 
 
 def culprit_name(culprit: Culprit) -> str:
     """What took the time and, where it is a thread, its id and priority."""
+    if culprit.threads > 1:
+        return printable(f"{culprit.kind} {_who(culprit)}")
     cause = Cause(kind=culprit.kind, name=culprit.name, pid=culprit.pid, prio=culprit.prio)
     return printable(_cause(cause))
+
+
+def _who(culprit: Culprit) -> str:
+    """The name, and how many threads have it: a program that is started again and again has another id each time."""
+    return culprit.name if culprit.threads < 2 else f"{culprit.name} ({culprit.threads} threads of this name)"
 
 
 def remedies(ranking: Ranking) -> Iterator[str]:
@@ -158,7 +166,7 @@ def remedies(ranking: Ranking) -> Iterator[str]:
     for culprit in grave[:REMEDIES_MAX]:
         found = remedy(culprit.kind, culprit.name)
         if found is not None:
-            yield printable(f"{culprit.name or culprit.kind}: {found.change} ({found.source})")
+            yield printable(f"{culprit.name or culprit.kind}: {found.advice} ({found.source})")
 
 
 def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
@@ -178,7 +186,7 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
         rows=[
             (
                 culprit.kind.value,
-                culprit.name,
+                _who(culprit),
                 _priority(culprit.prio),
                 f"{culprit.count} of {ranking.outliers}",
                 str(culprit.main),
@@ -193,6 +201,7 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
         numbers=3,
         notes=(
             *remedies(ranking),
+            *(printable(limit) for limit in dict.fromkeys(limit for one in explained for limit in one.limits)),
             *without_trace(explained),
             *([f"{others} more took less than 1 % each"] if others else []),
         ),
@@ -224,19 +233,9 @@ def step_table(explained: Sequence[Explained]) -> Table:
     )
 
 
-def for_terminal(table: Table) -> rich.table.Table:
-    """The table for a terminal."""
-    made = rich.table.Table(box=rich.box.SIMPLE, padding=(0, 1), show_edge=False)
-    for place, heading in enumerate(table.columns):
-        # A name that is cut off names nobody. Where all are long, each is wrapped.
-        longest = max((len(row[place]) for row in table.rows), default=0)
-        width = longest if longest <= NAME_WIDTH else None
-        made.add_column(
-            heading, justify="right" if place >= table.numbers else "left", min_width=width, overflow="fold"
-        )
-    for row in table.rows:
-        made.add_row(*(rich.text.Text(printable(cell)) for cell in row))
-    return made
+def for_terminal(table: Table, width: int) -> "rich.table.Table":
+    """The table for a screen of this width."""
+    return fitted(table.columns, table.rows, range(table.numbers, len(table.columns)), width)
 
 
 def without_trace(explained: Iterable[Explained]) -> list[str]:

@@ -10,11 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.comparison import Change, Comparison, Ratio, compare, ratio_of_misses
+from rtrun.analysis.comparison import Change, Comparison, Ratio, Shift, compare, correct, ratio_of_misses
+from rtrun.plan.question import Question
 from rtrun.report.claims.examination import us
 from rtrun.report.groups import Group
+from rtrun.report.scenarios import pool_figures
 from rtrun.report.sides import By, split
 from rtrun.report.study import Study, study
+from rtrun.report.tables import time_us
 from rtrun.report.terminal import banner_of
 from rtrun.results.series import MEASURED_2014
 from rtrun.target.platform import Platform
@@ -26,6 +29,8 @@ class Changed:
 
     label: str
     comparison: Comparison
+    p999_ns: tuple[int | None, int | None]
+    max_ns: tuple[int | None, int | None]
     misses: Ratio | None
     runs: tuple[tuple[str, ...], tuple[str, ...]]
 
@@ -43,14 +48,9 @@ class Compared:
     left_out: tuple[str, ...]
 
 
-def compare_sets(
-    a: Path, b: Path, *, deadline_ns: int, probability: float, confidence: float, margin_ns: float | None
-) -> Compared:
+def compare_sets(a: Path, b: Path, question: Question, *, margin_ns: float | None) -> Compared:
     """Compare what two paths hold, group by group, as `compare_studies` does."""
-    first, second = (
-        study(path, deadline_ns=deadline_ns, probability=probability, confidence=confidence, bounds=False)
-        for path in (a, b)
-    )
+    first, second = (study(path, question, bounds=False) for path in (a, b))
     return compare_studies(first, second, margin_ns=margin_ns)
 
 
@@ -58,14 +58,12 @@ def compare_sides(
     path: Path,
     by: By | None,
     names: Sequence[str],
+    question: Question,
     *,
-    deadline_ns: int,
-    probability: float,
-    confidence: float,
     margin_ns: float | None,
 ) -> tuple[tuple[str, str], Compared]:
     """Compare two variants of one campaign, or its kernels; return their names too. Raises UsageError as `split`."""
-    whole = study(path, deadline_ns=deadline_ns, probability=probability, confidence=confidence, bounds=False)
+    whole = study(path, question, bounds=False)
     chosen, (first, second) = split(whole, by, names)
     return chosen, compare_studies(first, second, margin_ns=margin_ns)
 
@@ -102,11 +100,16 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
                 rest = [group for group in alike if all(group is not pair[place] for pair in matched)]
                 unmatched += [_label(group, of_several=len(alike) > 1) for group in rest]
     counts = Counter(x.label for x, _ in pairs)
+    changes = [
+        _changed(_label(x, of_several=counts[x.label] > 1), x, y, first.question.confidence, margin_ns, len(pairs))
+        for x, y in pairs
+    ]
+    corrected = correct([change.comparison for change in changes])
     return Compared(
         platform=first.platform,
-        deadline_ns=first.deadline_ns,
+        deadline_ns=first.question.deadline_ns,
         changes=tuple(
-            _changed(_label(x, of_several=counts[x.label] > 1), x, y, first.confidence, margin_ns) for x, y in pairs
+            dataclasses.replace(change, comparison=one) for change, one in zip(changes, corrected, strict=True)
         ),
         only_a=tuple(only[0]),
         only_b=tuple(only[1]),
@@ -146,7 +149,8 @@ def _label(group: Group, *, of_several: bool) -> str:
     return f"{group.label} on {_origin_text(group)}" if of_several else group.label
 
 
-def _changed(label: str, a: Group, b: Group, confidence: float, margin_ns: float | None) -> Changed:
+def _changed(label: str, a: Group, b: Group, confidence: float, margin_ns: float | None, tests: int) -> Changed:
+    figures = pool_figures(a.digests), pool_figures(b.digests)
     return Changed(
         label=label,
         comparison=compare(
@@ -155,7 +159,10 @@ def _changed(label: str, a: Group, b: Group, confidence: float, margin_ns: float
             confidence=confidence,
             margin_ns=margin_ns,
             clock_step_ns=max(a.clock_step_ns, b.clock_step_ns),
+            tests=tests,
         ),
+        p999_ns=(figures[0].percentiles_ns.get(99.9), figures[1].percentiles_ns.get(99.9)),
+        max_ns=(figures[0].max_ns, figures[1].max_ns),
         misses=ratio_of_misses(a.verdict, b.verdict, confidence) if a.verdict and b.verdict else None,
         runs=(a.runs, b.runs),
     )
@@ -167,21 +174,29 @@ def as_text(compared: Compared) -> str:
     for change in compared.changes:
         c = change.comparison
         lines.append(f"{c.answer}  {change.label}: {_why(c)}")
-        for shift in c.shifts:
-            mark = "shifted" if shift.seen else "equal within the margin" if shift.within_margin else "not seen"
-            if shift.seen and shift.within_margin:
-                mark = "shifted, within the margin"
-            lines.append(
-                f"    {shift.figure:7} {us(shift.a_ns)} -> {us(shift.b_ns)} us, "
-                f"{100 * c.confidence:g} % CI of the shift "
-                f"{shift.low_ns / 1000:+.1f} to {shift.high_ns / 1000:+.1f} us, margin {us(shift.margin_ns)} us: {mark}"
-            )
+        seen = (("p99.9", change.p999_ns), ("max", change.max_ns))
+        lines += [f"    {name:7} {time_us(pair[0])} -> {time_us(pair[1])} us" for name, pair in seen]
+        lines += [f"    {_shift(shift, c)}" for shift in c.shifts]
         lines.append(f"    P(> {us(compared.deadline_ns)} us) {_ratio(change.misses, c.confidence)}")
         lines += [f"    assumes {text}" for text in c.assumes]
     lines += [f"not compared: {text}" for text in compared.ambiguous]
     lines += [f"only in A: {label}" for label in compared.only_a] + [f"only in B: {label}" for label in compared.only_b]
     lines += [f"not analysed: {text}" for text in compared.left_out]
     return "\n".join(lines) + "\n"
+
+
+def _shift(shift: Shift, c: Comparison) -> str:
+    """A shift with its interval; from few runs without one, for what differs between runs is not in it."""
+    text = f"{shift.figure:7} {us(shift.a_ns)} -> {us(shift.b_ns)} us, "
+    if c.units == "blocks":
+        return f"{text}{shift.shift_ns / 1000:+.1f} us in these runs; an interval takes five runs a side"
+    mark = "shifted" if shift.seen else "equal within the margin" if shift.within_margin else "not seen"
+    if shift.seen and shift.within_margin:
+        mark = "shifted, within the margin"
+    return (
+        f"{text}{100 * c.confidence:g} % CI of the shift {shift.low_ns / 1000:+.1f} to {shift.high_ns / 1000:+.1f} us, "
+        f"margin {us(shift.margin_ns)} us: {mark}"
+    )
 
 
 def _why(c: Comparison) -> str:
@@ -193,6 +208,8 @@ def _why(c: Comparison) -> str:
         apart = "" if c.interleaved else "not measured in turn: whatever else changed meanwhile is in it"
         return f"{'; '.join(filter(None, (few, apart)))}; {test}"
     if c.answer == Change.NOT_SEEN:
+        if c.units == "blocks":
+            return f"{test}; fewer than five runs a side do not tell how large a shift is excluded"
         widest = max(c.shifts, key=lambda shift: max(-shift.low_ns, shift.high_ns) / shift.margin_ns)
         most = max(-widest.low_ns, widest.high_ns)
         return f"{test}; yet a shift of {widest.figure} of up to {us(most)} us is not excluded"
@@ -204,14 +221,23 @@ def _ratio(ratio: Ratio | None, confidence: float) -> str:
         return "cannot be compared: a histogram does not reach so far"
     if ratio.value is None:
         return "no miss on either side: nothing can be said of a change"
-    high = "any" if math.isinf(ratio.high) else f"{ratio.high:.2g}"
-    value = "from none" if math.isinf(ratio.value) else f"times {ratio.value:.2g}"
-    return f"{value}, {100 * confidence:g} % CI {ratio.low:.2g} to {high}"
+    interval = f"{100 * confidence:g} % CI"
+    if math.isinf(ratio.value):
+        return f"misses in B only: times {ratio.low:.2g} at least ({interval})"
+    if not ratio.value:
+        return f"misses in A only: times {ratio.high:.2g} at most ({interval})"
+    high = f" to {ratio.high:.2g}" if math.isfinite(ratio.high) else " at least"
+    return f"times {ratio.value:.2g}, {interval} {ratio.low:.2g}{high}"
 
 
 def as_json(compared: Compared) -> str:
-    """The answer for programs; infinite ends are null."""
-    return json.dumps({"schema": 2, **_finite(dataclasses.asdict(compared))}, indent=1, allow_nan=False) + "\n"
+    """The answer for programs; infinite ends are null, and those of intervals that too few runs do not allow."""
+    data = _finite(dataclasses.asdict(compared))
+    for change in data["changes"]:
+        if change["comparison"]["units"] == "blocks":
+            for shift in change["comparison"]["shifts"]:
+                shift |= {"low_ns": None, "high_ns": None}
+    return json.dumps({"schema": 2, **data}, indent=1, allow_nan=False) + "\n"
 
 
 def _finite(value: Any) -> Any:

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
 
 from rtfiles.output import printable
 from rtrun.analysis.deadline import Answer
@@ -11,9 +10,9 @@ from rtrun.report.claims.examiners import Examined
 from rtrun.report.end_tables import end_tables
 from rtrun.report.scenarios import Scenario, scenarios
 from rtrun.report.study import Study
-from rtrun.report.tables import Table, grouped, how
+from rtrun.report.tables import Table, duration, grouped, how
 from rtrun.report.terminal import banner_of
-from rtrun.report.verdicts import WORST_FIRST
+from rtrun.report.verdicts import WORST_FIRST, boots_in_words
 from rtrun.target.platform import Platform
 
 
@@ -55,10 +54,12 @@ def contents(study: Study, claims: Sequence[Examined]) -> Contents:
 
 
 def _question(study: Study) -> str:
-    boots = f", on at least {study.boots} boots" if study.boots > 1 else ""
+    asked = study.question
+    boots = f", on at least {asked.boots} boots" if asked.boots > 1 else ""
+    bursts = f", covering {asked.covered}" if asked.bursts > 1 else ""
     return (
-        f"Is P(value above {study.deadline_ns / 1000:g} us) below {study.probability:g}{boots}? "
-        f"Confidence {100 * study.confidence:g} %, two-sided. {how('Deadline')}"
+        f"Is P(value above {asked.deadline_ns / 1000:g} us) below {asked.probability:g}{boots}{bursts}? "
+        f"Confidence {100 * asked.confidence:g} %, two-sided. {how('Deadline')}"
     )
 
 
@@ -66,7 +67,7 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
     """The answer to the question in one sentence."""
     counts, total = Counter(one.answer for one in made), len(made)
     summary = ", ".join(f"{answer} {counts[answer]} of {total}" for answer in WORST_FIRST if counts[answer])
-    deadline = f"the deadline of {study.deadline_ns / 1000:g} us"
+    deadline = f"the deadline of {study.question.deadline_ns / 1000:g} us"
     if not made:
         text = f"Nothing was measured that {deadline} could be held against"
     elif counts[Answer.REFUTED]:
@@ -74,8 +75,9 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
     elif counts[Answer.PROVEN] + counts[Answer.IF_INDEPENDENT] == total:
         condition = ", if measurements are independent" if counts[Answer.IF_INDEPENDENT] else ""
         text = (
-            f"{deadline.capitalize()} is met in {_all(total)}{condition}: P(miss) is below {study.probability:g} "
-            f"at {100 * study.confidence:g} % confidence"
+            f"{deadline.capitalize()} is met in {_all(total)}{condition}: P(miss) is below "
+            f"{study.question.probability:g} at {100 * study.question.confidence:g} % confidence, "
+            f"{_for_which_boots(made)}"
         )
     elif counts[Answer.NO_STATEMENT] == total:
         reasons = dict.fromkeys(one.group.verdict.refused or "" for one in made if one.group.verdict)
@@ -85,6 +87,14 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
     if study.left_out:
         text += f"; {len(study.left_out)} not analysed"
     return text + "."
+
+
+def _for_which_boots(made: Sequence[Scenario]) -> str:
+    """Of which boots the proofs speak, of all scenarios the least that one does."""
+    verdicts = [one.group.verdict for one in made if one.group.verdict]
+    if any(verdict.boots is None for verdict in verdicts):
+        return "on boots that are not known"
+    return boots_in_words(min(verdicts, key=lambda verdict: verdict.boots or 0))
 
 
 def _all(total: int) -> str:
@@ -116,7 +126,7 @@ def _facts(study: Study) -> list[tuple[str, str]]:
     targets = [record.target for record in study.records]
     real_time = {True: "PREEMPT_RT", False: "without PREEMPT_RT", None: "PREEMPT_RT not known"}
     boots = {str(target.boot_id) for target in targets if target.boot_id}
-    seconds = sum(_seconds(record.start_time, record.end_time) for record in study.records)
+    seconds = sum(record.duration_s for record in study.records)
     measurements = grouped(sum(group.n for group in study.groups))
     days = sorted({record.start_time[:10] for record in study.records if record.start_time})
     kernels = [_text(target.kernel_release) for target in targets if target.kernel_release]
@@ -129,7 +139,7 @@ def _facts(study: Study) -> list[tuple[str, str]]:
         ("CPUs", ", ".join(dict.fromkeys(str(target.cpus) for target in targets if target.cpus))),
         ("runs", str(len(study.records)) if study.records else ""),
         ("boots", str(len(boots)) if boots else ""),
-        ("time", _duration(seconds) if seconds else ""),
+        ("time", duration(seconds) if seconds else ""),
         ("measured", values),
     ]
     return [(what, printable(value)) for what, value in facts if value]
@@ -137,16 +147,3 @@ def _facts(study: Study) -> list[tuple[str, str]]:
 
 def _text(fact: str | list[str] | None) -> str:
     return " ".join(fact) if isinstance(fact, list) else str(fact)
-
-
-def _seconds(start: str, end: str) -> float:
-    try:
-        return max(0.0, (datetime.fromisoformat(end) - datetime.fromisoformat(start)).total_seconds())
-    except (ValueError, TypeError):  # an imported file has no times
-        return 0.0
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

@@ -55,7 +55,12 @@ def _worst_cases(study: Study) -> Table:
     return Table(
         id="worst-case",
         title="Worst case by extreme value theory",
-        columns=("suite and parameters", "method", f"level exceeded once in {1 / study.probability:.3g}", "found"),
+        columns=(
+            "suite and parameters",
+            "method",
+            f"level exceeded once in {1 / study.question.probability:.3g}",
+            "found",
+        ),
         rows=rows,
         outcome=_bounds_outcome(study),
         numbers=9,
@@ -97,14 +102,14 @@ def _layers(study: Study) -> list[Table]:
             for high in select(study.groups, high_name):
                 if not _differ_in_layer(low, high):
                     continue
-                attribution = attribute(low.blocks, high.blocks, confidence=study.confidence)
+                attribution = attribute(low.blocks, high.blocks, confidence=study.question.confidence)
                 if attribution.refused:
                     rows.append((low.label, high.label, "-", "-", "-", f"refused: {attribution.refused}"))
                 for added in attribution.added:
                     interval = f"{added.low_ns / 1000:+.1f} to {added.high_ns / 1000:+.1f}"
                     adds = f"{added.added_ns / 1000:+.1f}"
                     rows.append((low.label, high.label, added.figure, adds, interval, added.method))
-    columns = ("layer", "layer above", "figure", "adds us", f"{100 * study.confidence:g} % CI us", "method")
+    columns = ("layer", "layer above", "figure", "adds us", f"{100 * study.question.confidence:g} % CI us", "method")
     outcome = f"{len({row[:2] for row in rows})} pairs of layers compared"
     return [
         Table(
@@ -249,8 +254,9 @@ def _reproduce(study: Study) -> Table:
         for record in study.records
     ]
     digest = fingerprint(study)
-    command = f"rtrun report RESULTS --deadline {study.deadline_ns / 1000:g}us"
-    rows.append(("examined", f"{command} --probability {study.probability:g} --confidence {study.confidence:g}"))
+    asked = study.question
+    command = f"rtrun report RESULTS --deadline {asked.deadline_ns / 1000:g}us"
+    rows.append(("examined", f"{command} --probability {asked.probability:g} --confidence {asked.confidence:g}"))
     rows.append(("input", f"sha256 {digest} of all closing records"))
     rows.append(("seed", "20140715 for every resampling"))
     return Table(

@@ -65,9 +65,9 @@ def as_json(study: Study, claims: Sequence[Examined]) -> str:
     data = {
         "schema": 2,
         "platform": study.platform,
-        "deadline_ns": study.deadline_ns,
-        "probability": study.probability,
-        "confidence": study.confidence,
+        "deadline_ns": study.question.deadline_ns,
+        "probability": study.question.probability,
+        "confidence": study.question.confidence,
         "input_sha256": fingerprint(study),
         "groups": [
             {

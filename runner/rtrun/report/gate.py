@@ -78,6 +78,8 @@ def _case(group: Group, name: str, passing: Container[str], platform: Platform, 
     if is_member and line.answer == Answer.NEEDS_MORE:
         # The case of all boards together says whether they have measured enough.
         passed = True
+    if passed and not all(record.target.is_identified for record in group.records):
+        text, passed = f"{text}; of an unknown board: import it with --board", False
     if passed and (why := why_not_accepted(group.platform, platform)):
         text, passed = f"{text}; {why}", False
     return Case(

@@ -108,8 +108,11 @@ class Group:
 
 
 def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:
-    """The parameters that tell what was measured: runs in which they are the same are alike."""
-    return {key: value for key, value in parameters.items() if key not in _NOT_TELLING}
+    """The parameters that tell what was measured: runs in which they are the same are alike.
+
+    An option that was not given is left out: records of before it was added do not have it.
+    """
+    return {key: value for key, value in parameters.items() if key not in _NOT_TELLING and value is not None}
 
 
 def format_parameters(parameters: dict[str, Value]) -> str:

@@ -33,7 +33,7 @@ def html(study: Study, contents: Contents) -> str:
         for key in ("suite", "policy", "condition", "answer")
     }
     overview = {
-        "deadline_us": study.deadline_ns / 1000,
+        "deadline_us": study.question.deadline_ns / 1000,
         "rows": [_row(scenario) for scenario in contents.scenarios if scenario.figures.max_ns is not None],
     }
     return environment.get_template("page.html.j2").render(
@@ -50,7 +50,7 @@ def html(study: Study, contents: Contents) -> str:
 
 def _card(study: Study, scenario: Scenario) -> dict[str, Any]:
     style, mark = _ANSWERS[scenario.answer]
-    drawn = plots(scenario, deadline_ns=study.deadline_ns, probability=study.probability)
+    drawn = plots(scenario, deadline_ns=study.question.deadline_ns, probability=study.question.probability)
     return {
         "scenario": scenario,
         "style": style,

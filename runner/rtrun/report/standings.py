@@ -2,13 +2,8 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
-from datetime import datetime
 from pathlib import Path
-from typing import Any
-
-from rich import box
-from rich.table import Table
-from rich.text import Text
+from typing import TYPE_CHECKING, Any
 
 from rtfiles.output import counted, printable
 from rtrun.analysis.deadline import Answer, Verdict
@@ -18,14 +13,19 @@ from rtrun.execution.goal import Progress
 from rtrun.plan.goal import Goal
 from rtrun.report.digest import Digest
 from rtrun.report.groups import Group
+from rtrun.report.screen import fitted
 from rtrun.report.study import Study, study
-from rtrun.report.tables import grouped
+from rtrun.report.tables import duration, grouped
+from rtrun.report.verdicts import scope_in_short
 from rtrun.results.record import is_closed
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def standings(study: Study) -> tuple[Standing, ...]:
     """How far each group of a study is, groups of alike boards before those of each board."""
-    times_s = {record.run: _seconds(record.start_time, record.end_time) for record in study.records}
+    times_s = {record.run: record.duration_s for record in study.records}
     return tuple(_standing(group, study.name(group), times_s) for group in study.answers)
 
 
@@ -36,17 +36,7 @@ def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
     def evaluate() -> tuple[Standing, ...]:
         if not any(is_closed(folder) for folder in results.iterdir()):
             return ()
-        return standings(
-            study(
-                results,
-                deadline_ns=goal.deadline_ns,
-                probability=goal.probability,
-                confidence=goal.confidence,
-                boots=goal.boots,
-                bounds=False,
-                known=known,
-            )
-        )
+        return standings(study(results, goal.question, bounds=False, known=known))
 
     return evaluate
 
@@ -62,41 +52,33 @@ def _standing(group: Group, label: str, times_s: dict[str, float]) -> Standing:
     )
 
 
-def _seconds(start: str, end: str) -> float:
-    try:
-        return max(0.0, (datetime.fromisoformat(end) - datetime.fromisoformat(start)).total_seconds())
-    except (ValueError, TypeError):  # an imported file has no times
-        return 0.0
-
-
 def question(study: Study) -> str:
     """What the answers are to."""
     return (
-        f"P(miss) of a deadline of {study.deadline_ns / 1000:g} us below {study.probability:g}, "
-        f"confidence {study.confidence:g}, on at least {_count(study.boots, 'boot', '')}"
+        f"P(miss) of a deadline of {study.question.deadline_ns / 1000:g} us below {study.question.probability:g}, "
+        f"confidence {study.question.confidence:g}, on at least {_count(study.question.boots, 'boot', '')}, "
+        f"covering {study.question.covered}"
     )
 
 
-def table(standings: Sequence[Standing]) -> Table:
-    """A row for each group: its answer, what it rests on, and what is still missing."""
-    made = Table(box=box.SIMPLE, padding=(0, 1), show_edge=False)
-    for heading in ("group", "answer"):
-        made.add_column(heading)
-    for heading in ("P(miss)", "measured", "boots", "time"):
-        made.add_column(heading, justify="right")
-    made.add_column("missing")
-    for standing in standings:
-        verdict = standing.verdict
-        made.add_row(
-            Text(printable(standing.label)),
+def table(standings: Sequence[Standing], width: int) -> "Table":
+    """A row for each group: its answer, what it rests on, and what is still missing; for a screen of this width."""
+    headings = ("group", "answer", "holds for", "P(miss)", "measured", "boots", "time", "missing")
+    rows = [
+        (
+            standing.label,
             str(standing.answer),
+            scope_in_short(verdict) if verdict else "-",
             bound(verdict) if verdict else "-",
             grouped(verdict.n) if verdict else "-",
             "-" if verdict is None or verdict.boots is None else str(verdict.boots),
             duration(standing.measured_s),
-            Text("see below" if _has_reason(standing) else printable(missing(standing))),
+            "see below" if _has_reason(standing) else missing(standing),
         )
-    return made
+        for standing in standings
+        for verdict in (standing.verdict,)
+    ]
+    return fitted(headings, rows, range(3, 7), width)
 
 
 def reasons(standings: Sequence[Standing]) -> Iterator[str]:
@@ -159,7 +141,8 @@ def missing(standing: Standing) -> str:
         return _changed(verdict.change)
     parts = [_count(verdict.boots_missing, "boot")] if verdict.boots_missing else []
     if not verdict.misses and verdict.further:
-        parts.append(f"{_measurements(verdict, verdict.further)} without a miss")
+        chance = f" (chance of that: {100 * verdict.further_chance:.0f} %)" if verdict.further_chance < 0.995 else ""
+        parts.append(f"{_measurements(verdict, verdict.further)} without a miss{chance}")
     elif verdict.further_likely is None:
         parts.append("at the rate seen, no number is likely to decide it")
     elif verdict.further_likely[1]:
@@ -175,15 +158,6 @@ def _count(number: int, noun: str, more: str = "more ") -> str:
 def _measurements(verdict: Verdict, number: int) -> str:
     hours = verdict.hours(number)
     return f"{grouped(number)} more" + ("" if hours is None else f" ({duration(hours * 3600)})")
-
-
-def duration(seconds: float) -> str:
-    """A time in the two units that tell most of it."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    if hours >= 48:
-        return f"{hours // 24} d {hours % 24} h"
-    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {rest:02} s" if minutes else f"{rest} s"
 
 
 def as_data(standings: Sequence[Standing]) -> list[dict[str, Any]]:

@@ -7,21 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from rtfiles.errors import UsageError
+from rtfiles.output import showing_progress
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
+from rtrun.plan.question import THESIS, Question
 from rtrun.report.digest import Digest, digest
 from rtrun.report.groups import Group, slowest, telling_parameters
 from rtrun.results import reading
+from rtrun.results.copies import find_copies
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
 from rtrun.results.series import MEASURED_2014
 from rtrun.target.platform import Platform
-
-DEADLINE_NS = 400_000  # of the thesis, section 4.1.2
-PROBABILITY = 1e-6
-CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,10 +32,7 @@ class Study:
     """
 
     source: Source
-    deadline_ns: int
-    probability: float
-    confidence: float
-    boots: int
+    question: Question
     groups: tuple[Group, ...]
     groups_2014: tuple[Group, ...]
     others: tuple[Digest, ...]
@@ -76,15 +72,12 @@ class Study:
 
 def study(
     path: Path,
+    question: Question = THESIS,
     *,
-    deadline_ns: int = DEADLINE_NS,
-    probability: float = PROBABILITY,
-    confidence: float = CONFIDENCE,
-    boots: int = 1,
     bounds: bool = True,
     known: dict[Path, tuple[Digest, ...]] | None = None,
 ) -> Study:
-    """Examine what is at a path: a folder of runs, one run, a log or an npy. Answers are to rest on so many boots.
+    """Examine what is at a path: a folder of runs, one run, a log or an npy.
 
     `known` holds the runs of an earlier call for the same deadline and is extended: they are not read again. What only
     bounds and comparisons need is not in there.
@@ -94,23 +87,30 @@ def study(
     source = reading.find_source(path)
     left_out = [f"{name}: incomplete, it has no run.json: nothing in it is analysed" for name in source.incomplete]
     digests: list[Digest] = []
-    records: list[RunRecord] = []
+    records: dict[Path, RunRecord] = {}
     if not source.folders:
-        digests = [digest(series, deadline_ns) for series in reading.read_file(path)]
-    for folder in source.folders:
+        digests = [digest(series, question.deadline_ns) for series in reading.read_file(path)]
+    for folder in showing_progress(source.folders, "reading run"):
         try:
-            record = read_record(folder)
-            records.append(record)
+            records[folder] = read_record(folder)
+        except UsageError as error:
+            left_out.append(str(error))
+    copies = find_copies(records)
+    left_out += copies.values()
+    for folder in copies:
+        del records[folder]
+    for folder, record in records.items():
+        try:
             if known is not None and folder in known:
                 digests += known[folder]
                 continue
-            of_run = list(_digests_of_run(folder, record, deadline_ns, left_out))
+            of_run = list(_digests_of_run(folder, record, question.deadline_ns, left_out))
             if known is not None and record.status is RunStatus.OK:
                 known[folder] = tuple(replace(one, tail=None, blocks=None, course=None) for one in of_run)
             digests += of_run
         except UsageError as error:
             left_out.append(str(error))
-    by_run = {record.run: record for record in records}
+    by_run = {record.run: record for record in records.values()}
     if len(platforms := sorted({one.header.platform for one in digests})) > 1:
         raise UsageError(
             f"{path}: holds runs of several platforms ({', '.join(platforms)}), which say different things about time: "
@@ -122,7 +122,8 @@ def study(
         for one in members:
             by_key.setdefault(_key(one), []).append(one)
         groups = [
-            _group(alike, by_run, deadline_ns, probability, confidence, boots, bounds) for alike in by_key.values()
+            _group(alike, by_run, question, bounds=bounds)
+            for alike in showing_progress([*by_key.values()], "judging group")
         ]
         return tuple(sorted(groups, key=lambda group: (group.suite, group.target)))
 
@@ -130,15 +131,12 @@ def study(
     groups = grouped((one for one in digests if one.header.main), bounds=bounds)
     return Study(
         source=source,
-        deadline_ns=deadline_ns,
-        probability=probability,
-        confidence=confidence,
-        boots=boots,
+        question=question,
         groups=groups,
-        pooled=tuple(_pooled(groups, by_run, deadline_ns, probability, confidence, boots)),
+        pooled=tuple(_pooled(groups, by_run, question)),
         groups_2014=grouped((one for one in others if one.header.series == MEASURED_2014), bounds=False),
         others=others,
-        records=tuple(records),
+        records=tuple(records.values()),
         left_out=tuple(left_out),
     )
 
@@ -168,35 +166,23 @@ def _scenario(one: Digest) -> list[Any]:
     return [header.suite, header.series, one.histogram.bin_ns, sorted(telling.items())]
 
 
-def _pooled(
-    groups: Sequence[Group],
-    records: Mapping[str, RunRecord],
-    deadline_ns: int,
-    probability: float,
-    confidence: float,
-    boots: int,
-) -> Iterator[Group]:
-    """Yield groups that were measured on several boards in the same environment as one; boards are its clusters."""
+def _pooled(groups: Sequence[Group], records: Mapping[str, RunRecord], question: Question) -> Iterator[Group]:
+    """Yield groups that were measured on several boards in the same environment as one; boards are its clusters.
+
+    Of imported files the environment is not known.
+    """
     alike: dict[str, list[Group]] = {}
     for group in groups:
-        if group.boards:
+        if group.boards and all(record.programs for record in group.records):
             alike.setdefault(json.dumps([_scenario(group.digests[0]), group.environment]), []).append(group)
     for members in alike.values():
         if len({board for group in members for board in group.boards}) > 1:
             digests = [one for group in members for one in group.digests]
-            pooled = _group(digests, records, deadline_ns, probability, confidence, boots, bounds=False)
+            pooled = _group(digests, records, question, bounds=False)
             yield replace(pooled, target=", ".join(group.target for group in members), members=tuple(members))
 
 
-def _group(
-    alike: Sequence[Digest],
-    records: Mapping[str, RunRecord],
-    deadline_ns: int,
-    probability: float,
-    confidence: float,
-    boots: int,
-    bounds: bool,
-) -> Group:
+def _group(alike: Sequence[Digest], records: Mapping[str, RunRecord], question: Question, *, bounds: bool) -> Group:
     first = alike[0].header
     trials = tuple(_located(one.trials, one.run, records.get(one.run)) for one in alike if one.trials is not None)
     undecidable = next((one.undecidable for one in alike if one.undecidable), None)
@@ -208,16 +194,13 @@ def _group(
     if undecidable is None and trials:
         verdict = judge(
             trials,
-            deadline_ns=deadline_ns,
-            probability=probability,
-            confidence=confidence,
+            question,
             period_ns=sum(periods) / len(periods) / side_by_side if periods else None,
             clock_step_ns=max(steps, default=None),
             emulated=first.platform is Platform.EMULATED,
             measurements_per_event=round(side_by_side) if "subscribers" in first.parameters else 1,
-            boots_wanted=boots,
         )
-    worst_cases, no_bound = _bounds(alike, probability, confidence, max(steps, default=1)) if bounds else ((), None)
+    worst_cases, no_bound = _bounds(alike, question, max(steps, default=1)) if bounds else ((), None)
     return Group(
         suite=first.suite,
         series=first.series,
@@ -241,16 +224,17 @@ def _located(trials: Trials, run: str, record: RunRecord | None) -> Trials:
     return replace(trials, run=run, boot=boot, board=record.target.name, start_time=record.start_time)
 
 
-def _bounds(
-    alike: Sequence[Digest], probability: float, confidence: float, step_ns: int
-) -> tuple[tuple[Bound, ...], str | None]:
+def _bounds(alike: Sequence[Digest], question: Question, step_ns: int) -> tuple[tuple[Bound, ...], str | None]:
     if alike[0].header.platform is Platform.EMULATED:
         return (), "measured on an emulated board"
     tails = [one.tail for one in slowest(alike)]
     if any(tail is None for tail in tails):
         return (), "a log without samples keeps no order: neither dependence nor stationarity can be tested"
     return worst_case(
-        [tail for tail in tails if tail is not None], probability=probability, confidence=confidence, quantum_ns=step_ns
+        [tail for tail in tails if tail is not None],
+        probability=question.probability,
+        confidence=question.confidence,
+        quantum_ns=step_ns,
     ), None
 
 

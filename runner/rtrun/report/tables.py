@@ -50,6 +50,15 @@ def grouped(number: float) -> str:
     return f"{round(number):,}".replace(",", " ")
 
 
+def duration(seconds: float) -> str:
+    """A time in the two units that tell most of it."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours >= 48:
+        return f"{hours // 24} d {hours % 24} h"
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {rest:02} s" if minutes else f"{rest} s"
+
+
 def time_us(value_ns: float | None) -> str:
     """A time in us for a table; a dash where there is none."""
     return "-" if value_ns is None or not math.isfinite(value_ns) else us(value_ns)

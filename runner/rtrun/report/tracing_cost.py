@@ -42,7 +42,7 @@ def tracing_cost(examined: Study) -> Table:
     """Quantiles with and without traces, and the difference with its interval; without rows where no run has a twin."""
     changes = list(_changes(examined))
     rows = [row for change in changes for row in _rows(change)]
-    confidence = f"{100 * examined.confidence:g} %"
+    confidence = f"{100 * examined.question.confidence:g} %"
     return Table(
         id="tracing",
         title="What tracing costs",

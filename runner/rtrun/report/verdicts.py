@@ -3,12 +3,12 @@
 import math
 from dataclasses import dataclass
 
-from rtfiles.output import printable
+from rtfiles.output import counted, printable
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.report.boards import spread
 from rtrun.report.claims.examination import us
 from rtrun.report.groups import Group
-from rtrun.report.tables import grouped
+from rtrun.report.tables import duration, grouped
 
 # Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5
@@ -39,6 +39,19 @@ def verdict_line(group: Group, name: str = "") -> Line:
 
 
 def _numbers(verdict: Verdict, group: Group) -> str:
+    parts = sentences(verdict)
+    startup_ns = [value.value_ns for one in group.digests for value in one.header.startup]
+    late_start = [value_ns for value_ns in startup_ns if value_ns > verdict.question.deadline_ns]
+    if late_start:
+        parts.append(f"start-up apart: {len(late_start)} late, worst {us(max(late_start))} us")
+    if group.members:
+        parts.append(f"of single boards: {spread(group)}")
+    parts += [f"assumes {text}" for text in verdict.assumes]
+    return "; ".join(parts)
+
+
+def sentences(verdict: Verdict) -> list[str]:
+    """The numbers that a verdict rests on, what it holds for, and what it lacks."""
     parts = [f"{grouped(verdict.late)} of {grouped(verdict.n)} late"]
     if verdict.absent:
         parts[0] += f" and {verdict.absent} never came"
@@ -56,14 +69,7 @@ def _numbers(verdict: Verdict, group: Group) -> str:
         parts += _more(verdict)
     elif verdict.answer in (Answer.PROVEN, Answer.IF_INDEPENDENT):
         parts += _scope(verdict)
-    startup_ns = [value.value_ns for one in group.digests for value in one.header.startup]
-    late_start = [value_ns for value_ns in startup_ns if value_ns > verdict.deadline_ns]
-    if late_start:
-        parts.append(f"start-up apart: {len(late_start)} late, worst {us(max(late_start))} us")
-    if group.members:
-        parts.append(f"of single boards: {spread(group)}")
-    parts += [f"assumes {text}" for text in verdict.assumes]
-    return "; ".join(parts)
+    return parts
 
 
 def _between(verdict: Verdict) -> str:
@@ -72,9 +78,31 @@ def _between(verdict: Verdict) -> str:
     return f"{verdict.lower:.2g} to {verdict.upper:.2g}"
 
 
+def scope_in_short(verdict: Verdict) -> str:
+    """What a proof holds for, in a few words for a table; a dash where there is none."""
+    if verdict.answer not in (Answer.PROVEN, Answer.IF_INDEPENDENT):
+        return "-"
+    return f"{boots_in_words(verdict).removeprefix('for ').removeprefix('in ')}, {_bursts_in_words(verdict)}"
+
+
+def boots_in_words(verdict: Verdict) -> str:
+    """Of which boots a verdict speaks."""
+    if verdict.boots is None or verdict.unlike_share is None:
+        return "on boots that are not known"
+    if verdict.boots == 1:
+        return "in this boot"
+    return f"for at least {100 * (1 - verdict.unlike_share):.2g} % of boots"
+
+
+def _bursts_in_words(verdict: Verdict) -> str:
+    whole = math.floor(verdict.longest_burst)
+    return f"bursts of {grouped(whole)}" if whole > 1 else "single misses"
+
+
 def _scope(verdict: Verdict) -> list[str]:
     """What a proof holds for: bursts and boots."""
-    covered = f"holds for bursts of up to {verdict.longest_burst:.0f} misses"
+    whole = math.floor(verdict.longest_burst)
+    covered = f"holds for bursts of up to {grouped(whole)} misses" if whole > 1 else "holds for misses that come singly"
     more = [f"{_amount(verdict, count)} for bursts of {length}" for length, count in verdict.further_for_bursts]
     return [covered + (f" (without a miss, {', '.join(more)})" if more else ""), *_boots(verdict)]
 
@@ -83,32 +111,37 @@ def _boots(verdict: Verdict) -> list[str]:
     if verdict.boards > 1:
         few = f"; for boards of this kind measure on {ENOUGH_BOOTS} or more"
         return [f"holds for the {verdict.boards} boards together{few if verdict.boards < ENOUGH_BOOTS else ''}"]
-    if verdict.boots is None:
+    if verdict.boots is None or verdict.unlike_share is None:
         return []
     if verdict.boots == 1:
         return [f"holds for the boot that was measured; for the system measure on {ENOUGH_BOOTS} boots or more"]
-    return [f"{verdict.boots} boots"] if verdict.boots >= ENOUGH_BOOTS else [f"{verdict.boots} boots only"]
+    share = f"boots of another kind, of which none was measured, may be {100 * verdict.unlike_share:.2g} % of all"
+    return [f"measured on {verdict.boots} boots: {share}"]
 
 
 def _more(verdict: Verdict) -> list[str]:
-    parts = _boots(verdict)
+    parts = [counted(verdict.boots_missing, "more boot")] if verdict.boots_missing else []
     if verdict.change is not None:
+        if verdict.change.missing_loops:
+            parts.append(
+                f"a load that comes and goes is part of the process once it has come back five times: "
+                f"{_amount(verdict, verdict.change.missing_loops)}"
+            )
         return parts
-    if verdict.further is not None:
+    if verdict.further:
+        chance = "" if verdict.misses else f" (chance of that: {100 * verdict.further_chance:.0f} %)"
         parts.append(
-            f"{_amount(verdict, verdict.further)} prove it without {'another' if verdict.misses else 'a'} miss"
+            f"{_amount(verdict, verdict.further)} prove it without {'another' if verdict.misses else 'a'} miss{chance}"
             + (", if dependence stays as seen" if verdict.design_effect > 1.005 else "")
         )
-    if verdict.further_likely is not None:
+    if verdict.further_likely is not None and verdict.further_likely[1]:
         answer, count = verdict.further_likely
         parts.append(f"at the rate seen, {answer} after {_amount(verdict, count)} nine times in ten")
-    elif verdict.misses:
+    elif verdict.misses and verdict.further_likely is None:
         parts.append("at the rate seen, no number is likely to decide it")
     return parts
 
 
 def _amount(verdict: Verdict, count: int) -> str:
     hours = verdict.hours(count)
-    return f"{grouped(count)} more measurements" + (
-        "" if hours is None else f" ({hours:.2g} h)" if hours < 10 else f" ({hours:.0f} h)"
-    )
+    return f"{grouped(count)} more measurements" + ("" if hours is None else f" ({duration(hours * 3600)})")

@@ -17,11 +17,11 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import IndexedValue
+from rtrun.plan.limits import TIME_MAX_NS
 
 MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
 MAX_LINE_BYTES = 1 << 20
 MAX_BINS = 2_000_000  # that hold something: those of values up to 2 s
-MAX_VALUE_US = 10**15 - 1  # 31 years
 
 # In double quotes gnuplot executes what stands between backquotes.
 _WORDS = r"[^\"`\\\x00-\x1f\x7f]*"
@@ -204,7 +204,7 @@ def _read_bin(lines: _Lines, text: Text, line: str) -> None:
     value, number = int(match[2]), int(match[3])
     if match[1] and value >= 0:
         lines.refuse(f"only a negative value is commented out, not {_cut(line)}")
-    if value <= text.last.get(match[1], -MAX_VALUE_US - 1):
+    if value <= text.last.get(match[1], -TIME_MAX_NS // 1000):
         lines.refuse(f"the bins must rise, {value} follows {text.last[match[1]]}")
     text.last[match[1]] = value
     if number:

@@ -14,10 +14,10 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import LISTED, IndexedValue
 from rtrun.analysis.histogram import Int64s
+from rtrun.plan.limits import COUNT_MAX
 from rtrun.plan.suites import LogFacts, Value, read_log_name
 from rtrun.results.gnuplot_lines import COUNTS, SUITES, Printed, Text, read_text
 
-MAX_TOTAL = 10**12  # measurements in one log
 TOLERANCE_US = 1  # between a printed number, however it was rounded, and the bins
 MEAN_TOLERANCE_US = 2  # as the mean's own rounding comes on top
 # Logs count from after the timer was armed, as in 2014.
@@ -126,8 +126,8 @@ def _bins(path: Path, text: Text) -> tuple[Int64s, Int64s]:
     value_us, count = value_us[order], count[order]
     if (twice := value_us[1:][np.diff(value_us) == 0]).size:
         raise UsageError(f"{path}:{text.lines}: the bin of {twice[0]} stands twice")
-    if float(count.sum(dtype=np.float64)) > MAX_TOTAL:
-        raise UsageError(f"{path}:{text.lines}: more than {MAX_TOTAL} measurements")
+    if float(count.sum(dtype=np.float64)) > COUNT_MAX:
+        raise UsageError(f"{path}:{text.lines}: more than {COUNT_MAX} measurements")
     return value_us, count
 
 

@@ -28,6 +28,7 @@ def write_goal(results: Path, goal: Goal) -> None:
         "confidence": goal.confidence,
         "at_most": f"{goal.at_most_ns}ns",
         "boots": goal.boots,
+        "bursts": goal.bursts,
     }
     atomic.write_text(results / FILE, json.dumps({"schema": 1, "until": written}, indent=2) + "\n")
 

@@ -4,6 +4,8 @@ import re
 from dataclasses import dataclass
 from typing import BinaryIO
 
+# An npy without a row is its header: of a few columns this size, as the format rounds it up to 64 bytes.
+EMPTY_BYTES = 128
 _LEAD = b"\x93NUMPY\x01\x00"
 _HEADER = re.compile(
     r"\{\s*'descr':\s*'(?P<dtype>[^'\\]{1,40})',\s*'fortran_order':\s*(?P<fortran>True|False),"

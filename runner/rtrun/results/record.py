@@ -1,27 +1,66 @@
 """run.json, the closing record of a run directory (docs/formats.md): one type for who writes it and who reads it."""
 
 import hashlib
+import os
+import time
+from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
-from rtrun.plan.conditions import IDLE
+from rtrun.plan.conditions import IDLE, Settings
+from rtrun.plan.limits import (
+    ClockStepNs,
+    Count,
+    Cpu,
+    CpuCount,
+    ExitStatus,
+    FrequencyKhz,
+    LoadAverage,
+    Percent,
+    Priority,
+    Range,
+    RtRuntimeUs,
+    Seed,
+    SizeBytes,
+    TemperatureMc,
+    TimeNs,
+)
 from rtrun.plan.run import KernelName
-from rtrun.plan.suites import Value
+from rtrun.plan.suites import Parameters, Value
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
+from rtrun.target.control_groups import ControlGroup
 from rtrun.target.inspection import Fact
 from rtrun.target.platform import Platform
 
 FILE = "run.json"
 
-Count = Annotated[int, Field(ge=0)]
+UNKNOWN = "unknown"
+"""The time of an imported file."""
+
+
+def moment(text: str) -> datetime | None:
+    """A time of a record, in UTC; None for UNKNOWN. One without a zone is in UTC. Raises ValueError."""
+    if text == UNKNOWN:
+        return None
+    time = datetime.fromisoformat(text)
+    if not 1970 <= time.year < 2262:  # in nanoseconds since 1970, 64 bits hold these
+        raise ValueError(f"a time of the years 1970 to 2261 is needed, got {text[:40]!r}")
+    return time.astimezone(UTC) if time.tzinfo else time.replace(tzinfo=UTC)
+
+
+def _check_moment(text: str) -> str:
+    moment(text)
+    return text
+
+
 Name = Annotated[str, Field(min_length=1, max_length=255)]
-Range = list[int | float] | None
-"""The lowest and the highest value."""
+Moment = Annotated[str, Field(max_length=64), AfterValidator(_check_moment)]
+"""A time as in ISO 8601, or UNKNOWN."""
 
 
 class RunStatus(StrEnum):
@@ -34,17 +73,21 @@ class RunStatus(StrEnum):
 
 
 class ProgramRecord(Config):
-    """A program that ran; no exit status: something else than the program ended it."""
+    """A program that ran; no exit status: something else than the program ended it.
+
+    `control_groups` are those that it was in, and those above them; earlier versions recorded none.
+    """
 
     name: str
     argv: list[str]
-    exit_status: int | None
+    exit_status: ExitStatus | None
+    control_groups: list[ControlGroup] = Field(default_factory=list)
 
 
 class FileRecord(Config):
     """Size and checksum of a file in the run directory."""
 
-    size_bytes: Count
+    size_bytes: SizeBytes
     sha256: str
 
 
@@ -53,16 +96,18 @@ class Clock(Config):
 
     source: Fact
     event: Fact
-    step_ns: int | None
+    step_ns: ClockStepNs | None
 
 
 class TargetFacts(Config):
     """The target at the begin of a run; of an imported file only the name is known."""
 
     name: str
+    is_identified: bool = True
+    """False: it was imported, and nobody said of which board."""
     address: str = ""
     preempt_rt: bool | None = None
-    cpus: Count | None = None
+    cpus: CpuCount | None = None
     kernel_release: Fact = None
     kernel_version: Fact = None
     machine: Fact = None
@@ -79,37 +124,42 @@ class Requested(Config):
     """What a run asks for beside its suite's own parameters; None where it asks for nothing."""
 
     policy: str | None = None
-    priority: int | None = None
-    cpus: list[int] | None = None
-    loads: dict[str, int] = Field(default_factory=dict)
+    priority: Priority | None = None
+    cpus: list[Cpu] | None = None
+    loads: dict[str, Count] = Field(default_factory=dict)
     """Processes of each program beside the suite."""
-    load_cpus: list[int] | None = None
+    load_cpus: list[Cpu] | None = None
     governor: str | None = None
-    busy_percent: int | None = None
+    busy_percent: Percent[int] | None = None
 
 
 class Rival(Config):
-    """A thread of another program with the priority of the suite or above."""
+    """A thread of another program with the priority of the suite or above; one at DEADLINE comes before every priority.
+
+    Of such a one the budget, where it is known: `runtime_ns` in every `period_ns`.
+    """
 
     name: str
     policy: str
-    priority: int
+    priority: Priority
+    runtime_ns: TimeNs | None = None
+    period_ns: TimeNs | None = None
 
 
 class Observed(Config):
     """What was in effect while the suite measured: every value that was seen, of `loads` the fewest processes."""
 
     policy: list[str] = Field(default_factory=list)
-    priority: list[int] = Field(default_factory=list)
-    cpus: list[int] = Field(default_factory=list)
-    loads: dict[str, int] = Field(default_factory=dict)
-    load_cpus: list[int] = Field(default_factory=list)
+    priority: list[Priority] = Field(default_factory=list)
+    cpus: list[Cpu] = Field(default_factory=list)
+    loads: dict[str, Count] = Field(default_factory=dict)
+    load_cpus: list[Cpu] = Field(default_factory=list)
     governor: list[str] = Field(default_factory=list)
-    busy_percent: float | None = None
-    sched_rt_runtime_us: list[int] = Field(default_factory=list)
-    temperature_mc: Range = None
-    frequency_khz: Range = None
-    load_1min: Range = None
+    busy_percent: Percent[float] | None = None
+    sched_rt_runtime_us: list[RtRuntimeUs] = Field(default_factory=list)
+    temperature_mc: Range[TemperatureMc] | None = None
+    frequency_khz: Range[FrequencyKhz] | None = None
+    load_1min: Range[LoadAverage] | None = None
     rivals: list[Rival] = Field(default_factory=list)
     looks: Count = 0
     """Observations while the suite measured."""
@@ -123,11 +173,11 @@ class RunRecord(Config):
     campaign: str
     attempt: str = ""
     suite: str
-    parameters: dict[str, Value]
+    parameters: Parameters
     condition: str = IDLE
-    settings: dict[str, Value] = Field(default_factory=dict)
-    repeat: int = 1
-    seed: int | None = None
+    settings: Settings = Field(default_factory=dict)
+    repeat: Count = 1
+    seed: Seed | None = None
     variant: str = ""
     """Of a campaign with variants: which of them this run is of."""
     kernel: KernelName | None = None
@@ -141,8 +191,8 @@ class RunRecord(Config):
     reason: str | None
     requested: Requested = Field(default_factory=Requested)
     in_effect: Observed = Field(default_factory=Observed)
-    start_time: str
-    end_time: str
+    start_time: Moment
+    end_time: Moment
     programs: list[ProgramRecord]
     outputs: list[Name]
     refused: dict[str, str] = Field(default_factory=dict)
@@ -161,6 +211,12 @@ class RunRecord(Config):
         platform = Platform.EMULATED if data["emulated"] else Platform.HARDWARE
         kept = {key: value for key, value in data.items() if key != "emulated"}
         return kept | {"schema": 2, "platform": platform, "platform_evidence": "stated, not found on the target"}
+
+    @property
+    def duration_s(self) -> float:
+        """The time from begin to end, in seconds; 0 where it is unknown, or the clock was set back in between."""
+        start, end = moment(self.start_time), moment(self.end_time)
+        return max(0.0, (end - start).total_seconds()) if start and end else 0.0
 
     @property
     def preempt_rt(self) -> bool:
@@ -200,6 +256,22 @@ def read_record(folder: Path) -> RunRecord:
     return record
 
 
+# A file that was changed so recently may change once more within the same time stamp; that of FAT has 2 s.
+SETTLED_NS = 3_000_000_000
+_digests: dict[tuple[int, ...], str] = {}
+
+
+def _digest(path: Path) -> tuple[int, str]:
+    """Size in bytes and SHA-256 of a file, which is read only once as long as it does not change."""
+    with path.open("rb") as stream:
+        state = os.fstat(stream.fileno())
+        key = (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
+        digest = _digests.get(key) or hashlib.file_digest(stream, "sha256").hexdigest()
+    if time.time_ns() - state.st_ctime_ns > SETTLED_NS:
+        _digests[key] = digest
+    return state.st_size, digest
+
+
 def check_file(folder: Path, record: RunRecord, name: str) -> None:
     """Refuse a file that is not the one the record was closed with. Raises UsageError."""
     path = folder / name
@@ -208,12 +280,11 @@ def check_file(folder: Path, record: RunRecord, name: str) -> None:
     if path.is_symlink() or not path.is_file():
         raise UsageError(f"{path}: named in {FILE}, but no such file")
     try:
-        with path.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        found = _digest(path)
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}") from error
     expected = record.files[name]
-    if path.stat().st_size != expected.size_bytes or digest != expected.sha256:
+    if found != (expected.size_bytes, expected.sha256):
         raise UsageError(f"{path}: altered since the run was closed: size or checksum is not that in {FILE}")
 
 

@@ -3,10 +3,10 @@
 Both are untrusted: their sizes are limited, the npy is never unpickled, and rows and counts must tell the same.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -14,26 +14,35 @@ from pydantic import Field
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
-from rtrun.plan.suites import Suite, Value, suite
+from rtrun.plan.limits import (
+    TIME_MAX_NS,
+    ClockStepNs,
+    Count,
+    Cpu,
+    CpuDmaLatencyUs,
+    MeanNs,
+    Pid,
+    Priority,
+    RateHz,
+    TimeNs,
+)
+from rtrun.plan.suites import Asked, Parameters, Suite, suite
 from rtrun.results.npy import read_header
 
 MAX_NPY_BYTES = 4 << 30
 NOT_FIRED_NS = -(2**63)
 # Threads of a suite that have no part in the measurement: of normal scheduling, on spare CPUs, whatever was asked for.
 NON_MEASURING_THREADS = frozenset({"rt_blocks", "rt_traces"})
-MAX_TIME_NS = 2**61  # 73 years: a difference of two times stays within 64 bits
-
-Count = Annotated[int, Field(ge=0)]
 
 
 class Thread(Config):
     """A thread of the measuring program, as the kernel showed it."""
 
-    tid: int
+    tid: Pid
     name: str
     policy: str
-    priority: int
-    cpus: list[int]
+    priority: Priority
+    cpus: list[Cpu]
 
 
 class InEffect(Config):
@@ -41,9 +50,11 @@ class InEffect(Config):
 
     threads: list[Thread]
     clock: str
-    clock_resolution_ns: Count
-    clock_step_ns: Count
+    clock_resolution_ns: ClockStepNs
+    clock_step_ns: ClockStepNs
     mlockall: bool
+    cpu_dma_latency_us: CpuDmaLatencyUs | None = None
+    """The lowest latency that any program held in /dev/cpu_dma_latency, or the kernel's default; None: not known."""
 
 
 class Kernel(Config):
@@ -57,37 +68,42 @@ class Kernel(Config):
 class Counts(Config):
     """How many measurements were asked for, and what became of them."""
 
-    asked: Count
+    asked: Asked
     measured: Count
     not_fired: Count
     missing: Count
     duplicate: Count
     out_of_order: Count
 
+    @property
+    def known(self) -> int:
+        """How many became something."""
+        return self.measured + self.not_fired + self.missing
+
 
 class Indices(Config):
     """Indices of what the counts count, the first 1000 of each."""
 
-    not_fired: list[int]
-    missing: list[int]
-    duplicate: list[int]
-    out_of_order: list[int]
+    not_fired: list[Count]
+    missing: list[Count]
+    duplicate: list[Count]
+    out_of_order: list[Count]
 
 
 class Entry(Config):
     """One value of a list of the highest or lowest."""
 
-    value_ns: int
-    index: int
+    value_ns: TimeNs
+    index: Count
 
 
 class Summary(Config):
     """A program's own summary of one series; the numbers are None when n is 0."""
 
     n: Count
-    min_ns: int | None
-    mean_ns: int | float | None
-    max_ns: int | None
+    min_ns: TimeNs | None
+    mean_ns: TimeNs | MeanNs | None
+    max_ns: TimeNs | None
     top: list[Entry]
     lowest: list[Entry]
 
@@ -106,6 +122,18 @@ class Traces(Config):
     files: list[str]
 
 
+class Rate(Config):
+    """How often a program did what it does, in hertz, and how often it did not keep up; None where nothing is periodic.
+
+    `overruns` came more than a period late, `skipped` are periods in which nothing came.
+    """
+
+    asked_hz: Count | None
+    achieved_hz: RateHz | None
+    overruns: Count | None
+    skipped: Count | None
+
+
 class Record(Config):
     """``<output>.json``, as docs/formats.md has it."""
 
@@ -115,7 +143,7 @@ class Record(Config):
     version: str
     complete: bool
     incomplete_reason: str | None
-    requested: dict[str, Value]
+    requested: Parameters
     in_effect: InEffect
     host: str
     kernel: Kernel
@@ -125,6 +153,10 @@ class Record(Config):
     indices: Indices
     summary: dict[str, Summary]
     files: Files
+    columns: list[str] | None = None
+    """Of the npy; samples of earlier versions do not name theirs, which are those of suites.yml."""
+    rate: Rate | None = None
+    """None: samples of earlier versions."""
     traces: Traces = Field(default_factory=lambda: Traces(above_limit=0, files=[]))
 
 
@@ -143,12 +175,12 @@ class Samples:
     `series` are measured, reported and difference (one-shot; measured_2014 and difference_2014 too, unless the samples
     are of an earlier version), jitter and grid (cyclic), or latency (communication, in
     the order of the sequence numbers); the first of them is what the suite is about.
-    `rows` has the columns of suites.yml, mapped from the file.
+    `columns`, each of shape (rows,), are mapped from the file, in the order of suites.yml.
     """
 
     path: Path
     record: Record
-    rows: Int64s
+    columns: dict[str, Int64s]
     series: dict[str, IndexedValues]
 
 
@@ -161,11 +193,17 @@ def read_samples(path: Path, record: Record | None = None) -> Samples:
     record = record or read_json(json_path, Record)
     if record.suite not in _SERIES_OF_SUITE:
         raise UsageError(f"{json_path}: suite: unknown suite {record.suite!r}, known: {', '.join(_SERIES_OF_SUITE)}")
+    counts = record.counts
+    if counts.known > counts.asked:
+        raise UsageError(
+            f"{json_path}: counts: {counts.asked} asked for, but {counts.known} measured + not fired + missing"
+        )
     kind = suite(record.suite)
     rows = _read_rows(npy_path, kind)
-    columns = {name: rows[:, i] for i, name in enumerate(kind.columns[: rows.shape[1]])}
+    names = _column_names(record, kind, npy_path, rows.shape[1])
+    columns = {name: rows[:, names.index(name)] for name in kind.columns if name in names}
     series = _SERIES_OF_SUITE[record.suite](columns, record, npy_path)
-    return Samples(path=npy_path, record=record, rows=rows, series=series)
+    return Samples(path=npy_path, record=record, columns=columns, series=series)
 
 
 def _read_rows(path: Path, kind: Suite) -> Int64s:
@@ -198,6 +236,20 @@ def _read_rows(path: Path, kind: Suite) -> Int64s:
     return np.memmap(path, dtype="<i8", mode="r", offset=header.start_bytes, shape=(rows, width))
 
 
+def _column_names(record: Record, kind: Suite, path: Path, width: int) -> Sequence[str]:
+    """The name of each column of the rows: what the json says, or what earlier versions wrote."""
+    if record.columns is None:
+        return kind.columns[:width]
+    names = set(record.columns)
+    needed = set(kind.columns) - set(kind.added_columns)
+    if len(names) != len(record.columns) or len(names) != width or not needed <= names <= set(kind.columns):
+        raise UsageError(
+            f"{_disagree(path)}: columns: {', '.join(record.columns)} in the json, {width} in the rows;"
+            f" known: {', '.join(kind.columns)}"
+        )
+    return record.columns
+
+
 def _disagree(path: Path) -> str:
     return f"{path} and {path.with_suffix('.json').name} disagree"
 
@@ -209,8 +261,8 @@ def _agree(path: Path, what: str, rows: int, counts: int) -> None:
 
 def _times(path: Path, *columns: Int64s) -> None:
     for column in columns:
-        if column.size and (int(column.min()) < -MAX_TIME_NS or int(column.max()) > MAX_TIME_NS):
-            raise UsageError(f"{path}: a time beyond {MAX_TIME_NS} ns cannot be")
+        if column.size and (int(column.min()) < -TIME_MAX_NS or int(column.max()) > TIME_MAX_NS):
+            raise UsageError(f"{path}: a time beyond {TIME_MAX_NS} ns cannot be")
 
 
 def _oneshot(columns: dict[str, Int64s], record: Record, path: Path) -> dict[str, IndexedValues]:
@@ -220,11 +272,11 @@ def _oneshot(columns: dict[str, Int64s], record: Record, path: Path) -> dict[str
     _agree(path, "measured", len(index), counts.measured)
     _agree(path, "not fired", len(fired) - len(index), counts.not_fired)
     measured, reported = columns["measured_ns"][index], columns["reported_ns"][index]
-    _times(path, measured, reported)
+    _times(path, columns["start_ns"], columns["end_ns"][index], measured, reported)
     values = {"measured": measured, "reported": reported, "difference": reported - measured}
     if "armed_ns" in columns:
         start, armed = columns["start_ns"][index], columns["armed_ns"][index]
-        _times(path, start, armed)
+        _times(path, armed)
         # The programs of 2014 counted from after roscpp had armed the timer.
         values["measured_2014"] = measured - (armed - start)
         values["difference_2014"] = reported - values["measured_2014"]
@@ -253,9 +305,9 @@ def _grid_ns(periods: Any, frequency_hz: int) -> Any:
 
 def _frequency_hz(record: Record, path: Path) -> int:
     frequency_hz = record.requested.get("frequency_hz")
-    if not isinstance(frequency_hz, int) or frequency_hz <= 0:
+    if not isinstance(frequency_hz, int):
         raise UsageError(
-            f"{path.with_suffix('.json')}: requested.frequency_hz: must be a whole number above 0, got {frequency_hz!r}"
+            f"{path.with_suffix('.json')}: requested.frequency_hz: must be a whole number, got {frequency_hz!r}"
         )
     return frequency_hz
 

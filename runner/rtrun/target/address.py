@@ -10,8 +10,8 @@ from typing import Self
 class Address:
     """An SSH server and the login to use there.
 
-    `host_key` is ``SHA256:…`` or ``type base64``; without it the `known_hosts` files decide. `key` is a private key
-    file, and no other key is tried; without it the keys of the SSH agent are tried, then the files `identities`.
+    `host_key` is as `host_keys.read_host_key` takes it; without it the `known_hosts` files decide. `key` is a private
+    key file, and no other key is tried; without it the keys of the SSH agent are tried, then the files `identities`.
     """
 
     host: str

@@ -11,10 +11,11 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from rtfiles.config import Config, UserPath, parse, read_yaml
+from rtfiles.config import Config, Place, UserPath, matching, parse, read_yaml_with_place
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
 from rtfiles.output import print_note
+from rtfiles.wording import unknown
 from rtrun.plan.run import KernelName
 from rtrun.target import labgrid, labgrid_environment, qemu
 from rtrun.target.address import Address, ThisMachine, check_host
@@ -25,15 +26,32 @@ from rtrun.target.ssh_config import address_of
 
 Word = Annotated[str, Field(min_length=1)]
 Command = Annotated[list[Word], Field(min_length=1)]
+# A week and a day: more than anybody waits for.
+RECONNECT_MAX_S, BOOT_MAX_S = 604_800, 86_400
 
 
 # No part of it is . or ..: folders in it are removed.
-WorkDir = Annotated[str, Field(pattern=r"^(/\.?[A-Za-z0-9_-][A-Za-z0-9._-]*)+/?$")]
+WorkDir = Annotated[
+    str,
+    matching(
+        r"(/\.?[A-Za-z0-9_-][A-Za-z0-9._-]*)+/?",
+        "a whole path of letters, digits and . _ -, as /var/lib/rt-tests, without . and ..",
+    ),
+]
+
+
+def _host_key(text: str) -> str:
+    from rtrun.target.host_keys import read_host_key
+
+    read_host_key(text)
+    return text
 
 
 class _Common(Config):
     schema_: Literal[1] = Field(alias="schema")
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    name: Annotated[
+        str, matching(r"[A-Za-z0-9][A-Za-z0-9._-]*", "a name of letters, digits and . _ -, a letter or digit first")
+    ]
     suites: UserPath | None = None
     """Folder of `rtgen suites build` to deploy, relative to this file; none: those installed on the target."""
     work_dir: WorkDir = "/var/lib/rt-tests"
@@ -41,7 +59,7 @@ class _Common(Config):
     ros_setup: str | None = None
     """Shell file on the target that sets up ROS; none: /opt/ros/<distro>/setup.sh when there is exactly one."""
     ros_master_port: Annotated[int, Field(ge=1, le=65535)] = 11311
-    reconnect_s: Annotated[int, Field(ge=0)] = 120
+    reconnect_s: Annotated[int, Field(ge=0, le=RECONNECT_MAX_S)] = 120
     """How long a lost target is waited for, in seconds."""
 
 
@@ -49,7 +67,7 @@ class _Ssh(_Common):
     """What a board with an SSH server has. None here is as ~/.ssh/config says, or else as `Address` has it."""
 
     key: UserPath | None = None
-    host_key: str | None = None
+    host_key: Annotated[str, AfterValidator(_host_key)] | None = None
     known_hosts: UserPath | None = None
     emulated: bool = False
     """True for an emulated machine that looks like a real one. What looks virtual is found without it."""
@@ -86,7 +104,7 @@ class LabgridConfig(_Ssh):
     """HOST or HOST:PORT; none: as labgrid's environment file, LG_COORDINATOR, or labgrid's default."""
     environment: UserPath | None = None
     """labgrid's own environment file, relative to this file, for what a place needs beside its resources."""
-    boot_s: Annotated[int, Field(ge=1)] = 180
+    boot_s: Annotated[int, Field(ge=1, le=BOOT_MAX_S)] = 180
     """How long the board may take until SSH answers after its power was switched, in seconds."""
 
     @model_validator(mode="after")
@@ -160,15 +178,18 @@ class Target:
 
 def read_target(path: Path) -> TargetConfig:
     """Read a target file. Raises UsageError with every mistake found."""
-    return parse_target(read_yaml(path), str(path))
+    return parse_target(*read_yaml_with_place(path))
 
 
-def parse_target(data: object, origin: str) -> TargetConfig:
+def parse_target(data: object, origin: Place | str) -> TargetConfig:
     """Read what a target file holds. Raises UsageError with every mistake found."""
+    top = Place(origin) if isinstance(origin, str) else origin
     kind = data.get("kind") if isinstance(data, dict) else None
+    if kind is None:
+        raise UsageError(f"{top / 'kind'}: is missing, allowed: {', '.join(_KINDS)}")
     if not isinstance(kind, str) or kind not in _KINDS:
-        raise UsageError(f"{origin}: kind: missing or unknown, allowed: {', '.join(_KINDS)}")
-    return parse(data, _KINDS[kind], origin)
+        raise UsageError(f"{top / 'kind'}: {unknown('kind', kind, known=_KINDS, label='allowed')}")
+    return parse(data, _KINDS[kind], top)
 
 
 @contextlib.contextmanager
@@ -260,13 +281,21 @@ def _address(
     user: str | None,
     key: Path | None = None,
 ) -> Address:
+    from rtrun.target.login import check_key_file
+
+    key = _resolve(folder, config.key) if config.key is not None else key
+    if key is not None:
+        check_key_file(key)
+    known_hosts = _resolve(folder, config.known_hosts) if config.known_hosts is not None else None
+    if known_hosts is not None and not known_hosts.is_file():
+        raise UsageError(f"{known_hosts}: no such file: name one of host keys as 'known_hosts', or leave it out")
     return address_of(
         host,
         port=port,
         user=user,
-        key=_resolve(folder, config.key) if config.key is not None else key,
+        key=key,
         host_key=config.host_key,
-        known_hosts=_resolve(folder, config.known_hosts) if config.known_hosts is not None else None,
+        known_hosts=known_hosts,
     )
 
 

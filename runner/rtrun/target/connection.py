@@ -18,14 +18,31 @@ from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.target.local import LocalShell
 from rtrun.target.receiving import LARGE_BYTES, Receiver, is_faster_compressed, local_file, reading
 from rtrun.target.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, Collector, Shell
-from rtrun.target.ssh import SshShell
 
 # What a command on the target may take unless its caller says otherwise.
 COMMAND_S = 30.0
 # A transfer that is slower than this has failed. The time is for what is done with a file when it has arrived, too.
 TRANSFER_S = 120.0
 TRANSFER_BYTES_PER_S = 50_000
-FILES_MAX = 10_000
+# Neither ls nor the shell is given the whole folder, which they would sort: find prints as it reads.
+_LIST = """
+cd "$1" || exit 1
+matches_max=$2
+shift 2
+find . ! -name . -prune | wc -l
+names=$(for name; do
+    case $name in
+        *[*]*) find . ! -name . -prune -name "$name" | head -n "$matches_max" | sed 's,^[.]/,,' ;;
+        *) echo "$name" ;;
+    esac
+done)
+set -f
+IFS='
+'
+# shellcheck disable=SC2086 # each line is a name
+LC_ALL=C ls -lnd -- . $names 2>/dev/null
+exit 0
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,9 +59,14 @@ class Connection:
 
     def __init__(self, address: Address | ThisMachine, *, timeout_s: float = 15.0) -> None:
         self.address = address
-        self.shell: Shell = (
-            LocalShell(address) if isinstance(address, ThisMachine) else SshShell(address, timeout_s=timeout_s)
-        )
+        self.shell: Shell
+        if isinstance(address, ThisMachine):
+            self.shell = LocalShell(address)
+        else:
+            # What reads results imports this module, too, and paramiko takes long to load.
+            from rtrun.target.ssh import SshShell
+
+            self.shell = SshShell(address, timeout_s=timeout_s)
         # Whether large files are compressed for the way; measured with the first one.
         self._is_compressing: bool | None = None
 
@@ -119,10 +141,6 @@ class Connection:
             raise TargetError(f"{self.address}: cannot read {folder}: {_last_line(stderr)}")
         receiver.check(stderr)
 
-    def list_files(self, folder: PurePosixPath) -> dict[str, int]:
-        """Return name and size in bytes of each regular file in a folder of the target; links are not followed."""
-        return parse_listing(self.check(listing(folder)), f"{self.address}: {folder}")
-
     def open_port(self, port: int, *, deadline_s: float) -> AbstractContextManager[Any]:
         """Yield a stream to a port of the target's own loopback, which is closed after `deadline_s` seconds.
 
@@ -131,24 +149,40 @@ class Connection:
         return self.shell.open_port(port, deadline_s)
 
 
-def listing(folder: PurePosixPath) -> list[str]:
-    """The command whose output `parse_listing` reads."""
-    return ["env", "LC_ALL=C", "ls", "-ln", f"{folder}/"]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Listing:
+    """Files in a folder of the target."""
+
+    sizes: Mapping[str, int]
+    """Name to size in bytes, of the regular files that were asked for; links are not followed."""
+    total: int
+    """How many files and folders there are, whatever their names."""
 
 
-def parse_listing(text: str, what: str) -> dict[str, int]:
-    """As `Connection.list_files`, from the output of `listing`; `what` names the folder in an error."""
-    files = {}
-    for line in text.splitlines():
+def listing(folder: PurePosixPath, names: Iterable[str], *, matches_max: int) -> list[str]:
+    """The command that lists files of a folder by their names, for `parse_listing`.
+
+    A name with ``*`` is a pattern, which takes `matches_max` files at most. However much somebody else has put into the
+    folder, the answer is as long as the question.
+    """
+    return ["sh", "-c", _LIST, "sh", str(folder), str(matches_max), *names]
+
+
+def parse_listing(text: str) -> Listing:
+    """Read the output of `listing`. What is no line of it is left out."""
+    total, *lines = text.splitlines() or [""]
+    sizes = {}
+    for line in lines:
         # Mode, links, user, group, size, three words of the time, name.
         words = line.split(None, 8)
         if len(words) < 9 or not line.startswith("-"):
             continue
         with contextlib.suppress(ValueError):
-            files[words[8]] = untrusted.whole_number(words[4], lowest=0)
-        if len(files) > FILES_MAX:
-            raise TargetError(f"{what} has more than {FILES_MAX} files")
-    return files
+            sizes[words[8]] = untrusted.whole_number(words[4], lowest=0)
+    try:
+        return Listing(sizes=sizes, total=untrusted.whole_number(total.strip(), lowest=0))
+    except ValueError:
+        return Listing(sizes=sizes, total=len(sizes))
 
 
 def join_commands(commands: Iterable[Sequence[str]]) -> list[str]:

@@ -17,7 +17,3 @@ class TargetGone(TargetError):
 
 class DeadlineExpired(TargetError):
     """A remote command took longer than it was given; what it started has been ended."""
-
-
-class StillMeasuring(TargetError):
-    """Something failed while a run measures. It goes on, and so does its ROS master, for the next call to pick up."""

@@ -10,12 +10,14 @@ import hmac
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-
-import paramiko
+from typing import TYPE_CHECKING
 
 from rtfiles import untrusted
 from rtrun.target.address import Address
 from rtrun.target.errors import TargetError
+
+if TYPE_CHECKING:
+    import paramiko
 
 CERTIFICATE = "-cert-v01@openssh.com"
 KNOWN_HOSTS_BYTES_MAX = 8 * untrusted.MIB
@@ -73,7 +75,14 @@ class UnacceptedHostKey(TargetError):
 
 def fingerprint(blob: bytes) -> str:
     """Return the fingerprint of a public key as OpenSSH prints it: ``SHA256:`` and base64 without padding."""
-    return "SHA256:" + base64.b64encode(hashlib.sha256(blob).digest()).decode().rstrip("=")
+    return fingerprint_of(hashlib.sha256(blob).digest())
+
+
+def fingerprint_of(digest: bytes) -> str:
+    """Return the fingerprint for a SHA-256. Raises ValueError where it is none."""
+    if len(digest) != hashlib.sha256().digest_size:
+        raise ValueError("a SHA-256 has 32 bytes")
+    return "SHA256:" + base64.b64encode(digest).decode().rstrip("=")
 
 
 def base_type(algorithm: str) -> str:
@@ -88,14 +97,14 @@ def _algorithms(kind: str) -> tuple[str, ...]:
 
 
 def read_host_keys(address: Address) -> HostKeys:
-    """Return the host keys that are accepted from a target. Raises TargetError and, from known_hosts, UsageError.
+    """Return the host keys that are accepted from a target. Raises UsageError, from known_hosts.
 
     A key of the target file is accepted unless known_hosts revokes it: as in OpenSSH, no other setting outweighs that.
     """
     listed = _read_known_hosts(address)
     if address.host_key is None:
         return listed
-    trusted = _pinned(address, address.host_key)
+    trusted = read_host_key(address.host_key)
     return HostKeys(source="the target file", trusted=trusted, revoked=listed.revoked)
 
 
@@ -112,15 +121,22 @@ def _read_known_hosts(address: Address) -> HostKeys:
     return keys if keys.trusted or keys.authorities else _listed(source, content, host)
 
 
-def _pinned(address: Address, host_key: str) -> dict[str, str]:
-    if host_key.startswith("SHA256:"):
-        return {host_key.rstrip("="): ""}
+def read_host_key(text: str) -> dict[str, str]:
+    """Return fingerprint and type (empty where unknown) of ``SHA256:…`` or ``type base64``. Raises ValueError."""
     try:
-        kind, encoded = host_key.split()[:2]
-        blob = _key_blob(kind.encode(), encoded.encode())
+        if text.startswith("SHA256:"):
+            digest = text.removeprefix("SHA256:").rstrip("=")
+            # What is shown is compared as a text, so no second way to write the same bits is taken.
+            if fingerprint_of(base64.b64decode(f"{digest}=", validate=True)) != f"SHA256:{digest}":
+                raise ValueError
+            return {f"SHA256:{digest}": ""}
+        kind, encoded = text.split()[:2]
+        return {fingerprint(_key_blob(kind.encode(), encoded.encode())): kind}
     except ValueError as error:
-        raise TargetError(f"{address}: host_key is neither 'SHA256:…' nor 'type base64': {host_key[:100]!r}") from error
-    return {fingerprint(blob): kind}
+        raise ValueError(
+            f"{text[:100]!r} is neither a fingerprint as ssh-keygen -l prints it, SHA256: and 43 characters, nor a "
+            "public key, 'type base64'"
+        ) from error
 
 
 def _listed(source: str, content: bytes, host: str) -> HostKeys:
@@ -199,7 +215,7 @@ def matches(pattern: str, word: str) -> bool:
     return not pattern[at:].strip("*")
 
 
-def check_host_key(address: Address, key: paramiko.PKey, known: HostKeys) -> None:
+def check_host_key(address: Address, key: "paramiko.PKey", known: HostKeys) -> None:
     """Raise UnacceptedHostKey unless the key that a target has shown, or its certificate, is accepted."""
     shown = fingerprint(key.asbytes())
     certificate = getattr(key, "public_blob", None)
@@ -286,6 +302,8 @@ def _objection(certificate: Certificate, host: str, known: HostKeys) -> str:
 
 
 def _is_signed(certificate: Certificate) -> bool:
+    import paramiko
+
     kind, _ = _take(certificate.authority)
     try:
         authority = paramiko.PKey.from_type_string(kind.decode("ascii"), certificate.authority)

@@ -5,21 +5,34 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, ValidationError
 
 from rtfiles.config import Config
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
-from rtfiles.untrusted import INT64_MAX, JSON_BYTES_MAX, parse_json, read_text, whole_number
-from rtrun.plan.conditions import CPUS_MAX
+from rtfiles.untrusted import JSON_BYTES_MAX, parse_json, read_text, real_number, whole_number
+from rtrun.plan.limits import (
+    COUNT_MAX,
+    CPUS_MAX,
+    SIZE_MAX_BYTES,
+    Count,
+    FrequencyKhz,
+    Pid,
+    Priority,
+    RtRuntimeUs,
+    TemperatureMc,
+    UptimeS,
+)
 from rtrun.plan.run import KernelName
 from rtrun.target import architecture
-from rtrun.target.config import Target
 from rtrun.target.deploy import ON_TARGET
 from rtrun.target.errors import TargetError
-from rtrun.target.link import Link
+
+if TYPE_CHECKING:
+    from rtrun.target.config import Target
+    from rtrun.target.link import Link
 
 SCRIPT = ON_TARGET / "inspect.sh"
 STATE_SCRIPT = ON_TARGET / "state.sh"
@@ -38,39 +51,57 @@ Fact = str | list[str] | None
 """What the target says of itself: a list where it has several, as the governor of each CPU."""
 
 
-class Thread(Config):
-    """A real-time thread. The policy is a number where its name is not known."""
+def _number(value: Any) -> Any:
+    return whole_number(value) if isinstance(value, str) else value
 
-    tid: int
+
+def _numbers(value: Any) -> Any:
+    lines = [value] if isinstance(value, str) else [] if value is None else value
+    return [_number(line) for line in lines] if isinstance(lines, list) else value
+
+
+def _uptime(value: Any) -> Any:
+    # The second number is the time that the CPUs were idle.
+    return real_number(value.partition(" ")[0]) if isinstance(value, str) else value
+
+
+class Thread(Config):
+    """A real-time thread. The policy is a number where its name is not known; one at DEADLINE has priority 0."""
+
+    tid: Pid
     name: str
     policy: str
-    priority: int
+    priority: Priority
 
 
 class TargetState(Config):
-    """The state of a target as stored in target.json; what the target does not have is None."""
+    """The state of a target as stored in target.json; what the target does not have is None or empty.
+
+    Numbers may stand as the kernel prints them.
+    """
 
     boot_id: Fact = None
     kernel_release: Fact = None
     kernel_version: Fact = None
     machine: Fact = None
     host: Fact = None
-    uptime: Fact = None
+    uptime: Annotated[UptimeS | None, BeforeValidator(_uptime)] = None
+    """Seconds since the boot."""
     cmdline: Fact = None
     cpus_online: Fact = None
     realtime: Fact = None
     clocksource: Fact = None
     clockevent: Fact = None
     governor: Fact = None
-    frequency_khz: Fact = None
-    temperature_mc: Fact = None
-    sched_rt_runtime_us: Fact = None
+    frequency_khz: Annotated[list[FrequencyKhz], BeforeValidator(_numbers)] = Field(default_factory=list)
+    temperature_mc: Annotated[list[TemperatureMc], BeforeValidator(_numbers)] = Field(default_factory=list)
+    sched_rt_runtime_us: Annotated[RtRuntimeUs | None, BeforeValidator(_number)] = None
     load: Fact = None
     memory: str | None = None
     os_release: str | None = None
     roscpp_version: Fact = None
     cpuinfo: str | None = None
-    threads: int = 0
+    threads: Count = 0
     rt_threads: list[Thread] = Field(default_factory=list)
 
 
@@ -90,7 +121,7 @@ class Equipment:
     """The code name of the target's Debian, as trixie; None where it is another system."""
 
 
-def inspect(link: Link) -> Equipment:
+def inspect(link: "Link") -> Equipment:
     """Look for tools, ROS and installed suites. Raises TargetError naming what is missing and the remedy."""
     target = link.target
     # Through standard input: nothing can be deployed before the tools for it are known to be there.
@@ -126,7 +157,7 @@ def inspect(link: Link) -> Equipment:
         master=next((path for path in masters if path.startswith(root)), masters[0] if masters else None),
         programs={PurePosixPath(path).name: path for path in reversed(facts.get("program", []))},
         cpus=_count(facts.get("cpus"), lowest=1, highest=CPUS_MAX),
-        free_bytes=_count(facts.get("free_kib"), lowest=0, highest=INT64_MAX // 1024) * 1024,
+        free_bytes=_count(facts.get("free_kib"), lowest=0, highest=SIZE_MAX_BYTES // 1024) * 1024,
         architecture=architecture.name(_header(facts.get("elf", []))),
         debian=next((name for name in facts.get("debian", []) if _CODE_NAME.fullmatch(name)), None),
     )
@@ -147,7 +178,7 @@ def _header(lines: Sequence[str]) -> bytes:
         return b""
 
 
-def check_suites(suites: Path, target: Target, equipment: Equipment) -> None:
+def check_suites(suites: Path, target: "Target", equipment: Equipment) -> None:
     """Raise UsageError when a folder of suites is for another architecture or release of Debian than the target's."""
     release = built_for(suites)
     if release is not None and equipment.debian not in (None, release):
@@ -171,26 +202,30 @@ def built_for(suites: Path) -> str | None:
     return release if isinstance(release, str) else None
 
 
-def read_state(link: Link, script: PurePosixPath) -> TargetState:
+def read_state(link: "Link", script: PurePosixPath) -> TargetState:
     """Return the present state of the target."""
     return parse_state(link.check(["sh", str(script)]))
 
 
 def parse_state(text: str) -> TargetState:
-    """Read the output of state.sh. Sections that are not known are ignored."""
+    """Read the output of state.sh. Sections that are not known are ignored, and so is what is no such fact."""
     state: dict[str, Any] = {}
     sections = re.split(r"^== (\w+)$", text, flags=re.MULTILINE)
     for name, body in zip(sections[1::2], sections[2::2], strict=True):
         if name == "threads":
             *lines, count = body.strip().split("\n")
-            state["threads"] = _count([count], lowest=0, highest=INT64_MAX)
+            state["threads"] = _count([count], lowest=0, highest=COUNT_MAX)
             state["rt_threads"] = [thread for line in lines if (thread := _thread(line))]
         elif name in _TEXTS:
             state[name] = body.strip() or None
         elif name in TargetState.model_fields and name != "rt_threads":
             lines = body.strip().splitlines()
             state[name] = lines[0] if len(lines) == 1 else lines or None
-    return TargetState(**state)
+    try:
+        return TargetState(**state)
+    except ValidationError as error:
+        wrong = {each["loc"][0] for each in error.errors()}
+        return TargetState(**{name: value for name, value in state.items() if name not in wrong})
 
 
 def _thread(line: str) -> Thread | None:
@@ -206,7 +241,7 @@ def _thread(line: str) -> Thread | None:
             tid=whole_number(match.group(1)),
             name=match.group(2),
             policy=POLICIES.get(policy, str(policy)),
-            priority=whole_number(fields[37], lowest=1),
+            priority=whole_number(fields[37], lowest=0 if POLICIES.get(policy) == "DEADLINE" else 1),
         )
     except ValueError:
         return None
@@ -217,13 +252,13 @@ def is_preempt_rt(state: TargetState) -> bool:
     return bool(re.search(r"\bPREEMPT[_ ]RT\b", str(state.kernel_version))) or state.realtime == "1"
 
 
-def running_kernel(link: Link) -> KernelName:
+def running_kernel(link: "Link") -> KernelName:
     """The kernel that the target runs, asked without anything deployed there."""
     state = parse_state(link.check(["sh", "-s"], stdin=STATE_SCRIPT.read_text(encoding="utf-8")))
     return "rt" if is_preempt_rt(state) else "standard"
 
 
-def read_kernel_config(link: Link) -> bytes:
+def read_kernel_config(link: "Link") -> bytes:
     """Return the running kernel's configuration, gzipped, or nothing where the target does not have it."""
     text = link.check(["sh", "-c", _KERNEL_CONFIG])
     return gzip.compress(text.encode(), mtime=0) if text.strip() else b""

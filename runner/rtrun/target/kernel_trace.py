@@ -1,16 +1,18 @@
 """The kernel trace of a run that asks for one: set up before the run, removed after it."""
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from rtfiles.config import Config, load
+from rtfiles.config import Config, load, matching
 from rtrun.plan.suites import Value
-from rtrun.target.errors import StillMeasuring, TargetError
-from rtrun.target.link import OUT_OF_REACH, Link
+from rtrun.target.errors import TargetError
+
+if TYPE_CHECKING:
+    from rtrun.target.link import Link
 
 OPTIONS = ("break_trace_us", "trace_threshold_us")
 # The trace uses the clock of the samples, so that their timestamps can be compared.
@@ -22,7 +24,7 @@ class TraceEvents(Config):
     """trace_events.yml: each event is a folder below `events` of tracefs, a group or one event of it."""
 
     schema_number: Literal[1] = Field(alias="schema")
-    events: list[Annotated[str, Field(pattern=r"^[a-z0-9_]+(/[a-z0-9_]+)?$")]]
+    events: list[Annotated[str, matching("[a-z0-9_]+(/[a-z0-9_]+)?", "an event or a group, as sched/sched_switch")]]
 
 
 def read_events() -> list[str]:
@@ -31,11 +33,13 @@ def read_events() -> list[str]:
 
 
 @contextlib.contextmanager
-def tracing(link: Link, scripts: PurePosixPath, parameters: Mapping[str, Value]) -> Iterator[None]:
+def tracing(
+    link: "Link", scripts: PurePosixPath, parameters: Mapping[str, Value], may_run_go_on: Callable[[], bool]
+) -> Iterator[None]:
     """Record the kernel trace that the suites copy from while the context lasts, if the parameters ask for one.
 
-    Raises TargetError when the target cannot trace. When the target is out of reach its trace stays, as the run does;
-    the call that picks up the run removes it, and so does the next campaign.
+    Raises TargetError when the target cannot trace. Where the run may go on after an error, its trace stays; the call
+    that picks up the run removes it, and so does the next campaign.
     """
     if all(parameters.get(option) is None for option in OPTIONS):
         yield
@@ -45,10 +49,9 @@ def tracing(link: Link, scripts: PurePosixPath, parameters: Mapping[str, Value])
     link.check([script, "up", clock, *read_events()])
     try:
         yield
-    except (*OUT_OF_REACH, StillMeasuring):
-        raise
     except BaseException:
         with contextlib.suppress(TargetError):
-            link.run([script, "down"])
+            if not may_run_go_on():
+                link.run([script, "down"])
         raise
     link.run([script, "down"])

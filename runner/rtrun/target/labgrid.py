@@ -11,14 +11,18 @@ import contextlib
 import getpass
 import os
 import secrets
+import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import BaseModel, Field, ValidationError
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.target.errors import TargetError, TargetGone
@@ -43,6 +47,8 @@ exec >/dev/null 2>&1
 cat
 "$@" release-from "$user"
 """
+# What the client prints when it acquires a place are some lines.
+_PRINTED_MAX = 65536  # characters
 # Resources with a power driver whose names do not say so.
 _ALSO_POWER = ("PDUDaemonPort", "NetworkSysfsGPIO")
 
@@ -69,6 +75,14 @@ class AcquiredPlace:
     power_cycle: Callable[[], None] | None
     """None: the place has no power switch."""
     has_console: bool
+
+
+class _Service(BaseModel):
+    """Where the SSH server of a place is: labgrid's resource NetworkService."""
+
+    address: Annotated[str, Field(min_length=1, max_length=255)]
+    port: Annotated[int, Field(ge=1, le=65535)] = 22
+    username: Annotated[str, Field(min_length=1, max_length=255)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,12 +208,7 @@ def acquired(
         else:
             notify(f"place {name} is acquired by {client.identity} already, and stays so")
         resources = _resources(client.call("-p", name, "env"), name)
-        service = resources.get("NetworkService")
-        if service is None:
-            raise TargetError(
-                f"place {name} has no NetworkService, which says where its SSH server is; its resources: "
-                f"{', '.join(resources) or 'none, is its exporter running?'}"
-            )
+        service = _service(resources, name)
         if (serial := resources.get("NetworkSerialPort")) is not None:
             stack.enter_context(keeping_console(serial, console))
         has_power = name in environment.powered or any("Power" in kind or kind in _ALSO_POWER for kind in resources)
@@ -210,9 +219,9 @@ def acquired(
 
         yield AcquiredPlace(
             name=name,
-            host=str(service["address"]),
-            port=int(service.get("port", 22)),
-            user=str(service["username"]),
+            host=service.address,
+            port=service.port,
+            user=service.username,
             key=environment.keys.get(name),
             power_cycle=power_cycle if has_power else None,
             has_console=serial is not None,
@@ -271,7 +280,24 @@ def _acquire(client: _Client, place: str) -> Iterator[None]:
         errors="replace",
     ) as process:
         assert process.stdout is not None
-        last_line = process.stdout.read().strip().rpartition("\n")[2]
+        expired = threading.Event()
+
+        def end() -> None:
+            expired.set()
+            os.killpg(process.pid, signal.SIGKILL)
+
+        timer = threading.Timer(CLIENT_S, end)
+        timer.daemon = True
+        timer.start()
+        try:
+            last_line = process.stdout.read(_PRINTED_MAX).strip().rpartition("\n")[2]
+        finally:
+            timer.cancel()
+        if expired.is_set():
+            # What gives the place back was ended, too.
+            with contextlib.suppress(InfrastructureError):
+                client.call("-p", place, "release-from", client.identity)
+            raise TargetError(f"place {place} was not acquired within {CLIENT_S:g} s")
         if last_line != _ACQUIRED:
             raise TargetError(f"place {place} cannot be acquired: {last_line[:500]}")
         yield
@@ -283,6 +309,20 @@ def _check(process: "subprocess.Popen[str]", words: str, output: str) -> None:
         raise TargetError(f"labgrid-client {words}: {last_line[:500]}")
 
 
+def _service(resources: Mapping[str, Mapping[str, Any]], place: str) -> _Service:
+    """Where the SSH server of a place is. Raises TargetError."""
+    if "NetworkService" not in resources:
+        raise TargetError(
+            f"place {place} has no NetworkService, which says where its SSH server is; its resources: "
+            f"{', '.join(resources)[:500] or 'none, is its exporter running?'}"
+        )
+    try:
+        return _Service.model_validate(resources["NetworkService"])
+    except ValidationError as error:
+        wrong = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors())
+        raise TargetError(f"place {place}: NetworkService: {wrong}") from error
+
+
 def _resources(printed: str, place: str) -> dict[str, dict[str, Any]]:
     """The resources of a place by class, from what `labgrid-client env` printed."""
     import yaml
@@ -291,7 +331,7 @@ def _resources(printed: str, place: str) -> dict[str, dict[str, Any]]:
         # Above the file it may say what it does.
         data = yaml.safe_load(printed[printed.index("targets:") :])
         return dict(entries(data["targets"][place], "resources"))
-    except (ValueError, KeyError, TypeError, yaml.YAMLError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError, yaml.YAMLError) as error:
         raise TargetError(
             f"place {place}: labgrid-client env printed no environment: {printed.strip()[:200]!r}"
         ) from error

@@ -41,7 +41,7 @@ class Link:
     def __init__(self, target: Target, notify: Callable[[str], None]) -> None:
         self.target = target
         self.boot_id = ""
-        self._notify = notify
+        self.note = notify
         self._connection: Connection | None = None
         self._given_up: TargetError | None = None
         self._is_interrupted = False
@@ -96,7 +96,7 @@ class Link:
                     raise ConnectionLost(
                         f"{error}; this was the {breaks}th connection to break at the same step"
                     ) from error
-                self._notify(f"{error}; connecting again")
+                self.note(f"{error}; connecting again")
 
     def run(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> Completed:
         """`Connection.run` with a live connection. Raises as that and `do` do."""
@@ -131,7 +131,7 @@ class Link:
                 if failure := self.target.failure():
                     raise failure from error
                 if time.monotonic() >= deadline and power is not None:
-                    self._notify(f"{error}; switching its power off and on")
+                    self.note(f"{error}; switching its power off and on")
                     power.cycle()
                     patience_s, since = power.boot_s, " since its power was switched off and on"
                     deadline, power = time.monotonic() + patience_s, None

@@ -42,8 +42,9 @@ class LocalShell:
             process.wait(max(0.0, deadline - time.monotonic()))
         except BaseException as error:
             # With all that it started. Its number belongs to it as long as nobody has waited for it.
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
+            if process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             if isinstance(error, TooMuch):
                 raise TargetError(f"{self.address}: {argv[0]} printed more than {error} and was ended") from error

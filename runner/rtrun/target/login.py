@@ -13,6 +13,7 @@ from typing import Any
 import paramiko
 from paramiko.agent import AgentSSH
 
+from rtfiles.errors import UsageError
 from rtfiles.output import print_status
 from rtrun.target.address import Address
 from rtrun.target.errors import TargetError
@@ -79,6 +80,19 @@ def read_keys(address: Address) -> Keys:
     if not keys.usable and not keys.locked:
         raise TargetError(failure)
     return keys
+
+
+def check_key_file(path: Path) -> None:
+    """Raise UsageError unless a file holds a private key, with a passphrase or without."""
+    try:
+        _load(path, None)
+    except paramiko.PasswordRequiredException:
+        pass
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror or error}: name the file of a private key as 'key'") from error
+    except Exception as error:
+        # paramiko and its libraries raise whatever on a file that is no key.
+        raise UsageError(f"{path}: is no private key that can be read here: {error}") from error
 
 
 def _read_one(address: Address, path: Path) -> Keys:

@@ -7,6 +7,7 @@ from pathlib import PurePosixPath
 
 from rtfiles.untrusted import whole_number
 from rtrun.plan.program import Exit, Program
+from rtrun.target import groups
 from rtrun.target.connection import join_commands
 from rtrun.target.errors import DeadlineExpired, TargetError
 from rtrun.target.link import Link
@@ -18,16 +19,25 @@ SLICE_S = 2.0
 POLL_S = 0.1
 # Programs that ignore SIGTERM are killed one after the other, two seconds each.
 END_BACKGROUND_S = 120.0
+# To remove a folder with some million files from an SD card.
+REMOVE_S = 600.0
 
 _WAIT = 'flock -s "$1.lock" true; cat "$1.exit" 2>/dev/null; [ -e "$1.expired" ] && echo expired; exit 0'
 _LIST_ENDED = 'cd "$1" && shift && for name; do if flock -n -s "$name.lock" true; then echo "$name"; fi; done'
-# Programs are asked to end (SIGTERM), and killed when their time is up: $2, pauses in seconds.
-_END = """
+# Programs, with the name * all, are asked to end (SIGTERM), and killed when their time is up: $2, pauses in seconds.
+_END = (
+    groups.OF_PROGRAM
+    + """
 cd "$1" 2>/dev/null || exit 0
 pauses=$2
 shift 2
+if [ "$*" = "*" ]; then
+    set --
+    for lock in *.lock; do [ ! -e "$lock" ] || set -- "$@" "${lock%.lock}"; done
+fi
 boot_id=$(cat /proc/sys/kernel/random/boot_id)
 running=
+status=0
 for name; do
     # The lock is taken before the program starts: while it is taken, the pid file is still to come.
     for _ in 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20; do
@@ -37,15 +47,21 @@ for name; do
     done
     # After a reboot the pid belongs to another process.
     [ "$(cat "$name.boot_id" 2>/dev/null)" = "$boot_id" ] || continue
-    [ -s "$name.pid" ] && kill -TERM "-$(cat "$name.pid")" 2>/dev/null && running="$running $name"
+    if find_group; then
+        kill -TERM "-$group" 2>/dev/null && running="$running $name"
+    elif ! flock -n "$name.lock" true; then
+        echo "$PWD/$name runs, but its pid file does not say which process it is: end it on the target" >&2
+        status=1
+    fi
 done
 for name in $running; do
     for pause in $pauses; do flock -n "$name.lock" true && continue 2; sleep $pause; done
-    kill -KILL "-$(cat "$name.pid")" 2>/dev/null
+    find_group && kill -KILL "-$group" 2>/dev/null
     for _ in 1 2 3 4 5 6 7 8 9 10; do flock -n "$name.lock" true && break; sleep 0.1; done
 done
-exit 0
+exit $status
 """
+)
 # For a program that puts something right at its end.
 _PATIENTLY = "0.05 0.05 0.1 0.2 0.2 0.2 0.4 0.4 0.4"
 # For a load, which has nothing to put right: a worker of stress-ng --vm ends only after its pass over the memory.
@@ -146,10 +162,18 @@ def end(link: Link, folder: PurePosixPath, *names: str) -> None:
     link.run(_end(folder, names), deadline_s=END_BACKGROUND_S)
 
 
-def give_up(link: Link, folder: PurePosixPath, names: Sequence[str]) -> None:
-    """End the programs of a folder, prevent pending starts, and remove the folder. May be repeated after a failure."""
+def remove(link: Link, folder: PurePosixPath) -> None:
+    """Remove a folder of the target in which nothing runs, whatever is in it."""
+    link.check(["rm", "-rf", str(folder)], deadline_s=REMOVE_S)
+
+
+def give_up(link: Link, folder: PurePosixPath, names: Sequence[str] = ("*",)) -> None:
+    """End these programs of a folder, or all; prevent pending starts, and remove the folder.
+
+    May be repeated after a failure.
+    """
     commands = [["sh", "-c", _GIVE_UP, "sh", str(folder)], _end(folder, names), ["rm", "-rf", str(folder)]]
-    link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)
+    link.check(join_commands(commands), deadline_s=END_BACKGROUND_S + REMOVE_S)
 
 
 def _end(folder: PurePosixPath, names: Sequence[str], pauses: str = _PATIENTLY) -> list[str]:

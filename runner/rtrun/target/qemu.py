@@ -1,7 +1,6 @@
 """A board in QEMU: booted from the folder that ``rtgen board build`` makes, and never outliving the runner."""
 
 import contextlib
-import os
 import platform
 import re
 import shutil
@@ -150,8 +149,7 @@ class Machine:
         """End QEMU, as switching the board off does."""
         if self.process is None:
             return
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(self.process.pid, 15)
+        self.process.terminate()
         try:
             self.process.wait(STOP_S)
         except subprocess.TimeoutExpired:

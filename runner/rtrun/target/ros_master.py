@@ -4,15 +4,16 @@ import contextlib
 import http.client
 import time
 import xmlrpc.client
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import PurePosixPath
 from typing import Any
 
 from rtfiles.errors import InfrastructureError
+from rtrun.plan.limits import PID_MAX
 from rtrun.plan.program import Program
 from rtrun.target import processes
 from rtrun.target.connection import Connection
-from rtrun.target.errors import StillMeasuring, TargetError
+from rtrun.target.errors import TargetError
 from rtrun.target.inspection import Equipment
 from rtrun.target.link import Link
 
@@ -82,7 +83,8 @@ def ask_pid(link: Link) -> int | None:
         pid = link.do(lambda connection: call(connection, port, "getPid"))
     except ConnectionRefusedError:
         return None
-    return pid if isinstance(pid, int) else None
+    # True is an int, too.
+    return pid if type(pid) is int and 1 <= pid <= PID_MAX else None
 
 
 def count_subscribers(link: Link, topic: str, token: str) -> int:
@@ -99,9 +101,16 @@ def count_subscribers(link: Link, topic: str, token: str) -> int:
 
 @contextlib.contextmanager
 def running(
-    link: Link, scripts: PurePosixPath, equipment: Equipment, owner: str, priority: int | None
+    link: Link,
+    scripts: PurePosixPath,
+    equipment: Equipment,
+    owner: str,
+    priority: int | None,
+    may_run_go_on: Callable[[], bool],
 ) -> Iterator[bool]:
     """Make sure that a ROS master answers, and yield whether it is ours; ours is ended when the context is left.
+
+    It stays where a run may go on: without a master that would hang in ros::shutdown.
 
     With `priority` it runs under FIFO at that priority, which must lie above that of every real-time node: on one CPU
     a node spins in ros::shutdown until the master answers, and a master below it never would (thesis 4.4).
@@ -138,14 +147,12 @@ def running(
         if ours:
             _wait_ready(link, folder)
         yield ours
-    except StillMeasuring:
-        ours = False  # The run that goes on needs it: without a master it would hang in ros::shutdown.
-        raise
     finally:
         if ours:
             with contextlib.suppress(TargetError):
-                processes.end(link, folder, NAME)
-                link.run(["rm", "-rf", str(folder)])
+                if not may_run_go_on():
+                    processes.end(link, folder, NAME)
+                    link.run(["rm", "-rf", str(folder)])
 
 
 def _is_running(link: Link, folder: PurePosixPath) -> bool:
@@ -166,7 +173,8 @@ def _is_port_taken(link: Link) -> bool:
 
 
 def _wait_ready(link: Link, folder: PurePosixPath) -> None:
-    deadline = time.monotonic() + START_S
+    # A board that may take long to boot may take as long to start a Python program.
+    deadline = time.monotonic() + max(START_S, link.target.boot_s)
     while ask_pid(link) is None:
         if not _is_running(link, folder) or time.monotonic() >= deadline:
             last_line = processes.read_last_line(link, folder / f"{NAME}.stderr") or "it said nothing"

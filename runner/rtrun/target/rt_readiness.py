@@ -3,12 +3,15 @@
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, model_validator
 
 from rtfiles.config import Config, load
-from rtrun.target.link import Link
+from rtrun.target import control_groups
+
+if TYPE_CHECKING:
+    from rtrun.target.link import Link
 
 DATA = Path(__file__).with_suffix(".yml")
 SCRIPT = Path(__file__).parents[1] / "on_target" / "check_rt.sh"
@@ -23,7 +26,10 @@ SHOWN_CHARACTERS = 100
 
 
 class Check(Config):
-    """One thing to look at; `none` and `some` are regular expressions searched for in each line of the fact."""
+    """One thing to look at; `none` and `some` are regular expressions searched for in each line of the fact.
+
+    `safety_net` is what the remedy takes away.
+    """
 
     name: str
     severity: Severity
@@ -33,6 +39,12 @@ class Check(Config):
     absent: Literal["ok", "unknown"]
     why: str
     remedy: str
+    safety_net: str = ""
+
+    @property
+    def advice(self) -> str:
+        """The remedy, and what safety it costs."""
+        return with_safety_net(self.remedy, self.safety_net)
 
     @model_validator(mode="after")
     def _one_expression(self) -> "Check":
@@ -49,6 +61,11 @@ class Checks(Config):
     checks: list[Check]
 
 
+def with_safety_net(change: str, safety_net: str) -> str:
+    """A remedy as it is said: whoever follows it must know which safety it costs."""
+    return f"{change}; this takes away a safety net: {safety_net}" if safety_net else change
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
     """The result of a check: `evidence` are the lines at fault, or the reason why it is unknown."""
@@ -63,9 +80,11 @@ def read_checks() -> list[Check]:
     return load(DATA, Checks).checks
 
 
-def read_facts(link: Link) -> dict[str, list[str]]:
+def read_facts(link: "Link") -> dict[str, list[str]]:
     """Ask a target for the lines of each fact. Raises as `Link.check` does."""
-    return parse(link.check(["sh", "-s"], stdin=SCRIPT.read_text(encoding="utf-8")))
+    facts = parse(link.check(["sh", "-s"], stdin=SCRIPT.read_text(encoding="utf-8")))
+    groups = link.check(["sh", "-s"], stdin=control_groups.SCRIPT.read_text(encoding="utf-8"))
+    return facts | {"control_groups": control_groups.limits_of(control_groups.parse(groups))}
 
 
 def parse(text: str) -> dict[str, list[str]]:

@@ -1,7 +1,7 @@
 """Commands over SSH: each in a channel of its own, ended from a second one when its time is up."""
 
 import contextlib
-import re
+import secrets
 import select
 import shlex
 import threading
@@ -11,6 +11,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import paramiko
 
 from rtfiles.errors import InfrastructureError
+from rtfiles.untrusted import whole_number
+from rtrun.plan.limits import PID_MAX
+from rtrun.target import groups
 from rtrun.target.address import Address
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.target.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, Collector, TooMuch
@@ -21,22 +24,45 @@ _READ_BYTES = 2 * 1024 * 1024
 KILL_GRACE_S = 5.0
 # Beyond the deadline of a command: to end it, and for the answers to that.
 GRACE_S = 3 * KILL_GRACE_S
+_WORD = "RTRUN_COMMAND"
+# Not every SSH server starts a command as the leader of a group.
+_KILL = (
+    groups.FUNCTIONS
+    + """
+word=$2
+is_ours() { tr '\\0' '\\n' <"$1/environ" | grep -qxF "$word"; }
+if is_our_group "$1"; then
+    kill -KILL "-$1"
+else
+    is_ours "/proc/$1" 2>/dev/null && kill -KILL "$1"
+fi
+"""
+)
 
 
 class _FirstLineApart:
     """Keeps the first line of a stream and hands on what follows it."""
 
     def __init__(self, take: Callable[[bytes], None]) -> None:
-        self.line = b""
+        self._line = b""
         self._take = take
         self._is_complete = False
+
+    @property
+    def pid(self) -> int | None:
+        """The process that the line names; None where it names none, or has not arrived to its end."""
+        try:
+            line = self._line.decode("ascii") if self._is_complete else ""
+            return whole_number(line, lowest=2, highest=PID_MAX)
+        except ValueError:
+            return None
 
     def __call__(self, chunk: bytes) -> None:
         if not self._is_complete:
             head, newline, chunk = chunk.partition(b"\n")
-            self.line += head
+            self._line += head
             self._is_complete = bool(newline)
-            if len(self.line) > CHUNK_BYTES:
+            if len(self._line) > CHUNK_BYTES:
                 raise TooMuch(f"{CHUNK_BYTES} bytes in its first line")
         if chunk:
             self._take(chunk)
@@ -91,27 +117,30 @@ class SshShell:
         """Run a command, hand what it prints to `take`, and return its exit status and its standard error."""
         deadline = time.monotonic() + deadline_s
         stderr = Collector(OUTPUT_BYTES_MAX)
-        # The first line is the process to kill when time is up: sshd starts each command in a session of its own.
+        # The first line is the process to kill when time is up: sshd starts each command in a session of its own. By
+        # the word in its environment it is told from any other of that number.
         stdout = _FirstLineApart(take)
+        word = f"{_WORD}={secrets.token_hex(8)}"
         with self._within(deadline_s + GRACE_S), self._session() as channel:
             channel.settimeout(deadline_s)
-            channel.exec_command(f"echo $$; exec {shlex.join(argv)}")
+            channel.exec_command(f"export {word}; echo $$; exec {shlex.join(argv)}")
             try:
                 # A command may end before it has read everything; its exit status says why.
                 with contextlib.suppress(OSError):
                     for chunk in stdin:
                         channel.sendall(chunk)
                     channel.shutdown_write()
-                self._read(channel, deadline, stdout, stderr)
-                status = channel.recv_exit_status() if channel.exit_status_ready() else None
+                ended = self._read(channel, deadline, stdout, stderr)
+                # A status that comes as the time is up may stand before output that was not read.
+                status = channel.recv_exit_status() if ended and channel.exit_status_ready() else None
             except TooMuch as error:
-                self._kill(stdout.line)
+                self._kill(stdout.pid, word)
                 raise TargetError(f"{self.address}: {argv[0]} printed more than {error} and was ended") from error
             except InfrastructureError:
-                self._kill(stdout.line)
+                self._kill(stdout.pid, word)
                 raise
             if status is None:
-                fate = "was ended" if self._kill(stdout.line) else "may go on: the target has not said what it started"
+                fate = "was ended" if self._kill(stdout.pid, word) else "may go on: the target does not show it"
                 raise DeadlineExpired(f"{self.address}: {argv[0]} took longer than {deadline_s:g} s and {fate}")
             if status == -1 and not self.transport.is_active():
                 raise EOFError(f"while {argv[0]} was running")
@@ -123,8 +152,11 @@ class SshShell:
         deadline: float,
         stdout: Callable[[bytes], None],
         stderr: Callable[[bytes], None],
-    ) -> None:
-        """Read both streams until they end and the exit status is there, or the deadline (monotonic seconds) passes."""
+    ) -> bool:
+        """Read both streams until they end and the exit status is there, or the deadline (monotonic seconds) passes.
+
+        Return whether they ended.
+        """
         while (remaining_s := deadline - time.monotonic()) > 0:
             # Asked before the buffers: what arrives in between is read in the next turn.
             ended = channel.eof_received or channel.closed
@@ -141,17 +173,18 @@ class SshShell:
             if ended:
                 # The exit status may come before or after the end of the streams.
                 channel.status_event.wait(remaining_s)
-                return
+                return True
             select.select([channel], [], [], remaining_s)
+        return False
 
-    def _kill(self, first_line: bytes) -> bool:
-        pid = first_line.decode("ascii", "replace").strip()
-        if not re.fullmatch(r"[0-9]{1,10}", pid, re.ASCII):
+    def _kill(self, pid: int | None, word: str) -> bool:
+        """Kill what was started with a word in its environment; return whether that was found, and is killed."""
+        if pid is None:
             return False
         try:
             with self._session() as channel:
-                channel.exec_command(f"kill -KILL -{pid} || kill -KILL {pid}")
-                return bool(channel.status_event.wait(KILL_GRACE_S))
+                channel.exec_command(shlex.join(["sh", "-c", _KILL, "sh", str(pid), word]))
+                return bool(channel.status_event.wait(KILL_GRACE_S)) and channel.exit_status == 0
         except Exception:
             # As in `_within`; the reason to kill is what the caller reports.
             return False

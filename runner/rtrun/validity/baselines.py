@@ -19,6 +19,8 @@ def check_baseline_output(run: Run, text: str) -> str | None:
         return None if "Max Latency" in text else "hwlatdetect printed no result (a line with Max Latency)"
     try:
         histograms = cyclictest.read_text(Path("cyclictest.stdout"), text)
+        for each in histograms:
+            histogram_text(each)
     except UsageError as error:
         return str(error)
     measured = [each.histogram.n for each in histograms]

@@ -1,30 +1,46 @@
-"""What sample.sh saw on the target while a run measured, read into types.
+"""What the sampler saw on the target while a run measured, read into types.
 
-All of it comes from the target: what is not as sample.sh writes it is a UsageError.
+All of it comes from the target: what is not as sample.sh and rt_tests_sampler write it is a UsageError.
 """
 
+import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from rtfiles.errors import UsageError
-from rtfiles.untrusted import lines_of, real_number, whole_number
+from rtfiles.untrusted import LINE_CHARACTERS_MAX, MIB, real_number, whole_number
 from rtrun.plan.conditions import cpu_set
-from rtrun.results.record import Observed, Range, Rival
+from rtrun.plan.limits import (
+    FREQUENCY_MAX_KHZ,
+    PID_MAX,
+    RT_PRIORITY_MAX,
+    RT_RUNTIME_MAX_US,
+    TEMPERATURE_MAX_MC,
+    UPTIME_MAX_S,
+    NumberT,
+    Range,
+)
+from rtrun.results.record import Observed, Rival
 from rtrun.results.samples import NON_MEASURING_THREADS
 from rtrun.target.inspection import POLICIES
 
+SAMPLER_OUTPUT = "sampler.stdout"
 REPORTED_RIVALS = 32
-# One observation every two seconds: those of a month. The text of a sampler is limited as well.
+# The time between two observations.
+APART_S = 2.0
+# Those of a month. The text of a sampler is limited as well.
 OBSERVATIONS_MAX = 1_500_000
+# Of an observation on the average, and of all on top: those of small boards have 200 to 1000.
+OBSERVATION_BYTES = 4096
+OUTPUT_BYTES = 16 * MIB
 # Of the state at one moment: a line for each real-time thread, each load, and a few more.
 STATE_LINES_MAX = 50_000
 # Names in a line of counts: those of a PC with many devices.
 COUNTS_MAX = 512
 _COUNTS = re.compile(r"counts( [A-Za-z0-9_.:-]{1,64}=\d{1,15})*", re.ASCII)
-_ORIGIN = "sampler.stdout"
 
 ThreadState = tuple[str, int, frozenset[int]]
 """Policy, priority and CPUs of a thread."""
@@ -46,7 +62,7 @@ class Observation:
     """What was counted since the observation before, as ``name=number name=number``."""
     threads: Mapping[str, tuple[ThreadState, ...]] = field(default_factory=dict)
     loads: Mapping[str, tuple[int, frozenset[int]]] = field(default_factory=dict)
-    rivals: frozenset[tuple[str, str, int]] = frozenset()
+    rivals: frozenset[Rival] = frozenset()
     governor: tuple[str, ...] = ()
     sched_rt_runtime_us: int | None = None
 
@@ -66,11 +82,35 @@ def read_text(path: Path) -> str:
     return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
 
 
-def read_observations(text: str) -> list[Observation]:
-    """Read what sample.sh printed; a last line that was cut off is left out. Raises UsageError."""
+def output_bytes_max(lifetime_s: float) -> int:
+    """The largest size of what a sampler prints that lives so long that is believable, in bytes."""
+    return OUTPUT_BYTES + math.ceil(lifetime_s / APART_S) * OBSERVATION_BYTES
+
+
+def observations_of(folder: Path) -> list[Observation]:
+    """The observations of the run in a folder; none where it was not observed. Raises UsageError."""
+    path = folder / SAMPLER_OUTPUT
+    if not path.exists():
+        return []
+    with path.open(encoding="utf-8", errors="replace", newline="\n") as stream:
+        return read_observations(stream)
+
+
+def _whole_lines(stream: TextIO) -> Iterator[str]:
+    """Yield the lines of a text that may be large; one that is not whole is none."""
+    number = 0
+    while (line := stream.readline(LINE_CHARACTERS_MAX + 1)).endswith("\n"):
+        number += 1
+        yield line[:-1]
+    if len(line) > LINE_CHARACTERS_MAX:
+        raise UsageError(f"{SAMPLER_OUTPUT}:{number + 1}: a line of more than {LINE_CHARACTERS_MAX} characters")
+
+
+def read_observations(stream: TextIO) -> list[Observation]:
+    """Read what a sampler printed, as far as it goes: a last line that was cut off is left out. Raises UsageError."""
     observations: list[Observation] = []
     block: list[list[str]] = []
-    for number, line in enumerate(lines_of(text[: text.rfind("\n") + 1], _ORIGIN), start=1):
+    for number, line in enumerate(_whole_lines(stream), start=1):
         words = line.split()
         try:
             if words[:1] == ["at"]:
@@ -89,7 +129,7 @@ def read_observations(text: str) -> list[Observation]:
                     raise ValueError
                 block.append(words)
         except (ValueError, IndexError, KeyError):
-            raise UsageError(f"{_ORIGIN}:{number}: not what sample.sh writes: {line[:80]!r}") from None
+            raise UsageError(f"{SAMPLER_OUTPUT}:{number}: not what sample.sh writes: {line[:80]!r}") from None
     return observations
 
 
@@ -99,11 +139,11 @@ def _begin(words: list[str], before: Observation | None) -> Observation:
     if len(ticks) < 8:
         raise ValueError
     gauges: dict[str, Any] = {
-        "uptime_s": real_number(words[1]),
-        "until_s": real_number(words[1]),
-        "load_1min": real_number(words[2]),
-        "temperature_mc": _numbers(words[3]),
-        "frequency_khz": _numbers(words[4]),
+        "uptime_s": _uptime_s(words[1]),
+        "until_s": _uptime_s(words[1]),
+        "load_1min": real_number(words[2], lowest=0, highest=PID_MAX),
+        "temperature_mc": _readings(words[3], -TEMPERATURE_MAX_MC, TEMPERATURE_MAX_MC),
+        "frequency_khz": _readings(words[4], 0, FREQUENCY_MAX_KHZ),
         "ticks_by_kind": ticks,
         "counts": "",
     }
@@ -113,25 +153,25 @@ def _begin(words: list[str], before: Observation | None) -> Observation:
 def _complete(observation: Observation, block: list[list[str]], until: list[str]) -> Observation:
     threads: dict[str, list[ThreadState]] = {}
     loads: dict[str, tuple[int, frozenset[int]]] = {}
-    rivals: set[tuple[str, str, int]] = set()
+    rivals: set[Rival] = set()
     governor: tuple[str, ...] = ()
     runtime_us: int | None = None
     for words in block:
         if words[0] == "thread":
             if " ".join(words[6:]) in NON_MEASURING_THREADS:
                 continue
-            state = (_policy(words[3]), whole_number(words[4]), _cpus(words[5]))
+            state = (_policy(words[3]), _priority(words[4]), _cpus(words[5]))
             threads.setdefault(words[1], []).append(state)
         elif words[0] == "load":
-            loads[words[1]] = (whole_number(words[2], lowest=0), _cpus(words[3]))
+            loads[words[1]] = (whole_number(words[2], lowest=0, highest=PID_MAX), _cpus(words[3]))
         elif words[0] == "rival":
-            rivals.add((" ".join(words[4:]), _policy(words[2]), whole_number(words[3])))
+            rivals.add(_rival(words))
         elif words[0] == "governor":
             governor = () if words[1] == "-" else tuple(words[1].split(","))
         elif words[0] == "sched_rt_runtime_us":
-            runtime_us = None if words[1] == "-" else whole_number(words[1])
+            runtime_us = None if words[1] == "-" else whole_number(words[1], lowest=-1, highest=RT_RUNTIME_MAX_US)
     # Runs that were measured before 2026-11-23 do not tell.
-    until_s = real_number(until[0]) if until else observation.uptime_s
+    until_s = _uptime_s(until[0]) if until else observation.uptime_s
     return replace(
         observation,
         until_s=until_s,
@@ -143,12 +183,32 @@ def _complete(observation: Observation, block: list[list[str]], until: list[str]
     )
 
 
+def _rival(words: list[str]) -> Rival:
+    name, policy = " ".join(words[4:]), _policy(words[2])
+    if policy != "DEADLINE":
+        return Rival(name=name, policy=policy, priority=whole_number(words[3]))
+    if words[3] == "-":
+        return Rival(name=name, policy=policy, priority=0)
+    runtime_ns, period_ns = (whole_number(word, lowest=0) for word in words[3].split("/"))
+    return Rival(name=name, policy=policy, priority=0, runtime_ns=runtime_ns, period_ns=period_ns)
+
+
 def _policy(word: str) -> str:
     return POLICIES[whole_number(word)]
 
 
-def _numbers(word: str) -> tuple[int, ...]:
-    return () if word == "-" else tuple(whole_number(number) for number in word.split(","))
+def _priority(word: str) -> int:
+    return whole_number(word, lowest=0, highest=RT_PRIORITY_MAX)
+
+
+def _uptime_s(word: str) -> float:
+    return real_number(word, lowest=0, highest=UPTIME_MAX_S)
+
+
+def _readings(word: str, lowest: int, highest: int) -> tuple[int, ...]:
+    """What sensors say, without those that are broken."""
+    numbers = () if word == "-" else tuple(whole_number(number) for number in word.split(","))
+    return tuple(number for number in numbers if lowest <= number <= highest)
 
 
 def _cpus(word: str) -> frozenset[int]:
@@ -163,7 +223,10 @@ def while_measuring(observations: Iterable[Observation]) -> list[Observation]:
 def busy_percent(observations: Sequence[Observation]) -> float | None:
     """Share of all CPUs' time that was not idle between the first and the last observation, in percent."""
     ticks = observations[-1].ticks - observations[0].ticks if observations else 0
-    return round(100 * (observations[-1].busy - observations[0].busy) / ticks, 1) if ticks > 0 else None
+    if ticks <= 0:
+        return None
+    # The time of waiting for disks may go back (proc(5)).
+    return round(min(max(0.0, 100 * (observations[-1].busy - observations[0].busy) / ticks), 100.0), 1)
 
 
 def summarize(observations: Iterable[Observation], states: Iterable[ThreadState]) -> Observed:
@@ -173,7 +236,8 @@ def summarize(observations: Iterable[Observation], states: Iterable[ThreadState]
     """
     seen, states = while_measuring(observations), list(states)
     names = sorted({name for each in seen for name in each.loads})
-    rivals = sorted({rival for each in seen for rival in each.rivals}, key=lambda rival: (-rival[2], rival[0]))
+    rivals = {rival for each in seen for rival in each.rivals}
+    first = sorted(rivals, key=lambda rival: (rival.policy != "DEADLINE", -rival.priority, rival.name))
     return Observed(
         policy=sorted({policy for policy, _, _ in states}),
         priority=sorted({priority for _, priority, _ in states}),
@@ -186,13 +250,11 @@ def summarize(observations: Iterable[Observation], states: Iterable[ThreadState]
         temperature_mc=_range(value for each in seen for value in each.temperature_mc),
         frequency_khz=_range(value for each in seen for value in each.frequency_khz),
         load_1min=_range(each.load_1min for each in seen),
-        rivals=[Rival(name=name, policy=policy, priority=priority) for name, policy, priority in rivals][
-            :REPORTED_RIVALS
-        ],
+        rivals=first[:REPORTED_RIVALS],
         looks=len(seen),
     )
 
 
-def _range(values: Iterable[float]) -> Range:
+def _range(values: Iterable[NumberT]) -> Range[NumberT] | None:
     known = list(values)
     return [min(known), max(known)] if known else None

@@ -15,7 +15,14 @@ from rtrun.results.record import Observed, RunStatus
 from rtrun.results.samples import Record, read_samples
 from rtrun.validity import baselines, requirements
 from rtrun.validity.counts import find_count_mismatch
-from rtrun.validity.observations import Observation, read_observations, read_text, summarize
+from rtrun.validity.observations import (
+    SAMPLER_OUTPUT,
+    Observation,
+    observations_of,
+    read_text,
+    summarize,
+    while_measuring,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,8 +49,8 @@ def judge(
 ) -> Verdict:
     """Say what became of a run from the files in `folder`, and why: the first thing that went wrong.
 
-    `refused` are files that were not taken, name to reason; `ended_early` are background programs that ended before it,
-    name to exit status.
+    `refused` are files that were not taken, or not whole, name to reason; `ended_early` are background programs that
+    ended before it, name to exit status.
     """
     records: dict[str, Record] = {}
     observations: list[Observation] = []
@@ -52,12 +59,16 @@ def judge(
     if status is RunStatus.OK:
         status, reason = _of_outputs(folder, run, outputs, refused, records) or (RunStatus.OK, None)
     try:
-        observations = read_observations(read_text(folder / "sampler.stdout"))
+        observations = observations_of(folder)
         wrong = requirements.find_violation(run, background, observations, records)
     except UsageError as error:
         wrong = str(error)
+    # What is seen to be wrong in the part that was taken comes first; that nobody saw anything says too little.
+    if (cut := refused.get(SAMPLER_OUTPUT)) and (wrong is None or not while_measuring(observations)):
+        wrong = f"nobody saw what was in effect to the end: {cut}"
     if status in (RunStatus.OK, RunStatus.INCOMPLETE):
-        for name, exit_status in ended_early.items():
+        if ended_early:
+            name, exit_status = next(iter(ended_early.items()))
             how = (
                 f"with exit status {exit_status}: {_last_word(folder, name)}" if exit_status else "killed from outside"
             )
@@ -87,7 +98,8 @@ def _of_outputs(
 ) -> tuple[RunStatus, str] | None:
     """Say what is wrong with the outputs, and put what is known of them into `records`."""
     if suites.suite(run.suite).is_baseline:
-        wrong = baselines.check_baseline_output(run, read_text(folder / f"{run.suite}.stdout"))
+        printed = f"{run.suite}.stdout"
+        wrong = refused.get(printed) or baselines.check_baseline_output(run, read_text(folder / printed))
         return (RunStatus.INVALID, wrong) if wrong else None
     for output in outputs:
         names = (f"{output}.json", f"{output}.npy")

@@ -7,13 +7,10 @@ from rtrun.plan.conditions import Background, cpu_set
 from rtrun.plan.run import Run
 from rtrun.results.record import Requested
 from rtrun.results.samples import NON_MEASURING_THREADS, Record
-from rtrun.validity.observations import Observation, ThreadState, busy_percent, while_measuring
+from rtrun.validity.observations import APART_S, Observation, ThreadState, busy_percent, while_measuring
 
 # A program may take this long to get its policy. What is observed earlier is recorded, but makes no run invalid.
 STARTING_S = 10.0
-# The time between two observations: a program may have begun so much earlier than it was first observed.
-APART_S = 2.0
-_TOO_SHORT = f"the first observation comes {conditions.FIRST_OBSERVATION_S:g} s after the start; measure longer"
 # Parameters that the sampler sees, whatever a program says of itself.
 _OBSERVED = ("policy", "priority", "cpu")
 
@@ -68,9 +65,19 @@ def find_violation(
     seen = while_measuring(observations)
     return (
         _wrong_threads(run, asked, observations, records)
+        or _unseen_condition(run, background, asked, observations)
         or _wrong_loads(run, background, asked, seen)
-        or _wrong_governor(run, asked, seen)
+        or _wrong_governor(asked, seen)
     )
+
+
+def _why_unseen(run: Run, observations: Sequence[Observation]) -> str:
+    """Why nobody saw the suite measure."""
+    if run.settings.get(conditions.SAMPLER):
+        return "the campaign has switched off the sampler"
+    if run.least_s < STARTING_S:
+        return f"the first observation comes {conditions.FIRST_OBSERVATION_S:g} s after the start; measure longer"
+    return f"the sampler made {len(observations)} observations, and none while the suite measured"
 
 
 def _wrong_threads(
@@ -92,16 +99,22 @@ def _wrong_threads(
     if records or any(map(fits, states)):
         return None
     if not states:
-        return f"nobody saw {_asked_words(asked)} in effect: {_TOO_SHORT}"
+        return f"nobody saw {_asked_words(asked)} in effect: {_why_unseen(run, observations)}"
     seen = _words_of(state for threads in states for state in threads)
     return f"asked for {_asked_words(asked)}, in effect was {seen} in each of {len(states)} observations"
+
+
+def _unseen_condition(
+    run: Run, background: Sequence[Background], asked: Requested, observations: Sequence[Observation]
+) -> str | None:
+    if (background or asked.governor) and not while_measuring(observations):
+        return f"nobody saw condition {run.condition} in effect: {_why_unseen(run, observations)}"
+    return None
 
 
 def _wrong_loads(
     run: Run, background: Sequence[Background], asked: Requested, seen: Sequence[Observation]
 ) -> str | None:
-    if background and not seen:
-        return f"nobody saw condition {run.condition} in effect: {_TOO_SHORT}"
     for load in background:
         name = load.program.name
         for each in seen:
@@ -119,11 +132,9 @@ def _wrong_loads(
     return None
 
 
-def _wrong_governor(run: Run, asked: Requested, seen: Sequence[Observation]) -> str | None:
+def _wrong_governor(asked: Requested, seen: Sequence[Observation]) -> str | None:
     if not asked.governor:
         return None
-    if not seen:
-        return f"nobody saw condition {run.condition} in effect: {_TOO_SHORT}"
     others = {name for each in seen for name in each.governor} - {asked.governor}
     if others:
         return f"asked for the governor {asked.governor}, in effect was {', '.join(sorted(others))}"

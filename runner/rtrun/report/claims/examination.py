@@ -142,7 +142,7 @@ def examine_shift(
             test=test,
             runs=runs_of(left_out),
         )
-    level = 1 - study.confidence
+    level = 1 - study.question.confidence
     if any(holm([effect.p_below for _, effect in effects], level)):
         finding = Finding.REFUTED
     else:

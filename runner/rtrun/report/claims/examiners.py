@@ -6,6 +6,7 @@ Texts and sections of the claims stand in pandaboard-2014.yml.
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
+from rtfiles.output import showing_progress
 from rtrun.report.claims import general, timers
 from rtrun.report.claims.examination import Finding, Result
 from rtrun.report.claims.reference import published
@@ -62,7 +63,7 @@ def examine_claims(study: Study) -> tuple[Examined, ...]:
     """
     study = _on_preempt_rt(study)
     examined = []
-    for claim in published()["claims"]:
+    for claim in showing_progress(published()["claims"], "examining claim"):
         examiner = EXAMINERS[claim["id"]]
         result = examiner.examine(study)
         if study.platform is Platform.EMULATED and not examiner.functional and result.runs:

@@ -7,7 +7,7 @@ import numpy as np
 from rtrun.analysis.comparison import Change
 from rtrun.analysis.effects import holm
 from rtrun.analysis.intervals import clopper_pearson
-from rtrun.analysis.periods import burst_peaks, find_period
+from rtrun.analysis.periods import burst_peaks, evenly_spread_p, find_period
 from rtrun.report.claims.examination import (
     NEVER_BELOW,
     Finding,
@@ -31,8 +31,6 @@ SUITES = ("cyclic_timer_tests", ONESHOT, COMMUNICATION)
 
 def peaks_random(study: Study) -> Result:
     """The highest values of each run lie anywhere: spread evenly, and at no fixed distance."""
-    from scipy.stats import kstest
-
     by_run: dict[str, Digest] = {}
     for d in slowest([d for group in study.as_in_2014 for d in group.digests]):
         if d.header.suite in SUITES and d.n >= 1000 and any(entry.index is not None for entry in d.figures.top):
@@ -44,7 +42,7 @@ def peaks_random(study: Study) -> Result:
         listed = [entry.index for entry in d.figures.top if entry.index is not None]
         peaks.append((burst_peaks(listed, d.loops), d.loops))
     places = np.concatenate([(at + 0.5) / loops for at, loops in peaks])
-    spread_p = float(kstest(places, "uniform").pvalue)
+    spread_p = evenly_spread_p(places)
     period, period_p = find_period(peaks)
     if min(spread_p, period_p) < 0.01 / 2:
         finding = Finding.REFUTED
@@ -104,12 +102,12 @@ def comm_first_message_worst(study: Study) -> Result:
     if not digests:
         return no_runs("communication run whose first message came")
     worst = [d for d in digests if d.figures.max_ns is not None and d.header.startup[0].value_ns > d.figures.max_ns]
-    low, high = clopper_pearson(len(worst), len(digests), study.confidence)
+    low, high = clopper_pearson(len(worst), len(digests), study.question.confidence)
     finding = Finding.CONFIRMED if low > 0.5 else Finding.REFUTED if high < 0.5 else Finding.UNDECIDED
     return Result(
         finding=finding,
         numbers=f"the first message was the slowest for {len(worst)} of {len(digests)} subscribers "
-        f"({100 * study.confidence:g} % CI of the share {low:.2f} to {high:.2f})",
+        f"({100 * study.question.confidence:g} % CI of the share {low:.2f} to {high:.2f})",
         test="Clopper-Pearson against one half",
         runs=tuple(dict.fromkeys(d.run for d in digests)),
     )
@@ -148,7 +146,7 @@ def comm_nothing_lost(study: Study) -> Result:
         return no_runs("communication run")
     missing, swapped = sum(d.header.missing for d in digests), sum(d.header.out_of_order for d in digests)
     n = sum(d.loops for d in digests)
-    enough = clopper_pearson(0, n, study.confidence)[1] < NEVER_BELOW
+    enough = clopper_pearson(0, n, study.question.confidence)[1] < NEVER_BELOW
     return Result(
         finding=Finding.REFUTED if missing or swapped else Finding.CONFIRMED if enough else Finding.UNDECIDED,
         numbers=f"{missing} missing and {swapped} out of order of {n} messages expected",
@@ -162,13 +160,13 @@ def rr_equals_fifo(study: Study) -> Result:
     compared_pairs = []
     for suite in SUITES:
         for pair in pairs(select(study.as_in_2014, suite, rt=True), "policy", "RR", "FIFO"):
-            comparison = compared(pair, study.confidence)
+            comparison = compared(pair, study.question.confidence)
             if comparison is not None:
                 compared_pairs.append((pair, comparison))
     if not compared_pairs:
         return no_runs("pair of runs with RR and FIFO")
     alike = [all(s.within_margin for s in c.shifts) for _, c in compared_pairs]
-    significant = holm([c.p_value for _, c in compared_pairs], 1 - study.confidence)
+    significant = holm([c.p_value for _, c in compared_pairs], 1 - study.question.confidence)
     apart = [
         c.answer == Change.DIFFERENT and beyond_chance and not within
         for (_, c), beyond_chance, within in zip(compared_pairs, significant, alike, strict=True)

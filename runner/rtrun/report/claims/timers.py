@@ -2,6 +2,7 @@
 
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.intervals import clopper_pearson
+from rtrun.plan.question import Question
 from rtrun.report.claims.examination import (
     NEVER_BELOW,
     Finding,
@@ -33,15 +34,15 @@ def oneshot_sub_millisecond(study: Study) -> Result:
     for group in groups:
         least = _MS - 1000 * _number(group, "timeout_us")
         sooner = sum(int(d.histogram.counts[d.histogram.values_ns < least - 1000].sum()) for d in group.digests)
-        low, high = clopper_pearson(sooner, group.n, study.confidence)
+        low, high = clopper_pearson(sooner, group.n, study.question.confidence)
         shares.append((low, high))
         words.append(f"{format_parameters(group.parameters)}: {sooner} of {group.n} latencies below {least // 1000} us")
         for pair in pairs(select(study.as_in_2014, ONESHOT), "timeout_us", 1000, group.parameters["timeout_us"]):
-            comparison = compared(pair, study.confidence)
+            comparison = compared(pair, study.question.confidence)
             if comparison is not None and pair[1] is group:
                 shift = comparison.shifts[0]
                 grown.append(0.5 * least < shift.low_ns and shift.high_ns < 1.5 * least)
-                words.append(f"beside 1 ms {describe_shift(shift, study.confidence)}")
+                words.append(f"beside 1 ms {describe_shift(shift, study.question.confidence)}")
     if all(high < 0.05 for _, high in shares) and grown and all(grown):
         finding = Finding.CONFIRMED
     elif all(low > 0.5 for low, _ in shares):
@@ -64,10 +65,10 @@ def oneshot_ignored_without_rt(study: Study) -> Result:
         return no_runs("one-shot run")
     lost_rt, lost = (sum(d.header.not_fired for g in side for d in g.digests) for side in (with_rt, without))
     n_rt, n = (sum(d.n + d.header.not_fired for g in side for d in g.digests) for side in (with_rt, without))
-    upper = clopper_pearson(lost, n, study.confidence)[1]
+    upper = clopper_pearson(lost, n, study.question.confidence)[1]
     if lost_rt:
         finding = Finding.REFUTED
-    elif lost and clopper_pearson(0, n_rt, study.confidence)[1] < NEVER_BELOW:
+    elif lost and clopper_pearson(0, n_rt, study.question.confidence)[1] < NEVER_BELOW:
         finding = Finding.CONFIRMED
     else:
         # "Now and then" is read as once in a million, no less.
@@ -118,7 +119,8 @@ def oneshot_400us_rare(study: Study) -> Result:
     finding = Finding.REFUTED if low > 1e-7 else Finding.CONFIRMED if high < 1e-6 else Finding.UNDECIDED
     return Result(
         finding=finding,
-        numbers=f"{late} of {n} above 400 us, P between {low:.1e} and {high:.1e} ({100 * study.confidence:g} % CI)",
+        numbers=f"{late} of {n} above 400 us, P between {low:.1e} and {high:.1e} "
+        f"({100 * study.question.confidence:g} % CI)",
         test=f"{method}: refuted above 1e-7, confirmed below 1e-6",
         runs=runs_of(groups),
     )
@@ -144,7 +146,7 @@ def cyclic_negative_cluster(study: Study) -> Result:
     if not clusters:
         return no_runs("cyclic run")
     inside, n = sum(c.n for c in clusters), sum(g.n for g in groups)
-    low, high = clopper_pearson(inside, n, study.confidence)
+    low, high = clopper_pearson(inside, n, study.question.confidence)
     places = [c.median_ns for c in clusters if c.median_ns is not None]
     near = all(-1_000_000 <= place <= -600_000 for place in places)
     if low > 0.05 and near:
@@ -214,7 +216,7 @@ def cyclic_400us_never(study: Study) -> Result:
     finding = Finding.REFUTED if late else Finding.CONFIRMED if high < 1e-6 else Finding.UNDECIDED
     return Result(
         finding=finding,
-        numbers=f"{late} of {n} above 400 us, P below {high:.1e} ({100 * study.confidence:g} % CI)",
+        numbers=f"{late} of {n} above 400 us, P below {high:.1e} ({100 * study.question.confidence:g} % CI)",
         test=f"{method}: confirmed when none and P below 1e-6",
         runs=runs_of(groups),
     )
@@ -235,12 +237,12 @@ def _number(group: Group, key: str) -> int:
 
 def _pooled(study: Study, groups: list[Group]) -> tuple[int, float, float, int, str]:
     """Values above 400 us, the interval of P, n, and the method, over all groups."""
-    if study.deadline_ns == _DEADLINE_NS:
+    if study.question.deadline_ns == _DEADLINE_NS:
         trials = [trials for group in groups for trials in group.trials]
         if trials:
-            verdict = judge(trials, deadline_ns=_DEADLINE_NS, probability=1e-6, confidence=study.confidence)
+            verdict = judge(trials, Question(confidence=study.question.confidence))
             return verdict.late, verdict.lower, verdict.upper, verdict.n, "interval on the effective sample size"
     late = sum(d.histogram.above(_DEADLINE_NS) for g in groups for d in g.digests)
     n = sum(g.n for g in groups)
     method = "Clopper-Pearson, independence assumed, for the runs were held against another deadline"
-    return (late, *clopper_pearson(late, n, study.confidence), n, method)
+    return (late, *clopper_pearson(late, n, study.question.confidence), n, method)

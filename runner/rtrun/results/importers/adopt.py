@@ -15,11 +15,16 @@ from rtrun.results.gnuplot_lines import MAX_SIZE_BYTES
 from rtrun.results.gnuplot_log import SERIES_OF_ONESHOT_LOGS, read_log
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, Imported, histogram_text
-from rtrun.results.record import RunRecord, RunStatus, TargetFacts
+from rtrun.results.importers.identity import Identity, target_facts
+from rtrun.results.record import RunRecord, RunStatus
 from rtrun.target.platform import Platform
 
+NOBODY_KNOWS = Identity()
 
-def adopt(path: Path, results: Path, *, platform: Platform) -> list[tuple[Path, tuple[str, ...]]]:
+
+def adopt(
+    path: Path, results: Path, *, platform: Platform, identity: Identity = NOBODY_KNOWS
+) -> list[tuple[Path, tuple[str, ...]]]:
     """Import one file into `results`; returns each run directory made and what its format leaves out.
 
     A log keeps its name and is read as a log of its suite; other files become histograms, one run a context. Raises
@@ -33,7 +38,7 @@ def adopt(path: Path, results: Path, *, platform: Platform) -> list[tuple[Path, 
         output = (
             re.sub(r"-(measured|reported|diff)$", "", path.stem) if log.suite == "oneshot_timer_tests" else path.stem
         )
-        record = _record(name, results, log.suite, log.parameters, [output], platform)
+        record = _record(name, results, log.suite, log.parameters, [output], platform, path, identity)
         folder = _new(results, name)
         # A log may have been renamed: under this name it is read as that log of the output.
         kind = {series: f"-{kind}" for kind, series in SERIES_OF_ONESHOT_LOGS.items()}.get(log.series, "")
@@ -50,7 +55,9 @@ def adopt(path: Path, results: Path, *, platform: Platform) -> list[tuple[Path, 
         run = f"{name}-{context}" if context else name
         folder = _new(results, run)
         first = members[0]
-        record = _record(run, results, first.source, first.parameters, [one.name for one in members], platform)
+        record = _record(
+            run, results, first.source, first.parameters, [one.name for one in members], platform, path, identity
+        )
         with run_directory.filling(folder) as partial:
             shutil.copyfile(path, partial / f"original{path.suffix}")
             for one in members:
@@ -68,7 +75,14 @@ def _new(results: Path, run: str) -> Path:
 
 
 def _record(
-    run: str, results: Path, suite: str, parameters: Mapping[str, Value], outputs: Sequence[str], platform: Platform
+    run: str,
+    results: Path,
+    suite: str,
+    parameters: Mapping[str, Value],
+    outputs: Sequence[str],
+    platform: Platform,
+    path: Path,
+    identity: Identity,
 ) -> RunRecord:
     return RunRecord(
         schema=2,
@@ -80,10 +94,10 @@ def _record(
         platform_evidence="stated when it was imported",
         status=RunStatus.OK,
         reason=None,
-        start_time="unknown",
-        end_time="unknown",
+        start_time=identity.start_time,
+        end_time=identity.start_time,
         programs=[],
         outputs=list(outputs),
-        target=TargetFacts(name="imported"),
+        target=target_facts(identity, path),
         files={},
     )

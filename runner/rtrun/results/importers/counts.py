@@ -10,10 +10,10 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json, whole_number
 from rtrun.analysis.histogram import Histogram
+from rtrun.plan.limits import COUNT_MAX
 
 NO_ORDER = "the order of the measurements: bursts and trends cannot be seen"
 MAX_BINS = 1_000_000  # that hold a value, of all histograms in a file; cyclictest has at most as many
-MAX_COUNT = 10**15
 _KEY = re.compile(r"[0-9]{1,9}", re.ASCII)
 
 
@@ -36,7 +36,7 @@ def numbered(path: Path, where: str, data: dict[str, Any]) -> dict[str, dict[str
 def numbers_in(path: Path, line: int, text: str) -> list[int]:
     """The whole numbers in a line. Raises UsageError ``file:line: what is wrong``."""
     try:
-        return [whole_number(word, lowest=0, highest=MAX_COUNT) for word in text.split()]
+        return [whole_number(word, lowest=0, highest=COUNT_MAX) for word in text.split()]
     except ValueError as error:
         raise UsageError(f"{path}:{line}: {error}") from error
 
@@ -49,8 +49,8 @@ def check_bins(path: Path, number: int) -> None:
 
 def whole(path: Path, where: str, value: object) -> int:
     """A whole number from 0 on. Raises UsageError naming file and place."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_COUNT:
-        raise UsageError(f"{path}: {where}: expected a whole number from 0 on, got {str(value)[:40]!r}")
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= COUNT_MAX:
+        raise UsageError(f"{path}: {where}: expected a whole number from 0 to {COUNT_MAX}, got {str(value)[:40]!r}")
     return value
 
 
@@ -71,8 +71,8 @@ def mean_of(path: Path, where: str, value: object) -> float | None:
     """A mean as it is printed, None where there is none. Raises UsageError naming file and place."""
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= MAX_COUNT:
-        raise UsageError(f"{path}: {where}: expected a number from 0 on, got {str(value)[:40]!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= COUNT_MAX:
+        raise UsageError(f"{path}: {where}: expected a number from 0 to {COUNT_MAX}, got {str(value)[:40]!r}")
     return float(value)
 
 

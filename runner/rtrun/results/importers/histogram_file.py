@@ -2,37 +2,45 @@
 
 import json
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from rtfiles.config import Config, read_json
-from rtfiles.errors import UsageError
+from rtfiles.config import Config, parse, read_json
 from rtfiles.untrusted import MIB
 from rtrun.analysis.histogram import Histogram
-from rtrun.results.importers.counts import MAX_BINS, check_bins
+from rtrun.plan.limits import COUNT_MAX, TIME_MAX_NS, Count, MeanNs, PeriodNs, TimeNs
+from rtrun.results.importers.counts import MAX_BINS
 
 ENDING = ".histogram.json"
 MAX_BYTES = 64 * MIB
-_LIMIT_NS = 1 << 61
-
-Natural = Annotated[int, Field(ge=0)]
 
 
 class _File(Config):
     schema_number: Literal[1] = Field(alias="schema")
     source: str
-    bin_ns: Annotated[int, Field(ge=1)]
-    values_ns: list[int]
-    counts: list[Annotated[int, Field(ge=1)]]
-    overflow: Natural
-    overflow_from_ns: int | None
-    max_ns: int | None
-    mean_ns: float | None = None
-    period_ns: float | None
+    bin_ns: Annotated[int, Field(ge=1, le=TIME_MAX_NS)]
+    values_ns: Annotated[list[TimeNs], Field(max_length=MAX_BINS)]
+    counts: list[Annotated[int, Field(ge=1, le=COUNT_MAX)]]
+    overflow: Count
+    overflow_from_ns: TimeNs | None
+    max_ns: TimeNs | None
+    mean_ns: MeanNs | None = None
+    period_ns: PeriodNs | None
     left_out: list[str]
+
+    @model_validator(mode="after")
+    def _belong_together(self) -> "_File":
+        if len(self.values_ns) != len(self.counts):
+            raise ValueError(f"{len(self.values_ns)} values_ns, but {len(self.counts)} counts")
+        if any(after - before < self.bin_ns for before, after in pairwise(self.values_ns)):
+            raise ValueError(f"values_ns: must rise by at least bin_ns, {self.bin_ns}")
+        if sum(self.counts) + self.overflow > COUNT_MAX:
+            raise ValueError(f"counts: more than {COUNT_MAX} measurements")
+        return self
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -51,7 +59,7 @@ class Imported:
 
 
 def histogram_text(imported: Imported) -> str:
-    """The file's text; the same histogram gives the same bytes."""
+    """The file's text; the same histogram gives the same bytes. Raises UsageError for one that cannot be read back."""
     bins = imported.histogram
     data = {
         "schema": 1,
@@ -66,25 +74,18 @@ def histogram_text(imported: Imported) -> str:
         "period_ns": imported.period_ns,
         "left_out": list(imported.left_out),
     }
+    parse(data, _File, imported.name)
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
 
 def read_histogram(path: Path) -> Imported:
     """Read it back. Raises UsageError that names the file and what is wrong in it."""
     file = read_json(path, _File, max_bytes=MAX_BYTES, max_items=2 * MAX_BINS + 1000)
-    check_bins(path, len(file.values_ns))
-    if len(file.values_ns) != len(file.counts):
-        raise UsageError(f"{path}: {len(file.values_ns)} values_ns, but {len(file.counts)} counts")
-    if any(not -_LIMIT_NS < value < _LIMIT_NS for value in (*file.values_ns, *file.counts)):
-        raise UsageError(f"{path}: a number beyond {_LIMIT_NS} cannot be")
-    values = np.array(file.values_ns, dtype=np.int64)
-    if values.size and (np.diff(values) < file.bin_ns).any():
-        raise UsageError(f"{path}: values_ns: must rise by at least bin_ns, {file.bin_ns}")
     return Imported(
         source=file.source,
         name=path.name.removesuffix(ENDING),
         histogram=Histogram(
-            values_ns=values,
+            values_ns=np.array(file.values_ns, dtype=np.int64),
             counts=np.array(file.counts, dtype=np.int64),
             bin_ns=file.bin_ns,
             overflow=file.overflow,

@@ -1,0 +1,216 @@
+"""Did the process stay the same? Within each boot, over its runs joined in the order of time, and from boot to boot.
+
+Runs are pieces of one course: measuring in rounds must not hide what one long run would show.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rtrun.analysis.dependence import effect_of_few
+from rtrun.analysis.histogram import Int64s
+from rtrun.analysis.intervals import chance_of_so_many
+from rtrun.analysis.stationarity import (
+    SIGNIFICANT,
+    SIGNIFICANT_OF_MISSES,
+    Change,
+    Visits,
+    count_until,
+    find_change,
+    find_visits,
+    test_of_order,
+)
+from rtrun.analysis.trials import ENOUGH_MISSES, Trials, high_values
+
+# A level that was left and entered again so often is part of the process.
+RETURNS = 5
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Boot:
+    """The runs of one boot, joined in the order of time.
+
+    `loops` of a run count once, however many subscribers measured in it. `missed_at` and `high_at` are the places of
+    misses and of high values among them, `highest_at` those of the highest 200, at most a twentieth of all: int64 (k,),
+    ascending. `missed_at` is None where a log kept no order.
+    """
+
+    board: str
+    trials: tuple[Trials, ...]
+    loops: int
+    missed_at: Int64s | None
+    high_at: Int64s
+    highest_at: Int64s
+
+    @property
+    def measured(self) -> int:
+        """Measurements of all outputs."""
+        return sum(run.n for run in self.trials)
+
+    @property
+    def misses(self) -> int:
+        """Misses of all outputs."""
+        return sum(run.late + run.absent for run in self.trials)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Constancy:
+    """The strongest sign that the process did not stay the same, None where there is none beyond chance.
+
+    `clusters` are (loops, misses) of each turn of a load that comes and goes, where there is one.
+    """
+
+    change: Change | None
+    clusters: tuple[tuple[int, int], ...] = ()
+
+
+def join_boots(runs: Sequence[Trials]) -> list[Boot]:
+    """The boots of runs that are sorted by time. Runs of an unknown boot are a boot each."""
+    by_boot: dict[tuple[str, str], list[Trials]] = {}
+    for index, run in enumerate(runs):
+        by_boot.setdefault((run.board, run.boot or run.run or str(index)), []).append(run)
+    return [_join(board, trials) for (board, _), trials in by_boot.items()]
+
+
+def _join(board: str, trials: Sequence[Trials]) -> Boot:
+    outputs: dict[str, list[Trials]] = {}
+    for index, run in enumerate(trials):
+        outputs.setdefault(run.run or str(index), []).append(run)
+    starts = np.cumsum([0, *(max(run.n for run in of_run) for of_run in outputs.values())])
+    placed = [(run, int(start)) for of_run, start in zip(outputs.values(), starts, strict=False) for run in of_run]
+
+    def high_at(limit: int) -> Int64s:
+        return _ascending([run.high_at[run.high_ns >= limit] + start for run, start in placed])
+
+    limit = high_limit(trials)
+    heights = np.concatenate([run.high_ns for run in trials])
+    most = min(heights.size, high_values(sum(run.n for run in trials)))
+    highest = int(np.partition(heights, heights.size - most)[heights.size - most]) if most else limit
+    return Boot(
+        board=board,
+        trials=tuple(trials),
+        loops=int(starts[-1]),
+        missed_at=None
+        if any(run.misses is None for run in trials)
+        else _ascending([run.missed_at + start for run, start in placed]),
+        high_at=high_at(limit),
+        highest_at=high_at(max(limit, highest)),
+    )
+
+
+def _ascending(places: Sequence[Int64s]) -> Int64s:
+    return np.unique(np.concatenate(places)) if places else np.empty(0, np.int64)
+
+
+def high_limit(trials: Sequence[Trials]) -> int:
+    """The height in ns from which on values of all these runs are high ones.
+
+    Each run keeps its own highest only: what is as high as the lowest of every run is known of all.
+    """
+    return max((int(run.high_ns.min()) for run in trials if run.high_ns.size), default=0)
+
+
+def examine_constancy(boots: Sequence[Boot], *, probability: float, confidence: float) -> Constancy:
+    """Look for changes within boots, from boot to boot, and for a boot that misses too often on its own."""
+    clusters: list[tuple[int, int]] = []
+    within: list[Change] = []
+    for boot in boots:
+        visits, changes = _within(boot)
+        within += changes
+        if visits is not None:
+            clusters += _turns(boot, visits)
+    # Each kind of test has an error rate of its own: many tests of one kind must not hide what another one sees.
+    families = (
+        *(
+            [change for change in found if change.significant == level]
+            for found in (within, _between(boots))
+            for level in (SIGNIFICANT_OF_MISSES, SIGNIFICANT)
+        ),
+        _alone(boots, probability, confidence),
+    )
+    seen = [change for family in families if (change := _strongest(family)) is not None]
+    strongest = min(seen, key=lambda change: change.p_value / change.significant, default=None)
+    return Constancy(change=strongest, clusters=tuple(clusters))
+
+
+def _strongest(changes: Sequence[Change]) -> Change | None:
+    """The most significant change, if it is one among so many tests (Bonferroni)."""
+    strongest = min(changes, key=lambda change: change.p_value / change.significant, default=None)
+    seen = strongest is not None and strongest.p_value * len(changes) < strongest.significant
+    return strongest if seen else None
+
+
+def _within(boot: Boot) -> tuple[Visits | None, list[Change]]:
+    """The signs of change in the joined runs of a boot, and the visits of a level that came back often enough.
+
+    Such a level is judged by its visits: whether they stayed the same.
+    """
+    found: list[Change] = []
+    seen: Visits | None = None
+    of_misses = (boot.missed_at, boot.missed_at, "misses", SIGNIFICANT_OF_MISSES)
+    of_high_values = (boot.highest_at, boot.high_at, "high values", SIGNIFICANT)
+    for tested, places, events, significant in (of_misses, of_high_values):
+        change = None if tested is None else find_change(tested, boot.loops, events, significant)
+        if change is None or places is None:
+            continue
+        if change.p_value < significant:
+            visits = find_visits(places, boot.loops)
+            if visits.returns >= RETURNS:
+                seen = visits if seen is None or visits.returns > seen.returns else seen
+                change = _among_visits(places, visits, boot.loops, events, significant)
+            elif visits.returns:
+                missing = (RETURNS - visits.returns) * boot.loops // visits.returns
+                change = replace(change, missing_loops=missing)
+        found.append(change)
+    return seen, found
+
+
+def _among_visits(places: Int64s, visits: Visits, loops: int, events: str, significant: float) -> Change:
+    ends = np.append(visits.starts[1:], loops)
+    counts = count_until(places, ends)
+    p_value, text = test_of_order(counts, np.diff(ends, prepend=0))
+    return Change(p_value=p_value, significant=significant, text=f"{events} of a load that comes and goes: {text}")
+
+
+def _turns(boot: Boot, visits: Visits) -> list[tuple[int, int]]:
+    """(loops, misses) from each visit of a level to the next one."""
+    ends = np.append(visits.starts[1:], boot.loops)
+    stride = boot.misses / boot.missed_at.size if boot.missed_at is not None and boot.missed_at.size else 1.0
+    counts = count_until(boot.missed_at, ends) if boot.missed_at is not None else 0 * ends
+    lengths = np.diff(ends, prepend=0)
+    return [(int(length), round(stride * count)) for length, count in zip(lengths, counts, strict=True)]
+
+
+def _between(boots: Sequence[Boot]) -> list[Change]:
+    """Whether the first or last boots of a board are worse than chance lets them be; a test for each kind of event."""
+    changes = []
+    for board in dict.fromkeys(boot.board for boot in boots):
+        ordered = [boot for boot in boots if boot.board == board]
+        if len(ordered) < 2:
+            continue
+        limit = high_limit([run for boot in ordered for run in boot.trials])
+        high = [sum(np.count_nonzero(run.high_ns >= limit) for run in boot.trials) for boot in ordered]
+        for counts, events, significant in (
+            ([boot.misses for boot in ordered], "misses", SIGNIFICANT_OF_MISSES),
+            (high, "high values", SIGNIFICANT),
+        ):
+            if any(counts):
+                p_value, text = test_of_order(np.array(counts), np.array([boot.measured for boot in ordered]))
+                words = f"{text} boots"
+                changes.append(Change(p_value=p_value, significant=significant, text=f"{events}: {words}"))
+    return changes
+
+
+def _alone(boots: Sequence[Boot], probability: float, confidence: float) -> list[Change]:
+    """Boots that miss oftener than `probability` on their own: their average with others is no answer."""
+    if len(boots) < 2:
+        return []
+    changes = []
+    for boot in boots:
+        few = boot.missed_at if boot.missed_at is not None and 1 < boot.missed_at.size < ENOUGH_MISSES else None
+        effect = effect_of_few(few, boot.loops) if few is not None else 1.0
+        p_value = chance_of_so_many(boot.misses / effect, boot.measured / effect, probability)
+        text = f"one boot of {len(boots)} missed {boot.misses} of {boot.measured} on its own"
+        changes.append(Change(p_value=p_value, significant=1 - confidence, text=text))
+    return changes

@@ -1,0 +1,160 @@
+"""How many measurements decide a question: beforehand, and from what was seen so far."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtrun.analysis.intervals import anytime_interval, anytime_upper
+from rtrun.plan.question import Question
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# Beyond this a number of measurements is no plan: at 1 kHz it is 30 000 years.
+UNATTAINABLE = 10**15
+# "Nine times in ten".
+LIKELY = 0.9
+SEED = 20140715
+_COURSES = 1000
+# So many bursts to come are looked at: what is not decided by then is not decided soon.
+_BURSTS_TO_COME = 200
+
+
+def longest_burst(misses: float, n: float, effect: float, question: Question) -> float:
+    """The mean length of bursts of misses, none of which was seen, up to which n measurements prove; 0: they do not.
+
+    P(miss) is that of misses of the kind seen, whose upper end is `anytime_upper`, and of bursts that come at a rate at
+    which none would be seen in n measurements with the chance 1 - confidence. Where misses were seen, each of the two
+    gets half of it.
+    """
+    if n <= 0 or anytime_upper(misses / effect, n / effect, question.confidence) >= question.probability:
+        return 0.0
+    confidence = (1 + question.confidence) / 2 if misses else question.confidence
+    seen = anytime_upper(misses / effect, n / effect, confidence) if misses else 0.0
+    return max(1.0, (question.probability - seen) / anytime_upper(0, n, confidence))
+
+
+def proves(misses: float, n: float, effect: float, question: Question) -> bool:
+    """Whether the upper end of P(miss) is below the target, and the bursts that are to be covered are."""
+    return longest_burst(misses, n, effect, question) >= question.bursts
+
+
+def missing_without_miss(misses: int, n: int, effect: float, question: Question) -> int | None:
+    """How many more measurements without another miss prove it; None where no number does."""
+    total = smallest(lambda total: proves(misses, total, effect, question), n)
+    return None if total is None else total - n
+
+
+def chance_of_no_miss(misses: int, n: int, effect: float, more: int) -> float:
+    """The chance that so many more measurements hold no miss, by what was seen.
+
+    The rate of misses is gamma distributed after Jeffreys' prior for a Poisson rate (Gelman et al. 2013, section 2.6).
+    """
+    return float((n / (n + more)) ** (misses / effect + 0.5)) if n else 0.0
+
+
+def plan_measurements(question: Question, *, rate: float = 0.0) -> tuple[bool, int] | None:
+    """Whether it is proven (True) or refuted, and the independent measurements that are enough nine times in ten.
+
+    `rate` is that of misses; without misses it is the fewest that prove it. None where no number decides.
+    """
+    from scipy.special import pdtrik
+
+    if not rate:
+        total = smallest(lambda total: proves(0, total, 1.0, question), 0)
+        return None if total is None else (True, total)
+
+    def decided(total: int) -> bool:
+        # The quantile of the Poisson number of misses on the side that delays the answer.
+        if rate < question.probability:
+            misses = math.ceil(max(0.0, float(pdtrik(LIKELY, rate * total))))
+            return proves(misses, total, 1.0, question)
+        misses = math.floor(max(0.0, float(pdtrik(1 - LIKELY, rate * total))))
+        return anytime_interval(misses, total, question.confidence)[0] > question.probability
+
+    total = smallest(decided, 0)
+    return None if total is None else (rate < question.probability, total)
+
+
+def likely_further(misses: int, n: int, effect: float, question: Question) -> tuple[bool, int] | None:
+    """Whether it will be proven (True) or refuted, and the further measurements after which it is nine times in ten.
+
+    The courses of the misses to come are simulated, at rates drawn from what was seen (Jeffreys' prior for a Poisson
+    rate, Gelman et al. 2013, section 2.6), each until the first look at which the question is decided: it is looked at
+    all the time. None where a tenth of them or more is not decided soon.
+    """
+    if not n or not misses:
+        return None
+    k, scale = misses / effect, 1 / effect
+    rng = np.random.default_rng(SEED)
+    rates = rng.gamma(k + 0.5, 1 / (n * scale), _COURSES)
+    # When the bursts to come arrive, in effective measurements from the first one on, and none before the first.
+    arrivals = n * scale + np.cumsum(rng.exponential(size=(_COURSES, _BURSTS_TO_COME)), axis=1) / rates[:, None]
+    before = np.column_stack((np.full(_COURSES, n * scale), arrivals[:, :-1]))
+    counts = k + np.arange(_BURSTS_TO_COME, dtype=np.float64)
+    proven_from = _proven_from(counts, effect, question)
+    refuted_until = _refuted_until(counts + 1, question)
+    proven = np.where(proven_from < arrivals, np.maximum(proven_from, before), np.inf)
+    refuted = np.where(arrivals <= refuted_until, arrivals, np.inf)
+    first = np.minimum(proven.min(axis=1), refuted.min(axis=1))
+    total = float(np.quantile(first, LIKELY, method="higher")) * effect
+    if not total < UNATTAINABLE:
+        return None
+    return misses / n < question.probability, max(0, math.ceil(total) - n)
+
+
+def _proven_from(counts: Floats, effect: float, question: Question) -> Floats:
+    """From how many effective measurements on so many bursts, shape (b,), are a proof, as `longest_burst` says."""
+    from scipy.special import betaincc
+
+    several = question.bursts > 1
+    alpha = (1 - question.confidence) / (2 if several else 1)
+    whole = np.ceil(counts - 1e-9)
+    levels = alpha / ((whole + 1) * (whole + 2))
+
+    def is_proof(totals: Floats) -> Bools:
+        unseen = -np.expm1(np.log(alpha / 2) / (totals * effect)) if several else 0.0
+        target = np.maximum(question.probability - question.bursts * unseen, 0.0)
+        # The upper end is below the target where so few misses, at that rate, have a chance below the level.
+        return np.asarray(betaincc(counts + 1, np.maximum(totals - counts, 1e-9), target) < levels)
+
+    return _boundary(is_proof, counts + 1, np.full(counts.size, UNATTAINABLE / effect))
+
+
+def _refuted_until(counts: Floats, question: Question) -> Floats:
+    """Up to how many effective measurements so many bursts, shape (b,), refute it."""
+    from scipy.special import betainc
+
+    whole = np.maximum(1, np.ceil(counts - 1e-9))
+    levels = (1 - question.confidence) / (whole * (whole + 1))
+
+    def is_open(totals: Floats) -> Bools:
+        return np.asarray(betainc(counts, np.maximum(totals - counts, 0.0) + 1, question.probability) >= levels)
+
+    return _boundary(is_open, counts, counts / question.probability)
+
+
+def _boundary(condition: Callable[[Floats], Bools], low: Floats, high: Floats) -> Floats:
+    """Where monotone conditions, one for each number, begin to hold between low and high, all of shape (b,)."""
+    for _ in range(36):
+        middle = np.sqrt(low * high)
+        holds = condition(middle)
+        low, high = np.where(holds, low, middle), np.where(holds, middle, high)
+    return high
+
+
+def smallest(condition: Callable[[int], bool], start: int) -> int | None:
+    """The smallest total from `start` on for which a monotone condition holds; None beyond all plans."""
+    if start and condition(start):
+        return start
+    low, high = start, max(1, start)
+    while not condition(high):
+        low, high = high, 2 * high
+        if high > UNATTAINABLE:
+            return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if condition(middle) else (middle, high)
+    return high

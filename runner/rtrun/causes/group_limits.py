@@ -1,0 +1,88 @@
+"""Parts of the time that a control group's limit took, which a trace alone cannot tell from the kernel's own."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from rtrun.causes.parts import Cause, Kind, Part
+from rtrun.causes.reconstruction import NORMAL_PRIO
+from rtrun.causes.timeline import State
+from rtrun.results.record import RunRecord
+from rtrun.target.control_groups import KERNEL_RUNTIME_US, ControlGroup
+
+# No CPU needs so long to leave an idle state.
+IDLE_EXIT_MAX_NS = 1_000_000
+
+
+def with_groups(parts: Sequence[Part], record: RunRecord, prios: Mapping[int, int]) -> tuple[Part, ...]:
+    """Parts, of which those that a limit took name the control group and its limit.
+
+    Throttled is a real-time thread by its group where that has a limit below the kernel's, any other one where cpu.stat
+    counted it. `prios` are the priorities of threads.
+    """
+    rt_group, quota_group = _rt_limited(record), _throttled(record)
+    return tuple(
+        _with_group(part, None if part.pid is None else prios.get(part.pid), rt_group, quota_group) for part in parts
+    )
+
+
+def limits(record: RunRecord) -> tuple[str, ...]:
+    """The limits of the control groups that a run's programs were in, a sentence each."""
+    return tuple(f"{record.run}: {_sentence(group, limit)}" for group, limit in _limited(record))
+
+
+def _with_group(part: Part, prio: int | None, rt_group: str, quota_group: str) -> Part:
+    if part.cause.kind is Kind.THROTTLED and rt_group:
+        return replace(part, cause=Cause(kind=Kind.GROUP, name=rt_group))
+    is_normal = prio is not None and prio >= NORMAL_PRIO
+    # The event of a CPU that goes idle may be before the throttling: it stays idle then without another one.
+    left_idle = part.cause.kind is Kind.IDLE_EXIT and part.length_ns > IDLE_EXIT_MAX_NS and part.state is State.WAITING
+    if part.cause.kind is Kind.GROUP or (left_idle and is_normal and quota_group):
+        return replace(part, cause=Cause(kind=Kind.GROUP, name=quota_group or part.cause.name))
+    return part
+
+
+def _groups(record: RunRecord) -> list[ControlGroup]:
+    """Those of all programs, each once."""
+    groups = {(one.version, one.path): one for program in record.programs for one in program.control_groups}
+    return list(groups.values())
+
+
+def _kernel_us(record: RunRecord) -> int:
+    """What the kernel leaves to real-time threads of a second, as the sampler saw it."""
+    seen = record.in_effect.sched_rt_runtime_us
+    return KERNEL_RUNTIME_US if not seen else -1 if -1 in seen else max(seen)
+
+
+def _limited(record: RunRecord) -> Iterator[tuple[ControlGroup, str]]:
+    for group in _groups(record):
+        yield from ((group, limit) for limit in (group.rt_limit(_kernel_us(record)), group.quota) if limit)
+
+
+def _rt_limited(record: RunRecord) -> str:
+    """The control group with the lowest limit for real-time threads, and the limit; empty if there is none."""
+    named = [
+        ((one.rt_runtime_us or 0) / (one.rt_period_us or 1), f"{one.path} ({limit})")
+        for one in _groups(record)
+        if (limit := one.rt_limit(_kernel_us(record)))
+    ]
+    return min(named)[1] if named else ""
+
+
+def _throttled(record: RunRecord) -> str:
+    """The control group that was throttled for longest during the run, and its limit; empty if there is none."""
+    named = [
+        (one.throttled.throttled_ns, f"{one.path} ({one.quota})")
+        for one in _groups(record)
+        if one.quota and one.throttled.throttled
+    ]
+    return max(named)[1] if named else ""
+
+
+def _sentence(group: ControlGroup, limit: str) -> str:
+    if limit != group.quota:
+        return f"control group {group.path} leaves to real-time threads {limit}"
+    seen = group.throttled
+    return (
+        f"control group {group.path} leaves to threads of policy OTHER {limit}; throttled in {seen.throttled} of "
+        f"{seen.periods} periods, {seen.throttled_ns / 1e9:.3g} s in all"
+    )

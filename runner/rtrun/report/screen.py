@@ -1,0 +1,107 @@
+"""Tables for a terminal: in columns where no word has to be broken for it, else a line for each cell."""
+
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rtfiles.output import console, printable
+from rtrun.analysis.deadline import Answer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+    from rich.text import Text
+
+# Columns between two cells.
+_GAP = 2
+_STYLES: dict[str, str] = {
+    Answer.PROVEN: "green",
+    Answer.IF_INDEPENDENT: "yellow",
+    Answer.NEEDS_MORE: "yellow",
+    Answer.REFUTED: "bold red",
+    "NOT ANALYSED": "bold red",
+    "pass": "green",
+    "passed": "green",
+    "FAIL": "bold red",
+    "failed": "bold red",
+    "confirmed": "green",
+    "refuted": "bold red",
+}
+
+
+def styled(word: str) -> "Text":
+    """An answer, or whether it passes, in its colour, which is seen on a terminal alone."""
+    from rich.text import Text
+
+    return Text(printable(word), style=_STYLES.get(word, ""))
+
+
+def print_styled(word: str, rest: str = "") -> None:
+    """Print a line that begins with an answer in its colour."""
+    screen = console()
+    screen.print(styled(word).append(printable(rest), style="default"), soft_wrap=True)
+
+
+def fitted(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: Container[int], width: int) -> "Table":
+    """A table of at most `width` columns; cells in the columns `numbers` stay whole.
+
+    Where the words do not fit beside each other, each row becomes a list of headings and cells.
+    """
+    from rich import box
+    from rich.table import Table
+
+    cells = [[styled(cell) for cell in row] for row in rows]
+    columns = [
+        _Column(
+            heading=heading,
+            is_number=place in numbers,
+            least=max([_word(heading), *(len(row[place]) if place in numbers else _word(row[place]) for row in rows)]),
+            most=max([len(heading), *(len(row[place]) for row in rows)]),
+        )
+        for place, heading in enumerate(headings)
+    ]
+    widths = [column.least for column in columns]
+    spare = width - sum(widths) - (_GAP * len(columns) - 1)
+    if spare < 0:
+        return _listed(headings, cells)
+    # What is left goes where most is missing, so that few cells take several lines.
+    missing = [column.most - column.least for column in columns]
+    while spare > 0 and max(missing) > 0:
+        place = missing.index(max(missing))
+        widths[place], missing[place], spare = widths[place] + 1, missing[place] - 1, spare - 1
+    made = Table(box=box.SIMPLE, padding=(0, _GAP - 1, 0, 0), show_edge=False, pad_edge=False)
+    for column, of_column in zip(columns, widths, strict=True):
+        made.add_column(column.heading, justify="right" if column.is_number else "left", width=of_column)
+    for row in cells:
+        made.add_row(*row)
+    return made
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Column:
+    """A column: the width that it needs, and the one at which nothing in it is broken."""
+
+    heading: str
+    is_number: bool
+    least: int
+    most: int
+
+
+def _word(text: str) -> int:
+    """The length of the longest word; an answer is one."""
+    return len(text) if text in _STYLES else max(map(len, text.split()), default=0)
+
+
+def _listed(headings: Sequence[str], rows: "Sequence[Sequence[Text]]") -> "Table":
+    """A line for each cell that holds something, and an empty one between two rows."""
+    from rich.table import Table
+
+    made = Table.grid(padding=(0, _GAP))
+    made.add_column(no_wrap=True)
+    made.add_column(overflow="fold")
+    for number, row in enumerate(rows):
+        if number:
+            made.add_row("", "")
+        for heading, cell in zip(headings, row, strict=True):
+            if cell.plain:
+                made.add_row(heading, cell)
+    return made

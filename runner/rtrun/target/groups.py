@@ -1,0 +1,31 @@
+"""Process groups on the target: one is ended only after a process of it was seen to be what was started.
+
+A number alone says too little. That of a process that has ended is given to another one, a file or an answer that was
+cut short holds another number, and ``kill -- -1`` ends everything.
+"""
+
+# The first lines of a script that kills groups. It defines `is_ours`, called with the folder of a process below /proc.
+FUNCTIONS = """
+# Whether a process group has a process that is ours.
+is_our_group() {
+    [ "$1" -gt 1 ] || return 1
+    for process in /proc/[0-9]*; do
+        read -r stat <"$process/stat" || continue
+        # After the name, which may hold blanks: state, parent, group (proc(5)).
+        stat=${stat##*) }
+        stat=${stat#* * }
+        [ "${stat%% *}" = "$1" ] && is_ours "$process" && return
+    done
+    return 1
+} 2>/dev/null
+"""
+# supervise.sh holds the lock of a program as file 9, and so does what it starts. `read` fails at a line that has no
+# end: it was cut short.
+OF_PROGRAM = (
+    FUNCTIONS
+    + """
+is_ours() { [ "$1/fd/9" -ef "$name.lock" ]; }
+# Set `group` to that of the program `name`.
+find_group() { read -r group <"$name.pid" && is_our_group "$group"; } 2>/dev/null
+"""
+)
