@@ -21,12 +21,62 @@ from rtrun.target.address import Address
 # A shell that starts us in the background lets us, and all we start, ignore Ctrl-C; the tests send it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# Beside one another tests get the width of the terminal that they were started in; what they print has a fixed one.
+os.environ.pop("COLUMNS", None)
+
 # How long an example takes is up to what else runs on the machine.
 settings.register_profile("no-deadline", deadline=None)
 settings.load_profile("no-deadline")
 
+# What there is once, by the marker of the tests that use it. Where tests run beside one another, those of a
+# group follow each other on one worker; so do the tests of a file that share a fixture, which is made once then.
+GROUPS = {
+    "qemu": "board",  # an emulated board keeps both CPUs busy
+    "trace": "trace",  # of the machine's kernel
+}
+
+# The files whose tests build what the cache lacks, or wait while another worker does; longer ones say so themselves.
+HERE = Path(__file__).parent
+BUILDING = (
+    "rtgen/test_board_build.py",
+    "rtgen/test_kconfig_verify.py",
+    "rtgen/test_kernel.py",
+    "rtgen/test_suites.py",
+    "suites/",
+    "test_wheel.py",
+)
+BUILD_S = 1200
+
 BOOT_ID = "/proc/sys/kernel/random/boot_id"
 SSHD = shutil.which("sshd", path="/usr/sbin:/usr/bin:/sbin") or "/usr/sbin/sshd"
+
+
+def group_of(item: pytest.Item) -> str | None:
+    """The group of a test, None where it shares nothing."""
+    for name, group in GROUPS.items():
+        if item.get_closest_marker(name):
+            return group
+    fixtures = item._fixtureinfo.name2fixturedefs.values()
+    is_shared = any(fixture[-1].scope in ("module", "class") for fixture in fixtures)
+    return item.nodeid.partition("::")[0] if is_shared else None
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Give builds their time, and put each test into its group where tests run beside one another."""
+    for item in items:
+        is_building = item.path.relative_to(HERE).as_posix().startswith(BUILDING)
+        if is_building and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(BUILD_S))
+    if not hasattr(config, "workerinput"):
+        return
+    groups = {item: group_of(item) for item in items}
+    for item, group in groups.items():
+        if group:
+            item.add_marker(pytest.mark.xdist_group(group))
+    # The long ones begin first, so that none is left over when the other workers have nothing to do.
+    ranks = {name: rank for rank, name in enumerate(GROUPS.values())}
+    items.sort(key=lambda item: ranks.get(groups[item] or "", len(ranks) + (groups[item] is None)))
 
 
 @dataclass(frozen=True)
@@ -61,6 +111,40 @@ def seeing(files: Mapping[str, Path]) -> tuple[str, ...]:
     if subprocess.run([*wrapper, "true"], capture_output=True, check=False).returncode != 0:
         pytest.skip("this user may not mount in a namespace of its own")
     return wrapper
+
+
+def apart() -> tuple[str, ...]:
+    """What runs a command whose processes see, and can signal, none but their own. Skips where it cannot."""
+    wrapper = ("unshare", "--pid", "--fork", "--mount-proc", "--kill-child")
+    if subprocess.run([*wrapper, "true"], capture_output=True, check=False).returncode != 0:
+        pytest.skip("this user may not make a namespace of processes")
+    return wrapper
+
+
+@contextlib.contextmanager
+def kernel_threads_hidden(folder: Path) -> Iterator[tuple[str, ...]]:
+    """What runs a command in a folder where it sees no process but those run so, as in a container. Skips as above.
+
+    Mounts that are made later are not seen there.
+    """
+    argv = ["unshare", "--pid", "--fork", "--mount-proc", "--kill-child", "sh", "-c", "echo begun; exec sleep infinity"]
+    with subprocess.Popen(argv, stdout=subprocess.PIPE) as holder:
+        try:
+            if holder.stdout is None or holder.stdout.readline() != b"begun\n":
+                pytest.skip("this user may not make namespaces")
+            first = Path(f"/proc/{holder.pid}/task/{holder.pid}/children").read_text().strip()
+            yield ("nsenter", f"--target={first}", "--pid", "--mount", f"--wd={folder}")
+        finally:
+            holder.kill()
+
+
+@pytest.fixture(scope="session")
+def sampler_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program rt_tests_sampler for this machine, compiled without a warning."""
+    source = Path(__file__).parents[1] / "recipes-tests" / "rt_tests_sampler" / "src" / "main.c"
+    program = tmp_path_factory.mktemp("sampler") / "rt_tests_sampler"
+    subprocess.run(["cc", "-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-o", program, source], check=True)
+    return program
 
 
 @contextlib.contextmanager

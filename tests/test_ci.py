@@ -83,6 +83,11 @@ def test_github(checkout):
     check_published(checkout)
 
 
+def test_what_is_installed_is_the_checkout():
+    """A copy of the package would be in its place, and rtgen needs the checkout."""
+    assert re.findall(r"pip install .*'\.\[.*", PAGE) == ["pip install --quiet --editable '.[archive]'"] * 2
+
+
 def test_gitlab_does_the_same():
     job = GITLAB["measure"]
     steps = [step["run"].splitlines() for step in GITHUB["jobs"]["measure"]["steps"] if "run" in step]

@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from rtfiles.command import parser_of
+from rtfiles.start import commands_of
 from rtgen.board.machine import machines
 from rtrun.cli import COMMANDS
 
@@ -50,7 +51,7 @@ def test_every_command_that_it_names_is_one(checkout: Path) -> None:
     named = re.findall(r"\.venv/bin/rtrun (.*?)(?:  .*)?$", done.stdout, re.M)
     assert {command.split()[0] for command in named} == {"run", "report", "show", "verdict"}
     for command in named:
-        parser_of("rtrun", "", COMMANDS).parse_args(command.split())
+        parser_of("rtrun", "", commands_of("rtrun", COMMANDS)).parse_args(command.split())
     assert (checkout / "calls").read_text().splitlines() == named[:2]
     assert "results/demo/report.html" in done.stdout
     assert "\nMeasured on qemu-armv7: by magic\n" in done.stdout

@@ -22,12 +22,13 @@ import rtgen.cli
 import rtrun.cli
 from rtfiles.command import parser_of
 from rtfiles.config import read_yaml
+from rtfiles.start import commands_of
 from rtrun.target.config import read_target
 
 TOP = Path(__file__).parents[1]
 PAGES = [TOP / "README.md", *sorted((TOP / "docs").glob("*.md"))]
 RUN_HERE = [page for page in PAGES if page.name != "tutorial.md"]  # tests/test_tutorial.py
-COMMANDS = {"rtgen": rtgen.cli.COMMANDS, "rtrun": rtrun.cli.COMMANDS}
+COMMANDS = {name: commands_of(name, cli.COMMANDS) for name, cli in (("rtgen", rtgen.cli), ("rtrun", rtrun.cli))}
 
 # Commands that are only parsed here, and why.
 NOT_RUN = {

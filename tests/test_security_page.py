@@ -20,14 +20,13 @@ NO_LIMITS = {
     "ranges of numbers, which take no room": {
         "rtfiles.untrusted.INT64_MAX",
         "rtrun.plan.campaign.PRIORITY_MAX",
-        "rtrun.results.gnuplot_log.MAX_TOTAL",
-        "rtrun.results.gnuplot_lines.MAX_VALUE_US",
-        "rtrun.results.samples.MAX_TIME_NS",
-        "rtrun.results.importers.counts.MAX_COUNT",
+        *(f"rtrun.plan.limits.{name}" for name in ("COUNT_MAX", "RT_PRIORITY_MAX", "EXIT_STATUS_MAX")),
         "rtrun.validity.counts.LISTED_MAX",
     },
     "what is printed or computed at most": {
         "rtrun.analysis.recurrence._BINS_MAX",
+        "rtfiles.output.WIDTH_MAX",
+        "rtrun.archive.queries._COUNT_MAX",
         "rtrun.archive.queries._GRID_MAX",
         "rtrun.causes.control.WINDOWS_MAX",
         "rtrun.report.causes.REMEDIES_MAX",

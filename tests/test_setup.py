@@ -1,14 +1,32 @@
-"""tools/setup: what apt prints stays in a log unless it fails."""
+"""tools/setup: what apt prints is in a log unless it fails; this checkout is installed, with pinned packages."""
 
 import os
 import re
 import shutil
 import subprocess
+import sys
+import tomllib
+import venv
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 TOP = Path(__file__).parents[1]
+
+
+def write_programs(folder: Path, scripts: dict[str, str]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, script in scripts.items():
+        (folder / name).write_text(f"#!/bin/sh\n{script}\n")
+        (folder / name).chmod(0o755)
+
+
+def packages_of(checkout: Path) -> Path:
+    (folder,) = (checkout / ".venv").glob("lib/python3*/site-packages")
+    return folder
 
 
 @pytest.fixture
@@ -19,8 +37,14 @@ def checkout(tmp_path: Path) -> Path:
     (tmp_path / "tools/apt-packages.txt").write_text("no-such-package-of-the-tests\n")
     (tmp_path / "tools/apt-packages-all.txt").write_text("no-such-package-of-other-boards\n")
     (tmp_path / "tools/apt-packages-dev.txt").write_text("no-such-package-for-tests-alone\n")
+    (tmp_path / "tools/python-packages.txt").write_text("a-package==1 --hash=sha256:0\n")
     (tmp_path / "pyproject.toml").touch()
-    (tmp_path / ".venv").mkdir()
+    (tmp_path / "runner").mkdir()
+    venv.create(tmp_path / ".venv", symlinks=True)
+    write_programs(tmp_path / ".venv/bin", {"pip": 'echo "pip $*"'})
+    installed = packages_of(tmp_path) / "meta_rt_tests-0.dist-info"
+    installed.mkdir()
+    (installed / "direct_url.json").write_text(distribution("meta-rt-tests").read_text("direct_url.json") or "")
     inputs = subprocess.run(
         ["sh", "-c", "sha256sum pyproject.toml; pwd"], cwd=tmp_path, check=True, capture_output=True
     )
@@ -31,13 +55,8 @@ def checkout(tmp_path: Path) -> Path:
 def setup(checkout: Path, status_of_install: int, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run it where apt-get prints and ends as told, and the user is root or may become it."""
     programs = checkout / "programs"
-    programs.mkdir(exist_ok=True)
-    for name, text in (
-        ("apt-get", f'echo "noise of $*"; [ $1 = update ] || exit {status_of_install}'),
-        ("sudo", 'exec "$@"'),
-    ):
-        (programs / name).write_text(f"#!/bin/sh\n{text}\n")
-        (programs / name).chmod(0o755)
+    apt_get = f'echo "noise of $*"; [ $1 = update ] || exit {status_of_install}'
+    write_programs(programs, {"apt-get": apt_get, "sudo": 'exec "$@"'})
     environment = os.environ | {"PATH": f"{programs}:{os.environ['PATH']}"}
     return subprocess.run(
         [checkout / "tools/setup", *arguments],
@@ -68,10 +87,6 @@ def test_a_step_that_fails_shows_the_end_of_the_log(checkout: Path) -> None:
 
 def test_only_dev_installs_what_the_tests_alone_need(checkout: Path) -> None:
     log = checkout / "build/setup.log"
-    pip = checkout / ".venv/bin/pip"
-    pip.parent.mkdir()
-    pip.write_text('#!/bin/sh\necho "pip $*"\n')
-    pip.chmod(0o755)
     assert setup(checkout, 0).returncode == 0
     assert "alone" not in log.read_text() and "pip" not in log.read_text()
     log.unlink()
@@ -80,12 +95,49 @@ def test_only_dev_installs_what_the_tests_alone_need(checkout: Path) -> None:
     log.unlink()
     done = setup(checkout, 0, "dev")
     assert "installing 3 Debian packages" in done.stdout
-    assert "alone" in log.read_text() and ".[dev]" in log.read_text()
+    assert "alone" in log.read_text() and "--require-hashes --requirement tools/python-packages.txt" in log.read_text()
     # The environment that has all is not made anew for a use that needs less.
     log.unlink()
     setup(checkout, 0)
     setup(checkout, 0, "dev")
     assert "pip" not in log.read_text()
+
+
+def test_packages_that_are_pinned_anew_are_installed_anew(checkout: Path) -> None:
+    """In an environment without those of before."""
+    setup(checkout, 0, "dev")
+    (checkout / "tools/python-packages.txt").write_text("a-package==2 --hash=sha256:0\n")
+    done = setup(checkout, 0, "dev")
+    assert "making the Python environment" in done.stdout
+    assert done.returncode == 1 and "--require-hashes" in (checkout / "build/setup.log").read_text()  # the real pip
+
+
+def test_a_copy_of_the_project_gives_way_to_the_checkout(checkout: Path) -> None:
+    """`pip install .` puts the copy there. What is installed is compiled, too."""
+    (installed,) = packages_of(checkout).glob("*.dist-info")
+    shutil.rmtree(installed)
+    project = checkout / "copied"
+    project.mkdir()
+    (project / "pyproject.toml").write_text('[project]\nname = "meta-rt-tests"\nversion = "1"\n')
+    (project / "module.py").touch()
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-compile"]
+    subprocess.run([*pip, "--target", packages_of(checkout), project], check=True, capture_output=True)
+    assert "into .venv" in setup(checkout, 0).stdout
+    assert "--editable ." in (checkout / "build/setup.log").read_text()
+    assert list(packages_of(checkout).glob("__pycache__/module.*.pyc"))
+
+
+def test_the_pinned_packages_are_within_the_ranges() -> None:
+    """Of every package that pyproject.toml names there is one that this Python takes."""
+    project = tomllib.loads((TOP / "pyproject.toml").read_text())["project"]
+    pinned = {}
+    for line in re.findall(r"^[a-z].*?(?= \\$)", (TOP / "tools/python-packages.txt").read_text(), re.M):
+        pin = Requirement(line)
+        if pin.marker is None or pin.marker.evaluate():
+            pinned[canonicalize_name(pin.name)] = str(pin.specifier).removeprefix("==")
+    for line in [*project["dependencies"], *project["optional-dependencies"]["dev"]]:
+        asked = Requirement(line)
+        assert asked.specifier.contains(pinned[canonicalize_name(asked.name)]), f"{line}: run make lock"
 
 
 def test_an_unknown_argument_is_refused(checkout: Path) -> None:

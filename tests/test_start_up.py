@@ -1,9 +1,19 @@
-"""What `--help` of both programs imports: commands import in `run` what takes long to load."""
+"""How both programs start: what is imported, what Ctrl-C does before there is a command, and what the parsers take."""
 
+import argparse
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from report.campaigns import write_campaign
+
+import rtgen.cli
+import rtrun.cli
+from rtfiles.command import parser_of
+from rtfiles.start import commands_of
 
 SLOW = {
     "duckdb", "fsspec", "jinja2", "numpy", "paramiko", "plotly", "pyarrow", "pydantic", "rich", "ruptures", "yaml",
@@ -12,16 +22,100 @@ PROGRAM = """
 import sys
 from {program}.cli import main
 status = main({arguments})
-print(*sorted({{name.partition(".")[0] for name in sys.modules}}), file=sys.stderr)
+print(*sorted(sys.modules), file=sys.stderr)
 sys.exit(status)
 """
+INTERRUPTED = """
+import os, signal, sys
+
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == "{program}.commands.{command}":
+            os.kill(os.getpid(), signal.SIGINT)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Interrupt())
+from {program}.cli import main
+sys.exit(main(["--help"]))
+"""
+PROGRAMS = {"rtgen": rtgen.cli.COMMANDS, "rtrun": rtrun.cli.COMMANDS}
+
+
+def python(code: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"]])
-@pytest.mark.parametrize("program", ["rtrun", "rtgen"])
+@pytest.mark.parametrize("program", PROGRAMS)
 def test_nothing_slow_is_imported(program: str, arguments: list[str]) -> None:
-    code = PROGRAM.format(program=program, arguments=arguments)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    """Commands import in `run` what takes long to load."""
+    done = python(PROGRAM.format(program=program, arguments=arguments))
     imported = set(done.stderr.split())
-    assert "argparse" in imported
+    assert done.returncode == 0 and "argparse" in imported
     assert not imported & SLOW
+
+
+@pytest.mark.parametrize(
+    ("command", "others"),
+    [
+        ("show", {"jinja2", "plotly", "scipy"}),
+        ("verdict", {"jinja2", "plotly"}),
+        ("claims", {"plotly"}),
+        ("report", set()),
+    ],
+)
+def test_reading_results_loads_no_more_than_it_takes(command: str, others: set[str], tmp_path: Path) -> None:
+    """scipy.stats and paramiko take longer to load than a small report takes."""
+    write_campaign(tmp_path, n=1000)
+    done = python(PROGRAM.format(program="rtrun", arguments=[command, str(tmp_path)]))
+    imported = set(done.stderr.splitlines()[-1].split())
+    assert done.returncode == 0 and "numpy" in imported
+    assert not imported & ({"paramiko", "scipy.stats", "duckdb", "pyarrow", "rtrun.target.config"} | others)
+
+
+@pytest.mark.parametrize(("program", "command"), [("rtrun", "why"), ("rtgen", "suites")])
+def test_an_interruption_of_the_start_leaves_no_traceback(program: str, command: str) -> None:
+    done = python(INTERRUPTED.format(program=program, command=command))
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
+
+
+def parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """A parser and those of its commands."""
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for each in action.choices.values():
+                yield from parsers(each)
+
+
+EVERY = [
+    each for name, commands in PROGRAMS.items() for each in parsers(parser_of(name, "", commands_of(name, commands)))
+]
+
+
+@pytest.mark.parametrize("parser", EVERY, ids=[parser.prog for parser in EVERY])
+def test_an_option_is_written_whole(parser: argparse.ArgumentParser, capsys: pytest.CaptureFixture[str]) -> None:
+    """A part of an option could mean another one in the next version."""
+    option = next(word for word in reversed(parser._option_string_actions) if word.startswith("--"))
+    for action in parser._actions:
+        action.required = False
+    with pytest.raises(SystemExit) as ended:
+        parser.parse_args([option[:-1]])
+    assert ended.value.code == 2
+    assert f"error: unknown argument {option[:-1]}, did you mean '{option}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["reprot", "x"], "argument COMMAND: unknown word 'reprot', did you mean 'report'? known: plan, run,"),
+        (
+            ["report", "x", "--format", "htm"],
+            "argument --format: unknown word 'htm', did you mean 'html'? known: html,",
+        ),
+        (["plan", "x", "y"], "error: unknown argument y\n"),
+    ],
+)
+def test_a_word_that_is_none(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert rtrun.cli.main(words) == 2
+    assert message in capsys.readouterr().err

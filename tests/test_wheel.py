@@ -17,6 +17,7 @@ from report.campaigns import write_campaign
 
 import rtgen.cli
 import rtrun.cli
+from rtfiles.start import commands_of
 
 TOP = Path(__file__).parents[1]
 VERSION = tomllib.loads((TOP / "pyproject.toml").read_text())["project"]["version"]
@@ -67,7 +68,7 @@ COMMANDS = [
     ("rtrun trends archive", 0, "0 changes in 15 courses"),
     ("rtrun bisect archive --order order.txt", 2, "order.txt: none of its 1 lines is the commit of a run"),
     ("rtrun site archive --out site", 0, "site/index.html"),
-    ("rtrun import 2014.log --out imported", 0, "imported/"),
+    ("rtrun import 2014.log --out imported --platform hardware", 0, "imported/"),
 ]
 
 
@@ -130,5 +131,5 @@ def test_command(programs: Path, folder: Path, command: str, status: int, words:
 
 def test_every_command_is_here() -> None:
     given = {tuple(command.split()[:2]) for command, _, _ in COMMANDS}
-    for program, commands in (("rtgen", rtgen.cli.COMMANDS), ("rtrun", rtrun.cli.COMMANDS)):
-        assert {(program, command.NAME) for command in commands} <= given
+    for program, cli in (("rtgen", rtgen.cli), ("rtrun", rtrun.cli)):
+        assert {(program, command.NAME) for command in commands_of(program, cli.COMMANDS)} <= given

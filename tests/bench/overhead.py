@@ -20,7 +20,7 @@ import rtgen.cli
 from rtrun.execution import campaign_runner
 from rtrun.plan import conditions
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.plan.run import Run
+from rtrun.plan.run import SET_UP_S, Run
 from rtrun.results.record import read_record
 from rtrun.target.address import Address
 from rtrun.target.config import Target
@@ -45,8 +45,8 @@ MIXED = (
 )
 # In such a campaign, beyond the programs by hand and the time that a load needs to settle.
 MIXED_LIMIT = 150
-# Of the time that `plan` lists for it, the time that it may take.
-PLAN_LIMIT = 1.1
+# The time that it takes may differ by so much from what `plan` lists for it, as a share of that.
+PLAN_LIMIT = 0.1
 
 
 pytestmark = pytest.mark.timeout(0)  # about ten minutes of measuring on an idle machine
@@ -187,12 +187,12 @@ def test_overhead(sshd, ros_master, tmp_path, monkeypatch):
         print(f"  {own_s:.2f} s: {run_s:.2f} s, by hand {by_hand_s:.2f} s, planned {run.total_s:.2f} s  {run.name}")
     mixed_s = statistics.mean(row[0] for row in rows)
     mixed = clock.ratio(mixed_s)
-    of_plan = elapsed_s / sum(run.total_s for run in runs)
+    of_plan = elapsed_s / (SET_UP_S + sum(run.total_s for run in runs))
     print(
         f"a mixed campaign of {len(runs)} runs: the runner adds to a run {clock.in_commands(mixed_s)} "
-        f"(limit {MIXED_LIMIT}); it takes {of_plan:.2f} of the time that plan lists (limit {PLAN_LIMIT})"
+        f"(limit {MIXED_LIMIT}); it takes {of_plan:.2f} of the time that plan lists (limit: 1 +- {PLAN_LIMIT})"
     )
     assert added <= LIMIT
     assert mixed <= MIXED_LIMIT
-    assert of_plan <= PLAN_LIMIT
+    assert abs(of_plan - 1) <= PLAN_LIMIT
     assert measuring_share >= MEASURING_SHARE

@@ -93,7 +93,7 @@ def wic(yocto: Yocto, tmp_path_factory) -> Path:
 @pytest.fixture(scope="session")
 def native_sysroot(tmp_path_factory) -> Path:
     """This machine's programs, with Debian 13's sfdisk: wic of wrynose has options for it that Debian 12's lacks."""
-    unpacked = packages.unpacked("fdisk", "amd64", debian.source("trixie"))
+    unpacked = packages.unpacked(["fdisk"], "amd64", debian.source("trixie"))
     folder = tmp_path_factory.mktemp("native")
     program = folder / "usr/sbin/sfdisk"
     program.parent.mkdir(parents=True)

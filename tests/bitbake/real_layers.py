@@ -74,32 +74,6 @@ def test_create_spdx_and_cve_check_find_what_they_need(yocto):
         assert variables["CVE_PRODUCT"] == {"u-boot-panda": "denx:u-boot"}.get(variables["PN"], ""), recipe
 
 
-def test_kernel_and_image_resolve(yocto):
-    kernel = yocto.profile.machines[yocto.machine].kernel
-    names = ("SRC_URI", "PV", "SRCREV", "KBUILD_DEFCONFIG", "KERNEL_DEVICETREE")
-    variables = yocto.variables(kernel.recipe, names=names)
-    assert variables["PV"].startswith(kernel.version)
-    assert f"file://rt-tests-{yocto.machine}.cfg" in variables["SRC_URI"].split()
-    if kernel.rt == "branch":
-        assert "preempt-rt" in variables["SRC_URI"]
-    else:
-        assert kernel.source.rt_patch in variables["SRC_URI"] and variables["SRCREV"] == kernel.source.commit
-    if yocto.machine == "pandaboard-es":
-        assert variables["KBUILD_DEFCONFIG"] == "omap2plus_defconfig"
-        assert "omap4-panda-es-rt.dtb" in variables["KERNEL_DEVICETREE"]
-    looked_at = ("IMAGE_INSTALL", "IMAGE_FEATURES", "ROOTFS_POSTPROCESS_COMMAND", "WKS_FULL_PATH")
-    image = yocto.variables(yocto.profile.image.name, names=looked_at)
-    assert {"packagegroup-rt-tests", "openssh-sftp-server", *yocto.profile.image.packages} <= set(
-        image["IMAGE_INSTALL"].split()
-    )
-    assert f"ssh-server-{yocto.profile.ssh.server}" in image["IMAGE_FEATURES"].split()
-    assert "rt_tests_ssh_policy" in image["ROOTFS_POSTPROCESS_COMMAND"]
-    if yocto.machine == "pandaboard-es":
-        assert Path(image["WKS_FULL_PATH"]).is_relative_to(yocto.layer)
-    for open_door in ("debug-tweaks", "empty-root-password", "allow-root-login", "allow-empty-password"):
-        assert open_door not in image["IMAGE_FEATURES"].split()
-
-
 def test_graph_of_the_image(yocto):
     yocto.run("bitbake", "-g", yocto.profile.image.name)
     recipes = set((yocto.build / "pn-buildlist").read_text().split())
@@ -118,27 +92,46 @@ MACHINES = pytest.mark.parametrize("machine", load_machines())
 def described(yocto, machine):
     if machine not in yocto.profile.machines:
         pytest.skip(f"{yocto.name} has no {machine}")
-    if not yocto.release.modern:
-        pytest.skip("dora has one machine")
     return yocto.profile.machines[machine]
 
 
 @MACHINES
-def test_kernel_of_a_machine(yocto, machine):
-    """With all other recipes masked, which takes seconds, on the layers that kas would take for the machine."""
-    machine_of_profile = described(yocto, machine)
-    kernel, console = machine_of_profile.kernel, machine_of_profile.serial_console
-    known = load_machines()[machine]
-    build = yocto.top / "build-kernels"
-    yocto.configure(build, machine, rf'BBMASK = "/(?!{kernel.recipe}_)[^/]*[.]bb(append)?$"')
-    names = ("SRC_URI", "PV", "MACHINE_FEATURES", "SERIAL_CONSOLES", "IMAGE_FSTYPES", *known.kernel)
-    variables = yocto.variables(kernel.recipe, names=names, build=build, masked=True)
-    assert f"file://rt-tests-{machine}.cfg" in variables["SRC_URI"].split()
+def test_kernel_and_image_of_a_machine(yocto, machine):
+    """Each without all other recipes, which takes seconds, on the layers that kas would take for the machine."""
+    machine_of_profile, known = described(yocto, machine), load_machines()[machine]
+    kernel, image, modern = machine_of_profile.kernel, yocto.profile.image, yocto.release.modern
+    build = yocto.top / "build-kernels" if modern else yocto.build
+    mask = [rf'BBMASK = "/(?!{kernel.recipe}_)[^/]*[.]bb(append)?$"'] if modern else []
+    yocto.configure(build, machine, *mask)
+
+    names = ("SRC_URI", "PV", "SRCREV", "KERNEL_DEVICETREE", "MACHINE_FEATURES", "SERIAL_CONSOLES", *known.kernel)
+    variables = yocto.variables(kernel.recipe, names=names, build=build, masked=modern)
     assert variables["PV"].startswith(kernel.version)
+    assert f"file://rt-tests-{machine}.cfg" in variables["SRC_URI"].split()
+    assert ("preempt-rt" in variables["SRC_URI"]) == (kernel.rt == "branch")
+    if kernel.source is not None:
+        assert kernel.source.rt_patch in variables["SRC_URI"] and variables["SRCREV"] == kernel.source.commit
     assert {key: variables[key] for key in known.kernel} == known.kernel
-    assert "preempt-rt" in variables["MACHINE_FEATURES"].split()
-    assert f"{console.baud};{console.device}" in variables["SERIAL_CONSOLES"].split()
-    types = " ".join(dict.fromkeys(variables["IMAGE_FSTYPES"].split()))
+    if known.device_tree is not None:
+        compiled = [Path(name).name for name in variables["KERNEL_DEVICETREE"].split()]
+        assert Path(known.device_tree).with_suffix(".dtb").name in compiled
+    if modern:
+        console = machine_of_profile.serial_console
+        assert "preempt-rt" in variables["MACHINE_FEATURES"].split()
+        assert f"{console.baud};{console.device}" in variables["SERIAL_CONSOLES"].split()
+
+    names = ("IMAGE_INSTALL", "IMAGE_FEATURES", "IMAGE_FSTYPES", "ROOTFS_POSTPROCESS_COMMAND", "WKS_FULL_PATH")
+    yocto.configure(build, machine)
+    (recipe,) = yocto.layer.glob(f"recipes-*/*/{image.name}.bb")
+    seen = yocto.variables(*(("-b", str(recipe)) if modern else (image.name,)), names=names, build=build)
+    features = seen["IMAGE_FEATURES"].split()
+    assert {"packagegroup-rt-tests", "openssh-sftp-server", *image.packages} <= set(seen["IMAGE_INSTALL"].split())
+    assert f"ssh-server-{yocto.profile.ssh.server}" in features
+    assert "rt_tests_ssh_policy" in seen["ROOTFS_POSTPROCESS_COMMAND"]
+    assert not {"debug-tweaks", "empty-root-password", "allow-root-login", "allow-empty-password"} & set(features)
+    if machine_of_profile.sd_card is not None:
+        assert Path(seen["WKS_FULL_PATH"]).is_relative_to(yocto.layer)
+    types = " ".join(dict.fromkeys(seen["IMAGE_FSTYPES"].split()))
     yocto.note(machine, kernel=f"{kernel.recipe} {variables['PV'].partition('+git')[0]}", image_types=types)
 
 
@@ -220,7 +213,7 @@ def test_yocto_check_layer(yocto, needed):
     build = yocto.top / "build-check"
     # The machines that need no layer of their own; qemuarm is openembedded-core's.
     machines = [yocto.profile.default_machine, "qemuarm"]
-    core, *others = yocto.kas(yocto.machine)[0]
+    core, *others = yocto.shared_layers
     # As somebody else has it who adds the layer: nothing of ours is switched on. In a world every recipe must find what
     # it depends on, as those that the image needs do.
     mask = f'BBMASK = "{yocto.mask_of_others_but(needed)}"'

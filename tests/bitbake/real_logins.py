@@ -17,13 +17,12 @@ from pathlib import Path
 import pytest
 
 from bitbake.yocto import Yocto
-from rtfiles import cache
 from rtgen import debian
 from rtgen.board import build as board
 from rtgen.board import disk, initrd
 from rtgen.board.kernel import debian_kernel
 from rtgen.board.machine import find
-from rtgen.board.packages import packages
+from rtgen.board.packages import packages, unpacked
 from rtrun.target import qemu
 
 pytestmark = [pytest.mark.bitbake, pytest.mark.qemu, pytest.mark.timeout(900)]
@@ -87,11 +86,7 @@ WantedBy=multi-user.target
 
 def programs() -> Path:
     """A folder with Debian's packages of both servers and systemd, from the cache or downloaded."""
-    source = debian.source(SUITE)
-    key = cache.digest([*PACKAGES, repr(source), Path(debian.__file__), *packages().dropped])
-    return cache.entry(
-        "login-root", key, lambda folder: debian.extract(PACKAGES, folder, "armhf", source, packages().dropped)
-    )
+    return unpacked(PACKAGES, "armhf", debian.source(SUITE), packages().dropped)
 
 
 def install(source: Path, target: Path, mode: int = 0o644) -> None:

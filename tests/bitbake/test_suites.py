@@ -3,7 +3,6 @@
 What they install for one release measures on the emulated board.
 """
 
-import functools
 import json
 import shutil
 import subprocess
@@ -44,23 +43,11 @@ def tasks(*recipes: str) -> list[list[str]]:
     return [[recipe, task] for recipe in recipes for task in TASKS]
 
 
-@pytest.fixture(scope="module")
-def build_suites(make_build):
-    """A function that builds the suites of a profile once for a machine; it returns the build and files by package."""
-
-    @functools.cache
-    def build_suites(name, machine):
-        build = make_build(name, machine, local=tools())
-        suites = [suite["package"] for suite in suite_recipes(load_profile(name)[0])]
-        return build, build.bitbake(tasks=tasks(*suites))["files"]
-
-    return build_suites
-
-
-# scarthgap unpacks into WORKDIR as kirkstone does, wrynose into UNPACKDIR.
-@pytest.mark.parametrize(("name", "machine"), [(DEFAULT_PROFILE, "qemuarm"), ("wrynose-noetic", "pandaboard-es")])
-def test_fetch_to_install(build_suites, name, machine):
-    build, files = build_suites(name, machine)
+def build_suites(make_build, name, machine):
+    """Build the suites of a profile for a machine, check what is installed, and return the build."""
+    build = make_build(name, machine, local=tools())
+    suites = [suite["package"] for suite in suite_recipes(load_profile(name)[0])]
+    files = build.bitbake(tasks=tasks(*suites))["files"]
     for suite, programs in PROGRAMS.items():
         package = suite.replace("-", "_")
         for program in programs:
@@ -77,6 +64,12 @@ def test_fetch_to_install(build_suites, name, machine):
     library = [path for path, package in files["rt-tests-support"].items() if package == "rt-tests-support"]
     assert not [path for path in library if path.endswith((".a", ".h", ".so"))]
     assert files["rt-tests-support"]["/opt/ros/noetic/lib/librt_tests_support.a"] == "rt-tests-support-staticdev"
+    return build
+
+
+def test_fetch_to_install(make_build):
+    """Of wrynose, which unpacks into UNPACKDIR; scarthgap, below, unpacks into WORKDIR as kirkstone does."""
+    build_suites(make_build, "wrynose-noetic", "pandaboard-es")
 
 
 CAMPAIGN = """schema: 1
@@ -91,8 +84,8 @@ runs:
 
 @pytest.mark.qemu
 @pytest.mark.ros
-def test_programs_of_the_recipes_measure_on_the_board(build_suites, tmp_path, monkeypatch):
-    build, _ = build_suites(DEFAULT_PROFILE, "qemuarm")
+def test_programs_of_the_recipes_measure_on_the_board(make_build, tmp_path, monkeypatch):
+    build = build_suites(make_build, DEFAULT_PROFILE, "qemuarm")
     suites = tmp_path / "suites"
     suites.mkdir()
     rtgen.suites.collect(build.folder / "tmp" / "stage" / "opt" / "ros" / "noetic", suites)

@@ -70,6 +70,18 @@ class Yocto:
         headers = [header for data in read for header in data.get("local_conf_header", {}).values()]
         return layers, [line for header in headers for line in header.splitlines()]
 
+    @property
+    def shared_layers(self) -> list[Path]:
+        """Of the layers of others those that every machine of the profile has, openembedded-core's first.
+
+        A mask concerns these alone. What an image needs of the machine's own layer only that layer's settings say.
+        """
+        return [layer for layer in self.kas(self.machine)[0] if layer.name in self.release.layers]
+
+    def own_layers(self, machine: str) -> list[Path]:
+        """The layers of others that a machine of the profile has beside the shared ones."""
+        return [layer for layer in self.kas(machine)[0] if layer.name not in self.release.layers]
+
     def run(self, *command: str, build: Path | None = None, masked: bool = False) -> str:
         """Run a command in the build environment; what it said. Neither errors nor warnings of ours may be in it.
 
@@ -151,7 +163,7 @@ class Yocto:
         A recipe may need every other that its DEPENDS, RDEPENDS and the like name, or whose name begins a name there:
         too many rather than too few, but hundreds instead of thousands. BitBake says so if one is missing.
         """
-        _, *others = self.kas(self.machine)[0]
+        _, *others = self.shared_layers
         files: dict[str, list[Path]] = {}
         for layer in others:
             for path in layer.rglob("*.bb"):
@@ -160,6 +172,8 @@ class Yocto:
         # Of ours every word counts: an image names packages in other variables.
         ours = " ".join(path.read_text().replace('"', " ") for path in self.layer.glob("recipes-*/**/*.bb"))
         texts = [f'DEPENDS = "{ours}"']
+        for layer in self.own_layers(self.machine):
+            texts += [path.read_text() for path in layer.rglob("*") if path.suffix in (".bb", ".inc", ".conf")]
         while texts:
             words = {
                 word for value in NEEDS.findall(texts.pop()) for word in re.findall(r"[a-z0-9][a-z0-9.+-]*", value)
@@ -176,8 +190,8 @@ class Yocto:
 
         A native one may come from a recipe of its own, or from the one without that ending.
         """
-        core, *others = self.kas(self.machine)[0]
-        recipes = needed | {name.removesuffix("-native") for name in needed}
+        core, *others = self.shared_layers
+        recipes = needed | {name.removesuffix("-native") for name in needed} | self._appended(self.machine)
         return self._mask(others, recipes, recipes | {_recipe(path) for path in core.glob("recipes-*/*/*.bb")})
 
     def mask_of_all_but(self, needed: set[str], machine: str) -> str:
@@ -185,13 +199,15 @@ class Yocto:
 
         What starts, builds or writes an image is kept too, and what the machine's layer adds to: it may need more.
         """
-        core, *others = self.kas(self.machine)[0]
-        names = _beginnings(needed)
+        core, *others = self.shared_layers
+        names = _beginnings(needed) | self._appended(machine)
         for folder in ("bsp", "core", "devtools", "extended", "kernel", "support"):
             names |= {_recipe(path) for path in core.glob(f"recipes-{folder}/*/*.bb")}
-        for layer in {*self.kas(machine)[0]} - {core, *others}:
-            names |= {_recipe(path) for path in layer.rglob("*.bbappend")}
         return self._mask([core, *others], names, names)
+
+    def _appended(self, machine: str) -> set[str]:
+        """The recipes to which a machine's own layers add: BitBake stops where such a recipe is missing."""
+        return {_recipe(path) for layer in self.own_layers(machine) for path in layer.rglob("*.bbappend")}
 
     def _mask(self, layers: list[Path], recipes: set[str], appended: set[str]) -> str:
         """Return a BBMASK that keeps these recipes of the layers, and the bbappends of `appended`."""

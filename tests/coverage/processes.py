@@ -82,6 +82,27 @@ def rising(n: int, rng: Rng) -> Int64s:
     return (quiet(n, rng) * np.linspace(1.0, 1.5, n)).astype(np.int64)
 
 
+def regimes(pieces: int, n: int, rates: Callable[[int], float], rng: Rng) -> list[Int64s]:
+    """So many runs of n loops each, of which each has its own rate of misses."""
+    return [independent(n, rates(piece), rng) for piece in range(pieces)]
+
+
+def slow_load(n: int, p: float, rng: Rng, *, turn: int, regular: bool = True) -> Int64s:
+    """A load that is there for `turn` loops (regular, else on average) and away for as many, begun anywhere.
+
+    Under it all values are 60 us higher, and nearly all misses come; p is their rate in all.
+    """
+    phase = rng.integers(2 * turn)
+    if regular:
+        loaded = (np.arange(n) + phase) // turn % 2 == 0
+    else:
+        ends = np.cumsum(rng.exponential(turn, 8 + 4 * n // turn))
+        loaded = np.searchsorted(ends, np.arange(n)) % 2 == phase % 2
+    values = quiet(n, rng) + 60_000 * loaded
+    values[rng.random(n) < p * np.where(loaded, 1.9, 0.1)] = MISS_NS
+    return values
+
+
 def boots(number: int, n: int, p: float, rng: Rng, *, spread: float) -> list[Int64s]:
     """One run a boot, n measurements in all; miss rates lognormal between boots with this spread and the mean p."""
     rates = p * np.exp(rng.normal(-(spread**2) / 2, spread, number))

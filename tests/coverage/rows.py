@@ -13,10 +13,12 @@ import numpy as np
 import processes
 from processes import DEADLINE_NS, Int64s, Rng
 
+from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
 from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.histogram import from_samples
-from rtrun.analysis.intervals import clopper_pearson
+from rtrun.analysis.intervals import anytime_upper, clopper_pearson
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
+from rtrun.plan.question import Question
 
 SEED = 20140715
 P = 1e-3
@@ -63,7 +65,7 @@ def trials_of(values: Int64s, number: int, boot: str) -> Trials:
 
 
 def judged(trials: Sequence[Trials]) -> Verdict:
-    return judge(trials, deadline_ns=DEADLINE_NS, probability=P * (1 - 1e-6), confidence=0.95)
+    return judge(trials, Question(deadline_ns=DEADLINE_NS, probability=P * (1 - 1e-6)))
 
 
 def verdict_on(runs: Sequence[Int64s], *, one_boot: bool = True) -> Verdict:
@@ -96,10 +98,46 @@ def proven_at_any_look(looks: int, n: int, rng: Rng) -> bool:
     return False
 
 
+def proven_in_pieces(number: int, n: int, rates: Callable[[int], float], one_boot: bool, rng: Rng) -> bool:
+    runs = processes.regimes(number, n, rates, rng)
+    return verdict_on(runs, one_boot=one_boot).answer == Answer.PROVEN
+
+
+def proven_in_rounds(turns: int, rate: float, regular: bool, rng: Rng) -> bool:
+    """PROVEN from twenty runs of one boot, beside a load that comes and goes."""
+    turn = 100_000
+    values = processes.slow_load(2 * turn * turns, rate, rng, turn=turn, regular=regular)
+    return verdict_on(np.array_split(values, 20)).answer == Answer.PROVEN
+
+
+def proven_at_any_look_in_bursts(length: int, rng: Rng) -> bool:
+    """PROVEN after any round of a goal that asks for bursts of this length; a refutation ends it, too."""
+    question = Question(deadline_ns=DEADLINE_NS, probability=P * (1 - 1e-6), bursts=length)
+    batches: list[Trials] = []
+    for look in range(40):
+        values = processes.bursts(250 * length, P, rng, length=float(length))
+        batches.append(trials_of(values, look, "boot"))
+        answer = judge(batches, question).answer
+        if answer in (Answer.PROVEN, Answer.REFUTED):
+            return answer == Answer.PROVEN
+    return False
+
+
+def proven_at_any_look_in_boots(spread: float, rng: Rng) -> bool:
+    """PROVEN after any of thirty boots, from five on, whose rates are lognormal with the mean P."""
+    rates = P * np.exp(rng.normal(-(spread**2) / 2, spread, 30))
+    boots: list[Trials] = []
+    for look, rate in enumerate(rates):
+        boots.append(trials_of(processes.independent(4000, min(1.0, rate), rng), look, str(look)))
+        if look >= 4 and judged(boots).answer == Answer.PROVEN:
+            return True
+    return False
+
+
 def proven_without_order(rng: Rng) -> bool:
     histogram = from_samples(processes.bursts(20_000, P, rng, length=5))
     trials = [count_misses_in_histogram(histogram, DEADLINE_NS)]
-    return judge(trials, deadline_ns=DEADLINE_NS, probability=P, confidence=0.95).answer == Answer.PROVEN
+    return judge(trials, Question(deadline_ns=DEADLINE_NS, probability=P)).answer == Answer.PROVEN
 
 
 def enough(process: processes.Process, rate: float, rng: Rng) -> bool | None:
@@ -116,6 +154,31 @@ def enough(process: processes.Process, rate: float, rng: Rng) -> bool | None:
 
 def _never_between(*_: object) -> float:
     return 0.0
+
+
+_UNEXAMINED = ("examine_constancy", lambda *_, **__: Constancy(change=None))
+
+
+def _late(first: int, times: float) -> Callable[[int], float]:
+    """So many times P from a run on, and a tenth of it before."""
+    return lambda run: P * (times if run >= first else 0.1)
+
+
+def _run_by_run(boots: Sequence[Boot], **question: float) -> Constancy:
+    """As if each run were on its own: a slow load is a change in most of them."""
+    runs = [replace(run, boot=run.run) for boot in boots for run in boot.trials]
+    return examine_constancy(join_boots(runs), **question)
+
+
+def _plain_interval(misses: float, n: float, effect: float, question: Question) -> float:
+    """As if there were one look."""
+    upper = clopper_pearson(misses / effect, n / effect, question.confidence)[1]
+    return 1.0 if upper < question.probability else 0.0
+
+
+def _any_burst(misses: float, n: float, effect: float, question: Question) -> float:
+    """As if bursts that were not seen were none."""
+    return 1e9 if anytime_upper(misses / effect, n / effect, question.confidence) < question.probability else 0.0
 
 
 ROWS = [
@@ -187,7 +250,7 @@ ROWS = [
             quick={20: 60}.get(looks, 0),
             long=2000 if looks < 100 else 1000,
             reported={1: "2", 5: "6", 20: "10", 100: "17"}[looks],
-            remedy=("anytime_interval", clopper_pearson) if looks == 20 else None,
+            remedy=("longest_burst", _plain_interval) if looks == 20 else None,
         )
         for looks in (1, 5, 20, 100)
     ),
@@ -212,7 +275,73 @@ ROWS = [
         draw=partial(proven, partial(processes.rising, 100_000)),
         at_most=5.0,
         quick=60,
-        remedy=("_strongest_change", lambda _: None),
+        remedy=_UNEXAMINED,
+    ),
+    *(
+        Row(
+            name=f"{number} runs of {n}, {'one boot' if one_boot else 'a boot each'}, {name}",
+            event="PROVEN",
+            draw=partial(proven_in_pieces, number, n, rates, one_boot),
+            at_most=20.0 if bad else 100.0,
+            at_least=0.0 if bad else 88.0,
+            quick=quick,
+            long=500,
+            reported=reported,
+            remedy=_UNEXAMINED if bad and quick else None,
+        )
+        for number, n, name, rates, bad, quick, reported in (
+            (50, 2000, "the last at 5 P, the others at P/10", _late(49, 5), True, 20, "96"),
+            (50, 2000, "the last five at 2 P, the others at P/10", _late(45, 2), True, 0, "62"),
+            (100, 10_000, "the last ten at 3 P, the others at P/10", _late(90, 3), True, 0, "100"),
+            (50, 2000, "the first three at 4 P, the others at P/10", lambda k: P * (4 if k < 3 else 0.1), True, 0, ""),
+            (50, 2000, "all at P/10", lambda _: P / 10, False, 20, ""),
+        )
+        for one_boot in (True, False)
+    ),
+    *(
+        Row(
+            name=f"a load comes {turns} times{'' if regular else ' at random'}, 20 runs, P(miss) = {rate / P:g} P",
+            event="PROVEN",
+            draw=partial(proven_in_rounds, turns, rate, regular),
+            at_most=5.0 if rate == P else 100.0,
+            at_least=80.0 if rate < P and turns >= 8 else 0.0,
+            quick=quick,
+            long=500,
+            remedy=("examine_constancy", _run_by_run) if quick else None,
+            reported="0 to 6" if rate < P else "",
+        )
+        for turns, rate, regular, quick in (
+            (3, P / 10, True, 0),
+            (8, P / 10, True, 10),
+            (12, P / 10, True, 0),
+            (30, P / 10, False, 0),
+            (8, P, True, 0),
+            (8, P, False, 0),
+            (30, P, False, 0),
+        )
+    ),
+    *(
+        Row(
+            name=f"bursts of {length}, a goal that asks for them, a look after each of 40 rounds of {250 * length}",
+            event="PROVEN at any look",
+            draw=partial(proven_at_any_look_in_bursts, length),
+            at_most=5.0,
+            quick=24 if length == 20 else 0,
+            long=500,
+            reported={5: "47", 20: "83"}[length],
+            remedy=("longest_burst", _any_burst),
+        )
+        for length in (5, 20)
+    ),
+    *(
+        Row(
+            name=f"a look after each of 30 boots from the fifth on, rates lognormal (sd {spread:g})",
+            event="PROVEN at any look",
+            draw=partial(proven_at_any_look_in_boots, spread),
+            quick=0,
+            long=500,
+        )
+        for spread in (0.5, 1.0)
     ),
     Row(
         name="a histogram without order, bursts of 5",

@@ -1,6 +1,7 @@
 """Mutation fuzz of every reader: whatever it is given, it ends with a result or with an error of ours.
 
-No traceback, no hang, at most MEMORY_MIB. Run: python tests/hostile/fuzz.py --seconds 3600 --seed 7 --only journal run
+No traceback, no hang, at most MEMORY_MIB. Numbers are drawn at and beyond every limit that a reader has.
+Run: python tests/hostile/fuzz.py --seconds 3600 --seed 7 --only journal run
 """
 
 import argparse
@@ -20,12 +21,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from readers import READERS, Files
 
 from rtfiles.errors import InfrastructureError, UsageError
+from rtrun.analysis.histogram import LIMIT_NS
+from rtrun.plan import conditions, limits, suites
 
-MEMORY_MIB = 300
+# The libraries of all commands take 320 of it.
+MEMORY_MIB = 400
 INPUT_S = 60
 TOKENS = [b"\0", b"\xff", b"-1", b"9" * 5000, b"1e9999", b"\n", b"{", b"[" * 2000, b"\xc2\xb2", b"*", b"&a ", b": "]
 # What a value of JSON, YAML or SQL may become.
@@ -36,6 +41,19 @@ VALUES: list[Any] = [
 ]  # fmt: skip
 
 
+# What a number may become: every limit, and those beside it.
+_LIMITS = {
+    *(value for name, value in vars(limits).items() if name.isupper() and isinstance(value, int)),
+    *(bound for option in (*suites.options().values(), *conditions.conditions().settings.values())
+      for bound in (option.min, option.max)),
+    *(2**power for power in (15, 16, 31, 32, 53, 59, 60, 61, 62, 63)), LIMIT_NS,
+}  # fmt: skip
+NUMBERS = sorted({sign * limit + beside for limit in _LIMITS for sign in (-1, 1) for beside in (-1, 0, 1)})
+INT64_NUMBERS = [number for number in NUMBERS if -(2**63) <= number < 2**63]
+TIMES = ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00", "1969-12-31", "2262-04-12T00:00:00Z", "unknown"]
+VALUES += [*NUMBERS[:: len(NUMBERS) // 30], *TIMES]
+
+
 def damaged(random_: random.Random, name: str, data: bytes) -> bytes:
     """A file with its bytes changed or, where it has a structure, with the structure whole and its values changed."""
     if random_.random() < 0.5:
@@ -44,6 +62,9 @@ def damaged(random_: random.Random, name: str, data: bytes) -> bytes:
                 return _with_other_cells(random_, data)
             if name.endswith((".json", ".yml")):
                 return _with_other_values(random_, data)
+            if name.endswith(".npy"):
+                return _with_other_rows(random_, data)
+            return _with_other_numbers(random_, data)
     return _with_other_bytes(random_, data)
 
 
@@ -56,10 +77,34 @@ def _with_other_bytes(random_: random.Random, data: bytes) -> bytes:
     return data
 
 
+def _with_other_rows(random_: random.Random, data: bytes) -> bytes:
+    start = 10 + int.from_bytes(data[8:10], "little")
+    values = np.frombuffer(data, "<i8", offset=start).copy()
+    for _ in range(random_.randint(1, 4)):
+        values[random_.randrange(values.size)] = random_.choice(INT64_NUMBERS)
+    return data[:start] + values.tobytes()
+
+
+def _with_other_numbers(random_: random.Random, data: bytes) -> bytes:
+    """A text in which some of the numbers are others."""
+    for _ in range(random_.randint(1, 3)):
+        place = random_.choice(list(re.finditer(rb"-?[0-9]+", data)))
+        data = data[: place.start()] + str(random_.choice(NUMBERS)).encode() + data[place.end() :]
+    return data
+
+
 def _with_other_values(random_: random.Random, data: bytes) -> bytes:
     tree = yaml.load(data, Loader=yaml.CSafeLoader)
     for _ in range(random_.randint(1, 3)):
         places = list(_places(tree))
+        numbers = [(parent, key) for parent, key in places if isinstance(parent[key], int | float)]
+        if numbers and random_.random() < 0.5:
+            # Of a list any, and not each: most numbers stand in lists.
+            parent, key = random_.choice(
+                list({str(place[1]): place for place in random_.sample(numbers, len(numbers))}.values())
+            )
+            parent[key] = random_.choice(NUMBERS)
+            continue
         parent, key = random_.choice(places)
         if random_.random() < 0.2:
             del parent[key]

@@ -7,13 +7,14 @@ import io
 import json
 import shutil
 import tempfile
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import cast
+
+import numpy as np
 
 from rtfiles import config
 from rtgen.kconfig import data as kconfig
@@ -29,10 +30,20 @@ from rtrun.results.gnuplot_lines import check_commands
 from rtrun.results.importers.adopt import adopt
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, histogram_text, read_histogram
-from rtrun.results.record import RunRecord, RunStatus, TargetFacts
+from rtrun.results.record import (
+    Clock,
+    Observed,
+    ProgramRecord,
+    Requested,
+    Rival,
+    RunRecord,
+    RunStatus,
+    TargetFacts,
+)
 from rtrun.results.record import verify as verify_run
 from rtrun.target import (
     architecture,
+    control_groups,
     host_keys,
     inspection,
     platform_signs,
@@ -44,11 +55,11 @@ from rtrun.target import (
 )
 from rtrun.target.address import Address
 from rtrun.target.config import read_target
-from rtrun.target.connection import Connection
+from rtrun.target.connection import parse_listing
 from rtrun.target.link import Link
 from rtrun.target.platform import Platform
 from rtrun.validity import baselines
-from rtrun.validity.observations import read_observations, summarize
+from rtrun.validity.observations import observations_of, summarize
 
 TOP = Path(__file__).parents[2]
 SUITES = TOP / "tests" / "data" / "suites"
@@ -123,12 +134,39 @@ def _contents(folder: Path, *patterns: str) -> list[bytes]:
 
 KEY = b"ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIPJs62duJcZ1UDeiYfJh47Sob6aBR0zYBWGFxamj6gCK"
 KNOWN_HOSTS = b"board,*.x " + KEY + b" me\n@revoked * " + KEY + b"\n|1|AAAA|AAAA " + KEY + b"\n"
-STATE = f"== governor\nperformance\n== threads\n12 (a) b) S {'0 ' * 36}95 1 0\n41\n== machine\narmv7l\n"
+STATE = f"""== boot_id
+1-1
+== uptime
+900.10 1700.20
+== cpus_online
+0-1
+== governor
+performance
+ondemand
+== frequency_khz
+800000
+1000000
+== temperature_mc
+40000
+== sched_rt_runtime_us
+950000
+== load
+0.10 0.20 0.30 1/80 1234
+== threads
+12 (a) b) S {"0 " * 36}95 1 0
+41
+== machine
+armv7l
+"""
 SSH_CONFIG = (
     b"Host *\n Port=22\n User %u\n IdentityFile ~/%h%%\n UserKnownHostsFile a b\nInclude x*\n"
     b"Match host a,b !user c\n ProxyJump d@e:1,f\nMatch all\n IdentityAgent none\n"
 )
-FACTS = b"== kernel_version\n#1 SMP PREEMPT_RT\n== swap\n/dev/a x\n== threads\n99 program a\n"
+GROUPS = (
+    b"group 1 /x\ncpu.rt_runtime_us 100000\ncpu.rt_period_us 1000000\ncpu.cfs_quota_us 2000\ncpu.cfs_period_us 10000\n"
+    b"group 2 /x y\ncpu.max 20000 100000\ncpu.stat nr_periods 5\ncpu.stat nr_throttled 3\ncpu.stat throttled_usec 7\n"
+)
+FACTS = b"== kernel_version\n#1 SMP PREEMPT_RT\n== swap\n/dev/a x\n== threads\n99 program a\n" + GROUPS
 REPLY = b"<methodResponse><params><param><value><array><data><value><int>1</int></value></data></array></value></param>"
 PLATFORM = """cpuinfo flag: hypervisor
 dmi: QEMU / Standard PC (Q35 + ICH9, 2009) /  / SeaBIOS
@@ -147,6 +185,8 @@ OBSERVED = """at 10.00 0.50 40000,41000 800000 cpu 1 2 3 4 5 6 7 8 0 0
 thread cyclic_timer_tests 12 1 95 0-1 cyclic_timer_te
 load stress-ng 2 0,1
 rival 5 1 99 migration/0
+rival 7 6 1000000/10000000 a b
+rival 8 6 - sugov:0
 governor performance,performance
 sched_rt_runtime_us 950000
 end 11.50
@@ -205,7 +245,7 @@ def _check_facts(path: Path) -> None:
 
 
 def _observe(path: Path) -> None:
-    observations = read_observations(path.read_text(errors="replace"))
+    observations = observations_of(path.parent)
     summarize(observations, [state for each in observations for states in each.threads.values() for state in states])
 
 
@@ -262,6 +302,23 @@ ATTEMPT = json.dumps(
 LEFTOVERS = f"started cyclic_timer_tests 1-1\nstarted sampler 1-1\nattempt\n{ATTEMPT}\n{STATE}"
 
 
+def _surroundings(samples: Path) -> Files:
+    """What the sampler saw while these were measured, and the target's states around them."""
+    rows = np.load(samples)
+    begin_s, end_s = float(rows[:, 0].min()) / 1e9, float(rows[:, 0].max()) / 1e9
+    step_s = (end_s - begin_s) / 120
+    sampled = "".join(
+        f"at {begin_s + number * step_s:.6f} 0.50 {40000 + number % 7},41000 800000 cpu 1 2 3 {number} 5 6 7 8 0 0\n"
+        f"counts interrupts={number % 5}\n"
+        for number in range(120)
+    )
+    before, after = (
+        inspection.parse_state(STATE.replace("900.10", f"{at_s:.2f}")).model_dump() for at_s in (begin_s - 1, end_s + 1)
+    )
+    target = json.dumps({"schema": 1, "before": before, "after": after, "own_ros_master": True})
+    return {"sampler.stdout": sampled.encode(), "target.json": target.encode()}
+
+
 def _runs() -> list[Files]:
     """Closed run directories with the samples and logs of tests/data."""
     outputs = {
@@ -276,12 +333,29 @@ def _runs() -> list[Files]:
             partial.mkdir()
             for path in SUITES.glob(f"{output}*"):
                 (partial / path.name).write_bytes(path.read_bytes())
+            for name, content in _surroundings(partial / f"{output}.npy").items():
+                (partial / name).write_bytes(content)
             record = RunRecord(
                 schema=2, run="run", campaign="campaign", attempt="0123456789abcdef", suite=suite,
                 parameters={"policy": "RR", "priority": 95, "repetitions": 100}, platform=Platform.HARDWARE,
                 platform_evidence="no sign of a virtual machine", status=RunStatus.OK,
-                reason=None, start_time="2026-11-21T10:00:00+00:00", end_time="2026-11-21T10:00:01+00:00", programs=[],
-                outputs=[output], target=TargetFacts(name="board", cpus=2, boot_id="1-1"), files={},
+                reason=None, start_time="2026-11-21T10:00:00+00:00", end_time="2026-11-21T10:00:01+00:00",
+                outputs=[output], files={},
+                programs=[
+                    ProgramRecord(
+                        name=suite, argv=[suite], exit_status=0,
+                        control_groups=control_groups.parse_around(f"{GROUPS.decode()}== after\n{GROUPS.decode()}"),
+                    )
+                ],
+                requested=Requested(policy="RR", priority=95, cpus=[0], loads={"stress": 2}, busy_percent=60),
+                in_effect=Observed(
+                    policy=["RR"], priority=[95], cpus=[0, 1], loads={"stress": 2}, load_cpus=[0], busy_percent=84.2,
+                    sched_rt_runtime_us=[950000], temperature_mc=[40000, 41000], frequency_khz=[800000, 800000],
+                    load_1min=[0.5, 0.75], rivals=[Rival(name="migration/0", policy="FIFO", priority=99)], looks=2,
+                ),
+                target=TargetFacts(
+                    name="board", cpus=2, boot_id="1-1", clock=Clock(source="tsc", event="lapic", step_ns=16)
+                ),
             )  # fmt: skip
             run_directory.close(partial, Path(folder) / "run", record)
             runs.append({path.name: path.read_bytes() for path in sorted((Path(folder) / "run").iterdir())})
@@ -304,19 +378,37 @@ def _seal(folder: Path) -> None:
         path.write_text(json.dumps(record))
 
 
+COMMANDS = (
+    ["show", RUN := "{run}"], ["show", "--json", RUN], ["verify", RUN], ["why", RUN, "--perfetto", "{beside}"],
+    ["verdict", RUN], ["verdict", "--json", RUN], ["gate", RUN], ["gate", RUN, "--junit", "{beside}"],
+    ["compare", RUN, RUN], ["claims", RUN], ["claims", "--json", RUN],
+    *(["report", RUN, "--output", "-", "--format", form]
+      for form in ("html", "markdown", "json", "junit", "lava", "csv", "parquet")),
+    ["archive", "add", RUN, "--to", ARCHIVE := "{beside}.archive", "--samples"], ["history", ARCHIVE],
+)  # fmt: skip
+
+
 def _commands(folder: Path) -> None:
-    """The front door: whatever is in a run directory, a command does not end with the status of a defect."""
-    commands = (
-        ["show"], ["show", "--json"], ["why"], ["verdict"], ["gate"], ["compare", str(folder)],
-        ["report", "--output", "-"], ["report", "--output", "-", "--format", "csv"],
-        ["report", "--output", "-", "--format", "junit"],
-    )  # fmt: skip
-    argv = commands[zlib.crc32((folder / "run.json").read_bytes()) % len(commands)]
+    """The front door: whatever is in a run directory, no command ends with the status of a defect.
+
+    Where the results can be shown, every other command is called, too.
+    """
+    beside = folder.with_name("beside")
+    for argv in COMMANDS:
+        words = [word.format(run=folder, beside=beside) for word in argv]
+        if _status(words) != 0 and argv is COMMANDS[0]:
+            break
+    beside.unlink(missing_ok=True)
+    shutil.rmtree(f"{beside}.archive", ignore_errors=True)
+
+
+def _status(argv: list[str]) -> int:
     stdout, stderr = (io.TextIOWrapper(io.BytesIO()) for _ in range(2))
     with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
-        status = cli.main([argv[0], str(folder), *argv[1:]])
+        status = cli.main(argv)
     stderr.seek(0)
     assert status in (0, 1, 2, 3), f"rtrun {argv}: {status}: {stderr.read()}"
+    return status
 
 
 def _why(folder: Path) -> None:
@@ -402,8 +494,8 @@ READERS: dict[str, Reader] = {
         f"12\nload 1\n== ended\n{STATE}",
     ),
     "listing": of_answer(
-        lambda link: Connection.list_files(cast(Connection, link), PurePosixPath("/x")),
-        "total 4\n-rw-r--r-- 1 0 0 5 Nov 22 03:20 a b\ndrwxr-xr-x 2 0 0 4096 Nov 22 03:20 c\n",
+        lambda link: parse_listing(link.check([])),
+        "2\n-rw-r--r-- 1 0 0 5 Nov 22 03:20 a b\ndrwxr-xr-x 2 0 0 4096 Nov 22 03:20 c\n",
     ),
     "platform": of_answer(platform_signs.find_platform, PLATFORM),
     "facts": of_file(_check_facts, "facts", FACTS),

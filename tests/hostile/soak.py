@@ -3,7 +3,8 @@
 `rtrun run` measures on a real sshd on loopback while the runner is killed, stopped and hung up, the link is cut and
 frozen, the disks of both sides fill up, and files are damaged. In the end every run is whole, the attempt that it was
 closed with was executed exactly once, and it was closed as ok once, and once more for each time that its files were
-damaged afterwards.
+damaged afterwards. Once the program of the suites observes the runs; once the script does, on a target that hides the
+threads of its kernel, as a container.
 
 Run: make soak [SEED=7] [RUNS=50] [FAULTS=100]. The disks that fill up are mounts: without root those faults are left
 out.
@@ -13,6 +14,7 @@ import contextlib
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -27,6 +29,7 @@ import yaml
 from faulty import write_faulty_suites
 from proxy import Proxy, proxy_to
 
+from conftest import kernel_threads_hidden, serve
 from rtrun.results.record import RunStatus, verify
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros, pytest.mark.timeout(0)]
@@ -166,14 +169,20 @@ def small_disk(folder: Path) -> Iterator[bool]:
             subprocess.run(["umount", "--lazy", folder], check=False)
 
 
-@pytest.fixture
-def soak(tmp_path, sshd, ros_master):
+@pytest.fixture(params=["program", "script in a container"])
+def soak(request, tmp_path, ros_master):
     write_faulty_suites(tmp_path / "suites")
     program = tmp_path / "suites/lib/cyclic_timer_tests/cyclic_timer_tests"
     kept = tmp_path / "cyclic_timer_tests"
     kept.write_text(program.read_text())
     kept.chmod(0o755)
     program.write_text(WRAPPER.format(executed=tmp_path / "executed", program=kept))
+    is_hidden = request.param != "program"
+    if not is_hidden:
+        sampler = tmp_path / "suites/lib/rt_tests_sampler"
+        sampler.mkdir()
+        shutil.copy(request.getfixturevalue("sampler_program"), sampler)
+    (tmp_path / "sshd").mkdir()
     campaign = {
         "schema": 1,
         "name": "soak",
@@ -183,9 +192,11 @@ def soak(tmp_path, sshd, ros_master):
     }
     (tmp_path / "campaign.yml").write_text(yaml.safe_dump(campaign))
     with (
-        proxy_to(sshd.port) as proxy,
         small_disk(tmp_path / "here") as has_disk_here,
         small_disk(tmp_path / "there") as has_disk_there,
+        kernel_threads_hidden(tmp_path) if is_hidden else contextlib.nullcontext(()) as wrapper,
+        serve(tmp_path / "sshd", wrapper) as sshd,
+        proxy_to(sshd.port) as proxy,
     ):
         target = {
             "schema": 1, "name": "loopback", "kind": "ssh", "host": "127.0.0.1", "port": proxy.port,

@@ -6,6 +6,7 @@ Each action runs in a process of its own: it ends with one of our errors, in tim
 import re
 import socket
 import struct
+import subprocess
 import threading
 import time
 
@@ -18,7 +19,10 @@ pytestmark = pytest.mark.sshd
 
 MEMORY_MIB = 300
 RUN = "with Link(target, print) as link: link.run(['true'], deadline_s={deadline})"
-LIST = "with Link(target, print) as link: link.do(lambda c: c.list_files(PurePosixPath('/tmp')))"
+LIST = (
+    "from rtrun.target.connection import listing, parse_listing\n"
+    "with Link(target, print) as link: parse_listing(link.check(listing(PurePosixPath('/'), ['a'], matches_max=1)))"
+)
 COPY = (
     "with Link(target, print) as link:"
     " link.do(lambda c: c.download(PurePosixPath('/etc'), {'passwd': 1000}, Path(folder)))"
@@ -80,6 +84,12 @@ def silence(channel, command):
     time.sleep(3600)
 
 
+def status_before_output(channel, command):
+    channel.sendall(b"1\n")
+    channel.send_exit_status(0)
+    time.sleep(3600)
+
+
 def hang_up(channel, command):
     channel.transport.close()
 
@@ -102,11 +112,12 @@ def past_the_window(channel, command):
         (endless_lines, RUN.format(deadline=60), "TargetError: .*true printed more than 8 MiB"),
         (endless_lines, STATE, "TargetError: .*sh printed more than 8 MiB"),
         (past_the_window, RUN.format(deadline=60), "TargetError: .*(printed more|sends more than it was asked for)"),
-        (endless_listing, LIST, "TargetError: .*(more than 10000 files|printed more than 8 MiB)"),
+        (endless_listing, LIST, "TargetError: .*sh printed more than 8 MiB"),
         (endless_output, COPY, "TargetError: .*(more than the 1000 bytes|first line)"),
         (endless_lines, COPY, "TargetError: .*more than the 1000 bytes that were expected"),
         (a_byte_now_and_then, RUN.format(deadline=3), "DeadlineExpired: .*true took longer than 3 s"),
         (silence, RUN.format(deadline=3), "DeadlineExpired: .*true took longer than 3 s and may go on"),
+        (status_before_output, RUN.format(deadline=3), "DeadlineExpired: .*true took longer than 3 s"),
         (hang_up, RUN.format(deadline=3), "ConnectionLost: .*5th connection to break at the same step"),
     ],
     ids=lambda value: getattr(value, "__name__", None) or "",
@@ -116,6 +127,32 @@ def test_a_command(behaviour, action, outcome, key, tmp_path):
         result = act(action, server, key, tmp_path)
     assert re.search(outcome, result["outcome"]), result
     assert result["peak_mib"] < MEMORY_MIB and result["seconds"] < 90
+
+
+@pytest.mark.parametrize(
+    "answer", ["1\n", "0\n", "-1\n", "\n", "none\n", "{other}", "{other}\n", "{other}\r\n", "{other} {other}\n"]
+)
+def test_the_process_that_a_command_was_started_as(answer, key, tmp_path):
+    """Only what was started is killed: not every process there is, nor one whose number the target makes up."""
+    heard = []
+    with subprocess.Popen(["sleep", "600"], start_new_session=True) as other:
+
+        def claims(channel, command):
+            if b"true" in command:
+                channel.sendall(answer.format(other=other.pid).encode())
+                time.sleep(3600)
+            heard.append(command)
+            if answer == "{other}\n":
+                honest(channel, command)
+
+        try:
+            with serving(unless_boot_id(claims)) as server:
+                result = act(RUN.format(deadline=1), server, key, tmp_path)
+            assert re.search("DeadlineExpired: .*true took longer than 1 s and may go on", result["outcome"]), result
+            assert other.poll() is None
+            assert bool(heard) == (answer == "{other}\n")
+        finally:
+            other.kill()
 
 
 def http(reply: bytes, repeat: bytes = b""):

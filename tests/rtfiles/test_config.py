@@ -49,7 +49,7 @@ class Example(Config):
     [
         ("", "expected a mapping with the keys schema, name"),
         ("[1]", "expected a mapping with the keys schema, name"),
-        ("schema_: 1", "unknown key 'schema_', allowed: schema, name"),
+        ("schema_: 1", "unknown key 'schema_', did you mean 'schema'? allowed: schema, name"),
     ],
 )
 def test_keys_are_named_as_they_stand_in_a_file(tmp_path, text, message):
@@ -57,7 +57,7 @@ def test_keys_are_named_as_they_stand_in_a_file(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(UsageError) as caught:
         load(file, Example)
-    assert str(caught.value) == f"{file}: {message}"
+    assert str(caught.value) == f"{file}{':1' if text.startswith('schema') else ''}: {message}"
 
 
 def test_what_an_error_shows_is_limited(tmp_path):

@@ -26,7 +26,8 @@ def some_kernel(tmp_path: Path) -> kernel.Kernel:
 def test_unknown_machine_is_a_usage_error_that_lists_the_known(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["board", "build", "--machine", "pandaboard"]) == 2
     known = ", ".join(machine.machines())
-    assert capsys.readouterr().err == f"rtgen: unknown machine 'pandaboard', known: {known}\n"
+    said = f"rtgen: unknown machine 'pandaboard', did you mean 'pandaboard-es'? known: {known}\n"
+    assert capsys.readouterr().err == said
 
 
 def test_board_record_is_what_formats_md_promises(some_kernel: kernel.Kernel) -> None:
@@ -90,7 +91,7 @@ def test_another_release_comes_from_the_same_mirror() -> None:
 def test_unknown_suite_of_debian(capsys: pytest.CaptureFixture[str]) -> None:
     for command in ("board", "suites"):
         assert cli.main([command, "build", "--machine", "qemu-armv7", "--suite", "hamm"]) == 2
-        assert capsys.readouterr().err == "rtgen: Debian's suite 'hamm' is unknown, known: bookworm, trixie (--suite)\n"
+        assert capsys.readouterr().err == "rtgen: --suite: unknown suite of Debian 'hamm', known: bookworm, trixie\n"
 
 
 def test_suite_that_the_mirror_does_not_serve_is_one_clear_line(tmp_path: Path) -> None:
@@ -185,8 +186,8 @@ def test_firmware_that_its_package_lacks(tmp_path: Path, monkeypatch: pytest.Mon
 def test_u_boot_comes_from_the_suite_that_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
-    def unpacked(package: str, architecture: str, source: debian.Source) -> Path:
-        asked.append((package, architecture, source))
+    def unpacked(names: list[str], architecture: str, source: debian.Source) -> Path:
+        asked.append((*names, architecture, source))
         return tmp_path
 
     monkeypatch.setattr(packages, "unpacked", unpacked)

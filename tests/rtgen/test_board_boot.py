@@ -1,7 +1,6 @@
 """The real board in QEMU, each machine booted once: everything the runner and the suites rely on."""
 
 import json
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from ports import free_port
 from rtgen import debian
 from rtgen.board import sysroot
 from rtgen.board.build import build
@@ -107,9 +107,7 @@ class Board:
 def booted(machine: str, place: Path) -> Iterator[Board]:
     folder = build(machine, place)
     record = json.loads((folder / "board.json").read_text())
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     known = place / "known_hosts"
     known.write_text(f"[127.0.0.1]:{port} {record['ssh']['host_key']}\n")
     console = place / "console.log"

@@ -1,6 +1,7 @@
 """Cards for real hardware: the layout that firmware looks for, and who can log in; with small file systems."""
 
 import json
+import os
 import struct
 import subprocess
 from collections.abc import Callable
@@ -216,7 +217,10 @@ def test_without_keys_the_one_of_the_image_stays(tmp_path: Path, system: Path) -
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (None, "cannot be read"),
+        (None, "No such file or directory"),
+        ("pipe", "not a regular file"),
+        # The name of a test is in the environment of what it starts: a long one leaves no room for arguments.
+        pytest.param("# long\n" * 2**18, "larger than 1048576 bytes", id="long"),
         ("", "no public key in it"),
         ("ssh-ed25519 AAAA me@here\n", "no public key in it"),
         ("-----BEGIN OPENSSH PRIVATE KEY-----\n", "a private key, give the public one"),
@@ -226,7 +230,9 @@ def test_a_file_without_public_keys_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None, expected: str
 ) -> None:
     path = tmp_path / "keys"
-    if content is not None:
+    if content == "pipe":  # it would block whoever reads it
+        os.mkfifo(path)
+    elif content is not None:
         path.write_text(content)
     assert cli.main(["board", "build", "--machine", "pc-x86_64", "--authorized-key", str(path)]) == 2
     errors = capsys.readouterr().err.splitlines()

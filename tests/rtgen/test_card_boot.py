@@ -170,7 +170,7 @@ def test_a_stick_with_both_kernels_is_measured_on_each(key: Path, tmp_path: Path
         # Without this user's ~/.ssh; not before, as the cache is in that folder.
         monkeypatch.setenv("HOME", str(tmp_path))
         # It has no suites.
-        assert rtrun.cli.main(["new-target", *words, "--name", "stick"]) == 3
+        assert rtrun.cli.main(["new-target", *words, "--name", "stick"]) == 0
         target = yaml.safe_load(Path("stick.yml").read_text())
         assert target["boot_kernel"] == {"standard": ["boot-kernel", "standard"], "rt": ["boot-kernel", "rt"]}
         Path("stick.yml").write_text(yaml.safe_dump(target | {"reconnect_s": BOOT_S}))

@@ -80,13 +80,14 @@ def mounted(device, place):
 def test_refuses_a_mounted_card(image, attach, tmp_path, capsys):
     device, backing = attach(16 * MIB)
     run("mkfs.ext4", "-q", device)
+    size = image.stat().st_size
+    card = flash.check_device(device, size)
     with mounted(device, tmp_path) as mount:
         assert flash_it(image, device, "--yes") == 2
         assert f"{device}: in use: {device} is mounted on {mount}" in capsys.readouterr().err
         # Mounted between the check and the writing: the kernel refuses.
-        card = flash.Card(path=device, name=device.name, model="loop", size_bytes=16 * MIB)
         with pytest.raises(InfrastructureError, match="busy"):
-            flash.write(image, card, lambda *_: None)
+            flash.write(image, size, card, lambda *_: None)
     assert backing.read_bytes()[1080:1082] == b"\x53\xef"  # ext4 is still there
 
 
@@ -221,15 +222,50 @@ def test_confirmation(image, attach, answer, status):
     assert (backing.read_bytes() == bytes(16 * MIB)) == bool(status)
 
 
+def test_another_card_behind_the_name_is_not_written(image, attach, tmp_path):
+    """Somebody changes cards while asked."""
+    device, _ = attach(16 * MIB)
+    size = image.stat().st_size
+    card = flash.check_device(device, size)
+    other = tmp_path / "other"
+    other.write_bytes(bytes(16 * MIB))
+    run("losetup", "--detach", device)
+    run("losetup", device, other)
+    assert flash.check_device(device, size).size_bytes == card.size_bytes
+    with pytest.raises(InfrastructureError, match=f"^{device}: another device than the one that was checked"):
+        flash.write(image, size, card, lambda *_: None)
+    assert other.read_bytes() == bytes(16 * MIB)
+
+
+@pytest.mark.parametrize("change_bytes", [-MIB, 0, MIB])
+def test_an_image_that_changes_meanwhile_is_not_the_cards_fault(image, attach, change_bytes):
+    """As by a build that writes it anew: behind the name is another file when the card is read back."""
+    device, backing = attach(16 * MIB)
+    content = image.read_bytes()
+    card = flash.check_device(device, len(content))
+
+    def rebuild(what, done):
+        if what == "written" and done == len(content):
+            image.unlink()
+            image.write_bytes(bytes(len(content)))
+
+    if change_bytes:
+        with pytest.raises(InfrastructureError, match=f"^{image}: changed while it was written"):
+            flash.write(image, len(content) + change_bytes, card, rebuild)
+    else:
+        assert flash.write(image, len(content), card, rebuild) == hashlib.sha256(content).hexdigest()
+        assert backing.read_bytes()[: len(content)] == content
+
+
 @pytest.mark.parametrize(
     ("source", "reason"), [("/proc/self/mem", "Input/output error"), ("/no.wic", "No such file or directory")]
 )
 def test_an_image_that_fails_is_not_the_cards_fault(attach, source, reason):
     """It may go between the check and the writing: somebody is asked there."""
     device, backing = attach(16 * MIB)
-    card = flash.Card(path=device, name=device.name, model="loop", size_bytes=16 * MIB)
+    card = flash.check_device(device, 1)
     with pytest.raises(InfrastructureError, match=f"^{source}: {reason}$"):
-        flash.write(Path(source), card, lambda *_: None)
+        flash.write(Path(source), 1, card, lambda *_: None)
     assert backing.read_bytes() == bytes(16 * MIB)
 
 
@@ -254,8 +290,9 @@ def test_a_card_that_keeps_something_else(image, attach, monkeypatch):
             real(handle, request, *more)
         return 0
 
-    with pytest.raises(InfrastructureError, match=r"byte 500\d reads back wrong"):
-        flash.write(image, card, spoil)
+    expected = f"bytes 0 to {flash.CHUNK - 1} read back otherwise than written, the card is broken"
+    with pytest.raises(InfrastructureError, match=expected):
+        flash.write(image, image.stat().st_size, card, spoil)
 
 
 def test_tools_of_these_tests_are_there():

@@ -100,13 +100,12 @@ def test_errata_that_a_multiplatform_kernel_cannot_have_are_never_rendered(data)
 
 def test_unknown_kernel_and_machine_list_the_known_ones(capsys):
     assert main(["kconfig", "render", "--check", "--machine", "pandaboard-es", "--kernel", "5.10"]) == 2
-    assert (
-        capsys.readouterr().err == "rtgen: kernel 5.10 is unknown, known: 3.4, 5.15, 6.1, 6.6, 6.12, 6.18, 7.1, 7.2\n"
-    )
+    known = "3.4, 5.15, 6.1, 6.6, 6.12, 6.18, 7.1, 7.2"
+    assert capsys.readouterr().err == f"rtgen: unknown kernel '5.10', did you mean '5.15'? known: {known}\n"
     assert main(["kconfig", "render", "--check", "--machine", "beagle", "--kernel", "6.1"]) == 2
     assert (
         capsys.readouterr().err
-        == "rtgen: machine beagle is unknown, known: pandaboard-es, qemu-armv7, arm, arm64, x86-64\n"
+        == "rtgen: unknown machine 'beagle', known: pandaboard-es, qemu-armv7, arm, arm64, x86-64\n"
     )
 
 
@@ -142,14 +141,15 @@ def test_an_option_given_twice_is_refused(copy):
 def test_a_malformed_option_is_refused_with_its_place(copy, line, message):
     path = copy / "options/validation.yml"
     path.write_text(path.read_text() + f"  - {line}\n")
-    with pytest.raises(UsageError, match=rf"validation\.yml: {message}"):
+    with pytest.raises(UsageError, match=rf"validation\.yml:[0-9]+: {message}"):
         kconfig.load(copy)
 
 
 def test_a_machine_with_an_unknown_concern_is_refused(copy):
     path = copy / "machines.yml"
     path.write_text(path.read_text().replace("validation, board]", "validation, bored]"))
-    with pytest.raises(
-        UsageError, match=r"machines\.yml: machines\.pandaboard-es\.concerns: there is no bored, known: arm, board"
-    ):
+    message = (
+        r"machines\.yml: machines\.pandaboard-es\.concerns: unknown concern 'bored', did you mean 'board'\? known: arm,"
+    )
+    with pytest.raises(UsageError, match=message):
         kconfig.load(copy)

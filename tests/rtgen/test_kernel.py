@@ -63,7 +63,7 @@ def test_a_mirror_without_the_suites_is_one_clear_line(data, monkeypatch, tmp_pa
 def test_a_file_with_another_checksum_is_refused(data, monkeypatch, tmp_path):
     monkeypatch.setenv("META_RT_TESTS_CACHE", str(tmp_path))
 
-    def other_bytes(_command, folder=None):
+    def other_bytes(_command, folder=None, **_):
         if folder:
             (folder / data.source().tree.file).write_bytes(b"other")
 
@@ -96,7 +96,7 @@ def test_a_version_without_a_pinned_source(version, capsys):
     expected = f"rtgen: no source of kernel {version!r} is pinned in kconfig/sources.yml, pinned: 6.1, 7.2\n"
     assert capsys.readouterr().err == expected
     assert main(["board", "build", "--machine", "qemu-armv7", "--kernel", version]) == 2
-    expected = f"rtgen: kernel {version!r} is unknown, known: debian, both, built, 6.1, 7.2 (--kernel)\n"
+    expected = f"rtgen: --kernel: unknown kernel {version!r}, known: debian, both, built, 6.1, 7.2\n"
     assert capsys.readouterr().err == expected
 
 

@@ -12,7 +12,7 @@ from rtrun.target.address import Address
 from rtrun.target.config import Target
 
 PROGRAM = """#!{python}
-import json, os, sys, time
+import json, os, subprocess, sys, time
 sys.path.insert(0, {here!r})
 from pathlib import Path
 from written import write_npy, write_output
@@ -53,7 +53,8 @@ if wish == "part":
     os.kill(os.getpid(), 9)
 if wish == "killed":
     os.kill(os.getpid(), 9)
-rows = [(1_000_000 * n,) for n in range(count + 1)]
+begun = time.monotonic_ns()  # two runs never measure at the same time
+rows = [(begun + 1_000_000 * n,) for n in range(count + 1)]
 path = write_output(Path("."), output, "cyclic_timer_tests", rows, requested={{"repetitions": count,
     "frequency_hz": frequency, "policy": words.get("-s", "0"), **known}}, asked=count, measured=count)
 data = json.loads(path.read_text())
@@ -92,6 +93,22 @@ if wish == "digits":
     path.write_text(path.read_text().replace('"schema": 1', '"schema": ' + "1" * 6000))
 if wish == "surrogate":
     path.write_text(path.read_text().replace("0.1.0", chr(92) + "ud800"))
+if wish == "full":
+    while "end " not in Path("sampler.stdout").read_text():
+        time.sleep(0.05)
+    sys.stdout.flush()
+    with open("ballast", "wb", buffering=0) as ballast:
+        try:
+            while True:
+                ballast.write(bytes(4096))
+        except OSError:
+            pass
+if wish == "busy":
+    Path("mounted").mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "tmpfs", "mounted"], check=True)
+if wish == "flood":
+    for index in range(10_000):
+        Path(f"{{output}}-trace-{{index}}.txt").touch()
 if wish == "untold trace":
     for index in range(20):
         Path(f"{{output}}-trace-{{index}}.txt").write_text("x")

@@ -9,7 +9,8 @@ from written import write_output
 from rtrun.causes.events import Event
 from rtrun.causes.ftrace import parse
 from rtrun.results import run_directory
-from rtrun.results.record import RunRecord, RunStatus, TargetFacts
+from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
+from rtrun.target.control_groups import ControlGroup
 
 SPECIMENS = Path(__file__).parents[1] / "data" / "traces"
 OUTPUT = "cyclic_timer_tests_l2500_fq500-tnRTRR"
@@ -51,8 +52,14 @@ def head(value_us: int, index: int, at_us: int) -> str:
     return f"# cyclic_timer_tests: {value}, at {at}\n"
 
 
-def write_traced_run(folder: Path, traces: dict[int, str], tids: Iterable[int], output: str = OUTPUT) -> Path:
-    """A closed run directory with the files of traces by index, whose program had these threads.
+def write_traced_run(
+    folder: Path,
+    traces: dict[int, str],
+    tids: Iterable[int],
+    output: str = OUTPUT,
+    control_groups: Iterable[ControlGroup] = (),
+) -> Path:
+    """A closed run directory with the files of traces by index, whose program had these threads and control groups.
 
     An output of messages has the suite communication_tests.
     """
@@ -74,7 +81,8 @@ def write_traced_run(folder: Path, traces: dict[int, str], tids: Iterable[int], 
         schema=1, run="001-run", campaign="campaign", suite=suite,
         parameters={"policy": "RR", "frequency_hz": 500, "repetitions": 2, "trace_threshold_us": 100}, emulated=False,
         status=RunStatus.OK, reason=None, start_time="2026-11-21T10:00:00+00:00",
-        end_time="2026-11-21T10:00:01+00:00", programs=[], outputs=[output],
+        end_time="2026-11-21T10:00:01+00:00", outputs=[output],
+        programs=[ProgramRecord(name=suite, argv=[suite], exit_status=0, control_groups=list(control_groups))],
         target=TargetFacts(name="board", cpus=2, boot_id="1-1"), files={},
     )  # fmt: skip
     run_directory.close(partial, folder / "001-run", closing)

@@ -1,5 +1,6 @@
 """The suites, built natively, on a real ROS master; and what their outputs must have in common."""
 
+import fcntl
 import json
 import os
 import re
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtfiles.config import read_yaml
 from rtgen import suites as builder
 
 NOT_FIRED = np.iinfo(np.int64).min
@@ -48,8 +50,11 @@ def output_of(*command: str) -> str:
 def unit_build() -> Path:
     """The folder of the compiled unit tests; what did not change is not compiled again."""
     launcher = ["-DCMAKE_CXX_COMPILER_LAUNCHER=ccache"] if shutil.which("ccache") else []
-    output_of("cmake", "-G", "Ninja", "-S", str(UNIT_SOURCE), "-B", str(UNIT_BUILD), *launcher)
-    output_of("ninja", "-C", str(UNIT_BUILD), "-j", "2")
+    UNIT_BUILD.mkdir(parents=True, exist_ok=True)
+    with (UNIT_BUILD / ".lock").open("w") as lock:  # one worker builds
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        output_of("cmake", "-G", "Ninja", "-S", str(UNIT_SOURCE), "-B", str(UNIT_BUILD), *launcher)
+        output_of("ninja", "-C", str(UNIT_BUILD), "-j", "2")
     return UNIT_BUILD
 
 
@@ -178,11 +183,12 @@ def series_of(record: dict[str, Any], rows: Any) -> dict[str, tuple[Any, Any]]:
             "difference_2014": (reported - measured_2014, index),
         }
     if record["suite"] == "cyclic_timer_tests":
-        stamps, frequency = [int(stamp) for stamp in rows[:, 0]], record["requested"]["frequency_hz"]
+        (stamps, expected, real), frequency = rows.T.tolist(), record["requested"]["frequency_hz"]
         pairs = range(max(len(stamps) - 1, 0))
         jitter = [stamps[i + 1] - stamps[i] - round(10**9 / frequency) for i in pairs]
         grid = [stamps[i + 1] - stamps[0] - (2 * (i + 1) * 10**9 + frequency) // (2 * frequency) for i in pairs]
-        return {"jitter": (jitter, pairs), "grid": (grid, pairs)}
+        lateness = [real[i + 1] - expected[i + 1] for i in pairs]
+        return {"jitter": (jitter, pairs), "grid": (grid, pairs), "lateness": (lateness, pairs)}
     publication, reception, seq = rows.T
     return {"latency": (reception - publication, seq)}
 
@@ -200,11 +206,38 @@ def histogram(log: str) -> Counter[int]:
     return Counter({int(match[2]): int(match[3]) for match in matches if match and int(match[3]) > 0})
 
 
+def check_rate(record: dict[str, Any], rows: Any) -> None:
+    """Check the rate against the rows, computed another way."""
+    suite, rate, asked_hz = record["suite"], record["rate"], record["requested"].get("frequency_hz")
+    at_ns = rows[:, {"oneshot_timer_tests": 0, "cyclic_timer_tests": 0, "communication_tests": 1}[suite]]
+    assert rate["asked_hz"] == asked_hz
+    achieved_hz = None if len(rows) < 2 else pytest.approx(1e9 / np.diff(at_ns).mean(), rel=1e-6, abs=1e-6)
+    assert rate["achieved_hz"] == achieved_hz
+    skipped = overruns = None
+    if suite == "cyclic_timer_tests":
+        period_ns = round(1e9 / asked_hz)
+        passed = np.maximum(np.diff(rows[:, 1]) // period_ns - 1, 0)
+        skipped, late = int(passed.sum()), rows[:, 2] - rows[:, 1] > period_ns
+        overruns = int(np.count_nonzero(late | np.append(passed > 0, False)[: len(rows)]))
+    assert (rate["overruns"], rate["skipped"]) == (overruns, skipped)
+
+
+def check_that_skipped_periods_make_up_the_time(rate: dict[str, Any], periods: int) -> None:
+    """Of a program that was asked for more than it can do. An overrun may be late by more than what it skips."""
+    assert rate["achieved_hz"] < 0.99 * rate["asked_hz"] and rate["overruns"] > 0
+    passed = periods / rate["achieved_hz"] * rate["asked_hz"]
+    assert periods + rate["skipped"] < 1.2 * passed
+    assert periods + rate["skipped"] + rate["overruns"] > 0.8 * passed
+
+
 def check_outputs(folder: Path, output: str) -> dict[str, Any]:
     """Read the json of a run, check npy, logs and pictures against it, and return it."""
     record: dict[str, Any] = json.loads((folder / f"{output}.json").read_text())
     rows = np.load(folder / f"{output}.npy", allow_pickle=False)
     assert rows.dtype == np.int64
+    known = read_yaml(builder.sources() / "suites.yml")["suites"][record["suite"]]
+    assert (record["columns"], rows.shape[1]) == (known["columns"], len(known["columns"]))
+    check_rate(record, rows)
     series = series_of(record, rows)
     assert record["summary"] == {name: summary_of(*pair) for name, pair in series.items()}
     assert record["counts"]["measured"] == len(series[log_series(record)[0]][0])

@@ -1,5 +1,7 @@
 """communication_tests on a real ROS master: messages that come, that do not, and publishers that die."""
 
+import json
+import re
 import shutil
 import signal
 import subprocess
@@ -10,7 +12,14 @@ import pytest
 from rtfiles.config import read_yaml
 from rtgen import suites as builder
 
-from .conftest import Bench, check_outputs, end, is_measuring, wait_until
+from .conftest import (
+    Bench,
+    check_outputs,
+    check_that_skipped_periods_make_up_the_time,
+    end,
+    is_measuring,
+    wait_until,
+)
 
 pytestmark = pytest.mark.ros
 
@@ -20,7 +29,7 @@ def test_defaults(bench: Bench) -> None:
     assert (sender.status, sender.out, sender.err) == (0, "\tINFO: Done publishing...\n", "")
     assert (receiver.status, receiver.err) == (0, "")
     base = "ct_gnuplot_l500_fq1000_pl0"
-    assert bench.files() == [f"{base}.json", f"{base}.log", f"{base}.npy"]
+    assert bench.files() == sorted([f"{base}-publisher.json", f"{base}.json", f"{base}.log", f"{base}.npy"])
     expected = [
         "\tINFO: Measurement results:",
         "\tINFO: Amount messages: 500; Messages out of order: 0",
@@ -34,9 +43,22 @@ def test_defaults(bench: Bench) -> None:
     assert record["counts"]["measured"] + record["counts"]["missing"] == 500
     rows = np.load(bench.folder / f"{base}.npy")
     assert sorted(rows[:, 2]) == sorted(set(range(500)) - set(record["indices"]["missing"]))
+    sent = json.loads((bench.folder / f"{base}-publisher.json").read_text())
+    assert (sent["complete"], sent["counts"]) == (True, {"asked": 500, "sent": 500})
+    # Each message was sent when its stamp says.
+    achieved_hz = pytest.approx(499e9 / (rows[:, 0].max() - rows[:, 0].min()), rel=1e-6)
+    assert (sent["rate"]["asked_hz"], sent["rate"]["achieved_hz"]) == (1000, achieved_hz)
     known = read_yaml(builder.sources() / "suites.yml")
-    keys = known["suites"]["communication_tests"]["programs"]["communication_tests_subscriber"]
-    assert record["requested"] == {key: known["options"][key]["default"] for key in keys} | {"repetitions": 500}
+    for one, changed in ((record, {}), (sent, {"start_delay_s": 1})):
+        keys = known["suites"]["communication_tests"]["programs"][one["program"]]
+        defaults = {key: known["options"][key]["default"] for key in keys}
+        assert one["requested"] == defaults | {"repetitions": 500} | changed
+
+
+def test_a_publisher_that_cannot_keep_its_frequency_says_so(bench: Bench) -> None:
+    assert bench.run("communication_tests_publisher", "-f", "1000000", "-r", "2000").status == 0
+    sent = json.loads((bench.folder / "ct_gnuplot_l2000_fq1000000_pl0-publisher.json").read_text())
+    check_that_skipped_periods_make_up_the_time(sent["rate"], 2000)
 
 
 def test_in_real_time_with_payload(bench: Bench) -> None:
@@ -72,8 +94,11 @@ def test_publisher_stopped_before_its_last_message(bench: Bench) -> None:
         sender.wait(2)
     sender.send_signal(signal.SIGINT)
     stopped = end(sender)
-    assert stopped.status == 0
-    assert stopped.out.startswith("\tINFO: Stopped publishing after ")
+    assert (stopped.status, stopped.out) == (1, "")
+    assert re.fullmatch(r"\tERROR: ended by SIGINT after \d+ of 100000 messages\n", stopped.err)
+    sent = json.loads((bench.folder / "ct_gnuplot_l100000_fq1000_pl0-publisher.json").read_text())
+    assert (sent["complete"], sent["incomplete_reason"]) == (False, "ended by SIGINT")
+    assert f" after {sent['counts']['sent']} of " in stopped.err
     assert end(receiver, timeout=8).status == 0  # sooner than the idle timeout: the publisher took its leave
     record = check_outputs(bench.folder, "ct_gnuplot_l100000_fq1000_pl0")
     assert record["incomplete_reason"].startswith("the publisher left, last message seen: ")

@@ -30,6 +30,8 @@ def test_a_campaign_on_this_machine(suites, tmp_path, monkeypatch, capsys):
     assert main(["run", "campaign.yml", "--target", "target.yml"]) == 0, capsys.readouterr()
     records = [json.loads(path.read_text()) for path in (tmp_path / "results/here").glob("*/run.json")]
     assert [record["status"] for record in records] == ["ok"] * 3
+    publisher_json = [name for record in records for name in record["files"] if name.endswith("-publisher.json")]
+    assert publisher_json == ["ct_gnuplot_l100_fq100_pl0-publisher.json"]
     assert {record["target"]["kernel_release"] for record in records} == {os.uname().release}
     assert not list((tmp_path / "state/rt-tests/runs").glob("*/*"))
     assert main(["report", "results/here", "--output", "report.html"]) == 0

@@ -101,14 +101,27 @@ def test_missing_right_to_lock_memory(offline: Bench, program: str) -> None:
     assert offline.files() == []
 
 
-def test_missing_trace(offline: Bench) -> None:
-    # A mount namespace of its own, in which there is no tracefs.
-    hidden = ("unshare", "--mount", "sh", "-c", 'mount -t tmpfs none /sys/kernel && exec "$@"', "sh")
-    ended = offline.run("oneshot_timer_tests", "--break-trace", "100", before=hidden)
+@pytest.mark.parametrize(
+    ("place", "option", "message"),
+    [
+        (
+            "/sys/kernel",
+            ("--break-trace", "100"),
+            "--break-trace and --trace-threshold need tracefs mounted and the right to write to it: ",
+        ),
+        (
+            "/dev",
+            ("--cpu-dma-latency", "0"),
+            "cannot hold /dev/cpu_dma_latency at 0 us: --cpu-dma-latency needs root and a kernel with CONFIG_CPU_IDLE",
+        ),
+    ],
+)
+def test_what_the_kernel_does_not_offer(offline: Bench, place: str, option: tuple[str, str], message: str) -> None:
+    # A mount namespace of its own, in which it is not there.
+    hidden = ("unshare", "--mount", "sh", "-c", f'mount -t tmpfs none {place} && exec "$@"', "sh")
+    ended = offline.run("oneshot_timer_tests", *option, before=hidden)
     assert (ended.status, ended.out) == (1, "")
-    assert ended.err.startswith(
-        "\tERROR: --break-trace and --trace-threshold need tracefs mounted and the right to write to it: "
-    )
+    assert ended.err.startswith(f"\tERROR: {message}")
     assert offline.files() == []
 
 

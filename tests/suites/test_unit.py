@@ -16,6 +16,7 @@ PROGRAMS = (
     "communication",
     "allocations",
     "blocks",
+    "process",
     "trace",
 )
 

@@ -74,6 +74,8 @@ PLANTS = (
     Plant("equal", "thread at the same priority", Kind.EQUAL, "planted_equal"),
     Plant("softirq", "a packet for some thousand sockets", Kind.SOFTIRQ, "NET_RX", ("here",)),
     Plant("throttling", "real-time thread that never sleeps", Kind.THROTTLED, "planted_fair"),
+    Plant("stopped", "the program is stopped (SIGSTOP)", Kind.STOPPED, "planted_stopper", ("here",)),
+    Plant("frozen", "the program's control group is frozen", Kind.FROZEN, "planted_freezer", ("here",)),
     Plant("lock", "thread that keeps a mutex", Kind.LOCK, "planted_lock", preloaded=True),
     Plant(
         "faults", "8192 page faults in the callback", Kind.FAULT, "cyclic_timer_te", places=("here",), preloaded=True

@@ -142,7 +142,7 @@ def throttle(cpu: int, length_ms: int) -> None:
         named("planted_hog", cpu)
         while True:
             # With PREEMPT_RT the hog keeps RCU waiting, and with it whoever sets up or copies the kernel's trace.
-            while not is_measured():
+            while measured() is None:
                 time.sleep(0.2)
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
             spin(THROTTLED_MS)
@@ -150,13 +150,53 @@ def throttle(cpu: int, length_ms: int) -> None:
             pause(length_ms)
 
 
-def is_measured() -> bool:
-    """Whether a suite's thread runs with a real-time priority."""
+def measured() -> int | None:
+    """The process of a suite whose thread runs with a real-time priority."""
     for file in Path("/proc").glob("[0-9]*/comm"):
         with contextlib.suppress(OSError):
-            if file.read_text() == MEASURED and os.sched_getscheduler(int(file.parent.name)) == os.SCHED_RR:
-                return True
-    return False
+            pid = int(file.parent.name)
+            if file.read_text() == MEASURED and os.sched_getscheduler(pid) == os.SCHED_RR:
+                return pid
+    return None
+
+
+def stop(cpu: int, length_ms: int) -> None:
+    """The measured program is stopped by a signal, and goes on."""
+    named("planted_stopper", 1 - cpu)
+    while True:
+        pause(length_ms)
+        with contextlib.suppress(ProcessLookupError):
+            if (pid := measured()) is not None:
+                os.kill(pid, signal.SIGSTOP)
+                time.sleep(length_ms / 1000)
+                os.kill(pid, signal.SIGCONT)
+
+
+def freeze(cpu: int, length_ms: int) -> None:
+    """The measured program is in a control group that is frozen, and goes on. Version 1, where it is mounted, or 2."""
+    mounts = [line.split()[1:4] for line in Path("/proc/mounts").read_text().splitlines()]
+    old = next((path for path, kind, options in mounts if kind == "cgroup" and "freezer" in options.split(",")), None)
+    root = Path(old or next(path for path, kind, _ in mounts if kind == "cgroup2"))
+    file, frozen, thawed = ("freezer.state", "FROZEN", "THAWED") if old else ("cgroup.freeze", "1", "0")
+    group = root / "planted_frozen"
+    group.mkdir(exist_ok=True)
+    try:
+        named("planted_freezer", 1 - cpu)
+        while True:
+            pause(length_ms)
+            if (pid := measured()) is None:
+                continue
+            with contextlib.suppress(OSError):
+                (group / "cgroup.procs").write_text(str(pid))
+                (group / file).write_text(frozen)
+                time.sleep(length_ms / 1000)
+            (group / file).write_text(thawed)
+    finally:
+        (group / file).write_text(thawed)
+        for pid in (group / "cgroup.procs").read_text().split():
+            with contextlib.suppress(OSError):
+                (root / "cgroup.procs").write_text(pid)
+        group.rmdir()
 
 
 def stop_machine(cpu: int, length_ms: int) -> None:
@@ -206,6 +246,8 @@ PLANTS = {
     "equal": lambda cpu, length_ms: busy("planted_equal", 95, cpu, length_ms),
     "softirq": multiply,
     "throttling": throttle,
+    "stopped": stop,
+    "frozen": freeze,
     "stop_machine": stop_machine,
     "printk": printk,
     "storm": accept_flood,

@@ -8,12 +8,13 @@ import pytest
 from scipy.signal import lfilter
 
 from rtrun.analysis.blocks import Blocks, add_outputs, cut, split_randomly
-from rtrun.analysis.comparison import Change, compare, ratio_of_misses
+from rtrun.analysis.comparison import Change, compare, correct, ratio_of_misses
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.layers import attribute
 from rtrun.analysis.trials import count_misses
+from rtrun.plan.question import Question
 
 
 def process(n: int, rng: np.random.Generator, mean_ns: float = 60_000, memory: float = 0.95) -> np.ndarray:
@@ -147,7 +148,7 @@ def test_the_ratio_of_misses_is_exact() -> None:
     def verdict(n: int, k: int):
         values = np.full(n, 100)
         values[np.linspace(0, n - 1, k).astype(int)] = 1000
-        return judge([count_misses(values, 500)], deadline_ns=500, probability=0.5, confidence=0.95)
+        return judge([count_misses(values, 500)], Question(deadline_ns=500, probability=0.5))
 
     same = ratio_of_misses(verdict(10_000, 20), verdict(10_000, 20))
     assert same.value == 1.0 and same.low < 1 < same.high
@@ -212,3 +213,21 @@ def test_measured_in_turn(a: str, b: str, answer: bool) -> None:
     assert is_interleaved(list(a), list(b)) is answer
     assert is_interleaved(list(b), list(a)) is answer
     assert not is_interleaved(list(a), [""] * len(b))
+
+
+def test_of_twelve_groups_without_a_difference_none_differs():
+    """A twentieth of twelve is one in two: without the correction half of all such campaigns would see a difference."""
+    rng = np.random.default_rng(5)
+    seen = {True: 0, False: 0}
+    for _ in range(8):
+        made = []
+        for _ in range(12):
+            sets = [[], []]
+            for number in range(10):
+                values = (38_000 + rng.normal(0, 300) + 7_000 * rng.gamma(3, size=256)).astype(np.int64)
+                sets[number % 2].append(replace(cut(values), start_time=f"{number:02d}", boot=""))
+            made.append(compare(*sets, tests=12))
+        for corrected in (True, False):
+            answers = [one.answer for one in (correct(made) if corrected else made)]
+            seen[corrected] += Change.DIFFERENT in answers
+    assert seen[True] <= 1 < seen[False]

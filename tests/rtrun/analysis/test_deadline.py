@@ -9,12 +9,13 @@ from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.histogram import Histogram, from_samples
 from rtrun.analysis.intervals import anytime_interval
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
+from rtrun.plan.question import Question
 
 DEADLINE = 400_000
 
 
 def verdict(*runs: Trials, probability: float = 1e-3, **more: object) -> Verdict:
-    return judge(runs, deadline_ns=DEADLINE, probability=probability, confidence=0.95, **more)  # type: ignore[arg-type]
+    return judge(runs, Question(deadline_ns=DEADLINE, probability=probability), **more)  # type: ignore[arg-type]
 
 
 def with_misses(n: int, *positions: int) -> np.ndarray:

@@ -5,29 +5,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtrun.analysis.deadline import Answer, judge, plan_measurements
+from rtrun.analysis.deadline import Answer, judge
+from rtrun.analysis.further import plan_measurements
 from rtrun.analysis.intervals import anytime_interval
 from rtrun.analysis.trials import count_misses
+from rtrun.plan.question import Question
 
 
 def test_without_a_miss_it_is_the_plain_interval():
-    assert plan_measurements(probability=1e-6, confidence=0.95) == (Answer.PROVEN, 3_688_878)
+    assert plan_measurements(Question(probability=1e-6)) == (True, 3_688_878)
 
 
-@pytest.mark.parametrize(("rate", "answer"), [(2e-4, Answer.PROVEN), (5e-4, Answer.PROVEN), (3e-3, Answer.REFUTED)])
-def test_the_number_is_enough_nine_times_in_ten(rate, answer):
-    planned = plan_measurements(probability=1e-3, confidence=0.95, rate=rate)
-    assert planned is not None and planned[0] is answer
+@pytest.mark.parametrize(("rate", "is_proven"), [(2e-4, True), (5e-4, True), (3e-3, False)])
+def test_the_number_is_enough_nine_times_in_ten(rate, is_proven):
+    planned = plan_measurements(Question(probability=1e-3), rate=rate)
+    assert planned is not None and planned[0] is is_proven
     misses = np.random.default_rng(3).poisson(rate * planned[1], 2000)
     decided = 0
     for count in misses:
         lower, upper = anytime_interval(int(count), planned[1], 0.95)
-        decided += upper < 1e-3 if answer is Answer.PROVEN else lower > 1e-3
+        decided += upper < 1e-3 if is_proven else lower > 1e-3
     assert 0.87 <= decided / 2000 <= 0.99
 
 
 def test_a_rate_at_the_target_is_never_decided():
-    assert plan_measurements(probability=1e-3, confidence=0.95, rate=1e-3) is None
+    assert plan_measurements(Question(probability=1e-3), rate=1e-3) is None
 
 
 @pytest.mark.parametrize("late", [False, True])
@@ -37,7 +39,7 @@ def test_an_answer_waits_for_its_boots(late):
 
     def answer(boots, wanted):
         runs = [replace(trials, run=f"r{n}", boot=f"b{n}", start_time=str(n)) for n in range(boots)]
-        verdict = judge(runs, deadline_ns=400_000, probability=1e-3, confidence=0.95, boots_wanted=wanted)
+        verdict = judge(runs, Question(probability=1e-3, boots=wanted))
         return verdict.answer, verdict.boots_missing
 
     certain = Answer.REFUTED if late else Answer.PROVEN

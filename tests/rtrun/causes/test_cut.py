@@ -5,7 +5,7 @@ from itertools import groupby
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from traced import events, line, switch, waking
+from traced import SPECIMENS, events, line, switch, waking
 
 from rtrun.causes.cut import cut
 from rtrun.causes.parts import Kind
@@ -88,6 +88,23 @@ def test_a_thread_of_the_same_priority():
 def test_a_thread_that_could_not_be_preempted():
     text = BEFORE + expiry(1000) + switch(1400, LOW, ME, state="R") + line(1410, "x: y")
     assert (Kind.NOT_PREEMPTED, "low", 397) in parts_of(text, at=1410)
+
+
+@pytest.mark.parametrize("waits", [4, -1])
+def test_a_thread_at_sched_deadline_has_no_priority_to_be_lowered(waits):
+    """Two of them are no threads of one priority either."""
+    me, control = ("me", 1, waits), ("control", 2, -1)
+    text = START + switch(200, me, LOW) + switch(990, LOW, control, state="R") + expiry(1000)
+    text += switch(1400, control, me) + line(1410, "x: y")
+    assert (Kind.DEADLINE, "control", 397) in parts_of(text, at=1410)
+
+
+def test_threads_without_a_real_time_policy_share_the_cpu():
+    """Nobody throttles: the scheduler chose one with a lower weight."""
+    me, nice = ("me", 1, 120), ("nice", 7, 130)
+    text = START + switch(200, me, LOW) + expiry(1000) + switch(1010, LOW, me, state="R")
+    text += switch(1020, me, nice, state="R") + switch(1400, nice, me, state="R") + line(1410, "x: y")
+    assert (Kind.SHARED, "nice", 380) in parts_of(text, at=1410)
 
 
 def test_throttling():
@@ -226,6 +243,45 @@ def test_a_lock_held_by_another_thread():
         (Kind.NOT_PREEMPTED, "low", 2),
         (Kind.PROGRAM, "me", 8),
     ]
+
+
+# Of real traces: when the value was due, when the thread ran again, the thread, and what was done to it.
+HELD = {
+    "stopped.txt": (6629_084355, 6629_107280, 15232, Kind.STOPPED),
+    "frozen-v1.txt": (6631_720061, 6631_761390, 15560, Kind.FROZEN),
+    "frozen-v2.txt": (6634_134046, 6634_169140, 16029, Kind.FROZEN),
+}
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_a_program_that_is_stopped_or_frozen(name):
+    """Whoever did it is named, and not followed to what it did before."""
+    due, at, pid, kind = HELD[name]
+    assert parts_of((SPECIMENS / name).read_text(), due=due, at=at, pid=pid, own=(pid,))[0][:2] == (kind, "lab_stopper")
+
+
+@pytest.mark.parametrize("name", ["stopped.txt", "frozen-v2.txt"])
+def test_a_program_that_is_let_go_on_by_whom_the_trace_still_shows(name):
+    """The buffer had overwritten what came before."""
+    due, at, pid, kind = HELD[name]
+    lines = (SPECIMENS / name).read_text().splitlines(keepends=True)
+    begin = next(place for place, text in enumerate(lines) if "=lab_stopper" in text and place > len(lines) - 30)
+    text = "".join(one for one in lines[begin:] if "next_comm=lab_stopper" in one or "lab_" in one)
+    assert parts_of(text, due=due, at=at, pid=pid, own=(pid,))[0][:2] == (kind, "lab_stopper")
+
+
+def test_who_stopped_a_program_is_named_rather_than_who_let_it_go_on():
+    text = BEFORE + line(300, "signal_generate: sig=19 errno=0 code=0 comm=me pid=1 grp=1 res=0", name="low", pid=3)
+    text += switch(310, LOW, ME) + switch(320, ME, LOW, state="T") + switch(330, LOW, HOG)
+    text += waking(1400, 1, by=2) + switch(1402, HOG, ME, state="R") + line(1410, "x: y")
+    assert parts_of(text, at=1410)[0] == (Kind.STOPPED, "low", 400)
+    assert parts_of(text.replace("sig=19", "sig=10"), at=1410)[0] == (Kind.STOPPED, "hog", 400)
+
+
+def test_a_thread_that_woke_another_in_time_did_not_freeze_it():
+    """Its timer had not expired: the lock was given free before."""
+    text = START.replace("=500000", "=900000") + switch(200, ME, LOW) + waking(1300, 1, by=3) + switch(1302, LOW, ME)
+    assert Kind.FROZEN not in {kind for kind, _, _ in parts_of(text + line(1310, "x: y"), at=1310)}
 
 
 def test_a_page_fault_that_waits_for_memory():

@@ -18,7 +18,9 @@ from rtrun.causes.events import (
     Lost,
     Migration,
     Raise,
+    Signal,
     Switch,
+    Thaw,
     TimerExpiry,
     TimerStart,
     Wake,
@@ -54,7 +56,7 @@ A, B = ("a", 9, 4), ("b", 8, 120)
         ("softirq_exit: vec=3 [action=NET_RX]", Interrupt(5000, 1, Context.SOFT, "NET_RX", begins=False)),
         (
             "hrtimer_start: hrtimer=0000000067ea50c6 function=hrtimer_wakeup expires=60 softexpires=10 mode=ABS",
-            TimerStart(5000, 1, "0000000067ea50c6", 10, 60),
+            TimerStart(5000, 1, "0000000067ea50c6", 10, 60, 9),
         ),
         (
             "hrtimer_expire_entry: hrtimer=0000000067ea50c6 function=hrtimer_wakeup now=70",
@@ -65,6 +67,11 @@ A, B = ("a", 9, 4), ("b", 8, 120)
         ("sys_futex -> 0xfffffffffffffff5", Futex(5000, 1, 9, None)),
         ("page_fault_user: address=0x7f ip=0x55 error_code=0x6", Fault(5000, 1, 9)),
         ("console: [   12.3] text", Console(5000, 1, 9)),
+        (
+            "signal_generate: sig=19 errno=0 code=0 comm=a b pid=7 grp=1 res=0",
+            Signal(5000, 1, 9, 19, 7),
+        ),
+        ("cgroup_unfreeze: root=0 id=44 level=1 path=/x", Thaw(5000, 1, 9)),
         ("cpu_frequency: state=1200000 cpu_id=0", Frequency(5000, 1, 0, 1_200_000)),
     ],
 )

@@ -1,13 +1,15 @@
 """The outliers of a run directory, each explained from its trace."""
 
 import pytest
-from traced import OUTPUT, head, line, specimen, switch, write_traced_run
+from traced import OUTPUT, SPECIMENS, head, line, specimen, switch, waking, write_traced_run
 
 from rtfiles.errors import UsageError
 from rtrun.causes.outliers import NOT_RECORDED, explain_run
 from rtrun.causes.parts import Kind
 from rtrun.causes.ranking import rank
+from rtrun.report.causes import answer, remedies, table
 from rtrun.results.record import read_record
+from rtrun.target.control_groups import ControlGroup, Throttling
 
 ME, HOG = ("cyclic_timer_te", 1, 4), ("hog", 2, 1)
 
@@ -66,6 +68,59 @@ def test_lost_events_are_said(tmp_path):
     (one,) = explained(write_traced_run(tmp_path, {3: text}, [1]))
     assert one.note == "5 events were lost within"
     assert sum(part.length_ns for part in one.parts) == 500_000
+
+
+# What the group of rt-group.txt had, and one with a quota that was used up in 8 of 10 periods of the run.
+RT_GROUP = ControlGroup(version=1, path="/lab", rt_runtime_us=100_000, rt_period_us=1_000_000)
+COUNTS = [Throttling(periods=n, throttled=n, throttled_ns=n * 10**7) for n in (5, 13)]
+QUOTA_GROUP = ControlGroup(
+    version=2, path="/lab", quota_us=20_000, quota_period_us=100_000, before=COUNTS[0], after=COUNTS[1]
+)
+TRACE_OF_GROUP = head(10_995, 3, 6640_912_995) + (SPECIMENS / "rt-group.txt").read_text()
+
+
+def answered(folder):
+    made = explained(folder)
+    ranking = rank(made)
+    return answer(ranking), " ".join(remedies(ranking)), " ".join(table(ranking, made).notes)
+
+
+def test_a_control_group_is_named_with_its_limit_rather_than_the_kernels(tmp_path):
+    """It was throttled by the group: the kernel's own limit, a safety net, has nothing to do with it."""
+    made = write_traced_run(tmp_path / "group", {3: TRACE_OF_GROUP}, [16322], control_groups=[RT_GROUP])
+    first, advice, notes = answered(made)
+    assert first.startswith(
+        "throttled by the limit of control group /lab (cpu.rt_runtime_us 100000 of 1000000 us): the main cause of 1 "
+    )
+    assert "raise cpu.rt_runtime_us of the group" in advice and "=-1" not in advice
+    assert "control group /lab leaves to real-time threads cpu.rt_runtime_us 100000 of 1000000 us" in notes
+    # Without such a group it is the kernel's, whatever quota there is for other policies; the price is said.
+    kernels = write_traced_run(tmp_path / "kernel", {3: TRACE_OF_GROUP}, [16322], control_groups=[QUOTA_GROUP])
+    first, advice, notes = answered(kernels)
+    assert "throttled: a thread of lower priority was chosen" in first
+    assert "sched_rt_runtime_us=-1" in advice and "this takes away a safety net: a real-time thread that" in advice
+    assert "cpu.max 20000 of 100000 us; throttled in 8 of 8 periods, 0.08 s in all" in notes
+
+
+NORMAL, BUSY, IDLE = ("cyclic_timer_te", 1, 120), ("busy", 2, 130), ("swapper/0", 0, 120)
+
+
+@pytest.mark.parametrize("woken_when_idle", [False, True])
+def test_a_quota_leaves_a_cpu_idle_beside_a_thread_of_policy_other(tmp_path, woken_when_idle):
+    """It is no throttling of real-time threads, for whom the group has no limit."""
+    text = head(80_000, 3, 90_000) + switch(1000, BUSY, NORMAL)
+    if woken_when_idle:
+        text += (
+            switch(2000, NORMAL, IDLE)
+            + waking(10_000, 1)
+            + line(10_002, "sched_wakeup: comm=x pid=1 prio=120 target_cpu=000")
+        )
+    else:
+        text += switch(9000, NORMAL, IDLE, state="R+")
+    text += switch(89_990, IDLE, NORMAL) + switch(90_010, NORMAL, IDLE)
+    first, advice, _ = answered(write_traced_run(tmp_path, {3: text}, [1], control_groups=[QUOTA_GROUP]))
+    assert first.startswith("throttled by the limit of control group /lab (cpu.max 20000 of 100000 us): the main cause")
+    assert "a real-time policy, which the quota does not touch" in advice and "=-1" not in advice
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,16 @@
 """The ranking of culprits over many outliers."""
 
+import re
+
+import pytest
+
 from rtrun.causes.control import Windows
 from rtrun.causes.outliers import Explained, Outlier
 from rtrun.causes.parts import Cause, Kind, Part
 from rtrun.causes.ranking import rank
 from rtrun.causes.remedies import read_remedies, remedy
+from rtrun.report.causes import answer, table
+from rtrun.target.rt_readiness import read_checks
 
 
 def outlier(*causes, usual=None, windows=10, pid=None):
@@ -52,16 +58,31 @@ def test_one_outlier_alone_names_nobody_by_circumstances():
     assert rank([outlier((Kind.HIGHER, "hog", 1000))]).named is not None
 
 
-def test_several_threads_of_one_name_are_named_together_only_for_what_they_did():
-    """Whoever ran when the host stopped the virtual machine may have the name of its neighbour."""
-    by_chance = [outlier((Kind.TIMER_LATE, "load", 1000), pid=pid) for pid in (1, 2, 3)]
-    assert rank(by_chance).named is None
-    one_thread = rank([*by_chance, *by_chance[:1] * 2]).named
-    assert one_thread is not None
-    assert (one_thread.pid, one_thread.main) == (1, 3)
-    hogs = rank([outlier((Kind.HIGHER, "hog", 1000), pid=pid) for pid in (1, 2, 3)]).named
-    assert hogs is not None
-    assert hogs.main == 3
+@pytest.mark.parametrize("kind", [Kind.NOT_PREEMPTED, Kind.TIMER_LATE, Kind.HIGHER])
+def test_processes_of_one_name_are_one_culprit(kind):
+    """A script starts the same program again and again: each process has few of the outliers."""
+    many = [outlier((kind, "dd", 1000), pid=pid) for pid in range(100, 129)]
+    made = rank([*many, *[outlier((Kind.LOCK, "x", 1000), pid=7)] * 9])
+    assert made.named is not None
+    assert (made.named.name, made.named.main, made.named.threads) == ("dd", 29, 29)
+    assert answer(made).startswith(f"{kind} dd (29 threads of this name): the main cause of 29 of 38 traced outliers")
+    assert table(made, ()).rows[0][1] == "dd (29 threads of this name)"
+
+
+def test_who_has_the_cpu_often_is_there_by_chance_in_a_few_outliers():
+    """A load has the CPU for 40 % of the time, so also when the host stops the virtual machine."""
+    stopped = [outlier((Kind.TIMER_LATE, "load", 1000), usual={"load": 400}, pid=pid) for pid in range(10)]
+    made = rank(stopped[:3])
+    assert made.named is None
+    assert answer(made).startswith("Perhaps timer interrupt late during load (3 threads of this name): the main cause")
+    assert rank(stopped).named is not None, "of ten outliers it is no chance"
+
+
+@pytest.mark.parametrize("kind", [Kind.OWN_SLEEP, Kind.PROGRAM, Kind.UNEXPLAINED, Kind.OUTSIDE])
+def test_the_answer_is_the_first_row_of_the_table_also_where_that_blames_nobody(kind):
+    made = rank([outlier((kind, "x", 1000))] * 22 + [outlier((Kind.HIGHER, "hog", 1000))] * 3)
+    assert made.named is None
+    assert answer(made) == f"{kind} x: the main cause of 22 of 25 traced outliers, 88 % of their lateness"
 
 
 def test_what_is_unexplained_is_not_named():
@@ -79,6 +100,14 @@ def test_every_kind_that_names_somebody_has_a_remedy():
     for kind in Kind:
         assert (remedy(kind, "somebody") is None) is (kind in without)
     assert all(one.source and one.change for one in read_remedies())
+
+
+def test_every_remedy_that_takes_away_a_safety_net_says_so():
+    """Of whatever gives the advice: what switches a limit or a watchdog of the kernel off, or swap."""
+    advice = [one.advice for one in read_remedies()] + [one.advice for one in read_checks()]
+    risky = [one for one in advice if re.search(r"runtime_us=-1|watchdog=0|swapoff|swap off|scaling_max_freq", one)]
+    assert len(risky) == 6
+    assert all("; this takes away a safety net: " in one for one in risky)
 
 
 def test_the_first_remedy_that_fits():

@@ -22,10 +22,9 @@ def write_sampled(root, *, clocks_apart_s=0.0, planted="24:eth0", outlying=True)
     values_ns = latencies(OBSERVATIONS * STEP_S * HZ, 1)
     if outlying:
         values_ns[np.flatnonzero(late) * STEP_S * HZ + HZ] += 900_000
-    folder = write_run(
-        root, "001-run", "cyclic_timer_tests", [cyclic_rows(values_ns, HZ)], {"frequency_hz": HZ}, asked=values_ns.size
-    )
-    begin_s = 0.007 - clocks_apart_s
+    rows = cyclic_rows(values_ns, HZ) + 100 * 10**9  # after the target's boot by any clock
+    folder = write_run(root, "001-run", "cyclic_timer_tests", [rows], {"frequency_hz": HZ}, asked=values_ns.size)
+    begin_s = int(np.load(next(folder.glob("*.npy")))[0, 0]) / 1e9 - clocks_apart_s
     lines = []
     for number in range(OBSERVATIONS + 1):
         busy = 100 * number

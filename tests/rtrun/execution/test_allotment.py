@@ -2,12 +2,14 @@
 
 import random
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from faulty import runs_of
 
-from rtrun.execution.allotment import Allotment, rounds_of_blocks
+from rtrun.execution.allotment import Allotment, Round, rounds_of_blocks
 from rtrun.plan.kernels import blocks
 
 
@@ -71,6 +73,64 @@ def test_a_board_that_waits_is_stopped():
     threading.Timer(0.1, allotment.stop).start()
     with pytest.raises(KeyboardInterrupt):
         allotment.take("b", ())
+
+
+def test_nobody_waits_for_an_analysis_of_all_results():
+    asked, analysed = threading.Event(), threading.Event()
+
+    def next_round(taken, begun):
+        asked.set()
+        analysed.wait(60)
+
+    allotment = Allotment(next_round, ["a", "b", "c"], {})
+    with ThreadPoolExecutor() as boards:
+        try:
+            taking = [boards.submit(allotment.take, board, ()) for board in "ab"]
+            asked.wait(60)
+            boards.submit(allotment.withdraw, "c").result(20)
+            boards.submit(allotment.stop).result(20)
+            for board in taking:
+                with pytest.raises(KeyboardInterrupt):
+                    board.result(20)
+        finally:
+            analysed.set()
+
+
+def test_what_a_board_leaves_while_another_asks_is_not_lost():
+    (run,) = runs_of(1)
+
+    def next_round(taken, begun):
+        if not taken:
+            return Round(runs=(run,))
+        allotment.withdraw("b")
+        return None
+
+    allotment = Allotment(next_round, ["a", "b"], {})
+    assert allotment.take("b", ()).runs == allotment.take("a", ()).runs == (run,)
+
+
+def test_a_failure_of_the_analysis_is_that_of_the_board_that_asked():
+    allotment = Allotment(lambda *_: 1 / 0, ["a", "b"], {})
+    for board in ("a", "b"):
+        with pytest.raises(ZeroDivisionError):
+            allotment.take(board, ())
+
+
+def test_boards_that_wait_ask_again_only_when_something_has_changed():
+    asked = []
+
+    def next_round(taken, begun):
+        asked.append(taken)
+        return None if taken else Round(runs=tuple(runs_of(1)))
+
+    allotment = Allotment(next_round, ["a", "b", "c"], {})
+    allotment.take("a", ())
+    with ThreadPoolExecutor() as boards:
+        waiting = [boards.submit(allotment.take, board, ()) for board in "bc"]
+        time.sleep(0.5)
+        allotment.stop()
+        assert all(isinstance(board.exception(20), KeyboardInterrupt) for board in waiting)
+    assert len(asked) <= 4, "once each, and once more where the other came in between"
 
 
 def test_boards_share_whole_repeats_and_a_campaign_of_one_repeat_run_by_run():

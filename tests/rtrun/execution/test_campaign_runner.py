@@ -61,6 +61,10 @@ def test_a_campaign_from_end_to_end(bare_target, tmp_path, watching, wishes):
     assert state["before"]["boot_id"] == Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     assert state["own_ros_master"] is True
     assert written["target"]["kernel_release"] == os.uname().release
+    (program,) = written["programs"]
+    own = {line.split(":", 2)[2] for line in Path("/proc/self/cgroup").read_text().splitlines()}
+    assert {group["path"] for group in program["control_groups"]} & own
+    assert all(group.get("before") and group.get("after") for group in program["control_groups"] if "quota_us" in group)
     assert master_is_gone(bare_target), "a master that the runner started is ended"
     assert list((Path(bare_target.work_dir) / "runs").rglob("*.npy")) == [], "nothing stays on the bare_target"
 
@@ -98,6 +102,7 @@ def test_a_run_that_goes_wrong_is_closed_with_the_reason(target, tmp_path, watch
     assert reason in record(tmp_path / "results", runs[0])["reason"]
 
 
+@pytest.mark.trace
 def test_a_trace_that_is_too_large_is_named_and_costs_the_run_nothing(target, tmp_path, watching, wishes):
     wishes.will("huge-trace-1.txt")
     (run,) = runs = runs_of(1, trace={"above": "50us"})
@@ -207,6 +212,12 @@ def test_a_port_that_is_no_master(bare_target, tmp_path, watching, wishes, monke
             measure(bare_target, runs_of(1), tmp_path / "results", watching)
 
 
+def test_a_board_that_is_slow_to_boot_is_slow_to_start_a_master(bare_target, tmp_path, watching, wishes, monkeypatch):
+    monkeypatch.setattr(ros_master, "START_S", 0.0)
+    target = replace(bare_target, boot_s=60)
+    assert list(measure(target, runs_of(1), tmp_path / "results", watching).values()) == ["ok"]
+
+
 def answer_junk(server):
     while True:
         try:
@@ -266,6 +277,13 @@ def test_a_full_disk_on_the_target(target, tmp_path, watching, wishes, small_dis
     (target.suites / "lib" / "large").write_bytes(os.urandom(2_000_000))
     with pytest.raises(TargetError, match=r"cannot write .*disk is full"):
         measure(target, runs_of(1), tmp_path / "results", watching)
+
+
+def test_a_disk_of_the_target_that_is_full_when_the_suite_ends(target, tmp_path, watching, wishes, small_disk):
+    """The run is whole: that its exit status finds no room must not have it measured again."""
+    target = replace(target, work_dir=PurePosixPath(small_disk))
+    wishes.will("full")
+    assert list(measure(target, runs_of(1), tmp_path / "results", watching).values()) == ["ok"], watching.ends
 
 
 def test_a_full_disk_here(target, tmp_path, watching, wishes, small_disk):
@@ -366,18 +384,30 @@ def test_exit_status_of_failed_runs_and_of_a_finished_campaign(sshd, target, tmp
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("schema: 1\nname: x\nkind: telnet\n", "kind: missing or unknown, allowed: ssh, qemu"),
-        ("schema: 1\nname: x\nkind: [ssh]\n", "kind: missing or unknown, allowed: ssh, qemu"),
+        ("schema: 1\nname: x\nkind: telnet\n", "target.yml:3: kind: unknown kind 'telnet', allowed: ssh, qemu"),
         (
             "schema: 1\nname: x\nkind: ssh\nhost: h\nkey: ~nosuchuser/x\n",
             "key: the user of '~nosuchuser' is unknown here",
         ),
         ('schema: 1\nname: x\nkind: ssh\nhost: h\nsuites: "a\\0"\n', "suites: a path holds printable characters"),
         ("schema: 1\nname: x\nkind: qemu\nboard: ~nosuchuser/x\n", "board: the user of '~nosuchuser' is unknown here"),
-        ("schema: 1\nname: x\nkind: ssh\nhost: h\nport: 0\n", "port: Input should be greater than or equal to 1"),
-        ("schema: 1\nname: x\nkind: ssh\nhots: h\n", "unknown key 'hots'"),
-        ("schema: 1\nname: x\nkind: ssh\nhost: h\nwork_dir: /tmp/../../etc\n", "work_dir: String should match"),
-        ("schema: 1\nname: x\nkind: ssh\nhost: h\nwork_dir: /\n", "work_dir: String should match"),
+        ("schema: 1\nname: x\nkind: ssh\nhost: h\nkey: nowhere\n", "nowhere: No such file or directory: name the file"),
+        ("schema: 1\nname: x\nkind: ssh\nhost: h\nkey: campaign.yml\n", "campaign.yml: is no private key that can be"),
+        ("schema: 1\nname: x\nkind: ssh\nhost: h\nknown_hosts: nowhere\n", "nowhere: no such file: name one of host"),
+        (
+            "schema: 1\nname: x\nkind: ssh\nhost: h\nhost_key: SHA256:short\n",
+            "target.yml:5: host_key: 'SHA256:short' is",
+        ),
+        ("schema: 1\nname: x\nkind: ssh\nhost: h\nport: 0\n", "target.yml:5: port: takes a number from 1 up, got 0"),
+        (
+            "schema: 1\nname: x\nkind: ssh\nhots: h\n",
+            "target.yml:4: unknown key 'hots', did you mean 'host'? allowed: schema",
+        ),
+        (
+            "schema: 1\nname: x\nkind: ssh\nhost: h\nwork_dir: /tmp/../../etc\n",
+            "work_dir: '/tmp/../../etc' is not a whole path",
+        ),
+        ("schema: 1\nname: x\nkind: ssh\nhost: h\nwork_dir: /\n", "work_dir: '/' is not a whole path"),
         ("schema: 1\nname: x\nkind: qemu\nboard: nowhere\n", "no board there, make one: "),
         ("schema: 1\nname: x\nkind: ssh\nhost: 127.0.0.1\nsuites: nowhere\n", "no such folder; suites are built with"),
     ],

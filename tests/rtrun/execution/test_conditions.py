@@ -131,6 +131,55 @@ def test_a_sampler_that_died_makes_the_run_invalid(target, tmp_path, wishes):
     assert "sampler ended in the middle of the run, killed from outside" in record["reason"]
 
 
+# Prints what it would see in two days, but at once.
+OBSERVES_MUCH = """#!/usr/bin/env python3
+import pathlib, signal
+print("at 100.00 0.50 - - cpu  1 2 3 4 5 6 7 8 0 0", "counts", "thread cyclic_timer_tests 7 0 0 0-1 cyclic", sep="\\n")
+print("load stress 65 0-1", "end 100.00", sep="\\n")
+for at in range(102, 172_800, 2):
+    print(f"at {{at}}.00 0.50 - - cpu  1 2 3 4 5 6 7 8 0 0\\ncounts interrupts=7 {{'x=1 ' * 50}}".rstrip())
+print(flush=True, end="")
+pathlib.Path({done!r}).touch()
+signal.pause()
+"""
+
+
+@pytest.mark.parametrize(
+    ("repetitions", "frequency_hz", "status", "looks"),
+    [
+        (172_800, 1, "ok", 86_350),
+        (10, 10, "invalid", 30_000),
+    ],
+)
+def test_what_is_observed_may_be_as_large_as_the_run_is_long(
+    target, suites_folder, tmp_path, wishes, repetitions, frequency_hz, status, looks
+):
+    """Two days of observations; beside a short run they are taken as far as they are believable, and read."""
+    sampler = suites_folder / "lib" / "rt_tests_sampler" / "rt_tests_sampler"
+    sampler.parent.mkdir()
+    sampler.write_text(OBSERVES_MUCH.format(done=str(tmp_path / "done")))
+    sampler.chmod(0o755)
+    wishes.will(f"await {tmp_path / 'done'}")
+    record = measure(target, tmp_path, repetitions=repetitions, frequency_hz=frequency_hz, condition="memory")
+    size = record["files"]["sampler.stdout"]["size_bytes"]
+    assert size > 16 * 1024 * 1024
+    assert record["status"] == status and record["in_effect"]["looks"] >= looks
+    if status == "ok":
+        assert (record["reason"], record["refused"]) == (None, {})
+    else:
+        (said,) = record["refused"].values()
+        assert said.endswith(f"at most {size} were expected: the rest was not taken")
+        assert record["reason"] == f"nobody saw what was in effect to the end: {said}"
+
+
+def test_a_run_without_sampler(target, tmp_path, wishes):
+    wishes.will("sleep 2")
+    record = measure(target, tmp_path, sampler="none")
+    assert (record["status"], record["reason"], record["settings"]["sampler"]) == ("ok", None, "none")
+    assert record["run"].endswith("-samplernone"), "told from one with it"
+    assert "sampler.stdout" not in record["files"] and record["in_effect"]["looks"] == 0
+
+
 def test_affinity_of_the_load(target, tmp_path, wishes):
     wishes.will("sleep 4")
     record = measure(target, tmp_path, condition="hackbench", load_cpu="1")

@@ -13,7 +13,9 @@ import pytest
 from faulty import write_faulty_suites
 
 from conftest import serve
+from rtfiles.errors import InfrastructureError
 from rtrun.cli import main
+from rtrun.execution.journal import Journal
 from rtrun.results.record import verify
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
@@ -175,6 +177,41 @@ def test_ctrl_c_leaves_nothing_on_any_board(farm):
     assert process.wait(60) == 130, process.stderr.read()
     assert not [left for board in farm for left in board.work_dir.glob("runs/*/*")]
     assert closed() == {}
+
+
+def test_a_run_that_is_closed_is_not_measured_again_where_its_board_fails_after_that(farm, capsys):
+    """Its folder on the target cannot be removed."""
+    left, right = farm
+    words = command(farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101, 102]}]\n")
+    let_both_begin(left, right)
+    left.wishes.will("busy")
+    try:
+        assert main(words) == 0
+        assert "the other boards measure what it leaves" in capsys.readouterr().err
+        assert len(calls(farm)) == len(closed()) == 3 and not list(RESULTS.glob("*.old-*"))
+    finally:
+        for mounted in left.work_dir.glob("runs/*/*/mounted"):
+            subprocess.run(["umount", mounted], check=True)
+
+
+@pytest.mark.parametrize("state", ["measuring", "ended", "closed"])
+def test_where_this_machine_cannot_keep_a_run_no_other_board_measures_it(farm, state, capsys, monkeypatch):
+    """As when the disk of the results is full: that is no failure of a board."""
+    words = command(farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101, 102, 103]}]\n")
+    let_both_begin(*farm)
+    note, failed = Journal.note, []
+
+    def fail_once(journal, time, run, what, reason=None):
+        if what == state and not failed:
+            failed.append(run)
+            raise InfrastructureError("journal.sqlite: cannot keep the results: disk full")
+        note(journal, time, run, what, reason)
+
+    monkeypatch.setattr(Journal, "note", fail_once)
+    assert main(words) == 3
+    assert "cannot keep the results" in capsys.readouterr().err
+    assert main(words) == 0
+    assert len(calls(farm)) == len(closed()) == 4 and not list(RESULTS.glob("*.old-*"))
 
 
 def test_no_board_is_left(farm, capsys):

@@ -12,6 +12,7 @@ from rtrun.analysis.trials import count_misses
 from rtrun.execution.goal import TRIES, Findings, rounds, runs_left, standings_of
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.goal import Goal
+from rtrun.plan.question import Question
 from rtrun.plan.rounds import plan_round
 
 DEADLINE_NS = 400_000
@@ -65,11 +66,8 @@ class Board:
             if names:
                 verdict = judge(
                     trials,
-                    deadline_ns=DEADLINE_NS,
-                    probability=1e-3,
-                    confidence=0.95,
+                    Question(probability=1e-3, boots=self.wanted.boots),
                     emulated=self.emulated,
-                    boots_wanted=self.wanted.boots,
                 )
                 standings.append(
                     Standing(
@@ -199,7 +197,7 @@ def test_no_number_of_runs_is_planned_for_a_group_that_changes():
 
     def runs_left_of(values):
         trials = [count_misses(values.astype(np.int64), DEADLINE_NS)]
-        verdict = judge(trials, deadline_ns=DEADLINE_NS, probability=1e-6, confidence=0.95)
+        verdict = judge(trials, Question())
         standing = Standing(label="", runs=(group.name,), verdict=verdict, undecidable="", measured_s=0.0)
         return verdict.change, runs_left(group, standing, NEEDED, 2)
 

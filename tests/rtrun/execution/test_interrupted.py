@@ -12,11 +12,12 @@ import pytest
 from faulty import record, runs_of
 
 from rtrun.execution import board, campaign_runner, run_execution, run_programs
+from rtrun.plan.campaign import Campaign, plan
 from rtrun.results import run_directory
 from rtrun.target import processes
 from rtrun.target.connection import Connection
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
-from rtrun.target.link import Link, TargetRebooted
+from rtrun.target.link import BREAKS_MAX, Link, TargetRebooted
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
@@ -103,11 +104,51 @@ def test_an_error_of_ours_leaves_the_run_and_its_master_alone(bare_target, wishe
     assert len(wishes.calls()) == 1
 
 
+WAITING, ENDING, LOOKING = 'flock -s "$1.lock"', "write_if_absent", "[ -e given_up ] && echo"
+
+
+@pytest.mark.parametrize("steps", [[WAITING], [ENDING], [WAITING, LOOKING]], ids=["waiting", "ending", "picking up"])
+def test_a_link_that_breaks_again_and_again_leaves_the_run_its_master(bare_target, wishes, monkeypatch, measure, steps):
+    wishes.will("sleep 4" if LOOKING in steps else "sleep 2")
+    runs, steps = runs_of(1), [step for step in steps for _ in range(BREAKS_MAX)]
+    real = Connection.check
+
+    def check(self, argv, **more):
+        if steps and any(steps[0] in word for word in argv):
+            wishes.await_calls()
+            del steps[0]
+            self.shell.stream.shut_down()
+        return real(self, argv, **more)
+
+    monkeypatch.setattr(Connection, "check", check)
+    while steps:
+        with pytest.raises(ConnectionLost, match="the 5th connection to break at the same step"):
+            measure(bare_target, runs)
+        assert list(Path(bare_target.work_dir).glob("master/*/rosmaster.pid"))
+    assert measure(bare_target, runs) == ["ok"]
+    assert len(wishes.calls()) == 1
+    assert not list(Path(bare_target.work_dir).glob("master/*"))
+
+
 def test_what_the_target_should_have_ended_is_given_up(target, wishes, interrupt):
     wishes.will("sleep 60")
     runs = runs_of(1)
     interrupt(target, runs, failing(wishes, DeadlineExpired("took longer")), DeadlineExpired)
     assert not list(Path(target.work_dir).glob("runs/*/*"))
+
+
+def test_a_publisher_is_not_started_when_its_subscriber_has_ended(target, tmp_path, suites_folder, wishes, measure):
+    folder, started = suites_folder / "lib/communication_tests", tmp_path / "started"
+    folder.mkdir()
+    for name, does in (("publisher", f"touch {started}; sleep 2"), ("subscriber", "echo no memory >&2; exit 1")):
+        (folder / f"communication_tests_{name}").write_text(f"#!/bin/sh\n{does}\n")
+        (folder / f"communication_tests_{name}").chmod(0o755)
+    entries = [{"suite": "communication_tests", "repetitions": 10}, {"suite": "cyclic_timer_tests", "repetitions": 10}]
+    runs = plan(Campaign(schema=1, name="test", runs=entries), "test")
+    assert measure(target, runs) == ["failed", "ok"]
+    reason = "communication_tests_subscriber ended before communication_tests_publisher was started: no memory"
+    assert record(tmp_path / "results", runs[0])["reason"] == reason
+    assert not started.exists()
 
 
 def test_before_the_suite_was_started(target, tmp_path, wishes, measure, interrupt):

@@ -40,9 +40,9 @@ def write_files(folder, sshd, ros_master, work_dir, count):
 
 
 def finished(results):
-    """What stands in the end: run name to the digests of its measurements."""
+    """What stands in the end: run name to what it measured, whenever that was."""
     return {
-        folder.name: {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob("*.npy")}
+        folder.name: {path.name: np.diff(np.load(path), axis=0).tolist() for path in folder.glob("*.npy")}
         for folder in sorted(results.iterdir())
         if (closed := run_directory.closing_record(folder)) and closed.status == "ok" and ".old-" not in folder.name
     }

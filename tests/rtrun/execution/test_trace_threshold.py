@@ -63,6 +63,7 @@ def test_without_a_whole_warm_up_there_is_no_threshold(tmp_path):
 
 @pytest.mark.sshd
 @pytest.mark.ros
+@pytest.mark.trace
 def test_a_campaign_finds_it_and_writes_it_down(ready_target, tmp_path, wishes):
     runs = runs_of(1, repetitions=1000, frequency_hz=2000, trace={"above": "p90"})
     warm_up, run = runs
@@ -79,6 +80,7 @@ def test_a_campaign_finds_it_and_writes_it_down(ready_target, tmp_path, wishes):
 
 @pytest.mark.sshd
 @pytest.mark.ros
+@pytest.mark.trace
 def test_a_warm_up_that_fails_costs_its_run_alone(ready_target, tmp_path, wishes):
     wishes.will("fail")
     runs = runs_of(2, repetitions=1000, trace={"above": "p90"})

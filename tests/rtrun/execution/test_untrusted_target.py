@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import sqlite3
 from dataclasses import replace
@@ -103,6 +104,15 @@ def test_traces_that_nobody_asked_for_stay_where_they_are(results, wishes, measu
     runs = runs_of(1)
     assert measure(runs) == ["ok"]
     assert not [name for name in record(results, runs[0])["files"] if "trace" in name]
+
+
+def test_a_folder_full_of_foreign_files_is_removed_and_told_of(ready_target, results, wishes):
+    wishes.will("flood")
+    runs, watching = runs_of(2), Watching()
+    assert list(campaign_runner.run_campaign(ready_target, "test", runs, results, watching).values()) == ["ok", "ok"]
+    (note,) = watching.notes
+    assert re.search(rf"{runs[0].name}: has 100\d\d files; those that are not of the run are removed with it$", note)
+    assert not list(Path(ready_target.work_dir).glob("runs/*"))
 
 
 @pytest.mark.parametrize("damage", ["npy removed", "npy altered", "schema", "deep"])

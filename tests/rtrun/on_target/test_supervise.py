@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import rtrun
+from conftest import apart
 
 SCRIPT = Path(rtrun.__file__).parent / "on_target/supervise.sh"
 
@@ -24,3 +25,23 @@ def test_a_program_ends_at_its_deadline_though_its_folder_is_gone(tmp_path: Path
     ):
         time.sleep(0.05)
     assert not Path(f"/proc/{supervisor}").exists()
+
+
+def test_the_number_of_a_process_that_ended_may_be_anothers(tmp_path: Path) -> None:
+    """The deadline ends the program at once; what watched the deadline goes on for five seconds, then cleans up."""
+    script = """
+        sh "$1" "$2" program 1 "" sh -c 'trap "exit 0" TERM; while :; do sleep 0.01; done'
+        until [ -s "$2/program.pid" ]; do sleep 0.01; done
+        # Of the two that sleep, the one that is the child of a child of the supervisor.
+        until sleeper=$(pgrep --session "$(cat "$2/program.pid")" --full '^sleep 1$'); do sleep 0.01; done
+        until [ -e "$2/program.exit" ]; do sleep 0.01; done
+        while :; do
+            echo $((sleeper - 1)) >/proc/sys/kernel/ns_last_pid
+            setsid sleep 600 &
+            [ $! = "$sleeper" ] && break
+            kill $!
+        done
+        while pgrep --session "$(cat "$2/program.pid")"; do sleep 0.05; done
+        kill -0 "$sleeper" && grep -q sleep "/proc/$sleeper/comm"
+    """
+    subprocess.run([*apart(), "sh", "-c", script, "sh", SCRIPT, tmp_path], check=True, stdout=subprocess.DEVNULL)

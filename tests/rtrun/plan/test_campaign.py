@@ -70,7 +70,7 @@ def test_a_run_wins_over_common(tmp_path):
         ("runs: [{}]", "runs.0.suite: unknown suite ''"),
         (
             "runs: [{suite: cyclic_timer_tests, polcy: RR}]",
-            "runs.0: unknown key 'polcy', cyclic_timer_tests takes: suite, policy",
+            "runs.0: unknown key 'polcy', did you mean 'policy'\\? cyclic_timer_tests takes: suite, policy",
         ),
         ("runs: [{suite: cyclic_timer_tests, timeout_us: 5}]", "runs.0: unknown key 'timeout_us'"),
         ("runs: [{suite: cyclic_timer_tests, prefix: ../x}]", "runs.0: unknown key 'prefix'"),
@@ -88,10 +88,10 @@ def test_a_run_wins_over_common(tmp_path):
             "runs: [{suite: communication_tests, subscribers: 0}]",
             "subscribers takes a whole number from 1 to 64, got 0",
         ),
-        ("runs: []", "runs: List should have at least 1 item"),
-        ("runs: 5", "runs: Input should be a valid list, got 5"),
+        ("runs: []", "runs: takes 1 or more entries"),
+        ("runs: 5", "runs: takes a list, got 5"),
         ("common: {speed: 5}\nruns: [{suite: cyclic_timer_tests}]", "common: unknown key 'speed', allowed: policy"),
-        ("rums: 5", "unknown key 'rums', allowed: schema, name, order, seed, common, runs"),
+        ("rums: 5", "unknown key 'rums', did you mean 'runs'\\? allowed: schema, name, order, seed, common, runs"),
         ("runs: [{suite: cyclic_timer_tests, policy: RR, policy: RR}]", r"campaign.yml:3: key 'policy' is given twice"),
         ("runs: [", "campaign.yml:"),
     ],
@@ -147,7 +147,7 @@ runs: [{suite: cyclic_timer_tests, governor: performance}]
         f"006-{base}-nodes-governorperformance-r2",
     ], "idle takes no nodes_hz: it is planned once, not once for each of them"
     assert [run.repeat for run in runs] == [1, 2] * 3
-    assert runs[2].settings["nodes_hz"] == 10 and runs[0].settings.keys() == {"governor", "irq_cpu"}
+    assert runs[2].settings["nodes_hz"] == 10 and runs[0].settings.keys() == {"governor", "irq_cpu", "sampler"}
 
 
 def test_single_combinations_are_left_out_and_put_in(tmp_path):
@@ -241,10 +241,13 @@ def test_a_campaign_of_more_runs_than_anybody_measures(tmp_path):
         ("suite: cyclictest, repetitions: 999, cpu: 1", "cpu 1"),
     ],
 )
-def test_a_run_too_short_ever_to_be_valid_is_not_planned(tmp_path, text, what):
+def test_a_run_that_is_never_observed_long_enough_to_be_valid_is_not_planned(tmp_path, text, what):
     with pytest.raises(UsageError, match=rf"measures 0.999 s, but {what} must be observed.* measure 1 s at least"):
         read_campaign(write(tmp_path, f"runs: [{{{text}}}]\n"))
-    read_campaign(write(tmp_path, f"runs: [{{{text.replace('999', '1000')}}}]\n"))
+    long_enough = text.replace("999", "1000")
+    read_campaign(write(tmp_path, f"runs: [{{{long_enough}}}]\n"))
+    with pytest.raises(UsageError, match=rf"{what} must be observed: sampler none is for runs without it"):
+        read_campaign(write(tmp_path, f"runs: [{{{long_enough}, sampler: none}}]\n"))
 
 
 def test_the_plan_says_what_is_waited_for(tmp_path, capsys):
@@ -253,7 +256,8 @@ def test_the_plan_says_what_is_waited_for(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].endswith("  1.0 s") and lines[2].endswith("  1.0 s + 1 s for the load to settle")
     assert lines[-1] == (
-        "4 runs, 14 s: 4 s of measuring, 2 s for loads to settle, about 8 s for programs to start and end"
+        "4 runs, 11 s: 4 s of measuring, 2 s for loads to settle, "
+        "about 5 s for set-up and for programs to start and end"
     )
 
 

@@ -67,7 +67,7 @@ def test_a_foreign_name_is_no_log_name() -> None:
         ("policy", "EDF", "one of 0, RR, FIFO, got 'EDF'"),
         ("policy", False, "got False"),
         ("prefix", "a\nb", "one line of text"),
-        ("timeout", 5, "unknown parameter 'timeout', known: policy, repetitions"),
+        ("timeout", 5, "unknown parameter 'timeout', did you mean 'timeout_us'? known: policy, repetitions"),
     ],
 )
 def test_a_wrong_value_is_refused_and_told_what_is_right(key: str, value: object, message: str) -> None:

@@ -66,7 +66,7 @@ def test_a_limit_that_is_none_is_refused_with_what_is_allowed(above):
     [
         ({"trace": "p99.9"}, "c.yml: runs.0.trace: expected a mapping with the keys above"),
         ({"trace": {"over": "1ms"}}, "c.yml: runs.0.trace: unknown key 'over', allowed: above"),
-        ({"trace": {"above": 300}}, "c.yml: runs.0.trace: above: "),
+        ({"trace": {"above": 300}}, "c.yml: runs.0.trace.above: takes a text, got 300"),
         ({"trace_threshold_us": 300}, "c.yml: runs.0.trace_threshold_us: write trace: {above: 300us}, or a quantile"),
         (
             {"trace": {"above": "p99.9"}, "repetitions": 500},

@@ -1,5 +1,6 @@
 """Campaigns as a board would leave them, made of numbers drawn by lot: run directories with npy, json and log."""
 
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -120,9 +121,18 @@ def write_run(
     for k, rows in enumerate(outputs):
         output = base if len(outputs) == 1 else f"s{k}_{base}"
         names.append(output)
-        _write_output(folder, output, suite, rows, parameters, asked, logs)
+        _write_output(folder, output, suite, _begun_at(rows, suite, name), parameters, asked, logs)
     write_record(folder, suite, names, parameters, **{"campaign": root.name, "platform": platform, **record})
     return folder
+
+
+def _begun_at(rows: Int64s, suite: str, run: str) -> Int64s:
+    """The rows with the times of a run of its own: two runs never measure at the same ones."""
+    of_times = {"oneshot_timer_tests": [0, 1, 4], "cyclic_timer_tests": [0]}.get(suite, [0, 1])[: rows.shape[1]]
+    times = rows[:, of_times]
+    begun = rows.copy()
+    begun[:, of_times] = np.where(times == NOT_FIRED, NOT_FIRED, times + zlib.crc32(run.encode()))
+    return begun
 
 
 def _write_output(

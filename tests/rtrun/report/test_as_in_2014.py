@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from report.campaigns import latencies, oneshot_rows, write_run
 
+from rtrun.plan.question import Question
 from rtrun.report.claims.examination import Finding
 from rtrun.report.claims.examiners import Examined, examine_claims
 from rtrun.report.compare import Compared, as_text, compare_sets
@@ -34,7 +35,7 @@ def write_oneshot_of_2014(root: Path, mean_us: float) -> None:
 
 
 def compared(a: Path, b: Path) -> Compared:
-    return compare_sets(a, b, deadline_ns=400_000, probability=1e-6, confidence=0.95, margin_ns=None)
+    return compare_sets(a, b, Question(), margin_ns=None)
 
 
 def claim_of(claims: tuple[Examined, ...], name: str) -> Examined:

@@ -9,12 +9,13 @@ from rtrun.analysis.deadline import Answer
 from rtrun.cli import main
 from rtrun.execution.goal import standings_of
 from rtrun.plan.campaign import Campaign, plan
+from rtrun.plan.question import Question
 from rtrun.report.standings import standings
 from rtrun.report.study import study
 
 PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
 TARGET = {"kernel_release": "6.1.0-rt", "kernel_version": "#1 SMP PREEMPT_RT", "cpus": 2, "governor": "performance"}
-QUESTION = {"deadline_ns": 400_000, "probability": 1e-3, "confidence": 0.95}
+QUESTION = Question(probability=1e-3)
 WORDS = ["--deadline", "400us", "--probability", "1e-3", "--confidence", "0.95"]
 
 
@@ -32,7 +33,7 @@ def write(root, board, boot="", *, late=0, n=2500, name=None, **target):
 def test_alike_boards_prove_together_what_none_proves_alone(tmp_path, capsys):
     for board in ("a", "b"):
         write(tmp_path, board)
-    studied = study(tmp_path, **QUESTION)
+    studied = study(tmp_path, QUESTION)
     assert [group.verdict.answer for group in studied.groups] == [Answer.NEEDS_MORE] * 2
     (pooled,) = studied.pooled
     assert pooled.verdict.answer is Answer.PROVEN and pooled.n == sum(group.n for group in studied.groups)
@@ -49,7 +50,7 @@ def test_alike_boards_prove_together_what_none_proves_alone(tmp_path, capsys):
 def test_boards_that_differ_are_not_pooled_and_it_is_said_in_what(tmp_path, capsys):
     write(tmp_path, "a")
     write(tmp_path, "b", governor="powersave")
-    assert study(tmp_path, **QUESTION).pooled == ()
+    assert study(tmp_path, QUESTION).pooled == ()
     assert main(["verdict", str(tmp_path), *WORDS]) == 0
     assert "boards that differ in governor are not pooled: performance on a; powersave on b" in capsys.readouterr().out
     assert main(["gate", str(tmp_path), *WORDS]) == 1, "neither board alone proves it"
@@ -60,7 +61,7 @@ def test_boards_are_clusters(tmp_path):
     for root, misses in ((tmp_path / "even", (3, 3, 3)), (tmp_path / "uneven", (9, 0, 0))):
         for board, late in zip(("a", "b", "c"), misses, strict=True):
             write(root, board, late=late, n=7000)
-    even, uneven = (study(tmp_path / name, **QUESTION).pooled[0].verdict for name in ("even", "uneven"))
+    even, uneven = (study(tmp_path / name, QUESTION).pooled[0].verdict for name in ("even", "uneven"))
     assert even.misses == uneven.misses == 9
     assert uneven.design_effect > 2 * even.design_effect and uneven.upper > even.upper
 
@@ -80,7 +81,7 @@ def test_a_goal_is_reached_by_alike_boards_together_and_by_each_of_unlike_ones(t
     (group,) = plan(Campaign(schema=1, name="test", order="interleaved", seed=7, runs=[entry]), "test")
     write(tmp_path, "a", n=6000, name=group.name)
     write(tmp_path, "b", n=1000, name=f"{group.name}-r2", governor=governor)
-    (chosen,) = standings_of([group], standings(study(tmp_path, **QUESTION))).values()
+    (chosen,) = standings_of([group], standings(study(tmp_path, QUESTION))).values()
     assert chosen.is_final == (governor == "performance")
     assert chosen.boards == ({"a", "b"} if governor == "performance" else {"b"})
 

@@ -10,6 +10,7 @@ import pytest
 from report.campaigns import latencies, oneshot_rows, write_run
 
 from rtrun.analysis.figures import figures_of_samples
+from rtrun.plan.question import Question
 from rtrun.report.claims.examiners import examine_claims
 from rtrun.report.contents import Contents, contents
 from rtrun.report.scenarios import pool_figures
@@ -27,8 +28,8 @@ def write(root: Path, **record) -> Path:
     return root
 
 
-def contents_of(root: Path, **question) -> Contents:
-    analysed = study(root, **question)
+def contents_of(root: Path, **question: float) -> Contents:
+    analysed = study(root, Question(**question))
     return contents(analysed, examine_claims(analysed))
 
 

@@ -165,3 +165,25 @@ def test_a_report_is_written_beside_the_results(capsys, tmp_path):
     assert "<html" in (tmp_path / "report.html").read_text()
     pictures = sorted(path.name for path in folder.glob("*.jpg"))
     assert pictures == [path.with_suffix(".jpg").name for path in sorted(folder.glob("*.log"))] and pictures
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["x.md", "--format", "html"], "--format html, --output x.md: a file that ends in .md holds markdown"),
+        (["x.txt"], "--output x.txt: which format? End it in one of .html, .md, .json, .xml, .lava, .csv, .parquet"),
+    ],
+)
+def test_a_file_that_says_another_format_than_it_holds(campaign, capsys, tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    assert main(["report", str(campaign), "--output", *words]) == 2
+    assert message in capsys.readouterr().err and not list(tmp_path.glob("x.*"))
+
+
+@pytest.mark.parametrize(
+    ("words", "start"), [(["x.CSV"], b"run,"), (["x.xml"], b"<?xml"), (["x.txt", "--format", "lava"], b"communication")]
+)
+def test_the_end_of_a_file_says_its_format(campaign, tmp_path, monkeypatch, words, start):
+    monkeypatch.chdir(tmp_path)
+    assert main(["report", str(campaign), "--output", *words]) == 0
+    assert (tmp_path / words[0]).read_bytes().startswith(start)

@@ -14,6 +14,7 @@ from rtrun.analysis.trials import count_misses
 from rtrun.execution.goal import Progress
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.goal import Goal
+from rtrun.plan.question import Question
 from rtrun.report.standings import progress_line, reasons, table
 
 GOAL = Goal(deadline="400us", probability="1e-3", at_most="1h")
@@ -22,7 +23,7 @@ GOAL = Goal(deadline="400us", probability="1e-3", at_most="1h")
 
 def verdict_of(n: int) -> Verdict:
     trials = count_misses(np.full(n, 90_000), 400_000)
-    return judge([trials], deadline_ns=400_000, probability=1e-3, confidence=0.95)
+    return judge([trials], Question(probability=1e-3))
 
 
 def standing_of(verdict: Verdict, label: str = "timer RR") -> Standing:
@@ -50,8 +51,8 @@ def test_a_line_says_what_changed() -> None:
 def test_what_is_no_number_stands_below_the_table() -> None:
     groups = [standing_of(CHANGED), standing_of(verdict_of(1000), "timer FIFO")]
     stream = io.StringIO()
-    Console(file=stream, width=100).print(table(groups), crop=False)
-    _, _, changed, more = stream.getvalue().splitlines()
+    Console(file=stream, width=130).print(table(groups, 130))
+    changed, more = (line for line in stream.getvalue().splitlines() if "timer" in line)
     assert changed.rstrip().endswith("  see below") and "more" in more
     assert list(reasons(groups)) == ["timer RR: no answer: it did not stay the same: late values lie at the end"]
 

@@ -1,12 +1,17 @@
 """run.json: one type, written and read."""
 
+import hashlib
 import json
 
 import pytest
+from faulty import runs_of
 from written import write_cyclic, write_record
 
 from rtfiles.errors import UsageError
+from rtrun.cli import main
+from rtrun.execution import campaign_runner
 from rtrun.results import run_directory
+from rtrun.results.reading import read_runs
 from rtrun.results.record import RunRecord, RunStatus, TargetFacts, read_record, verify
 from rtrun.target.platform import Platform
 
@@ -43,6 +48,24 @@ def test_what_is_written_is_what_is_read(tmp_path):
     assert verify(folder) == written
 
 
+def test_results_are_hashed_once_however_many_ask_for_them(tmp_path, monkeypatch):
+    monkeypatch.setattr("rtrun.results.record.SETTLED_NS", 0)
+    (run,) = runs_of(1)
+    folder = tmp_path / run.name
+    folder.mkdir()
+    write_record(folder, "cyclic_timer_tests", [write_cyclic(folder).stem], {}, run=run.name)
+    hashed, real = [], hashlib.file_digest
+    monkeypatch.setattr("hashlib.file_digest", lambda stream, kind: hashed.append(stream.name) or real(stream, kind))
+    for _ in range(2):
+        assert campaign_runner.count_finished(tmp_path, [run]) == 1
+        assert read_runs(tmp_path).runs[0].results
+        assert main(["report", str(tmp_path), "--output", "-", "--format", "markdown"]) == 0
+    assert sorted(hashed) == sorted(str(folder / name) for name in read_record(folder).files)
+    npy = next(folder.glob("*.npy"))
+    npy.write_bytes(npy.read_bytes()[:-1] + b"x")
+    assert campaign_runner.count_finished(tmp_path, [run]) == 0
+
+
 def test_the_file_holds_what_was_set_and_null_where_nothing_is(tmp_path):
     data = json.loads(record_of().to_json())
     assert data["schema"] == 2 and data["status"] == "ok" and data["reason"] is None
@@ -63,12 +86,12 @@ def test_a_record_of_the_first_schema_is_read_as_what_it_stated(tmp_path, emulat
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema": 3}, "schema: Input should be 2"),
+        ({"schema": 3}, "schema: takes 2, got 3"),
         ({"schema": 1}, "emulated: true or false is needed in a record of schema 1"),
         ({"schema": 1, "emulated": "no"}, "emulated: true or false is needed"),
-        ({"platform": "cloud"}, "platform: Input should be 'hardware', 'virtual' or 'emulated'"),
-        ({"status": "good"}, "status: Input should be 'ok', 'failed', 'incomplete' or 'invalid'"),
-        ({"target": {"cpus": 2}}, "target.name: Field required"),
+        ({"platform": "cloud"}, "platform: takes 'hardware', 'virtual' or 'emulated'"),
+        ({"status": "good"}, "status: takes 'ok', 'failed', 'incomplete' or 'invalid'"),
+        ({"target": {"cpus": 2}}, "target.name: is missing"),
         ({"target": {"name": "board", "cpus": -1}}, "target.cpus"),
         ({"programs": [{"name": "x"}]}, "programs.0.argv"),
     ],

@@ -20,7 +20,7 @@ def read(folder: Path, text: str):
 
 @pytest.mark.parametrize("kind", ["[ssh]", "{ssh: 1}", "", "serial", "1"])
 def test_a_kind_that_is_none(tmp_path, kind):
-    with pytest.raises(UsageError, match=r"target.yml: kind: missing or unknown, allowed: ssh, qemu"):
+    with pytest.raises(UsageError, match=r"target.yml:3: kind: (is missing|unknown kind .*), allowed: ssh, qemu"):
         read(tmp_path, SSH.replace("kind: ssh", f"kind: {kind}"))
 
 

@@ -1,5 +1,7 @@
 """Deploying by content to a target behind a real sshd."""
 
+import fcntl
+import os
 from pathlib import Path
 
 import pytest
@@ -84,6 +86,44 @@ def test_a_half_sent_object_is_never_adopted(link, tree, target, tmp_path, monke
             deploy.deploy(link, tree, "suites")
     assert list(Path(target.work_dir / "objects").iterdir()) == []
     assert (Path(deploy.deploy(link, tree, "suites")) / "data").exists()
+
+
+def test_a_tree_that_was_damaged_since_is_made_anew(link, tree, uploads):
+    """A file of the tree is its object: there is one copy of it."""
+    there = Path(deploy.deploy(link, tree, "suites"))
+    with (there / "data").open("r+b") as stream:
+        stream.write(b"\1")
+    (there / "lib/deep/program").unlink()
+    uploads.clear()
+    assert Path(deploy.deploy(link, tree, "suites")) == there and uploads == ["data"]
+    assert (there / "data").read_bytes() == (tree / "data").read_bytes()
+    assert link.check([str(there / "lib/deep/program")]) == "hello\n"
+
+
+def test_trees_that_nobody_uses_are_removed_and_their_objects_a_day_later(link, tree, target):
+    there = []
+    for number in range(5):
+        (tree / "data").write_text(str(number))
+        there.append(Path(deploy.deploy(link, tree, "suites")))
+        os.utime(there[-1], (number, number))
+    # To use a tree again makes it the newest.
+    (tree / "data").write_text("0")
+    deploy.deploy(link, tree, "suites")
+    running = Path(target.work_dir / "runs/uid/run")
+    running.mkdir(parents=True)
+    with (running / "x.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        deploy.prune(link, 1)
+        assert all(path.is_dir() for path in there), "a run is going on, of whichever of them"
+    deploy.prune(link, 1)
+    assert [path.is_dir() for path in there] == [True, False, False, True, True]
+    objects = Path(target.work_dir / "objects")
+    assert len(list(objects.iterdir())) == 6
+    for path in objects.iterdir():
+        os.utime(path, (0, 0))
+    deploy.prune(link, 1)
+    assert len(list(objects.iterdir())) == 4
+    assert all((path / "data").read_text() and (path / "lib/deep/program").exists() for path in there if path.is_dir())
 
 
 def test_an_empty_folder_is_an_error(link, tmp_path):

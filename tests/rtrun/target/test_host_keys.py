@@ -15,7 +15,7 @@ from rtrun.target import host_keys
 from rtrun.target.address import Address
 from rtrun.target.connection import Connection
 from rtrun.target.errors import TargetError
-from rtrun.target.host_keys import HostKeys, matches, parse_certificate, read_host_keys
+from rtrun.target.host_keys import HostKeys, matches, parse_certificate, read_host_key, read_host_keys
 
 SSHD = shutil.which("sshd", path="/usr/sbin:/usr/bin:/sbin") or "/usr/sbin/sshd"
 
@@ -280,13 +280,17 @@ def test_lines_that_cannot_be_read_are_skipped(tmp_path, sshd, line):
 
 
 @pytest.mark.parametrize(
-    "host_key", ["junk", "ssh-rsa", "ssh-rsa !", "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5", "", "of another type"]
-)
+    "host_key",
+    [
+        "junk", "ssh-rsa", "ssh-rsa !", "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5", "", "of another type", "SHA256:short",
+        "SHA256:", "SHA256:" + "A" * 42 + "B", "SHA256:" + "A" * 44, "SHA256:" + "A" * 42 + "é", "SHA256:" + "A=" * 22,
+    ],
+)  # fmt: skip
 def test_a_host_key_that_is_none(sshd, host_key):
     if host_key == "of another type":
         host_key = sshd.host_key.replace("ssh-ed25519", "ssh-rsa")
-    with pytest.raises(TargetError, match=r"neither 'SHA256:…' nor 'type base64'"):
-        read_host_keys(Address(host="board", host_key=host_key))
+    with pytest.raises(ValueError, match=r"is neither a fingerprint as ssh-keygen -l prints it, .* nor a public key"):
+        read_host_key(host_key)
 
 
 def test_a_host_in_capitals(server, log_in, tmp_path):

@@ -48,12 +48,24 @@ def test_one_value_several_and_none():
     assert state.clocksource is None
 
 
+@pytest.mark.parametrize("uptime", ["since Tuesday", "", "1e300 2", "-1 2", "1\n2"])
+def test_facts_have_types_and_what_is_none_is_left_out(uptime):
+    text = (
+        "== uptime\n{}\n== machine\narmv7l\n== temperature_mc\n{}\n== sched_rt_runtime_us\n{}\n== frequency_khz\n8\n9\n"
+    )
+    state = inspection.parse_state(text.format("12.50 20.00", "41000", "-1"))
+    assert (state.uptime, state.temperature_mc, state.sched_rt_runtime_us) == (12.5, [41000], -1)
+    state = inspection.parse_state(text.format(uptime, "-1000001", 2**31))
+    assert (state.uptime, state.temperature_mc, state.sched_rt_runtime_us) == (None, [], None)
+    assert (state.machine, state.frequency_khz) == ("armv7l", [8, 9])
+
+
 def test_real_time_threads():
-    text = "== threads\n" + "".join(f"{THREAD}{words}\n" for words in ("95 1", "40 7")) + "13\n"
+    text = "== threads\n" + "".join(f"{THREAD}{words}\n" for words in ("95 1", "40 7", "0 6", "0 1")) + "13\n"
     state = inspection.parse_state(text)
     assert state.threads == 13
     threads = [(thread.tid, thread.name, thread.policy, thread.priority) for thread in state.rt_threads]
-    assert threads == [(12, "a) b", "FIFO", 95), (12, "a) b", "7", 40)]
+    assert threads == [(12, "a) b", "FIFO", 95), (12, "a) b", "7", 40), (12, "a) b", "DEADLINE", 0)]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """The kernel trace around outliers, over a real sshd and this machine's tracefs: set up, pulled, taken down."""
 
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -7,13 +8,13 @@ import pytest
 from faulty import record, runs_of
 
 from rtrun.execution import campaign_runner
-from rtrun.target import processes
+from rtrun.target import deploy, processes
 from rtrun.target.deploy import ON_TARGET
 from rtrun.target.errors import TargetError
 from rtrun.target.kernel_trace import read_events
 from watching import Watching
 
-pytestmark = [pytest.mark.sshd, pytest.mark.ros]
+pytestmark = [pytest.mark.sshd, pytest.mark.ros, pytest.mark.trace]
 
 INSTANCE = Path("/sys/kernel/tracing/instances/rtrun")
 SCRIPT = ON_TARGET / "trace.sh"
@@ -84,6 +85,33 @@ def test_what_a_killed_runner_left_is_gone_with_the_next_campaign(target, tmp_pa
     subprocess.run([SCRIPT, "up", "mono"], check=True)
     campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
     assert not INSTANCE.exists()
+
+
+@pytest.fixture(params=["OSNOISE_WORKLOAD", "NO_OSNOISE_WORKLOAD"])
+def osnoise(request, tmp_path, monkeypatch):
+    """osnoise's options, which not every kernel has: a file in their place, for the script and for the target's."""
+    options = tmp_path / "options"
+    options.write_text(f"NO_DEFAULTS {request.param} NO_PANIC_ON_STOP\n")
+    scripts = tmp_path / "on_target"
+    shutil.copytree(ON_TARGET, scripts)
+    text = (scripts / "trace.sh").read_text()
+    text = text.replace("$tracing/osnoise/options", str(options)).replace("/run/", f"{tmp_path}/")
+    (scripts / "trace.sh").write_text(text)
+    monkeypatch.setattr(deploy, "ON_TARGET", scripts)
+    return options, request.param, scripts / "trace.sh"
+
+
+def test_the_workload_of_osnoise_is_as_it_was(target, tmp_path, watching, wishes, osnoise):
+    """After the run, and after a runner that was killed."""
+    options, before, script = osnoise
+    for words in (["down"], None):
+        subprocess.run([script, "up", "mono"], check=True)
+        assert "NO_OSNOISE_WORKLOAD" in options.read_text().split()
+        if words:
+            subprocess.run([script, *words], check=True)
+        else:
+            campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
+        assert before in options.read_text().split() and not INSTANCE.exists()
 
 
 def test_a_trace_in_use_stays(target):

@@ -93,7 +93,7 @@ def test_a_board_that_is_known_to_be_gone_is_not_waited_for(board, remarks, refu
             raise ConnectionLost("the connection broke")
 
         if refuses:
-            link._notify = lambda _: gone.append(TargetGone("QEMU ended"))
+            link.note = lambda _: gone.append(TargetGone("QEMU ended"))
         with pytest.raises(TargetGone, match="QEMU ended"):
             link.do(leave)
     assert board.slept_s == 0

@@ -85,7 +85,6 @@ def test_files_both_ways(connection, tmp_path):
     (tmp_path / "up").write_bytes(bytes(range(256)) * 8192)
     connection.upload(tmp_path / "up", PurePosixPath(tmp_path / "there"))
     (tmp_path / "back").mkdir()
-    assert connection.list_files(PurePosixPath(tmp_path))["there"] == 256 * 8192
     connection.download(PurePosixPath(tmp_path), {"there": 256 * 8192}, tmp_path / "back")
     assert (tmp_path / "back" / "there").read_bytes() == (tmp_path / "up").read_bytes()
     with pytest.raises(TargetError, match="more than the 10 bytes"):

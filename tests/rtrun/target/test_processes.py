@@ -1,5 +1,6 @@
 """Programs that run detached on a target behind a real sshd."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -10,18 +11,24 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
+from conftest import apart, serve
 from rtrun.plan.program import Exit, Program
 from rtrun.target import deploy, processes
 from rtrun.target.errors import DeadlineExpired, TargetError, TargetGone
+from rtrun.target.link import Link
 
 pytestmark = pytest.mark.sshd
 
 
-@pytest.fixture
-def scripts(link, target):
+def deploy_scripts(link):
     for name in ("objects", "scripts"):
-        Path(target.work_dir / name).mkdir(parents=True)
+        Path(link.target.work_dir / name).mkdir(parents=True)
     return deploy.deploy(link, deploy.ON_TARGET, "scripts")
+
+
+@pytest.fixture
+def scripts(link):
+    return deploy_scripts(link)
 
 
 @pytest.fixture
@@ -170,6 +177,30 @@ def test_end_leaves_a_pid_of_another_boot_alone(link, scripts, folder):
     (folder / "p.boot_id").write_text("00000000-0000-0000-0000-000000000000\n")
     processes.end(link, PurePosixPath(folder), "p")
     assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=20).status == 4
+
+
+@pytest.mark.parametrize("content", ["1\n", "0\n", "-1\n", "", "none\n", "{other}", "{other}\n", "{own}"])
+def test_end_kills_nothing_that_a_wrong_pid_file_names(target, tmp_path, content, remarks):
+    """As root, a kill of the group 1 ends everything on the board."""
+    for folder in (folders := [tmp_path / name for name in ("own", "other", "sshd")]):
+        folder.mkdir()
+    with serve(folders.pop(), apart()) as server, contextlib.ExitStack() as stack:
+        stack.callback(server.process.kill)
+        link = stack.enter_context(Link(replace(target, address=server.address), remarks.append))
+        scripts = deploy_scripts(link)
+        for folder in folders:
+            processes.start(link, scripts, PurePosixPath(folder), sh("exec sleep 300"))
+            while not (folder / "p.stderr").exists():
+                time.sleep(0.01)
+        own, other = [(folder / "p.pid").read_text().strip() for folder in folders]
+        (folders[0] / "p.pid").write_text(content.format(own=own, other=other))
+        with pytest.raises(TargetError, match="own/p runs, but its pid file does not say which process it is"):
+            processes.give_up(link, PurePosixPath(folders[0]), ["p"])
+        assert [processes.list_ended(link, PurePosixPath(folder), ["p"]) for folder in folders] == [[], []]
+        assert folders[0].exists() and not remarks
+        (folders[0] / "p.pid").write_text(f"{own}\n")
+        processes.give_up(link, PurePosixPath(folders[0]), ["p"])
+        assert not folders[0].exists() and not processes.list_ended(link, PurePosixPath(folders[1]), ["p"])
 
 
 def test_killed_supervisor_leaves_no_status(link, scripts, folder):

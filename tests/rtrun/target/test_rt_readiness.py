@@ -13,7 +13,7 @@ from rtfiles.config import parse as parse_config
 from rtfiles.errors import UsageError
 from rtrun.cli import main
 from rtrun.commands import check_rt
-from rtrun.target import rt_readiness
+from rtrun.target import inspection, rt_readiness
 from rtrun.target.platform import Platform
 
 # A PandaBoard ES as omap2plus_defconfig leaves it, with everything wrong that can be.
@@ -56,6 +56,9 @@ Filename Type Size Used Priority
 watchdog 1
 == rt_runtime
 950000
+== control_groups
+/lab: cpu.rt_runtime_us 100000 of 1000000 us
+/lab: cpu.max 20000 of 100000 us
 == rt_scheduling
 refused: chrt: failed to set pid 0's policy: Operation not permitted
 == timer_migration
@@ -70,6 +73,8 @@ none
 function
 == threads
 99 program busy (node) x
+deadline program control (1000000/10000000/10000000 ns of runtime/deadline/period)
+deadline kernel sugov:0
 """
 
 GOOD = """\
@@ -136,6 +141,8 @@ def test_every_check_finds_its_fault_on_a_bad_system():
     shown = {each.check.name: each.evidence for each in results}
     assert shown["idle states"] == ("768 us to leave C2 (cpu0/cpuidle/state1)",)
     assert shown["threads at priority 99"] == ("99 program busy (node) x",)
+    (budget,) = shown["threads at SCHED_DEADLINE"]
+    assert budget.startswith("deadline program control (1000000/10000000/10000000 ns of")
     assert shown["swap"] == ("/dev/mmcblk0p3 partition 1048572 0 -2",)
 
 
@@ -208,7 +215,7 @@ def test_the_script_needs_nothing_but_a_shell(shell):
     )  # fmt: skip
     assert bare.stderr == ""
     facts = rt_readiness.parse(bare.stdout)
-    assert {check.fact for check in rt_readiness.read_checks()} <= facts.keys()
+    assert {check.fact for check in rt_readiness.read_checks()} <= facts.keys() | {"control_groups"}
     kernel = subprocess.run(["uname", "-r", "-v"], capture_output=True, text=True, check=True).stdout.strip()
     assert " ".join(facts["kernel"] + facts["kernel_version"]) == kernel
     assert {line.split(" ", 2)[2] for line in facts["threads"]} >= {name for name in rt_threads() if name}
@@ -224,6 +231,22 @@ def test_real_time_scheduling_is_asked_of_the_kernel(login):
     assert line == "granted" if tried.returncode == 0 else line.startswith("refused: chrt: ")
     (finding,) = [each for each in findings(script) if each.check.name == "real-time scheduling"]
     assert finding.status == ("ok" if tried.returncode == 0 else "fault")
+
+
+def test_a_thread_at_sched_deadline_is_shown():
+    budget = ["--sched-runtime", "1000000", "--sched-deadline", "50000000", "--sched-period", "100000000"]
+    with subprocess.Popen(["chrt", "-d", *budget, "0", "sleep", "60"]) as process:
+        while process.poll() is None and Path(f"/proc/{process.pid}/comm").read_text() != "sleep\n":
+            pass
+        scripts = (rt_readiness.SCRIPT, inspection.STATE_SCRIPT)
+        facts, state = (
+            subprocess.run(["sh", script], capture_output=True, text=True, check=True).stdout for script in scripts
+        )
+        process.kill()
+    expected = "deadline program sleep (1000000/50000000/100000000 ns of runtime/deadline/period)"
+    assert expected in rt_readiness.parse(facts)["threads"]
+    (thread,) = [each for each in inspection.parse_state(state).rt_threads if each.tid == process.pid]
+    assert (thread.name, thread.policy, thread.priority) == ("sleep", "DEADLINE", 0)
 
 
 def rt_threads():

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 from rtrun.target.address import Address
-from rtrun.target.connection import Connection
+from rtrun.target.connection import Connection, Listing, listing, parse_listing
 from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
 
 pytestmark = pytest.mark.sshd
@@ -72,21 +72,22 @@ def test_more_than_the_target_has_told_is_refused(connection, tmp_path):
         connection.download(PurePosixPath(tmp_path), {"big": 1000}, tmp_path / "back")
 
 
-def test_a_listing_has_regular_files_only(connection, tmp_path):
+def test_a_listing_has_the_regular_files_that_were_asked_for(connection, tmp_path):
     (tmp_path / "file").write_bytes(b"12345")
-    (tmp_path / "folder").mkdir()
+    (tmp_path / "a folder").mkdir()
     (tmp_path / "link").symlink_to("/etc/passwd")
-    assert connection.list_files(PurePosixPath(tmp_path)) == {"file": 5}
+    for number in range(3):
+        (tmp_path / f"trace-{number}").touch()
+        (tmp_path / "a folder" / f"trace-{number}").touch()
 
+    def listed(*names, matches_max=16):
+        command = listing(PurePosixPath(tmp_path), names, matches_max=matches_max)
+        return parse_listing(connection.check(command))
 
-def test_a_listing_has_an_end(connection, tmp_path, monkeypatch):
-    monkeypatch.setattr("rtrun.target.connection.FILES_MAX", 2)
-    for name in ("a", "b"):
-        (tmp_path / name).touch()
-    assert len(connection.list_files(PurePosixPath(tmp_path))) == 2
-    (tmp_path / "c").touch()
-    with pytest.raises(TargetError, match="has more than 2 files"):
-        connection.list_files(PurePosixPath(tmp_path))
+    assert listed("file", "a folder", "link", "none") == Listing(sizes={"file": 5}, total=6)
+    assert listed("trace-*", "none*").sizes == dict.fromkeys((f"trace-{number}" for number in range(3)), 0)
+    assert len(listed("trace-*", matches_max=2).sizes) == 2
+    assert listed() == Listing(sizes={}, total=6)
 
 
 def test_nobody_listens(sshd):

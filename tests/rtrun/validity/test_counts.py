@@ -45,9 +45,8 @@ def test_a_measurement_that_vanished(oneshot, communication):
     assert find_count_mismatch(changed(communication, counts={"missing": 0}, indices={"missing": []})) is not None
 
 
-def test_an_incomplete_run_may_have_less_but_never_more(oneshot):
+def test_an_incomplete_run_may_have_less(oneshot):
     assert find_count_mismatch(changed(oneshot, counts={"measured": 2}, complete=False)) is None
-    assert find_count_mismatch(changed(oneshot, counts={"measured": 4}, complete=False)) is not None
 
 
 def test_indices_and_counts(oneshot, communication):

@@ -73,6 +73,8 @@ def test_a_background_program_that_ended_early(judged, tmp_path):
     )
     (tmp_path / "stress.stderr").write_text("no memory\n")
     assert judged(ended_early={"stress": "3"})[1].endswith("with exit status 3: no memory")
+    first = judged(ended_early={"stress": "", "hold-governor": "1"})[1]
+    assert first.startswith("condition idle: stress ended"), "the first that ended"
     assert judged(status=1, ended_early={"stress": ""})[0] is RunStatus.FAILED, "the first thing that went wrong"
 
 

@@ -1,5 +1,6 @@
 """What was asked for, compared with what sample.sh observed."""
 
+import io
 from dataclasses import replace
 from pathlib import PurePosixPath
 
@@ -15,6 +16,10 @@ from rtrun.validity.observations import read_observations, summarize
 from rtrun.validity.requirements import find_unseen_option, find_violation, measuring_threads, requested
 
 STAT = "cpu {busy} 0 0 {idle} 0 0 0 0 0 0"
+
+
+def read(text):
+    return read_observations(io.StringIO(text))
 
 
 def sample(at_s, *block, until_s=None, busy=0, idle=0):
@@ -45,11 +50,11 @@ def background(run):
 
 
 def wrong(run, *looks):
-    return find_violation(run, background(run), read_observations("".join(looks)), {})
+    return find_violation(run, background(run), read("".join(looks)), {})
 
 
 def observed(run, *looks):
-    observations = read_observations("".join(looks))
+    observations = read("".join(looks))
     return summarize(observations, measuring_threads(run, observations, {}))
 
 
@@ -69,7 +74,7 @@ def test_a_policy_or_priority_that_was_lost_in_the_middle(other):
 
 
 def test_a_policy_that_never_was(tmp_path):
-    looks = read_observations(sample(100, thread(0, 0)) + sample(102))
+    looks = read(sample(100, thread(0, 0)) + sample(102))
     record = read_json(write_cyclic(tmp_path), Record)
     assert find_violation(run_of(), [], looks, {"x": record}) is None, (
         "a program that starts, and says itself what it had"
@@ -132,11 +137,9 @@ def test_a_run_that_stopped_early_gave_its_priority_up_early(tmp_path):
     looks = [sample(100, thread()), sample(102), sample(104, thread(0, 0))]
     run = run_of()
     assert wrong(run, *looks) is not None
-    assert find_violation(run, background(run), read_observations("".join(looks)), {"x": record}) is None
+    assert find_violation(run, background(run), read("".join(looks)), {"x": record}) is None
     looks.append(sample(106, thread()))
-    assert find_violation(run, background(run), read_observations("".join(looks)), {"x": record}) is not None, (
-        "it came back"
-    )
+    assert find_violation(run, background(run), read("".join(looks)), {"x": record}) is not None, "it came back"
 
 
 def test_a_run_without_policy_must_not_have_one():
@@ -243,8 +246,8 @@ HEAD = "at 1 0.5 - - cpu 1 2 3 4 5 6 7 8\n"
 )
 def test_what_sample_sh_never_wrote(line):
     with pytest.raises(UsageError, match=r"sampler.stdout:\d: not what sample.sh writes"):
-        read_observations(f"{line}\nend\n")
+        read(f"{line}\nend\n")
 
 
 def test_a_last_line_that_was_cut_off():
-    assert len(read_observations(sample(100, thread()) + "at 10")) == 1
+    assert len(read(sample(100, thread()) + "at 10")) == 1

@@ -14,6 +14,7 @@ from report.campaigns import (
 )
 
 from rtrun.analysis.comparison import Change
+from rtrun.plan.question import Question
 from rtrun.report.claims import general
 from rtrun.report.claims.examination import Finding, compared
 from rtrun.report.claims.examiners import EXAMINERS, examine_claims
@@ -168,7 +169,7 @@ def test_another_deadline_assumes_independence_and_says_so(tmp_path):
     oneshot(tmp_path, "a", latencies(5000, 1))
     tests = {}
     for deadline_ns in (400_000, 300_000):
-        examined = examine_claims(study(tmp_path, deadline_ns=deadline_ns, bounds=False))
+        examined = examine_claims(study(tmp_path, Question(deadline_ns=deadline_ns), bounds=False))
         tests[deadline_ns] = next(claim.result.test for claim in examined if claim.id == "oneshot-400us-rare")
     assert "effective sample size" in tests[400_000] and "independence assumed" in tests[300_000]
 

@@ -1,0 +1,68 @@
+"""The CPU time that observing costs, of the program of the suites and of the script, here and on the emulated board.
+
+`make bench` runs it; it is no test. The time is what the kernel accounts to the sampler and all that it started. What
+other programs take from QEMU meanwhile, the board accounts to what runs there: the host must be idle.
+"""
+
+import re
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import rtgen.cli
+from rtrun.execution.preparation import SAMPLER
+from rtrun.target import deploy, inspection
+from rtrun.target.config import connect, read_target
+from rtrun.target.link import Link
+
+TOP = Path(__file__).parents[2]
+LASTS_S = 60
+# Of one core, for the program.
+LIMIT_PERCENT = 1.0
+# The last line of `times` is of all children that were waited for: user and system time.
+COMMAND = f'mkdir -p "$1" && {{ timeout {LASTS_S} "$2" "$1" 95 "" >/dev/null; times; }}'
+
+pytestmark = [pytest.mark.qemu, pytest.mark.timeout(0)]
+
+
+def cost_percent(run: Callable[[list[str]], str], sampler: str, folder: str) -> float:
+    """Of one core."""
+    spent = re.findall(r"(\d+)m([\d.]+)s", run(["sh", "-c", COMMAND, "sh", folder, sampler]).splitlines()[-1])
+    return 100 * sum(60 * int(minutes) + float(seconds) for minutes, seconds in spent) / LASTS_S
+
+
+def here(argv: list[str]) -> str:
+    return subprocess.run(argv, capture_output=True, text=True, check=True).stdout
+
+
+def test_cost(tmp_path, monkeypatch):
+    monkeypatch.chdir(TOP)
+    for machine in ("host", "qemu-armv7"):
+        assert rtgen.cli.main(["suites", "build", "--machine", machine]) == 0
+    assert rtgen.cli.main(["board", "build", "--machine", "qemu-armv7"]) == 0
+    costs = {
+        "this machine, program": cost_percent(here, f"build/suites/host/lib/{SAMPLER}/{SAMPLER}", str(tmp_path)),
+        "this machine, script": cost_percent(here, str(deploy.ON_TARGET / "sample.sh"), str(tmp_path)),
+    }
+    target_file = TOP / "targets" / "qemu.yml"
+    with (
+        connect(read_target(target_file), target_file.parent, tmp_path / "console.log") as board,
+        Link(board, print) as link,
+    ):
+        inspection.inspect(link)  # makes the folders
+        suites = deploy.deploy(link, TOP / "build" / "suites" / "qemu-armv7", "suites")
+        scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
+
+        def there(argv: list[str]) -> str:
+            return link.check(argv, deadline_s=2 * LASTS_S)
+
+        folder = str(board.work_dir / "bench")
+        costs["emulated board, program"] = cost_percent(there, str(suites / "lib" / SAMPLER / SAMPLER), folder)
+        costs["emulated board, script"] = cost_percent(there, str(scripts / "sample.sh"), folder)
+        threads = len(link.check(["sh", "-c", "ls -d /proc/[0-9]*/task/[0-9]*"]).split())
+    for name, percent in costs.items():
+        print(f"\n{name}: {percent:.2f} % of a core", end="")
+    print(f"\nemulated board: {threads} threads")
+    assert costs["emulated board, program"] <= LIMIT_PERCENT

@@ -1,0 +1,50 @@
+"""A run directory that was copied does not count: not for the verdict, the gate or the archive."""
+
+import json
+import shutil
+
+from report.campaigns import latencies, oneshot_rows, write_run
+
+from rtrun.cli import main
+
+PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
+QUESTION = ["--deadline", "400us", "--probability", "1e-3"]
+
+
+def write(root, name, seed, **record):
+    rows = oneshot_rows(latencies(5000, seed), 1000)
+    return write_run(root, name, "oneshot_timer_tests", [rows], PARAMETERS, asked=5000, logs=False, **record)
+
+
+def test_a_copy_passes_no_gate_and_enters_no_archive(tmp_path, capsys):
+    results = tmp_path / "results"
+    for k in range(2):
+        write(results, f"00{k}", k, attempt=f"a{k}")
+    assert main(["gate", str(results), *QUESTION]) == 0
+    shutil.copytree(results / "000", results / "000-copy")
+    capsys.readouterr()
+    assert main(["gate", str(results), *QUESTION]) == 1
+    said = capsys.readouterr().out
+    assert "000-copy" in said and "are of the same attempt, and neither counts: remove the copy" in said
+    assert main(["archive", "add", str(results), "--to", str(tmp_path / "archive")]) == 1
+    said = "".join(capsys.readouterr())
+    assert "000: a copy? it and 000-copy are of the same attempt" in said
+
+
+def test_samples_tell_a_copy_whose_record_was_changed(tmp_path, capsys):
+    write(tmp_path, "a", 1, attempt="one")
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    record = tmp_path / "b" / "run.json"
+    record.write_text(record.read_text().replace('"one"', '"two"'))
+    assert main(["verdict", str(tmp_path), *QUESTION]) == 0
+    assert "a: a copy? it and b hold the same samples" in capsys.readouterr().out
+
+
+def test_nothing_received_is_no_copy(tmp_path, capsys):
+    for name in "ab":
+        folder = write(tmp_path, name, ord(name), attempt=name)
+        record = json.loads((folder / "run.json").read_text())
+        record["files"]["1empty.npy"] = {"size_bytes": 128, "sha256": "0" * 64}
+        (folder / "run.json").write_text(json.dumps(record))
+    assert main(["verdict", str(tmp_path), *QUESTION]) == 0
+    assert "copy" not in capsys.readouterr().out

@@ -1,0 +1,109 @@
+"""Each sentence of a verdict with the state that makes it: no reader is to be misled by one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rtrun.analysis.comparison import Ratio
+from rtrun.analysis.deadline import judge
+from rtrun.analysis.stationarity import Change
+from rtrun.analysis.trials import Trials, count_misses
+from rtrun.plan.question import Question, boots_for, unlike_share
+from rtrun.report.compare import _ratio
+from rtrun.report.verdicts import scope_in_short, sentences
+
+QUESTION = Question(probability=1e-3)
+PERIOD_NS = 1e6
+
+
+def trials(n: int, *late: int, boots: int = 1) -> list[Trials]:
+    """Runs of a boot each, n measurements in all, with misses at these places of the first one."""
+    made = []
+    for boot in range(boots):
+        values = np.full(n // boots, 50_000) + np.arange(n // boots) * 7919 % 1000
+        values[[place for place in late if not boot]] = 600_000
+        made.append(replace(count_misses(values, 400_000), boot=f"b{boot}", run=f"r{boot}", start_time=f"{boot:03}"))
+    return made
+
+
+ADDED = "for the system measure on 5 boots or more"
+
+
+@pytest.mark.parametrize(
+    ("measured", "question", "said"),
+    [
+        (trials(0), QUESTION, "3 688 more measurements (4 s) prove it without a miss (chance of that: 0 %)"),
+        (trials(1000), QUESTION, "2 688 more measurements (3 s) prove it without a miss (chance of that: 52 %)"),
+        (trials(4000, 2000), QUESTION, "prove it without another miss; at the rate seen, PROVEN after "),
+        (trials(2000, 100, 700, 1200, 1900), QUESTION, "at the rate seen, no number is likely to decide it"),
+        (trials(2000, *range(50, 2000, 310)), QUESTION, "at the rate seen, REFUTED after"),
+        (trials(4000), replace(QUESTION, boots=3), "worst 51.0 us; 2 more boots"),
+        (trials(4000), QUESTION, "holds for misses that come singly (without a miss, 69 7"),
+        (trials(4000), QUESTION, f"holds for the boot that was measured; {ADDED}"),
+        (trials(20_000), QUESTION, "holds for bursts of up to 5 misses ("),
+        (
+            trials(4000, boots=5),
+            QUESTION,
+            "measured on 5 boots: boots of another kind, of which none was measured, may be 52 % of",
+        ),
+        (trials(4000), replace(QUESTION, bursts=20), "69 776 more measurements (1 min 10 s) prove it without a miss"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_sentence(measured, question, said):
+    text = "; ".join(sentences(judge(measured, question, period_ns=PERIOD_NS)))
+    assert said in text, text
+    for nonsense in (" 0 more", "(0 s)", "0 h)", "up to 1 misses"):
+        assert nonsense not in text
+
+
+def test_a_change_is_said_before_anything_else():
+    verdict = judge(trials(4000), QUESTION, period_ns=PERIOD_NS)
+    change = Change(p_value=1e-9, significant=0.01, text="it rose", missing_loops=60_000)
+    assert sentences(replace(verdict, answer="NEEDS MORE", change=change)) == [
+        "it did not stay the same: it rose (p = 1e-09)",
+        "0 of 4 000 late",
+        "P(miss) at most 0.00092",
+        "worst 51.0 us",
+        "a load that comes and goes is part of the process once it has come back five times: "
+        "60 000 more measurements (1 min 00 s)",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("measured", "said"),
+    [
+        (trials(4000), "this boot, single misses"),
+        (trials(100_000, boots=5), "at least 48 % of boots, bursts of 27"),
+        (trials(1000), "-"),
+    ],
+)
+def test_the_table_says_beside_the_answer_what_it_holds_for(measured, said):
+    assert scope_in_short(judge(measured, QUESTION)) == said
+
+
+@pytest.mark.parametrize(
+    ("ratio", "said"),
+    [
+        (Ratio(value=None, low=0, high=np.inf), "no miss on either side: nothing can be said of a change"),
+        (Ratio(value=np.inf, low=0.66, high=np.inf), "misses in B only: times 0.66 at least (95 % CI)"),
+        (Ratio(value=0, low=0, high=1.5), "misses in A only: times 1.5 at most (95 % CI)"),
+        (Ratio(value=2, low=0.66, high=3), "times 2, 95 % CI 0.66 to 3"),
+        (Ratio(value=2, low=0.66, high=np.inf), "times 2, 95 % CI 0.66 at least"),
+    ],
+)
+def test_a_ratio_of_misses(ratio, said):
+    assert _ratio(ratio, 0.95) == said
+
+
+def test_a_share_of_boots_and_their_number_are_inverse():
+    assert boots_for(0.05, 0.95) == 72
+    assert unlike_share(72, 0.95) <= 0.05 < unlike_share(71, 0.95)
+
+
+def test_one_miss_more_in_a_burst_changes_little():
+    """Bursts are counted, not misses: there is no cliff at 20 misses."""
+    question = Question(probability=1e-4)
+    missing = [judge(trials(100_000, *range(50_000, 50_000 + size)), question).further for size in (19, 20, 21)]
+    assert missing[1] < 1.2 * missing[0] and missing[2] < 1.2 * missing[1]
