@@ -153,8 +153,9 @@ def when(machine, script, then):
     return thread
 
 
-# Rows of a run stand on the board's disk: of two blocks, so that the first is there for good.
-FIRST_BLOCK = "find /var/lib/rt-tests/runs -name '*.npy.part' -size +600c"
+# More rows of the cyclic timer stand on the disk than one block of 5 s at 10 Hz: the first block is there for good.
+# A npy has 128 bytes before its rows, a row three numbers of 8 bytes.
+FIRST_BLOCK = f"find /var/lib/rt-tests/runs -name '*.npy.part' -size +{128 + 60 * 3 * 8}c"
 
 INTERRUPTED = """
 runs:
