@@ -48,7 +48,7 @@ test-yocto: setup
 
 # Mutated files for every reader of tests/hostile/fuzz.py: SECONDS of them, from SEED on.
 fuzz: setup
-	$(BIN)/python tests/hostile/fuzz.py --seconds $(or $(SECONDS),3600) --seed $(or $(SEED),1)
+	PYTHONPATH=runner:tests $(BIN)/python tests/hostile/fuzz.py --seconds $(or $(SECONDS),3600) --seed $(or $(SEED),1)
 
 # A campaign of RUNS through FAULTS (kills, stops, hang-ups, cut links, full disks, damaged files), drawn by SEED.
 soak: setup
@@ -79,8 +79,8 @@ lint: setup
 
 # The error rates of verdicts, simulated at length and written into docs/analysis.md; `make test` has a short version.
 coverage: setup
-	PYTHONPATH=tests nice -n 5 $(BIN)/python tests/coverage/simulate.py
-	PYTHONPATH=tests nice -n 5 $(BIN)/python tests/coverage/years.py
+	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/simulate.py
+	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/years.py
 
 bench: setup
 	nice -n 5 $(BIN)/python tests/bench/bench_analysis.py --check

@@ -20,6 +20,7 @@ from report.campaigns import write_campaign
 
 import rtgen.cli
 import rtrun.cli
+from logs import LOGS_2014
 from rtfiles.command import parser_of
 from rtfiles.config import read_yaml
 from rtfiles.start import commands_of
@@ -93,7 +94,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     goal = (TOP / "README.md").read_text().partition("and no longer:\n")[2].partition("`rtrun plan CAMPAIGN.yml")[0]
     (folder / "CAMPAIGN.yml").write_text(f"schema: 1\nname: goal\n{textwrap.dedent(goal)}")
     for name in ("X.log", LOG):
-        shutil.copy(TOP / "tests/data/2014" / LOG, folder / name)
+        shutil.copy(LOGS_2014 / LOG, folder / name)
     return folder
 
 

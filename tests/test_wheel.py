@@ -17,6 +17,7 @@ from report.campaigns import write_campaign
 
 import rtgen.cli
 import rtrun.cli
+from logs import LOGS_2014
 from rtfiles.start import commands_of
 
 TOP = Path(__file__).parents[1]
@@ -106,7 +107,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "order.txt").write_text("c0ffee\n")
     write_campaign(folder / "results", n=500)
     name = "oneshot_timer_tests_l50_tm2000-measured.log"
-    shutil.copy(TOP / "tests/data/2014" / name, folder / "2014.log")
+    shutil.copy(LOGS_2014 / name, folder / "2014.log")
     return folder
 
 

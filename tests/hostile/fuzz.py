@@ -1,7 +1,7 @@
 """Mutation fuzz of every reader: whatever it is given, it ends with a result or with an error of ours.
 
 No traceback, no hang, at most MEMORY_MIB. Numbers are drawn at and beyond every limit that a reader has.
-Run: python tests/hostile/fuzz.py --seconds 3600 --seed 7 --only journal run
+Run: make fuzz SECONDS=600 SEED=7; or this program, with runner and tests in PYTHONPATH, --only journal run
 """
 
 import argparse

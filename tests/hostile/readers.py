@@ -16,6 +16,7 @@ from typing import cast
 
 import numpy as np
 
+from logs import LOGS_2014, SUITES
 from rtfiles import config
 from rtgen.kconfig import data as kconfig
 from rtgen.kconfig import fragment, verify
@@ -62,8 +63,6 @@ from rtrun.validity import baselines
 from rtrun.validity.observations import observations_of, summarize
 
 TOP = Path(__file__).parents[2]
-SUITES = TOP / "tests" / "data" / "suites"
-LOGS_2014 = TOP / "tests" / "data" / "2014"
 
 Files = dict[str, bytes]
 """The files of one input, by name."""

@@ -4,6 +4,7 @@ So many rounds, not so long: each machine sees the same inputs.
 """
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -19,10 +20,12 @@ from rtrun.cli import main
 def test_no_reader_fails_on_damaged_input(seed):
     script = Path(__file__).with_name("fuzz.py")
     argv = [sys.executable, script, "--rounds", "10", "--seed", str(seed)]
-    done = subprocess.run(argv, capture_output=True, text=True, check=False)
+    environment = {**os.environ, "PYTHONPATH": f"{TOP / 'runner'}:{TOP / 'tests'}"}
+    done = subprocess.run(argv, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr
 
 
+TOP = Path(__file__).parents[2]
 CYCLIC, ONESHOT = "cyclic_timer_tests_l100_fq700-tnRTFIFO", "oneshot_timer_tests_l100_tm1000-tnRTRR"
 
 

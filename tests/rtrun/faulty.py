@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from logs import LOGS_2014
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.run import UNTRACED, Run
 from rtrun.target.address import Address
@@ -126,7 +127,7 @@ def write_faulty_suites(folder: Path) -> "Wishes":
         PROGRAM.format(
             python=sys.executable,
             here=str(Path(__file__).parent),
-            data=str(Path(__file__).parents[1] / "data" / "2014"),
+            data=str(LOGS_2014),
             wishes=str(wishes.wishes),
             journal=str(wishes.journal),
         )

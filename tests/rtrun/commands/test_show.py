@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from written import write_communication, write_cyclic, write_oneshot, write_output, write_record
 
+from logs import LOGS_2014, SUITES
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import Figures, figures_of_samples
 from rtrun.cli import main
@@ -20,8 +21,6 @@ from rtrun.results.reading import read_file, read_run
 from rtrun.results.samples import read_samples
 from rtrun.results.series import SampleSeries, Series
 
-DATA = Path(__file__).parents[2] / "data"
-SUITES = DATA / "suites"
 COMMUNICATION = {"policy": "RR", "repetitions": 100, "frequency_hz": 1000, "payload_bytes": 0}
 
 
@@ -127,7 +126,7 @@ def test_a_start_up_value_that_a_log_lists_stands_apart_in_its_figures(
 
 
 def test_a_log_as_json_holds_the_figures_at_the_top(capsys: pytest.CaptureFixture[str]) -> None:
-    data = show_json(capsys, DATA / "2014" / "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log")
+    data = show_json(capsys, LOGS_2014 / "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log")
     assert {key: data[key] for key in ("n", "min_us", "max_us", "missing", "out_of_order")} == {
         "n": 200, "min_us": 14, "max_us": 273, "missing": 0, "out_of_order": 0,
     }  # fmt: skip
@@ -137,7 +136,7 @@ def test_a_log_as_json_holds_the_figures_at_the_top(capsys: pytest.CaptureFixtur
 
 
 def test_a_log_is_a_plain_table_when_not_on_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    status, output, _ = show(capsys, DATA / "2014" / "late_ct_gnuplot_l300_fq100_pl0.log")
+    status, output, _ = show(capsys, LOGS_2014 / "late_ct_gnuplot_l300_fq100_pl0.log")
     assert status == 0
     assert "\x1b" not in output
     assert re.search(r"communication +OTHER 100Hz 0B +199 +46 +93 +1355 +143 +1355 +101 +0", output)
@@ -228,7 +227,7 @@ def test_a_folder_with_no_run_says_where_some_are(capsys: pytest.CaptureFixture[
 
 def test_a_run_of_the_programs_of_2014_is_read_from_its_logs(tmp_path: Path) -> None:
     output = "oneshot_timer_tests_l200_tm1000-tnRTRR"
-    shutil.copy(DATA / "2014" / f"{output}-measured.log", tmp_path)
+    shutil.copy(LOGS_2014 / f"{output}-measured.log", tmp_path)
     write_record(tmp_path, "oneshot_timer_tests", [output], {"policy": "RR", "repetitions": 200, "timeout_us": 1000})
     (result,) = read_run(tmp_path).results
     assert (result.header.series, result.figures.n, result.header.output) == ("measured_2014", 200, output)

@@ -8,18 +8,18 @@ import os
 import re
 import shutil
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import pyarrow.parquet
 import pytest
 from plotly.offline import get_plotlyjs
 from report.campaigns import latencies, oneshot_rows, write_run
 
+from logs import LOGS_2014
 from rtrun.cli import main
 from rtrun.report.terminal import BANNERS
 from rtrun.target.platform import Platform
 
-LOG_2014 = Path(__file__).parents[2] / "data" / "2014" / "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log"
+LOG_2014 = LOGS_2014 / "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log"
 
 
 def write(capsysbinary, results, form):

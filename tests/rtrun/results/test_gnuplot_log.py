@@ -8,13 +8,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from logs import LOGS_2014, SUITES
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import Figures, IndexedValue, figures_of_histogram
 from rtrun.analysis.histogram import Histogram
 from rtrun.results import gnuplot_lines
 from rtrun.results.gnuplot_log import Log, read_log
 
-DATA = Path(__file__).parents[2] / "data" / "2014"
 ONESHOT = "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log"
 LATE = "late_ct_gnuplot_l300_fq100_pl0.log"
 
@@ -133,7 +133,7 @@ def test_negative_bins_after_the_others_in_comments_are_read(tmp_path: Path) -> 
 
 
 def test_every_real_log_of_2014_is_read() -> None:
-    logs = {path.name: read_log(path) for path in DATA.glob("*.log")}
+    logs = {path.name: read_log(path) for path in LOGS_2014.glob("*.log")}
     assert len(logs) == 9
     for name, log in logs.items():
         assert int(log.count.sum()) + log.missing == log.parameters["repetitions"], name
@@ -148,7 +148,7 @@ def test_every_real_log_of_2014_is_read() -> None:
 
 
 def test_the_sentinel_of_2014_is_taken_out_and_told() -> None:
-    log = read_log(DATA / LATE)
+    log = read_log(LOGS_2014 / LATE)
     assert log.printed is not None
     assert log.printed.min_us == -1
     assert (log.missing, figures_of(log).n, figures_of(log).min_ns) == (101, 199, 46_000)
@@ -159,16 +159,16 @@ def test_the_sentinel_of_2014_is_taken_out_and_told() -> None:
 
 
 def test_padded_lists_of_2014_are_cut_and_told() -> None:
-    figures = figures_of(read_log(DATA / "oneshot_timer_tests_l4_tm5000-tnRTRR-measured.log"))
+    figures = figures_of(read_log(LOGS_2014 / "oneshot_timer_tests_l4_tm5000-tnRTRR-measured.log"))
     assert [(entry.value_ns // 1000, entry.index) for entry in figures.top] == [(46, 2), (45, 0), (44, 3), (40, None)]
-    log = read_log(DATA / "short_cyclic_timer_tests_l5_fq50.log")
+    log = read_log(LOGS_2014 / "short_cyclic_timer_tests_l5_fq50.log")
     assert [(entry.value_ns // 1000, entry.index) for entry in figures_of(log).top[-2:]] == [(0, 4), (-37, 0)]
     assert log.remarks == ("11 entries that pad the lists of top and lowest values, as in 2014, are left out",)
 
 
 def altered(tmp_path: Path, name: str, old: str, new: str) -> Path:
     """A copy of a real log with one place altered."""
-    text = (DATA / name).read_text()
+    text = (LOGS_2014 / name).read_text()
     assert old in text
     path = tmp_path / name
     path.write_text(text.replace(old, new, 1))
@@ -251,23 +251,23 @@ def test_lists_of_another_series_lend_no_index(tmp_path: Path) -> None:
 )
 def test_a_command_that_no_suite_writes_is_refused(tmp_path: Path, command: str) -> None:
     path = tmp_path / ONESHOT
-    path.write_text(f"{command}\n" + (DATA / ONESHOT).read_text())
+    path.write_text(f"{command}\n" + (LOGS_2014 / ONESHOT).read_text())
     with pytest.raises(UsageError, match=r":1: no log of a suite: no suite writes the command"):
         read_log(path)
 
 
 def test_gnuplot_is_trusted_with_real_logs_of_their_own_picture(tmp_path: Path) -> None:
-    for path in (*DATA.glob("*.log"), *(DATA.parent / "suites").glob("*.log")):
+    for path in (*LOGS_2014.glob("*.log"), *SUITES.glob("*.log")):
         gnuplot_lines.check_commands(path)
     for wrong in ("other.jpg", "/etc/x.jpg", f"../{ONESHOT.removesuffix('.log')}.jpg"):
         path = tmp_path / ONESHOT
-        path.write_text((DATA / ONESHOT).read_text().replace(f"{ONESHOT.removesuffix('.log')}.jpg", wrong))
+        path.write_text((LOGS_2014 / ONESHOT).read_text().replace(f"{ONESHOT.removesuffix('.log')}.jpg", wrong))
         with pytest.raises(UsageError, match="it would draw"):
             gnuplot_lines.check_commands(path)
 
 
 def test_a_log_cut_off_anywhere_is_refused(tmp_path: Path) -> None:
-    data = (DATA / "oneshot_timer_tests_l4_tm5000-tnRTRR-measured.log").read_bytes()
+    data = (LOGS_2014 / "oneshot_timer_tests_l4_tm5000-tnRTRR-measured.log").read_bytes()
     path = tmp_path / "oneshot_timer_tests_l4_tm5000-tnRTRR-measured.log"
     for length in range(len(data) - 1):  # only the last newline may be missing
         path.write_bytes(data[:length])
@@ -277,7 +277,7 @@ def test_a_log_cut_off_anywhere_is_refused(tmp_path: Path) -> None:
 
 def test_a_renamed_log_is_known_by_the_name_it_was_written_under(tmp_path: Path) -> None:
     path = tmp_path / "kept.log"
-    path.write_bytes((DATA / ONESHOT).read_bytes())
+    path.write_bytes((LOGS_2014 / ONESHOT).read_bytes())
     assert read_log(path).parameters["timeout_us"] == 1000
     wrong = tmp_path / "cyclic_timer_tests_l200_fq1000.log"
     path.rename(wrong)
@@ -297,7 +297,7 @@ def test_huge_values_take_no_memory_for_the_range(tmp_path: Path) -> None:
 
 
 def test_more_bins_than_memory_holds_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    path = DATA / ONESHOT
+    path = LOGS_2014 / ONESHOT
     filled = int((read_log(path).count > 0).sum())
     monkeypatch.setattr(gnuplot_lines, "MAX_BINS", filled)
     read_log(path)
@@ -309,7 +309,7 @@ def test_more_bins_than_memory_holds_are_refused(monkeypatch: pytest.MonkeyPatch
 def test_a_file_too_large_is_refused_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gnuplot_lines, "MAX_SIZE_BYTES", 4000)
     with pytest.raises(UsageError, match="4985 bytes, a log has at most 4000"):
-        read_log(DATA / ONESHOT)
+        read_log(LOGS_2014 / ONESHOT)
     endless = tmp_path / "x.log"
     endless.write_bytes(b"set " + b"x" * (2 << 20))
     monkeypatch.undo()
@@ -323,7 +323,7 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
             read_log(path)
 
 
-REAL = (DATA / "short_cyclic_timer_tests_l5_fq50.log").read_bytes()
+REAL = (LOGS_2014 / "short_cyclic_timer_tests_l5_fq50.log").read_bytes()
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
@@ -345,9 +345,9 @@ def test_junk_is_refused_and_nothing_else_happens(tmp_path: Path, data: st.DataO
 
 def test_bins_are_the_same_many_at_a_time_and_line_by_line(monkeypatch, tmp_path):
     bins = "".join(f"{value:06d} \t{value % 3:06d}\n" for value in range(200_000))
-    text = (DATA / "oneshot_timer_tests_l50_tm2000-measured.log").read_text()
+    text = (LOGS_2014 / "oneshot_timer_tests_l50_tm2000-measured.log").read_text()
     head, _, _ = text.partition("# Plot data for gnuplot\n")
-    logs = {path.name: path.read_bytes() for path in DATA.glob("*.log")}
+    logs = {path.name: path.read_bytes() for path in LOGS_2014.glob("*.log")}
     logs["long.log"] = f"{head}# Plot data for gnuplot\n#-00003 \t000001\n{bins}end\n".encode()
     # The last of these bins is refused, whichever way it is read.
     logs["falls.log"] = logs["long.log"].replace(b"199999 \t", b"000007 \t")

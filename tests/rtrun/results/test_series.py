@@ -4,10 +4,11 @@ from pathlib import Path
 
 from written import write_communication
 
+from logs import LOGS_2014
 from rtrun.results.reading import read_file
 from rtrun.results.series import SampleSeries
 
-LOG = Path(__file__).parents[2] / "data" / "2014" / "cyclic_timer_tests_l300_fq1000-tnRTRR.log"
+LOG = LOGS_2014 / "cyclic_timer_tests_l300_fq1000-tnRTRR.log"
 
 
 def test_loops_without_a_value_are_counted_from_the_end_of_the_start_up(tmp_path: Path) -> None:

@@ -1,10 +1,9 @@
 """Counts that do not add up."""
 
-from pathlib import Path
-
 import pytest
 from written import write_communication, write_oneshot
 
+from logs import LOGS_2014
 from rtfiles.config import read_json
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.samples import Record
@@ -57,5 +56,5 @@ def test_indices_and_counts(oneshot, communication):
 
 
 def test_a_log_of_another_number(oneshot, tmp_path):
-    log = read_log(Path(__file__).parents[2] / "data" / "2014" / "cyclic_timer_tests_l300_fq1000-tnRTRR.log")
+    log = read_log(LOGS_2014 / "cyclic_timer_tests_l300_fq1000-tnRTRR.log")
     assert find_count_mismatch(oneshot, [log]) == f"3 measured, but 300 in the log {log.path.name}"

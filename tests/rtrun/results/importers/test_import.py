@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from logs import LOGS_2014
 from rtfiles.errors import UsageError
 from rtrun.cli import main
 from rtrun.plan.question import Question
@@ -23,7 +24,6 @@ from rtrun.results.importers.histogram_file import ENDING, read_histogram
 from rtrun.target.platform import Platform
 
 HARDWARE = ("--platform", "hardware")
-LOGS_2014 = Path(__file__).parents[3] / "data" / "2014"
 
 # As in the manual page rtla-timerlat-hist(1), cut to two CPUs, with user threads and the totals newer versions add.
 TIMERLAT = """# RTLA timerlat histogram
