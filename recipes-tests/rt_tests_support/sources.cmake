@@ -9,6 +9,7 @@ set(rt_tests_support_SOURCES
   ${CMAKE_CURRENT_LIST_DIR}/src/log.cpp
   ${CMAKE_CURRENT_LIST_DIR}/src/options.cpp
   ${CMAKE_CURRENT_LIST_DIR}/src/process.cpp
+  ${CMAKE_CURRENT_LIST_DIR}/src/programs.cpp
   ${CMAKE_CURRENT_LIST_DIR}/src/report.cpp
   ${CMAKE_CURRENT_LIST_DIR}/src/stop.cpp
   ${CMAKE_CURRENT_LIST_DIR}/src/summary.cpp

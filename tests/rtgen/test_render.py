@@ -15,7 +15,7 @@ from rtfiles.errors import UsageError
 from rtgen.checkout import checkout
 from rtgen.cli import main
 from rtgen.kconfig import data as kconfig
-from rtgen.layer import output
+from rtgen.layer import output, programs
 from rtgen.layer import render as layer
 from rtgen.layer.render import Link, is_ours
 from rtgen.profile import Release, load_machines, load_profile, load_releases, profile_names
@@ -256,6 +256,16 @@ def copied_checkout(monkeypatch, tmp_path):
     shutil.copy(checkout() / "recipes-tests/suites.yml", copy / "recipes-tests")
     monkeypatch.setattr(layer, "checkout", lambda: copy)
     return copy
+
+
+def test_what_the_programs_know_of_suites_yml_is_rendered(copied_checkout, monkeypatch):
+    monkeypatch.setattr(programs, "checkout", lambda: copied_checkout)
+    committed = checkout() / programs.PATH
+    assert programs.render_programs() == {programs.PATH: committed.read_text()}
+    suites = copied_checkout / "recipes-tests/suites.yml"
+    suites.write_text(suites.read_text().replace('"measurements or messages"', "'a \"quoted\" word'"))
+    (text,) = programs.render_programs().values()
+    assert r'"1000", "a \"quoted\" word"}' in text
 
 
 def test_a_fragment_that_is_missing(copied_checkout):

@@ -8,16 +8,14 @@
 #include "rt_tests_support/files.h"
 #include "rt_tests_support/json.h"
 #include "rt_tests_support/process.h"
+#include "rt_tests_support/programs.h"
 #include "rt_tests_support/report.h"
 
 namespace {
 
-const rt_tests::Program program = {"communication_tests",
-                                   "communication_tests_publisher",
-                                   "Publishes time-stamped messages for communication_tests_subscriber.",
-                                   {"policy", "repetitions", "prefix", "frequency_hz", "payload_bytes",
-                                    "start_delay_s", "priority", "cpu", "clock", "out_dir", "rt_scope",
-                                    "cpu_dma_latency_us"}};
+const rt_tests::Program program =
+    rt_tests::described("communication_tests_publisher",
+                        "Publishes time-stamped messages for communication_tests_subscriber.");
 
 struct Published {
   int64_t messages = 0;

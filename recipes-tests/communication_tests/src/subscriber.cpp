@@ -6,6 +6,7 @@
 #include "output.h"
 #include "receptions.h"
 #include "rt_tests_support/errors.h"
+#include "rt_tests_support/programs.h"
 #include "rt_tests_support/session.h"
 
 namespace {
@@ -13,13 +14,9 @@ namespace {
 using communication::Receptions;
 using Session = rt_tests::MeasurementSession<communication::columns>;
 
-const rt_tests::Program program = {
-    "communication_tests",
-    "communication_tests_subscriber",
-    "Measures the latency of the messages of communication_tests_publisher.",
-    {"policy", "repetitions", "prefix", "frequency_hz", "payload_bytes", "start_delay_s", "priority", "cpu", "clock",
-     "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us", "cpu_dma_latency_us", "idle_timeout_s"},
-    {"publication_ns", "reception_ns", "seq"}};
+const rt_tests::Program program =
+    rt_tests::described("communication_tests_subscriber",
+                        "Measures the latency of the messages of communication_tests_publisher.");
 
 // Decides whether to wait longer for a publisher that sends nothing.
 class Silence {

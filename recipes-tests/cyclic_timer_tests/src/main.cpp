@@ -4,17 +4,13 @@
 
 #include "jitter.h"
 #include "rt_tests_support/errors.h"
+#include "rt_tests_support/programs.h"
 #include "rt_tests_support/session.h"
 
 namespace {
 
-const rt_tests::Program program = {"cyclic_timer_tests",
-                                   "cyclic_timer_tests",
-                                   "Measures the jitter of the ROS cyclic timer.",
-                                   {"policy", "repetitions", "prefix", "frequency_hz", "priority", "cpu", "clock",
-                                    "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us",
-                                    "cpu_dma_latency_us"},
-                                   {"timestamp_ns", "expected_ns", "real_ns"}};
+const rt_tests::Program program =
+    rt_tests::described("cyclic_timer_tests", "Measures the jitter of the ROS cyclic timer.");
 
 using Session = rt_tests::MeasurementSession<cyclic::columns>;
 

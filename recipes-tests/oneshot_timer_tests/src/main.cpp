@@ -6,18 +6,14 @@
 #include <thread>
 
 #include "rt_tests_support/errors.h"
+#include "rt_tests_support/programs.h"
 #include "rt_tests_support/session.h"
 #include "shots.h"
 
 namespace {
 
-const rt_tests::Program program = {
-    "oneshot_timer_tests",
-    "oneshot_timer_tests",
-    "Measures the latency of the ROS one-shot timer.",
-    {"policy", "repetitions", "prefix", "timeout_us", "busy_mode", "priority", "cpu", "clock", "out_dir", "rt_scope",
-     "break_trace_us", "trace_threshold_us", "cpu_dma_latency_us"},
-    {"start_ns", "end_ns", "measured_ns", "reported_ns", "armed_ns"}};
+const rt_tests::Program program =
+    rt_tests::described("oneshot_timer_tests", "Measures the latency of the ROS one-shot timer.");
 
 using Session = rt_tests::MeasurementSession<oneshot::columns>;
 

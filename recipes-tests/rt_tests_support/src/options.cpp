@@ -10,34 +10,10 @@
 #include <stdexcept>
 
 #include "rt_tests_support/errors.h"
+#include "rt_tests_support/programs.h"
 
 namespace rt_tests {
 namespace {
-
-const std::vector<Option> all_options = {
-    {"policy", "-s", Kind::choice, 0, 0, {"0", "RR", "FIFO"}, "0", "scheduling policy, 0: none"},
-    {"repetitions", "-r", Kind::integer, 1, 100000000, {}, "1000", "measurements or messages"},
-    {"prefix", "-p", Kind::text, 0, 0, {}, "", "put in front of the output's names"},
-    {"timeout_us", "-t", Kind::integer, 0, 60000000, {}, "1000", "timeout of the timer in microseconds"},
-    {"busy_mode", "-b", Kind::integer, 0, 1, {}, "0", "1: ros::spinOnce() in a loop, no spinning thread"},
-    {"frequency_hz", "-f", Kind::integer, 1, 1000000000, {}, "1000", "timer or publication frequency in hertz"},
-    {"payload_bytes", "-l", Kind::integer, 0, 16777216, {}, "0", "extra payload per message in bytes"},
-    {"start_delay_s", "-d", Kind::integer, 0, 3600, {}, "0", "delay before the first message in seconds"},
-    {"priority", "--priority", Kind::integer, 1, 98, {}, "95", "real-time priority with RR and FIFO"},
-    {"cpu", "--cpu", Kind::cpus, 0, 0, {}, "", "CPUs to run on, e.g. 1 or 0-1; empty: all"},
-    {"clock", "--clock", Kind::choice, 0, 0, {"raw", "monotonic"}, "raw", "clock of the timestamps"},
-    {"out_dir", "--out-dir", Kind::text, 0, 0, {}, "", "folder of the output; empty: the current one"},
-    {"rt_scope", "--rt-scope", Kind::choice, 0, 0, {"process", "measuring-thread"}, "process",
-     "which threads get policy and priority"},
-    {"break_trace_us", "--break-trace", Kind::integer, 1, 60000000, {}, nullptr,
-     "stop at the first value above it in microseconds, and keep the kernel trace"},
-    {"trace_threshold_us", "--trace-threshold", Kind::integer, 1, 60000000, {}, nullptr,
-     "keep the kernel trace around values above it in microseconds, and go on"},
-    {"cpu_dma_latency_us", "--cpu-dma-latency", Kind::integer, 0, 1000000, {}, nullptr,
-     "hold /dev/cpu_dma_latency at so many microseconds, as cyclictest does at 0"},
-    {"idle_timeout_s", "--idle-timeout", Kind::integer, 1, 86400, {}, "10",
-     "subscriber: end when nothing arrives for so many seconds"},
-};
 
 std::string takes(const Option& option) {
   if (option.kind == Kind::integer) return std::to_string(option.min) + ".." + std::to_string(option.max);
@@ -78,9 +54,9 @@ const char* version() { return RT_TESTS_VERSION; }
 
 Options::Options(const Program& program) {
   for (const auto& key : program.keys) {
-    const auto option =
-        std::find_if(all_options.begin(), all_options.end(), [&](const Option& one) { return key == one.key; });
-    if (option == all_options.end()) throw std::logic_error("no program takes an option '" + key + "'");
+    const auto& all = all_options();
+    const auto option = std::find_if(all.begin(), all.end(), [&](const Option& one) { return key == one.key; });
+    if (option == all.end()) throw std::logic_error("no program takes an option '" + key + "'");
     Value value;
     value.option = *option;
     if (option->fallback) set(value, option->fallback);

@@ -6,7 +6,7 @@ from pathlib import Path
 from rtgen.commands import DEFAULT_PROFILE
 
 NAME = "render"
-HELP = "write meta-rt-tests/ and kas.yml from a profile"
+HELP = "write meta-rt-tests/ and kas.yml from a profile, and what the suites' programs know of suites.yml"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,12 +21,15 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.output import print_line, print_note, print_text
     from rtgen.checkout import checkout
     from rtgen.layer import output
+    from rtgen.layer.programs import render_programs
     from rtgen.layer.render import render
     from rtgen.profile import load_profile, profile_path
 
     out = args.out or checkout()
     profile, release = load_profile(args.profile)
     tree = render(profile_path(args.profile).stem, profile, release, prefix=output.prefix_in_git(out))
+    if not args.out:
+        tree |= render_programs()
     if args.check:
         difference = output.differences(tree, out)
         if difference:

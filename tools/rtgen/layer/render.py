@@ -76,7 +76,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
 
     def add(path: str, template: str, **more: Any) -> None:
         text = environment.get_template(f"{template}.j2").render(**shared, **more)
-        tree[PurePosixPath(path)] = _marked(path, text, source)
+        tree[PurePosixPath(path)] = marked(path, text, source)
 
     layer = LAYER
     first = profile.default_machine
@@ -129,7 +129,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         values = {"machine_name": machine_name, "machine": machine}
         add(f"{layer}/kas/{machine_name}.yml", "kas/machine.yml", repositories=repositories, **values)
         path, text = _fragment(facts.fragment, machine)
-        tree[PurePosixPath(f"{kernels}/files/rt-tests-{machine_name}.cfg")] = _marked(".cfg", text, path)
+        tree[PurePosixPath(f"{kernels}/files/rt-tests-{machine_name}.cfg")] = marked(".cfg", text, path)
         if facts.layer == LAYER:
             template = f"conf/machine/{machine_name}.conf"
             add(f"{layer}/{template}", template, dtb_folder=device_tree_folder(machine), **values)
@@ -137,7 +137,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
             add(f"{layer}/{release.wks_folder}/{machine_name}.wks", f"wic/{machine_name}.wks", **values)
         if facts.device_tree:
             path = f"devicetree/{facts.device_tree}"
-            tree[PurePosixPath(f"{kernels}/files/{facts.device_tree}")] = _marked(
+            tree[PurePosixPath(f"{kernels}/files/{facts.device_tree}")] = marked(
                 path, _kconfig(path), f"kconfig/{path}"
             )
         if facts.boot_loader and release.own_u_boot:
@@ -280,12 +280,12 @@ def _kconfig(path: str) -> str:
     return (checkout() / "kconfig" / path).read_text(encoding="utf-8")
 
 
-def _marked(path: str, text: str, source: str) -> str:
+def marked(path: str, text: str, source: str) -> str:
     """The text below a line that names its source, in the comment syntax of the file."""
     line = f"{MARK}{source}: do not edit."
     if path.endswith(".md"):
         line = f"<!-- {line} -->"
-    elif path.endswith(".dts"):
+    elif path.endswith((".dts", ".cpp")):
         line = f"// {line}"
     else:
         line = f"# {line}"

@@ -1,0 +1,42 @@
+"""What suites.yml says of the programs as a C++ source, which is committed: so they build without Python."""
+
+import json
+from pathlib import PurePosixPath
+from typing import Any
+
+import jinja2
+
+from rtfiles.config import read_yaml
+from rtgen.checkout import checkout
+from rtgen.layer.render import SOURCES, Tree, marked
+
+PATH = SOURCES / "rt_tests_support/src/programs.cpp"
+
+
+def render_programs() -> Tree:
+    """The one file, by its path in the checkout."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(checkout() / "tools/rtgen/templates"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"cpp": _cpp, "kind": _kind}
+    data = read_yaml(checkout() / SOURCES / "suites.yml")
+    text = environment.get_template("recipes-tests/programs.cpp.j2").render(data)
+    return {PATH: marked(str(PATH), text, str(PurePosixPath(SOURCES, "suites.yml")))}
+
+
+def _cpp(value: Any) -> str:
+    """A C++ literal: a text (as one of JSON), a list of texts, or nullptr."""
+    if isinstance(value, list):
+        return "{" + ", ".join(map(_cpp, value)) + "}"
+    return "nullptr" if value is None else json.dumps(str(value))
+
+
+def _kind(option: dict[str, Any]) -> str:
+    """The enumerator of rt_tests::Kind."""
+    if option["type"] == "string":
+        return "cpus" if "pattern" in option else "text"
+    return {"int": "integer", "choice": "choice"}[option["type"]]
