@@ -38,7 +38,8 @@ def has_rounds(results: Path, name: str, groups: Sequence[Run], rounds: PlanRoun
     """Whether there is something left to measure for a campaign with rounds. Raises UsageError as `find_unfinished`."""
     run_directory.make_results(results)
     with _lock(results), _open_journal(results, name, groups, targets) as log:
-        return rounds(lambda: log.spent_s(utc_now()))((), ()) is not None
+        # Nobody has worked since the last event, however long ago that was.
+        return rounds(lambda: log.spent_s(None))((), ()) is not None
 
 
 def run_campaign(

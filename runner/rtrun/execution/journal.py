@@ -81,16 +81,16 @@ class Journal:
         self._write("UPDATE campaign SET target = ?", (" ".join(targets),))
         return replace(self, targets=targets)
 
-    def spent_s(self, now: datetime) -> float:
+    def spent_s(self, now: datetime | None) -> float:
         """The time, in seconds, that runners have worked on the campaign until now; pauses between them do not count.
 
-        Raises UsageError when the journal is damaged.
+        None for `now`: no runner is at work. Raises UsageError when the journal is damaged.
         """
         spent_s = 0.0
         before: datetime | None = None
         try:
             rows = self._read("SELECT time, what FROM event ORDER BY rowid")
-            for text, what in itertools.chain(rows, [(now.isoformat(), "")]):
+            for text, what in itertools.chain(rows, [(now.isoformat(), "")] if now else []):
                 time = datetime.fromisoformat(text)
                 if before is not None and what != SESSION:
                     # The clock may have been set back in between.
