@@ -6,7 +6,7 @@ suit the method: nothing in a sample but the misses hints at bursts, boots or a 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import null_campaigns
 import numpy as np
@@ -15,9 +15,11 @@ from processes import DEADLINE_NS, Int64s, Rng
 
 from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
 from rtrun.analysis.deadline import Answer, Verdict, judge
+from rtrun.analysis.further import proves, smallest
 from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.intervals import anytime_upper, clopper_pearson
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
+from rtrun.plan import question as questions
 from rtrun.plan.question import Question
 
 SEED = 20140715
@@ -30,8 +32,8 @@ class Row:
     """A kind of data, and an event whose share over many draws must be at most (at least) so much, in percent.
 
     A draw is True where the event happened, None where it does not count. ``today`` is the share before these remedies
-    as it was reported, ``remedy`` the function of rtrun.analysis.deadline without which the quick bound must fail, and
-    what stands in for it.
+    as it was reported, ``remedy`` the function without which the quick bound must fail, of rtrun.analysis.deadline or
+    with its module, and what stands in for it.
     """
 
     name: str
@@ -131,6 +133,29 @@ def proven_at_any_look_in_boots(spread: float, rng: Rng) -> bool:
         boots.append(trials_of(processes.independent(4000, min(1.0, rate), rng), look, str(look)))
         if look >= 4 and judged(boots).answer == Answer.PROVEN:
             return True
+    return False
+
+
+@cache
+def _proofs(probability: float, n: int) -> Int64s:
+    """From how many measurements on 0, 1, 2, ... 199 misses prove P(miss) below the target, (k,), up to n."""
+    question, proofs = Question(probability=probability), [1]
+    while proofs[-1] <= n and len(proofs) <= 200:
+        proofs.append(smallest(lambda total: proves(len(proofs) - 1, total, 1.0, question), proofs[-1]) or n + 1)
+    return np.array(proofs[1:], np.int64)
+
+
+def proven_after_a_change_of_goal(rng: Rng) -> bool:
+    """PROVEN wrongly at any look, whoever may change the goal to any of fourteen, each at its true P(miss)."""
+    n = 60_000
+    goals = [Question(deadline_ns=1000 + number, probability=0.5 / 1.6**number) for number in range(14)]
+    values = rng.random(n)
+    for goal in goals:
+        if questions.may_follow(goals[7], goal):
+            misses = np.flatnonzero(values < goal.probability) + 1
+            proofs = _proofs(goal.probability, n)[: misses.size]
+            if np.any(proofs < misses[: proofs.size]):
+                return True
     return False
 
 
@@ -342,6 +367,14 @@ ROWS = [
             long=500,
         )
         for spread in (0.5, 1.0)
+    ),
+    Row(
+        name="a goal that is changed after looking, to any deadline and P(miss) that is allowed",
+        event="PROVEN at any look",
+        draw=proven_after_a_change_of_goal,
+        at_most=5.0,
+        quick=200,
+        remedy=("rtrun.plan.question.may_follow", lambda *_: True),
     ),
     Row(
         name="a histogram without order, bursts of 5",

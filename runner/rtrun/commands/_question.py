@@ -59,9 +59,15 @@ def add_confidence(parser: argparse.ArgumentParser) -> None:
 
 def question(args: argparse.Namespace, results: Path) -> Question:
     """What the arguments ask; what they leave open is the goal of the campaign, or else the thesis' question."""
+    from rtfiles.output import print_note
     from rtrun.results.goal_file import read_goal
 
     goal = read_goal(results)
+    if goal and args.deadline and args.deadline != goal.deadline_ns:
+        print_note(
+            f"rtrun: measured for a deadline of {goal.deadline_ns / 1000:g} us: an answer for another one, chosen "
+            "after looking, does not have its confidence"
+        )
     given = {"deadline_ns": args.deadline, "probability": args.probability, "confidence": args.confidence}
     return replace(goal.question if goal else THESIS, **{key: value for key, value in given.items() if value})
 

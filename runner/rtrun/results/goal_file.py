@@ -8,7 +8,10 @@ from pydantic import Field
 
 from rtfiles import atomic
 from rtfiles.config import Config, read_json
+from rtfiles.errors import UsageError
 from rtrun.plan.goal import Goal
+from rtrun.plan.question import may_follow
+from rtrun.results.record import is_closed
 
 FILE = "goal.json"
 
@@ -21,7 +24,17 @@ class GoalFile(Config):
 
 
 def write_goal(results: Path, goal: Goal) -> None:
-    """Write the goal of a campaign into its results folder."""
+    """Write the goal of a campaign into its results folder.
+
+    Raises UsageError where runs are there that were measured for a goal which this one may not follow.
+    """
+    before = read_goal(results)
+    if before and not may_follow(before.question, goal.question) and any(map(is_closed, results.iterdir())):
+        raise UsageError(
+            f"{results / FILE}: these runs were measured for a deadline of {before.deadline_ns / 1000:g} us, the "
+            f"campaign asks for {goal.deadline_ns / 1000:g} us now: a deadline that is chosen after looking has no "
+            f"confidence of {100 * goal.confidence:g} %. Measure anew with --fresh, or ask for the deadline of before"
+        )
     written = {
         "deadline": f"{goal.deadline_ns}ns",
         "probability": goal.probability,

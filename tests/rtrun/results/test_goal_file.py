@@ -1,0 +1,37 @@
+"""The goal of a folder of runs: what it may become after answers were seen."""
+
+import pytest
+from report.campaigns import latencies, oneshot_rows, write_run
+
+from rtfiles.errors import UsageError
+from rtrun.cli import main
+from rtrun.plan.goal import Goal
+from rtrun.results.goal_file import read_goal, write_goal
+
+
+def goal(**keys):
+    return Goal(**{"deadline": "10ms", "probability": "1e-3", "at_most": "1h", **keys})
+
+
+def measure(results):
+    rows = oneshot_rows(latencies(500, 1), 1000)
+    write_run(results, "001", "oneshot_timer_tests", [rows], {"timeout_us": 1000}, asked=500, logs=False)
+
+
+def test_a_deadline_that_is_chosen_after_looking_is_refused(tmp_path, capsys):
+    write_goal(tmp_path, goal())
+    write_goal(tmp_path, goal(deadline="9ms"))
+    measure(tmp_path)
+    with pytest.raises(UsageError, match=r"for a deadline of 9000 us, the campaign asks for 8000 us now.*--fresh"):
+        write_goal(tmp_path, goal(deadline="8ms"))
+    assert read_goal(tmp_path).deadline_ns == 9_000_000
+    assert main(["verdict", str(tmp_path), "--deadline", "8ms"]) == 0
+    assert "measured for a deadline of 9000 us: an answer for another one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("change", [{"at_most": "2h"}, {"probability": "1e-2"}, {"boots": 3}, {"bursts": 5}])
+def test_what_the_interval_holds_for_may_change(tmp_path, change):
+    write_goal(tmp_path, goal())
+    measure(tmp_path)
+    write_goal(tmp_path, goal(**change))
+    assert read_goal(tmp_path) == goal(**change)
