@@ -49,7 +49,7 @@ class Campaign(Config):
     schema_: Literal[1] = Field(alias="schema")
     name: Name
     order: Literal["listed", "interleaved"] = "listed"
-    """interleaved: blocks of one repeat of every combination, each block in an order drawn with `seed`."""
+    """interleaved: blocks of one repeat of every combination in an order drawn with `seed`, each second reversed."""
     seed: Seed | None = None
     common: Entry = Field(default_factory=dict)
     """Values of every run that takes them; a run's own value wins."""

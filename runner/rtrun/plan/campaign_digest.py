@@ -7,7 +7,9 @@ from dataclasses import MISSING, asdict, fields
 from typing import Any
 
 from rtrun.plan import conditions, suites
+from rtrun.plan.kernels import order_by_kernel
 from rtrun.plan.run import Run
+from rtrun.plan.trace import WARM_UP, with_warm_ups
 
 # Increased when the canonical form changes, or the default of a field or an option: a default is not in the form.
 VERSION = 2
@@ -23,8 +25,23 @@ def digest(runs: Sequence[Run]) -> str:
 
 
 def is_digest_of(known: str, runs: Sequence[Run]) -> bool:
-    """Whether a journal with this digest, of this version or the one before, is of these runs."""
-    return known in (digest(runs), _digest_1(runs))
+    """Whether a journal with this digest, of this version or the one before, is of these runs.
+
+    Earlier versions drew the order of each repeat anew.
+    """
+    drawn = _as_drawn(runs)
+    return known in (digest(runs), digest(drawn), _digest_1(drawn))
+
+
+def _as_drawn(runs: Sequence[Run]) -> list[Run]:
+    """The runs in the order that earlier versions had for an interleaved campaign."""
+    if any(run.seed is None for run in runs):
+        return list(runs)
+    draw = {run.name: hashlib.sha256(f"{run.seed} {run.name}".encode()).digest() for run in runs}
+    planned = [run for run in runs if not run.name.endswith(WARM_UP)]
+    kernels = [kernel for kernel in dict.fromkeys(run.kernel for run in planned if run.repeat == 1) if kernel]
+    ordered = sorted(planned, key=lambda run: (run.repeat, draw[run.name]))
+    return list(with_warm_ups(order_by_kernel(ordered, kernels)))
 
 
 def _canonical(run: Run) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The rounds of a campaign that has a goal: one run of every group whose answer is open, in an order drawn anew.
+"""The rounds of a campaign that has a goal: one run of every group whose answer is open, in a balanced order.
 
 A group is a planned run of the campaign. Its run in a round is that run repeated, and the round's number is the repeat.
 """
@@ -29,8 +29,11 @@ def run_in_round(group: Run, number: int) -> Run:
 
 
 def plan_round(groups: Iterable[Run], number: int, seed: int) -> tuple[Run, ...]:
-    """The runs of a round in their order: one of each of these groups."""
-    return interleave([run_in_round(group, number) for group in groups], seed)
+    """The runs of a round in their order, one of each of these groups; an even round is the one before, reversed."""
+    groups = list(groups)
+    numbers = {number, number - (number % 2 == 0)}
+    runs = interleave([run_in_round(group, each) for each in numbers for group in groups], seed)
+    return tuple(run for run in runs if run.repeat == number)
 
 
 def measurements_of(group: Run) -> int:

@@ -1,6 +1,7 @@
 """One planned run: what is measured, how long that takes, what it is called, and the order of several."""
 
 import hashlib
+import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -85,10 +86,24 @@ class Run:
 
 
 def interleave(runs: Iterable[Run], seed: int) -> tuple[Run, ...]:
-    """Order runs by repeat, and those of one repeat as drawn with a seed."""
+    """Order runs by repeat, those of an odd repeat as drawn with a seed, those of an even one in the reverse order of
+    the repeat before: after each pair of repeats all have begun at the same time on average."""
+    runs = list(runs)
+    names = {(_measured(run), run.repeat): run.name for run in runs}
     # By a hash, so that a seed gives the same order with every version of Python.
-    draw = {run.name: hashlib.sha256(f"{seed} {run.name}".encode()).digest() for run in runs}
-    return tuple(replace(run, seed=seed) for run in sorted(runs, key=lambda run: (run.repeat, draw[run.name])))
+    draw = {}
+    for run in runs:
+        name = names.get((_measured(run), run.repeat - (run.repeat % 2 == 0)), run.name)
+        draw[run.name] = hashlib.sha256(f"{seed} {name}".encode()).digest()
+    ordered: list[Run] = []
+    for repeat, block in itertools.groupby(sorted(runs, key=lambda run: run.repeat), key=lambda run: run.repeat):
+        ordered += sorted(block, key=lambda run: draw[run.name], reverse=repeat % 2 == 0)
+    return tuple(replace(run, seed=seed) for run in ordered)
+
+
+def _measured(run: Run) -> str:
+    """What a run measures, the same in each of its repeats."""
+    return repr(replace(run, name="", repeat=1, seed=None))
 
 
 def never_observed(run: Run) -> str | None:

@@ -169,19 +169,22 @@ include: [{suite: cyclictest, policy: RR, condition: cpu80}]
 
 
 def test_an_interleaved_order_is_drawn_in_blocks_and_the_same_for_the_same_seed(tmp_path):
-    text = "order: interleaved\nseed: {}\nruns: [{{suite: cyclic_timer_tests, frequency_hz: {}, repeats: 3}}]\n"
+    text = "order: interleaved\nseed: {}\nruns: [{{suite: cyclic_timer_tests, frequency_hz: {}, repeats: 4}}]\n"
     frequencies = list(range(100, 110))
 
     def names(seed):
         _, runs = read_campaign(write(tmp_path, text.format(seed, frequencies)))
-        assert [run.repeat for run in runs] == [1] * 10 + [2] * 10 + [3] * 10, "a block has each combination once"
+        assert [run.repeat for run in runs] == [1] * 10 + [2] * 10 + [3] * 10 + [4] * 10, (
+            "a block has each combination once"
+        )
         assert {run.seed for run in runs} == {seed}
         return [run.name for run in runs]
 
     assert names(1) == names(1) != names(2)
     assert sorted(names(1)) == sorted(names(2)), "a run keeps its name, wherever it stands"
-    blocks = [[name.split("-")[1] for name in names(1)[start : start + 10]] for start in (0, 10, 20)]
-    assert blocks[0] != blocks[1] != blocks[2]
+    blocks = [[name.split("-")[1] for name in names(1)[start : start + 10]] for start in (0, 10, 20, 30)]
+    assert blocks[1] == blocks[0][::-1] and blocks[3] == blocks[2][::-1], "all begin at the same time on average"
+    assert blocks[0] != blocks[2] != blocks[1]
 
 
 @pytest.mark.parametrize(

@@ -69,3 +69,18 @@ def test_a_journal_of_before_is_known_again():
     old = hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
     assert is_digest_of(old, runs) and is_digest_of(digest(runs), runs)
     assert not is_digest_of(old, runs[1:])
+
+
+def test_a_journal_of_before_even_repeats_were_reversed_is_known_again():
+    entry = {"suite": "cyclic_timer_tests", "frequency_hz": [100, 200, 300], "repeats": 4}
+    words = {"name": "test", "order": "interleaved", "seed": 7, "kernels": ["standard", "rt"]}
+    runs = plan(Campaign(schema=1, runs=[entry], **words), "test")
+    kernels = {"standard": 0, "rt": 1}
+
+    def place(run):
+        drawn = hashlib.sha256(f"7 {run.name}".encode()).digest()
+        return run.repeat, kernels[run.kernel] * (1 if run.repeat % 2 else -1), drawn
+
+    before = sorted(runs, key=place)
+    assert before != list(runs) and is_digest_of(digest(before), runs)
+    assert not is_digest_of(digest(before[::-1]), runs)
