@@ -13,11 +13,14 @@ import numpy as np
 import processes
 from processes import DEADLINE_NS, Int64s, Rng
 
+from rtrun.analysis.blocks import Blocks, cut
+from rtrun.analysis.comparison import Change, compare
 from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
 from rtrun.analysis.deadline import Answer, Verdict, judge
-from rtrun.analysis.further import proves, smallest
+from rtrun.analysis.further import Floats, proves, smallest
 from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.intervals import anytime_upper, clopper_pearson
+from rtrun.analysis.layers import attribute
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.plan import question as questions
 from rtrun.plan.question import Question
@@ -157,6 +160,38 @@ def proven_after_a_change_of_goal(rng: Rng) -> bool:
             if np.any(proofs < misses[: proofs.size]):
                 return True
     return False
+
+
+def outside_the_interval(order: str, rng: Rng) -> bool | None:
+    """Whether what a layer adds lies outside its interval; runs drift by half their standard deviation each.
+
+    `order` is that of the runs of both layers (L, U), drawn anew where it is empty. None where it is refused.
+    """
+    runs: dict[str, list[Blocks]] = {"L": [], "U": []}
+    for place, layer in enumerate(order or rng.permutation([*"LLLLLLLLUUUUUUUU"])):
+        mean_ns = 40_000 + 500 * place + 1000 * rng.normal() + (30_000 if layer == "U" else 0)
+        block = cut(np.full(64, round(mean_ns)))
+        runs[str(layer)].append(replace(block, start_time=f"2026-01-01T00:{place:02}:00+00:00"))
+    layers = attribute(runs["L"], runs["U"])
+    if layers.refused:
+        return None
+    added = layers.added[0]
+    return not added.low_ns <= 30_000 <= added.high_ns
+
+
+def _in_pairs(values: tuple[Floats, Floats], _: object) -> tuple[float, float, float]:
+    """As if a drift cancelled in pairs of runs."""
+    gaps = values[1] - values[0]
+    return float(gaps.mean()), float(gaps.std(ddof=1)) / gaps.size**0.5, gaps.size - 1.0
+
+
+def seen_to_differ(rng: Rng) -> bool:
+    """DIFFERENT, of two sets of twenty runs that differ in nothing, most of the first one before the second one."""
+    sides: dict[str, list[Blocks]] = {"A": [], "B": []}
+    for place, side in enumerate(5 * "A" + 15 * "AB" + 5 * "B"):
+        block = cut(rng.normal(40_000 + 500 * place + 1000 * rng.normal(), 2000, 128).astype(np.int64))
+        sides[side].append(replace(block, boot="boot", start_time=f"2026-01-01T00:{place:02}:00+00:00"))
+    return compare(sides["A"], sides["B"]).answer == Change.DIFFERENT
 
 
 def proven_without_order(rng: Rng) -> bool:
@@ -375,6 +410,31 @@ ROWS = [
         at_most=5.0,
         quick=200,
         remedy=("rtrun.plan.question.may_follow", lambda *_: True),
+    ),
+    *(
+        Row(
+            name=f"what a layer adds, a steady drift, 8 runs of each layer in {name}",
+            event="outside the interval",
+            draw=partial(outside_the_interval, order),
+            at_most=at_most,
+            quick=200,
+            reported=reported,
+            remedy=("rtrun.analysis.layers.shift_without_drift", _in_pairs) if reported else None,
+        )
+        for name, order, at_most, reported in (
+            ("turns (L U L U)", 8 * "LU", 8.0, "95"),
+            ("balanced order (L U U L)", 4 * "LUUL", 8.0, ""),
+            ("random order", "", 8.0, "44"),
+        )
+    ),
+    Row(
+        name="two sets that differ in nothing, a steady drift, 20 runs each, most of one before the other",
+        event="DIFFERENT",
+        draw=seen_to_differ,
+        at_most=5.0,
+        quick=20,
+        long=200,
+        remedy=("rtrun.analysis.comparison.is_interleaved", lambda *_: True),
     ),
     Row(
         name="a histogram without order, bursts of 5",

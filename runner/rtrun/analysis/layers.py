@@ -5,10 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtrun.analysis.blocks import Blocks
-from rtrun.analysis.interleaving import is_interleaved
-from rtrun.analysis.welch import standard_error
+from rtrun.analysis.interleaving import is_interleaved, seconds
+
+Floats = NDArray[np.float64]
 
 _LEAST_RUNS = 3
 
@@ -36,45 +38,66 @@ class Attribution:
 def attribute(lower: Sequence[Blocks], upper: Sequence[Blocks], *, confidence: float = 0.95) -> Attribution:
     """What `upper` adds to `lower`, from runs of each layer that were measured in turn.
 
-    As many of each are paired in the order they began, and the interval is Student's over the pairs, so that what
-    drifts over a campaign (temperature, load) cancels. Else runs are the units of Welch's interval (Welch 1947). Runs
-    that were not measured in turn are refused: what drifted meanwhile would be added to the layer. Raises ValueError
-    when a run has no measurement.
+    The time at which a run began is a covariate: both layers are taken to drift by the same slope, which is fitted and
+    removed, so that a steady drift (temperature, load) is not added to the layer in whatever order the runs were. Runs
+    that were not measured in turn are refused: what drifted otherwise would be added. Raises ValueError when a run has
+    no measurement.
     """
     if min(len(lower), len(upper)) < _LEAST_RUNS:
         return Attribution(
             added=(), refused=f"{len(lower)} and {len(upper)} runs, at least {_LEAST_RUNS} of each are needed"
         )
-    if not is_interleaved([run.start_time for run in lower], [run.start_time for run in upper]):
+    starts = [[run.start_time for run in runs] for runs in (lower, upper)]
+    times_s = [seconds(of_layer) for of_layer in starts]
+    if times_s[0] is None or times_s[1] is None or not is_interleaved(*starts):
         return Attribution(added=(), refused="the runs were not measured in turn: a drift would be added to the layer")
-    lower, upper = (sorted(runs, key=lambda run: run.start_time) for runs in (lower, upper))
     added = []
     for figure in ("mean", "p99"):
         below, above = (np.array([figure_of(run, figure) for run in runs]) for runs in (lower, upper))
-        added.append(_added(figure, below, above, confidence))
+        added.append(_added(figure, (below, above), (times_s[0], times_s[1]), confidence))
     return Attribution(added=tuple(added))
 
 
-def _added(figure: str, lower: np.ndarray, upper: np.ndarray, confidence: float) -> Added:
+def _added(figure: str, values: tuple[Floats, Floats], times_s: tuple[Floats, Floats], confidence: float) -> Added:
     from scipy.special import stdtrit
 
-    if lower.size == upper.size:
-        gaps = upper - lower
-        error, degrees = float(gaps.std(ddof=1)) / math.sqrt(gaps.size), gaps.size - 1.0
-        method = f"{gaps.size} pairs of runs measured in turn, Student's t"
-    else:
-        error, degrees = standard_error(lower, upper)
-        method = f"{lower.size} and {upper.size} runs measured in turn, Welch's t"
+    middle, error, degrees = shift_without_drift(values, times_s)
     half = float(stdtrit(degrees, (1 + confidence) / 2)) * error
-    middle = float(upper.mean() - lower.mean())
     return Added(
         figure=figure,
         added_ns=middle,
         low_ns=middle - half,
         high_ns=middle + half,
         confidence=confidence,
-        method=method,
+        method=f"{values[0].size} and {values[1].size} runs measured in turn, a steady drift removed, Welch's t",
     )
+
+
+def shift_without_drift(values: tuple[Floats, Floats], times_s: tuple[Floats, Floats]) -> tuple[float, float, float]:
+    """The shift from the first to the second set of values, shapes (u,) and (v,), its standard error, and degrees of
+    freedom; of values whose times are known and that drift by a common slope.
+
+    Analysis of covariance (Cochran 1957) with a variance for each set: the shift is a weighted sum of the values, so
+    its variance is the sum of the squared weights times the variances, and the degrees of freedom are those of Welch
+    and Satterthwaite. What the slope takes of the degrees of freedom is divided as the sums of squares of time are.
+    """
+    apart = [times - times.mean() for times in times_s]
+    squares = [float(each @ each) for each in apart]
+    whole = sum(squares)
+    slope = sum(float(each @ own) for each, own in zip(apart, values, strict=True)) / whole if whole else 0.0
+    between = float(times_s[1].mean() - times_s[0].mean())
+    shift = float(values[1].mean() - values[0].mean()) - slope * between
+    parts, degrees = [], []
+    for sign, own, each, square in zip((-1, 1), values, apart, squares, strict=True):
+        rest = own - own.mean() - slope * each
+        free = own.size - 1 - (square / whole if whole else 0.0)
+        weights = sign / own.size - (between / whole * each if whole else 0.0)
+        parts.append(float(rest @ rest) / free * float(weights @ weights))
+        degrees.append(free)
+    error = math.sqrt(sum(parts))
+    if not error:
+        return shift, 0.0, 1.0
+    return shift, error, sum(parts) ** 2 / sum(part**2 / free for part, free in zip(parts, degrees, strict=True))
 
 
 def figure_of(run: Blocks, figure: str) -> float:
