@@ -64,3 +64,13 @@ def decided(rng: np.random.Generator) -> list[str]:
             write_run(root, f"{number:02}", suite, outputs, parameters, asked=1000, logs=False, **times)
         examined = {one.id: one.result.finding for one in examine_claims(study(root, bounds=False))}
     return [claim for claim, wrong in WRONG.items() if examined[claim] in wrong]
+
+
+def write_sent(root: Path, name: str, values: np.ndarray, *, is_kept: bool) -> None:
+    """A run of publish-subscribe, whose publisher kept its rate, or missed it by a fifth."""
+    rate = {"asked_hz": 1000, "achieved_hz": 1000.0 if is_kept else 800.0, "overruns": 0, "skipped": 0}
+    programs = [{"name": "communication_tests_publisher", "argv": [], "exit_status": 0, "rate": rate}]
+    parameters = {"policy": "RR", "frequency_hz": 1000, "payload_bytes": 0, "subscribers": 1}
+    record = {"programs": programs, "status": "ok" if is_kept else "invalid", "attempt": name}
+    rows = [communication_rows(values, 1000)]
+    write_run(root, name, "communication_tests", rows, parameters, asked=values.size, logs=False, **record)

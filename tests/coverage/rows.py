@@ -4,9 +4,11 @@ P(miss) is the target itself, but for a millionth part, so that every PROVEN is 
 suit the method: nothing in a sample but the misses hints at bursts, boots or a change.
 """
 
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from pathlib import Path
 
 import null_campaigns
 import numpy as np
@@ -24,6 +26,7 @@ from rtrun.analysis.layers import attribute
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.plan import question as questions
 from rtrun.plan.question import Question
+from rtrun.report.study import study
 
 SEED = 20140715
 P = 1e-3
@@ -192,6 +195,27 @@ def seen_to_differ(rng: Rng) -> bool:
         block = cut(rng.normal(40_000 + 500 * place + 1000 * rng.normal(), 2000, 128).astype(np.int64))
         sides[side].append(replace(block, boot="boot", start_time=f"2026-01-01T00:{place:02}:00+00:00"))
     return compare(sides["A"], sides["B"]).answer == Change.DIFFERENT
+
+
+def proven_by_lucky_runs(rng: Rng) -> bool:
+    """PROVEN from runs in which a publisher kept its rate, each repeated until it did.
+
+    In one attempt of two something keeps it from that, and deadlines are missed twenty times as often.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(2):
+            attempts = 1 + int(rng.integers(1, 3))
+            for attempt in range(attempts):
+                is_last = attempt == attempts - 1
+                values = processes.independent(5000, P / 10 if is_last else 2 * P, rng)
+                null_campaigns.write_sent(
+                    Path(folder), f"{number}" if is_last else f"{number}.old-{attempt}", values, is_kept=is_last
+                )
+        question = Question(deadline_ns=DEADLINE_NS, probability=P)
+        return any(
+            group.verdict is not None and group.verdict.answer == Answer.PROVEN
+            for group in study(Path(folder), question, bounds=False).groups
+        )
 
 
 def proven_without_order(rng: Rng) -> bool:
@@ -435,6 +459,15 @@ ROWS = [
         quick=20,
         long=200,
         remedy=("rtrun.analysis.comparison.is_interleaved", lambda *_: True),
+    ),
+    Row(
+        name="a publisher that misses its rate in half of all runs, and deadlines oftener then; repeated until kept",
+        event="PROVEN",
+        draw=proven_by_lucky_runs,
+        at_most=0.0,
+        quick=6,
+        long=100,
+        remedy=("rtrun.report.study._off_rate", lambda _: {}),
     ),
     Row(
         name="a histogram without order, bursts of 5",

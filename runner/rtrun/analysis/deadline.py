@@ -41,6 +41,9 @@ class Verdict:
     ``further`` measurements without any further miss would give PROVEN (0: it is given, None: no number would), which
     has the chance ``further_chance``. ``further_likely`` gives (answer, measurements) that nine times in ten are enough
     if misses go on at the rate seen, None where no number is.
+
+    ``off_rate`` counts runs that are left out because they were not measured at the rate that was asked for, beside
+    ``runs`` that were.
     """
 
     answer: Answer
@@ -63,6 +66,8 @@ class Verdict:
     further_likely: tuple[Answer, int] | None
     period_ns: float | None
     assumes: tuple[str, ...]
+    runs: int
+    off_rate: int = 0
     change: Change | None = None
     refused: str | None = None
 
@@ -94,12 +99,15 @@ def judge(
     clock_step_ns: int | None = None,
     emulated: bool = False,
     measurements_per_event: int = 1,
+    off_rate: int = 0,
 ) -> Verdict:
     """Answer a question for runs of one set of parameters.
 
     PROVEN: the interval's upper end is below it, and no run shows a change. IF_INDEPENDENT: the same, from counts that
     kept no order. REFUTED: the lower end is above it. Else, and with fewer boots than asked for, NEEDS MORE, with
     how many.
+    With `off_rate` runs beside these, left out because they missed the rate that was asked for, nothing is PROVEN: runs
+    that kept to it are the lucky ones.
     `measurements_per_event` measurements of one event (the subscribers of one message) count as one measurement.
     Numbers from an emulated board, or for a deadline below two clock steps, are no real-time statement.
     Raises ValueError when probability or confidence is not between 0 and 1.
@@ -134,16 +142,16 @@ def judge(
         answer = Answer.NO_STATEMENT
     elif boots is not None and boots < question.boots:
         answer = Answer.NEEDS_MORE
-    elif covered >= question.bursts and change is None:
+    elif covered >= question.bursts and change is None and not off_rate:
         answer = Answer.PROVEN if ordered else Answer.IF_INDEPENDENT
     elif n and lower > probability:
         answer = Answer.REFUTED
     else:
         answer = Answer.NEEDS_MORE
     proven = answer in (Answer.PROVEN, Answer.IF_INDEPENDENT)
-    further = missing_without_miss(misses, n, effect, question)
+    further = None if off_rate else missing_without_miss(misses, n, effect, question)
     longer = [(length, replace(question, bursts=length)) for length in BURSTS] if proven else []
-    is_open = answer == Answer.NEEDS_MORE and change is None
+    is_open = answer == Answer.NEEDS_MORE and change is None and not off_rate
     likely = likely_further(misses, n, effect, question) if is_open else None
 
     return Verdict(
@@ -169,6 +177,8 @@ def judge(
         further_likely=likely and (Answer.PROVEN if likely[0] else Answer.REFUTED, likely[1]),
         period_ns=period_ns,
         assumes=assumes,
+        runs=len({run.run or str(index) for index, run in enumerate(runs)}),
+        off_rate=off_rate,
         change=change,
         refused=refused,
     )

@@ -18,7 +18,7 @@ def is_interleaved(starts_a: Sequence[str], starts_b: Sequence[str]) -> bool:
     if a is None or b is None or min(a.size, b.size) < 2:
         return False
     spread_s = float(np.concatenate((a, b)).std(ddof=1)) * (1 / a.size + 1 / b.size) ** 0.5
-    return abs(float(a.mean() - b.mean())) <= spread_s
+    return bool(abs(a.mean() - b.mean()) <= spread_s)
 
 
 def seconds(starts: Sequence[str]) -> NDArray[np.float64] | None:

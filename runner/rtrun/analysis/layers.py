@@ -83,15 +83,16 @@ def shift_without_drift(values: tuple[Floats, Floats], times_s: tuple[Floats, Fl
     """
     apart = [times - times.mean() for times in times_s]
     squares = [float(each @ each) for each in apart]
-    whole = sum(squares)
-    slope = sum(float(each @ own) for each, own in zip(apart, values, strict=True)) / whole if whole else 0.0
+    # Runs that all began at the same time have not drifted.
+    whole = sum(squares) or 1.0
+    slope = sum(float(each @ own) for each, own in zip(apart, values, strict=True)) / whole
     between = float(times_s[1].mean() - times_s[0].mean())
     shift = float(values[1].mean() - values[0].mean()) - slope * between
     parts, degrees = [], []
     for sign, own, each, square in zip((-1, 1), values, apart, squares, strict=True):
         rest = own - own.mean() - slope * each
-        free = own.size - 1 - (square / whole if whole else 0.0)
-        weights = sign / own.size - (between / whole * each if whole else 0.0)
+        free = own.size - 1 - square / whole
+        weights = sign / own.size - between / whole * each
         parts.append(float(rest @ rest) / free * float(weights @ weights))
         degrees.append(free)
     error = math.sqrt(sum(parts))

@@ -28,4 +28,4 @@ class Standing:
     @property
     def is_final(self) -> bool:
         """Whether measuring on would not change the answer, or need not."""
-        return self.answer is not Answer.NEEDS_MORE
+        return self.answer is not Answer.NEEDS_MORE or (self.verdict is not None and self.verdict.off_rate > 0)

@@ -81,7 +81,9 @@ def _run_data(run: "Run") -> dict[str, Any]:
         "start_time",
         "end_time",
     )
-    return {**{key: getattr(record, key) for key in keys}, "results": [_result_data(one) for one in run.results]}
+    rates = {name: rate.model_dump() for name, rate in record.rates.items()}
+    head = {**{key: getattr(record, key) for key in keys}, "rates": rates}
+    return {**head, "results": [_result_data(one) for one in run.results]}
 
 
 def _result_data(result: "Result") -> dict[str, Any]:

@@ -26,6 +26,7 @@ from rtrun.target.connection import parse_listing
 from rtrun.target.control_groups import ControlGroup
 from rtrun.target.errors import TargetError
 from rtrun.target.link import OUT_OF_REACH, Link
+from rtrun.target.platform import Platform
 from rtrun.validity import baselines, requirements
 from rtrun.validity.outcome import Verdict, judge
 
@@ -284,6 +285,7 @@ def _judge(work: _Work, partial: Path, attempt: Attempt, end: _End, refused: Map
         refused=refused,
         background=work.programs.background,
         ended_early=end.ended_early,
+        is_timed=work.prepared.platform.platform is not Platform.EMULATED,
     )
     if end.not_started:
         return replace(verdict, status=RunStatus.FAILED, reason=end.not_started)
@@ -343,6 +345,7 @@ def _record(
                 argv=attempt.argv[program.name],
                 exit_status=exit_.status,
                 control_groups=_take_control_groups(partial / f"{program.name}.cgroups"),
+                rate=verdict.rates.get(program.name),
             )
             for program, exit_ in zip(work.programs.of_suite, end.exits, strict=True)
         ],

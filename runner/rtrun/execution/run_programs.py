@@ -104,7 +104,7 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
         background=tuple(background),
         sampler=None if run.settings.get(conditions.SAMPLER) else sampler,
         outputs=tuple(outputs),
-        file_limits=limits | dict.fromkeys(program_json, download.JSON_LIMIT_BYTES),
+        file_limits=limits | dict.fromkeys(program_json.values(), download.JSON_LIMIT_BYTES),
     )
 
 

@@ -243,10 +243,10 @@ def log_names(suite_name: str, parameters: Mapping[str, Value]) -> list[str]:
     return [f"{output}-{log}.log" for log in suite(suite_name).logs] or [f"{output}.log"]
 
 
-def program_json_names(suite_name: str, parameters: Mapping[str, Value]) -> list[str]:
-    """The names of the json files that the programs without samples write in a run with these parameters."""
+def program_json_names(suite_name: str, parameters: Mapping[str, Value]) -> dict[str, str]:
+    """The names of the json files that the programs without samples write in such a run, by program."""
     output = output_name(suite_name, parameters)
-    return [f"{output}-{ending}.json" for ending in suite(suite_name).program_json.values()]
+    return {program: f"{output}-{ending}.json" for program, ending in suite(suite_name).program_json.items()}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

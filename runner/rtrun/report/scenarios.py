@@ -90,7 +90,9 @@ def _scenario(group: Group, label: str, study: Study) -> Scenario:
         group=group,
         figures=pool_figures(group.digests),
         tables=tuple(
-            printable_table(table) for table in (_figures(every), _startup(every), _clusters(every)) if table.rows
+            printable_table(table)
+            for table in (_figures(every), _startup(every), _clusters(every), _rates(group))
+            if table.rows
         ),
     )
 
@@ -232,3 +234,23 @@ def _clusters(every: Sequence[Digest]) -> Table:
             rows.append((one.run, jitter, f"{100 * c.fraction:.3f}", *place))
     columns = ("run", "jitter", "share %", "median us", "lowest us", "highest us")
     return Table(id="cluster", title="Negative cluster (below -500 us)", columns=columns, rows=rows, numbers=2)
+
+
+def _rates(group: Group) -> Table:
+    """What each periodic program was asked for, and what it did."""
+    rows = [
+        (
+            record.run,
+            name,
+            str(rate.asked_hz),
+            *(_number(value) for value in (rate.achieved_hz, rate.overruns, rate.skipped)),
+        )
+        for record in group.records
+        for name, rate in record.rates.items()
+    ]
+    columns = ("run", "program", "asked Hz", "achieved Hz", "overruns", "skipped periods")
+    return Table(id="rates", title="Rates", columns=columns, rows=rows, numbers=2)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.7g}"

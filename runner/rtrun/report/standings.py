@@ -16,7 +16,7 @@ from rtrun.report.groups import Group
 from rtrun.report.screen import fitted
 from rtrun.report.study import Study, study
 from rtrun.report.tables import duration, grouped
-from rtrun.report.verdicts import scope_in_short
+from rtrun.report.verdicts import off_rate, scope_in_short
 from rtrun.results.record import is_closed
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def _has_reason(standing: Standing) -> bool:
     verdict = standing.verdict
     if verdict is None or verdict.refused:
         return True
-    return standing.answer is Answer.NEEDS_MORE and verdict.change is not None
+    return standing.answer is Answer.NEEDS_MORE and (verdict.change is not None or verdict.off_rate > 0)
 
 
 def progress_line(progress: Progress, goal: Goal) -> str:
@@ -108,8 +108,8 @@ def progress_line(progress: Progress, goal: Goal) -> str:
     parts = [f"P(miss) {bound(verdict)}, to be below {goal.probability:g}", f"{grouped(verdict.n)} measured"]
     if goal.boots > 1 and verdict.boots is not None:
         parts.append(f"{verdict.boots} of {goal.boots} boots")
-    if not standing.is_final:
-        parts.append(_remaining(progress.left_s, verdict))
+    if standing.answer is Answer.NEEDS_MORE:
+        parts.append(off_rate(verdict) or _remaining(progress.left_s, verdict))
     return f"{standing.answer:{len(Answer.NEEDS_MORE)}}  {printable(standing.label)}: {'; '.join(parts)}"
 
 
@@ -137,6 +137,8 @@ def missing(standing: Standing) -> str:
         return verdict.refused
     if standing.answer is not Answer.NEEDS_MORE:
         return ""
+    if verdict.off_rate:
+        return off_rate(verdict)
     if verdict.change is not None:
         return _changed(verdict.change)
     parts = [_count(verdict.boots_missing, "boot")] if verdict.boots_missing else []

@@ -1,6 +1,8 @@
 """A folder of runs, examined: groups of runs alike with their verdicts, and all that the formats write down."""
 
+import contextlib
 import json
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +15,7 @@ from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
 from rtrun.plan.question import THESIS, Question
+from rtrun.plan.suites import Value
 from rtrun.report.digest import Digest, digest
 from rtrun.report.groups import Group, slowest, telling_parameters
 from rtrun.results import reading
@@ -111,6 +114,7 @@ def study(
         except UsageError as error:
             left_out.append(str(error))
     by_run = {record.run: record for record in records.values()}
+    off_rate = _off_rate([*records.values(), *_read_old(source)])
     if len(platforms := sorted({one.header.platform for one in digests})) > 1:
         raise UsageError(
             f"{path}: holds runs of several platforms ({', '.join(platforms)}), which say different things about time: "
@@ -122,7 +126,7 @@ def study(
         for one in members:
             by_key.setdefault(_key(one), []).append(one)
         groups = [
-            _group(alike, by_run, question, bounds=bounds)
+            _group(alike, by_run, question, off_rate, bounds=bounds)
             for alike in showing_progress([*by_key.values()], "judging group")
         ]
         return tuple(sorted(groups, key=lambda group: (group.suite, group.target)))
@@ -133,7 +137,7 @@ def study(
         source=source,
         question=question,
         groups=groups,
-        pooled=tuple(_pooled(groups, by_run, question)),
+        pooled=tuple(_pooled(groups, by_run, question, off_rate)),
         groups_2014=grouped((one for one in others if one.header.series == MEASURED_2014), bounds=False),
         others=others,
         records=tuple(records.values()),
@@ -166,7 +170,27 @@ def _scenario(one: Digest) -> list[Any]:
     return [header.suite, header.series, one.histogram.bin_ns, sorted(telling.items())]
 
 
-def _pooled(groups: Sequence[Group], records: Mapping[str, RunRecord], question: Question) -> Iterator[Group]:
+def _read_old(source: Source) -> Iterator[RunRecord]:
+    """The records of attempts that were measured again, as far as they can be read."""
+    for folder in source.old:
+        with contextlib.suppress(UsageError):
+            yield read_record(folder)
+
+
+def _off_rate(records: Iterable[RunRecord]) -> Counter[str]:
+    """How many runs of each kind, on each target, missed the rate that was asked for, the repeated ones included."""
+    return Counter(
+        _kind(reading.target_of(record), record.suite, record.circumstances) for record in records if record.is_off_rate
+    )
+
+
+def _kind(target: str, suite: str, parameters: Mapping[str, Value]) -> str:
+    return json.dumps([target, suite, sorted(telling_parameters(parameters).items())])
+
+
+def _pooled(
+    groups: Sequence[Group], records: Mapping[str, RunRecord], question: Question, off_rate: Mapping[str, int]
+) -> Iterator[Group]:
     """Yield groups that were measured on several boards in the same environment as one; boards are its clusters.
 
     Of imported files the environment is not known.
@@ -178,12 +202,20 @@ def _pooled(groups: Sequence[Group], records: Mapping[str, RunRecord], question:
     for members in alike.values():
         if len({board for group in members for board in group.boards}) > 1:
             digests = [one for group in members for one in group.digests]
-            pooled = _group(digests, records, question, bounds=False)
+            pooled = _group(digests, records, question, off_rate, bounds=False)
             yield replace(pooled, target=", ".join(group.target for group in members), members=tuple(members))
 
 
-def _group(alike: Sequence[Digest], records: Mapping[str, RunRecord], question: Question, *, bounds: bool) -> Group:
+def _group(
+    alike: Sequence[Digest],
+    records: Mapping[str, RunRecord],
+    question: Question,
+    off_rate: Mapping[str, int],
+    *,
+    bounds: bool,
+) -> Group:
     first = alike[0].header
+    kinds = {_kind(one.header.target, one.header.suite, one.header.parameters) for one in alike}
     trials = tuple(_located(one.trials, one.run, records.get(one.run)) for one in alike if one.trials is not None)
     undecidable = next((one.undecidable for one in alike if one.undecidable), None)
     periods = [one.header.period_ns for one in alike if one.header.period_ns]
@@ -199,6 +231,7 @@ def _group(alike: Sequence[Digest], records: Mapping[str, RunRecord], question: 
             clock_step_ns=max(steps, default=None),
             emulated=first.platform is Platform.EMULATED,
             measurements_per_event=round(side_by_side) if "subscribers" in first.parameters else 1,
+            off_rate=sum(off_rate.get(kind, 0) for kind in kinds),
         )
     worst_cases, no_bound = _bounds(alike, question, max(steps, default=1)) if bounds else ((), None)
     return Group(

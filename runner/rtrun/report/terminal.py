@@ -11,6 +11,7 @@ from rich.text import Text
 
 from rtfiles.output import print_line, printable
 from rtrun.plan.suites import Value, output_name, suite, suites
+from rtrun.results.rate import OFF_MAX
 from rtrun.results.reading import Result, Run, Runs
 from rtrun.results.record import FILE
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header
@@ -184,13 +185,15 @@ def remarks_of(header: Header) -> list[str]:
 
 def answer_of_run(run: Run) -> Group:
     """The answer of one run: every series of every output."""
-    return answer(run.results, platform=run.record.platform, preempt_rt=[run.record.preempt_rt], notes=_notes(run))
+    rates = [f"{name}: {rate.words}" for name, rate in run.record.rates.items()]
+    notes = [*_notes(run), *rates]
+    return answer(run.results, platform=run.record.platform, preempt_rt=[run.record.preempt_rt], notes=notes)
 
 
 def answer_of_runs(folder: Runs) -> Group:
     """The answer of all runs in a folder: a row for every output, and what was not analysed and why."""
     results = [result for run in folder.runs for result in run.results if result.header.main]
-    notes = [note for run in folder.runs for note in _notes(run)]
+    notes = [note for run in folder.runs for note in (*_notes(run), *_not_kept(run))]
     notes += [f"{name}: incomplete: it has no {FILE}, nothing in it is analysed" for name in folder.incomplete]
     return answer(
         results,
@@ -203,3 +206,13 @@ def answer_of_runs(folder: Runs) -> Group:
 def _notes(run: Run) -> list[str]:
     record = run.record
     return [] if record.status == "ok" else [f"{record.run}: {record.status}: {record.reason or 'no reason given'}"]
+
+
+def _not_kept(run: Run) -> list[str]:
+    """The rates that the programs of a run did not keep to, a sentence each."""
+    rates = run.record.rates.items() if run.record.status == "ok" else ()
+    return [
+        f"{run.record.run}: {name}: {rate.words}"
+        for name, rate in rates
+        if rate.off > OFF_MAX or rate.overruns or rate.skipped
+    ]

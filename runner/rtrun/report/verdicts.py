@@ -65,11 +65,24 @@ def sentences(verdict: Verdict) -> list[str]:
     elif verdict.change is not None:
         change = f"it did not stay the same: {verdict.change.text} (p = {verdict.change.p_value:.1g})"
         parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), change)
+    if missed := off_rate(verdict):
+        parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), missed)
     if verdict.answer == Answer.NEEDS_MORE:
         parts += _more(verdict)
     elif verdict.answer in (Answer.PROVEN, Answer.IF_INDEPENDENT):
         parts += _scope(verdict)
     return parts
+
+
+def off_rate(verdict: Verdict) -> str:
+    """How many runs missed the rate that was asked for; empty where none did."""
+    if not verdict.off_rate:
+        return ""
+    total = verdict.runs + verdict.off_rate
+    return (
+        f"{verdict.off_rate} of {counted(total, 'run')} missed the rate that was asked for and are left out: nothing "
+        "is proven by those that kept to it; ask for a rate that every run keeps, and measure anew with --fresh"
+    )
 
 
 def _between(verdict: Verdict) -> str:
@@ -127,6 +140,8 @@ def _more(verdict: Verdict) -> list[str]:
                 f"a load that comes and goes is part of the process once it has come back five times: "
                 f"{_amount(verdict, verdict.change.missing_loops)}"
             )
+        return parts
+    if verdict.off_rate:
         return parts
     if verdict.further:
         chance = "" if verdict.misses else f" (chance of that: {100 * verdict.further_chance:.0f} %)"

@@ -19,6 +19,7 @@ from rtrun.results.samples import read_samples
 from rtrun.results.series import Header, Series, period_of, series_of_histogram, series_of_log, series_of_samples
 
 _PUT_ASIDE = re.compile(rf"^\.|\.old-[0-9]+$|{re.escape(WARM_UP)}$")
+_OLD = re.compile(r".+\.old-[0-9]+")
 _CUT_OFF = re.compile(r"(.+)\.incomplete-[0-9]+")
 
 
@@ -130,13 +131,15 @@ def log_names(record: RunRecord, output: str) -> list[str]:
 class Source:
     """What a path holds: closed runs and the names of others, or one file; then `folders` is empty.
 
-    ``repeated`` are incomplete attempts, cut off by a restart of the target, at runs that were closed later.
+    ``repeated`` are incomplete attempts, cut off by a restart of the target, at runs that were closed later. ``old``
+    are closed attempts that were measured again.
     """
 
     path: Path
     folders: tuple[Path, ...]
     incomplete: tuple[str, ...] = ()
     repeated: tuple[str, ...] = ()
+    old: tuple[Path, ...] = ()
 
 
 def find_source(path: Path) -> Source:
@@ -152,9 +155,10 @@ def find_source(path: Path) -> Source:
     if is_closed(path):
         return Source(path=path, folders=(path,))
     try:
-        folders = sorted(child for child in path.iterdir() if child.is_dir() and not _PUT_ASIDE.search(child.name))
+        every = sorted(child for child in path.iterdir() if child.is_dir())
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}") from error
+    folders = [child for child in every if not _PUT_ASIDE.search(child.name)]
     closed = tuple(folder for folder in folders if is_closed(folder))
     if not closed:
         below = sorted({str(record.parent.parent) for record in path.glob(f"*/*/{FILE}")})
@@ -165,7 +169,8 @@ def find_source(path: Path) -> Source:
     others = [folder.name for folder in folders if folder.name not in names]
     repeated = tuple(name for name in others if (cut_off := _CUT_OFF.fullmatch(name)) and cut_off[1] in names)
     incomplete = tuple(name for name in others if name not in repeated)
-    return Source(path=path, folders=closed, incomplete=incomplete, repeated=repeated)
+    old = tuple(child for child in every if _OLD.fullmatch(child.name) and is_closed(child))
+    return Source(path=path, folders=closed, incomplete=incomplete, repeated=repeated, old=old)
 
 
 def read_runs(folder: Path) -> Runs:

@@ -31,8 +31,9 @@ from rtrun.plan.limits import (
     TimeNs,
 )
 from rtrun.plan.run import KernelName
-from rtrun.plan.suites import Parameters, Value
+from rtrun.plan.suites import Parameters, Value, suite
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
+from rtrun.results.rate import OFF_MAX, Rate
 from rtrun.target.control_groups import ControlGroup
 from rtrun.target.inspection import Fact
 from rtrun.target.platform import Platform
@@ -75,13 +76,15 @@ class RunStatus(StrEnum):
 class ProgramRecord(Config):
     """A program that ran; no exit status: something else than the program ended it.
 
-    `control_groups` are those that it was in, and those above them; earlier versions recorded none.
+    `control_groups` are those that it was in, and those above them; earlier versions recorded none. `rate` is that of
+    its json; None where it wrote none, or none that tells a rate.
     """
 
     name: str
     argv: list[str]
     exit_status: ExitStatus | None
     control_groups: list[ControlGroup] = Field(default_factory=list)
+    rate: Rate | None = None
 
 
 class FileRecord(Config):
@@ -217,6 +220,18 @@ class RunRecord(Config):
         """The time from begin to end, in seconds; 0 where it is unknown, or the clock was set back in between."""
         start, end = moment(self.start_time), moment(self.end_time)
         return max(0.0, (end - start).total_seconds()) if start and end else 0.0
+
+    @property
+    def rates(self) -> dict[str, Rate]:
+        """The rates of its programs that were asked for one, by name."""
+        return {each.name: each.rate for each in self.programs if each.rate and each.rate.asked_hz}
+
+    @property
+    def is_off_rate(self) -> bool:
+        """Whether it is invalid, and a program that only sends missed the rate that was asked for."""
+        return self.status is RunStatus.INVALID and any(
+            rate.off > OFF_MAX for name, rate in self.rates.items() if name in suite(self.suite).program_json
+        )
 
     @property
     def preempt_rt(self) -> bool:

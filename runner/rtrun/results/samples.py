@@ -23,11 +23,11 @@ from rtrun.plan.limits import (
     MeanNs,
     Pid,
     Priority,
-    RateHz,
     TimeNs,
 )
 from rtrun.plan.suites import Asked, Parameters, Suite, suite
 from rtrun.results.npy import read_header
+from rtrun.results.rate import Rate
 
 MAX_NPY_BYTES = 4 << 30
 NOT_FIRED_NS = -(2**63)
@@ -122,20 +122,8 @@ class Traces(Config):
     files: list[str]
 
 
-class Rate(Config):
-    """How often a program did what it does, in hertz, and how often it did not keep up; None where nothing is periodic.
-
-    `overruns` came more than a period late, `skipped` are periods in which nothing came.
-    """
-
-    asked_hz: Count | None
-    achieved_hz: RateHz | None
-    overruns: Count | None
-    skipped: Count | None
-
-
-class Record(Config):
-    """``<output>.json``, as docs/formats.md has it."""
+class ProgramHead(Config):
+    """What the json of every program begins with: what was requested, and in effect."""
 
     schema_number: Literal[1] = Field(alias="schema")
     suite: str
@@ -149,6 +137,11 @@ class Record(Config):
     kernel: Kernel
     start_time: str
     end_time: str
+
+
+class Record(ProgramHead):
+    """``<output>.json``, as docs/formats.md has it."""
+
     counts: Counts
     indices: Indices
     summary: dict[str, Summary]
@@ -158,6 +151,20 @@ class Record(Config):
     rate: Rate | None = None
     """None: samples of earlier versions."""
     traces: Traces = Field(default_factory=lambda: Traces(above_limit=0, files=[]))
+
+
+class SentCounts(Config):
+    """How many messages were asked for, and sent."""
+
+    asked: Asked
+    sent: Count
+
+
+class SenderRecord(ProgramHead):
+    """``<output>-publisher.json``: a program without samples."""
+
+    counts: SentCounts
+    rate: Rate
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

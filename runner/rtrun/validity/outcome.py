@@ -11,8 +11,9 @@ from rtrun.plan.conditions import Background
 from rtrun.plan.program import Exit, Program
 from rtrun.plan.run import Run
 from rtrun.results.gnuplot_log import read_log
+from rtrun.results.rate import OFF_MAX, Rate, is_missed
 from rtrun.results.record import Observed, RunStatus
-from rtrun.results.samples import Record, read_samples
+from rtrun.results.samples import Record, SenderRecord, read_samples
 from rtrun.validity import baselines, requirements
 from rtrun.validity.counts import find_count_mismatch
 from rtrun.validity.observations import (
@@ -34,6 +35,8 @@ class Verdict:
     in_effect: Observed
     records: Mapping[str, Record]
     """The json of outputs, by output, as far as they were read."""
+    rates: Mapping[str, Rate]
+    """What each program says of its rate, by its name."""
 
 
 def judge(
@@ -46,11 +49,13 @@ def judge(
     refused: Mapping[str, str],
     background: Sequence[Background],
     ended_early: Mapping[str, str],
+    is_timed: bool = True,
 ) -> Verdict:
     """Say what became of a run from the files in `folder`, and why: the first thing that went wrong.
 
     `refused` are files that were not taken, or not whole, name to reason; `ended_early` are background programs that
-    ended before it, name to exit status.
+    ended before it, name to exit status. `is_timed`: times mean something on the target; a publisher that misses its
+    rate makes the run invalid then.
     """
     records: dict[str, Record] = {}
     observations: list[Observation] = []
@@ -58,6 +63,13 @@ def judge(
     status, reason = _of_programs(folder, programs, exits) or (RunStatus.OK, None)
     if status is RunStatus.OK:
         status, reason = _of_outputs(folder, run, outputs, refused, records) or (RunStatus.OK, None)
+    rates = _rates_of_outputs(run, programs, outputs, records)
+    senders, unreadable = _senders(folder, run, refused)
+    rates |= {program: sender.rate for program, sender in senders.items()}
+    if status is RunStatus.OK and unreadable:
+        status, reason = RunStatus.FAILED, unreadable
+    if status in (RunStatus.OK, RunStatus.INCOMPLETE) and is_timed and (missed := _missed_rate(senders)):
+        status, reason = RunStatus.INVALID, missed
     try:
         observations = observations_of(folder)
         wrong = requirements.find_violation(run, background, observations, records)
@@ -76,7 +88,39 @@ def judge(
         if wrong is not None:
             status, reason = RunStatus.INVALID, wrong
     in_effect = summarize(observations, requirements.measuring_threads(run, observations, records))
-    return Verdict(status=status, reason=reason, in_effect=in_effect, records=records)
+    return Verdict(status=status, reason=reason, in_effect=in_effect, records=records, rates=rates)
+
+
+def _rates_of_outputs(
+    run: Run, programs: Sequence[Program], outputs: Sequence[str], records: Mapping[str, Record]
+) -> dict[str, Rate]:
+    """The rates in the json of outputs, by the program that wrote each."""
+    alone = suites.suite(run.suite).program_json
+    writers = [program.name for program in programs if program.name not in alone]
+    named = zip(writers, outputs, strict=False)
+    return {name: rate for name, output in named if output in records and (rate := records[output].rate)}
+
+
+def _senders(folder: Path, run: Run, refused: Mapping[str, str]) -> tuple[dict[str, SenderRecord], str | None]:
+    """The json of programs without samples, by program, and why one cannot be read. Earlier versions wrote none."""
+    senders: dict[str, SenderRecord] = {}
+    for program, name in suites.program_json_names(run.suite, run.parameters).items():
+        if name in refused:
+            return senders, refused[name]
+        try:
+            if (folder / name).exists():
+                senders[program] = read_json(folder / name, SenderRecord)
+        except UsageError as error:
+            return senders, str(error).replace(f"{folder}/", "")
+    return senders, None
+
+
+def _missed_rate(senders: Mapping[str, SenderRecord]) -> str | None:
+    for program, sender in senders.items():
+        if is_missed(sender.rate, sender.counts.sent):
+            share = f"{100 * OFF_MAX:g} % at most"
+            return f"{program}: {sender.rate.words}: off by {100 * sender.rate.off:.3g} %, {share} are allowed"
+    return None
 
 
 def _of_programs(folder: Path, programs: Sequence[Program], exits: Sequence[Exit]) -> tuple[RunStatus, str] | None:

@@ -94,3 +94,49 @@ def test_an_output_that_says_otherwise(judged, change, status, reason):
     judged.path.write_text(json.dumps(json.loads(judged.path.read_text()) | change))
     assert judged()[0] is status
     assert reason in judged()[1]
+
+
+@pytest.mark.parametrize(
+    ("achieved_hz", "sent", "is_timed", "reason"),
+    [
+        (
+            6981.0,
+            1000,
+            True,
+            "asked for 200000 Hz, achieved 6981 Hz, 7 overruns, 9 skipped periods: off by 96.5 %, 1 % at",
+        ),
+        (198_100.0, 1000, True, None),
+        (197_900.0, 1000, True, "off by 1.05 %"),
+        (203_000.0, 1000, True, "off by 1.5 %"),
+        (197_000.0, 50, True, None),  # one period and no more
+        (None, 1, True, None),
+        (6981.0, 1000, False, None),
+    ],
+)
+def test_a_publisher_that_misses_its_rate(tmp_path, achieved_hz, sent, is_timed, reason):
+    entry = {"suite": "communication_tests", "frequency_hz": 200_000, "repetitions": sent}
+    (run,) = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
+    head = json.loads(write_cyclic(tmp_path).read_text())
+    kept = (
+        "schema",
+        "version",
+        "complete",
+        "incomplete_reason",
+        "in_effect",
+        "host",
+        "kernel",
+        "start_time",
+        "end_time",
+    )
+    rate = {"asked_hz": 200_000, "achieved_hz": achieved_hz, "overruns": 7, "skipped": 9}
+    sender = {key: head[key] for key in kept} | {"suite": run.suite, "program": "communication_tests_publisher"}
+    sender |= {"requested": {}, "counts": {"asked": sent, "sent": sent}, "rate": rate}
+    (tmp_path / f"ct_gnuplot_l{sent}_fq200000_pl0-publisher.json").write_text(json.dumps(sender))
+    programs = [
+        Program(name=f"communication_tests_{name}", argv=(), deadline_s=30) for name in ("subscriber", "publisher")
+    ]
+    ended = [Exit(status=0, expired=False)] * 2
+    verdict = judge(tmp_path, run, programs, ended, [], refused={}, background=[], ended_early={}, is_timed=is_timed)
+    assert (verdict.status is RunStatus.OK) == (reason is None)
+    assert reason is None or reason in verdict.reason
+    assert verdict.rates["communication_tests_publisher"].skipped == 9

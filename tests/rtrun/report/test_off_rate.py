@@ -1,0 +1,64 @@
+"""Runs whose publisher missed its rate: told in every answer, and no lucky repetition proves anything."""
+
+import json
+
+import pytest
+from report.campaigns import communication_rows, latencies, write_run
+
+from rtrun.cli import main
+
+PARAMETERS = {"policy": "RR", "frequency_hz": 1000, "payload_bytes": 0, "subscribers": 1}
+QUESTION = ["--deadline", "400us", "--probability", "1e-3"]
+TOLD = "1 of 3 runs missed the rate that was asked for and are left out"
+
+
+def write(root, name, seed, achieved_hz, **record):
+    rate = {"asked_hz": 1000, "achieved_hz": achieved_hz, "overruns": 1, "skipped": 2}
+    programs = [{"name": "communication_tests_publisher", "argv": ["x"], "exit_status": 0, "rate": rate}]
+    rows = communication_rows(latencies(4000, seed), 1000)
+    record = {"programs": programs, "attempt": name, **record}
+    write_run(root, name, "communication_tests", [rows], PARAMETERS, asked=4000, logs=False, **record)
+
+
+@pytest.fixture
+def results(tmp_path):
+    for number in range(2):
+        write(tmp_path, f"00{number}", number, 999.9)
+    return tmp_path
+
+
+def missed(root, name):
+    write(root, name, 9, 800.0, status="invalid", reason="off by 20 %")
+
+
+def test_what_every_run_keeps_is_proven_and_its_rate_is_shown(results, capsys):
+    assert main(["gate", str(results), *QUESTION]) == 0
+    assert main(["show", str(results / "000")]) == 0
+    words = "communication_tests_publisher: asked for 1000 Hz, achieved 999.9 Hz, 1 overrun, 2 skipped periods"
+    assert words in capsys.readouterr().out
+    assert main(["show", str(results / "000"), "--json"]) == 0
+    rates = json.loads(capsys.readouterr().out)["rates"]
+    assert rates["communication_tests_publisher"]["skipped"] == 2
+    assert main(["report", str(results), "--format", "markdown"]) == 0
+    report = (results / "report.md").read_text()
+    assert "| 000 | communication\\_tests\\_publisher | 1000 | 999.9 | 1 | 2 |" in report
+
+
+@pytest.mark.parametrize("name", ["002", "000.old-1"], ids=["not repeated", "repeated"])
+def test_nothing_is_proven_where_a_run_missed_its_rate(results, name, capsys):
+    missed(results, name)
+    assert main(["gate", str(results), *QUESTION]) == 1
+    assert main(["verdict", str(results), *QUESTION]) == 0
+    assert main(["report", str(results), *QUESTION, "--format", "markdown"]) == 0
+    out = capsys.readouterr().out
+    assert out.count(TOLD) >= 3 and " PROVEN" not in out
+    assert main(["verdict", str(results), *QUESTION, "--json"]) == 0
+    (group,) = json.loads(capsys.readouterr().out)["groups"]
+    verdict = group["verdict"]
+    assert (group["answer"], verdict["runs"], verdict["off_rate"], verdict["further"]) == ("NEEDS MORE", 2, 1, None)
+
+
+def test_runs_of_another_kind_are_not_concerned(results, capsys):
+    write(results, "002.old-1", 9, 800.0, status="invalid", reason="off by 20 %", condition="cpu80")
+    write(results, "003.old-1", 8, 999.0, status="invalid", reason="stress ended in the middle of the run")
+    assert main(["gate", str(results), *QUESTION]) == 0
