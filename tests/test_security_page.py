@@ -24,7 +24,7 @@ NO_LIMITS = {
         "rtrun.validity.counts.LISTED_MAX",
     },
     "what is printed or computed at most": {
-        "rtrun.analysis.recurrence._BINS_MAX",
+        "rtrun.analysis.recurrence._COUNT_MAX",
         "rtfiles.output.WIDTH_MAX",
         "rtrun.archive.queries._COUNT_MAX",
         "rtrun.archive.queries._GRID_MAX",

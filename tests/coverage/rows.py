@@ -9,12 +9,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
+from types import ModuleType
 
+import late_values
 import null_campaigns
 import numpy as np
 import processes
 from processes import DEADLINE_NS, Int64s, Rng
 
+from rtrun.analysis import comparison, deadline, layers, recurrence
 from rtrun.analysis.blocks import Blocks, cut
 from rtrun.analysis.comparison import Change, compare
 from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
@@ -26,6 +29,7 @@ from rtrun.analysis.layers import attribute
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.plan import question as questions
 from rtrun.plan.question import Question
+from rtrun.report import study as studies
 from rtrun.report.study import study
 
 SEED = 20140715
@@ -38,8 +42,8 @@ class Row:
     """A kind of data, and an event whose share over many draws must be at most (at least) so much, in percent.
 
     A draw is True where the event happened, None where it does not count. ``today`` is the share before these remedies
-    as it was reported, ``remedy`` the function without which the quick bound must fail, of rtrun.analysis.deadline or
-    with its module, and what stands in for it.
+    as it was reported, ``remedy`` the function without which the quick bound must fail: its module, its name and what
+    stands in for it.
     """
 
     name: str
@@ -50,7 +54,7 @@ class Row:
     quick: int = 120
     long: int = 2000
     reported: str = ""
-    remedy: tuple[str, object] | None = None
+    remedy: tuple[ModuleType, str, object] | None = None
 
     def events(self, draws: int, part: int = 0) -> tuple[int, int]:
         """In how many of so many draws the event happened, and how many of them count; each part has its own seed."""
@@ -240,7 +244,13 @@ def _never_between(*_: object) -> float:
     return 0.0
 
 
-_UNEXAMINED = ("examine_constancy", lambda *_, **__: Constancy(change=None))
+_UNEXAMINED = (deadline, "examine_constancy", lambda *_, **__: Constancy(change=None))
+
+
+def _each_event(events: Int64s, frequency: float) -> Int64s:
+    """The phases of events as if those of one period did not depend on each other."""
+    vectors = np.exp(2j * np.pi * frequency * events)
+    return np.angle(vectors * np.conj(vectors.sum())) / (2 * np.pi)
 
 
 def _late(first: int, times: float) -> Callable[[int], float]:
@@ -273,7 +283,7 @@ ROWS = [
             draw=partial(proven, partial(process, n, P)),
             at_most=5.0,
             quick=60 if n == 20_000 or name == "AR(0.95)" else 0,
-            remedy=("_widened", lambda *_: 1.0) if name == "AR(0.95)" and n == 100_000 else None,
+            remedy=(deadline, "_widened", lambda *_: 1.0) if name == "AR(0.95)" and n == 100_000 else None,
         )
         for name, process in processes.DEPENDENT.items()
         for n in (20_000, 100_000)
@@ -286,7 +296,7 @@ ROWS = [
             at_most=7.0 if number < 5 else 5.0,
             quick=60 if n == 200_000 else 0,
             reported={2: "38", 3: "36", 5: "30", 7: "26"}.get(number, ""),
-            remedy=("_effect_between", _never_between) if n == 200_000 and number == 2 else None,
+            remedy=(deadline, "_effect_between", _never_between) if n == 200_000 and number == 2 else None,
         )
         for number in (2, 3, 4, 5, 7, 10)
         for n in (20_000, 200_000)
@@ -304,7 +314,7 @@ ROWS = [
         draw=partial(proven, partial(processes.bursts, 20_000, P, length=5.0)),
         at_most=12.0,
         quick=100,
-        remedy=("effect_of_few", lambda *_: 1.0),
+        remedy=(deadline, "effect_of_few", lambda *_: 1.0),
     ),
     Row(
         name="bursts of 5, n = 5e4",
@@ -334,7 +344,7 @@ ROWS = [
             quick={20: 60}.get(looks, 0),
             long=2000 if looks < 100 else 1000,
             reported={1: "2", 5: "6", 20: "10", 100: "17"}[looks],
-            remedy=("longest_burst", _plain_interval) if looks == 20 else None,
+            remedy=(deadline, "longest_burst", _plain_interval) if looks == 20 else None,
         )
         for looks in (1, 5, 20, 100)
     ),
@@ -391,7 +401,7 @@ ROWS = [
             at_least=80.0 if rate < P and turns >= 8 else 0.0,
             quick=quick,
             long=500,
-            remedy=("examine_constancy", _run_by_run) if quick else None,
+            remedy=(deadline, "examine_constancy", _run_by_run) if quick else None,
             reported="0 to 6" if rate < P else "",
         )
         for turns, rate, regular, quick in (
@@ -413,7 +423,7 @@ ROWS = [
             quick=24 if length == 20 else 0,
             long=500,
             reported={5: "47", 20: "83"}[length],
-            remedy=("longest_burst", _any_burst),
+            remedy=(deadline, "longest_burst", _any_burst),
         )
         for length in (5, 20)
     ),
@@ -433,7 +443,7 @@ ROWS = [
         draw=proven_after_a_change_of_goal,
         at_most=5.0,
         quick=200,
-        remedy=("rtrun.plan.question.may_follow", lambda *_: True),
+        remedy=(questions, "may_follow", lambda *_: True),
     ),
     *(
         Row(
@@ -443,7 +453,7 @@ ROWS = [
             at_most=at_most,
             quick=200,
             reported=reported,
-            remedy=("rtrun.analysis.layers.shift_without_drift", _in_pairs) if reported else None,
+            remedy=(layers, "shift_without_drift", _in_pairs) if reported else None,
         )
         for name, order, at_most, reported in (
             ("turns (L U L U)", 8 * "LU", 8.0, "95"),
@@ -458,7 +468,7 @@ ROWS = [
         at_most=5.0,
         quick=20,
         long=200,
-        remedy=("rtrun.analysis.comparison.is_interleaved", lambda *_: True),
+        remedy=(comparison, "is_interleaved", lambda *_: True),
     ),
     Row(
         name="a publisher that misses its rate in half of all runs, and deadlines oftener then; repeated until kept",
@@ -467,7 +477,7 @@ ROWS = [
         at_most=0.0,
         quick=6,
         long=100,
-        remedy=("rtrun.report.study._off_rate", lambda _: {}),
+        remedy=(studies, "_off_rate", lambda _: {}),
     ),
     Row(
         name="a histogram without order, bursts of 5",
@@ -505,5 +515,34 @@ ROWS = [
         quick=0,
         long=200,
         reported="70 to 90",
+    ),
+    *(
+        Row(
+            name=f"why: late values every {period} ms, 1 kHz for {n // 1000} s",
+            event="the period is found",
+            draw=partial(late_values.is_found, n, period),
+            at_least=90.0,
+            quick=10 if n == 60_000 and period in (20, 100, 3000, 7500) else 0,
+            long=200 if n == 60_000 else 50,
+            reported={(60_000, 1000): "100"}.get((n, period), "0" if period in reported else ""),
+            remedy=(recurrence, "counts_tried", lambda values: iter([values // 1000])) if period == 100 else None,
+        )
+        for n, periods, reported in (
+            (60_000, (20, 50, 100, 200, 333, 1000, 3000, 5000, 7500), (100, 200, 333, 3000)),
+            (600_000, (20, 100, 500, 10_000, 75_000), (100, 500, 10_000)),
+        )
+        for period in periods
+    ),
+    *(
+        Row(
+            name=f"why: no period, {name}, 1 kHz for 60 s",
+            event="a period is found",
+            draw=partial(late_values.finds_one, 60_000, make),
+            at_most=0.2,
+            quick=20 if name == "bursts of 100" else 0,
+            long=1000,
+            remedy=(recurrence, "_phases", _each_event) if name == "bursts of 100" else None,
+        )
+        for name, make in late_values.WITHOUT_PERIOD.items()
     ),
 ]

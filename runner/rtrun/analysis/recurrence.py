@@ -1,25 +1,34 @@
 """Do late values come at a fixed distance of time or of loops?"""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtrun.analysis.histogram import Int64s
 
-ALPHA = 0.01
-# Fewer events fit some period whatever they are.
-LEAST_EVENTS = 12
-# A period is seen this often at least, is this many times a loop at least, and most of its cycles have an event.
-LEAST_CYCLES = 8
+ALPHA = 0.002
+# A period is this many times a loop at least, is seen this often, and this share of its cycles have an event.
 LEAST_LOOPS = 20
-LEAST_COVERED = 0.5
-_BINS_MAX = 1 << 20
+# One that is an eighth of the run is seen eight times; the frequency that fits these best may be a little lower.
+LEAST_CYCLES = 7.5
+LEAST_COVERED = 0.6
+# Of the highest values these numbers are tried, each twice the one before: as many as there are periods are found
+# among few others. The highest of all keeps the search short.
+_LEAST_COUNT = 8
+_COUNT_MAX = 1 << 16
+# With n events, periods are tried of which n / 4 to 2 n fit into the run.
+_FEWER, _MORE = 4, 2
+# So at least n / 8 events come at a period that covers half of its cycles, with a power of n / 64; with some loss by
+# the width of bins, less is not looked at.
+_LEAST_POWER = 0.01
 # Zeros behind the data: without them a frequency between two that are tried keeps only 40 % of its power.
 _PADDED = 2
 # The width of a bin takes little of the power of a period that has this many.
 _BINS_OF_PERIOD = 8
-_PARTS_TRIED = 1000
+_ARCS = (1 / 2, 1 / 8, 1 / 32, 1 / 128)  # of a period
 _NEAR = (0.15, 0.05, 0.02)  # of a period
 
 
@@ -27,77 +36,122 @@ _NEAR = (0.15, 0.05, 0.02)  # of a period
 class Recurrence:
     """Events every `period`, in the unit of their positions; `covered` of `cycles` periods have one.
 
-    `p_value` is the probability that events without any period fit one of those tried as well.
+    They are among the `late` highest values. `p_value` is the probability that values without any period fit one of
+    those tried as well, at most.
     """
 
     period: float
     p_value: float
-    events: int
+    late: int
     covered: int
     cycles: int
 
 
-def find_recurrence(positions: Int64s, *, begin: int, end: int, loop: int, tried: int = 1) -> Recurrence | None:
-    """The period of events at ascending positions between `begin` and `end`; None where none is significant.
+def counts_tried(values: int) -> Iterator[int]:
+    """How many of so many values are taken for late: up to two for each of the shortest period."""
+    count = _LEAST_COUNT
+    while count <= min(_COUNT_MAX, 2 * values // LEAST_LOOPS):
+        yield count
+        count *= 2
 
-    `loop` is the distance of two measurements. Events nearer than half of the shortest period to the one before are of
-    one burst, which counts once. `tried` is the number of searches of which this is one.
 
-    The frequency of the highest power |sum exp(2 pi i f t)|^2 / n is looked for by a fast Fourier transform. Its test
-    is Rayleigh's (Mardia & Jupp 2000, section 6.3.1): without a period the power is exponential with mean 1. The phases
-    are those of whole periods, because events that come in bursts depend on each other. The p-value is corrected after
-    Bonferroni for all frequencies and searches.
+def find_recurrence(places: Int64s, *, begin: int, end: int, values: int, searches: int = 1) -> Recurrence | None:
+    """The period of the highest of so many `values`, measured between `begin` and `end`; None where none is
+    significant.
+
+    `places` (k,) are those of the highest, the highest first, as many as the largest of `counts_tried`. `searches` is
+    the number of searches of which this is one.
+
+    The frequency of the highest power |sum exp(2 pi i f t)|^2 / n is looked for by a fast Fourier transform, for each
+    count in turn. Its test is the number of points within an arc of the circle of phases (`_chance_of_arc`): of eight
+    events the power could not be significant, however exactly they come. A point is the mean of the events of a
+    period, because events that come in bursts depend on each other. The p-value is corrected after Bonferroni for
+    counts, searches, arcs, and frequencies that an arc tells apart.
     """
-    length = end - begin
-    shortest = LEAST_LOOPS * max(1, loop)
-    events = positions[np.diff(positions, prepend=begin - shortest) > shortest // 2] - begin
-    if events.size < LEAST_EVENTS or length < LEAST_CYCLES * shortest:
+    loop = max(1, (end - begin) // values)
+    counts = list(counts_tried(values))
+    found = [_find(np.sort(places[:count]) - begin, end - begin, loop) for count in counts]
+    # Chances too small for a number are 0: then what has more of its periods covered says more.
+    best = min((one for one in found if one), key=lambda one: (one.p_value, -one.covered / one.cycles), default=None)
+    if best is None:
         return None
-    bins = int(min(_BINS_MAX, length // max(1, loop)))
+    p_value = min(1.0, best.p_value * len(counts) * searches)
+    return replace(best, p_value=p_value) if p_value <= ALPHA else None
+
+
+def _find(late: Int64s, length: int, loop: int) -> Recurrence | None:
+    """The period that fits best, corrected for frequencies and arcs.
+
+    Values nearer than half of the shortest period to the one before are of one burst, which counts once.
+    """
+    shortest = LEAST_LOOPS * loop
+    events = late[np.diff(late, prepend=-shortest) > shortest // 2]
+    lowest = max(LEAST_CYCLES, events.size / _FEWER)
+    highest = min(_MORE * events.size, length / shortest)
+    if lowest >= highest:
+        return None
+    # Entry k of the transform is the frequency k / (_PADDED * length).
+    first, last = math.floor(_PADDED * lowest), math.ceil(_PADDED * highest)
+    bins = 1 << math.ceil(math.log2(_BINS_OF_PERIOD * (highest + 1)))
     counts = np.bincount(np.minimum(events * bins // length, bins - 1), minlength=bins).astype(np.float64)
-    power = np.abs(np.fft.rfft(counts, n=_PADDED * bins)) ** 2 / events.size
-    # Entry k is the frequency k / (_PADDED * length).
-    first, last = _PADDED * LEAST_CYCLES, _PADDED * min(length // shortest, bins // _BINS_OF_PERIOD)
-    if last <= first:
+    power = np.abs(np.fft.rfft(counts, n=_PADDED * bins)[first : last + 1]) ** 2 / events.size
+    best = int(np.argmax(power))
+    if power[best] < _LEAST_POWER * events.size:
         return None
-    best = first + int(np.argmax(power[first : last + 1]))
-    frequency = _fundamental(events, _refine(events, best / (_PADDED * length), length), length)
-    directions = _directions(events, frequency)
-    p_value = min(1.0, (last - first + 1) * tried * float(np.exp(-(abs(directions.sum()) ** 2) / directions.size)))
-    cycles = max(directions.size, round(length * frequency))
-    if p_value > ALPHA or directions.size < max(LEAST_EVENTS, LEAST_COVERED * cycles):
+    frequency = _refine(events, (first + best) / (_PADDED * length), length)
+    frequency = _fundamental(events, frequency, length, lowest)
+    phases = _phases(events, frequency)
+    tried = _PADDED * (highest - lowest + 1) * len(_ARCS)
+    p_value = min(tried / arc * _chance_of_arc(phases, arc, loop * frequency) for arc in _ARCS)
+    covered = int(np.count_nonzero(abs(phases) < 1 / 4))
+    cycles = max(covered, round(length * frequency))
+    if covered < LEAST_COVERED * cycles:
         return None
-    return Recurrence(
-        period=_period(events, frequency),
-        p_value=p_value,
-        events=events.size,
-        covered=directions.size,
-        cycles=cycles,
-    )
+    period = _period(events, frequency)
+    return Recurrence(period=period, p_value=p_value, late=late.size, covered=covered, cycles=cycles)
 
 
-def _directions(events: Int64s, frequency: float) -> NDArray[np.complex128]:
-    """The mean direction of the events of each period that has some: several of one period may depend on each other."""
+def _phases(events: Int64s, frequency: float) -> NDArray[np.float64]:
+    """The mean direction of the events of each period that has some, in turns from that of all, -0.5 to 0.5: several of
+    one period may depend on each other."""
     vectors = np.exp(2j * np.pi * frequency * events)
-    phase = float(np.angle(vectors.sum())) / (2 * np.pi)
+    common = vectors.sum()
+    phase = float(np.angle(common)) / (2 * np.pi)
     _, cycle = np.unique(np.round(events * frequency - phase), return_inverse=True)
     sums = np.bincount(cycle, vectors.real) + 1j * np.bincount(cycle, vectors.imag)
-    return np.asarray(sums / np.maximum(abs(sums), 1e-12))
+    return np.asarray(np.angle(sums * np.conj(common)) / (2 * np.pi))
+
+
+def _chance_of_arc(phases: NDArray[np.float64], arc: float, step: float) -> float:
+    """The chance that some arc, a part of a circle, holds as many of n even points as one does, at most.
+
+    An arc that holds the most begins at one of the points: n P(Bin(n - 1, arc) >= most - 1), Boole's bound. Places in
+    steps, a part of the circle, may bring as many into an arc as a step more holds.
+    """
+    from scipy.special import bdtrc
+
+    ordered = np.sort(phases)
+    around = np.concatenate((ordered, ordered + 1))
+    inside = np.searchsorted(around, ordered + arc, side="right") - np.arange(ordered.size)
+    most = min(ordered.size, int(inside.max()))
+    return 1.0 if most < 2 else ordered.size * float(bdtrc(most - 2, ordered.size - 1, min(1.0, arc + step)))
 
 
 def _period(events: Int64s, frequency: float) -> float:
-    """The median distance of two events near the common phase, in periods: one of no period would shift a mean.
+    """The median slope of events near the common phase against the number of their period: one of no period would
+    shift a mean.
 
-    Theil's and Sen's slope of the events against the number of their period, of those nearer and nearer to the phase.
+    The slopes are those of as many pairs as there are events, each half of them apart, of events nearer and nearer to
+    the phase (Theil's incomplete method, 1950).
     """
     phase = float(np.angle(np.exp(2j * np.pi * frequency * events).sum())) / (2 * np.pi)
     for near in _NEAR:
         turns = events * frequency - phase
         cycles = np.round(turns)
         chosen = abs(turns - cycles) < near
-        first, second = np.triu_indices(int(chosen.sum()), 1)
-        apart = cycles[chosen][second] - cycles[chosen][first]
-        slopes = (events[chosen][second] - events[chosen][first])[apart > 0] / apart[apart > 0]
+        half = int(chosen.sum()) // 2
+        apart = cycles[chosen][-half:] - cycles[chosen][:half]
+        slopes = (events[chosen][-half:] - events[chosen][:half])[apart > 0] / apart[apart > 0]
         if not slopes.size:
             break
         frequency = 1 / float(np.median(slopes))
@@ -117,10 +171,11 @@ def _refine(events: Int64s, frequency: float, length: int) -> float:
     return frequency
 
 
-def _fundamental(events: Int64s, frequency: float, length: int) -> float:
-    """The lowest frequency that explains as much: every multiple of it has much of its power, no part any."""
+def _fundamental(events: Int64s, frequency: float, length: int, lowest: float) -> float:
+    """The lowest frequency that explains as much, `lowest` cycles in the run at least: every multiple of it has much
+    of its power, no part any."""
     power = _power(events, frequency)
-    for parts in range(min(_PARTS_TRIED, int(frequency * length / LEAST_CYCLES)), 1, -1):
+    for parts in range(int(frequency * length / lowest), 1, -1):
         lower = frequency / parts
         if _power(events, lower) > 0.5 * power:
             return _refine(events, lower, length)

@@ -54,10 +54,10 @@ def periods(source: Source) -> tuple[Table, tuple[str, ...]]:
         (
             one.run,
             one.output,
-            str(one.late),
+            str(one.recurrence.late),
             _distance(one),
             f"{one.recurrence.covered} of {one.recurrence.cycles}",
-            f"{one.recurrence.p_value:.1g}",
+            _chance(one.recurrence.p_value),
         )
         for one in found
     ]
@@ -85,6 +85,10 @@ def _search(source: Source, find: Callable[[Path, RunRecord], Iterable[T]]) -> t
         except UsageError as error:
             refused.append(str(error))
     return found, tuple(refused)
+
+
+def _chance(p_value: float) -> str:
+    return f"{p_value:.1g}" if p_value > 1e-99 else "below 1e-99"
 
 
 def _distance(one: Recurring) -> str:
