@@ -89,10 +89,11 @@ class Sshd:
     user: str
     folder: Path
     process: subprocess.Popen[bytes]
+    host: str
 
     @property
     def address(self) -> Address:
-        return Address(host="127.0.0.1", port=self.port, user=self.user, key=self.key, host_key=self.host_key)
+        return Address(host=self.host, port=self.port, user=self.user, key=self.key, host_key=self.host_key)
 
 
 @pytest.fixture(scope="session")
@@ -189,6 +190,7 @@ SetEnv SHLVL=1
             user=subprocess.run(["id", "-un"], capture_output=True, text=True, check=True).stdout.strip(),
             folder=folder,
             process=process,
+            host=host,
         )
     finally:
         process.terminate()

@@ -1,5 +1,6 @@
 """Ports that nobody uses, each given out once while its process lives, whichever test process of this machine asks."""
 
+import errno
 import random
 import socket
 
@@ -22,7 +23,9 @@ def free_port(host: str = "127.0.0.1") -> int:
         with socket.socket(family) as probe:
             try:
                 probe.bind((host, port))
-            except OSError:
-                continue
+            except OSError as error:
+                # In another network namespace, whose ports nobody else uses.
+                if error.errno != errno.EADDRNOTAVAIL:
+                    continue
         return port
     raise OSError(f"of ports {PORTS.start} to {PORTS.stop - 1} none seems to be free")

@@ -125,14 +125,16 @@ class Connection:
         or arrives with another checksum than it has on the target; ConnectionLost; and InfrastructureError when a copy
         cannot be written.
         """
-        large = max(sizes, key=lambda name: sizes[name])
-        is_large = sizes[large] >= LARGE_BYTES
-        if is_large and self._is_compressing is None:
-            self._is_compressing = is_faster_compressed(self.shell, folder / large)
-        is_compressed = is_large and bool(self._is_compressing)
+        # The largest comes first: with its first pieces is measured.
+        sizes = dict(sorted(sizes.items(), key=lambda item: item[1], reverse=True))
+        first, size_bytes = next(iter(sizes.items()))
         receiver = Receiver(self.address, folder, sizes, destination)
+        is_large = size_bytes >= LARGE_BYTES
+        if is_large and self._is_compressing is None:
+            self._is_compressing = is_faster_compressed(self.shell, folder / first, receiver)
+        is_compressed = is_large and bool(self._is_compressing)
         status, stderr = self.shell.execute(
-            reading(folder, sizes, is_compressed=is_compressed),
+            reading(folder, sizes, skip_bytes=receiver.received_bytes, is_compressed=is_compressed),
             [],
             receiver.take_compressed if is_compressed else receiver.take,
             _transfer_s(sum(sizes.values())),

@@ -15,37 +15,58 @@ from rtrun.target.shell import CHUNK_BYTES, Shell
 
 # Below, everything is there before it is known whether compressing pays: 0.3 s at 100 Mbit/s.
 LARGE_BYTES = 4 * 1024 * 1024
-# Of a large file, to measure with.
-_HEAD_BYTES = 2 * 1024 * 1024
-HEAD_S = 60.0
+# Of a large file, to measure with: its beginning plain, and as much after that compressed.
+_PIECE_BYTES = 2 * 1024 * 1024
+PIECE_S = 60.0
 # A link that is faster is not the bound: no board's processor compresses samples by gzip at this rate.
 _FAST_RATE = 50e6  # bytes/s
+# So much faster it must be: the plain piece waits for the connection to come up to speed, and what helps little is not
+# worth the time of the processor of the target.
+_WORTH = 1.25
 # The checksums are made while the files are on their way. They are for accidents on both disks: SSH guards the way, and
 # whoever can change a file can change its checksum. So MD5 will do: SHA-256 takes a target several times as long.
-_READ = 'cd "$1" && shift || exit 1; md5sum -- "$@" >&2 & cat -- "$@" && wait $!'
-_READ_COMPRESSED = 'cd "$1" && shift || exit 1; md5sum -- "$@" >&2 & cat -- "$@" | gzip -1 && wait $!'
+_READ = """
+cd "$1" || exit 1
+from=$2
+shift 2
+md5sum -- "$@" >&2 &
+first=$1
+shift
+{ tail -c "+$from" -- "$first" && cat -- /dev/null "$@"; }%s && wait $!
+"""
+_READ_PIECE = 'tail -c "+$2" -- "$1" | head -c "$3"'
+_COMPRESSED = " | gzip -1"
 _GZIP = zlib.MAX_WBITS | 16
 
 
-def reading(folder: PurePosixPath, names: Iterable[str], *, is_compressed: bool) -> list[str]:
-    """The command that prints files one after the other to standard output, and their MD5 to standard error."""
-    return ["sh", "-c", _READ_COMPRESSED if is_compressed else _READ, "sh", str(folder), *names]
+def reading(folder: PurePosixPath, names: Iterable[str], *, skip_bytes: int, is_compressed: bool) -> list[str]:
+    """The command that prints files one after the other to standard output, and their MD5 to standard error.
+
+    So many bytes of the first file are not printed.
+    """
+    script = _READ % (_COMPRESSED if is_compressed else "")
+    return ["sh", "-c", script, "sh", str(folder), str(skip_bytes + 1), *names]
 
 
-def is_faster_compressed(shell: Shell, source: PurePosixPath) -> bool:
-    """Whether the head of a file arrives sooner compressed than plain; not where the target has no gzip."""
-    plain_bytes_per_s = _rate(shell, ["head", "-c", str(_HEAD_BYTES), str(source)])
+def is_faster_compressed(shell: Shell, source: PurePosixPath, receiver: "Receiver") -> bool:
+    """Whether a file arrives sooner compressed than plain; not where the target has no gzip.
+
+    Its first pieces show that, and are given to the receiver. It has LARGE_BYTES at least.
+    """
+    plain_bytes_per_s = _rate(shell, source, receiver, is_compressed=False)
     if plain_bytes_per_s > _FAST_RATE:
         return False
-    script = 'head -c "$2" "$1" | gzip -1'
-    return _rate(shell, ["sh", "-c", script, "sh", str(source), str(_HEAD_BYTES)]) > plain_bytes_per_s
+    return _rate(shell, source, receiver, is_compressed=True) > _WORTH * plain_bytes_per_s
 
 
-def _rate(shell: Shell, command: list[str]) -> float:
-    """Bytes of the file's head that arrive in a second by this command; 0 where it fails."""
+def _rate(shell: Shell, source: PurePosixPath, receiver: "Receiver", *, is_compressed: bool) -> float:
+    """Bytes of the file's next piece that arrive in a second; 0 where the command fails."""
+    script = _READ_PIECE + _COMPRESSED if is_compressed else _READ_PIECE
+    take = receiver.take_compressed if is_compressed else receiver.take
+    argv = ["sh", "-c", script, "sh", str(source), str(receiver.received_bytes + 1), str(_PIECE_BYTES)]
     start = time.monotonic()
-    status, _ = shell.execute(command, [], lambda _: None, HEAD_S)
-    return 0.0 if status else _HEAD_BYTES / (time.monotonic() - start)
+    status, _ = shell.execute(argv, [], take, PIECE_S)
+    return 0.0 if status else _PIECE_BYTES / (time.monotonic() - start)
 
 
 class Receiver:
@@ -59,7 +80,9 @@ class Receiver:
     ) -> None:
         self._what = f"{address}: {folder}"
         self._sizes, self._destination = sizes, destination
-        self._missing_bytes = sum(sizes.values())
+        self.received_bytes = 0
+        """Of all files, as they are on the target."""
+        self._total_bytes = sum(sizes.values())
         self._digests = {name: hashlib.md5(usedforsecurity=False) for name in sizes}
         self._inflation = zlib.decompressobj(_GZIP)
         self._writer = self._writing()
@@ -67,10 +90,9 @@ class Receiver:
 
     def take(self, chunk: bytes) -> None:
         """Write what is next. Raises TargetError when it is more than the files have, InfrastructureError."""
-        self._missing_bytes -= len(chunk)
-        if self._missing_bytes < 0:
-            total = sum(self._sizes.values())
-            raise TargetError(f"{self._what}: more than the {total} bytes that were expected arrived")
+        self.received_bytes += len(chunk)
+        if self.received_bytes > self._total_bytes:
+            raise TargetError(f"{self._what}: more than the {self._total_bytes} bytes that were expected arrived")
         if chunk:
             self._writer.send(chunk)
 
@@ -91,9 +113,14 @@ class Receiver:
     def take_compressed(self, chunk: bytes) -> None:
         """Write what a piece of the compressed files holds, however much that is, in pieces. Raises as `take`."""
         try:
+            if chunk and self._inflation.eof:
+                # Each command prints a stream of its own.
+                self._inflation = zlib.decompressobj(_GZIP)
             while chunk:
                 self.take(self._inflation.decompress(chunk, CHUNK_BYTES))
                 chunk = self._inflation.unconsumed_tail
+            if self._inflation.unused_data:
+                raise zlib.error("more follows the end of the stream")
         except zlib.error as error:
             raise TargetError(f"{self._what} arrived damaged: {error}") from error
 

@@ -48,6 +48,9 @@ class Wire:
 
     def execute(self, argv, stdin, take, deadline_s):
         seconds, status = self.gzip if "gzip" in " ".join(argv) else self.plain
+        piece = BLOCK * (int(argv[-1]) // len(BLOCK))
+        if status == 0:
+            take(gzip.compress(piece) if "gzip" in " ".join(argv) else piece)
         self.now_s += seconds
         self.commands += 1
         return status, ""
@@ -62,10 +65,13 @@ class Wire:
         (0.02, 0.01, 0, False, 1),  # 105 MB/s: gzip is not asked
     ],
 )
-def test_what_is_measured_decides(monkeypatch, plain_s, gzip_s, status, compressed, commands):
+def test_what_is_measured_decides(tmp_path, monkeypatch, plain_s, gzip_s, status, compressed, commands):
     wire = Wire(monkeypatch, plain_s, gzip_s, status)
-    assert is_faster_compressed(wire, SOURCE) is compressed
+    files = receiver(tmp_path, samples=receiving.LARGE_BYTES)
+    assert is_faster_compressed(wire, SOURCE, files) is compressed
     assert wire.commands == commands
+    # What was measured with needs not come again.
+    assert files.received_bytes == (commands - (status != 0)) * receiving.LARGE_BYTES // 2
 
 
 def test_small_files_are_measured_by_nobody(tmp_path):
@@ -92,9 +98,11 @@ def test_what_arrives_is_cut_into_files(tmp_path, piece, is_compressed):
     contents = {"first": BLOCK, "empty": b"", "second": BLOCK[:100]}
     files = receiver(tmp_path, **{name: len(data) for name, data in contents.items()})
     data = b"".join(contents.values())
-    data, take = (gzip.compress(data), files.take_compressed) if is_compressed else (data, files.take)
-    for start in range(0, len(data), piece):
-        take(data[start : start + piece])
+    for part in (data[:2000], data[2000:]):
+        # What two commands print.
+        part, take = (gzip.compress(part), files.take_compressed) if is_compressed else (part, files.take)
+        for start in range(0, len(part), piece):
+            take(part[start : start + piece])
     files.check(printed(**contents))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == contents
 
@@ -106,7 +114,7 @@ def test_a_small_stream_that_becomes_huge_is_refused(tmp_path):
     assert (tmp_path / "samples").stat().st_size <= 100_000
 
 
-@pytest.mark.parametrize("data", [gzip.compress(BLOCK)[:-2000], b"no gzip at all"])
+@pytest.mark.parametrize("data", [gzip.compress(BLOCK)[:-2000], gzip.compress(BLOCK) + b"more", b"no gzip at all"])
 def test_a_damaged_stream_is_refused(tmp_path, data):
     files = receiver(tmp_path, samples=len(BLOCK))
     with pytest.raises(TargetError, match="arrived damaged"):
