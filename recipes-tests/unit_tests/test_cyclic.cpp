@@ -65,7 +65,7 @@ TEST(Cyclic, AGridThatRoscppMovesHasSkippedPeriods) {
     for (const auto& [expected, real] : calls) {
       samples.append({0, static_cast<int64_t>(expected * period), static_cast<int64_t>(real * period)});
     }
-    cyclic::analyse_lateness(samples, lateness);
+    cyclic::analyse_lateness(samples, 1000, lateness);
     return cyclic::count_overruns(samples, 1000);
   };
   Series kept("lateness"), burst("lateness"), moved("lateness"), long_call("lateness"), back("lateness");
@@ -79,6 +79,8 @@ TEST(Cyclic, AGridThatRoscppMovesHasSkippedPeriods) {
   result = counted({{1, 1}, {2, 7.25}, {7.25, 7.25}, {8.25, 8.25}}, moved);  // those due at 3, 4, 5 and 6
   EXPECT_EQ(std::pair(result.overruns, result.skipped), std::pair(INT64_C(1), INT64_C(4)));
   EXPECT_EQ(moved.max_ns(), 5250000);
+  EXPECT_EQ(moved.top()[1].value_ns, 250000);  // that due at 7: to move the grid is no pardon
+  EXPECT_EQ(moved.min_ns(), 0);
   result = counted({{1, 1}, {2, 2}, {4.5, 4.5}, {5.5, 5.5}}, long_call);  // called in time, ended too late
   EXPECT_EQ(std::pair(result.overruns, result.skipped), std::pair(INT64_C(1), INT64_C(1)));
   result = counted({{1000, 1000}, {3, 2}, {4, 4}}, back);  // the wall clock was put back

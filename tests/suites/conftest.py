@@ -187,7 +187,10 @@ def series_of(record: dict[str, Any], rows: Any) -> dict[str, tuple[Any, Any]]:
         pairs = range(max(len(stamps) - 1, 0))
         jitter = [stamps[i + 1] - stamps[i] - round(10**9 / frequency) for i in pairs]
         grid = [stamps[i + 1] - stamps[0] - (2 * (i + 1) * 10**9 + frequency) // (2 * frequency) for i in pairs]
-        lateness = [real[i + 1] - expected[i + 1] for i in pairs]
+        period = round(10**9 / frequency)
+        passed = [expected[i + 1] - expected[i] for i in pairs]
+        moved = [ns - ns // period * period if ns > period else 0 for ns in passed]
+        lateness = [real[i + 1] - expected[i + 1] + moved[i] for i in pairs]
         return {"jitter": (jitter, pairs), "grid": (grid, pairs), "lateness": (lateness, pairs)}
     publication, reception, seq = rows.T
     return {"latency": (reception - publication, seq)}

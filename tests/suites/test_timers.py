@@ -21,6 +21,7 @@ from .conftest import (
     check_that_skipped_periods_make_up_the_time,
     end,
     is_measuring,
+    series_of,
     wait_until,
 )
 
@@ -285,10 +286,22 @@ def traced(more: str = ":") -> tuple[str, ...]:
 EVENT = re.compile(r"^ +.*-\d+ +\[\d+\] .* (\d+\.\d{6}): (\w+): ", re.M)
 
 
+# Whose values the limit of a trace is held against, and the options that say so.
+TRACED = pytest.mark.parametrize(
+    ("program", "of", "options"),
+    [
+        ("oneshot_timer_tests", "measured", ()),
+        ("cyclic_timer_tests", "lateness", ()),
+        ("cyclic_timer_tests", "jitter", ("--trace-of", "jitter")),
+    ],
+    ids=["oneshot", "lateness", "jitter"],
+)
+
+
 @pytest.mark.trace
-@pytest.mark.parametrize("program", ["oneshot_timer_tests", "cyclic_timer_tests"])
-def test_break_trace_keeps_the_kernel_trace(bench: Bench, program: str) -> None:
-    ended = bench.run(program, "-r", "5000", "--break-trace", "1", before=traced())
+@TRACED
+def test_break_trace_keeps_the_kernel_trace(bench: Bench, program: str, of: str, options: tuple[str, ...]) -> None:
+    ended = bench.run(program, "-r", "5000", "--break-trace", "1", *options, before=traced())
     assert ended.status == 0
     base = f"{program}_l5000_" + ("tm1000" if program == "oneshot_timer_tests" else "fq1000")
     record = check_outputs(bench.folder, base)
@@ -296,7 +309,7 @@ def test_break_trace_keeps_the_kernel_trace(bench: Bench, program: str) -> None:
         r"ended by --break-trace: (\d+) ns at index (\d+)", record["incomplete_reason"]
     ).groups()  # type: ignore[union-attr]
     assert int(index) == record["counts"]["measured"] - 1
-    assert int(value_ns) == next(iter(record["summary"].values()))["max_ns"] > 1000
+    assert int(value_ns) == record["summary"][of]["max_ns"] > 1000
     assert record["traces"] == {"above_limit": 1, "files": [f"{base}-trace-{index}.txt"]}
     text = (bench.folder / f"{base}-trace-{index}.txt").read_text()
     above = f"{program}: {value_ns} ns at index {index} above 1000 ns"
@@ -305,19 +318,19 @@ def test_break_trace_keeps_the_kernel_trace(bench: Bench, program: str) -> None:
 
 
 @pytest.mark.trace
-@pytest.mark.parametrize("program", ["oneshot_timer_tests", "cyclic_timer_tests"])
-def test_threshold_keeps_traces_and_goes_on(bench: Bench, program: str) -> None:
+@TRACED
+def test_threshold_keeps_traces_and_goes_on(bench: Bench, program: str, of: str, options: tuple[str, ...]) -> None:
     """Each trace holds what the kernel did when its value came, on the clock of the samples."""
     # On a busy machine the thread that copies comes late: a larger buffer still holds the value then.
     larger = traced("echo 4096 >/sys/kernel/tracing/instances/rtrun/buffer_size_kb")
     period = ("-t", "5000") if program == "oneshot_timer_tests" else ("-f", "200")
-    ended = bench.run(program, "-r", "200", *period, "--trace-threshold", "1", before=larger)
+    ended = bench.run(program, "-r", "200", *period, "--trace-threshold", "1", *options, before=larger)
     assert (ended.status, ended.err) == (0, "")
     base = f"{program}_l200_" + ("tm5000" if program == "oneshot_timer_tests" else "fq200")
     record = check_outputs(bench.folder, base)
     assert record["complete"] is True
     rows = np.load(bench.folder / f"{base}.npy")
-    values = rows[:, 2] if program == "oneshot_timer_tests" else np.diff(rows[:, 0]) - 5_000_000
+    values = np.array(series_of(record, rows)[of][0])
     ends = rows[:, 1] if program == "oneshot_timer_tests" else rows[1:, 0]
     above = [int(index) for index in np.flatnonzero(values > 1000)]
     assert record["traces"] == {

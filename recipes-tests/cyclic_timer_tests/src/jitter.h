@@ -28,12 +28,19 @@ inline void analyse(const Samples& samples, int64_t frequency_hz, rt_tests::Seri
   }
 }
 
-// How much later than due roscpp called, for the same i as above. No measure of how the timer keeps its grid where roscpp
-// has moved it: skipped periods are counted beside it.
-inline void analyse_lateness(const Samples& samples, rt_tests::Series& lateness) {
+// How late a call is, after one that was due at `previous_expected_ns`. Where roscpp has moved its grid by more than whole
+// periods, the call is late by that, too: it was due on the grid as it was before.
+constexpr int64_t lateness_ns(int64_t previous_expected_ns, int64_t expected_ns, int64_t real_ns, int64_t period_ns) {
+  const int64_t passed_ns = expected_ns - previous_expected_ns;
+  return real_ns - expected_ns + (passed_ns > period_ns ? passed_ns % period_ns : 0);
+}
+
+// How late the calls are, for the same i as above. Skipped periods are counted beside it.
+inline void analyse_lateness(const Samples& samples, int64_t frequency_hz, rt_tests::Series& lateness) {
   for (std::size_t i = 1; i < samples.size(); ++i) {
     const auto& [timestamp_ns, expected_ns, real_ns] = samples[i];
-    lateness.add(real_ns - expected_ns, static_cast<int64_t>(i) - 1);
+    lateness.add(lateness_ns(samples[i - 1][1], expected_ns, real_ns, grid_ns(1, frequency_hz)),
+                 static_cast<int64_t>(i) - 1);
   }
 }
 

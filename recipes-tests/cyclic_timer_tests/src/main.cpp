@@ -20,19 +20,23 @@ void measure(const rt_tests::Options& options, Session& session) {
   const int64_t period_ns = cyclic::grid_ns(1, options.number("frequency_hz"));
   const ros::Duration period(static_cast<int32_t>(period_ns / rt_tests::ns_per_s),
                              static_cast<int32_t>(period_ns % rt_tests::ns_per_s));
+  const bool by_jitter = options.text("trace_of") == "jitter";
   bool broke = false;  // by --break-trace
-  int64_t previous_ns = 0;
+  int64_t previous_ns = 0, previous_expected_ns = 0;
 
   ros::NodeHandle node;
   const boost::function<void(const ros::TimerEvent&)> callback = [&](const ros::TimerEvent& event) {
     const int64_t now_ns = rt_tests::now_ns(clock);
-    if (broke || !samples.append({now_ns, static_cast<int64_t>(event.current_expected.toNSec()),
-                                  static_cast<int64_t>(event.current_real.toNSec())})) {
-      return;
-    }
+    const auto expected_ns = static_cast<int64_t>(event.current_expected.toNSec());
+    const auto real_ns = static_cast<int64_t>(event.current_real.toNSec());
+    if (broke || !samples.append({now_ns, expected_ns, real_ns})) return;
     const auto rows = static_cast<int64_t>(samples.size());
-    broke = rows > 1 && session.outliers.exceeded(now_ns - previous_ns - period_ns, rows - 2, now_ns);
+    const int64_t value_ns = by_jitter
+                                 ? now_ns - previous_ns - period_ns
+                                 : cyclic::lateness_ns(previous_expected_ns, expected_ns, real_ns, period_ns);
+    broke = rows > 1 && session.outliers.exceeded(value_ns, rows - 2, now_ns);
     previous_ns = now_ns;
+    previous_expected_ns = expected_ns;
   };
   session.begin();
   ros::Timer timer = node.createTimer(period, callback);
@@ -63,7 +67,7 @@ int run(int argc, char* argv[]) {
   const int64_t frequency_hz = options.number("frequency_hz");
   const cyclic::Samples& samples = session.samples;
   cyclic::analyse(samples, frequency_hz, jitter, grid);
-  cyclic::analyse_lateness(samples, lateness);
+  cyclic::analyse_lateness(samples, frequency_hz, lateness);
   const cyclic::Overruns overruns = cyclic::count_overruns(samples, frequency_hz);
   rt_tests::Report& report = session.report;
   report.measured = jitter.n();
