@@ -51,13 +51,14 @@ def _canonical(run: Run) -> dict[str, Any]:
         default = field.default_factory() if field.default_factory is not MISSING else field.default
         if value != default:
             form[field.name] = dict(value) if isinstance(value, Mapping) else value
-    form["parameters"] = _without_defaults(run.parameters, suites.options())
-    form["settings"] = _without_defaults(run.settings, conditions.conditions().settings)
+    form["parameters"] = _without_defaults(run.parameters, suites.defaults_of(run.suite))
+    settings = {key: option.default for key, option in conditions.conditions().settings.items()}
+    form["settings"] = _without_defaults(run.settings, settings)
     return form
 
 
-def _without_defaults(values: Mapping[str, suites.Value], options: Mapping[str, suites.Option]) -> dict[str, Any]:
-    return {key: value for key, value in values.items() if key not in options or value != options[key].default}
+def _without_defaults(values: Mapping[str, suites.Value], defaults: Mapping[str, suites.Value]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if key not in defaults or value != defaults[key]}
 
 
 # The fields that a run had when its digest was made of all of them, and a setting that it did not have.

@@ -100,6 +100,8 @@ class Suite(Config):
     """A tool of the target with options of its own, measured with to compare the suites with it."""
     always: Strings = ()
     """What a baseline is always given."""
+    unset: dict[str, str] = Field(default_factory=dict)
+    """Of a baseline, what it is given for a parameter that has no value."""
     kernel: str = ""
     """Of a baseline, the kernel option that it needs."""
     flags: dict[str, str] = Field(default_factory=dict)
@@ -156,6 +158,13 @@ def suite(name: str) -> Suite:
     return known[name]
 
 
+def defaults_of(name: str) -> dict[str, Value]:
+    """What the options of a suite are where nobody gives them; a baseline has some of its own."""
+    described = suite(name)
+    own = described.launch if described.is_baseline else {}
+    return {key: option.default for key, option in options().items()} | own
+
+
 def check_numbers(values: dict[str, Value], known: Mapping[str, Option]) -> dict[str, Value]:
     """Return values by key as they are. Raises ValueError where the option of a key takes no such number."""
     for key, value in values.items():
@@ -204,7 +213,7 @@ def argv(suite_name: str, program: str, parameters: Mapping[str, Value]) -> list
     if program not in described.programs:
         raise UsageError(f"unknown program {program!r} of {suite_name}, known: {', '.join(described.programs)}")
     if described.is_baseline:
-        return [program, *described.always, *_explicit(described, program, parameters)]
+        return [program, *described.always, *_explicit(suite_name, program, parameters)]
     words = [program]
     for key in described.programs[program]:
         option = suites().options[key]
@@ -214,12 +223,16 @@ def argv(suite_name: str, program: str, parameters: Mapping[str, Value]) -> list
     return words
 
 
-def _explicit(described: Suite, program: str, parameters: Mapping[str, Value]) -> list[str]:
-    words = []
+def _explicit(baseline: str, program: str, parameters: Mapping[str, Value]) -> list[str]:
+    words, described, defaults = [], suite(baseline), defaults_of(baseline)
     for key in described.programs[program]:
-        value = parameters.get(key, options()[key].default)
-        if value not in (None, "") and not (key == "priority" and parameters.get("policy", "0") == "0"):
-            words.append(f"{described.flags.get(key, options()[key].flag)}={described.values.get(str(value), value)}")
+        value = parameters.get(key, defaults[key])
+        if value is None and key in described.unset:
+            words.append(described.unset[key])
+        elif value not in (None, "") and not (key == "priority" and parameters.get("policy", "0") == "0"):
+            if options()[key].type == "choice":
+                value = described.values.get(str(value), value)
+            words.append(f"{described.flags.get(key, options()[key].flag)}={value}")
     return words
 
 

@@ -90,6 +90,10 @@ def _bound(bound: Bound) -> tuple[str, str]:
 
 # Parameters of a layer alone; all others must be the same in both.
 _OF_A_LAYER = {"timeout_us", "interval_us", "frequency_hz", "busy_mode", "threads", "payload_bytes", "subscribers"}
+_UNLIKE_IDLE = (
+    "idle CPUs were kept awake in one and not in the other; give both the same cpu_dma_latency_us, of which cyclictest "
+    "has 0 by default and the suites none"
+)
 
 
 def _layers(study: Study) -> list[Table]:
@@ -101,6 +105,10 @@ def _layers(study: Study) -> list[Table]:
         for low in select(study.groups, low_name):
             for high in select(study.groups, high_name):
                 if not _differ_in_layer(low, high):
+                    continue
+                if _awake_us(low) != _awake_us(high):
+                    if not _has_like(low, select(study.groups, high_name)):
+                        rows.append((low.label, high.label, "-", "-", "-", f"refused: {_UNLIKE_IDLE}"))
                     continue
                 attribution = attribute(low.blocks, high.blocks, confidence=study.question.confidence)
                 if attribution.refused:
@@ -132,11 +140,23 @@ def _differ_in_layer(low: Group, high: Group) -> bool:
     return alike and means_known and one_event and is_rt(high) and bool(low.blocks and high.blocks)
 
 
+def _awake_us(group: Group) -> object:
+    """The latency at which idle CPUs were kept awake; None where they slept as they would."""
+    return group.parameters.get("cpu_dma_latency_us")
+
+
+def _has_like(low: Group, above: Sequence[Group]) -> bool:
+    """Whether one of the layer above was measured with idle CPUs as this one was."""
+    return any(_differ_in_layer(low, high) and _awake_us(low) == _awake_us(high) for high in above)
+
+
 def _others(group: Group) -> dict[str, object]:
     """Parameters that are not of one layer alone and not the default: a suite without an option has its default."""
     options = suites().options
     given = {
-        key: value for key, value in group.parameters.items() if key not in _OF_A_LAYER and value not in (None, "")
+        key: value
+        for key, value in group.parameters.items()
+        if key not in _OF_A_LAYER | {"cpu_dma_latency_us"} and value not in (None, "")
     }
     return {key: value for key, value in given.items() if key not in options or value != options[key].default}
 

@@ -31,7 +31,7 @@ from rtrun.plan.limits import (
     TimeNs,
 )
 from rtrun.plan.run import KernelName
-from rtrun.plan.suites import Parameters, Value, suite
+from rtrun.plan.suites import Parameters, Value, baselines, suite
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.results.rate import OFF_MAX, Rate
 from rtrun.target.control_groups import ControlGroup
@@ -242,13 +242,21 @@ class RunRecord(Config):
     def circumstances(self) -> dict[str, Value]:
         """The parameters, and what was there beside the suite where there was something: runs of one are alike.
 
-        Runs that keep the traces above one quantile are alike, though each has a threshold of its own.
+        Runs that keep the traces above one quantile are alike, though each has a threshold of its own. A baseline did
+        by itself what earlier versions did not tell it.
         """
+        measured = baselines().suites.get(self.suite) if self.programs else None
         condition: dict[str, Value] = {} if self.condition == IDLE else {"condition": self.condition}
         settings = {key: value for key, value in self.settings.items() if value not in (None, "")}
         of_campaign: dict[str, Value] = {"variant": self.variant, "kernel": self.kernel, "trace": self.trace}
         parameters = {key: value for key, value in self.parameters.items() if key != TRACE_PARAMETER or not self.trace}
-        return parameters | condition | settings | {key: value for key, value in of_campaign.items() if value}
+        return (
+            (measured.launch if measured else {})
+            | parameters
+            | condition
+            | settings
+            | {key: value for key, value in of_campaign.items() if value}
+        )
 
     def to_json(self) -> str:
         """The text of run.json: what was set, without what is left at its default."""

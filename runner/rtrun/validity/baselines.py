@@ -1,5 +1,6 @@
 """The standard output of a baseline: checked, and kept as files that reports read."""
 
+import re
 from pathlib import Path
 
 from rtfiles import atomic
@@ -24,10 +25,23 @@ def check_baseline_output(run: Run, text: str) -> str | None:
     except UsageError as error:
         return str(error)
     measured = [each.histogram.n for each in histograms]
+    if wrong := _held_otherwise(run, text):
+        return wrong
     threads, asked = int(run.parameters["threads"] or 1), int(run.parameters["repetitions"] or 0)
     if len(measured) != threads or min(measured) == 0 or max(measured) < asked:
         return f"{threads} threads were asked for {asked} measurements each, they made {measured}"
     return None
+
+
+def _held_otherwise(run: Run, text: str) -> str | None:
+    """Say where cyclictest kept idle CPUs awake otherwise than asked, by the line that it prints, or None."""
+    asked = run.parameters["cpu_dma_latency_us"]
+    line = re.search(r"^# /dev/cpu_dma_latency set to ([0-9]{1,10})us$", text, re.MULTILINE)
+    held = int(line[1]) if line else None
+    if held == asked:
+        return None
+    words = ["nothing" if value is None else f"{value} us" for value in (asked, held)]
+    return f"asked to hold /dev/cpu_dma_latency at {words[0]}, it held it at {words[1]}: it needs root for that"
 
 
 def keep_histograms(folder: Path, run: Run, output: str) -> list[str]:

@@ -179,6 +179,9 @@ def _asked_otherwise(run: Run, record: Record) -> str | None:
     for name, asked in run.parameters.items():
         if name in understood and understood[name] != asked:
             return f"asked for {name} {asked}, the suite measured {name} {understood[name]}"
+    held, allowed = record.in_effect.cpu_dma_latency_us, run.parameters.get("cpu_dma_latency_us")
+    if held is not None and isinstance(allowed, int) and held > allowed:
+        return f"asked for cpu_dma_latency_us {allowed}, in effect was {held}"
     return requirements.find_unseen_option(run, understood)
 
 

@@ -84,3 +84,11 @@ def test_a_journal_of_before_even_repeats_were_reversed_is_known_again():
     before = sorted(runs, key=place)
     assert before != list(runs) and is_digest_of(digest(before), runs)
     assert not is_digest_of(digest(before[::-1]), runs)
+
+
+def test_what_cyclictest_did_by_itself_changes_nothing():
+    entry = {"suite": "cyclictest", "cpu_dma_latency_us": [0, None]}
+    awake, asleep = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
+    before = {key: value for key, value in awake.parameters.items() if key != "cpu_dma_latency_us"}
+    assert digest([awake]) == digest([dataclasses.replace(awake, parameters=before)])
+    assert digest([awake]) != digest([dataclasses.replace(asleep, name=awake.name)])

@@ -53,3 +53,13 @@ def test_a_baseline_gets_no_priority_without_a_policy():
     values = {"policy": "0", "priority": 80, "repetitions": 10}
     assert not [word for word in argv("cyclictest", "cyclictest", values) if word.startswith("--priority")]
     assert "--priority=80" in argv("cyclictest", "cyclictest", values | {"policy": "RR"})
+
+
+def test_cyclictest_keeps_idle_cpus_awake_unless_it_is_told_not_to():
+    words = argv("cyclictest", "cyclictest", {"cpu": "0"})
+    assert "--affinity=0" in words and "--policy=other" in words, "only a policy is named otherwise"
+    assert "--latency=0" in words and "--laptop" not in words
+    for value, word in ((None, "--laptop"), (7, "--latency=7")):
+        words = argv("cyclictest", "cyclictest", {"cpu_dma_latency_us": value})
+        assert [each for each in words if each.startswith("--la")] == [word]
+    assert argv("cyclic_timer_tests", "cyclic_timer_tests", {"cpu_dma_latency_us": 0})[1:] == ["--cpu-dma-latency", "0"]

@@ -44,6 +44,22 @@ def test_layers_alike_in_all_else_are_paired(write, tmp_path):
     assert len(pairs(tmp_path)) == 1
 
 
+AWAKE = {"cpu_dma_latency_us": 0}
+
+
+def test_idle_cpus_must_have_been_alike(write, tmp_path):
+    """Of two groups above, the one that is alike is paired; where none is, the table says why."""
+    write("a", TIMER | AWAKE, MESSAGES)
+    (table,) = _layers(study(tmp_path, bounds=False))
+    (row,) = table.rows
+    assert "refused: idle CPUs were kept awake in one and not in the other" in row[5]
+    write("b", TIMER | AWAKE, MESSAGES | AWAKE)
+    (table,) = _layers(study(tmp_path, bounds=False))
+    assert {row[5].partition(":")[0] for row in table.rows} != {"refused"}
+    assert {row[:2] for row in table.rows} == {(table.rows[0][0], table.rows[0][1])}
+    assert "cpu_dma_latency_us=0" in table.rows[0][1]
+
+
 @pytest.mark.parametrize(
     ("parameters", "record"),
     [

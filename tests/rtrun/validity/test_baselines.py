@@ -28,6 +28,20 @@ def test_every_thread_measured_as_often_as_asked():
     assert check_baseline_output(run_of("cyclictest", repetitions=10, threads=2), PRINTED) is None
 
 
+@pytest.mark.parametrize(
+    ("asked", "printed", "reason"),
+    [
+        (0, PRINTED.partition("\n")[2], "asked to hold /dev/cpu_dma_latency at 0 us, it held it at nothing"),
+        (None, PRINTED, "asked to hold /dev/cpu_dma_latency at nothing, it held it at 0 us"),
+        (None, PRINTED.partition("\n")[2], None),
+    ],
+)
+def test_idle_cpus_were_kept_awake_as_asked(asked, printed, reason):
+    run = run_of("cyclictest", repetitions=10, threads=2, cpu_dma_latency_us=asked)
+    said = check_baseline_output(run, printed)
+    assert said == reason if reason is None else said.startswith(reason)
+
+
 def test_a_thread_that_lagged_when_the_first_was_done_has_measured_less():
     printed = PRINTED.replace("Overflows: 00001", "Overflows: 00000")
     assert check_baseline_output(run_of("cyclictest", repetitions=10, threads=2), printed) is None

@@ -140,3 +140,17 @@ def test_a_publisher_that_misses_its_rate(tmp_path, achieved_hz, sent, is_timed,
     assert (verdict.status is RunStatus.OK) == (reason is None)
     assert reason is None or reason in verdict.reason
     assert verdict.rates["communication_tests_publisher"].skipped == 9
+
+
+def test_idle_cpus_that_slept_deeper_than_asked(tmp_path):
+    path = write_cyclic(tmp_path)
+    record = json.loads(path.read_text())
+    record["requested"]["cpu_dma_latency_us"] = 0
+    entry = {"suite": "cyclic_timer_tests", "policy": "RR", "frequency_hz": 7000, "repetitions": 3}
+    (run,) = plan(Campaign(schema=1, name="test", runs=[entry | {"cpu_dma_latency_us": 0}]), "test")
+    for held, reason in ((0, None), (70, f"{path.stem}: asked for cpu_dma_latency_us 0, in effect was 70")):
+        record["in_effect"]["cpu_dma_latency_us"] = held
+        path.write_text(json.dumps(record))
+        ended = [Exit(status=0, expired=False)]
+        said = judge(tmp_path, run, [PROGRAM], ended, [path.stem], refused={}, background=[], ended_early={})
+        assert said.reason == reason
