@@ -17,7 +17,7 @@ import numpy as np
 import processes
 from processes import DEADLINE_NS, Int64s, Rng
 
-from rtrun.analysis import comparison, deadline, layers, recurrence
+from rtrun.analysis import comparison, constancy, deadline, layers, recurrence
 from rtrun.analysis.blocks import Blocks, cut
 from rtrun.analysis.comparison import Change, compare
 from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
@@ -120,6 +120,13 @@ def proven_in_rounds(turns: int, rate: float, regular: bool, rng: Rng) -> bool:
     turn = 100_000
     values = processes.slow_load(2 * turn * turns, rate, rng, turn=turn, regular=regular)
     return verdict_on(np.array_split(values, 20)).answer == Answer.PROVEN
+
+
+def changes_under_the_slowest_load(n: int, rng: Rng) -> bool:
+    """A change is seen in runs that are as long as the plan says that a load needs, which is there half of the time."""
+    turn = round(constancy.slowest_load(n) / 2)
+    values = processes.slow_load(n, P / 10, rng, turn=turn)
+    return verdict_on(np.array_split(values, 10)).change is not None
 
 
 def proven_at_any_look_in_bursts(length: int, rng: Rng) -> bool:
@@ -413,6 +420,15 @@ ROWS = [
             (8, P, False, 0),
             (30, P, False, 0),
         )
+    ),
+    Row(
+        name="the slowest load that the plan says these runs can judge, 10 runs of 24 000",
+        event="a change is seen",
+        draw=partial(changes_under_the_slowest_load, 240_000),
+        at_most=15.0,
+        quick=20,
+        long=500,
+        remedy=(constancy, "slowest_load", lambda length: length / 3),
     ),
     *(
         Row(

@@ -27,6 +27,12 @@ from rtrun.analysis.trials import ENOUGH_MISSES, Trials, high_values
 RETURNS = 5
 
 
+def slowest_load(length: float) -> float:
+    """How long a load may take to come and go, both together, so that joined runs of this length can judge it: it is
+    left and entered again five times then, whatever part of it they begin in."""
+    return length / (RETURNS + 1)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Boot:
     """The runs of one boot, joined in the order of time.

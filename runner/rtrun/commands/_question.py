@@ -65,8 +65,8 @@ def question(args: argparse.Namespace, results: Path) -> Question:
     goal = read_goal(results)
     if goal and args.deadline and args.deadline != goal.deadline_ns:
         print_note(
-            f"rtrun: measured for a deadline of {goal.deadline_ns / 1000:g} us: an answer for another one, chosen "
-            "after looking, does not have its confidence"
+            f"rtrun: measured for a deadline of {goal.deadline_ns / 1000:g} us: the answer for another one, chosen "
+            "after looking, is less sure than it says"
         )
     given = {"deadline_ns": args.deadline, "probability": args.probability, "confidence": args.confidence}
     return replace(goal.question if goal else THESIS, **{key: value for key, value in given.items() if value})

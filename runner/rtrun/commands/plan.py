@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 NAME = "plan"
 # Lengths of bursts whose price is told.
 BURSTS = (5, 20)
+# A load that comes and goes so often, in seconds, for which longer runs are proposed.
+LOADS_S = (60, 600)
 HELP = "print every run of a campaign and how long it takes, without a target"
 
 
@@ -77,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
     if campaign.until:
         for line in _goal_lines(campaign.until, forecasts, _prices_of_bursts(campaign.until, runs)):
             print_line(line)
+        for line in _load_lines(_slowest_load_s(campaign.until, runs, forecasts)):
+            print_line(line)
     return 0
 
 
@@ -121,6 +125,32 @@ def _prices_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> "dict[int, Outlo
     return {length: each.outlook for length, each in forecasts.items() if each.outlook is not None}
 
 
+def _slowest_load_s(goal: "Goal", groups: "Sequence[Run]", forecasts: Sequence[_Forecast]) -> float | None:
+    """How slowly a load may come and go to be judged by the runs of the best case, in seconds; None without one."""
+    from rtrun.analysis.constancy import slowest_load
+    from rtrun.analysis.further import plan_measurements
+    from rtrun.plan.rounds import joined_s, rounds_a_boot
+
+    best = plan_measurements(goal.question)
+    if best is None or forecasts[0].outlook is None:
+        return None
+    a_boot = rounds_a_boot(groups, best[1], goal.boots)
+    return slowest_load(joined_s(groups, forecasts[0].outlook.rounds, boots=goal.boots, a_boot=a_boot))
+
+
+def _load_lines(slowest_s: float | None) -> Iterator[str]:
+    if slowest_s is None:
+        return
+    yield (
+        f"a load that comes every {slowest_s:.2g} s or oftener comes back five times within the runs of a boot: it can "
+        "be judged, a slower one counts as a change"
+    )
+    times = {load_s: load_s / slowest_s for load_s in LOADS_S if load_s > slowest_s}
+    longer = [f"every {load_s} s: {factor:.{int(factor < 10)}f} times" for load_s, factor in times.items()]
+    if longer:
+        yield f"for a slower one make the runs longer (repetitions), {', '.join(longer)}"
+
+
 def _goal_lines(goal: "Goal", forecasts: Sequence[_Forecast], prices: "Mapping[int, Outlook]") -> Iterator[str]:
     from rtfiles.output import counted
     from rtrun.plan.question import unlike_share
@@ -163,6 +193,7 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
     from rtrun.plan.kernels import blocks
 
     goal, restarts = campaign.until, len(blocks(runs)) - 1
+    slowest_s = _slowest_load_s(goal, runs, forecasts) if goal else None
     return {
         "schema": 1,
         "campaign": campaign.name,
@@ -186,5 +217,10 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
             }
             for each in runs
         ],
-        "goal": goal and {**goal.model_dump(), "forecasts": [asdict(each) for each in forecasts]},
+        "goal": goal
+        and {
+            **goal.model_dump(),
+            "forecasts": [asdict(each) for each in forecasts],
+            "slowest_load_s": slowest_s,
+        },
     }

@@ -59,6 +59,11 @@ def boot_of_round(number: int, rounds_a_boot: int) -> int:
     return (number - 1) // rounds_a_boot
 
 
+def joined_s(groups: Sequence[Run], rounds: int, *, boots: int, a_boot: int) -> float:
+    """How long the runs of one boot measure a group in so many rounds, joined, in seconds; of the shortest group."""
+    return min(group.expected_s for group in groups) * (a_boot if boots > 1 else rounds)
+
+
 def outlook(groups: Sequence[Run], measurements: int, *, boots: int, a_boot: int) -> Outlook:
     """How long it takes until each group has so many measurements, on at least so many boots of `a_boot` rounds.
 

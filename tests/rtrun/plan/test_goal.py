@@ -115,12 +115,15 @@ def test_the_plan_says_how_long_it_takes(tmp_path, capsys):
     text = INTERLEAVED + UNTIL + "runs: [{suite: cyclic_timer_tests, repetitions: 250002, policy: [RR, FIFO]}]\n"
     path = write(tmp_path, text)
     assert main(["plan", str(path), "--assume-rate", "1e-7"]) == 0
-    scope, best, assumed, *bursts = capsys.readouterr().out.splitlines()[-5:]
+    scope, best, assumed, *bursts, load, longer = capsys.readouterr().out.splitlines()[-7:]
     assert scope == (
         "on 8 boots: boots of another kind, of which none is measured, may be 37 % of all; "
         "a proof covers misses that come singly"
     )
     assert [line.split(":")[0] for line in bursts] == ["to cover bursts of 5 (bursts", "to cover bursts of 20 (bursts"]
+    # Each of the 15 rounds of 250 s is a boot.
+    assert load.startswith("a load that comes every 42 s or oftener comes back five times within the runs of a boot")
+    assert longer == "for a slower one make the runs longer (repetitions), every 60 s: 1.4 times, every 600 s: 14 times"
     # 15 rounds of two runs with 0.6 s each to start and end, and 14 restarts of 60 s.
     times = "about 8360 s (2.3 h), of which 7500 s (2.1 h) are measuring"
     assert best == f"without a miss: PROVEN after 15 rounds and 14 restarts, {times}"
@@ -146,6 +149,7 @@ def test_the_plan_for_programs(tmp_path, capsys):
     assert data["total_s"] == data["measuring_s"] + data["settling_s"] + data["start_and_end_s"]
     assert data["total_s"] == pytest.approx(SET_UP_S + sum(run.total_s for run in runs))
     assert data["goal"]["deadline_ns"] == 400_000
+    assert data["goal"]["slowest_load_s"] == pytest.approx(250.002 / 6)
     assert data["goal"]["forecasts"] == [
         {
             "assumed_rate": 0.0,

@@ -26,7 +26,7 @@ def test_a_deadline_that_is_chosen_after_looking_is_refused(tmp_path, capsys):
         write_goal(tmp_path, goal(deadline="8ms"))
     assert read_goal(tmp_path).deadline_ns == 9_000_000
     assert main(["verdict", str(tmp_path), "--deadline", "8ms"]) == 0
-    assert "measured for a deadline of 9000 us: an answer for another one" in capsys.readouterr().err
+    assert "measured for a deadline of 9000 us: the answer for another one" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("change", [{"at_most": "2h"}, {"probability": "1e-2"}, {"boots": 3}, {"bursts": 5}])
