@@ -22,7 +22,7 @@ SHOWN_ERRORS = 20
 class Config(BaseModel):
     """Base of every type that is read from a file: frozen, strict about types, unknown keys refused."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(defer_build=True, frozen=True, extra="forbid", strict=True)
 
     @model_validator(mode="before")
     @classmethod
