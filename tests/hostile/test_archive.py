@@ -12,6 +12,7 @@ import pyarrow.parquet
 import pytest
 from archive.archived import write_course
 
+from rtrun.archive import queries
 from rtrun.cli import main
 
 MEMORY_MIB = 600
@@ -104,17 +105,56 @@ def test_pages_and_metrics_take_no_commands(archive, tmp_path, capsys):
         assert "Content-Security-Policy" in page.read_text() and "owned\x07<script>" not in page.read_text()
 
 
-@pytest.mark.parametrize(("table", "blocks", "what"), [("runs", 1, "1000 rows, "), ("histograms", 40_000, "bins, ")])
-def test_more_rows_than_a_run_has_in_few_bytes(archive, table, blocks, what):
-    path = sorted((archive / table).rglob("*.parquet"))[0]
+def write_rows(path, number):
+    """Put the first row into a file so many times."""
     first = pyarrow.parquet.ParquetFile(path).read().slice(0, 1)
     block = pyarrow.concat_tables([first] * 1000).combine_chunks()
     with pyarrow.parquet.ParquetWriter(path, block.schema, compression="zstd") as writer:
-        for _ in range(0, blocks, 1000):
-            writer.write_table(pyarrow.concat_tables([block] * min(blocks, 1000)))
+        for _ in range(0, number, 1_000_000):
+            writer.write_table(pyarrow.concat_tables([block] * (min(number, 1_000_000) // 1000)))
     assert path.stat().st_size < 4_000_000
-    argv = [sys.executable, "-c", COMMAND, "history", str(archive), "--json"]
+
+
+def history(archive, *words):
+    """The status, what it said, and the highest memory in MiB."""
+    argv = [sys.executable, "-c", COMMAND, "history", str(archive), *words]
     done = subprocess.run(argv, capture_output=True, text=True, check=True)
     status, peak_kib = done.stdout.split()[-2:]
-    assert status == "2" and what in done.stderr, done.stderr
-    assert int(peak_kib) / 1024 < MEMORY_MIB
+    return int(status), done.stderr, int(peak_kib) / 1024
+
+
+@pytest.mark.parametrize(
+    ("table", "rows", "what"), [("runs", 1000, "1000 rows, "), ("histograms", 40_000_000, "bins, ")]
+)
+def test_more_rows_than_a_run_has_in_few_bytes(archive, table, rows, what):
+    write_rows(sorted((archive / table).rglob("*.parquet"))[0], rows)
+    status, said, peak_mib = history(archive, "--json")
+    assert status == 2 and what in said, said
+    assert peak_mib < MEMORY_MIB
+
+
+def test_many_files_are_not_held_at_one_time(tmp_path):
+    """Each has fewer rows than a run may have."""
+    archive = write_course(tmp_path / "archive", [100.0] * 5)
+    for path in (archive / "histograms").rglob("*.parquet"):
+        write_rows(path, 4_000_000)
+    status, said, peak_mib = history(archive, "--by", "board")
+    assert status == 0 and peak_mib < 3 * MEMORY_MIB, (said, peak_mib)
+    # However many processors there are, no more are added up at one time.
+    status, said, peak_mib = history(archive, "--by", "run")
+    assert status == 0 and peak_mib < 3 * MEMORY_MIB, (said, peak_mib)
+
+
+def test_bins_that_differ_are_not_held_without_end(tmp_path, capsys, monkeypatch):
+    archive = write_course(tmp_path / "archive", [100.0] * 5)
+    argv = ["history", str(archive), "--by", "board", "--json"]
+    assert main(argv) == 0
+    whole = capsys.readouterr().out
+    monkeypatch.setattr(queries, "_ROWS_MAX", 3000)
+    assert main(argv) == 0
+    assert capsys.readouterr().out == whole
+    monkeypatch.setattr(queries, "_ROWS_MAX", 1000)
+    assert main(argv) == 2
+    said = capsys.readouterr().err
+    assert f"{archive}: oneshot" in said and "the histograms of 10 runs have " in said, said
+    assert "at most 1000 are held: ask for fewer runs together (--by month, day or run)" in said

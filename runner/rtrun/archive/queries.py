@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,10 +25,13 @@ from rtrun.target.platform import Platform
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
+    from pyarrow.parquet import FileMetaData, ParquetFile
 
 _NONE = -(2**63)  # stands for null
 _GRID_MAX = 4  # places of a grid for each bin on it
 _COUNT_MAX = 2**53  # of all bins: above, a double no longer counts one by one
+# Rows of histograms that are held at one time, which takes up to 150 bytes each. A run has some ten thousand.
+_ROWS_MAX = 2 * BINS_MAX
 _MEMORY = "1GB"  # for the table of runs: a row of a run takes some KB
 # Whoever may write a file of the archive may write anything into it: every value is given its type of docs/archive.md.
 _TEXTS = ("run_key", "run", "scenario", "parameters", "platform", "status", "packages", "machine", "suite", "month")
@@ -162,45 +166,78 @@ def figures(archive: Archive, by: By, *, deadline_ns: int) -> list[Point]:
     if unknown := {row["platform"] for row in rows} - {*Platform}:
         raise _damaged(archive.store, f"platform: {min(unknown)[:40]!r}, expected one of {', '.join(Platform)}")
 
-    def point(row: dict[str, Any]) -> Point | None:
-        paths = [archive.histograms[key] for key in row["run_keys"] if key in archive.histograms]
-        bins = [_read_bins(archive.store, path) for path in paths]
+    # The number of rows stands at the end of a file: what is too much is refused before it is read.
+    members = [[archive.histograms[key] for key in row["run_keys"] if key in archive.histograms] for row in rows]
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        paths = [path for of_point in members for path in of_point]
+        footers = dict(zip(paths, threads.map(partial(_footer, archive.store), paths), strict=True))
+    largest = max((sum(footers[path].num_rows for path in of_point) for of_point in members), default=0)
+
+    def point(row: dict[str, Any], of_point: Sequence[str]) -> Point | None:
+        bins: list[tuple[Int64s, Int64s, Int64s]] = []
+        held = 0
+        for path in of_point:
+            rows = footers[path].num_rows
+            if held + rows > _ROWS_MAX:
+                bins = [_merged(bins)]
+                held = bins[0][0].size
+            if held + rows > _ROWS_MAX:
+                what = f"{row['scenario']} on {row['machine']}: the histograms of {len(of_point)} runs"
+                raise UsageError(
+                    f"{archive.store.address}: {what} have {held} different bins before {rows} more are added, at most "
+                    f"{_ROWS_MAX} are held: ask for fewer runs together (--by month, day or run)"
+                )
+            bins.append(_read_bins(archive.store, path, footers[path]))
+            held += rows
         if not any(value.size for value, _, _ in bins):
             return None
         row["run_keys"] = tuple(row["run_keys"])
         return Point(**row, **_figures_of(bins, deadline_ns))
 
     # Reading and sorting leave Python's lock to others.
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
-        return [each for each in threads.map(point, rows) if each is not None]
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, _ROWS_MAX // min(max(1, largest), _ROWS_MAX))) as threads:
+        return [each for each in threads.map(point, rows, members) if each is not None]
 
 
-def _read_bins(store: Store, path: str) -> tuple[Int64s, Int64s, Int64s]:
-    """value_ns, bin_ns and count of a histogram's rows, shape (n,); _NONE where the table has null.
-
-    Raises UsageError for a file that is no histogram, before more than BINS_MAX rows are read.
-    """
+@contextmanager
+def _opened(store: Store, path: str, footer: "FileMetaData | None" = None) -> "Iterator[ParquetFile]":
+    """A histogram's file. Raises UsageError where what is in it is wrong, InfrastructureError."""
     import pyarrow
     import pyarrow.parquet
 
-    names = ("value_ns", "bin_ns", "count")
     try:
         # A file of this machine by its path: pyarrow reads it without Python's lock.
         with nullcontext(path) if store.is_local else store.file_system.open(path, "rb") as source:
-            file = pyarrow.parquet.ParquetFile(source)
-            if file.metadata.num_rows > BINS_MAX:
-                raise ValueError(f"{file.metadata.num_rows} bins, a histogram has at most {BINS_MAX}")
-            types = {field.name: field.type for field in file.schema_arrow}
-            if wrong := [name for name in names if types.get(name) != pyarrow.int64()]:
-                raise ValueError(f"{wrong[0]}: expected int64, got {types.get(wrong[0], 'no such column')}")
-            table = file.read(columns=list(names), use_threads=False)
-        columns = [table[name].fill_null(_NONE).combine_chunks().to_numpy() for name in names]
-        _check_bins(*columns)
+            yield pyarrow.parquet.ParquetFile(source, metadata=footer)
     except (pyarrow.ArrowException, ValueError) as error:
         raise _damaged(store, f"{path}: {error}") from error
     except Exception as error:  # each object store has exceptions of its own
         raise _unreadable(store, " ".join(str(error).split()) or type(error).__name__) from error
-    value, width, count = columns
+
+
+def _footer(store: Store, path: str) -> "FileMetaData":
+    """What a histogram's file says of itself. Raises UsageError where it has more than BINS_MAX rows."""
+    with _opened(store, path) as file:
+        if file.metadata.num_rows > BINS_MAX:
+            raise ValueError(f"{file.metadata.num_rows} bins, a histogram has at most {BINS_MAX}")
+        return file.metadata
+
+
+def _read_bins(store: Store, path: str, footer: "FileMetaData") -> tuple[Int64s, Int64s, Int64s]:
+    """value_ns, bin_ns and count of a histogram's rows, shape (n,); _NONE where the table has null.
+
+    Raises UsageError for a file that is no histogram.
+    """
+    import pyarrow
+
+    names = ("value_ns", "bin_ns", "count")
+    with _opened(store, path, footer) as file:
+        types = {field.name: field.type for field in file.schema_arrow}
+        if wrong := [name for name in names if types.get(name) != pyarrow.int64()]:
+            raise ValueError(f"{wrong[0]}: expected int64, got {types.get(wrong[0], 'no such column')}")
+        table = file.read(columns=list(names), use_threads=False)
+        value, width, count = (table[name].fill_null(_NONE).combine_chunks().to_numpy() for name in names)
+        _check_bins(value, width, count)
     return value, width, count
 
 
@@ -215,6 +252,15 @@ def _check_bins(value: Int64s, width: Int64s, count: Int64s) -> None:
             raise ValueError(f"{name}: from {column.min()} to {column.max()}, expected {lowest} to {highest}")
     if (total := count.sum(dtype=np.float64)) > _COUNT_MAX:
         raise ValueError(f"count: {total:g} in all, expected at most {_COUNT_MAX}")
+
+
+def _merged(bins: Sequence[tuple[Int64s, Int64s, Int64s]]) -> tuple[Int64s, Int64s, Int64s]:
+    """The same counts with each bin once, shape (n,)."""
+    value, width, count = (np.concatenate(columns) for columns in zip(*bins, strict=True))
+    order = np.lexsort((width, value))
+    value, width, count = value[order], width[order], count[order]
+    starts = np.flatnonzero(np.r_[True, (np.diff(value) != 0) | (np.diff(width) != 0)][: value.size])
+    return value[starts], width[starts], np.add.reduceat(count, starts) if starts.size else count
 
 
 def _figures_of(bins: Sequence[tuple[Int64s, Int64s, Int64s]], deadline_ns: int) -> dict[str, Any]:
