@@ -483,7 +483,7 @@ READERS: dict[str, Reader] = {
     "state": of_answer(lambda link: inspection.read_state(link, PurePosixPath("/state.sh")), STATE),
     "equipment": of_answer(inspection.inspect, INSPECTED, INSPECTED.replace("foreign", "program")),
     "leftovers": of_answer(
-        lambda link: resumption.inspect_leftovers(link, PurePosixPath("/runs/x"), PROGRAMS), LEFTOVERS
+        lambda link: resumption.inspect_leftovers(link, PurePosixPath("/runs/x"), PROGRAMS, []), LEFTOVERS
     ),
     "exit": of_answer(
         lambda link: processes.wait(link, PurePosixPath("/x"), "x", deadline_s=1), "0 12.00\n", "expired"

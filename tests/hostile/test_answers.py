@@ -2,12 +2,14 @@
 
 import os
 import time
+from contextlib import closing
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 
 import pytest
 
-from rtrun.execution import resumption
+from rtfiles.errors import UsageError
+from rtrun.execution import journal, resumption
 from rtrun.target import labgrid, ros_master
 from rtrun.target.errors import TargetError
 
@@ -59,7 +61,12 @@ def test_the_process_id_of_a_master_is_a_number(monkeypatch, pid, read):
 
 
 @pytest.mark.parametrize("name", ["x" * 5000, "..", ".hidden", "a/b", "a\0b"])
-def test_a_folder_of_no_run_is_an_error_of_the_target(name):
-    link = SimpleNamespace(target=SimpleNamespace(address="board:22"), check=lambda command: f"001-run\n{name}\n")
-    with pytest.raises(TargetError, match=r"board:22: /runs/uid: .* is no name of a run"):
-        resumption.list_folders(link, PurePosixPath("/runs/uid"))
+def test_a_folder_of_no_run_is_nobodys(tmp_path, name):
+    link = SimpleNamespace(check=lambda command, stdin: f"001-run\n{name}\n")
+    assert resumption.list_folders(link, PurePosixPath("/runs/uid"), ["000-run", "001-run"]) == ["001-run"]
+    with closing(journal.open_journal(tmp_path, "test", "2:plan", "board")) as log:
+        log.note("now", "001-run", "starting")
+        assert log.begun() == {"001-run"}
+        log.note("now", name, "starting")
+        with pytest.raises(UsageError, match="is no name of a run: the journal is damaged"):
+            log.begun()

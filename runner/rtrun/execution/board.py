@@ -81,12 +81,13 @@ def measure_rounds(
         check_restart(link.target, kernels)
     numbers = {run.name: number for number, run in enumerate(session.runs)}
     remote = link.target.work_dir / "runs" / session.log.uid
-    with (
-        link,
-        _PreparedTarget(link, session.log.uid, session.needed, session.variants, observer.note) as prepared,
-    ):
+
+    def may_run_go_on() -> bool:
+        return resumption.may_run_go_on(link, remote, session.log.begun())
+
+    with link, _PreparedTarget(link, session, may_run_go_on, observer.note) as prepared:
         # Runs that an earlier call left on the board come first: two runs at once would disturb each other.
-        begun = frozenset(resumption.list_folders(link, remote))
+        begun = frozenset(resumption.list_folders(link, remote, session.log.begun()))
         foreign = {name for name in begun if _is_foreign(session, name, link.target.name)}
         for name in foreign:
             processes.give_up(link, remote / name)
@@ -140,9 +141,7 @@ def _measure(
         life = RunLife(lambda state, reason: session.log.note(session.now().isoformat(), run.name, state, reason))
         try:
             ready = prepared.get(run.kernel).for_run(run)
-            runs = ready.link.target.work_dir / "runs" / session.log.uid
-            may_run_go_on = functools.partial(resumption.may_run_go_on, ready.link, runs)
-            with tracing(ready.link, ready.scripts, run.parameters, may_run_go_on):
+            with tracing(ready.link, ready.scripts, run.parameters, prepared.may_run_go_on):
                 return run_execution.measure(
                     ready, session.log.uid, session.campaign, run, folder, life, session.now, may_be_begun=may_be_begun
                 )
@@ -162,15 +161,14 @@ class _PreparedTarget:
     """The target, prepared when it is asked for, and anew when it was restarted since."""
 
     def __init__(
-        self,
-        link: Link,
-        owner: str,
-        runs: Sequence[Run],
-        variants: Mapping[str, Variant],
-        notify: Callable[[str], None],
+        self, link: Link, session: Session, may_run_go_on: Callable[[], bool], notify: Callable[[str], None]
     ) -> None:
         self._link, self._notify = link, notify
-        self._prepare = functools.partial(preparation.prepared, link, owner, runs, variants)
+        self.may_run_go_on = may_run_go_on
+        owner, runs = session.log.uid, session.needed
+        self._prepare = functools.partial(
+            preparation.prepared, link, owner, runs, may_run_go_on, variants=session.variants
+        )
         self._stack = contextlib.ExitStack()
         self._ready: preparation.Prepared | None = None
         self._kernels: dict[str, KernelName] = {}

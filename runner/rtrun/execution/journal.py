@@ -24,6 +24,8 @@ CREATE TABLE IF NOT EXISTS event (time TEXT NOT NULL, run TEXT NOT NULL, what TE
 """
 # It becomes the name of a folder that is removed on the target: a name and nothing else.
 _UID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,200}-[0-9a-f]{8}", re.ASCII)
+# So does that of a run: what a file system takes, in a line, and nothing that leads out of a folder.
+_RUN = re.compile(r"(?![.])[^/\0\n]{1,255}")
 _REMEDY = (
     "the journal is damaged: give another folder with --results, or --fresh; the runs that are there stay readable"
 )
@@ -72,6 +74,13 @@ class Journal:
             elif owner := given.get(run, sole):
                 owners[run] = owner
         return owners
+
+    def begun(self) -> set[str]:
+        """The names of the runs of which something was done, on whatever target. Raises UsageError when damaged."""
+        names = {str(name) for (name,) in self._read("SELECT DISTINCT run FROM event WHERE run != ''")}
+        if wrong := next((name for name in names if not _RUN.fullmatch(name)), None):
+            raise UsageError(f"{self.path}: {wrong[:80]!r} is no name of a run: {_REMEDY}")
+        return names
 
     def add_targets(self, names: Collection[str]) -> "Journal":
         """Record that these targets take part; return the journal that says so. Raises InfrastructureError."""

@@ -1,14 +1,12 @@
 """Prepare a target: deploy scripts and suites, check its tools, see to it that a ROS master answers."""
 
 import contextlib
-import functools
 import gzip
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from rtfiles.invocation import as_called
-from rtrun.execution import resumption
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import Run
@@ -44,9 +42,14 @@ class Prepared:
 
 @contextlib.contextmanager
 def prepared(
-    link: Link, owner: str, runs: Sequence[Run], variants: Mapping[str, Variant] | None = None
+    link: Link,
+    owner: str,
+    runs: Sequence[Run],
+    may_run_go_on: Callable[[], bool],
+    *,
+    variants: Mapping[str, Variant] | None = None,
 ) -> Iterator[Prepared]:
-    """Deploy scripts and suites, and see to it that a ROS master answers while the context lasts."""
+    """Deploy scripts and suites, and see to it that a ROS master answers while the context lasts, or a run goes on."""
     target = link.target
     equipment = inspection.inspect(link)
     for folder in filter(None, [target.suites, *(variant.suites for variant in (variants or {}).values())]):
@@ -72,7 +75,6 @@ def prepared(
                     f"name a folder of {as_called('rtgen')} suites build as suites in the target file"
                 )
     priority = _highest_priority(runs)
-    may_run_go_on = functools.partial(resumption.may_run_go_on, link, target.work_dir / "runs" / owner)
     master = ros_master.running(link, scripts, equipment, owner, priority + 1 if priority else None, may_run_go_on)
     with master as own_master:
         ready = Prepared(

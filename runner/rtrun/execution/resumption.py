@@ -5,7 +5,6 @@ of the suites at hand: what really runs is in this file.
 """
 
 import json
-import re
 import secrets
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,46 +25,50 @@ from rtrun.target.inspection import TargetState, parse_state
 from rtrun.target.link import Link
 
 FILE = "attempt.json"
-# What a file system takes, and nothing that leads out of a folder.
-_RUN_NAME = re.compile(r"(?![.])[^/\0]{1,255}")
 LIMIT_BYTES = 4 * 1024 * 1024
 # Not head -c: the busybox of a Yocto image need not have it.
 _INSPECT = """
 cd "$1" 2>/dev/null || exit 0
+bytes_max=$2
+shift 2
 [ -e given_up ] && echo given_up
-for file in *.boot_id; do
-    [ -e "$file" ] && echo "started ${file%.boot_id} $(cat "$file")"
+for name; do
+    [ -e "$name.boot_id" ] && echo "started $name $(head -n 1 "$name.boot_id")"
 done
 echo attempt
 for file in attempt.json state; do
-    [ -e "$file" ] && [ "$(wc -c <"$file")" -le "$2" ] && cat "$file"
+    [ -e "$file" ] && [ "$(wc -c <"$file")" -le "$bytes_max" ] && cat "$file"
     echo
 done
 """
-# Prints the first program that lives of any run and its process group, if that is known, and ends then. A program has
-# its lock as long as one of its processes is there.
+# Prints the first program that lives of any run and its process group, if that is known.
 _BUSY = (
     groups.OF_PROGRAM
+    + groups.LIVING
     + """
-for lock in "$1"/*/*/*.lock; do
-    [ -e "$lock" ] || continue
-    flock -n -s "$lock" true && continue
-    name=${lock%.lock}
+busy=$(living "$1" | head -n 1)
+if [ "$busy" ]; then
+    name=${busy%.lock}
     find_group || group=
     echo "$name"
     echo "$group"
     exit 0
-done
+fi
 """
 )
+# The runs to look for are its input, a name a line: others may have put a million folders beside theirs.
+_FOLDERS = """
+cd "$1" 2>/dev/null || exit 0
+while IFS= read -r name; do [ -e "$name" ] && echo "$name"; done
+exit 0
+"""
 # Prints the first run that may go on. What _KEEP_END of processes.py has kept says that the programs of a suite ended.
 _GOING_ON = """
-boot_id=$(cat /proc/sys/kernel/random/boot_id)
-for folder in "$1"/*; do
-    { [ -e "$folder/given_up" ] || [ -e "$folder/ended_early" ]; } && continue
-    for file in "$folder"/*.boot_id; do
-        [ -e "$file" ] && [ "$(cat "$file")" = "$boot_id" ] && echo "$folder" && exit
-    done
+cd "$1" 2>/dev/null || exit 0
+while IFS= read -r name; do
+    { [ ! -d "$name" ] || [ -e "$name/given_up" ] || [ -e "$name/ended_early" ]; } && continue
+    find "$name/." ! -name . -prune -name '*.boot_id' -exec cat {} + |
+        grep -qxFf /proc/sys/kernel/random/boot_id && echo "$name" && exit
 done
 exit 0
 """
@@ -121,9 +124,11 @@ class Leftovers:
         )
 
 
-def inspect_leftovers(link: Link, remote: PurePosixPath, programs: Collection[str]) -> Leftovers:
-    """Look at what an earlier call left of a run with these programs of its suite."""
-    command = ["sh", "-c", _INSPECT, "sh", str(remote), str(LIMIT_BYTES)]
+def inspect_leftovers(
+    link: Link, remote: PurePosixPath, programs: Collection[str], others: Collection[str]
+) -> Leftovers:
+    """Look at what an earlier call left of a run with these programs of its suite, and others."""
+    command = ["sh", "-c", _INSPECT, "sh", str(remote), str(LIMIT_BYTES), *programs, *others]
     head, mark, text = link.check(command).partition("attempt\n")
     words = [line.split() for line in head.splitlines()]
     boots = {word[1]: word[2] for word in words if len(word) == 3}
@@ -153,26 +158,23 @@ def _parse_attempt(text: str, origin: str, programs: Collection[str]) -> Attempt
     return attempt
 
 
-def list_folders(link: Link, runs: PurePosixPath) -> list[str]:
-    """Return the names of the runs of a campaign that an earlier call has left something of.
-
-    Raises TargetError for what cannot be the name of a run: folders of these names are removed.
-    """
-    command = ["sh", "-c", 'ls "$1" 2>/dev/null; exit 0', "sh", str(runs)]
-    names = link.check(command).splitlines()
-    for name in names:
-        if not _RUN_NAME.fullmatch(name):
-            raise TargetError(f"{link.target.address}: {runs}: {name[:80]!r} is no name of a run")
-    return names
+def list_folders(link: Link, runs: PurePosixPath, names: Collection[str]) -> list[str]:
+    """Return which of these runs of a campaign an earlier call has left something of."""
+    found = link.check(["sh", "-c", _FOLDERS, "sh", str(runs)], stdin=_lines(names)).splitlines()
+    return [name for name in names if name in set(found)]
 
 
-def may_run_go_on(link: Link, runs: PurePosixPath) -> bool:
-    """Whether a run of a campaign may go on on the target: it was started on this boot, and nobody has seen its end.
+def may_run_go_on(link: Link, runs: PurePosixPath, names: Collection[str]) -> bool:
+    """Whether one of these runs may go on on the target: it was started on this boot, and nobody has seen its end.
 
     This is asked of the target whenever something is to be ended that runs need: no error tells it, as the link may
     have broken before, while or after a run was started, and an earlier call may have left one.
     """
-    return bool(link.check(["sh", "-c", _GOING_ON, "sh", str(runs)]).strip())
+    return bool(link.check(["sh", "-c", _GOING_ON, "sh", str(runs)], stdin=_lines(names)).strip())
+
+
+def _lines(names: Collection[str]) -> str:
+    return "".join(f"{name}\n" for name in names)
 
 
 def check_idle(link: Link) -> None:

@@ -134,7 +134,8 @@ def measure(
 
 def _resume(work: _Work, life: RunLife) -> Attempt | None:
     """Return the attempt of an earlier call that can be picked up, or make room for a new one and return None."""
-    leftovers = resumption.inspect_leftovers(work.link, work.remote, work.programs.suite_names)
+    others = [*work.programs.load_names, *work.programs.other_names]
+    leftovers = resumption.inspect_leftovers(work.link, work.remote, work.programs.suite_names, others)
     measuring = [program.name for program in work.programs.measuring]
     if leftovers.can_be_picked_up(measuring, run_directory.closing_record(work.folder)):
         life.move(RunEvent.PICK_UP)

@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from rtfiles.errors import UsageError
+from rtrun.target import groups
 from rtrun.target.errors import TargetError
 
 if TYPE_CHECKING:
@@ -38,18 +39,18 @@ done
 cd ..; rm -rf "$1"; mv "$1.$3" "$1"
 """
 # Nothing while a program of any run lives: it may have been started from any of the trees.
-_PRUNE = """
+_PRUNE = (
+    groups.LIVING
+    + """
 cd "$1" || exit 1
-for lock in runs/*/*/*.lock; do
-    [ -e "$lock" ] || continue
-    flock -n -s "$lock" true || exit 0
-done
+[ -z "$(living runs)" ] || exit 0
 for kind in scripts suites; do
     ls -t "$kind" 2>/dev/null | tail -n "+$(($2 + 1))" | while read -r tree; do rm -rf "$kind/$tree"; done
 done
 # Of no tree. One of today may be that of another runner, which is about to make a tree of it.
 find objects -type f -links 1 -mtime +0 -exec rm -f {} +
 """
+)
 
 
 def deploy(link: "Link", folder: Path, kind: str) -> PurePosixPath:

@@ -29,3 +29,15 @@ is_ours() { [ "$1/fd/9" -ef "$name.lock" ]; }
 find_group() { read -r group <"$name.pid" && is_our_group "$group"; } 2>/dev/null
 """
 )
+# Programs are looked for among the processes: whatever lies in the folders of runs, those are few. /proc shows the path
+# that has no links.
+LIVING = """
+# Print the locks below a folder whose programs live, each once.
+living() {
+    below=$(cd "$1" 2>/dev/null && pwd -P) || return 0
+    LC_ALL=C ls -l /proc/[0-9]*/fd/9 2>/dev/null | while IFS= read -r line; do
+        lock=${line##* -> }
+        case $lock in "$below"/*.lock) echo "$lock" ;; esac
+    done | sort -u
+}
+"""

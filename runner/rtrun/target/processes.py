@@ -24,16 +24,19 @@ REMOVE_S = 600.0
 
 _WAIT = 'flock -s "$1.lock" true; cat "$1.exit" 2>/dev/null; [ -e "$1.expired" ] && echo expired; exit 0'
 _LIST_ENDED = 'cd "$1" && shift && for name; do if flock -n -s "$name.lock" true; then echo "$name"; fi; done'
-# Programs, with the name * all, are asked to end (SIGTERM), and killed when their time is up: $2, pauses in seconds.
+# Programs, with the name * all that live, are asked to end (SIGTERM), and killed when their time is up: $2, pauses in
+# seconds.
 _END = (
     groups.OF_PROGRAM
+    + groups.LIVING
     + """
 cd "$1" 2>/dev/null || exit 0
 pauses=$2
 shift 2
 if [ "$*" = "*" ]; then
-    set --
-    for lock in *.lock; do [ ! -e "$lock" ] || set -- "$@" "${lock%.lock}"; done
+    # Their names have no blanks.
+    # shellcheck disable=SC2046
+    set -- $(living . | sed 's,.*/,,; s,[.]lock$,,')
 fi
 boot_id=$(cat /proc/sys/kernel/random/boot_id)
 running=

@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from rtrun.execution import resumption
+from rtrun.plan.program import Program
+from rtrun.target import deploy, processes
 from rtrun.target.connection import Connection
 from rtrun.target.errors import TargetError
 
@@ -43,7 +45,7 @@ def begin(link, folder):
 
 @pytest.fixture
 def inspect(link, folder):
-    return lambda: resumption.inspect_leftovers(link, PurePosixPath(folder), ["suite"])
+    return lambda: resumption.inspect_leftovers(link, PurePosixPath(folder), ["suite"], ["sampler", "load"])
 
 
 def test_nothing_is_left(inspect):
@@ -86,6 +88,29 @@ def test_an_attempt_larger_than_believable_is_not_read(begin, inspect, monkeypat
     begin("suite")
     monkeypatch.setattr(resumption, "LIMIT_BYTES", 100)
     assert inspect().attempt is None
+
+
+def test_what_lies_beside_it_is_not_read(begin, inspect, link, folder):
+    """Of a million folders and files the names alone would be more than a command may print."""
+    begin()
+    name = "x" * 240
+    for number in range(40_000):
+        (folder.parent / f"{name}{number}").mkdir()
+        (folder / f"{name}{number}.lock").touch()
+    campaign, remote = PurePosixPath(folder.parent), PurePosixPath(folder)
+    assert not resumption.may_run_go_on(link, campaign, ["gone", "run"])
+    suite = Program(name="suite", argv=("sleep", "300"), deadline_s=300)
+    processes.start(link, PurePosixPath(deploy.ON_TARGET), remote, suite)
+    for number in range(40_000):
+        (folder / f"{name}{number}.boot_id").write_text("another\n")
+    assert resumption.list_folders(link, campaign, ["gone", "run"]) == ["run"]
+    assert resumption.may_run_go_on(link, campaign, ["gone", "run"])
+    assert inspect().can_be_picked_up(["suite"], None)
+    with pytest.raises(TargetError, match=f"another run is still going on: {folder}/suite; .* kill -- -[0-9]+"):
+        resumption.check_idle(link)
+    processes.give_up(link, remote)
+    resumption.check_idle(link)
+    assert not folder.exists()
 
 
 def test_half_an_attempt_is_none(begin, folder, monkeypatch):

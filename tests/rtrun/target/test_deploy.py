@@ -1,13 +1,13 @@
 """Deploying by content to a target behind a real sshd."""
 
-import fcntl
 import os
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import pytest
 
 from rtfiles.errors import UsageError
-from rtrun.target import deploy
+from rtrun.plan.program import Program
+from rtrun.target import deploy, processes
 from rtrun.target.connection import Connection
 from rtrun.target.errors import TargetError
 
@@ -109,12 +109,14 @@ def test_trees_that_nobody_uses_are_removed_and_their_objects_a_day_later(link, 
     # To use a tree again makes it the newest.
     (tree / "data").write_text("0")
     deploy.deploy(link, tree, "suites")
-    running = Path(target.work_dir / "runs/uid/run")
-    running.mkdir(parents=True)
-    with (running / "x.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        deploy.prune(link, 1)
-        assert all(path.is_dir() for path in there), "a run is going on, of whichever of them"
+    running = target.work_dir / "runs/uid/run"
+    Path(running).mkdir(parents=True)
+    processes.start(
+        link, PurePosixPath(deploy.ON_TARGET), running, Program(name="x", argv=("sleep", "300"), deadline_s=300)
+    )
+    deploy.prune(link, 1)
+    assert all(path.is_dir() for path in there), "a run is going on, of whichever of them"
+    processes.end(link, running, "x")
     deploy.prune(link, 1)
     assert [path.is_dir() for path in there] == [True, False, False, True, True]
     objects = Path(target.work_dir / "objects")
