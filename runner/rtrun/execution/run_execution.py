@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 from rtfiles.errors import InfrastructureError
@@ -69,8 +70,8 @@ class _Work:
 class _End:
     """How a run ended on the target."""
 
-    not_started: str | None
-    """Why the measuring programs were not started, if so."""
+    failure: str | None
+    """Why the measuring programs were not started, or were ended, if so."""
     exits: Sequence[Exit]
     ended_early: Mapping[str, str]
     """Background programs that ended before the suite, name to exit status."""
@@ -112,7 +113,7 @@ def measure(
         attempt, not_started = (_resume(work, life) if may_be_begun else None), None
         if attempt is None:
             attempt, not_started = _start(work, life, now)
-        exits, master_pid = _wait(work, life)
+        exits, ended, master_pid = _wait(work, life)
     except (KeyboardInterrupt, InfrastructureError) as error:
         if must_give_up(life.state, error):
             with contextlib.suppress(TargetError):
@@ -121,7 +122,7 @@ def measure(
         elif life.state is RunState.MEASURING and not isinstance(error, OUT_OF_REACH):
             raise TargetError(f"{error}; the run goes on and is picked up by the next call") from error
         raise
-    end = _end_background(work, exits, master_pid, not_started)
+    end = _end_background(work, exits, master_pid, not_started or ended)
     with run_directory.filling(folder) as partial:
         refused = _download(work, partial, attempt, end)
         verdict = _judge(work, partial, attempt, end, refused)
@@ -220,24 +221,39 @@ def _start_suite(work: _Work) -> str | None:
     if ended := processes.list_ended(link, work.remote, names):
         # The run has failed. What publishes would not notice, and take as long as if all were there.
         processes.end(link, work.remote, *names)
-        last_line = processes.read_last_line(link, work.remote / f"{ended[0]}.stderr") or "it said nothing"
-        return f"{ended[0]} ended before {measuring[0].name} was started: {last_line}"
+        return f"{ended[0]} ended before {measuring[0].name} was started: {_last_word(work, ended[0])}"
     processes.start(link, scripts, work.remote, *measuring, setup=setup)
     return None
 
 
-def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str]:
-    """Wait for the programs of the suite; return how they ended, and the process id of the ROS master then."""
-    exits = [
-        processes.wait(work.link, work.remote, program.name, deadline_s=program.deadline_s + END_GRACE_S)
-        for program in work.programs.of_suite
-    ]
-    master_pid = str(ros_master.ask_pid(work.link))
+def _last_word(work: _Work, name: str) -> str:
+    return processes.read_last_line(work.link, work.remote / f"{name}.stderr") or "it said nothing"
+
+
+def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str | None, str]:
+    """Wait for the programs of the suite.
+
+    Return how they ended, why they were ended, if so, and the process id of the ROS master then.
+    """
+    link, failure = work.link, None
+    subscribers = [program.name for program in work.programs.subscribers]
+    exits = []
+    for program in work.programs.of_suite:
+        needed = [] if failure or program.name in subscribers else subscribers
+        wait = partial(processes.wait, link, work.remote, program.name, deadline_s=program.deadline_s + END_GRACE_S)
+        try:
+            exits.append(wait(needed=needed))
+        except processes.NeededFailed as error:
+            # As when it fails before: what publishes would go on for as long as if it were there.
+            failure = f"{error.name} ended while {program.name} was running: {_last_word(work, error.name)}"
+            processes.end(link, work.remote, *work.programs.suite_names)
+            exits.append(wait())
+    master_pid = str(ros_master.ask_pid(link))
     life.move(RunEvent.END)
-    return exits, master_pid
+    return exits, failure, master_pid
 
 
-def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str, not_started: str | None) -> _End:
+def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str, failure: str | None) -> _End:
     limits = work.programs.file_limits
     ended = processes.end_background(
         work.link,
@@ -253,7 +269,7 @@ def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str, not_sta
     if files.total > FILES_USUAL:
         work.link.note(f"{work.remote}: has {files.total} files; those that are not of the run are removed with it")
     return _End(
-        not_started=not_started,
+        failure=failure,
         exits=exits,
         ended_early=ended.early,
         master_pid=ended.master_pid,
@@ -288,8 +304,8 @@ def _judge(work: _Work, partial: Path, attempt: Attempt, end: _End, refused: Map
         ended_early=end.ended_early,
         is_timed=work.prepared.platform.platform is not Platform.EMULATED,
     )
-    if end.not_started:
-        return replace(verdict, status=RunStatus.FAILED, reason=end.not_started)
+    if end.failure:
+        return replace(verdict, status=RunStatus.FAILED, reason=end.failure)
     if end.master_pid != str(attempt.master_pid):
         reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
         return replace(verdict, status=RunStatus.FAILED, reason=reason)

@@ -22,7 +22,23 @@ END_BACKGROUND_S = 120.0
 # To remove a folder with some million files from an SD card.
 REMOVE_S = 600.0
 
-_WAIT = 'flock -s "$1.lock" true; cat "$1.exit" 2>/dev/null; [ -e "$1.expired" ] && echo expired; exit 0'
+# Before it waits it looks whether one of the programs that this one works for, $3 and so on, has failed meanwhile.
+_WAIT = """
+cd "$1" || exit 1
+program=$2
+shift 2
+for name; do
+    flock -n -s "$program.lock" true && break
+    flock -n -s "$name.lock" true || continue
+    status=
+    [ ! -e "$name.exit" ] || read -r status _ <"$name.exit"
+    [ "$status" = 0 ] || { echo "failed $name"; exit 0; }
+done
+flock -s "$program.lock" true
+cat "$program.exit" 2>/dev/null
+[ -e "$program.expired" ] && echo expired
+exit 0
+"""
 _LIST_ENDED = 'cd "$1" && shift && for name; do if flock -n -s "$name.lock" true; then echo "$name"; fi; done'
 # Programs, with the name * all that live, are asked to end (SIGTERM), and killed when their time is up: $2, pauses in
 # seconds.
@@ -119,6 +135,14 @@ class Ended:
     """Of the commands that followed."""
 
 
+class NeededFailed(Exception):
+    """A program that another one works for has failed; `name` says which."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.name = name
+
+
 def start(
     link: Link, scripts: PurePosixPath, folder: PurePosixPath, *programs: Program, setup: str | None = None
 ) -> None:
@@ -132,13 +156,14 @@ def start(
     link.check(join_commands(commands))
 
 
-def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> Exit:
+def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float, needed: Sequence[str] = ()) -> Exit:
     """Wait for the end of a program. The wait blocks on a file lock, so it costs the target no CPU time.
 
-    Raises DeadlineExpired when it has not ended in time, TargetGone and TargetRebooted.
+    Raises NeededFailed when one of the `needed` programs fails while it runs, which is seen WAIT_S later at most;
+    DeadlineExpired when it has not ended in time, TargetGone and TargetRebooted.
     """
     deadline = time.monotonic() + deadline_s
-    command = ["sh", "-c", _WAIT, "sh", str(folder / name)]
+    command = ["sh", "-c", _WAIT, "sh", str(folder), name, *needed]
     while True:
         slice_s = min(WAIT_S, max(SLICE_S, deadline - time.monotonic()))
         try:
@@ -149,6 +174,8 @@ def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> 
             if time.monotonic() >= deadline:
                 raise
             continue
+        if words[:1] == ["failed"] and words[1:] and words[1] in needed:
+            raise NeededFailed(words[1])
         return Exit(status=_exit_status(words[0]) if words else None, expired="expired" in words)
 
 

@@ -137,18 +137,29 @@ def test_what_the_target_should_have_ended_is_given_up(target, wishes, interrupt
     assert not list(Path(target.work_dir).glob("runs/*/*"))
 
 
-def test_a_publisher_is_not_started_when_its_subscriber_has_ended(target, tmp_path, suites_folder, wishes, measure):
-    folder, started = suites_folder / "lib/communication_tests", tmp_path / "started"
+@pytest.mark.parametrize("before", [True, False])
+def test_a_publisher_does_not_go_on_without_its_subscriber(
+    target, tmp_path, suites_folder, wishes, measure, monkeypatch, before
+):
+    folder, started, ended = suites_folder / "lib/communication_tests", tmp_path / "started", tmp_path / "ended"
     folder.mkdir()
-    for name, does in (("publisher", f"touch {started}; sleep 2"), ("subscriber", "echo no memory >&2; exit 1")):
+    awaits = "" if before else f"until [ -e {started} ]; do sleep 0.1; done; "
+    for name, does in (
+        ("publisher", f"touch {started}; sleep 20; touch {ended}"),
+        ("subscriber", f"{awaits}echo no memory >&2; exit 1"),
+    ):
         (folder / f"communication_tests_{name}").write_text(f"#!/bin/sh\n{does}\n")
         (folder / f"communication_tests_{name}").chmod(0o755)
+    if not before:
+        monkeypatch.setattr(run_execution.ros_master, "count_subscribers", lambda *_: 1)
+        monkeypatch.setattr(run_execution.processes, "WAIT_S", 1.0)
     entries = [{"suite": "communication_tests", "repetitions": 10}, {"suite": "cyclic_timer_tests", "repetitions": 10}]
     runs = plan(Campaign(schema=1, name="test", runs=entries), "test")
     assert measure(target, runs) == ["failed", "ok"]
-    reason = "communication_tests_subscriber ended before communication_tests_publisher was started: no memory"
+    when, what = ("before", "was started") if before else ("while", "was running")
+    reason = f"communication_tests_subscriber ended {when} communication_tests_publisher {what}: no memory"
     assert record(tmp_path / "results", runs[0])["reason"] == reason
-    assert not started.exists()
+    assert started.exists() is not before and not ended.exists()
 
 
 def test_before_the_suite_was_started(target, tmp_path, wishes, measure, interrupt):
