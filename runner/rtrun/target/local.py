@@ -36,8 +36,10 @@ class LocalShell:
         """As `Shell.execute`."""
         deadline = time.monotonic() + deadline_s
         stderr = Collector(OUTPUT_BYTES_MAX)
-        process = self._start(argv)
+        with _interrupt_held() as release:
+            process = self._start(argv)
         try:
+            release()
             _exchange(process, stdin, take, stderr, deadline)
             process.wait(max(0.0, deadline - time.monotonic()))
         except BaseException as error:
@@ -86,6 +88,31 @@ class LocalShell:
                 yield stream
             finally:
                 deadline.cancel()
+
+
+@contextlib.contextmanager
+def _interrupt_held() -> Iterator[Callable[[], None]]:
+    """Hold Ctrl-C back until the function that it yields is called: within Popen nobody knows yet what was started.
+
+    To block the signal would not do: another thread takes it then, or what is started has it blocked.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        # Python lets the main thread alone handle signals.
+        yield lambda: None
+        return
+    held: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: held.append(number))
+
+    def release() -> None:
+        signal.signal(signal.SIGINT, before)
+        if held:
+            signal.raise_signal(signal.SIGINT)
+
+    try:
+        yield release
+    except BaseException:
+        release()
+        raise
 
 
 def environment() -> dict[str, str]:

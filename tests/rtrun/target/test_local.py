@@ -81,6 +81,22 @@ def test_ctrl_c_ends_the_command_and_does_not_reach_it(connection, tmp_path):
     wait_for_end(pids.read_text().split())
 
 
+def test_ctrl_c_while_a_command_is_started_ends_it(connection, tmp_path, monkeypatch):
+    started = []
+    real = subprocess.Popen
+
+    def interrupted(*words, **more):
+        started.append(real(*words, **more))
+        signal.raise_signal(signal.SIGINT)
+        return started[0]
+
+    monkeypatch.setattr(subprocess, "Popen", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        connection.run(["sleep", "300"])
+    assert started[0].returncode == -signal.SIGKILL
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 def test_files_both_ways(connection, tmp_path):
     (tmp_path / "up").write_bytes(bytes(range(256)) * 8192)
     connection.upload(tmp_path / "up", PurePosixPath(tmp_path / "there"))
