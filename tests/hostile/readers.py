@@ -383,7 +383,9 @@ COMMANDS = (
     ["compare", RUN, RUN], ["claims", RUN], ["claims", "--json", RUN],
     *(["report", RUN, "--output", "-", "--format", form]
       for form in ("html", "markdown", "json", "junit", "lava", "csv", "parquet")),
-    ["archive", "add", RUN, "--to", ARCHIVE := "{beside}.archive", "--samples"], ["history", ARCHIVE],
+    ["archive", "add", RUN, "--to", ARCHIVE := "{beside}.archive", "--samples", "--commit", "c1"], ["history", ARCHIVE],
+    ["trends", ARCHIVE], ["bisect", ARCHIVE, "--order", "{beside}.order"],
+    ["site", ARCHIVE, "--out", "{beside}.site"],
 )  # fmt: skip
 
 
@@ -392,13 +394,16 @@ def _commands(folder: Path) -> None:
 
     Where the results can be shown, every other command is called, too.
     """
-    beside = folder.with_name("beside")
+    beside, order = folder.with_name("beside"), folder.with_name("beside.order")
+    order.write_text("c0\nc1\nc2\n")
     for argv in COMMANDS:
         words = [word.format(run=folder, beside=beside) for word in argv]
         if _status(words) != 0 and argv is COMMANDS[0]:
             break
     beside.unlink(missing_ok=True)
-    shutil.rmtree(f"{beside}.archive", ignore_errors=True)
+    order.unlink()
+    for ending in ("archive", "site"):
+        shutil.rmtree(f"{beside}.{ending}", ignore_errors=True)
 
 
 def _status(argv: list[str]) -> int:
