@@ -94,7 +94,7 @@ if wish == "digits":
     path.write_text(path.read_text().replace('"schema": 1', '"schema": ' + "1" * 6000))
 if wish == "surrogate":
     path.write_text(path.read_text().replace("0.1.0", chr(92) + "ud800"))
-if wish == "full":
+if wish.startswith("full"):
     while "end " not in Path("sampler.stdout").read_text():
         time.sleep(0.05)
     sys.stdout.flush()
@@ -104,6 +104,11 @@ if wish == "full":
                 ballast.write(bytes(4096))
         except OSError:
             pass
+if wish == "full for long":
+    for _ in range(300):
+        if not Path("sampler.exit").exists():
+            time.sleep(0.1)
+    os.unlink("ballast")
 if wish == "busy":
     Path("mounted").mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "tmpfs", "mounted"], check=True)

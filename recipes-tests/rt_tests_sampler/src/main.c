@@ -27,6 +27,7 @@
 #include <unistd.h>
 
 enum {
+  LOST_MAX = 5, /* observations in a row that a full disk may cost: what happens in that time nobody sees */
   FIRST_PAUSE_S = 1,
   PAUSE_S = 2,
   FILES_AGE_MAX = 30,
@@ -583,6 +584,8 @@ static void observe(DIR *folder, DIR *processes) {
   static struct text states[2], busy, out;
   /* Which of the two is of the observation that was printed last. */
   static unsigned last_counts, last_state;
+  /* Observations that found no room, one after the other. */
+  static unsigned lost;
   struct counts *const now = &counts[!last_counts];
   struct text *const state = &states[!last_state], *const before = &states[last_state];
 
@@ -613,6 +616,10 @@ static void observe(DIR *folder, DIR *processes) {
   if (print(&out)) {
     last_counts = !last_counts;
     last_state = has_changed ? !last_state : last_state;
+    lost = 0;
+  } else if (++lost == LOST_MAX) {
+    /* The runner knows it by that: on a full disk no word has room. */
+    exit(ENOSPC);
   }
 }
 

@@ -10,13 +10,12 @@ from rtrun.plan import conditions, suites
 from rtrun.plan.program import Program
 from rtrun.plan.run import Run
 from rtrun.target.kernel_trace import OPTIONS as TRACE_OPTIONS
-from rtrun.validity.observations import SAMPLER_OUTPUT, output_bytes_max
+from rtrun.validity.observations import SAMPLER, SAMPLER_OUTPUT, output_bytes_max
 
 SUBSCRIBER = "ct_subscriber"
 # A suite that needs longer than this for the time it should take hangs.
 DEADLINE_FACTOR = 5
 DEADLINE_EXTRA_S = 120.0
-SAMPLER = "sampler"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,12 +17,15 @@
 #   rival TID POLICY PRIORITY NAME                    every other thread of its priority or above; one at SCHED_DEADLINE
 #                                                     (policy 6) has RUNTIME_NS/PERIOD_NS, or -, in place of a priority
 #   governor NAME,..    sched_rt_runtime_us NUMBER
+# Ends with the number of ENOSPC where the disk is full: what is printed after a gap would tell something else.
 set -u
 cd "$1" || exit 1
 folder=$(pwd) priority=$2 loads=" $3 "
 trap 'exit 0' TERM
 # Not every busybox has nice or renice; chrt every target has.
 renice -n 19 -p $$ >/dev/null 2>&1 || chrt --idle -p 0 $$
+
+say() { printf '%s\n' "$@" || exit 28; }
 
 joined() {
     joined=$(cat "$@" 2>/dev/null | tr '\n' ',')
@@ -129,8 +132,7 @@ while :; do
     frequency=$(joined /sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_cur_freq)
     counts=$(count "$counted")
     counted=${counts%%"$newline"*}
-    echo "at $uptime $load $temperature $frequency $busy"
-    echo "${counts#*"$newline"}"
+    say "at $uptime $load $temperature $frequency $busy" "${counts#*"$newline"}"
     listed=$(threads)
     # The CPUs of one process of each load are enough: its other processes inherit them.
     # Names may hold backslashes, which echo would read.
@@ -146,8 +148,7 @@ while :; do
         echo "sched_rt_runtime_us $(joined /proc/sys/kernel/sched_rt_runtime_us)")
     if [ "$now" != "$before" ]; then
         read -r until _ </proc/uptime
-        printf '%s\n' "$now"
-        echo "end $until"
+        say "$now" "end $until"
         before=$now
     fi
 done

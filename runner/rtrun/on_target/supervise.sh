@@ -23,9 +23,12 @@ if [ "${RTRUN_INSIDE:-}" != 1 ]; then
     done
     # The program may have run and ended while this waited for the lock. In a folder that was given up nothing starts.
     { [ -e "$name.boot_id" ] || [ -e given_up ]; } && exit 0
-    # Room for the exit status: a run that is whole must not be lost to a disk that is full when it ends.
-    printf '%40s\n' '' >"$name.exit.new" ||
-        { echo "no room for the exit status of $name: is the disk full (df -h)?" >&2; exit 1; }
+    # Room for its process id, without which nobody can end it, and for the exit status: a run that is whole must not be
+    # lost to a disk that is full when it ends.
+    for file in pid exit; do
+        printf '%40s\n' '' >"$name.$file.new" ||
+            { echo "no room for the $file file of $name: is the disk full (df -h)?" >&2; exit 1; }
+    done
     cat /proc/sys/kernel/random/boot_id >"$name.boot_id.new" && mv "$name.boot_id.new" "$name.boot_id" || exit 1
     # After a power cut the runner must see that this run was cut off.
     sync "$name.boot_id" .
@@ -38,8 +41,9 @@ fi
 deadline_s=$3 setup=$4
 shift 4
 unset RTRUN_INSIDE RTRUN_COMMAND
-# Only now is this process the leader of its session, so that its pid names the process group.
-echo $$ >"$name.pid"
+# Only now is this process the leader of its session, so that its pid names the process group. It is written over the
+# blanks: more room there may not be.
+echo $$ 1<>"$name.pid.new" && mv "$name.pid.new" "$name.pid"
 if [ -n "$setup" ]; then
     set +u
     # shellcheck disable=SC1090
@@ -78,5 +82,4 @@ status=$?
 send TERM $watchdog
 read -r uptime _ </proc/uptime
 { echo "== after"; "${0%/*}/cgroups.sh"; } >>"$name.cgroups" 2>/dev/null
-# Over the blanks that were written for it: more room there may not be.
 echo "$status $uptime" 1<>"$name.exit.new" && mv "$name.exit.new" "$name.exit"

@@ -27,7 +27,10 @@ from rtrun.results.record import Observed, Rival
 from rtrun.results.samples import NON_MEASURING_THREADS
 from rtrun.target.inspection import POLICIES
 
-SAMPLER_OUTPUT = "sampler.stdout"
+SAMPLER = "sampler"
+SAMPLER_OUTPUT = f"{SAMPLER}.stdout"
+# Its exit status where the disk of the target is full: the number of ENOSPC.
+DISK_FULL = "28"
 REPORTED_RIVALS = 32
 # The time between two observations.
 APART_S = 2.0

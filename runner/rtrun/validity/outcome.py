@@ -17,6 +17,8 @@ from rtrun.results.samples import Record, SenderRecord, read_samples
 from rtrun.validity import baselines, requirements
 from rtrun.validity.counts import find_count_mismatch
 from rtrun.validity.observations import (
+    DISK_FULL,
+    SAMPLER,
     SAMPLER_OUTPUT,
     Observation,
     observations_of,
@@ -75,8 +77,12 @@ def judge(
         wrong = requirements.find_violation(run, background, observations, records)
     except UsageError as error:
         wrong = str(error)
+    cut = refused.get(SAMPLER_OUTPUT)
+    if ended_early.get(SAMPLER) == DISK_FULL:
+        cut = "the disk of the target was full (df -h)"
+        ended_early = {name: exit_status for name, exit_status in ended_early.items() if name != SAMPLER}
     # What is seen to be wrong in the part that was taken comes first; that nobody saw anything says too little.
-    if (cut := refused.get(SAMPLER_OUTPUT)) and (wrong is None or not while_measuring(observations)):
+    if cut and (wrong is None or not while_measuring(observations)):
         wrong = f"nobody saw what was in effect to the end: {cut}"
     if status in (RunStatus.OK, RunStatus.INCOMPLETE):
         if ended_early:

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -284,6 +285,29 @@ def test_a_disk_of_the_target_that_is_full_when_the_suite_ends(target, tmp_path,
     target = replace(target, work_dir=PurePosixPath(small_disk))
     wishes.will("full")
     assert list(measure(target, runs_of(1), tmp_path / "results", watching).values()) == ["ok"], watching.ends
+
+
+@pytest.mark.parametrize("sampler", ["script", "program"])
+def test_a_disk_of_the_target_that_is_full_while_the_suite_runs(
+    request, target, tmp_path, watching, wishes, small_disk, sampler
+):
+    if sampler == "program":
+        folder = Path(target.suites) / "lib/rt_tests_sampler"
+        folder.mkdir()
+        shutil.copy(request.getfixturevalue("sampler_program"), folder)
+    # Of small blocks: in one of a tmpfs many observations have room.
+    subprocess.run(["umount", small_disk], check=True)
+    (tmp_path / "image").write_bytes(bytes(2**20))
+    subprocess.run(["mkfs.ext2", "-q", "-b", "1024", "-m", "0", "-N", "128", tmp_path / "image"], check=True)
+    subprocess.run(["mount", "-o", "loop", tmp_path / "image", small_disk], check=True)
+    (small_disk / "lost+found").rmdir()
+    wishes.will("full for long")
+    runs = runs_of(1)
+    measure(replace(target, work_dir=PurePosixPath(small_disk)), runs, tmp_path / "results", watching)
+    written = record(tmp_path / "results", runs[0])
+    reason = "nobody saw what was in effect to the end: the disk of the target was full (df -h)"
+    assert (written["status"], written["reason"]) == ("invalid", reason)
+    assert written["in_effect"]["looks"] > 0
 
 
 def test_a_full_disk_here(target, tmp_path, watching, wishes, small_disk):

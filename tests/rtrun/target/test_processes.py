@@ -68,6 +68,22 @@ def test_it_is_in_a_session_of_its_own(link, scripts, folder):
     assert group == session == (folder / "p.pid").read_text().strip()
 
 
+def test_what_has_no_room_for_its_files_is_not_started(link, scripts, folder):
+    """Nobody could end it."""
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", folder], check=True)
+    try:
+        (folder / "ballast").write_bytes(bytes(2 * 4096))
+        with pytest.raises(TargetError, match=r"No space left|is the disk full"):
+            processes.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
+        assert not (folder / "p.pid").exists()
+        (folder / "ballast").unlink()
+        processes.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
+        processes.end(link, PurePosixPath(folder), "p")
+        assert processes.list_ended(link, PurePosixPath(folder), ["p"]) == ["p"]
+    finally:
+        subprocess.run(["umount", "-l", folder], check=True)
+
+
 def test_starting_again_starts_nothing(link, scripts, folder):
     program = sh(f"echo once >>{folder}/count; sleep 0.3")
     processes.start(link, scripts, PurePosixPath(folder), program)
