@@ -3,7 +3,15 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from rtrun.analysis.intervals import clopper_pearson
+
 END = "<!-- to here -->"
+
+
+def share_text(events: int, draws: int) -> str:
+    """A share in percent, with its 95 % interval (Clopper & Pearson 1934)."""
+    low, high = clopper_pearson(events, draws, 0.95)
+    return f"{100 * events / draws:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
 def write_rows(page: Path, begin: str, head: str, rows: Iterable[str], order: Sequence[str] = ()) -> None:

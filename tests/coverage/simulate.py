@@ -6,7 +6,6 @@ All processors share the work. The numbers do not depend on how many there are: 
 """
 
 import argparse
-import math
 import os
 import sys
 import time
@@ -15,7 +14,7 @@ from pathlib import Path
 
 from rows import ROWS, SEED, Row, percent
 
-from docs_table import write_rows
+from docs_table import share_text, write_rows
 
 DOCS = Path(__file__).parents[2] / "docs" / "analysis.md"
 BEGIN = "<!-- make coverage writes from here -->"
@@ -25,12 +24,12 @@ HEAD = """\
 _PART = 100  # draws that one processor makes at a time
 
 
-def line(row: Row, share: float, counted: int) -> str:
+def line(row: Row, events: int, counted: int) -> str:
     """The row's line of the table."""
     at_least = f"at least {row.at_least:g} %" if row.at_least else "-"
     bound = f"at most {row.at_most:g} %" if row.at_most < 100 else at_least
     before = f"{row.reported} %" if row.reported else ""
-    return f"| {row.name} | {row.event} | {before} | {share:.1f} % | {bound} | {counted} |"
+    return f"| {row.name} | {row.event} | {before} | {share_text(events, max(1, counted))} | {bound} | {counted} |"
 
 
 def draw(row: int, draws: int, part: int) -> tuple[int, int]:
@@ -42,7 +41,7 @@ def write(lines: list[str], minutes: float) -> None:
     """Replace the table of docs/analysis.md."""
     made = (
         f"Seed {SEED} for each row, confidence 95 %; made in {minutes:.0f} minutes on {os.cpu_count()} cores.\n"
-        f"A share of 5 % in 2000 draws has a standard error of {100 * math.sqrt(0.05 * 0.95 / 2000):.1f} %."
+        "Shares have their 95 % intervals; a row does not hold where the share itself is beyond what is allowed."
     )
     write_rows(DOCS, BEGIN, f"{made}\n\n{HEAD}", lines)
 
@@ -68,7 +67,7 @@ def main() -> int:
             share = percent(events, counted)
             holds = ROWS[place].holds(share)
             failed += not holds
-            lines.append(line(ROWS[place], share, counted))
+            lines.append(line(ROWS[place], events, counted))
             taken = time.monotonic() - start
             print(f"{'ok    ' if holds else 'FAILED'} {lines[-1]} after {taken:.0f} s", flush=True)
     if not args.only:

@@ -1,6 +1,7 @@
 """Alarms of gates against history, in short: `make coverage` simulates whole years (tests/coverage/years.py)."""
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ sys.path.append(str(Path(__file__).parent))
 import years
 
 LEVEL = 0.01
+LEVEL_OF_A_YEAR = history.level_of_test(years.FALSE_ALARMS, 1)
 DRAWS = 1500
 AT_MOST = 2.0  # percent: 1 %, and four standard errors
 
@@ -24,7 +26,7 @@ def percent_of_alarms(boots, unit):
     for _ in range(DRAWS):
         runs, units = years.days(rng, boots, 43)
         old, new = (means_of_units(runs[part], unit(units[part])) for part in (slice(80), slice(80, None)))
-        alarms += history.compare_figure(old, new, margin=0.0, level=LEVEL).worse
+        alarms += history.compare_figure(old, new, margin=0.0, level=LEVEL).exceeds
     return 100 * alarms / DRAWS
 
 
@@ -113,4 +115,52 @@ def test_runs_of_a_boot_taken_for_boots_show_changes_that_are_none():
 def test_power():
     rng = np.random.default_rng(20140715)
     assert sum(years.worse_build_fails(rng, shift=25, boots=1) for _ in range(40)) >= 36
+    assert sum(years.build_that_misses_fails(rng, mean=3, times=40, word=years.Word.WORSE) for _ in range(40)) >= 34
     assert sum(years.change_found(rng, shift=6) for _ in range(40)) >= 36
+
+
+def slow_boot(rng):
+    """A month of boots, of which one in 50 is slower by 30 %; the first boot of the build is."""
+    kind = partial(years.rare_bad, one_in=50, slower=30)
+    old = means_of_units(*years.days(rng, years.normal, 30))
+
+    def another():
+        return means_of_units(*years.days(rng, kind, 1))[0]
+
+    def compare(build):
+        return history.compare_figure(old, np.array(build), margin=0.0, level=LEVEL_OF_A_YEAR)
+
+    return [130.0], another, compare
+
+
+def burst_of_misses(rng):
+    """A month of boots, of which one in 40 has a burst of 20 misses; the first boot of the build has."""
+    old = years.misses_in_bursts(rng, 0.5, 30, length=20)
+
+    def another():
+        return years.misses_in_bursts(rng, 0.5, 1, length=20)[0]
+
+    def compare(build):
+        return history.compare_misses(old, build, level=LEVEL_OF_A_YEAR)
+
+    return [(years.MEASUREMENTS, 20)], another, compare
+
+
+@pytest.mark.parametrize("kind", [slow_boot, burst_of_misses])
+@pytest.mark.parametrize("asks", [True, False])
+def test_one_bad_boot_makes_no_build_worse(monkeypatch, kind, asks):
+    """Of two bad boots in a year with such a chance each the promised 5 % are left; without asking, all count."""
+    if not asks:
+        monkeypatch.setattr(history.Against, "worse", property(lambda against: against.exceeds))
+    rng = np.random.default_rng(20140715)
+    share = sum(years.is_said(years.Word.WORSE, *kind(rng)) for _ in range(200)) / 200
+    assert share <= 0.025 + 0.025 if asks else share > 0.25
+
+
+@pytest.mark.parametrize("noticed", [
+    partial(years.slower_is_noticed, boots=years.normal),
+    partial(years.misses_are_noticed, mean=1),
+], ids=["slower", "misses"])  # fmt: skip
+def test_what_is_said_to_be_noticed_is(noticed):
+    rng = np.random.default_rng(20140715)
+    assert sum(noticed(rng) for _ in range(100)) >= 84  # 90 %, and two standard errors

@@ -9,11 +9,19 @@ import numpy as np
 from rtrun.analysis.change_points import Floats, levels
 from rtrun.analysis.dependence import cluster_effect
 
+Boots = Sequence[tuple[int, int]]
+
 LEAST_BOOTS = 5  # of a history
 GATES_A_YEAR = 365
 # The margin is so many spreads of a boot at least. With less a year of gates has more false alarms than stated where
 # boots have a long upper tail or drift: a test at 1 in 7300 extrapolates from some hundred boots (docs/archive.md).
 LEAST_MARGIN = 2.0
+# One boot in many may be a bad one that no history has shown yet. So a build is worse only if its other boots are, too;
+# that the first was is no reason any more to doubt them at the level of a year.
+LEVEL_OF_OTHERS = 0.1
+NOTICED = 0.9
+# Rates of misses differ by so much from boot to boot at least (standard deviation): hardly any miss shows none.
+_RATES_DIFFER = 0.6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -22,18 +30,26 @@ class Against:
 
     `reference` is the mean of the best level that the history held, over `boots` boots; `value` is the build's mean.
     `limit` is what a build as good as the reference, or worse by the margin, exceeds with the chance of the test's
-    level.
+    level. `noticed` is the true figure from which on a build exceeds it nine times in ten. `others_too`: so do its
+    boots without the worst of them, at LEVEL_OF_OTHERS; of a single boot this is not known.
     """
 
     reference: float
     boots: int
     value: float
     limit: float
+    noticed: float
+    others_too: bool
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether the build, or one bad boot of it, is worse than its history by more than the margin."""
+        return self.value > self.limit
 
     @property
     def worse(self) -> bool:
-        """Whether the build is worse than its history by more than the margin."""
-        return self.value > self.limit
+        """Whether that is so, and not by one bad boot."""
+        return self.exceeds and self.others_too
 
 
 def level_of_test(false_alarms: float, tests: int) -> float:
@@ -67,15 +83,32 @@ def compare_figure(
     reference tells: a t distribution with v degrees of freedom has the excess kurtosis 6 / (v - 4). The spread is the
     larger of those on both sides of the median, so that a long upper tail counts whole, and of that in all levels.
     """
-    from scipy.special import stdtrit
+    from scipy.special import ndtri
 
     reference, within = best_level(history)
     mean = float(reference.mean())
     spread, degrees = _spread(reference)
     spread = max(spread, within)
-    reach = float(stdtrit(degrees, 1 - level)) * spread * math.sqrt(1 / build.size + 1 / reference.size)
     allowed = max(LEAST_MARGIN * spread, max(least, share * abs(mean)) if margin is None else margin)
-    return Against(reference=mean, boots=reference.size, value=float(build.mean()), limit=mean + allowed + reach)
+    limit = mean + allowed + _reach(reference.size, build.size, spread, degrees, level)
+    others = np.sort(build)[:-1]
+    return Against(
+        reference=mean,
+        boots=reference.size,
+        value=float(build.mean()),
+        limit=limit,
+        noticed=limit + float(ndtri(NOTICED)) * spread / math.sqrt(build.size),
+        others_too=others.size > 0
+        and float(others.mean())
+        > mean + allowed + _reach(reference.size, others.size, spread, degrees, LEVEL_OF_OTHERS),
+    )
+
+
+def _reach(old: int, new: int, spread: float, degrees: float, level: float) -> float:
+    """By how much the mean of `new` boots may lie above that of `old` ones, with the chance `level` of more."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(degrees, 1 - level)) * spread * math.sqrt(1 / new + 1 / old)
 
 
 def _spread(reference: Floats) -> tuple[float, float]:
@@ -92,20 +125,55 @@ def _spread(reference: Floats) -> tuple[float, float]:
     return math.sqrt(max(variance, one_sided)), min(float(reference.size - 1), tail)
 
 
-def compare_misses(history: Sequence[tuple[int, int]], build: Sequence[tuple[int, int]], *, level: float) -> Against:
+def compare_misses(history: Boots, build: Boots, *, level: float) -> Against:
     """Compare P(miss) of a build with its history, from (measurements, misses) of each boot; the figure is P(miss).
 
     The build is worse where both hold: its share exceeds the limit for the shares of boots (`compare_figure`), and the
-    chance of its misses is below the level. The second speaks where the history has hardly any miss.
+    chance of its misses is below the level. The second speaks where the history has hardly any miss. For the chance of
+    the other boots, the worst one is of the history: so a burst of misses that it had may come a second time.
     """
-    shares, own = (np.array([misses / n for n, misses in boots]) for boots in (history, build))
-    against = compare_figure(shares, own, margin=0.0, level=level)
-    if chance_of_misses(history, build) < level:
-        return against
-    return replace(against, limit=max(against.limit, against.value))
+    against = compare_figure(_shares(history), _shares(build), margin=0.0, level=level)
+    *others, worst = sorted(build, key=lambda boot: boot[1] / boot[0])
+    measured = sum(n for n, _ in build)
+    # The fewest misses that are too many, by both.
+    few, many = 0, measured + 1
+    while many - few > 1:
+        middle = (few + many) // 2
+        enough = middle > against.limit * measured and chance_of_misses(history, [(measured, middle)]) < level
+        few, many = (few, middle) if enough else (middle, many)
+    return replace(
+        against,
+        limit=max(against.limit, few / measured),
+        noticed=_share_noticed(many, history, build),
+        others_too=against.others_too and chance_of_misses([*history, worst], others) < LEVEL_OF_OTHERS,
+    )
 
 
-def chance_of_misses(history: Sequence[tuple[int, int]], build: Sequence[tuple[int, int]]) -> float:
+def _shares(boots: Boots) -> Floats:
+    return np.array([misses / n for n, misses in boots])
+
+
+def _share_noticed(least: int, history: Boots, build: Boots) -> float:
+    """The share of misses of which such a build has the `least` number nine times in ten; 1 if none is known.
+
+    Numbers are Poisson's, divided by the design effect. The rates of boots are some times as high or low as their mean:
+    so the design effect, less 1, is proportional to the share.
+    """
+    from scipy.special import gammainc
+
+    measured = sum(n for n, _ in build)
+    share = sum(misses for _, misses in history) / sum(n for n, _ in history)
+    more = (cluster_effect(history) - 1) / share if share else 0.0
+    more = max(more, _RATES_DIFFER**2 * measured / len(build))
+    low, high = 0.0, 1.0
+    for _ in range(50):
+        middle = (low + high) / 2
+        effect = 1 + more * middle
+        low, high = (low, middle) if gammainc(least / effect, measured * middle / effect) >= NOTICED else (middle, high)
+    return high
+
+
+def chance_of_misses(history: Boots, build: Boots) -> float:
     """The chance that, given all misses together, so many or more fall on the build (Przyborowski & Wilenski 1940).
 
     The numbers, (measurements, misses) of each boot, are divided by the design effect of boots (Rao & Scott 1992).

@@ -1,7 +1,6 @@
 """A build against its history: the cases of `rtrun gate --against`."""
 
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
@@ -35,8 +34,9 @@ def gate_against(
 ) -> Gate:
     """Fail what is worse than its history in the archive by more than the margin, or cannot be compared with it.
 
-    A year of daily gates of builds that are as good as their history has any false alarm with the chance `false_alarms`
-    at most. The runs of `results` themselves are not part of the history.
+    One boot that is worse makes a build PERHAPS WORSE, which does not pass: a second one decides. A year of daily gates
+    of builds that are as good as their history has any that is WORSE with the chance `false_alarms` at most. The runs
+    of `results` themselves are not part of the history.
     """
     with tempfile.TemporaryDirectory() as folder:
         own = make_archive(folder)
@@ -57,7 +57,7 @@ def gate_against(
     for build in builds:
         history = _without(histories.get(build.identity), build)
         cases.append(_case(build, history, margin_ns, false_alarms / len(builds), platform))
-    order = ("NOT ANALYSED", "WORSE", "NO HISTORY", "NOT WORSE")
+    order = ("NOT ANALYSED", "WORSE", "PERHAPS WORSE", "NO HISTORY", "NOT WORSE")
     return Gate(cases=tuple(sorted(cases, key=lambda case: order.index(case.answer))))
 
 
@@ -86,20 +86,29 @@ def _case(
         )
     level = level_of_test(false_alarms, len(shared))
     compared = [(figure, _compare(figure, build, history, margin_ns, level)) for figure in shared]
-    worse = [(figure, against) for figure, against in compared if against.worse]
-    text = "; ".join(_words(figure, against) for figure, against in worse or compared)
-    passed = not worse
+    exceeds = [(figure, against) for figure, against in compared if against.exceeds]
+    worse = [(figure, against) for figure, against in exceeds if against.worse]
+    text = "; ".join(_words(figure, against) for figure, against in worse or exceeds or compared)
+    if exceeds and not worse:
+        text = f"{text}; {_advice(len(build.boots()))}"
+    passed = not exceeds
     if passed and (why := why_not_accepted(Platform(build.platform), platform)):
         text, passed = f"{text}; {why}", False
     return Case(
         about=build.label,
-        answer="WORSE" if worse else "NOT WORSE",
+        answer="WORSE" if worse else "PERHAPS WORSE" if exceeds else "NOT WORSE",
         text=text,
         passed=passed,
         n=n,
         misses=misses,
         worst_ns=worst_ns,
     )
+
+
+def _advice(boots: int) -> str:
+    if boots == 1:
+        return "this may be one bad boot: measure a second boot into the same folder"
+    return f"this may be the worst of its {boots} boots alone: measure another boot into the same folder"
 
 
 def _compare(figure: Figure, build: Course, history: Course, margin_ns: float | None, level: float) -> Against:
@@ -116,12 +125,9 @@ def _compare(figure: Figure, build: Course, history: Course, margin_ns: float | 
 
 
 def _words(figure: Figure, against: Against) -> str:
-    if figure == "P(miss)":
-        numbers: Sequence[str] = [f"{value:.2g}" for value in (against.value, against.reference, against.limit)]
-        unit = ""
-    else:
-        numbers = [us(value) for value in (against.value, against.reference, against.limit)]
-        unit = " us"
+    values = (against.value, against.reference, against.limit, against.noticed)
+    texts = [f"{value:.2g}" if figure == "P(miss)" else f"{us(value)} us" for value in values]
     return (
-        f"{figure} {numbers[0]}{unit}, best level of {against.boots} boots {numbers[1]}{unit}, limit {numbers[2]}{unit}"
+        f"{figure} {texts[0]}, best level of {against.boots} boots {texts[1]}, limit {texts[2]}, "
+        f"noticed nine times in ten from {texts[3]} on"
     )

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--false-alarms",
         type=probability_argument,
         metavar="P",
-        help=f"with --against: chance of any false alarm in a year of daily gates [{FALSE_ALARMS}]",
+        help=f"with --against: chance that any in a year of daily gates is WORSE by mistake [{FALSE_ALARMS}]",
     )
     add_question(parser)
 

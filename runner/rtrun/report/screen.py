@@ -19,6 +19,8 @@ _STYLES: dict[str, str] = {
     Answer.NEEDS_MORE: "yellow",
     Answer.REFUTED: "bold red",
     "NOT ANALYSED": "bold red",
+    "WORSE": "bold red",
+    "PERHAPS WORSE": "yellow",
     "pass": "green",
     "passed": "green",
     "FAIL": "bold red",

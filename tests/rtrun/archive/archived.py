@@ -75,9 +75,10 @@ def write_course(
     return archive
 
 
-def write_build(root: Path, level_us: float, *, late: int = 0, seed: int = 99, platform: str = "hardware") -> Path:
-    """The results of a build: one boot with two runs."""
-    for k, values in enumerate(values_of_boots([level_us], np.random.default_rng(seed))[0]):
+def write_build(root: Path, *levels_us: float, late: int = 0, seed: int = 99, platform: str = "hardware") -> Path:
+    """The results of a build: a boot with two runs for each level."""
+    boots = values_of_boots(levels_us, np.random.default_rng(seed))
+    for k, values in enumerate(run for boot in boots for run in boot):
         values[:late] = 500_000
         write_run(
             root,
@@ -88,7 +89,7 @@ def write_build(root: Path, level_us: float, *, late: int = 0, seed: int = 99, p
             asked=N,
             logs=False,
             platform=platform,
-            start_time="2027-01-01T10:00:00Z",
-            target={"name": "board", "kernel_release": "6.6", "boot_id": "boot of the build"},
+            start_time=f"2027-01-01T10:{k:02}:00Z",
+            target={"name": "board", "kernel_release": "6.6", "boot_id": f"boot {k // 2} of the build"},
         )
     return root
