@@ -124,7 +124,7 @@ def judge(
     constancy = examine_constancy(joined, probability=probability, confidence=confidence)
     effect, assumes = _effect_of_runs(runs, misses, confidence, measurements_per_event)
     effect = max(effect, _effect_of_clusters(constancy.clusters, misses, confidence))
-    effect = min(max(effect, float(measurements_per_event)), max(1.0, float(n)))
+    effect = min(max(effect, _least_effect(question, measurements_per_event)), max(1.0, float(n)))
     lower, upper = anytime_interval(misses / effect, n / effect, confidence)
     if unclear := sum(run.unclear for run in runs):
         # What may have met the deadline counts against a proof, and not for the contrary.
@@ -182,6 +182,11 @@ def judge(
         change=change,
         refused=refused,
     )
+
+
+def _least_effect(question: Question, measurements_per_event: int) -> float:
+    """The design effect that is known beforehand: subscribers of one message, and windows that hold the same misses."""
+    return float(measurements_per_event * question.tolerance.overlap)
 
 
 def _effect_of_runs(

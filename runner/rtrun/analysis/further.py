@@ -58,21 +58,23 @@ def chance_of_no_miss(misses: int, n: int, effect: float, more: int) -> float:
 def plan_measurements(question: Question, *, rate: float = 0.0) -> tuple[bool, int] | None:
     """Whether it is proven (True) or refuted, and the independent measurements that are enough nine times in ten.
 
-    `rate` is that of misses; without misses it is the fewest that prove it. None where no number decides.
+    `rate` is that of misses; without misses it is the fewest that prove it. Where some are tolerated, measurements are
+    counted in ends of windows, of which as many as overlap are worth one. None where no number decides.
     """
     from scipy.special import pdtrik
 
+    effect = float(question.tolerance.overlap)
     if not rate:
-        total = smallest(lambda total: proves(0, total, 1.0, question), 0)
+        total = smallest(lambda total: proves(0, total, effect, question), 0)
         return None if total is None else (True, total)
 
     def decided(total: int) -> bool:
         # The quantile of the Poisson number of misses on the side that delays the answer.
         if rate < question.probability:
-            misses = math.ceil(max(0.0, float(pdtrik(LIKELY, rate * total))))
-            return proves(misses, total, 1.0, question)
-        misses = math.floor(max(0.0, float(pdtrik(1 - LIKELY, rate * total))))
-        return anytime_interval(misses, total, question.confidence)[0] > question.probability
+            misses = effect * math.ceil(max(0.0, float(pdtrik(LIKELY, rate * total / effect))))
+            return proves(misses, total, effect, question)
+        misses = math.floor(max(0.0, float(pdtrik(1 - LIKELY, rate * total / effect))))
+        return anytime_interval(misses, total / effect, question.confidence)[0] > question.probability
 
     total = smallest(decided, 0)
     return None if total is None else (rate < question.probability, total)

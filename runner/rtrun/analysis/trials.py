@@ -1,11 +1,12 @@
 """What a run says about a deadline: how many values came late or never, and where."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rtrun.analysis.dependence import Events, locate
 from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.plan.question import NONE_TOLERATED, Tolerance
 
 # With this many misses normal theory on blocks holds for their bursts; fewer are tested exactly.
 ENOUGH_MISSES = 20
@@ -50,14 +51,47 @@ def high_values(loops: int) -> int:
     return min(_LEVEL_EVENTS, loops // 20)
 
 
-def count_misses(values_ns: Int64s, deadline_ns: int, absent: Int64s | None = None) -> Trials:
+def windowed(values_ns: Int64s, absent: Int64s, tolerance: Tolerance) -> tuple[Int64s, Int64s]:
+    """Of the windows that end at each loop, of as many loops as `tolerance` names: what decides, and `absent`.
+
+    A window holds more misses than are tolerated where its (misses + 1)-th highest value is late: that value, an order
+    statistic (David & Nagaraja 2003), stands for the window, so all that holds of values holds of windows. What is
+    absent is above every value. Values are int64 (n,), `absent` (a,) their loop positions as in `count_misses`; of both
+    together there are among - 1 fewer windows than loops, for windows that a run does not hold are not judged.
+    """
+    from scipy.ndimage import rank_filter
+
+    loops, size = values_ns.size + absent.size, tolerance.among
+    if loops < size:
+        return _NONE, _NONE
+    # Of places in the order of the values, as rank_filter computes in floating point.
+    heights, places = np.unique(values_ns, return_inverse=True)
+    every = np.full(loops, heights.size)
+    came = np.ones(loops, bool)
+    came[absent] = False
+    every[came] = places
+    # rank_filter centers its window: the first whole one is at size // 2.
+    decides = rank_filter(every, rank=-tolerance.misses - 1, size=size)[size // 2 :][: loops - size + 1]
+    never = decides == heights.size
+    return heights[decides[~never]], np.flatnonzero(never).astype(np.int64)
+
+
+def count_misses(
+    values_ns: Int64s, deadline_ns: int, absent: Int64s | None = None, tolerance: Tolerance = NONE_TOLERATED
+) -> Trials:
     """Count what missed the deadline in one run's int64 samples, shape (n,) in loop order.
 
     A value above the deadline is late, one that equals it is not.
     `absent` gives the ascending loop positions of what was not fired or went missing; the samples fill the others.
+    With a `tolerance` the trials are windows (`windowed`); the highest value seen is still that of a loop.
     """
     if absent is None:
         absent = np.empty(0, np.int64)
+    if tolerance != NONE_TOLERATED:
+        decides, never = windowed(values_ns, absent, tolerance)
+        return replace(
+            count_misses(decides, deadline_ns, never), worst_ns=int(values_ns.max()) if values_ns.size else None
+        )
     loops = values_ns.size + absent.size
     misses = np.flatnonzero(values_ns > deadline_ns).astype(np.int64)
     late = misses.size

@@ -1,16 +1,67 @@
-"""The question that an answer is to: which deadline, how seldom missed, how sure, and of what it has to hold."""
+"""The question that an answer is to: which values, which deadline, how seldom missed, how sure, and for what."""
 
 import math
+import re
 from dataclasses import dataclass
+from typing import Literal
+
+Of = Literal["lateness", "jitter"]
+"""The values that a question may name. Lateness is how late something came that was due: every latency is one."""
+Measure = Literal["latency", "lateness", "jitter"]
+"""What a suite measures."""
+
+# So many loops are looked at together at most: a second at 1 kHz.
+AMONG_MAX = 1000
+_TOLERANCE = re.compile(r"([0-9]{1,4}) (?:in a row|of ([0-9]{1,4}))", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tolerance:
+    """How many values may be late before it counts: at most `misses` among any `among` consecutive loops.
+
+    What is counted is then the end of each `among` loops that hold more. `misses` in a row are those among one more.
+    """
+
+    misses: int = 0
+    among: int = 1
+
+    @property
+    def overlap(self) -> int:
+        """How many such ends the fewest misses that count make, when they follow one another: they count as one."""
+        return self.among - self.misses
+
+    def __str__(self) -> str:
+        """As `read_tolerance` takes it."""
+        return f"{self.misses} in a row" if self.overlap == 1 else f"{self.misses} of {self.among}"
+
+
+NONE_TOLERATED = Tolerance()
+
+
+def read_tolerance(text: object) -> Tolerance:
+    """Read ``2 in a row`` or ``3 of 100``. Raises ValueError."""
+    parts = _TOLERANCE.fullmatch(text) if isinstance(text, str) else None
+    misses = int(parts[1]) if parts else 0
+    among = int(parts[2] or misses + 1) if parts else 0
+    if not misses < among <= AMONG_MAX:
+        raise ValueError(
+            f"{str(text)[:40]!r} is neither a number of misses in a row, as '2 in a row', nor of consecutive loops, as "
+            f"'3 of 100', of which there are at most {AMONG_MAX}"
+        )
+    return Tolerance(misses=misses, among=among)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
     """Is P(miss) of this deadline below `probability`, at this confidence, on at least so many boots?
 
-    A proof has to cover bursts of misses of this mean length, even if none was seen.
+    `of` are the values that have it; None: whatever the suite measures, of the cyclic timer the lateness. In the
+    question of a verdict it is what was judged, `latency` included. A proof has to cover bursts of misses of this mean
+    length, even if none was seen.
     """
 
+    of: Measure | None = None
+    tolerance: Tolerance = NONE_TOLERATED
     deadline_ns: int = 400_000
     probability: float = 1e-6
     confidence: float = 0.95
@@ -21,6 +72,14 @@ class Question:
     def covered(self) -> str:
         """The bursts that a proof has to cover, in words."""
         return f"bursts of up to {self.bursts} misses" if self.bursts > 1 else "misses that come singly"
+
+    @property
+    def miss(self) -> str:
+        """What counts as a miss, in words."""
+        late = f"{self.of or 'value'} > {self.deadline_ns / 1000:g} us"
+        if self.tolerance == NONE_TOLERATED:
+            return late
+        return f"more than {self.tolerance} with {late}"
 
 
 def may_follow(first: Question, later: Question) -> bool:
