@@ -29,8 +29,8 @@ SAME = {
     "suites": r".+",
     "plan": r".+",
     "probe": r"\S.*?(?=  )",
-    "run": r"P\(miss\) of .*|next: .*",
-    "verdict": r"P\(miss\) of .*",
+    "run": r"P\(.* below .*|next: .*",
+    "verdict": r"P\(.* below .*",
 }
 ENDS_WITH_1 = ("check-rt", "gate")  # where the answer is no
 

@@ -41,6 +41,17 @@ def bursts(n: int, p: float, rng: Rng, *, length: float) -> Int64s:
     return values
 
 
+def clumps(n: int, p: float, rng: Rng, *, size: int, coarse: bool = False) -> Int64s:
+    """Groups of so many consecutive misses, that begin at random: p is the rate of their beginnings.
+
+    By a coarse clock all other values are the same.
+    """
+    values = np.full(n, 50_000) if coarse else quiet(n, rng)
+    starts = rng.integers(0, n - size, rng.binomial(n, p))
+    values[(starts[:, None] + np.arange(size)).ravel()] = MISS_NS
+    return values
+
+
 def _normal(x: Int64s, p: float) -> Int64s:
     """Standard normal values, scaled so that a fraction p lies above the deadline."""
     return (100_000 + (DEADLINE_NS - 100_000) / -ndtri(p) * x).astype(np.int64)

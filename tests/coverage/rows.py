@@ -16,6 +16,8 @@ import null_campaigns
 import numpy as np
 import processes
 from processes import DEADLINE_NS, Int64s, Rng
+from report.campaigns import cyclic_rows
+from written import write_output
 
 from rtrun.analysis import comparison, constancy, deadline, layers, recurrence
 from rtrun.analysis.blocks import Blocks, cut
@@ -28,9 +30,11 @@ from rtrun.analysis.intervals import anytime_upper, clopper_pearson
 from rtrun.analysis.layers import attribute
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.plan import question as questions
-from rtrun.plan.question import Question
+from rtrun.plan.question import Of, Question, Tolerance, read_tolerance
 from rtrun.report import study as studies
 from rtrun.report.study import study
+from rtrun.results.reading import read_file
+from rtrun.results.series import SampleSeries
 
 SEED = 20140715
 P = 1e-3
@@ -233,6 +237,34 @@ def proven_without_order(rng: Rng) -> bool:
     histogram = from_samples(processes.bursts(20_000, P, rng, length=5))
     trials = [count_misses_in_histogram(histogram, DEADLINE_NS)]
     return judge(trials, Question(deadline_ns=DEADLINE_NS, probability=P)).answer == Answer.PROVEN
+
+
+TWO_IN_A_ROW, THREE_OF_100 = read_tolerance("2 in a row"), read_tolerance("3 of 100")
+
+
+def proven_with_some_tolerated(make: Callable[[Rng], Int64s], tolerance: Tolerance, rng: Rng) -> bool:
+    question = Question(deadline_ns=DEADLINE_NS, probability=P * (1 - 1e-6), tolerance=tolerance)
+    trials = replace(count_misses(make(rng), DEADLINE_NS, tolerance=tolerance), boot="boot")
+    return judge([trials], question).answer == Answer.PROVEN
+
+
+def proven_of_a_timer(of: Of, rng: Rng) -> bool:
+    """PROVEN from the samples of a cyclic timer that is ten times in a row late by the same, in P of its calls."""
+    lateness = processes.clumps(50_000, P / 10, rng, size=10)
+    requested = {"frequency_hz": 1000}
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_output(
+            Path(folder),
+            "c",
+            "cyclic_timer_tests",
+            cyclic_rows(lateness, 1000),
+            requested=requested,
+            asked=lateness.size,
+            measured=lateness.size,
+        )
+        (series,) = (one for one in read_file(path, of) if one.header.main)
+        assert isinstance(series, SampleSeries)
+        return verdict_on([series.values_ns]).answer == Answer.PROVEN
 
 
 def enough(process: processes.Process, rate: float, rng: Rng) -> bool | None:
@@ -452,6 +484,43 @@ ROWS = [
             long=500,
         )
         for spread in (0.5, 1.0)
+    ),
+    *(
+        Row(
+            name=f"a cyclic timer, ten calls late in a row, P(lateness > deadline) = P, judged by {of}",
+            event="PROVEN",
+            draw=partial(proven_of_a_timer, of),
+            at_most=at_most,
+            at_least=at_least,
+            quick=20,
+            long=500,
+        )
+        for of, at_most, at_least in (("lateness", 8.0, 0.0), ("jitter", 100.0, 80.0))
+    ),
+    *(
+        Row(
+            name=f"at most {tolerance}: P(more) = P, {name}, n = {n:.0e}",
+            event="PROVEN",
+            draw=partial(proven_with_some_tolerated, make, tolerance),
+            at_most=5.0 if n < 30_000 else 7.0,
+            quick=quick,
+            long=500,
+            remedy=(deadline, "_least_effect", lambda *_: 1.0) if n < 30_000 and tolerance == THREE_OF_100 else None,
+        )
+        for tolerance, name, n, make, quick in (
+            (TWO_IN_A_ROW, "independent", 20_000, partial(processes.independent, 20_000, P ** (1 / 3)), 60),
+            (TWO_IN_A_ROW, "3 at a time", 20_000, partial(processes.clumps, 20_000, P, size=3), 60),
+            (
+                *(THREE_OF_100, "4 at a time by a coarse clock", 20_000),
+                *(partial(processes.clumps, 20_000, P / 97, size=4, coarse=True), 40),
+            ),
+            (
+                *(THREE_OF_100, "4 at a time by a coarse clock", 380_000),
+                *(partial(processes.clumps, 380_000, P / 97, size=4, coarse=True), 0),
+            ),
+            (THREE_OF_100, "4 at a time", 380_000, partial(processes.clumps, 380_000, P / 97, size=4), 0),
+            (THREE_OF_100, "independent", 380_000, partial(processes.independent, 380_000, 0.0086), 0),
+        )
     ),
     Row(
         name="a goal that is changed after looking, to any deadline and P(miss) that is allowed",

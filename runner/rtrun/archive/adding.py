@@ -99,7 +99,7 @@ def _add_run(folder: Path, record: RunRecord, store: Store, origin: Origin, samp
         for series in read_series(folder, record):
             if series.header.main and series.header.incomplete:
                 notes.append(f"{record.run}: {series.header.output} is incomplete: {series.header.incomplete}")
-            elif series.header.main:
+            elif series.header.of is not None and not series.header.incomplete:
                 judged.append(series)
     for table in missing:
         rows = {

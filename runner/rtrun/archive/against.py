@@ -7,9 +7,10 @@ from typing import get_args
 from rtrun.analysis.history import LEAST_BOOTS, Against, compare_figure, compare_misses, level_of_test
 from rtrun.archive.adding import add_results
 from rtrun.archive.courses import Course, Figure, courses
-from rtrun.archive.queries import connected
+from rtrun.archive.queries import Archive, connected
 from rtrun.archive.store import Store, make_archive
 from rtrun.archive.tables import Origin
+from rtrun.plan.question import Measure
 from rtrun.report.claims.examination import us
 from rtrun.report.gate import Case, Gate, why_not_accepted
 from rtrun.target.platform import Platform
@@ -20,6 +21,7 @@ _WITHOUT_COURSE = """
                      ELSE concat_ws(': ', status, reason) END
     FROM runs WHERE status <> 'ok' OR start_utc IS NULL ORDER BY run
 """
+_PLACED = "SELECT run_key, run FROM runs WHERE status = 'ok' AND start_utc IS NOT NULL ORDER BY run"
 _SHARE_OF_MARGIN = 0.05  # of the reference, where no margin is given; 1 us at least, as in compare
 
 
@@ -28,6 +30,7 @@ def gate_against(
     archive: Store,
     *,
     deadline_ns: int,
+    of: Measure | None = None,
     margin_ns: float | None,
     false_alarms: float,
     platform: Platform,
@@ -45,10 +48,11 @@ def gate_against(
         without_course: list[tuple[str, str]] = []
         if added.added:
             with connected(own) as opened:
-                builds = courses(opened, deadline_ns=deadline_ns)
+                builds = courses(opened, deadline_ns=deadline_ns, of=of)
                 without_course = opened.connection.execute(_WITHOUT_COURSE).fetchall()
+                without_course += _without_values(opened, builds, of)
     with connected(archive) as opened:
-        histories = {course.identity: course for course in courses(opened, deadline_ns=deadline_ns)}
+        histories = {course.identity: course for course in courses(opened, deadline_ns=deadline_ns, of=of)}
     reasons = [text.split(": ", 1) for text in (*added.refused, *added.notes)]
     cases = [
         Case(about=name, answer="NOT ANALYSED", text=reason, passed=False)
@@ -59,6 +63,13 @@ def gate_against(
         cases.append(_case(build, history, margin_ns, false_alarms / len(builds), platform))
     order = ("NOT ANALYSED", "WORSE", "PERHAPS WORSE", "NO HISTORY", "NOT WORSE")
     return Gate(cases=tuple(sorted(cases, key=lambda case: order.index(case.answer))))
+
+
+def _without_values(opened: Archive, builds: Sequence[Course], of: Measure | None) -> list[tuple[str, str]]:
+    """The runs that have a place in a history, but nothing that the question is of, and why they are in no course."""
+    known = {key for build in builds for run in build.runs for key in run.point.run_keys}
+    placed = opened.connection.execute(_PLACED).fetchall()
+    return [(run, f"it has no {of or 'values'}") for key, run in placed if key not in known]
 
 
 def _without(history: Course | None, build: Course) -> Course | None:

@@ -1,4 +1,4 @@
-"""The runs of a scenario on one board in the order of time, with their figures and circumstances."""
+"""The runs of a scenario by one series on one board in the order of time, with their figures and circumstances."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json
 from rtrun.analysis.change_points import Floats, means_of_units
 from rtrun.archive.queries import Archive, Point, figures
+from rtrun.plan.question import Measure
 
 Figure = Literal["p50", "p99", "p99.9", "P(miss)"]
 """What is held against history: figures that a single late value does not make."""
@@ -42,7 +43,7 @@ class Course:
     runs: tuple[ArchivedRun, ...]
 
     @property
-    def identity(self) -> tuple[str, str, str, str]:
+    def identity(self) -> tuple[str, str, str, str, str]:
         """What runs of the same course have in common."""
         return _identity(self.runs[0])
 
@@ -101,9 +102,9 @@ class Course:
         return [(sum(run.point.n for run in boot), sum(run.point.misses or 0 for run in boot)) for boot in self.boots()]
 
 
-def courses(archive: Archive, *, deadline_ns: int) -> list[Course]:
+def courses(archive: Archive, *, deadline_ns: int, of: Measure | None = None) -> list[Course]:
     """Every course of an archive. Runs without a time are in none, as they have no place."""
-    points = {point.run_keys[0]: point for point in figures(archive, "run", deadline_ns=deadline_ns)}
+    points = {point.run_keys[0]: point for point in figures(archive, "run", deadline_ns=deadline_ns, of=of)}
     columns = ("run_key", "boot_id", "packages", *_TEXTS, *_NUMBERS)
     rows = archive.connection.execute(
         f"SELECT {', '.join(columns)} FROM runs WHERE status = 'ok' AND start_utc IS NOT NULL"
@@ -114,8 +115,9 @@ def courses(archive: Archive, *, deadline_ns: int) -> list[Course]:
     return [Course(runs=tuple(members)) for _, members in groupby(runs, _identity)]
 
 
-def _identity(run: ArchivedRun) -> tuple[str, str, str, str]:
-    return run.point.suite, run.point.parameters, run.point.platform, run.point.machine
+def _identity(run: ArchivedRun) -> tuple[str, str, str, str, str]:
+    point = run.point
+    return point.suite, point.series, point.parameters, point.platform, point.machine
 
 
 def _run(point: Point, row: Mapping[str, object], origin: str) -> ArchivedRun:

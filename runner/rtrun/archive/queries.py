@@ -5,7 +5,7 @@ the report's figure, rounded down to a step of the clock.
 """
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -21,12 +21,17 @@ from rtrun.analysis.histogram import Int64s
 from rtrun.archive import By
 from rtrun.archive.store import Store, find_files
 from rtrun.plan.limits import BINS_MAX, TIME_MAX_NS
+from rtrun.plan.question import Measure
+from rtrun.plan.suites import judged, measures
+from rtrun.results.samples import called
 from rtrun.target.platform import Platform
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
     from pyarrow.parquet import FileMetaData, ParquetFile
 
+_Bins = tuple[Int64s, Int64s, Int64s]
+_Run = tuple[str, str, datetime | None]  # key, boot, start
 _NONE = -(2**63)  # stands for null
 _GRID_MAX = 4  # places of a grid for each bin on it
 _COUNT_MAX = 2**53  # of all bins: above, a double no longer counts one by one
@@ -55,7 +60,8 @@ _ORDERS: dict[By, str] = {"kernel": "label, machine, start_utc", "board": "machi
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Point:
-    """Runs of one scenario on one board and kernel together.
+    """Runs of one scenario on one board and kernel together, by one series of theirs; the scenario names it where
+    another one is usual.
 
     `run_keys` are their names in the archive. `n` counts what was asked for but for the start-up; `misses` are late or
     never came, None where a histogram does not reach to the deadline. `unclear` of them lie in the bin of the deadline
@@ -63,6 +69,7 @@ class Point:
     """
 
     scenario: str
+    series: str
     parameters: str
     suite: str
     machine: str
@@ -157,8 +164,12 @@ def _damaged(store: Store, what: str) -> UsageError:
     return UsageError(f"{store.address}: {what}; rtrun archive add writes a file anew that is not whole")
 
 
-def figures(archive: Archive, by: By, *, deadline_ns: int) -> list[Point]:
-    """The figures of every point, scenario by scenario; runs that are not ok are in none."""
+def figures(archive: Archive, by: By, *, deadline_ns: int, of: Measure | None = None) -> list[Point]:
+    """The figures of every point, scenario by scenario; runs that are not ok are in none.
+
+    `of` are the values that have the deadline, None: what each suite measures first, where a run has it. Runs of which
+    other values are known are in other points, or in none.
+    """
     query = _POINTS.format(label=_LABELS[by], order=_ORDERS.get(by, "machine, start_utc"))
     cursor = archive.connection.execute(query)
     names = [column[0] for column in cursor.description or ()]
@@ -167,36 +178,64 @@ def figures(archive: Archive, by: By, *, deadline_ns: int) -> list[Point]:
         raise _damaged(archive.store, f"platform: {min(unknown)[:40]!r}, expected one of {', '.join(Platform)}")
 
     # The number of rows stands at the end of a file: what is too much is refused before it is read.
-    members = [[archive.histograms[key] for key in row["run_keys"] if key in archive.histograms] for row in rows]
+    members = [[run for run in _runs_of(row) if run[0] in archive.histograms] for row in rows]
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        paths = [path for of_point in members for path in of_point]
+        paths = [archive.histograms[run[0]] for of_row in members for run in of_row]
         footers = dict(zip(paths, threads.map(partial(_footer, archive.store), paths), strict=True))
-    largest = max((sum(footers[path].num_rows for path in of_point) for of_point in members), default=0)
+    sizes = [sum(footers[archive.histograms[run[0]]].num_rows for run in of_row) for of_row in members]
 
-    def point(row: dict[str, Any], of_point: Sequence[str]) -> Point | None:
-        bins: list[tuple[Int64s, Int64s, Int64s]] = []
+    def points(row: dict[str, Any], runs: Sequence[_Run]) -> list[Point]:
+        of_series: dict[str, list[_Run]] = {}
+        bins: dict[str, list[_Bins]] = {}
         held = 0
-        for path in of_point:
-            rows = footers[path].num_rows
-            if held + rows > _ROWS_MAX:
-                bins = [_merged(bins)]
-                held = bins[0][0].size
-            if held + rows > _ROWS_MAX:
-                what = f"{row['scenario']} on {row['machine']}: the histograms of {len(of_point)} runs"
+        for run in runs:
+            path = archive.histograms[run[0]]
+            more = footers[path].num_rows
+            if held + more > _ROWS_MAX:
+                bins = {series: [_merged(each)] for series, each in bins.items()}
+                held = sum(each[0][0].size for each in bins.values())
+            if held + more > _ROWS_MAX:
+                what = f"{row['scenario']} on {row['machine']}: the histograms of {len(runs)} runs"
                 raise UsageError(
-                    f"{archive.store.address}: {what} have {held} different bins before {rows} more are added, at most "
+                    f"{archive.store.address}: {what} have {held} different bins before {more} more are added, at most "
                     f"{_ROWS_MAX} are held: ask for fewer runs together (--by month, day or run)"
                 )
-            bins.append(_read_bins(archive.store, path, footers[path]))
-            held += rows
-        if not any(value.size for value, _, _ in bins):
-            return None
-        row["run_keys"] = tuple(row["run_keys"])
-        return Point(**row, **_figures_of(bins, deadline_ns))
+            read = _read_bins(archive.store, path, footers[path])
+            if (series := _series_of(row["suite"], read, of)) is not None:
+                of_series.setdefault(series, []).append(run)
+                bins.setdefault(series, []).append(read[series])
+                held += read[series][0].size
+        return [_point(row, series, of_series[series], bins[series], deadline_ns) for series in bins]
 
     # Reading and sorting leave Python's lock to others.
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, _ROWS_MAX // min(max(1, largest), _ROWS_MAX))) as threads:
-        return [each for each in threads.map(point, rows, members) if each is not None]
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, _ROWS_MAX // min(max(1, *sizes, 1), _ROWS_MAX))) as threads:
+        made = [point for of_row in threads.map(points, rows, members) for point in of_row]
+    return sorted(made, key=lambda point: (point.scenario, point.parameters, point.platform))
+
+
+def _runs_of(row: dict[str, Any]) -> list[_Run]:
+    """Key, boot and start of each run of a row of _POINTS, which are taken out of it."""
+    return list(zip(*(row.pop(name) for name in ("run_keys", "boot_ids", "starts")), strict=True))
+
+
+def _series_of(suite: str, names: Iterable[str], of: Measure | None) -> str | None:
+    """Which of these series of a run the question is of; None for none."""
+    known = {called(name): name for name in names}
+    wanted = measures(suite)
+    try:
+        wanted = wanted if of is None else (judged(wanted, of),)
+    except UsageError:
+        return None
+    return next((known[measure] for measure in wanted if measure in known), None)
+
+
+def _point(row: Mapping[str, Any], series: str, runs: Sequence[_Run], bins: Sequence[_Bins], deadline_ns: int) -> Point:
+    keys, boots, starts = zip(*runs, strict=True)
+    measure = called(series)
+    words = {"series": series, "start_utc": min((start for start in starts if start), default=None)}
+    if measure is not None and measure != measures(row["suite"])[0]:
+        words["scenario"] = f"{row['scenario']}, {measure}"
+    return Point(**{**row, **words}, run_keys=keys, boots=len(set(boots)), **_figures_of(bins, deadline_ns))
 
 
 @contextmanager
@@ -208,7 +247,7 @@ def _opened(store: Store, path: str, footer: "FileMetaData | None" = None) -> "I
     try:
         # A file of this machine by its path: pyarrow reads it without Python's lock.
         with nullcontext(path) if store.is_local else store.file_system.open(path, "rb") as source:
-            yield pyarrow.parquet.ParquetFile(source, metadata=footer)
+            yield pyarrow.parquet.ParquetFile(source, metadata=footer, read_dictionary=["series"])
     except (pyarrow.ArrowException, ValueError) as error:
         raise _damaged(store, f"{path}: {error}") from error
     except Exception as error:  # each object store has exceptions of its own
@@ -223,8 +262,8 @@ def _footer(store: Store, path: str) -> "FileMetaData":
         return file.metadata
 
 
-def _read_bins(store: Store, path: str, footer: "FileMetaData") -> tuple[Int64s, Int64s, Int64s]:
-    """value_ns, bin_ns and count of a histogram's rows, shape (n,); _NONE where the table has null.
+def _read_bins(store: Store, path: str, footer: "FileMetaData") -> dict[str, _Bins]:
+    """value_ns, bin_ns and count of a histogram's rows by series, shape (n,); _NONE where the table has null.
 
     Raises UsageError for a file that is no histogram.
     """
@@ -233,12 +272,21 @@ def _read_bins(store: Store, path: str, footer: "FileMetaData") -> tuple[Int64s,
     names = ("value_ns", "bin_ns", "count")
     with _opened(store, path, footer) as file:
         types = {field.name: field.type for field in file.schema_arrow}
-        if wrong := [name for name in names if types.get(name) != pyarrow.int64()]:
-            raise ValueError(f"{wrong[0]}: expected int64, got {types.get(wrong[0], 'no such column')}")
-        table = file.read(columns=list(names), use_threads=False)
+        expected = {"series": pyarrow.dictionary(pyarrow.int32(), pyarrow.string())}
+        expected |= dict.fromkeys(names, pyarrow.int64())
+        if wrong := [name for name, type_ in expected.items() if types.get(name) != type_]:
+            wanted = "string" if wrong[0] == "series" else "int64"
+            raise ValueError(f"{wrong[0]}: expected {wanted}, got {types.get(wrong[0], 'no such column')}")
+        table = file.read(columns=["series", *names], use_threads=False)
+        series = table["series"].unify_dictionaries().combine_chunks()
         value, width, count = (table[name].fill_null(_NONE).combine_chunks().to_numpy() for name in names)
         _check_bins(value, width, count)
-    return value, width, count
+    known = series.dictionary.to_pylist()
+    if len(known) == 1:
+        return {str(known[0]): (value, width, count)}
+    places = series.indices.fill_null(-1).to_numpy()
+    chosen = {str(name): places == place for place, name in enumerate(known)}
+    return {name: (value[rows], width[rows], count[rows]) for name, rows in chosen.items()}
 
 
 def _check_bins(value: Int64s, width: Int64s, count: Int64s) -> None:
@@ -254,7 +302,7 @@ def _check_bins(value: Int64s, width: Int64s, count: Int64s) -> None:
         raise ValueError(f"count: {total:g} in all, expected at most {_COUNT_MAX}")
 
 
-def _merged(bins: Sequence[tuple[Int64s, Int64s, Int64s]]) -> tuple[Int64s, Int64s, Int64s]:
+def _merged(bins: Sequence[_Bins]) -> _Bins:
     """The same counts with each bin once, shape (n,)."""
     value, width, count = (np.concatenate(columns) for columns in zip(*bins, strict=True))
     order = np.lexsort((width, value))
@@ -263,7 +311,7 @@ def _merged(bins: Sequence[tuple[Int64s, Int64s, Int64s]]) -> tuple[Int64s, Int6
     return value[starts], width[starts], np.add.reduceat(count, starts) if starts.size else count
 
 
-def _figures_of(bins: Sequence[tuple[Int64s, Int64s, Int64s]], deadline_ns: int) -> dict[str, Any]:
+def _figures_of(bins: Sequence[_Bins], deadline_ns: int) -> dict[str, Any]:
     """What a Point says of the bins of its runs (docs/archive.md: columns of histograms)."""
     value, width, count = (np.concatenate(columns) for columns in zip(*bins, strict=True))
     came, known = value != _NONE, width != _NONE
@@ -310,7 +358,8 @@ _NOT_ONE_ROW = "SELECT file_name, num_rows FROM parquet_file_metadata('{files}')
 _POINTS = """
 SELECT scenario, parameters, suite, machine, platform, kernel_release AS kernel, {label} AS label,
        min(runs.start_utc) AS start_utc, list(run_key ORDER BY runs.start_utc, run_key) AS run_keys,
-       count(DISTINCT coalesce(boot_id, run_key)) AS boots
+       list(coalesce(boot_id, run_key) ORDER BY runs.start_utc, run_key) AS boot_ids,
+       list(runs.start_utc ORDER BY runs.start_utc, run_key) AS starts
 FROM runs WHERE status = 'ok'
 GROUP BY scenario, parameters, suite, machine, platform, kernel_release, kernel_version, {label}
 ORDER BY scenario, parameters, platform, {order}, label, kernel_version

@@ -43,7 +43,7 @@ def write_site(
     """Write every file of the site into a folder that exists; returns them, the front page first. Raises OSError."""
     from plotly.offline import get_plotlyjs
 
-    by_course: dict[tuple[str, str, str, str], list[Trend]] = {course.identity: [] for course in courses}
+    by_course: dict[tuple[str, str, str, str, str], list[Trend]] = {course.identity: [] for course in courses}
     for trend in trends:
         by_course[trend.course.identity].append(trend)
     cards = [_card(course, by_course[course.identity], confidence) for course in courses]

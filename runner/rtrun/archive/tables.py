@@ -1,7 +1,7 @@
 """The tables of an archive: which columns they have, and the rows of one run (docs/archive.md).
 
-A row of `runs` has all circumstances of a run. A row of `histograms` is a bin of the series by which an output is
-judged. A row of `samples` is one of its values.
+A row of `runs` has all circumstances of a run. A row of `histograms` is a bin of a series by which an output may be
+judged: of a cyclic timer there are two. A row of `samples` is one of its values.
 """
 
 import hashlib

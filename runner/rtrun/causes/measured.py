@@ -29,17 +29,26 @@ class Measured:
 
 
 def read_measured(folder: Path, record: RunRecord) -> Iterator[Measured]:
-    """Yield the outputs of a run that have samples with values. Raises UsageError as `read_samples` does."""
+    """Yield the outputs of a run that have samples with values, by the series that its traces are of.
+
+    Raises UsageError as `read_samples` does.
+    """
     for output in dict.fromkeys(record.outputs):
         if record.suite not in _TIMES or f"{output}.npy" not in record.files:
             continue
         for ending in (".npy", ".json"):
             check_file(folder, record, output + ending)
         samples = read_samples(folder / f"{output}.npy")
-        values = next(iter(samples.series.values()))
+        values = traced_values(samples)
         if values.values_ns.size:
             times_ns = _times(samples, values)
             yield Measured(output=output, values_ns=values.values_ns, index=values.index, times_ns=times_ns)
+
+
+def traced_values(samples: Samples) -> IndexedValues:
+    """The series that the limit of a trace is held against: of the cyclic timer what it was asked for."""
+    of = samples.record.requested.get("trace_of")
+    return samples.judged("jitter" if of == "jitter" else None)
 
 
 def _times(samples: Samples, values: IndexedValues) -> Int64s:

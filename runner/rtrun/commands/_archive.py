@@ -3,7 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from rtrun.commands._question import time_argument
+from rtrun.commands._question import add_of, time_argument
 
 if TYPE_CHECKING:
     from rtrun.archive.courses import Course
@@ -15,7 +15,8 @@ def add_archive(parser: argparse.ArgumentParser) -> None:
 
 
 def add_deadline(parser: argparse.ArgumentParser) -> None:
-    """The deadline, by default the thesis'."""
+    """The deadline, by default the thesis', and what it is of."""
+    add_of(parser, "lateness")
     parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
 
 
@@ -32,4 +33,4 @@ def read_courses(args: argparse.Namespace) -> "tuple[list[Course], int]":
 
     deadline_ns = args.deadline or THESIS.deadline_ns
     with connected(open_archive(args.archive)) as archive:
-        return courses(archive, deadline_ns=deadline_ns), deadline_ns
+        return courses(archive, deadline_ns=deadline_ns, of=args.of), deadline_ns

@@ -4,10 +4,10 @@ import argparse
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeVar, get_args
 
 from rtrun.plan.quantities import read_probability, read_time_ns
-from rtrun.plan.question import THESIS, Question
+from rtrun.plan.question import THESIS, Of, Question, read_tolerance
 
 if TYPE_CHECKING:
     from rtrun.report.study import Study
@@ -35,6 +35,13 @@ probability_argument = _argument(read_probability)
 def add_question(parser: argparse.ArgumentParser) -> None:
     """The deadline, the probability of missing it, the confidence; by default the goal of the campaign."""
     goal = "default: the goal of the campaign, else"
+    add_of(parser, "default: that of the campaign's goal, else lateness")
+    parser.add_argument(
+        "--tolerate",
+        type=_argument(read_tolerance),
+        metavar="MISSES",
+        help=f"misses that do not count, as '2 in a row' or '3 of 100' [{goal} none]",
+    )
     parser.add_argument(
         "--deadline", type=time_argument, metavar="TIME", help=f"deadline with its unit [{goal} 400us, the thesis']"
     )
@@ -43,6 +50,13 @@ def add_question(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--confidence", type=probability_argument, metavar="C", help=f"of every interval [{goal} {CONFIDENCE}]"
+    )
+
+
+def add_of(parser: argparse.ArgumentParser, default: str) -> None:
+    """Which values of the cyclic timer have the deadline."""
+    parser.add_argument(
+        "--of", choices=get_args(Of), help=f"what the deadline of the cyclic timer is of; all else is late [{default}]"
     )
 
 
@@ -68,7 +82,13 @@ def question(args: argparse.Namespace, results: Path) -> Question:
             f"rtrun: measured for a deadline of {goal.deadline_ns / 1000:g} us: the answer for another one, chosen "
             "after looking, is less sure than it says"
         )
-    given = {"deadline_ns": args.deadline, "probability": args.probability, "confidence": args.confidence}
+    given = {
+        "of": args.of,
+        "tolerance": args.tolerate,
+        "deadline_ns": args.deadline,
+        "probability": args.probability,
+        "confidence": args.confidence,
+    }
     return replace(goal.question if goal else THESIS, **{key: value for key, value in given.items() if value})
 
 

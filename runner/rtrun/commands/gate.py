@@ -90,12 +90,16 @@ def _against(args: argparse.Namespace) -> "Gate":
     from rtrun.archive.store import open_archive
     from rtrun.target.platform import Platform
 
-    if args.probability or args.confidence or args.assume_independent:
-        raise UsageError("--probability, --confidence, --assume-independent: are of the deadline, not of --against")
+    if args.probability or args.confidence or args.tolerate or args.assume_independent:
+        raise UsageError(
+            "--probability, --confidence, --tolerate, --assume-independent: are of the deadline, not of --against"
+        )
+    asked = question(args, args.results)
     return gate_against(
         args.results,
         open_archive(args.against),
-        deadline_ns=question(args, args.results).deadline_ns,
+        deadline_ns=asked.deadline_ns,
+        of=asked.of,
         margin_ns=args.margin,
         false_alarms=args.false_alarms or FALSE_ALARMS,
         platform=Platform(args.platform),

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
 
     deadline_ns = args.deadline or THESIS.deadline_ns
     with connected(open_archive(args.archive)) as archive:
-        points = figures(archive, args.by, deadline_ns=deadline_ns)
+        points = figures(archive, args.by, deadline_ns=deadline_ns, of=args.of)
     if args.json:
         print_text(json.dumps(as_data(points, by=args.by, deadline_ns=deadline_ns), indent=1, allow_nan=False))
         return 0

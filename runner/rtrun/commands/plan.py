@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         f"about {times['start_and_end_s']:.0f} s for set-up and for programs to start and end{restarting}"
     )
     if campaign.until:
-        for line in _goal_lines(campaign.until, forecasts, _prices_of_bursts(campaign.until, runs)):
+        for line in _goal_lines(campaign.until, runs, forecasts, _prices_of_bursts(campaign.until, runs)):
             print_line(line)
         for line in _load_lines(_slowest_load_s(campaign.until, runs, forecasts)):
             print_line(line)
@@ -151,13 +151,20 @@ def _load_lines(slowest_s: float | None) -> Iterator[str]:
         yield f"for a slower one make the runs longer (repetitions), {', '.join(longer)}"
 
 
-def _goal_lines(goal: "Goal", forecasts: Sequence[_Forecast], prices: "Mapping[int, Outlook]") -> Iterator[str]:
+def _goal_lines(
+    goal: "Goal", runs: "Sequence[Run]", forecasts: Sequence[_Forecast], prices: "Mapping[int, Outlook]"
+) -> Iterator[str]:
+    from dataclasses import replace
+
     from rtfiles.output import counted
     from rtrun.plan.question import unlike_share
+    from rtrun.plan.suites import suite
 
+    of = {suite(each.suite).judged(goal.of) for each in runs}
+    asked = replace(goal.question, of=of.pop() if len(of) == 1 else None)
     at_most_s = goal.at_most_ns / 1e9
     yield (
-        f"until P(miss) of {goal.deadline_ns / 1000:g} us is proven or refuted to be below {goal.probability:g}, "
+        f"until P({asked.miss}) is proven or refuted to be below {goal.probability:g}, "
         f"confidence {goal.confidence:g}, in at most {_in_hours(at_most_s)}: each round repeats these runs"
     )
     share = f"{100 * unlike_share(goal.boots, goal.confidence):.2g} %"

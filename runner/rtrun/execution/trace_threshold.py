@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from rtfiles.errors import UsageError
+from rtrun.causes.measured import traced_values
 from rtrun.plan.run import Run
 from rtrun.plan.suites import options
 from rtrun.plan.trace import PARAMETER, WARM_UP, quantile, with_threshold
@@ -31,7 +32,7 @@ def _quantile_ns(folder: Path, part: float) -> float:
     for output in dict.fromkeys(record.outputs):
         for ending in (".npy", ".json"):
             check_file(folder, record, output + ending)
-        values.append(next(iter(read_samples(folder / f"{output}.npy").series.values())).values_ns)
+        values.append(traced_values(read_samples(folder / f"{output}.npy")).values_ns)
     pooled = np.concatenate(values) if values else np.array([], dtype=np.int64)
     if not pooled.size:
         raise UsageError(f"{folder.name} measured nothing")

@@ -259,6 +259,11 @@ def _check_goal(campaign: Campaign, runs: Sequence[Run], where: Place, errors: l
         errors.append(f"{where}: takes no trace: tracing costs time, and would be in the answer")
     if campaign.kernels and len(campaign.kernels) > 1:
         errors.append(f"{where}: takes one kernel: give each kernel a campaign of its own")
+    for name in dict.fromkeys(run.suite for run in runs):
+        try:
+            suites.suite(name).judged(campaign.until.of if campaign.until else None)
+        except UsageError as error:
+            errors.append(f"{where / 'of'}: {name} {error}")
     if any(run.suite == GAP_SEARCH for run in runs):
         errors.append(f"{where}: {GAP_SEARCH} measures no deadline, leave it out")
 

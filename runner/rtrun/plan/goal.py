@@ -6,7 +6,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from rtfiles.config import Config
 from rtrun.plan.quantities import read_probability, read_share, read_time_ns
-from rtrun.plan.question import THESIS, Question, boots_for
+from rtrun.plan.question import NONE_TOLERATED, THESIS, Of, Question, Tolerance, boots_for, read_tolerance
 
 Time = Annotated[int, BeforeValidator(read_time_ns)]
 Probability = Annotated[float, BeforeValidator(read_probability)]
@@ -28,6 +28,10 @@ class Goal(Config):
     """
     bursts: Annotated[int, Field(ge=1, le=1000)] = 1
     """The mean length of bursts of misses that a proof must cover, even if none was seen."""
+    of: Of | None = None
+    """Which values have the deadline; None: what each suite measures, of the cyclic timer the lateness."""
+    tolerate: Annotated[Tolerance, BeforeValidator(read_tolerance)] = NONE_TOLERATED
+    """How many may miss it before it counts, as ``2 in a row`` or ``3 of 100``."""
 
     @field_validator("boots", mode="before")
     @classmethod
@@ -42,6 +46,8 @@ class Goal(Config):
     def question(self) -> Question:
         """What is to be answered."""
         return Question(
+            of=self.of,
+            tolerance=self.tolerate,
             deadline_ns=self.deadline_ns,
             probability=self.probability,
             confidence=self.confidence,

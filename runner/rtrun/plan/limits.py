@@ -12,6 +12,8 @@ from rtfiles.untrusted import INT64_MAX
 
 # 31 years. A series is the sum of four times at most, and the difference of two of its values still fits into 64 bits.
 TIME_MAX_NS = 10**18
+# ros::Time counts seconds since 1970 in 32 bits. What the wall clock says is never summed up, only subtracted.
+WALL_TIME_MAX_NS = 2**32 * 10**9
 UPTIME_MAX_S = TIME_MAX_NS // 10**9
 # A measurement every 100 us for three years.
 COUNT_MAX = 10**12

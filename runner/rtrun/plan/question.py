@@ -86,9 +86,10 @@ def may_follow(first: Question, later: Question) -> bool:
     """Whether a goal may become another one after answers were seen, without measuring anew.
 
     The interval is about P(miss) of one deadline, and holds for every probability at once. Who chooses deadline and
-    probability by what was seen finds a pair that is proven wrongly in a third of all cases.
+    probability by what was seen finds a pair that is proven wrongly in a third of all cases. So it is with another
+    series, and with misses that are tolerated.
     """
-    return later.deadline_ns == first.deadline_ns
+    return (later.of, later.tolerance, later.deadline_ns) == (first.of, first.tolerance, first.deadline_ns)
 
 
 THESIS = Question()

@@ -6,7 +6,7 @@ A name of a suite that is not in suites.yml is a UsageError.
 
 import functools
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,6 +16,7 @@ from pydantic import AfterValidator, Field
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
 from rtfiles.wording import did_you_mean, unknown
+from rtrun.plan.question import Measure
 
 Value = str | int | None
 Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
@@ -82,7 +83,8 @@ class Suite(Config):
     """One suite: its programs, the parameters each takes, and what it writes."""
 
     summary: str
-    measures: Literal["latency", "jitter"]
+    measures: Annotated[tuple[Measure, ...], Field(strict=False, min_length=1)]
+    """What a question may be of; of the first one where it names none."""
     programs: dict[str, Strings]
     output: str
     logs: Strings
@@ -111,6 +113,22 @@ class Suite(Config):
     def parameters(self) -> tuple[str, ...]:
         """Every parameter that one of the programs takes, each once, in the order of suites.yml."""
         return tuple(dict.fromkeys(key for keys in self.programs.values() for key in keys))
+
+    def judged(self, of: Measure | None) -> Measure:
+        """What a question is of. Raises UsageError where the suite does not measure that."""
+        return judged(self.measures, of)
+
+
+def judged(measures: Sequence[Measure], of: Measure | None) -> Measure:
+    """Which of these a question is of: what it names, or the first one; a latency is the lateness of what it is of.
+
+    Raises UsageError where none is.
+    """
+    if of is None or of in measures:
+        return of or measures[0]
+    if of == "lateness" and "latency" in measures:
+        return "latency"
+    raise UsageError(f"measures {' and '.join(measures)}, not {of}")
 
 
 class Suites(Config):
@@ -163,6 +181,12 @@ def defaults_of(name: str) -> dict[str, Value]:
     described = suite(name)
     own = described.launch if described.is_baseline else {}
     return {key: option.default for key, option in options().items()} | own
+
+
+def measures(name: str) -> tuple[Measure, ...]:
+    """What a suite, a baseline or another program measures; of a program that is not known it is a latency."""
+    known = suites().suites | baselines().suites
+    return known[name].measures if name in known else ("latency",)
 
 
 def check_numbers(values: dict[str, Value], known: Mapping[str, Option]) -> dict[str, Value]:

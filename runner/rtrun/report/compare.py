@@ -41,6 +41,8 @@ class Compared:
 
     platform: Platform
     deadline_ns: int
+    miss: str
+    """What counts as a miss, in words."""
     changes: tuple[Changed, ...]
     only_a: tuple[str, ...]
     only_b: tuple[str, ...]
@@ -73,8 +75,8 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
 
     Groups of the same suite and parameters are compared if they are of the same target, or if each side has one such
     group: then the target is what changed. Where one side has results of the programs of 2014, one-shot timers are
-    compared by measured_2014 on both sides, and the label says so. Groups that are not compared are in ``ambiguous``,
-    ``only_a`` or ``only_b``. Raises UsageError for two platforms.
+    compared by measured_2014 and cyclic ones by their jitter, on both sides, and the label says so. Groups that are not
+    compared are in ``ambiguous``, ``only_a`` or ``only_b``. Raises UsageError for two platforms.
     """
     if first.platform is not second.platform and first.digests and second.digests:
         raise UsageError(
@@ -84,7 +86,8 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
     pairs: list[tuple[Group, Group]] = []
     ambiguous: list[str] = []
     only: tuple[list[str], list[str]] = ([], [])
-    as_in_2014 = {group.suite for side in (first, second) for group in side.groups if group.series == MEASURED_2014}
+    of_2014 = (MEASURED_2014, "jitter")
+    as_in_2014 = {group.suite for side in (first, second) for group in side.groups if group.series in of_2014}
     sides = [_by_circumstances(side, as_in_2014) for side in (first, second)]
     for key in dict.fromkeys((*sides[0], *sides[1])):
         alike_a, alike_b = (side.get(key, []) for side in sides)
@@ -108,6 +111,7 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
     return Compared(
         platform=first.platform,
         deadline_ns=first.question.deadline_ns,
+        miss=first.asked.miss,
         changes=tuple(
             dataclasses.replace(change, comparison=one) for change, one in zip(changes, corrected, strict=True)
         ),
@@ -177,7 +181,7 @@ def as_text(compared: Compared) -> str:
         seen = (("p99.9", change.p999_ns), ("max", change.max_ns))
         lines += [f"    {name:7} {time_us(pair[0])} -> {time_us(pair[1])} us" for name, pair in seen]
         lines += [f"    {_shift(shift, c)}" for shift in c.shifts]
-        lines.append(f"    P(> {us(compared.deadline_ns)} us) {_ratio(change.misses, c.confidence)}")
+        lines.append(f"    P({compared.miss}) {_ratio(change.misses, c.confidence)}")
         lines += [f"    assumes {text}" for text in c.assumes]
     lines += [f"not compared: {text}" for text in compared.ambiguous]
     lines += [f"only in A: {label}" for label in compared.only_a] + [f"only in B: {label}" for label in compared.only_b]

@@ -54,11 +54,11 @@ def contents(study: Study, claims: Sequence[Examined]) -> Contents:
 
 
 def _question(study: Study) -> str:
-    asked = study.question
+    asked = study.asked
     boots = f", on at least {asked.boots} boots" if asked.boots > 1 else ""
     bursts = f", covering {asked.covered}" if asked.bursts > 1 else ""
     return (
-        f"Is P(value above {asked.deadline_ns / 1000:g} us) below {asked.probability:g}{boots}{bursts}? "
+        f"Is P({asked.miss}) below {asked.probability:g}{boots}{bursts}? "
         f"Confidence {100 * asked.confidence:g} %, two-sided. {how('Deadline')}"
     )
 
@@ -75,7 +75,7 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
     elif counts[Answer.PROVEN] + counts[Answer.IF_INDEPENDENT] == total:
         condition = ", if measurements are independent" if counts[Answer.IF_INDEPENDENT] else ""
         text = (
-            f"{deadline.capitalize()} is met in {_all(total)}{condition}: P(miss) is below "
+            f"{deadline.capitalize()} is met in {_all(total)}{condition}: P({study.asked.miss}) is below "
             f"{study.question.probability:g} at {100 * study.question.confidence:g} % confidence, "
             f"{_for_which_boots(made)}"
         )

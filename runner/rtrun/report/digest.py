@@ -10,7 +10,8 @@ from rtrun.analysis.extreme_values import Tail, tail_of
 from rtrun.analysis.figures import Figures
 from rtrun.analysis.histogram import Histogram, Int64s, from_samples
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
-from rtrun.results.series import MEASURED_2014, Header, SampleSeries, Series
+from rtrun.plan.question import NONE_TOLERATED, Question
+from rtrun.results.series import MAIN_LOGS, Header, SampleSeries, Series
 
 _COLUMNS = 240
 # Half of the 1 ms by which the thesis found the negative cluster set off (section 4.2.2).
@@ -41,8 +42,8 @@ class Course:
 class Digest:
     """One series of one run.
 
-    Main series have all fields; measured_2014 beside a main series has no tail and no course; the others have only
-    figures, cluster and ``mean_abs_ns``.
+    Main series have all fields; those of 2014 beside a main series have no tail and no course, and tolerate no miss;
+    the others have only figures, cluster and ``mean_abs_ns``.
     """
 
     header: Header
@@ -70,33 +71,37 @@ class Digest:
     @property
     def loops(self) -> int:
         """Measurements asked for, as far as they are known: with the start-up, and those that have no value."""
-        return self.n + len(self.header.startup) + self.header.missing + self.header.not_fired
+        return self.n + len(self.header.startup) + self.header.missing + self.header.not_fired + self.header.skipped
 
 
-def digest(series: Series, deadline_ns: int) -> Digest:
-    """Reduce a series; its deadline verdict is prepared for `deadline_ns`."""
+def digest(series: Series, question: Question) -> Digest:
+    """Reduce a series; its verdict is prepared for the deadline and the tolerance of the question."""
     trials: Trials | None = None
     tail: Tail | None = None
     blocks: Blocks | None = None
     course: Course | None = None
-    undecidable = None
     header = series.header
-    compared = header.main or header.series == MEASURED_2014
+    undecidable = header.undecidable or None
+    compared = header.main or header.series in MAIN_LOGS
+    tolerance = question.tolerance if header.main else NONE_TOLERATED
     if isinstance(series, SampleSeries):
         values = series.values_ns
         histogram = from_samples(values)
         if compared:
-            trials = count_misses(values, deadline_ns, series.absent)
+            trials = count_misses(values, question.deadline_ns, series.absent, tolerance)
             blocks = cut(values) if values.size else None
         if header.main and values.size:
             tail, course = tail_of(values), _course(values)
     else:
         histogram = series.histogram
-        if compared:
+        if compared and tolerance != NONE_TOLERATED:
+            undecidable = "counts without order do not tell which misses follow one another"
+        elif compared:
             try:
-                trials = count_misses_in_histogram(histogram, deadline_ns, series.absent_count)
+                trials = count_misses_in_histogram(histogram, question.deadline_ns, series.absent_count)
             except ValueError as error:
                 undecidable = str(error)
+        if compared:
             blocks = split_randomly(histogram) if histogram.values_ns.size else None
     magnitude = np.abs(histogram.values_ns) if header.series.startswith("difference") and histogram.n else None
     return Digest(

@@ -10,6 +10,7 @@ from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.layers import attribute
 from rtrun.analysis.worst_case import disagreement
 from rtrun.plan.conditions import IDLE
+from rtrun.plan.question import NONE_TOLERATED
 from rtrun.plan.suites import suites
 from rtrun.report import causes
 from rtrun.report.claims.examination import is_rt, select, us
@@ -275,7 +276,9 @@ def _reproduce(study: Study) -> Table:
     ]
     digest = fingerprint(study)
     asked = study.question
-    command = f"rtrun report RESULTS --deadline {asked.deadline_ns / 1000:g}us"
+    of = f" --of {asked.of}" if asked.of else ""
+    tolerate = f" --tolerate '{asked.tolerance}'" if asked.tolerance != NONE_TOLERATED else ""
+    command = f"rtrun report RESULTS{of}{tolerate} --deadline {asked.deadline_ns / 1000:g}us"
     rows.append(("examined", f"{command} --probability {asked.probability:g} --confidence {asked.confidence:g}"))
     rows.append(("input", f"sha256 {digest} of all closing records"))
     rows.append(("seed", "20140715 for every resampling"))

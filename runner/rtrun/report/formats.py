@@ -65,6 +65,8 @@ def as_json(study: Study, claims: Sequence[Examined]) -> str:
     data = {
         "schema": 2,
         "platform": study.platform,
+        "of": study.asked.of,
+        "tolerate": str(study.question.tolerance),
         "deadline_ns": study.question.deadline_ns,
         "probability": study.question.probability,
         "confidence": study.question.confidence,

@@ -9,7 +9,8 @@ from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.analysis.trials import Trials
-from rtrun.plan.suites import Value, suites
+from rtrun.plan.question import Measure
+from rtrun.plan.suites import Value, measures, suites
 from rtrun.report.digest import Digest
 from rtrun.results.record import RunRecord
 from rtrun.results.series import MEASURED_2014
@@ -17,7 +18,7 @@ from rtrun.target.platform import Platform
 
 _UNITS = {"timeout_us": " us", "frequency_hz": " Hz", "payload_bytes": " B", "subscribers": " sub", "priority": " prio"}
 # These do not change what is measured: runs that differ in them only are alike.
-_NOT_TELLING = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s")
+_NOT_TELLING = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s", "trace_of")
 # Boards that agree in these facts of run.json, and in platform and clock step, are alike.
 _ENVIRONMENT = (
     "machine",
@@ -42,6 +43,7 @@ class Group:
 
     suite: str
     series: str
+    of: Measure | None = None
     target: str
     parameters: dict[str, Value]
     digests: tuple[Digest, ...]
@@ -67,8 +69,9 @@ class Group:
 
     @property
     def label(self) -> str:
-        """Suite and parameters in a few words; the series, too, where it is the one of 2014."""
-        words = [self.suite.removesuffix("_tests"), self.series if self.series == MEASURED_2014 else ""]
+        """Suite and parameters in a few words; the series, too, where its suite is judged by another one else."""
+        told = self.series == MEASURED_2014 or (self.of is not None and self.of != measures(self.suite)[0])
+        words = [self.suite.removesuffix("_tests"), self.series if told else ""]
         return " ".join(filter(None, [*words, format_parameters(self.parameters)]))
 
     @property

@@ -141,6 +141,7 @@ def _figures(every: Sequence[Digest]) -> Table:
         "out of order": [one.header.out_of_order for one in every],
         "again": [one.header.duplicate for one in every],
         "not fired": [one.header.not_fired for one in every],
+        "skipped": [one.header.skipped for one in every],
     }
     lost = {name: counts for name, counts in losses.items() if any(counts)}
     labels = output_labels(every)

@@ -55,7 +55,7 @@ def _standing(group: Group, label: str, times_s: dict[str, float]) -> Standing:
 def question(study: Study) -> str:
     """What the answers are to."""
     return (
-        f"P(miss) of a deadline of {study.question.deadline_ns / 1000:g} us below {study.question.probability:g}, "
+        f"P({study.asked.miss}) below {study.question.probability:g}, "
         f"confidence {study.question.confidence:g}, on at least {_count(study.question.boots, 'boot', '')}, "
         f"covering {study.question.covered}"
     )

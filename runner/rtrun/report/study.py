@@ -14,15 +14,15 @@ from rtrun.analysis.deadline import judge
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
-from rtrun.plan.question import THESIS, Question
-from rtrun.plan.suites import Value
+from rtrun.plan.question import NONE_TOLERATED, THESIS, Question
+from rtrun.plan.suites import Value, judged, measures
 from rtrun.report.digest import Digest, digest
 from rtrun.report.groups import Group, slowest, telling_parameters
 from rtrun.results import reading
 from rtrun.results.copies import find_copies
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
-from rtrun.results.series import MEASURED_2014
+from rtrun.results.series import MAIN_LOGS
 from rtrun.target.platform import Platform
 
 
@@ -31,7 +31,7 @@ class Study:
     """Everything a report says, before it is written down.
 
     `groups` are judged, and so are `pooled`, groups of boards that are alike taken together. `groups_2014` are those of
-    measured_2014 of runs whose `measured` is judged.
+    the series of 2014 of runs of which another one is judged: measured_2014 beside measured, jitter beside lateness.
     """
 
     source: Source
@@ -63,9 +63,15 @@ class Study:
         return next((one.header.platform for one in (*self.digests, *self.others)), Platform.HARDWARE)
 
     @property
+    def asked(self) -> Question:
+        """The question, which names what its groups are judged by where that is one thing."""
+        of = {group.of for group in self.groups}
+        return replace(self.question, of=of.pop() if len(of) == 1 else None)
+
+    @property
     def as_in_2014(self) -> tuple[Group, ...]:
-        """The groups that compare with the publications of 2014; for one-shot timers those of measured_2014."""
-        return tuple(group for group in (*self.groups, *self.groups_2014) if group.series != "measured")
+        """The groups that compare with the publications of 2014: measured_2014 of one-shot, jitter of cyclic timers."""
+        return tuple(group for group in (*self.groups, *self.groups_2014) if group.series in MAIN_LOGS)
 
     @property
     def digests(self) -> tuple[Digest, ...]:
@@ -82,7 +88,7 @@ def study(
 ) -> Study:
     """Examine what is at a path: a folder of runs, one run, a log or an npy.
 
-    `known` holds the runs of an earlier call for the same deadline and is extended: they are not read again. What only
+    `known` holds the runs of an earlier call for the same question and is extended: they are not read again. What only
     bounds and comparisons need is not in there.
     Raises UsageError when there is nothing to examine, or runs of several platforms; a run that is refused is told in
     ``left_out``.
@@ -92,7 +98,7 @@ def study(
     digests: list[Digest] = []
     records: dict[Path, RunRecord] = {}
     if not source.folders:
-        digests = [digest(series, question.deadline_ns) for series in reading.read_file(path)]
+        digests = [digest(series, question) for series in reading.read_file(path, question.of)]
     for folder in showing_progress(source.folders, "reading run"):
         try:
             records[folder] = read_record(folder)
@@ -102,12 +108,13 @@ def study(
     left_out += copies.values()
     for folder in copies:
         del records[folder]
+    _check_of(path, records.values(), question)
     for folder, record in records.items():
         try:
             if known is not None and folder in known:
                 digests += known[folder]
                 continue
-            of_run = list(_digests_of_run(folder, record, question.deadline_ns, left_out))
+            of_run = list(_digests_of_run(folder, record, question, left_out))
             if known is not None and record.status is RunStatus.OK:
                 known[folder] = tuple(replace(one, tail=None, blocks=None, course=None) for one in of_run)
             digests += of_run
@@ -138,24 +145,37 @@ def study(
         question=question,
         groups=groups,
         pooled=tuple(_pooled(groups, by_run, question, off_rate)),
-        groups_2014=grouped((one for one in others if one.header.series == MEASURED_2014), bounds=False),
+        groups_2014=grouped((one for one in others if one.header.series in MAIN_LOGS), bounds=False),
         others=others,
         records=tuple(records.values()),
         left_out=tuple(left_out),
     )
 
 
-def _digests_of_run(folder: Path, record: RunRecord, deadline_ns: int, left_out: list[str]) -> Iterator[Digest]:
+def _check_of(path: Path, records: Iterable[RunRecord], question: Question) -> None:
+    """Refuse a question of what no run measures; a run that does not is left out when it is read."""
+    wrong: dict[str, str] = {}
+    suites = {record.suite for record in records}
+    for suite in sorted(suites):
+        try:
+            judged(measures(suite), question.of)
+        except UsageError as error:
+            wrong[suite] = f"{suite} {error}"
+    if wrong and len(wrong) == len(suites):
+        raise UsageError(f"{path}: {'; '.join(wrong.values())}")
+
+
+def _digests_of_run(folder: Path, record: RunRecord, question: Question, left_out: list[str]) -> Iterator[Digest]:
     """Yield a digest of every complete series of a run; what is left out is told in `left_out`, one line each."""
     if record.status is not RunStatus.OK:
         left_out.append(f"{record.run}: {record.status}: {record.reason or 'no reason given'}")
         return
     incomplete: dict[str, str] = {}
-    for series in reading.read_series(folder, record):
+    for series in reading.read_series(folder, record, question.of):
         if series.header.incomplete:
             incomplete[series.header.output] = series.header.incomplete
         else:
-            yield digest(series, deadline_ns)
+            yield digest(series, question)
     left_out += [f"{record.run}: {output} is incomplete: {reason}" for output, reason in incomplete.items()]
 
 
@@ -226,17 +246,20 @@ def _group(
     if undecidable is None and trials:
         verdict = judge(
             trials,
-            question,
+            replace(question, of=first.of, tolerance=question.tolerance if first.main else NONE_TOLERATED),
             period_ns=sum(periods) / len(periods) / side_by_side if periods else None,
             clock_step_ns=max(steps, default=None),
             emulated=first.platform is Platform.EMULATED,
             measurements_per_event=round(side_by_side) if "subscribers" in first.parameters else 1,
             off_rate=sum(off_rate.get(kind, 0) for kind in kinds),
         )
+        assumes = dict.fromkeys(one.header.assumes for one in alike if one.header.assumes)
+        verdict = replace(verdict, assumes=(*verdict.assumes, *assumes))
     worst_cases, no_bound = _bounds(alike, question, max(steps, default=1)) if bounds else ((), None)
     return Group(
         suite=first.suite,
         series=first.series,
+        of=first.of,
         target=first.target,
         parameters=telling_parameters(first.parameters),
         digests=tuple(alike),

@@ -9,7 +9,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from rtfiles.output import print_line, printable
+from rtfiles.output import counted, print_line, printable
 from rtrun.plan.suites import Value, output_name, suite, suites
 from rtrun.results.rate import OFF_MAX
 from rtrun.results.reading import Result, Run, Runs
@@ -27,7 +27,7 @@ COARSE_NS = 10_000_000  # from here on a tenth of a microsecond is not worth its
 
 _UNITS = {"timeout_us": "us", "frequency_hz": "Hz", "payload_bytes": "B", "subscribers": "sub"}
 # The number of measurements has its own column; these do not change what is measured.
-_NOT_TOLD = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s")
+_NOT_TOLD = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s", "trace_of")
 
 
 def table(results: Sequence[Result]) -> Table:
@@ -83,7 +83,7 @@ def _labels(headers: Sequence[Header]) -> list[tuple[str, str]]:
 def _name(header: Header) -> str:
     """The suite; the series only where it is not the one the suite is about."""
     name = header.suite.removesuffix("_tests")
-    return name if header.main else f"{name} {header.series}"
+    return name if header.is_usual else f"{name} {header.series}"
 
 
 def _time(value_ns: float | None, bin_ns: int) -> str:
@@ -173,6 +173,8 @@ def _lost(header: Header) -> list[str]:
             if count == 1
             else f"{count} timers did not fire, they are in no figure"
         )
+    if header.skipped and header.main:
+        lines.append(f"{counted(header.skipped, 'period')} skipped, in no figure: roscpp was two periods behind")
     if header.duplicate:
         lines.append(f"{header.duplicate} messages came again, only the first arrival counts")
     return lines

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from rtfiles.output import counted, printable
 from rtrun.analysis.deadline import Answer, Verdict
+from rtrun.plan.question import NONE_TOLERATED
 from rtrun.report.boards import spread
 from rtrun.report.claims.examination import us
 from rtrun.report.groups import Group
@@ -52,10 +53,13 @@ def _numbers(verdict: Verdict, group: Group) -> str:
 
 def sentences(verdict: Verdict) -> list[str]:
     """The numbers that a verdict rests on, what it holds for, and what it lacks."""
-    parts = [f"{grouped(verdict.late)} of {grouped(verdict.n)} late"]
+    what = "late" if verdict.question.tolerance == NONE_TOLERATED else "windows hold too many misses"
+    parts = [f"{grouped(verdict.late)} of {grouped(verdict.n)} {what}"]
     if verdict.absent:
-        parts[0] += f" and {verdict.absent} never came"
-    parts.append(f"P(miss) {_between(verdict)}")
+        is_skip = verdict.question.of == "lateness"
+        absent = f"{counted(verdict.absent, 'period')} skipped" if is_skip else f"{verdict.absent} never came"
+        parts[0] += f" and {absent}"
+    parts.append(f"P({verdict.question.miss}) {_between(verdict)}")
     if verdict.worst_ns is not None:
         parts.append(f"worst {us(verdict.worst_ns)} us")
     if verdict.design_effect > 1.005:

@@ -10,7 +10,7 @@ from rtfiles import atomic
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
 from rtrun.plan.goal import Goal
-from rtrun.plan.question import may_follow
+from rtrun.plan.question import NONE_TOLERATED, may_follow
 from rtrun.results.record import is_closed
 
 FILE = "goal.json"
@@ -31,11 +31,12 @@ def write_goal(results: Path, goal: Goal) -> None:
     before = read_goal(results)
     if before and not may_follow(before.question, goal.question) and any(map(is_closed, results.iterdir())):
         raise UsageError(
-            f"{results / FILE}: these runs were measured for a deadline of {before.deadline_ns / 1000:g} us, the "
-            f"campaign asks for {goal.deadline_ns / 1000:g} us now: a deadline that is chosen after looking has no "
-            f"confidence of {100 * goal.confidence:g} %. Measure anew with --fresh, or ask for the deadline of before"
+            f"{results / FILE}: these runs were measured for P({before.question.miss}), the campaign asks for "
+            f"P({goal.question.miss}) now: what is chosen after looking has no confidence of "
+            f"{100 * goal.confidence:g} %. Measure anew with --fresh, or ask as before"
         )
     written = {
+        "of": goal.of,
         "deadline": f"{goal.deadline_ns}ns",
         "probability": goal.probability,
         "confidence": goal.confidence,
@@ -43,6 +44,8 @@ def write_goal(results: Path, goal: Goal) -> None:
         "boots": goal.boots,
         "bursts": goal.bursts,
     }
+    if goal.tolerate != NONE_TOLERATED:
+        written["tolerate"] = str(goal.tolerate)
     atomic.write_text(results / FILE, json.dumps({"schema": 1, "until": written}, indent=2) + "\n")
 
 

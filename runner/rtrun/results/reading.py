@@ -10,6 +10,7 @@ from pathlib import Path
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import Figures
+from rtrun.plan.question import Measure
 from rtrun.plan.suites import suite
 from rtrun.plan.trace import WARM_UP
 from rtrun.results.gnuplot_log import read_log
@@ -50,15 +51,15 @@ class Runs:
     refused: tuple[str, ...]
 
 
-def read_file(path: Path) -> tuple[Series, ...]:
-    """Read every series in one log, or in an npy and the json of its name.
+def read_file(path: Path, of: Measure | None = None) -> tuple[Series, ...]:
+    """Read every series in one log, or in an npy and the json of its name; `of` is what the question names.
 
     Raises UsageError as `read_log` and `read_samples` do, and for a file that is none of these.
     """
     if path.suffix == ".log":
-        return (series_of_log(read_log(path)),)
+        return (series_of_log(read_log(path), of),)
     if path.suffix in (".npy", ".json"):
-        return series_of_samples(read_samples(path))
+        return series_of_samples(read_samples(path), of)
     raise UsageError(f"{path}: not a run directory, a folder of runs, or a .log, .npy or .json of a suite")
 
 
@@ -74,14 +75,15 @@ def read_run(folder: Path) -> Run:
     return Run(folder=folder, record=record, results=results_of(read_series(folder, record)) if of_use else ())
 
 
-def read_series(folder: Path, record: RunRecord) -> Iterator[Series]:
+def read_series(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Series]:
     """Yield every series of every output of a run, whose files must be those that the record was closed with.
 
-    An output is read from its samples, or, when it has none (the programs of 2014 write none), from its logs. Raises
-    UsageError when a file is missing, altered or not what it should be.
+    An output is read from its samples, or, when it has none (the programs of 2014 write none), from its logs. `of` is
+    what the question names. Raises UsageError when a file is missing, altered or not what it should be, or has no such
+    series.
     """
     for output in dict.fromkeys(record.outputs):
-        for series in _series_of_output(folder, record, output):
+        for series in _series_of_output(folder, record, output, of):
             if series.header.suite != record.suite and f"{output}{ENDING}" not in record.files:
                 raise UsageError(f"{folder / output}: of {series.header.suite}, but {FILE} says {record.suite}")
             yield replace(
@@ -99,21 +101,21 @@ def read_series(folder: Path, record: RunRecord) -> Iterator[Series]:
             )
 
 
-def _series_of_output(folder: Path, record: RunRecord, output: str) -> Iterator[Series]:
+def _series_of_output(folder: Path, record: RunRecord, output: str, of: Measure | None) -> Iterator[Series]:
     if f"{output}{ENDING}" in record.files:
         check_file(folder, record, output + ENDING)
-        yield series_of_histogram(read_histogram(folder / f"{output}{ENDING}"))
+        yield series_of_histogram(read_histogram(folder / f"{output}{ENDING}"), of)
     elif f"{output}.npy" in record.files:
         for ending in (".npy", ".json"):
             check_file(folder, record, output + ending)
-        yield from series_of_samples(read_samples(folder / f"{output}.npy"))
+        yield from series_of_samples(read_samples(folder / f"{output}.npy"), of)
     else:
         logs = [name for name in log_names(record, output) if name in record.files]
         if not logs:
             raise UsageError(f"{folder / FILE}: neither samples nor log of the output {output!r} among its files")
         for name in logs:
             check_file(folder, record, name)
-            yield series_of_log(read_log(folder / name))
+            yield series_of_log(read_log(folder / name), of)
 
 
 def target_of(record: RunRecord) -> str:

@@ -4,7 +4,7 @@ Both are untrusted: their sizes are limited, the npy is never unpickled, and row
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
 from rtrun.plan.limits import (
     TIME_MAX_NS,
+    WALL_TIME_MAX_NS,
     ClockStepNs,
     Count,
     Cpu,
@@ -25,12 +26,16 @@ from rtrun.plan.limits import (
     Priority,
     TimeNs,
 )
+from rtrun.plan.question import Measure
 from rtrun.plan.suites import Asked, Parameters, Suite, suite
 from rtrun.results.npy import read_header
 from rtrun.results.rate import Rate
 
 MAX_NPY_BYTES = 4 << 30
 NOT_FIRED_NS = -(2**63)
+MAX_ABSENT = 10_000_000  # loops without a value, so that they fit into memory
+# Clocks that NTP disciplines drift from others by 500 ppm at most.
+_NTP_DRIFT = 5e-4
 # Threads of a suite that have no part in the measurement: of normal scheduling, on spare CPUs, whatever was asked for.
 NON_MEASURING_THREADS = frozenset({"rt_blocks", "rt_traces"})
 
@@ -167,12 +172,23 @@ class SenderRecord(ProgramHead):
     rate: Rate
 
 
+def _none() -> Int64s:
+    return np.empty(0, np.int64)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class IndexedValues:
-    """Values in nanoseconds and the index of each measurement, both of shape (n,)."""
+    """Values in nanoseconds and the index of each measurement, both of shape (n,).
+
+    `absent`, int64 (a,), ascending, are the loops without a value, counted with them: what did not fire, is missing or
+    was skipped. `assumes` says what had to be assumed for the values, `undecidable` why no answer can rest on them.
+    """
 
     values_ns: Int64s
     index: Int64s
+    absent: Int64s = field(default_factory=_none)
+    assumes: str = ""
+    undecidable: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -180,8 +196,8 @@ class Samples:
     """The samples of one run of a program.
 
     `series` are measured, reported and difference (one-shot; measured_2014 and difference_2014 too, unless the samples
-    are of an earlier version), jitter and grid (cyclic), or latency (communication, in
-    the order of the sequence numbers); the first of them is what the suite is about.
+    are of an earlier version), lateness, jitter and grid (cyclic), or latency (communication, in the order of the
+    sequence numbers); the first of them is what the suite is about.
     `columns`, each of shape (rows,), are mapped from the file, in the order of suites.yml.
     """
 
@@ -189,6 +205,29 @@ class Samples:
     record: Record
     columns: dict[str, Int64s]
     series: dict[str, IndexedValues]
+
+    def judged(self, of: Measure | None) -> IndexedValues:
+        """The series that a question is of. Raises UsageError when the suite measures no such thing."""
+        try:
+            measure = suite(self.record.suite).judged(of)
+        except UsageError as error:
+            raise UsageError(f"{self.path}: {self.record.suite} {error}") from None
+        return next(values for name, values in self.series.items() if called(name) == measure)
+
+
+# What a question calls a series that it may be of; of two by one name the first in the samples is meant.
+_CALLED: dict[str, Measure] = {
+    "measured": "latency",
+    "measured_2014": "latency",
+    "latency": "latency",
+    "lateness": "lateness",
+    "jitter": "jitter",
+}
+
+
+def called(series: str) -> Measure | None:
+    """What a question calls a series by this name; None for one that no question is of."""
+    return _CALLED.get(series)
 
 
 def read_samples(path: Path, record: Record | None = None) -> Samples:
@@ -281,17 +320,18 @@ def _oneshot(columns: dict[str, Int64s], record: Record, path: Path) -> dict[str
     measured, reported = columns["measured_ns"][index], columns["reported_ns"][index]
     _times(path, columns["start_ns"], columns["end_ns"][index], measured, reported)
     values = {"measured": measured, "reported": reported, "difference": reported - measured}
+    absent = np.flatnonzero(~fired)
     if "armed_ns" in columns:
         start, armed = columns["start_ns"][index], columns["armed_ns"][index]
         _times(path, armed)
         # The programs of 2014 counted from after roscpp had armed the timer.
         values["measured_2014"] = measured - (armed - start)
         values["difference_2014"] = reported - values["measured_2014"]
-    return {name: IndexedValues(values_ns=column, index=index) for name, column in values.items()}
+    return {name: IndexedValues(values_ns=column, index=index, absent=absent) for name, column in values.items()}
 
 
 def _cyclic(columns: dict[str, Int64s], record: Record, path: Path) -> dict[str, IndexedValues]:
-    """Jitter of each period and lateness against the grid from the first timestamp, both from the second one on."""
+    """Lateness of each call, jitter of each period, and the grid from the first timestamp; from the second one on."""
     timestamp = np.asarray(columns["timestamp_ns"])
     _times(path, timestamp)
     _agree(path, "measured periods", max(len(timestamp) - 1, 0), record.counts.measured)
@@ -299,10 +339,76 @@ def _cyclic(columns: dict[str, Int64s], record: Record, path: Path) -> dict[str,
     passed_ns = timestamp[1:] - timestamp[:1] if len(timestamp) else timestamp
     frequency_hz = _frequency_hz(record, path)
     period_ns = _grid_ns(1, frequency_hz)
+    grid = IndexedValues(values_ns=passed_ns - _grid_ns(index + 1, frequency_hz), index=index)
+    lateness = _lateness(columns, record, path, period_ns) if "expected_ns" in columns else _estimated(grid, period_ns)
     return {
+        "lateness": lateness,
         "jitter": IndexedValues(values_ns=np.diff(timestamp) - period_ns, index=index),
-        "grid": IndexedValues(values_ns=passed_ns - _grid_ns(index + 1, frequency_hz), index=index),
+        "grid": grid,
     }
+
+
+def _lateness(columns: dict[str, Int64s], record: Record, path: Path, period_ns: int) -> IndexedValues:
+    """How late each call is against the grid that roscpp keeps, whose skipped periods are absent.
+
+    roscpp moves its grid when it is two periods behind: what it moves it by beyond whole periods is lateness of the
+    call there, and the whole periods are skipped. So nothing is made up for by moving the grid.
+    """
+    expected, real = np.asarray(columns["expected_ns"]), np.asarray(columns["real_ns"])
+    for column in (expected, real):
+        if column.size and not 0 <= int(column.min()) <= int(column.max()) <= WALL_TIME_MAX_NS:
+            raise UsageError(f"{path}: a time of the wall clock below 0 or above {WALL_TIME_MAX_NS} ns cannot be")
+    passed = np.diff(expected)
+    skipped = np.maximum(passed // period_ns - 1, 0)
+    values = (real - expected)[1:] + np.where(passed > period_ns, passed % period_ns, 0)
+    _times(path, values)
+    total = int(skipped.sum(dtype=np.float64))
+    if total > MAX_ABSENT:
+        raise UsageError(
+            f"{path}: {total} periods were skipped: none with more than {MAX_ABSENT} is read; was the wall clock set?"
+        )
+    if record.rate is not None and record.rate.skipped is not None:
+        _agree(path, "skipped", total, record.rate.skipped)
+    # The loops of the calls, of which each has those that were skipped before it.
+    loops = np.arange(values.size) + np.cumsum(skipped)
+    return IndexedValues(
+        values_ns=values,
+        index=np.arange(values.size),
+        absent=_without(loops, int(loops[-1]) + 1) if total else _none(),
+    )
+
+
+def _estimated(grid: IndexedValues, period_ns: int) -> IndexedValues:
+    """Lateness of samples that do not tell when calls were due, against a grid laid through the earliest ones.
+
+    Clocks drift: the grid is that of the first timestamp, tilted so that the earliest of the first quarter and of the
+    last are as late as one another, by 500 ppm at most. A call more than two periods late makes roscpp move its grid,
+    where to is not known.
+    """
+    values, quarter = grid.values_ns, grid.values_ns.size // 4
+    if not values.size:
+        return grid
+    late = values
+    # Twice: where the grid still falls or rises, the earliest calls are found at the ends of the quarters.
+    for _ in range(2):
+        first = int(np.argmin(late[: quarter or None]))
+        last = late.size - quarter + int(np.argmin(late[-quarter:])) if quarter else first
+        slope = (int(late[last]) - int(late[first])) / max(1, last - first)
+        limit = _NTP_DRIFT * period_ns
+        late = late - np.rint(min(max(slope, -limit), limit) * grid.index).astype(np.int64)
+    late = late - late.min()
+    undecidable = ""
+    if int(late.max()) > 2 * period_ns:
+        undecidable = (
+            "samples of an earlier version do not tell when calls were due, and one came more than two periods late, "
+            "after which roscpp moves its grid: measure again, or ask for the jitter (--of jitter)"
+        )
+    return IndexedValues(
+        values_ns=late,
+        index=grid.index,
+        assumes="a grid estimated from the earliest calls: these samples do not tell when calls were due",
+        undecidable=undecidable,
+    )
 
 
 def _grid_ns(periods: Any, frequency_hz: int) -> Any:
@@ -342,7 +448,23 @@ def _communication(columns: dict[str, Int64s], record: Record, path: Path) -> di
     if counts.missing not in (missing[-1:] if record.complete else missing):
         _agree(path, "missing", missing[-1], counts.missing)
     _agree(path, "out of order", int(np.count_nonzero(steps < 0)), counts.out_of_order)
-    return {"latency": IndexedValues(values_ns=(reception - publication)[order], index=seq)}
+    absent = _absent(seq, counts.asked, path) if counts.missing else _none()
+    return {"latency": IndexedValues(values_ns=(reception - publication)[order], index=seq, absent=absent)}
+
+
+def _absent(index: Int64s, asked: int, path: Path) -> Int64s:
+    if asked - len(index) > MAX_ABSENT:
+        raise UsageError(
+            f"{path}: {asked} were asked for, {len(index)} came: none with more than {MAX_ABSENT} missing is read"
+        )
+    return _without(index, asked)
+
+
+def _without(present: Int64s, number: int) -> Int64s:
+    """Which of so many loops are not among those present, ascending."""
+    absent = np.ones(number, dtype=bool)
+    absent[present] = False
+    return np.flatnonzero(absent).astype(np.int64)
 
 
 # How the series of a suite follow from its columns in suites.yml.

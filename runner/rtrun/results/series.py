@@ -11,10 +11,11 @@ from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtrun.analysis.figures import Figures, IndexedValue, figures_of_histogram, figures_of_samples
 from rtrun.analysis.histogram import Histogram, Int64s
-from rtrun.plan.suites import Value
+from rtrun.plan.question import Measure
+from rtrun.plan.suites import Value, judged, measures
 from rtrun.results.gnuplot_log import Log
 from rtrun.results.importers.histogram_file import Imported
-from rtrun.results.samples import InEffect, Samples
+from rtrun.results.samples import InEffect, Samples, called
 from rtrun.target.platform import Platform
 
 MEASURED_2014 = "measured_2014"
@@ -27,23 +28,23 @@ _WITHOUT_2014 = (
     "samples of an earlier version, without a stamp from after the timer was armed: not compared with what was"
     " published in 2014"
 )
-# Of the logs: what a suite is about. The samples of a suite begin with it; for the one-shot timer that is `measured`.
+# Of the logs: what a suite was about in 2014.
 MAIN_LOGS = (MEASURED_2014, "jitter", "latency")
 # Loops at the start of a run that stand apart, as in the thesis: the first message, the first two periods.
-STARTUP_LOOPS = {"latency": 1, "jitter": 2, "grid": 2}
-MAX_ABSENT = 10_000_000  # loops without a value, so that they fit into memory
-_NONE = np.empty(0, np.int64)
+STARTUP_LOOPS = {"latency": 1, "lateness": 2, "jitter": 2, "grid": 2}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Header:
     """All that is known of a series but its values.
 
-    A file on its own has the file's name for `run`, no `target`, and the `parameters` that it tells. `main` says that
-    the suite is about this series: it is the one that is judged. `startup` are the values of the first loops, which are
-    in no figure. `missing`, `out_of_order`, `duplicate` and `not_fired` count what is no value. `incomplete` says why
-    fewer were measured than asked for. `remarks` are sentences on what the file does not tell, or told wrongly and was
-    corrected.
+    A file on its own has the file's name for `run`, no `target`, and the `parameters` that it tells. `of` is what a
+    question calls this series, None for one that none is of; `main` says that the question is of it: it is the one that
+    is judged. `startup` are the values of the first loops, which are
+    in no figure. `missing`, `out_of_order`, `duplicate`, `not_fired` and `skipped` count what is no value. `incomplete`
+    says why fewer were measured than asked for. `assumes` says what had to be assumed for the values, `undecidable` why
+    no answer can rest on them; empty where nothing. `remarks` are sentences on what the file does not tell, or told
+    wrongly and was corrected.
     """
 
     run: str
@@ -51,6 +52,7 @@ class Header:
     suite: str
     output: str
     series: str
+    of: Measure | None = None
     main: bool = True
     parameters: dict[str, Value]
     platform: Platform = Platform.HARDWARE
@@ -59,18 +61,27 @@ class Header:
     out_of_order: int = 0
     duplicate: int = 0
     not_fired: int = 0
+    skipped: int = 0
     period_ns: float | None = None
     clock_step_ns: int | None = None
     in_effect: InEffect | None = None
     incomplete: str | None = None
+    assumes: str = ""
+    undecidable: str = ""
     remarks: tuple[str, ...] = ()
+
+    @property
+    def is_usual(self) -> bool:
+        """Whether a question that names no series is of this one, where its suite has several."""
+        return self.main and (self.of is None or self.of == measures(self.suite)[0])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SampleSeries:
     """Values in the order of their loops, shape (n,), without the start-up; `index`, shape (n,), is the loop of each.
 
-    `absent` are the loops that did not fire or whose message is missing, counted from the end of the start-up.
+    `absent` are the loops that did not fire, whose message is missing or that were skipped, counted with the others
+    from the end of the start-up.
     """
 
     header: Header
@@ -105,27 +116,25 @@ class HistogramSeries:
 Series = SampleSeries | HistogramSeries
 
 
-def series_of_samples(samples: Samples) -> tuple[SampleSeries, ...]:
-    """Every series in samples, the one that the suite is about first.
+def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[SampleSeries, ...]:
+    """Every series in samples; the one that a question `of` this is of is the main one.
 
-    Raises UsageError when more loops are without a value than any run can have.
+    Raises UsageError when the suite measures no such thing.
     """
     record = samples.record
     counts = record.counts
+    main = samples.judged(of)
     first = next(iter(samples.columns.values()))
     period_ns = float(int(first[-1]) - int(first[0])) / (first.size - 1) if first.size > 1 else 0.0
     sample_series = []
+    told: set[Measure | None] = set()
     for name, values in samples.series.items():
+        # Of two series by one name the first is meant: the other one is that of 2014.
+        known = None if called(name) in told else called(name)
+        told.add(known)
         apart = STARTUP_LOOPS.get(name, 0)
-        head = int(np.searchsorted(values.index, apart))
-        absent = _NONE
-        if counts.not_fired + counts.missing:
-            if counts.asked - len(values.index) > MAX_ABSENT:
-                raise UsageError(
-                    f"{samples.path}: {counts.asked} were asked for, {len(values.index)} came: none with more than "
-                    f"{MAX_ABSENT} missing is read"
-                )
-            absent = _absent(values.index, counts.asked)
+        absent = values.absent
+        head = min(apart - int(np.searchsorted(absent, apart)), values.values_ns.size)
         sample_series.append(
             SampleSeries(
                 header=Header(
@@ -133,7 +142,8 @@ def series_of_samples(samples: Samples) -> tuple[SampleSeries, ...]:
                     suite=record.suite,
                     output=samples.path.stem,
                     series=name,
-                    main=name == next(iter(samples.series)),
+                    of=known,
+                    main=values is main,
                     parameters=record.requested,
                     startup=tuple(
                         IndexedValue(value_ns=int(value), index=int(index))
@@ -143,10 +153,13 @@ def series_of_samples(samples: Samples) -> tuple[SampleSeries, ...]:
                     out_of_order=counts.out_of_order,
                     duplicate=counts.duplicate,
                     not_fired=counts.not_fired,
+                    skipped=0 if counts.missing or counts.not_fired else absent.size,
                     period_ns=period_ns if period_ns > 0 else period_of(record.requested),
                     clock_step_ns=record.in_effect.clock_step_ns or None,
                     in_effect=record.in_effect,
                     incomplete=None if record.complete else record.incomplete_reason or "no reason given",
+                    assumes=values.assumes,
+                    undecidable=values.undecidable,
                     remarks=(_WITHOUT_2014,) if name == "measured" and MEASURED_2014 not in samples.series else (),
                 ),
                 values_ns=np.ascontiguousarray(values.values_ns[head:]),
@@ -157,18 +170,18 @@ def series_of_samples(samples: Samples) -> tuple[SampleSeries, ...]:
     return tuple(sample_series)
 
 
-def _absent(index: Int64s, asked: int) -> Int64s:
-    present = np.zeros(asked, dtype=bool)
-    present[index] = True
-    return np.flatnonzero(~present).astype(np.int64)
-
-
-def series_of_log(log: Log) -> HistogramSeries:
+def series_of_log(log: Log, of: Measure | None = None) -> HistogramSeries:
     """The series in a log.
 
     A log names the loop of its ten highest and lowest values only: a start-up value among them is set apart, and a
-    remark says so where one is not.
+    remark says so where one is not. Raises UsageError for a question of what a log does not hold.
     """
+    known = called(log.series) if log.series in MAIN_LOGS else None
+    try:
+        if known is not None and of is not None and judged(measures(log.suite), of) != known:
+            raise UsageError(f"a log keeps the {known} only: ask for it (--of {known})")
+    except UsageError as error:
+        raise UsageError(f"{log.path}: {log.suite}: {error}") from None
     apart = STARTUP_LOOPS.get(log.series, 0)
     listed = {entry.index: entry for entry in (*log.top, *log.lowest) if entry.index is not None}
     startup = tuple(listed[index] for index in range(apart) if index in listed)
@@ -185,7 +198,8 @@ def series_of_log(log: Log) -> HistogramSeries:
             suite=log.suite,
             output=log.path.stem,
             series=log.series,
-            main=log.series in MAIN_LOGS,
+            of=known,
+            main=known is not None,
             parameters=log.parameters,
             startup=startup,
             missing=log.missing,
@@ -203,14 +217,19 @@ def series_of_log(log: Log) -> HistogramSeries:
     )
 
 
-def series_of_histogram(imported: Imported) -> HistogramSeries:
-    """The series in a histogram of another program."""
+def series_of_histogram(imported: Imported, of: Measure | None = None) -> HistogramSeries:
+    """The series in a histogram of another program. Raises UsageError for a question of its jitter."""
+    try:
+        judged(("latency",), of)
+    except UsageError as error:
+        raise UsageError(f"{imported.name}: {imported.source} {error}") from None
     return HistogramSeries(
         header=Header(
             run=imported.name,
             suite=imported.source,
             output=imported.name,
             series="latency",
+            of="latency",
             main=True,
             parameters=dict(imported.parameters),
             period_ns=imported.period_ns,

@@ -2,9 +2,11 @@
 
 import json
 
+import pyarrow.compute
+import pyarrow.parquet
 import pytest
 from archive.examples import answer_of, write_days
-from report.campaigns import latencies, oneshot_rows, write_campaign, write_run
+from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_campaign, write_run
 
 from rtrun.analysis.figures import PERCENTILES
 from rtrun.archive import queries
@@ -131,3 +133,47 @@ def test_duckdb_by_itself_gives_the_same_numbers(capsys, tmp_path):
         )
         for point in points
     ]
+
+
+def write_timer(root, name, day):
+    """A run of a cyclic timer on a boot of its own, ten calls of which are late in a row."""
+    late = latencies(3000, day)
+    late[1000:1010] += 1_000_000
+    return write_run(
+        root,
+        name,
+        "cyclic_timer_tests",
+        [cyclic_rows(late, 1000)],
+        {"policy": "RR", "frequency_hz": 1000},
+        asked=3000,
+        logs=False,
+        start_time=f"2026-10-{day:02d}T10:00:00Z",
+        target={"name": "board", "kernel_release": "6.1", "boot_id": f"boot-{day}"},
+    )
+
+
+def test_lateness_and_jitter_have_histories_of_their_own(capsys, tmp_path):
+    for day in range(1, 7):
+        write_timer(tmp_path / "results", f"{day}", day)
+    archive = archived(capsys, tmp_path / "results", tmp_path / "archive")
+    for words, scenario, misses in (((), "", 10), (("--of", "jitter"), ", jitter", 1)):
+        points = history(capsys, archive, "--by", "run", *words)
+        assert {point["scenario"] for point in points} == {f"cyclic_timer RR 1000 Hz{scenario}"}
+        assert [point["misses"] for point in points] == [misses] * 6
+    write_timer(tmp_path / "build", "new", 20)
+    gate = ("gate", str(tmp_path / "build"), "--against", str(archive))
+    assert main([*gate]) == main([*gate, "--of", "jitter"]) == 0
+    capsys.readouterr()
+    # Of runs of before the archive has the jitter alone: no lateness is held against it.
+    for path in (archive / "histograms").rglob("*.parquet"):
+        table = pyarrow.parquet.read_table(path)
+        pyarrow.parquet.write_table(table.filter(pyarrow.compute.equal(table["series"], "jitter")), path)
+    assert {point["series"] for point in history(capsys, archive)} == {"jitter"}
+    assert history(capsys, archive, "--of", "lateness") == []
+    assert main([*gate]) == 1
+    assert "0 boots of it are in the archive" in capsys.readouterr().out
+    assert main([*gate, "--of", "jitter"]) == 0
+    write_run(tmp_path / "other", "a", "oneshot_timer_tests", [oneshot_rows(latencies(500, 1), 1000)],
+              {"timeout_us": 1000, "busy_mode": 0}, asked=500, logs=False)  # fmt: skip
+    assert main(["gate", str(tmp_path / "other"), "--against", str(archive), "--of", "jitter"]) == 1
+    assert "NOT ANALYSED" in (out := capsys.readouterr().out) and "it has no jitter" in out

@@ -67,7 +67,7 @@ def test_the_figures_of_real_samples_are_those_their_program_wrote() -> None:
     assert len(paths) == 9
     for path in paths:
         summary = read_samples(path).record.summary
-        for series in read_file(path):
+        for series in (one for one in read_file(path) if not one.header.assumes):
             ours, theirs = with_startup(series), summary[series.header.series]
             assert (ours.n, ours.min_ns, ours.max_ns) == (theirs.n, theirs.min_ns, theirs.max_ns)
             assert ours.mean_ns == (None if theirs.mean_ns is None else pytest.approx(theirs.mean_ns, abs=0.6))

@@ -1,14 +1,18 @@
 """What a campaign states as its goal, and the variants that it measures side by side."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from rtfiles.errors import UsageError
+from rtrun.analysis.further import plan_measurements
 from rtrun.cli import main
 from rtrun.plan.campaign import read_campaign
 from rtrun.plan.quantities import read_time_ns
+from rtrun.plan.question import Tolerance
 from rtrun.plan.run import SET_UP_S
+from rtrun.results.goal_file import read_goal, write_goal
 
 INTERLEAVED = "order: interleaved\nseed: 7\n"
 UNTIL = "until: {deadline: 400us, probability: 1e-6, confidence: 0.95, at_most: 8h, boots: 8}\n"
@@ -43,9 +47,33 @@ def test_the_goal_of_a_campaign(tmp_path):
     assert [run.repeat for run in runs] == [1, 1]
 
 
+def test_a_goal_names_what_it_is_of_and_what_it_tolerates(tmp_path):
+    more = UNTIL.replace("boots: 8", "of: jitter, tolerate: 3 of 100")
+    goal = read_campaign(write(tmp_path, INTERLEAVED + more + RUNS))[0].until
+    assert goal.question.miss == "more than 3 of 100 with jitter > 400 us"
+    write_goal(tmp_path, goal)
+    assert read_goal(tmp_path) == goal
+    # A miss too many is in 97 windows.
+    single = plan_measurements(replace(goal.question, tolerance=Tolerance()))
+    assert plan_measurements(goal.question)[1] == pytest.approx(97 * single[1], rel=1e-6)
+
+
+ONESHOT = "runs: [{suite: oneshot_timer_tests}]"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (
+            INTERLEAVED + UNTIL.replace("boots: 8", "of: jitter") + ONESHOT,
+            "until.of: oneshot_timer_tests measures latency, not jitter",
+        ),
+        (INTERLEAVED + UNTIL.replace("boots: 8", "of: drift") + RUNS, "until.of: "),
+        (
+            INTERLEAVED + UNTIL.replace("boots: 8", "tolerate: 3 of 3") + RUNS,
+            "until.tolerate: '3 of 3' is neither a number of misses in a row, as '2 in a row', nor",
+        ),
+        (INTERLEAVED + UNTIL.replace("boots: 8", "tolerate: 1 of 1001") + RUNS, "of which there are at most 1000"),
         (UNTIL + RUNS, "until: give order: interleaved and a seed"),
         (INTERLEAVED + UNTIL + "runs: [{suite: cyclic_timer_tests, repeats: 2}]", "until: takes no repeats"),
         (INTERLEAVED + UNTIL + "runs: [{suite: hwlatdetect}]", "until: hwlatdetect measures no deadline"),

@@ -42,10 +42,14 @@ def oneshot_rows(latency_ns: Int64s, timeout_us: int, reported_off_ns: int = 800
     return np.stack([start, end, latency_ns, reported, start + armed_after_ns], axis=1)
 
 
+WALL_NS = 1_800_000_000 * 10**9
+
+
 def cyclic_rows(lateness_ns: Int64s, frequency_hz: int) -> Int64s:
-    """Timestamps whose lateness against the ideal grid is given; shape (n + 1, 1), the first on the grid."""
-    grid = np.arange(1, lateness_ns.size + 1, dtype=np.int64) * 10**9 // frequency_hz
-    return (7_000_000 + np.concatenate(([0], grid + lateness_ns))).reshape(-1, 1)
+    """Calls whose lateness against the ideal grid is given; shape (n + 1, 3), the first on the grid."""
+    grid = np.arange(lateness_ns.size + 1, dtype=np.int64) * round(10**9 / frequency_hz)
+    called = grid + np.concatenate(([0], lateness_ns))
+    return np.stack([7_000_000 + called, WALL_NS + grid, WALL_NS + called], axis=1)
 
 
 def communication_rows(latency_ns: Int64s, frequency_hz: int, lost: tuple[int, ...] = ()) -> Int64s:

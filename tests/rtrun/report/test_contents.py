@@ -53,7 +53,7 @@ def texts(value: object) -> Iterator[str]:
     [
         (
             {"probability": 1e-2},
-            "The deadline of 400 us is met in the one scenario: P(miss) is below 0.01",
+            "The deadline of 400 us is met in the one scenario: P(latency > 400 us) is below 0.01",
             "keep it so",
         ),
         ({}, "It is not decided whether the deadline of 400 us is met: NEEDS MORE 1 of 1.", "measure more"),

@@ -9,7 +9,7 @@ from rtrun.analysis.comparison import Ratio
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.stationarity import Change
 from rtrun.analysis.trials import Trials, count_misses
-from rtrun.plan.question import Question, boots_for, unlike_share
+from rtrun.plan.question import NONE_TOLERATED, Question, Tolerance, boots_for, read_tolerance, unlike_share
 from rtrun.report.compare import _ratio
 from rtrun.report.verdicts import scope_in_short, sentences
 
@@ -17,13 +17,18 @@ QUESTION = Question(probability=1e-3)
 PERIOD_NS = 1e6
 
 
-def trials(n: int, *late: int, boots: int = 1) -> list[Trials]:
+TWO, FEW = read_tolerance("2 in a row"), read_tolerance("3 of 100")
+TOLERANT = replace(QUESTION, of="jitter", tolerance=TWO)
+
+
+def trials(n: int, *late: int, boots: int = 1, of: Tolerance = NONE_TOLERATED) -> list[Trials]:
     """Runs of a boot each, n measurements in all, with misses at these places of the first one."""
     made = []
     for boot in range(boots):
         values = np.full(n // boots, 50_000) + np.arange(n // boots) * 7919 % 1000
         values[[place for place in late if not boot]] = 600_000
-        made.append(replace(count_misses(values, 400_000), boot=f"b{boot}", run=f"r{boot}", start_time=f"{boot:03}"))
+        counted = count_misses(values, 400_000, tolerance=of)
+        made.append(replace(counted, boot=f"b{boot}", run=f"r{boot}", start_time=f"{boot:03}"))
     return made
 
 
@@ -47,6 +52,22 @@ ADDED = "for the system measure on 5 boots or more"
             QUESTION,
             "measured on 5 boots: boots of another kind, of which none was measured, may be 52 % of",
         ),
+        (
+            trials(4000),
+            replace(QUESTION, of="lateness"),
+            "0 of 4 000 late; P(lateness > 400 us) at most 0.00092; worst",
+        ),
+        (
+            trials(4000, 7, of=TWO),
+            TOLERANT,
+            "0 of 3 998 windows hold too many misses; P(more than 2 in a row with jitter",
+        ),
+        (trials(4000, 7, 8, 9, of=TWO), TOLERANT, "1 of 3 998 windows hold too many"),
+        (
+            trials(4000, of=FEW),
+            replace(TOLERANT, tolerance=FEW),
+            "P(more than 3 of 100 with jitter > 400 us) at most 0.08",
+        ),
         (trials(4000), replace(QUESTION, bursts=20), "69 776 more measurements (1 min 10 s) prove it without a miss"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
@@ -64,7 +85,7 @@ def test_a_change_is_said_before_anything_else():
     assert sentences(replace(verdict, answer="NEEDS MORE", change=change)) == [
         "it did not stay the same: it rose (p = 1e-09)",
         "0 of 4 000 late",
-        "P(miss) at most 0.00092",
+        "P(value > 400 us) at most 0.00092",
         "worst 51.0 us",
         "a load that comes and goes is part of the process once it has come back five times: "
         "60 000 more measurements (1 min 00 s)",

@@ -10,7 +10,7 @@ from report.campaigns import bursty, communication_rows, cyclic_rows, latencies,
 from rtfiles.errors import UsageError
 from rtrun.analysis.deadline import Answer
 from rtrun.analysis.figures import IndexedValue
-from rtrun.plan.question import Question
+from rtrun.plan.question import Question, read_tolerance
 from rtrun.report.study import study
 from rtrun.report.verdicts import verdict_line
 from rtrun.target.platform import Platform
@@ -91,13 +91,77 @@ def test_the_two_definitions_of_jitter_and_the_cluster(tmp_path):
     lateness[::8] -= 900_000
     parameters = {"policy": "RR", "frequency_hz": 100}
     write_run(tmp_path, "a", "cyclic_timer_tests", [cyclic_rows(lateness, 100)], parameters, asked=4000, logs=False)
-    analysed = study(tmp_path)
+    analysed = study(tmp_path, Question(of="jitter"))
     (jitter,) = analysed.digests
     grid = next(one for one in analysed.others if one.header.series == "grid")
     assert jitter.cluster is not None and jitter.cluster.fraction == pytest.approx(1 / 8, abs=0.002)
     assert grid.cluster is not None and grid.cluster.fraction == pytest.approx(1 / 8, abs=0.002)
     assert grid.cluster.median_ns == pytest.approx(-810_000, abs=5000)
     assert len(jitter.header.startup) == 2
+
+
+CYCLIC = {"policy": "RR", "frequency_hz": 100}
+
+
+def write_cyclic(root, name, lateness, **more):
+    rows = cyclic_rows(lateness, 100)
+    return write_run(root, name, "cyclic_timer_tests", [rows], CYCLIC, asked=len(lateness), logs=False, **more)
+
+
+def asked(path, **question):
+    (group,) = study(path, Question(**question)).groups
+    return group
+
+
+def test_ten_late_calls_in_a_row_are_ten_misses_of_the_grid(tmp_path):
+    late = latencies(4000, 1)
+    late[2000:2010] += 1_000_000
+    write_cyclic(tmp_path, "a", late)
+    by_grid, by_jitter = asked(tmp_path), asked(tmp_path, of="jitter")
+    assert (by_grid.series, by_grid.verdict.misses, by_grid.label) == ("lateness", 10, "cyclic_timer RR 100 Hz")
+    assert (by_jitter.series, by_jitter.label) == ("jitter", "cyclic_timer jitter RR 100 Hz")
+    assert by_jitter.verdict.misses <= 2
+    assert "P(lateness > 400 us) " in verdict_line(by_grid).text
+    assert "P(jitter > 400 us) " in verdict_line(by_jitter).text
+    assert [group.series for group in study(tmp_path).as_in_2014] == ["jitter"]
+    # Nine of the ten follow on a miss, eight on two: those end more than 1 and more than 2 in a row.
+    for tolerance, misses in (("1 in a row", 9), ("2 in a row", 8), ("10 in a row", 0), ("4 of 100", 5 + 95 - 4 + 5)):
+        group = asked(tmp_path, tolerance=read_tolerance(tolerance))
+        assert (group.verdict.misses, group.verdict.n) == (misses, 3998 - read_tolerance(tolerance).among + 1)
+        assert f"P(more than {tolerance} with lateness > 400 us) " in verdict_line(group).text
+
+
+def test_skipped_periods_are_misses_and_stay_in_the_run(tmp_path):
+    rows = cyclic_rows(latencies(4000, 1), 100)
+    rows[2000:] += 5 * 10_000_000
+    write_run(tmp_path, "a", "cyclic_timer_tests", [rows], CYCLIC, asked=4000, logs=False)
+    group = asked(tmp_path)
+    assert (group.verdict.n, group.verdict.late, group.verdict.absent) == (4003, 0, 5)
+    assert "0 of 4 003 late and 5 periods skipped" in verdict_line(group).text
+    assert group.digests[0].header.skipped == 5 and group.digests[0].loops == 4005
+
+
+def test_a_question_of_what_was_not_measured_is_refused(tmp_path):
+    write_oneshot(tmp_path / "both", "a", latencies(500, 1))
+    with pytest.raises(UsageError, match=r"both: oneshot_timer_tests measures latency, not jitter$"):
+        study(tmp_path / "both", Question(of="jitter"))
+    assert asked(tmp_path / "both", of="lateness").verdict.question.of == "latency"
+    write_cyclic(tmp_path / "both", "b", latencies(500, 1))
+    analysed = study(tmp_path / "both", Question(of="jitter"))
+    assert [group.series for group in analysed.groups] == ["jitter"]
+    (text,) = analysed.left_out
+    assert text.endswith("oneshot_timer_tests measures latency, not jitter")
+
+
+def test_data_of_before_are_judged_by_a_grid_that_is_estimated_and_this_is_said(tmp_path):
+    rows = cyclic_rows(latencies(4000, 1), 100)[:, :1]
+    write_run(tmp_path / "old", "a", "cyclic_timer_tests", [rows], CYCLIC, asked=4000, logs=False)
+    assert "assumes a grid estimated from the earliest calls" in verdict_line(asked(tmp_path / "old")).text
+    rows[3000:] += 25_000_000
+    write_run(tmp_path / "moved", "a", "cyclic_timer_tests", [rows], CYCLIC, asked=4000, logs=False)
+    group = asked(tmp_path / "moved", deadline_ns=15_000_000)
+    assert group.verdict is None and "ask for the jitter (--of jitter)" in verdict_line(group).text
+    assert asked(tmp_path / "moved", deadline_ns=15_000_000, of="jitter").verdict.misses == 1
 
 
 def test_five_subscribers_are_one_group_whose_messages_count_once(tmp_path):

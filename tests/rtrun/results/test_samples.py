@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from written import write_communication, write_cyclic, write_oneshot
+from written import write_communication, write_cyclic, write_oneshot, write_output
 
 from rtfiles.errors import UsageError
+from rtrun.analysis.histogram import Int64s
 from rtrun.results.samples import IndexedValues, read_samples
 
 
@@ -47,18 +48,92 @@ def test_columns_are_those_that_the_json_names(tmp_path: Path) -> None:
     path = write_cyclic(tmp_path)
     before = as_pairs(read_samples(path).series["jitter"])
     stamps = np.load(path.with_suffix(".npy"))[:, 0]
-    np.save(path.with_suffix(".npy"), np.stack([stamps + 7, stamps, stamps + 9], axis=1))
+    np.save(path.with_suffix(".npy"), np.stack([142_857 * np.arange(4), stamps, 142_857 * np.arange(4) + 9], axis=1))
     named = ["expected_ns", "timestamp_ns", "real_ns"]
-    rate = {"asked_hz": 7000, "achieved_hz": 6999.5, "overruns": 1, "skipped": 2}
+    rate = {"asked_hz": 7000, "achieved_hz": 6999.5, "overruns": 1, "skipped": 0}
     change_record(path, columns=named, rate=rate)
     samples = read_samples(path)
     assert as_pairs(samples.series["jitter"]) == before
-    assert samples.record.rate is not None and samples.record.rate.skipped == 2
+    assert as_pairs(samples.series["lateness"]) == [(0, 9), (1, 9), (2, 9)]
     wrong = (named[:2], [*named[:2], "expected_ns"], ["expected_ns", "real_ns", "other"], [*named, "other"], [])
     for names in wrong:
         change_record(path, columns=names)
         with pytest.raises(UsageError, match=r"disagree: columns: .* known: timestamp_ns, expected_ns, real_ns"):
             read_samples(path)
+
+
+def write_calls(folder: Path, calls: list[tuple[float, float]], rate: dict[str, Any] | None = None) -> Path:
+    """Calls of a 1 kHz timer as roscpp makes them: when each was due, and when it came, in periods."""
+    wall_ns, period_ns = 1_800_000_000 * 10**9, 1_000_000
+    rows = [
+        (place * period_ns, wall_ns + round(due * period_ns), wall_ns + round(real * period_ns))
+        for place, (due, real) in enumerate(calls)
+    ]
+    requested = {"repetitions": len(calls) - 1, "frequency_hz": 1000}
+    counts = {"asked": len(calls) - 1, "measured": len(calls) - 1}
+    path = write_output(folder, "c", "cyclic_timer_tests", rows, requested=requested, **counts)
+    change_record(path, rate=rate)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("calls", "lateness_us", "absent"),
+    [
+        ([(1, 1.25), (2, 2.5), (3, 3)], [500, 0], []),
+        ([(1, 1), (2, 3.75), (3, 3.75), (4, 4)], [1750, 750, 0], []),
+        # Those due at 3 to 6 are skipped, and that due at 7 is late: to move the grid is no pardon.
+        ([(1, 1), (2, 7.25), (7.25, 7.25), (8.25, 8.25)], [5250, 250, 0], [1, 2, 3, 4]),
+        ([(1, 1), (2, 2), (4.5, 4.5), (5.5, 5.5)], [0, 500, 0], [1]),
+        ([(1000, 1000), (3, 2), (4, 4)], [-1000, 0], []),
+    ],
+    ids=["kept", "made up for", "moved", "a long call", "the wall clock was put back"],
+)
+def test_lateness_is_held_against_the_grid_as_it_was(
+    tmp_path: Path, calls: list[tuple[float, float]], lateness_us: list[int], absent: list[int]
+) -> None:
+    lateness = read_samples(write_calls(tmp_path, calls)).series["lateness"]
+    assert lateness.values_ns.tolist() == [1000 * value for value in lateness_us]
+    assert (lateness.absent.tolist(), lateness.assumes) == (absent, "")
+
+
+@pytest.mark.parametrize(
+    ("calls", "rate", "message"),
+    [
+        ([(0, 0), (1, 5e12)], None, r"a time of the wall clock below 0 or above 4294967296000000000 ns cannot be"),
+        ([(0, 0), (-1.9e12, 0)], None, r"a time of the wall clock below 0"),
+        ([(0, 0), (-1.5e12, 1)], None, r"a time beyond 1000000000000000000 ns cannot be"),
+        ([(0, 0), (2e7, 2e7)], None, r"19999999 periods were skipped: none with more than 10000000 is read"),
+        ([(0, 0), (3, 3)], {"skipped": 1}, r"disagree: skipped: 2 in the rows, 1 in the counts"),
+    ],
+)
+def test_times_of_the_wall_clock_that_cannot_be_are_refused(
+    tmp_path: Path, calls: list[tuple[float, float]], rate: dict[str, Any] | None, message: str
+) -> None:
+    path = write_calls(tmp_path, calls, rate and {"asked_hz": 1000, "achieved_hz": None, "overruns": 0, **rate})
+    with pytest.raises(UsageError, match=message):
+        read_samples(path)
+
+
+@pytest.mark.parametrize("drift_ppm", [-120, 0, 40])
+def test_a_grid_that_is_not_told_is_estimated_without_its_drift(tmp_path: Path, drift_ppm: int) -> None:
+    rng = np.random.default_rng(1)
+    late = (55_000 + rng.exponential(8000, 100_001)).astype(np.int64)
+    late[[0, 70_000]] = 900_000  # the first call, too: it is no origin
+    due = np.arange(late.size) * (1_000_000 + drift_ppm)
+    requested = {"repetitions": late.size - 1, "frequency_hz": 1000}
+    counts = {"asked": late.size - 1, "measured": late.size - 1}
+
+    def read(values: Int64s) -> IndexedValues:
+        rows = (due + values).reshape(-1, 1)
+        return read_samples(
+            write_output(tmp_path, "c", "cyclic_timer_tests", rows, requested=requested, **counts)
+        ).series["lateness"]
+
+    lateness = read(late)
+    assert "estimated from the earliest calls" in lateness.assumes and not lateness.undecidable
+    assert np.abs(lateness.values_ns - (late[1:] - 55_000)).max() < 1000
+    late[5000:] += 2_500_000
+    assert "after which roscpp moves its grid" in read(late).undecidable
 
 
 def test_communication_comes_in_sequence_order(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.intervals import clopper_pearson
-from rtrun.plan.question import Question
+from rtrun.plan.question import NONE_TOLERATED, Question
 from rtrun.report.claims.examination import (
     NEVER_BELOW,
     Finding,
@@ -237,7 +237,7 @@ def _number(group: Group, key: str) -> int:
 
 def _pooled(study: Study, groups: list[Group]) -> tuple[int, float, float, int, str]:
     """Values above 400 us, the interval of P, n, and the method, over all groups."""
-    if study.question.deadline_ns == _DEADLINE_NS:
+    if study.question.deadline_ns == _DEADLINE_NS and study.question.tolerance == NONE_TOLERATED:
         trials = [trials for group in groups for trials in group.trials]
         if trials:
             verdict = judge(trials, Question(confidence=study.question.confidence))
