@@ -1,6 +1,7 @@
 """A build against its history: the cases of `rtrun gate --against`."""
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 

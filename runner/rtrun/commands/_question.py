@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, get_args
 
 from rtrun.plan.quantities import read_probability, read_time_ns
-from rtrun.plan.question import THESIS, Of, Question, read_tolerance
+from rtrun.plan.question import THESIS, Of, Question, may_follow, read_tolerance
 
 if TYPE_CHECKING:
     from rtrun.report.study import Study
@@ -77,11 +77,7 @@ def question(args: argparse.Namespace, results: Path) -> Question:
     from rtrun.results.goal_file import read_goal
 
     goal = read_goal(results)
-    if goal and args.deadline and args.deadline != goal.deadline_ns:
-        print_note(
-            f"rtrun: measured for a deadline of {goal.deadline_ns / 1000:g} us: the answer for another one, chosen "
-            "after looking, is less sure than it says"
-        )
+    before = goal.question if goal else THESIS
     given = {
         "of": args.of,
         "tolerance": args.tolerate,
@@ -89,7 +85,13 @@ def question(args: argparse.Namespace, results: Path) -> Question:
         "probability": args.probability,
         "confidence": args.confidence,
     }
-    return replace(goal.question if goal else THESIS, **{key: value for key, value in given.items() if value})
+    asked = replace(before, **{key: value for key, value in given.items() if value})
+    if goal and not may_follow(before, asked):
+        print_note(
+            f"rtrun: measured for P({before.miss}): the answer to another question, chosen after looking, is less sure "
+            "than it says"
+        )
+    return asked
 
 
 def ask(args: argparse.Namespace, *, bounds: bool = True) -> "Study":
