@@ -150,10 +150,10 @@ def test_bins_that_differ_are_not_held_without_end(tmp_path, capsys, monkeypatch
     argv = ["history", str(archive), "--by", "board", "--json"]
     assert main(argv) == 0
     whole = capsys.readouterr().out
-    monkeypatch.setattr(queries, "_ROWS_MAX", 3000)
+    monkeypatch.setattr(queries, "ROWS_MAX", 3000)
     assert main(argv) == 0
     assert capsys.readouterr().out == whole
-    monkeypatch.setattr(queries, "_ROWS_MAX", 1000)
+    monkeypatch.setattr(queries, "ROWS_MAX", 1000)
     assert main(argv) == 2
     said = capsys.readouterr().err
     assert f"{archive}: oneshot" in said and "the histograms of 10 runs have " in said, said

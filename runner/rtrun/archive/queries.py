@@ -36,7 +36,7 @@ _NONE = -(2**63)  # stands for null
 _GRID_MAX = 4  # places of a grid for each bin on it
 _COUNT_MAX = 2**53  # of all bins: above, a double no longer counts one by one
 # Rows of histograms that are held at one time, which takes up to 150 bytes each. A run has some ten thousand.
-_ROWS_MAX = 2 * BINS_MAX
+ROWS_MAX = 2 * BINS_MAX
 _MEMORY = "1GB"  # for the table of runs: a row of a run takes some KB
 # Whoever may write a file of the archive may write anything into it: every value is given its type of docs/archive.md.
 _TEXTS = ("run_key", "run", "scenario", "parameters", "platform", "status", "packages", "machine", "suite", "month")
@@ -191,14 +191,14 @@ def figures(archive: Archive, by: By, *, deadline_ns: int, of: Measure | None = 
         for run in runs:
             path = archive.histograms[run[0]]
             more = footers[path].num_rows
-            if held + more > _ROWS_MAX:
+            if held + more > ROWS_MAX:
                 bins = {series: [_merged(each)] for series, each in bins.items()}
                 held = sum(each[0][0].size for each in bins.values())
-            if held + more > _ROWS_MAX:
+            if held + more > ROWS_MAX:
                 what = f"{row['scenario']} on {row['machine']}: the histograms of {len(runs)} runs"
                 raise UsageError(
                     f"{archive.store.address}: {what} have {held} different bins before {more} more are added, at most "
-                    f"{_ROWS_MAX} are held: ask for fewer runs together (--by month, day or run)"
+                    f"{ROWS_MAX} are held: ask for fewer runs together (--by month, day or run)"
                 )
             read = _read_bins(archive.store, path, footers[path])
             if (series := _series_of(row["suite"], read, of)) is not None:
@@ -208,7 +208,7 @@ def figures(archive: Archive, by: By, *, deadline_ns: int, of: Measure | None = 
         return [_point(row, series, of_series[series], bins[series], deadline_ns) for series in bins]
 
     # Reading and sorting leave Python's lock to others.
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, _ROWS_MAX // min(max(1, *sizes, 1), _ROWS_MAX))) as threads:
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, ROWS_MAX // min(max([1, *sizes]), ROWS_MAX))) as threads:
         made = [point for of_row in threads.map(points, rows, members) for point in of_row]
     return sorted(made, key=lambda point: (point.scenario, point.parameters, point.platform))
 
