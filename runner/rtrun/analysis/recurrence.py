@@ -76,7 +76,11 @@ def find_recurrence(places: Int64s, *, begin: int, end: int, values: int, search
     if best is None:
         return None
     p_value = min(1.0, best.p_value * len(counts) * searches)
-    return replace(best, p_value=p_value) if p_value <= ALPHA else None
+    if p_value > ALPHA:
+        return None
+    # The surest count may be lower than the number of periods: the one that shows most of them is told.
+    alike = (one for one in found if one and abs(one.period - best.period) < min(_NEAR) * best.period)
+    return replace(max(alike, key=lambda one: (one.covered / one.cycles, -one.late)), p_value=p_value)
 
 
 def _find(late: Int64s, length: int, loop: int) -> Recurrence | None:
