@@ -16,7 +16,7 @@ name: here
 runs:
   - {suite: cyclic_timer_tests, repetitions: 200, frequency_hz: 100}
   - {suite: communication_tests, repetitions: 100, frequency_hz: 100, subscribers: 2}
-  - {suite: cyclictest, repetitions: 1000}
+  - {suite: cyclictest, repetitions: 1000, cpu_dma_latency_us: null}
 """
 
 
@@ -32,6 +32,9 @@ def test_a_campaign_on_this_machine(suites, tmp_path, monkeypatch, capsys):
     assert [record["status"] for record in records] == ["ok"] * 3
     publisher_json = [name for record in records for name in record["files"] if name.endswith("-publisher.json")]
     assert publisher_json == ["ct_gnuplot_l100_fq100_pl0-publisher.json"]
+    rates = {program["name"]: program["rate"] for record in records for program in record["programs"]}
+    # Each periodic program tells its rate; cyclictest has no json.
+    assert {name for name, rate in rates.items() if rate and rate["asked_hz"] == 100} == set(rates) - {"cyclictest"}
     assert {record["target"]["kernel_release"] for record in records} == {os.uname().release}
     assert not list((tmp_path / "state/rt-tests/runs").glob("*/*"))
     assert main(["report", "results/here", "--output", "report.html"]) == 0

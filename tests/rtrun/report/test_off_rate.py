@@ -6,6 +6,8 @@ import pytest
 from report.campaigns import communication_rows, latencies, write_run
 
 from rtrun.cli import main
+from rtrun.report.standings import standings
+from rtrun.report.study import study
 
 PARAMETERS = {"policy": "RR", "frequency_hz": 1000, "payload_bytes": 0, "subscribers": 1}
 QUESTION = ["--deadline", "400us", "--probability", "1e-3"]
@@ -53,6 +55,8 @@ def test_nothing_is_proven_where_a_run_missed_its_rate(results, name, capsys):
     out = capsys.readouterr().out
     assert out.count(TOLD) >= 3 and " PROVEN" not in out
     assert main(["verdict", str(results), *QUESTION, "--json"]) == 0
+    (standing,) = standings(study(results, bounds=False))
+    assert standing.is_final, "its group leaves the rounds: measuring on proves nothing"
     (group,) = json.loads(capsys.readouterr().out)["groups"]
     verdict = group["verdict"]
     assert (group["answer"], verdict["runs"], verdict["off_rate"], verdict["further"]) == ("NEEDS MORE", 2, 1, None)
