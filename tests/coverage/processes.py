@@ -67,6 +67,14 @@ def moving_average(n: int, p: float, rng: Rng, *, width: int) -> Int64s:
     return _normal((sums[width:] - sums[:-width]) / math.sqrt(width), p)
 
 
+def fractional(n: int, p: float, rng: Rng, *, hurst: float) -> Int64s:
+    """Fractional Gaussian noise, exact by circulant embedding (Davies & Harte 1987)."""
+    lags = np.arange(n + 1.0)
+    covariances = (np.abs(lags + 1) ** (2 * hurst) + np.abs(lags - 1) ** (2 * hurst) - 2 * lags ** (2 * hurst)) / 2
+    weights = np.sqrt(np.maximum(np.fft.fft(np.concatenate((covariances, covariances[-2:0:-1]))).real, 0) / (2 * n))
+    return _normal(np.fft.fft(weights * (rng.normal(size=2 * n) + 1j * rng.normal(size=2 * n))).real[:n], p)
+
+
 def periodic(n: int, p: float, rng: Rng) -> Int64s:
     values = quiet(n, rng)
     values[rng.integers(0, round(1 / p)) :: round(1 / p)] = MISS_NS
@@ -118,6 +126,12 @@ def boots(number: int, n: int, p: float, rng: Rng, *, spread: float) -> list[Int
     """One run a boot, n measurements in all; miss rates lognormal between boots with this spread and the mean p."""
     rates = p * np.exp(rng.normal(-(spread**2) / 2, spread, number))
     return [independent(n // number, min(1.0, rate), rng) for rate in rates]
+
+
+def some_bad_boots(number: int, n: int, p: float, rng: Rng, *, one_in: int) -> list[Int64s]:
+    """One run a boot of n measurements each; one boot in so many has nearly all misses, p is their rate in all."""
+    rates = np.where(rng.random(number) < 1 / one_in, 0.95 * one_in * p, 0.05 * p)
+    return [independent(n, rate, rng) for rate in rates]
 
 
 DEPENDENT: dict[str, Process] = {

@@ -21,7 +21,7 @@ from written import write_output
 
 from rtrun.analysis import comparison, constancy, deadline, layers, recurrence
 from rtrun.analysis.blocks import Blocks, cut
-from rtrun.analysis.comparison import Change, compare
+from rtrun.analysis.comparison import Change, compare, correct
 from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
 from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.further import Floats, proves, smallest
@@ -56,9 +56,9 @@ class Row:
     at_most: float = 100.0
     at_least: float = 0.0
     quick: int = 120
-    long: int = 2000
+    long: int = 500
     reported: str = ""
-    remedy: tuple[ModuleType, str, object] | None = None
+    remedy: tuple[ModuleType | type, str, object] | None = None
 
     def events(self, draws: int, part: int = 0) -> tuple[int, int]:
         """In how many of so many draws the event happened, and how many of them count; each part has its own seed."""
@@ -96,6 +96,31 @@ def proven(make: Callable[[Rng], Int64s], rng: Rng) -> bool:
 def proven_of_boots(number: int, n: int, rng: Rng) -> bool:
     runs = processes.boots(number, n, P, rng, spread=0.5)
     return verdict_on(runs, one_boot=False).answer == Answer.PROVEN
+
+
+def proven_of_some_bad_boots(number: int, scope: float, rng: Rng) -> bool:
+    """PROVEN, and said to speak for all boots but this share."""
+    verdict = verdict_on(processes.some_bad_boots(number, 4000, P, rng, one_in=20), one_boot=False)
+    return verdict.answer == Answer.PROVEN and (verdict.unlike_share or 1.0) <= scope
+
+
+def proven_of_fractional_noise(number: int, rng: Rng) -> bool:
+    runs = [processes.fractional(100_000 // number, P, rng, hurst=0.9) for _ in range(number)]
+    return verdict_on(runs, one_boot=False).answer == Answer.PROVEN
+
+
+def some_group_differs(rng: Rng) -> bool:
+    """Whether any of twelve groups, five runs a side measured in turn, is called DIFFERENT; runs differ by 1 us."""
+    compared = []
+    for _ in range(12):
+        runs = [
+            replace(
+                cut((1000 * (86 + rng.normal() + rng.gamma(4.0, 4.0, 1000))).astype(np.int64)), start_time=f"{k:02}"
+            )
+            for k in range(10)
+        ]
+        compared.append(compare(runs[::2], runs[1::2], tests=12))
+    return any(one.answer is Change.DIFFERENT for one in correct(compared))
 
 
 def proven_for(length: float, n: int, rng: Rng) -> bool:
@@ -381,7 +406,7 @@ ROWS = [
             draw=partial(proven_at_any_look, looks, 2000),
             at_most=5.0,
             quick={20: 60}.get(looks, 0),
-            long=2000 if looks < 100 else 1000,
+            long={1: 500, 5: 500, 20: 200, 100: 60}[looks],
             reported={1: "2", 5: "6", 20: "10", 100: "17"}[looks],
             remedy=(deadline, "longest_burst", _plain_interval) if looks == 20 else None,
         )
@@ -418,7 +443,7 @@ ROWS = [
             at_most=20.0 if bad else 100.0,
             at_least=0.0 if bad else 88.0,
             quick=quick,
-            long=500,
+            long=200,
             reported=reported,
             remedy=_UNEXAMINED if bad and quick else None,
         )
@@ -439,7 +464,7 @@ ROWS = [
             at_most=5.0 if rate == P else 100.0,
             at_least=80.0 if rate < P and turns >= 8 else 0.0,
             quick=quick,
-            long=500,
+            long=100,
             remedy=(deadline, "examine_constancy", _run_by_run) if quick else None,
             reported="0 to 6" if rate < P else "",
         )
@@ -469,7 +494,7 @@ ROWS = [
             draw=partial(proven_at_any_look_in_bursts, length),
             at_most=5.0,
             quick=24 if length == 20 else 0,
-            long=500,
+            long=100,
             reported={5: "47", 20: "83"}[length],
             remedy=(deadline, "longest_burst", _any_burst),
         )
@@ -481,7 +506,7 @@ ROWS = [
             event="PROVEN at any look",
             draw=partial(proven_at_any_look_in_boots, spread),
             quick=0,
-            long=500,
+            long=100,
         )
         for spread in (0.5, 1.0)
     ),
@@ -582,7 +607,7 @@ ROWS = [
             long=draws,
             reported="11" if name == "AR(0.9)" else "",
         )
-        for name, rate, draws in (("independent", P / 2, 1000), ("AR(0.5)", P / 2, 2000), ("AR(0.9)", P / 5, 6000))
+        for name, rate, draws in (("independent", P / 2, 1000), ("AR(0.5)", P / 2, 1000), ("AR(0.9)", P / 5, 2000))
     ),
     Row(
         name="independent, P(miss) a tenth of the target, n = 1e4",
@@ -591,6 +616,41 @@ ROWS = [
         at_least=80.0,
         quick=60,
     ),
+    *(
+        Row(
+            name=f"{number} boots of 4000, one in 20 has nearly all misses",
+            event=event,
+            draw=partial(proven_of_some_bad_boots, number, scope),
+            at_most=100.0 if scope == 1 else 5.0,
+            reported={5: "79", 20: "36"}.get(number, "") if scope == 1 else "",
+            quick=20 if scope < 1 and number == 20 else 0,
+            remedy=(Verdict, "unlike_share", 0.01) if scope < 1 and number == 20 else None,
+            long=300,
+        )
+        for number in (5, 20, 72)
+        for scope, event in ((1.0, "PROVEN"), (0.05, "PROVEN and said to hold for 95 % of boots"))
+    ),
+    *(
+        Row(
+            name=f"fractional noise (H = 0.9), {number} run{'s, a boot each' * (number > 1)}, n = 1e5 in all",
+            event="PROVEN",
+            draw=partial(proven_of_fractional_noise, number),
+            at_most=100.0 if number == 1 else 5.0,
+            reported={1: "25", 5: "1.5"}[number],
+            quick=0,
+            long=300,
+        )
+        for number in (1, 5)
+    ),
+    Row(
+        name="compare: twelve groups that differ in nothing, five runs a side in turn",
+        event="any is called DIFFERENT",
+        draw=some_group_differs,
+        at_most=8.0,
+        quick=0,
+        long=150,
+        reported="46",
+    ),
     Row(
         # Seven claims can be decided wrongly, each at the level of 5 %.
         name="ten groups that differ in nothing, five runs each (claims)",
@@ -598,7 +658,7 @@ ROWS = [
         draw=lambda rng: bool(null_campaigns.decided(rng)),
         at_most=30.0,
         quick=0,
-        long=200,
+        long=100,
         reported="70 to 90",
     ),
     *(
@@ -608,7 +668,7 @@ ROWS = [
             draw=partial(late_values.is_found, n, period),
             at_least=90.0,
             quick=10 if n == 60_000 and period in (20, 100, 3000, 7500) else 0,
-            long=200 if n == 60_000 else 50,
+            long=100 if n == 60_000 else 40,
             reported={(60_000, 1000): "100"}.get((n, period), "0" if period in reported else ""),
             remedy=(recurrence, "counts_tried", lambda values: iter([values // 1000])) if period == 100 else None,
         )
@@ -625,7 +685,7 @@ ROWS = [
             draw=partial(late_values.finds_one, 60_000, make),
             at_most=0.2,
             quick=20 if name == "bursts of 100" else 0,
-            long=1000,
+            long=500,
             remedy=(recurrence, "_phases", _each_event) if name == "bursts of 100" else None,
         )
         for name, make in late_values.WITHOUT_PERIOD.items()
