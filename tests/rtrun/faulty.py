@@ -56,7 +56,8 @@ if wish == "killed":
     os.kill(os.getpid(), 9)
 begun = time.monotonic_ns()  # two runs never measure at the same time
 due = [1_800_000_000 * 10**9 + n * 10**9 // frequency for n in range(count + 1)]
-rows = [(begun + 1_000_000 * n, due[n], due[n] + 1_000_000 - 10**9 // frequency) for n in range(count + 1)]
+late = 1_000_000 - 10**9 // frequency
+rows = [(begun + each - due[0] + late, each, each + late) for each in due]
 path = write_output(Path("."), output, "cyclic_timer_tests", rows, requested={{"repetitions": count,
     "frequency_hz": frequency, "policy": words.get("-s", "0"), **known}}, asked=count, measured=count)
 data = json.loads(path.read_text())

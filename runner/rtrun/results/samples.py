@@ -36,6 +36,9 @@ NOT_FIRED_NS = -(2**63)
 MAX_ABSENT = 10_000_000  # loops without a value, so that they fit into memory
 # Clocks that NTP disciplines drift from others by 500 ppm at most.
 _NTP_DRIFT = 5e-4
+# So many calls in a row are not all interrupted between their two stamps.
+_FEW_CALLS = 16
+_LEAST_STEP_NS = 1_000_000  # NTP steps a clock by more, and slews it by less
 # Threads of a suite that have no part in the measurement: of normal scheduling, on spare CPUs, whatever was asked for.
 NON_MEASURING_THREADS = frozenset({"rt_blocks", "rt_traces"})
 
@@ -375,6 +378,25 @@ def _lateness(columns: dict[str, Int64s], record: Record, path: Path, period_ns:
         values_ns=values,
         index=np.arange(values.size),
         absent=_without(loops, int(loops[-1]) + 1) if total else _none(),
+        undecidable=_clock_was_set(real - np.asarray(columns["timestamp_ns"]), period_ns),
+    )
+
+
+def _clock_was_set(offset: Int64s, period_ns: int) -> str:
+    """Why calls are neither late nor in time: roscpp's grid jumped with the wall clock; empty where it did not.
+
+    `offset`, int64 (n,), is the wall clock less that of the timestamps, a little less where a thread was interrupted
+    between the two stamps of a call. So its highest value among a few calls shows whether one of the clocks was set.
+    """
+    if not offset.size:
+        return ""
+    highest = np.maximum.reduceat(offset, np.arange(0, max(1, offset.size - _FEW_CALLS + 1), _FEW_CALLS))
+    most_ns = int(np.abs(np.diff(highest)).max(initial=0))
+    if most_ns <= max(_LEAST_STEP_NS, period_ns) + _NTP_DRIFT * period_ns * _FEW_CALLS:
+        return ""
+    return (
+        f"the wall clock, by which roscpp keeps its grid, was set by {most_ns / 1e6:.3g} ms while it was measured: "
+        "measure again when it is not (NTP steps it after a boot), or ask for the jitter (--of jitter)"
     )
 
 

@@ -134,11 +134,22 @@ def test_ten_late_calls_in_a_row_are_ten_misses_of_the_grid(tmp_path):
 def test_skipped_periods_are_misses_and_stay_in_the_run(tmp_path):
     rows = cyclic_rows(latencies(4000, 1), 100)
     rows[2000:] += 5 * 10_000_000
+    rows[[*range(1000, 1010), -1], 0] += 20_000_000  # interrupted between the two stamps of a call
     write_run(tmp_path, "a", "cyclic_timer_tests", [rows], CYCLIC, asked=4000, logs=False)
     group = asked(tmp_path)
     assert (group.verdict.n, group.verdict.late, group.verdict.absent) == (4003, 0, 5)
     assert "0 of 4 003 late and 5 periods skipped" in verdict_line(group).text
     assert group.digests[0].header.skipped == 5 and group.digests[0].loops == 4005
+
+
+def test_no_answer_rests_on_a_grid_that_jumped_with_the_clock(tmp_path):
+    rows = cyclic_rows(latencies(4000, 1), 100)
+    rows[2000:, 1:] += 3_600 * 10**9
+    write_run(tmp_path, "a", "cyclic_timer_tests", [rows], CYCLIC, asked=4000, logs=False)
+    group = asked(tmp_path)
+    assert group.verdict is None
+    assert "the wall clock, by which roscpp keeps its grid, was set by 3.6e+06 ms" in verdict_line(group).text
+    assert asked(tmp_path, of="jitter").verdict.misses == 0
 
 
 def test_a_question_of_what_was_not_measured_is_refused(tmp_path):
