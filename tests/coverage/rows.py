@@ -649,7 +649,6 @@ ROWS = [
         at_most=8.0,
         quick=0,
         long=150,
-        reported="46",
     ),
     Row(
         # Seven claims can be decided wrongly, each at the level of 5 %.
