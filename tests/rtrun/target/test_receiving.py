@@ -114,7 +114,11 @@ def test_a_small_stream_that_becomes_huge_is_refused(tmp_path):
     assert (tmp_path / "samples").stat().st_size <= 100_000
 
 
-@pytest.mark.parametrize("data", [gzip.compress(BLOCK)[:-2000], gzip.compress(BLOCK) + b"more", b"no gzip at all"])
+@pytest.mark.parametrize(
+    "data",
+    [gzip.compress(BLOCK)[:-2000], gzip.compress(BLOCK) + b"more", b"no gzip at all"],
+    ids=["cut off", "something behind it", "no gzip"],
+)
 def test_a_damaged_stream_is_refused(tmp_path, data):
     files = receiver(tmp_path, samples=len(BLOCK))
     with pytest.raises(TargetError, match="arrived damaged"):
