@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
+from rtfiles.quantities import us
 from rtrun.analysis.history import LEAST_BOOTS, Against, compare_figure, compare_misses, level_of_test
 from rtrun.archive.adding import add_results
 from rtrun.archive.courses import Course, Figure, courses
@@ -12,7 +13,6 @@ from rtrun.archive.queries import Archive, connected
 from rtrun.archive.store import Store, make_archive
 from rtrun.archive.tables import Origin
 from rtrun.plan.question import Measure
-from rtrun.report.claims.examination import us
 from rtrun.report.gate import Case, Gate, why_not_accepted
 from rtrun.target.platform import Platform
 

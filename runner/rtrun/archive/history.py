@@ -9,9 +9,9 @@ from rich.table import Table
 from rich.text import Text
 
 from rtfiles.output import console, print_line, printable
+from rtfiles.quantities import grouped, time_us
 from rtrun.archive import By
 from rtrun.archive.queries import Point
-from rtrun.report.tables import grouped, time_us
 from rtrun.report.terminal import print_banner
 from rtrun.target.platform import Platform
 

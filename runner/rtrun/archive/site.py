@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from rtfiles import atomic
+from rtfiles.quantities import grouped, time_us
 from rtrun.archive.courses import Course
 from rtrun.archive.metrics import grafana_dashboard, open_metrics
 from rtrun.archive.pictures import course_plots
 from rtrun.archive.trends import Trend, as_text
 from rtrun.report.html_pages import figures, script, templates
-from rtrun.report.tables import grouped, time_us
 from rtrun.report.terminal import BANNERS
 from rtrun.target.platform import Platform
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.output import print_line, print_note
+from rtfiles.quantities import duration
 from rtrun.analysis.further import plan_measurements
 from rtrun.commands._boards import TargetFile, measure_on
 from rtrun.commands.verdict import print_answers
@@ -17,7 +18,6 @@ from rtrun.plan.goal import Goal
 from rtrun.plan.run import Run
 from rtrun.report.standings import evaluator, progress_line
 from rtrun.report.study import study
-from rtrun.report.tables import duration
 from rtrun.results.goal_file import write_goal
 from rtrun.results.record import RunStatus, is_closed
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rtfiles.quantities import duration
 from rtrun.commands._question import probability_argument
 
 if TYPE_CHECKING:
@@ -68,13 +69,15 @@ def run(args: argparse.Namespace) -> int:
             print_line(f"{each.name}  {each.expected_s:.1f} s{settling}")
     restarts = len(divided) - 1
     times = _times(runs, restarts)
-    settling = f", {times['settling_s']:.0f} s for loads to settle" if times["settling_s"] else ""
+    settling = f", {duration(times['settling_s'])} for loads to settle" if times["settling_s"] else ""
     restarting = (
-        f", about {times['restarting_s']:.0f} s for {counted(restarts, 'restart')} into a kernel" if restarts else ""
+        f", about {duration(times['restarting_s'])} for {counted(restarts, 'restart')} into a kernel"
+        if restarts
+        else ""
     )
     print_line(
-        f"{len(runs)} runs, {_in_hours(times['total_s'])}: {_in_hours(times['measuring_s'])} of measuring{settling}, "
-        f"about {times['start_and_end_s']:.0f} s for set-up and for programs to start and end{restarting}"
+        f"{len(runs)} runs, {duration(times['total_s'])}: {duration(times['measuring_s'])} of measuring{settling}, "
+        f"about {duration(times['start_and_end_s'])} for set-up and for programs to start and end{restarting}"
     )
     if campaign.until:
         for line in _goal_lines(campaign.until, runs, forecasts, _prices_of_bursts(campaign.until, runs)):
@@ -165,7 +168,7 @@ def _goal_lines(
     at_most_s = goal.at_most_ns / 1e9
     yield (
         f"until P({asked.miss}) is proven or refuted to be below {goal.probability:g}, "
-        f"confidence {goal.confidence:g}, in at most {_in_hours(at_most_s)}: each round repeats these runs"
+        f"confidence {goal.confidence:g}, in at most {duration(at_most_s)}: each round repeats these runs"
     )
     share = f"{100 * unlike_share(goal.boots, goal.confidence):.2g} %"
     yield (
@@ -182,15 +185,10 @@ def _goal_lines(
         chance = " nine times in ten" if each.assumed_rate else ""
         yield (
             f"{name}: {each.answer} after {counted(each.outlook.rounds, 'round')}{restarts}{chance}, about "
-            f"{_in_hours(each.outlook.total_s)}, of which {_in_hours(each.outlook.measuring_s)} are measuring{longer}"
+            f"{duration(each.outlook.total_s)}, of which {duration(each.outlook.measuring_s)} are measuring{longer}"
         )
     for length, outlook in prices.items():
-        yield f"to cover bursts of {length} (bursts: {length}): {_in_hours(outlook.total_s)} without a miss"
-
-
-def _in_hours(seconds: float) -> str:
-    """Seconds, and hours where they are some."""
-    return f"{seconds:.0f} s" + (f" ({seconds / 3600:.1f} h)" if seconds >= 360 else "")
+        yield f"to cover bursts of {length} (bursts: {length}): {duration(outlook.total_s)} without a miss"
 
 
 def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_Forecast]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from rtfiles.output import print_line, print_note, print_status
+from rtfiles.quantities import duration
 from rtrun.plan.kernels import blocks
 from rtrun.plan.run import RESTART_S, Run
 from rtrun.results.record import RunStatus
@@ -76,7 +77,7 @@ class RoundProgress:
         """Show what is measured."""
         del number
         self._began = time.monotonic()
-        print_status(f"measuring {run.name}, {_duration(run.expected_s)}")
+        print_status(f"measuring {run.name}, {duration(run.expected_s)}")
 
     def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None:
         """Print what became of the run."""
@@ -133,13 +134,7 @@ class _TimeLeft(ProgressColumn):
 
     def render(self, task: Task) -> Text:
         left_s = task.fields["left_s"]
-        return Text("" if left_s is None else f"{_duration(left_s())} left")
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {rest:02} s" if minutes else f"{rest} s"
+        return Text("" if left_s is None else f"{duration(left_s())} left")
 
 
 @contextlib.contextmanager

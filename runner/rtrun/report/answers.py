@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rtfiles.output import console, print_line
-from rtrun.report.claims.examination import us
+from rtfiles.quantities import grouped, us
 from rtrun.report.gate import Case
 from rtrun.report.screen import fitted
-from rtrun.report.tables import grouped
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
+from rtfiles.quantities import us
 from rtrun.analysis.figures import figures_of_histogram
-from rtrun.report.claims.examination import us
 from rtrun.report.groups import Group
 
 _SPREAD_PERCENT = 99.9

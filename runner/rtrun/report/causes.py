@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from rtfiles.errors import UsageError
 from rtfiles.output import counted, printable, showing_progress
+from rtfiles.quantities import us
 from rtrun.causes.outliers import Explained, explain_run
 from rtrun.causes.parts import Cause, Kind
 from rtrun.causes.ranking import Culprit, Ranking, rank
@@ -14,7 +15,6 @@ from rtrun.causes.recurring import Recurring, recurring
 from rtrun.causes.remedies import remedy
 from rtrun.causes.steps import Step
 from rtrun.causes.surroundings import find_unusual
-from rtrun.report.claims.examination import us
 from rtrun.report.screen import fitted
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from rtfiles.errors import UsageError
+from rtfiles.quantities import time_us, us
 from rtrun.analysis.comparison import Change, Comparison, Ratio, Shift, compare, correct, ratio_of_misses
 from rtrun.plan.question import Question
-from rtrun.report.claims.examination import us
 from rtrun.report.groups import Group
 from rtrun.report.scenarios import pool_figures
 from rtrun.report.sides import By, split
 from rtrun.report.study import Study, study
-from rtrun.report.tables import time_us
 from rtrun.report.terminal import banner_of
 from rtrun.results.series import MEASURED_2014
 from rtrun.target.platform import Platform

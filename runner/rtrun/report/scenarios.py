@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtfiles.output import printable
+from rtfiles.quantities import time_us, us
 from rtrun.analysis.figures import PERCENTILES, Figures, rank
 from rtrun.analysis.histogram import merge
 from rtrun.plan.conditions import IDLE
-from rtrun.report.claims.examination import us
 from rtrun.report.digest import Digest
 from rtrun.report.groups import Group
 from rtrun.report.study import Study
-from rtrun.report.tables import Table, how, printable_table, time_us
+from rtrun.report.tables import Table, how, printable_table
 from rtrun.report.verdicts import severity, verdict_line
 from rtrun.results.series import MEASURED_2014, NOTE_2014
 

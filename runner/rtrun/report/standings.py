@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rtfiles.output import counted, printable
+from rtfiles.quantities import duration, grouped
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.analysis.standing import Standing
 from rtrun.analysis.stationarity import Change
@@ -15,7 +16,6 @@ from rtrun.report.digest import Digest
 from rtrun.report.groups import Group
 from rtrun.report.screen import fitted
 from rtrun.report.study import Study, study
-from rtrun.report.tables import duration, grouped
 from rtrun.report.verdicts import off_rate, scope_in_short
 from rtrun.results.record import is_closed
 

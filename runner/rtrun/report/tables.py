@@ -1,11 +1,9 @@
 """A table of a report, as text that every format writes down."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from rtfiles.output import printable
-from rtrun.report.claims.examination import us
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,22 +41,3 @@ def _printable(texts: Sequence[str]) -> tuple[str, ...]:
 def how(section: str) -> str:
     """Where formulas stand with their sources: a section of docs/analysis.md."""
     return f"Formulas and sources: docs/analysis.md, {section}."
-
-
-def grouped(number: float) -> str:
-    """A whole number, or the nearest one, with spaces between its thousands."""
-    return f"{round(number):,}".replace(",", " ")
-
-
-def duration(seconds: float) -> str:
-    """A time in the two units that tell most of it."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    if hours >= 48:
-        return f"{hours // 24} d {hours % 24} h"
-    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {rest:02} s" if minutes else f"{rest} s"
-
-
-def time_us(value_ns: float | None) -> str:
-    """A time in us for a table; a dash where there is none."""
-    return "-" if value_ns is None or not math.isfinite(value_ns) else us(value_ns)

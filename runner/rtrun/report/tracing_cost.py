@@ -5,10 +5,10 @@ from itertools import groupby
 
 from rtfiles.errors import UsageError
 from rtfiles.output import printable
+from rtfiles.quantities import us
 from rtrun.analysis.comparison import Change
 from rtrun.plan.run import UNTRACED
 from rtrun.plan.trace import PARAMETER, quantile
-from rtrun.report.claims.examination import us
 from rtrun.report.compare import Changed, compare_studies
 from rtrun.report.sides import names_of_sides, split
 from rtrun.report.study import Study, study

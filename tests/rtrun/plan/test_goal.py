@@ -153,7 +153,7 @@ def test_the_plan_says_how_long_it_takes(tmp_path, capsys):
     assert load.startswith("a load that comes every 42 s or oftener comes back five times within the runs of a boot")
     assert longer == "for a slower one make the runs longer (repetitions), every 60 s: 1.4 times, every 600 s: 14 times"
     # 15 rounds of two runs with 0.6 s each to start and end, and 14 restarts of 60 s.
-    times = "about 8360 s (2.3 h), of which 7500 s (2.1 h) are measuring"
+    times = "about 2 h 19 min, of which 2 h 05 min are measuring"
     assert best == f"without a miss: PROVEN after 15 rounds and 14 restarts, {times}"
     assert assumed.startswith(
         "if 1e-07 of all measurements miss it: PROVEN after 38 rounds and 37 restarts nine times "

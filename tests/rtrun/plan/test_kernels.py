@@ -81,7 +81,7 @@ def test_plan_lists_the_restarts(tmp_path, capsys):
     assert main(["plan", str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "-- kernel standard" and lines[3] == "-- restart into kernel rt"
-    assert lines[-1].startswith("4 runs, ") and lines[-1].endswith(", about 60 s for 1 restart into a kernel")
+    assert lines[-1].startswith("4 runs, ") and lines[-1].endswith(", about 1 min 00 s for 1 restart into a kernel")
     assert main(["plan", str(path), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     parts = ("measuring_s", "settling_s", "start_and_end_s", "restarting_s")

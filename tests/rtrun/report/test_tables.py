@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from rtrun.report.tables import time_us
+from rtfiles.quantities import time_us
 
 
 @pytest.mark.parametrize(

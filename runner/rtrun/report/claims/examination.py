@@ -6,6 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from rtfiles.quantities import us
 from rtrun.analysis.blocks import Blocks
 from rtrun.analysis.comparison import Change, Comparison, Shift, compare
 from rtrun.analysis.effects import Effect, examine_effect, holm
@@ -157,9 +158,3 @@ def examine_shift(
         test=test,
         runs=runs_of(group for pair, _ in effects for group in pair),
     )
-
-
-def us(value_ns: float) -> str:
-    """Nanoseconds as microseconds, a decimal where it tells something."""
-    digits = 1 if abs(value_ns) < 1e6 else 0
-    return f"{round(value_ns / 1000, digits) + 0.0:.{digits}f}"  # + 0.0: no minus in front of a zero

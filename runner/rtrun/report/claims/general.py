@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rtfiles.quantities import us
 from rtrun.analysis.comparison import Change
 from rtrun.analysis.effects import holm
 from rtrun.analysis.intervals import clopper_pearson
@@ -18,7 +19,6 @@ from rtrun.report.claims.examination import (
     pairs,
     runs_of,
     select,
-    us,
 )
 from rtrun.report.digest import Digest
 from rtrun.report.groups import Group, slowest

@@ -1,5 +1,6 @@
 """Examiners of the claims on the one-shot and the cyclic timer (thesis sections 4.1.2 and 4.2.2)."""
 
+from rtfiles.quantities import us
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.intervals import clopper_pearson
 from rtrun.plan.question import NONE_TOLERATED, Question
@@ -15,7 +16,6 @@ from rtrun.report.claims.examination import (
     pairs,
     runs_of,
     select,
-    us,
 )
 from rtrun.report.groups import Group, format_parameters
 from rtrun.report.study import Study

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtfiles.quantities import grouped
 from rtrun.analysis.histogram import Histogram
-from rtrun.report.tables import grouped
 
 Floats = NDArray[np.float64]
 # An even axis stays as long as the central 99.8 % of the values take this share of it.

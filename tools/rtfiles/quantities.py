@@ -1,0 +1,28 @@
+"""Numbers with their units, as text for people: one way to write each, on the screen as on a page."""
+
+import math
+
+
+def us(value_ns: float) -> str:
+    """Nanoseconds as microseconds, a decimal where it tells something."""
+    digits = 1 if abs(value_ns) < 1e6 else 0
+    return f"{round(value_ns / 1000, digits) + 0.0:.{digits}f}"  # + 0.0: no minus in front of a zero
+
+
+def time_us(value_ns: float | None) -> str:
+    """A time in us for a table; a dash where there is none."""
+    return "-" if value_ns is None or not math.isfinite(value_ns) else us(value_ns)
+
+
+def grouped(number: float) -> str:
+    """A whole number, or the nearest one, with spaces between its thousands."""
+    return f"{round(number):,}".replace(",", " ")
+
+
+def duration(seconds: float) -> str:
+    """A time in the two units that tell most of it."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours >= 48:
+        return f"{hours // 24} d {hours % 24} h"
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {rest:02} s" if minutes else f"{rest} s"
