@@ -43,7 +43,7 @@ NOT_RUN = {
     "rtrun check-rt": "a target; tests/rtrun/target/test_rt_readiness.py",
     "rtrun probe": "a target; tests/integration",
     "rtrun run": "a target; tests/integration",
-    "rtrun compare RESULTS --by kernel": "results on two kernels; tests/rtrun/report/test_sides.py",
+    "rtrun compare RESULTS --by kernel": "results on two kernels; tests/rtrun/judgement/test_sides.py",
     "rtrun compare RESULTS --by trace": "results with traces; tests/rtrun/report/test_tracing_cost.py",
     "rtrun why": "results with traces; tests/rtrun/commands/test_why.py",
 }

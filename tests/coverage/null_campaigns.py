@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from rtrun.report.claims.examination import Finding
-from rtrun.report.claims.examiners import examine_claims
-from rtrun.report.study import study
+from rtrun.judgement.claims.examination import Finding
+from rtrun.judgement.claims.examiners import examine_claims
+from rtrun.judgement.study import study
 
 # At the end: nothing there may stand in for a module of this folder.
 sys.path.append(str(Path(__file__).parents[1] / "rtrun"))

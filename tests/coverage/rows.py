@@ -29,10 +29,10 @@ from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.intervals import anytime_upper, clopper_pearson
 from rtrun.analysis.layers import attribute
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
+from rtrun.judgement import study as studies
+from rtrun.judgement.study import study
 from rtrun.plan import question as questions
 from rtrun.plan.question import Of, Question, Tolerance, read_tolerance
-from rtrun.report import study as studies
-from rtrun.report.study import study
 from rtrun.results.reading import read_file
 from rtrun.results.series import SampleSeries
 

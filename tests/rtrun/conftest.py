@@ -5,6 +5,7 @@ from pathlib import PurePosixPath
 
 import pytest
 from faulty import write_faulty_suites
+from report.campaigns import write_campaign
 
 from conftest import BOOT_ID, seeing, serve
 from ports import free_port
@@ -80,3 +81,14 @@ def remarks():
 def link(target, remarks):
     with Link(target, remarks.append) as link:
         yield link
+
+
+@pytest.fixture(scope="session")
+def campaign(tmp_path_factory):
+    """A campaign that several tests read; none of them writes into its folder."""
+    return write_campaign(tmp_path_factory.mktemp("results") / "board", n=4000)
+
+
+@pytest.fixture(scope="session")
+def emulated(tmp_path_factory):
+    return write_campaign(tmp_path_factory.mktemp("results") / "emulated", n=500, platform="emulated")

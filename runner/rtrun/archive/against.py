@@ -12,8 +12,8 @@ from rtrun.archive.courses import Course, Figure, courses
 from rtrun.archive.queries import Archive, connected
 from rtrun.archive.store import Store, make_archive
 from rtrun.archive.tables import Origin
+from rtrun.judgement.gate import Case, Gate, why_not_accepted
 from rtrun.plan.question import Measure
-from rtrun.report.gate import Case, Gate, why_not_accepted
 from rtrun.target.platform import Platform
 
 # The runs that are in no course, and why.

@@ -20,8 +20,8 @@ import pyarrow.parquet
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import from_samples
+from rtrun.judgement.groups import format_parameters, telling_parameters
 from rtrun.plan.limits import BINS_MAX
-from rtrun.report.groups import format_parameters, telling_parameters
 from rtrun.results.record import FILE, RunRecord, moment
 from rtrun.results.series import HistogramSeries, SampleSeries, Series
 from rtrun.target.inspection import Fact

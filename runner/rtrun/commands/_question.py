@@ -10,7 +10,7 @@ from rtrun.plan.quantities import read_probability, read_time_ns
 from rtrun.plan.question import THESIS, Of, Question, may_follow, read_tolerance
 
 if TYPE_CHECKING:
-    from rtrun.report.study import Study
+    from rtrun.judgement.study import Study
 
 T = TypeVar("T")
 CONFIDENCE = THESIS.confidence
@@ -96,6 +96,6 @@ def question(args: argparse.Namespace, results: Path) -> Question:
 
 def ask(args: argparse.Namespace, *, bounds: bool = True) -> "Study":
     """Examine what the arguments name."""
-    from rtrun.report.study import study
+    from rtrun.judgement.study import study
 
     return study(args.results, question(args, args.results), bounds=bounds)

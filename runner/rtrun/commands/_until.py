@@ -13,11 +13,12 @@ from rtrun.execution import campaign_runner
 from rtrun.execution.allotment import NextRound
 from rtrun.execution.goal import Progress, read_findings, rounds
 from rtrun.execution.progress import RoundProgress
+from rtrun.judgement.standings import evaluator
+from rtrun.judgement.study import study
 from rtrun.plan.campaign import Campaign, variants_of
 from rtrun.plan.goal import Goal
 from rtrun.plan.run import Run
-from rtrun.report.standings import evaluator, progress_line
-from rtrun.report.study import study
+from rtrun.report.standings import progress_line
 from rtrun.results.goal_file import write_goal
 from rtrun.results.record import RunStatus, is_closed
 

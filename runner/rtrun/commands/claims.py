@@ -22,10 +22,10 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from rtfiles.output import print_line, print_text
+    from rtrun.judgement.claims.examiners import examine_claims
+    from rtrun.judgement.study import study
     from rtrun.plan.question import Question
-    from rtrun.report.claims.examiners import examine_claims
     from rtrun.report.screen import print_styled
-    from rtrun.report.study import study
     from rtrun.report.terminal import print_banner
 
     analysed = study(args.results, Question(confidence=args.confidence), bounds=False)

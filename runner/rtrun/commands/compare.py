@@ -33,24 +33,25 @@ def run(args: argparse.Namespace) -> int:
     """Print the answer for every group that both sets have. Raises UsageError when there is none."""
     from rtfiles.errors import UsageError
     from rtfiles.output import print_line, print_text
-    from rtrun.report import compare
+    from rtrun.judgement.compare import compare_sets, compare_sides
+    from rtrun.report.compare import as_json, as_text
 
     asked = question(args, args.a)
     sides = (str(args.a), str(args.b))
     if args.b is None:
-        sides, compared = compare.compare_sides(args.a, args.by, args.variants, asked, margin_ns=args.margin)
+        sides, compared = compare_sides(args.a, args.by, args.variants, asked, margin_ns=args.margin)
         if not args.json:
             print_line(f"A: {sides[0]}, B: {sides[1]}")
     elif args.variants or args.by:
         raise UsageError("--by, --variants: go with one folder, that of a campaign with variants, kernels or traces")
     else:
-        compared = compare.compare_sets(args.a, args.b, asked, margin_ns=args.margin)
+        compared = compare_sets(args.a, args.b, asked, margin_ns=args.margin)
     if not compared.changes:
         if compared.ambiguous:
             raise UsageError("\n".join(compared.ambiguous))
         raise UsageError(f"{sides[0]} and {sides[1]} have no suite with the same parameters in common")
     if args.json:
-        print_text(compare.as_json(compared))
+        print_text(as_json(compared))
     else:
-        print_text(compare.as_text(compared))
+        print_text(as_text(compared))
     return 0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rtrun.commands._question import add_question, ask, probability_argument, question, time_argument
 
 if TYPE_CHECKING:
-    from rtrun.report.gate import Gate
+    from rtrun.judgement.gate import Gate
 
 NAME = "gate"
 HELP = (
@@ -56,9 +56,9 @@ def run(args: argparse.Namespace) -> int:
     """Print one line a case. Raises UsageError when there is nothing to judge."""
     from rtfiles import atomic
     from rtfiles.errors import UsageError
+    from rtrun.judgement.gate import gate
     from rtrun.report.answers import print_answers
     from rtrun.report.formats import junit
-    from rtrun.report.gate import gate
     from rtrun.report.screen import print_styled
     from rtrun.report.terminal import print_banner
     from rtrun.target.platform import Platform

@@ -34,8 +34,9 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles import atomic
     from rtfiles.errors import UsageError
     from rtfiles.output import print_bytes, print_line, print_note, print_status
-    from rtrun.report import answers, formats, gate, page
-    from rtrun.report.claims.examiners import examine_claims
+    from rtrun.judgement import gate
+    from rtrun.judgement.claims.examiners import examine_claims
+    from rtrun.report import answers, formats, page
     from rtrun.report.contents import contents
     from rtrun.report.plots import pictures
 

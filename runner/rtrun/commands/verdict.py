@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rtrun.commands._question import add_question, ask
 
 if TYPE_CHECKING:
-    from rtrun.report.study import Study
+    from rtrun.judgement.study import Study
 
 NAME = "verdict"
 HELP = "say for each group of runs whether the deadline is met, and what is still missing to be sure"
@@ -25,11 +25,12 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from rtfiles.output import print_text
-    from rtrun.report import standings
+    from rtrun.judgement.standings import standings
+    from rtrun.report.standings import as_data
 
     study = ask(args, bounds=False)
     if args.json:
-        groups = standings.as_data(standings.standings(study))
+        groups = as_data(standings(study))
         data = {"schema": 2, "platform": study.platform, "groups": groups, "left_out": study.left_out}
         print_text(json.dumps(data, indent=1, allow_nan=False))
     else:
@@ -40,16 +41,17 @@ def run(args: argparse.Namespace) -> int:
 def print_answers(study: "Study") -> None:
     """Print the answers of a study as a table."""
     from rtfiles.output import console, print_line
-    from rtrun.report import standings
-    from rtrun.report.boards import differences, spread
+    from rtrun.judgement.boards import differences, spread
+    from rtrun.judgement.standings import standings
+    from rtrun.report.standings import question, reasons, table
     from rtrun.report.terminal import print_banner
 
     print_banner(study.platform)
-    print_line(standings.question(study))
-    groups = standings.standings(study)
+    print_line(question(study))
+    groups = standings(study)
     screen = console()
-    screen.print(standings.table(groups, screen.width))
-    for text in standings.reasons(groups):
+    screen.print(table(groups, screen.width))
+    for text in reasons(groups):
         print_line(text)
     for group in study.pooled:
         print_line(f"{study.name(group)}: of single boards: {spread(group)}")

@@ -1,1 +1,1 @@
-"""From run directories to the answer: read, digest, judge, and write it down in one of several formats."""
+"""How is it shown? What was judged, written down in one of several formats."""

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from rtfiles.output import console, print_line
 from rtfiles.quantities import grouped, us
-from rtrun.report.gate import Case
+from rtrun.judgement.gate import Case
 from rtrun.report.screen import fitted
 
 if TYPE_CHECKING:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from rtfiles.output import printable
 from rtfiles.quantities import duration, grouped
 from rtrun.analysis.deadline import Answer
-from rtrun.report.claims.examiners import Examined
+from rtrun.judgement.claims.examiners import Examined
+from rtrun.judgement.study import Study
+from rtrun.judgement.verdicts import WORST_FIRST, boots_in_words
 from rtrun.report.end_tables import end_tables
 from rtrun.report.scenarios import Scenario, scenarios
-from rtrun.report.study import Study
 from rtrun.report.tables import Table, how
 from rtrun.report.terminal import banner_of
-from rtrun.report.verdicts import WORST_FIRST, boots_in_words
 from rtrun.target.platform import Platform
 
 

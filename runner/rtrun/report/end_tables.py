@@ -10,15 +10,15 @@ from rtfiles.quantities import time_us, us
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.layers import attribute
 from rtrun.analysis.worst_case import disagreement
+from rtrun.judgement.claims.examination import is_rt, select
+from rtrun.judgement.claims.examiners import Examined
+from rtrun.judgement.claims.reference import oneshot_rows, published
+from rtrun.judgement.groups import Group
+from rtrun.judgement.study import Study, environment
 from rtrun.plan.conditions import IDLE
 from rtrun.plan.question import NONE_TOLERATED
 from rtrun.plan.suites import suites
 from rtrun.report import causes
-from rtrun.report.claims.examination import is_rt, select
-from rtrun.report.claims.examiners import Examined
-from rtrun.report.claims.reference import oneshot_rows, published
-from rtrun.report.groups import Group
-from rtrun.report.study import Study, environment
 from rtrun.report.tables import Table, how, printable_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
 from rtrun.results.samples import NON_MEASURING_THREADS

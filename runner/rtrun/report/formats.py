@@ -13,12 +13,12 @@ from xml.etree import ElementTree
 from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtrun.analysis.figures import PERCENTILES
-from rtrun.report.claims.examiners import Examined
+from rtrun.judgement.claims.examiners import Examined
+from rtrun.judgement.digest import Digest
+from rtrun.judgement.gate import Gate
+from rtrun.judgement.study import Study
 from rtrun.report.contents import Contents
-from rtrun.report.digest import Digest
 from rtrun.report.end_tables import fingerprint
-from rtrun.report.gate import Gate
-from rtrun.report.study import Study
 from rtrun.report.tables import Table
 
 _PARAMETERS = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")

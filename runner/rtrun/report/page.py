@@ -3,11 +3,11 @@
 from typing import Any
 
 from rtfiles.quantities import time_us
+from rtrun.judgement.study import Study
 from rtrun.report.contents import Contents
 from rtrun.report.html_pages import as_json, figures, script, templates
 from rtrun.report.plots.charts import plots
 from rtrun.report.scenarios import Scenario
-from rtrun.report.study import Study
 
 # The class of an answer in the styles, which give it its colour, and its mark, for eyes and paper without colours.
 _ANSWERS: dict[str, tuple[str, str]] = {

@@ -1,23 +1,19 @@
 """The scenarios of a report: for each group of runs alike its verdict in words and its tables."""
 
-import math
 import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from rtfiles.output import printable
 from rtfiles.quantities import time_us, us
-from rtrun.analysis.figures import PERCENTILES, Figures, rank
-from rtrun.analysis.histogram import merge
+from rtrun.analysis.figures import PERCENTILES, Figures
+from rtrun.judgement.digest import Digest, pool_figures
+from rtrun.judgement.groups import Group
+from rtrun.judgement.study import Study
+from rtrun.judgement.verdicts import severity, verdict_line
 from rtrun.plan.conditions import IDLE
-from rtrun.report.digest import Digest
-from rtrun.report.groups import Group
-from rtrun.report.study import Study
 from rtrun.report.tables import Table, how, printable_table
-from rtrun.report.verdicts import severity, verdict_line
 from rtrun.results.series import MEASURED_2014, NOTE_2014
 
 _PERCENTILES = tuple(p for p in PERCENTILES if p != 95.0)
@@ -94,43 +90,6 @@ def _scenario(group: Group, label: str, study: Study) -> Scenario:
             for table in (_figures(every), _startup(every), _clusters(every), _rates(group))
             if table.rows
         ),
-    )
-
-
-def pool_figures(digests: Sequence[Digest]) -> Figures:
-    """The figures of several outputs as if they were one; percentiles are lower edges of the histogram's bins.
-
-    The standard deviation is that of the pooled values: the sums of squares within the outputs and between their means
-    are added. The outputs have bins of one width.
-    """
-    if len(digests) == 1:
-        return digests[0].figures
-    parts = [one.figures for one in digests if one.n]
-    n = sum(part.n for part in parts)
-    lows = [part.min_ns for part in parts if part.min_ns is not None]
-    highs = [part.max_ns for part in parts if part.max_ns is not None]
-    means = [(part.n, part.mean_ns, part.std_ns) for part in parts if part.mean_ns is not None]
-    mean = std = None
-    if n and len(means) == len(parts):
-        mean = sum(count * value for count, value, _ in means) / n
-        within = sum((count - 1) * (spread or 0.0) ** 2 for count, _, spread in means)
-        squares = within + sum(count * (value - mean) ** 2 for count, value, _ in means)
-        std = math.sqrt(squares / (n - 1)) if n > 1 else 0.0
-    merged = merge(one.histogram for one in digests)
-    percentiles = {}
-    if merged.n and merged.values_ns.size:
-        below = np.cumsum(merged.counts)
-        wanted = {p: rank(merged.n, p) for p in PERCENTILES}
-        percentiles = {p: int(merged.values_ns[np.searchsorted(below, r)]) for p, r in wanted.items() if r <= below[-1]}
-    return Figures(
-        n=n,
-        min_ns=min(lows, default=None),
-        mean_ns=mean,
-        max_ns=max(highs) if highs and len(highs) == len(parts) else None,
-        std_ns=std,
-        percentiles_ns=percentiles,
-        bin_ns=merged.bin_ns,
-        overflow=sum(part.overflow for part in parts),
     )
 
 

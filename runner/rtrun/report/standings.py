@@ -1,8 +1,7 @@
 """The answers to the goal of a campaign, group by group: what the rounds go by, and what `rtrun verdict` prints."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rtfiles.output import counted, printable
@@ -11,45 +10,13 @@ from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.analysis.standing import Standing
 from rtrun.analysis.stationarity import Change
 from rtrun.execution.goal import Progress
+from rtrun.judgement.study import Study
+from rtrun.judgement.verdicts import off_rate, scope_in_short
 from rtrun.plan.goal import Goal
-from rtrun.report.digest import Digest
-from rtrun.report.groups import Group
 from rtrun.report.screen import fitted
-from rtrun.report.study import Study, study
-from rtrun.report.verdicts import off_rate, scope_in_short
-from rtrun.results.record import is_closed
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-
-def standings(study: Study) -> tuple[Standing, ...]:
-    """How far each group of a study is, groups of alike boards before those of each board."""
-    times_s = {record.run: record.duration_s for record in study.records}
-    return tuple(_standing(group, study.name(group), times_s) for group in study.answers)
-
-
-def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
-    """What reads the answers of a campaign from its results so far; a closed run is read only once."""
-    known: dict[Path, tuple[Digest, ...]] = {}
-
-    def evaluate() -> tuple[Standing, ...]:
-        if not any(is_closed(folder) for folder in results.iterdir()):
-            return ()
-        return standings(study(results, goal.question, bounds=False, known=known))
-
-    return evaluate
-
-
-def _standing(group: Group, label: str, times_s: dict[str, float]) -> Standing:
-    return Standing(
-        label=label,
-        runs=group.runs,
-        verdict=group.verdict,
-        undecidable=group.undecidable,
-        measured_s=sum(times_s.get(run, 0.0) for run in group.runs),
-        boards=frozenset(group.boards),
-    )
 
 
 def question(study: Study) -> str:

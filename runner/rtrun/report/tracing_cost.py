@@ -7,11 +7,11 @@ from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtfiles.quantities import us
 from rtrun.analysis.comparison import Change
+from rtrun.judgement.compare import Changed, compare_studies
+from rtrun.judgement.sides import names_of_sides, split
+from rtrun.judgement.study import Study, study
 from rtrun.plan.run import UNTRACED
 from rtrun.plan.trace import PARAMETER, quantile
-from rtrun.report.compare import Changed, compare_studies
-from rtrun.report.sides import names_of_sides, split
-from rtrun.report.study import Study, study
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record

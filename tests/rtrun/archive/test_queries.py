@@ -11,7 +11,7 @@ from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_campaig
 from rtrun.analysis.figures import PERCENTILES
 from rtrun.archive import queries
 from rtrun.cli import main
-from rtrun.report.study import study
+from rtrun.judgement.study import study
 
 STEP_NS = 16  # of the clock of the campaigns
 

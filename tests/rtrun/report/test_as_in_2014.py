@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from report.campaigns import latencies, oneshot_rows, write_run
 
+from rtrun.judgement.claims.examination import Finding
+from rtrun.judgement.claims.examiners import Examined, examine_claims
+from rtrun.judgement.compare import Compared, compare_sets
+from rtrun.judgement.study import study
 from rtrun.plan.question import Question
-from rtrun.report.claims.examination import Finding
-from rtrun.report.claims.examiners import Examined, examine_claims
-from rtrun.report.compare import Compared, as_text, compare_sets
+from rtrun.report.compare import as_text
 from rtrun.report.contents import contents
-from rtrun.report.study import study
 from rtrun.results.series import NOTE_2014
 
 ARMED_AFTER_NS = 7000

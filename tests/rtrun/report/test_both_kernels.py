@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 from report.campaigns import latencies, oneshot_rows, write_run
 
+from rtrun.judgement.claims.examination import Finding
+from rtrun.judgement.claims.examiners import examine_claims
+from rtrun.judgement.study import study
 from rtrun.plan.campaign import read_campaign
-from rtrun.report.claims.examination import Finding
-from rtrun.report.claims.examiners import examine_claims
 from rtrun.report.end_tables import end_tables
-from rtrun.report.study import study
 
 CAMPAIGN = Path(__file__).parents[3] / "campaigns" / "thesis-2014.yml"
 

@@ -10,11 +10,11 @@ import pytest
 from report.campaigns import latencies, oneshot_rows, write_run
 
 from rtrun.analysis.figures import figures_of_samples
+from rtrun.judgement.claims.examiners import examine_claims
+from rtrun.judgement.digest import pool_figures
+from rtrun.judgement.study import study
 from rtrun.plan.question import Question
-from rtrun.report.claims.examiners import examine_claims
 from rtrun.report.contents import Contents, contents
-from rtrun.report.scenarios import pool_figures
-from rtrun.report.study import study
 
 TOP = Path(__file__).parents[3]
 PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}

@@ -3,8 +3,8 @@
 import pytest
 from report.campaigns import communication_rows, latencies, oneshot_rows, write_run
 
+from rtrun.judgement.study import study
 from rtrun.report.end_tables import _layers
-from rtrun.report.study import study
 
 CPU80 = {"condition": "cpu", "settings": {"load_percent": 80}}
 

@@ -15,8 +15,8 @@ from rtfiles.output import printable
 from rtfiles.quantities import grouped
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
-from rtrun.report.digest import Digest
-from rtrun.report.groups import slowest
+from rtrun.judgement.digest import Digest
+from rtrun.judgement.groups import slowest
 from rtrun.report.plots.scale import Division, Scale, rounded, scale_of
 from rtrun.report.scenarios import Scenario, output_labels
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from logs import LOGS_2014
 from rtfiles.errors import UsageError
 from rtrun.cli import main
+from rtrun.judgement.study import study
 from rtrun.plan.question import Question
-from rtrun.report.study import study
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers import counts
 from rtrun.results.importers.adopt import adopt

@@ -6,8 +6,8 @@ import pytest
 from report.campaigns import communication_rows, latencies, write_run
 
 from rtrun.cli import main
-from rtrun.report.standings import standings
-from rtrun.report.study import study
+from rtrun.judgement.standings import standings
+from rtrun.judgement.study import study
 
 PARAMETERS = {"policy": "RR", "frequency_hz": 1000, "payload_bytes": 0, "subscribers": 1}
 QUESTION = ["--deadline", "400us", "--probability", "1e-3"]

@@ -9,9 +9,9 @@ from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.analysis.trials import Trials
+from rtrun.judgement.digest import Digest
 from rtrun.plan.question import Measure
 from rtrun.plan.suites import Value, measures, suites
-from rtrun.report.digest import Digest
 from rtrun.results.record import RunRecord
 from rtrun.results.series import MEASURED_2014
 from rtrun.target.platform import Platform

@@ -12,8 +12,8 @@ from rtrun.analysis.comparison import Change, Comparison, Shift, compare
 from rtrun.analysis.effects import Effect, examine_effect, holm
 from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.layers import figure_of
-from rtrun.report.groups import Group, format_parameters
-from rtrun.report.study import Study
+from rtrun.judgement.groups import Group, format_parameters
+from rtrun.judgement.study import Study
 
 # Fewer runs a side do not show how much runs differ by themselves.
 LEAST_RUNS = 5

@@ -3,8 +3,7 @@
 from rtfiles.quantities import us
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.intervals import clopper_pearson
-from rtrun.plan.question import NONE_TOLERATED, Question
-from rtrun.report.claims.examination import (
+from rtrun.judgement.claims.examination import (
     NEVER_BELOW,
     Finding,
     Result,
@@ -17,8 +16,9 @@ from rtrun.report.claims.examination import (
     runs_of,
     select,
 )
-from rtrun.report.groups import Group, format_parameters
-from rtrun.report.study import Study
+from rtrun.judgement.groups import Group, format_parameters
+from rtrun.judgement.study import Study
+from rtrun.plan.question import NONE_TOLERATED, Question
 
 ONESHOT, CYCLIC = "oneshot_timer_tests", "cyclic_timer_tests"
 _MS = 1_000_000

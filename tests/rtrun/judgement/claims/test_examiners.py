@@ -14,12 +14,12 @@ from report.campaigns import (
 )
 
 from rtrun.analysis.comparison import Change
+from rtrun.judgement.claims import general
+from rtrun.judgement.claims.examination import Finding, compared
+from rtrun.judgement.claims.examiners import EXAMINERS, examine_claims
+from rtrun.judgement.claims.reference import published
+from rtrun.judgement.study import study
 from rtrun.plan.question import Question
-from rtrun.report.claims import general
-from rtrun.report.claims.examination import Finding, compared
-from rtrun.report.claims.examiners import EXAMINERS, examine_claims
-from rtrun.report.claims.reference import published
-from rtrun.report.study import study
 from rtrun.results.importers.adopt import adopt
 from rtrun.target.platform import Platform
 

@@ -10,9 +10,9 @@ from report.campaigns import bursty, communication_rows, cyclic_rows, latencies,
 from rtfiles.errors import UsageError
 from rtrun.analysis.deadline import Answer
 from rtrun.analysis.figures import IndexedValue
+from rtrun.judgement.study import study
+from rtrun.judgement.verdicts import verdict_line
 from rtrun.plan.question import Question, read_tolerance
-from rtrun.report.study import study
-from rtrun.report.verdicts import verdict_line
 from rtrun.target.platform import Platform
 
 ONESHOT = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from rtfiles.quantities import us
 from rtrun.analysis.figures import figures_of_histogram
-from rtrun.report.groups import Group
+from rtrun.judgement.groups import Group
 
 _SPREAD_PERCENT = 99.9
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from rtfiles.output import counted, printable
 from rtfiles.quantities import duration, grouped, us
 from rtrun.analysis.deadline import Answer, Verdict
+from rtrun.judgement.boards import spread
+from rtrun.judgement.groups import Group
 from rtrun.plan.question import NONE_TOLERATED
-from rtrun.report.boards import spread
-from rtrun.report.groups import Group
 
 # Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5

@@ -9,9 +9,9 @@ from rtrun.analysis.comparison import Ratio
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.stationarity import Change
 from rtrun.analysis.trials import Trials, count_misses
+from rtrun.judgement.verdicts import scope_in_short, sentences
 from rtrun.plan.question import NONE_TOLERATED, Question, Tolerance, boots_for, read_tolerance, unlike_share
 from rtrun.report.compare import _ratio
-from rtrun.report.verdicts import scope_in_short, sentences
 
 QUESTION = Question(probability=1e-3)
 PERIOD_NS = 1e6

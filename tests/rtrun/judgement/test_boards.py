@@ -8,10 +8,10 @@ from report.campaigns import latencies, oneshot_rows, write_run
 from rtrun.analysis.deadline import Answer
 from rtrun.cli import main
 from rtrun.execution.goal import standings_of
+from rtrun.judgement.standings import standings
+from rtrun.judgement.study import study
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.question import Question
-from rtrun.report.standings import standings
-from rtrun.report.study import study
 
 PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
 TARGET = {"kernel_release": "6.1.0-rt", "kernel_version": "#1 SMP PREEMPT_RT", "cpus": 2, "governor": "performance"}

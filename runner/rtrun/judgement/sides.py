@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 from rtfiles.errors import UsageError
+from rtrun.judgement.groups import Group
+from rtrun.judgement.study import Study
 from rtrun.plan.run import UNTRACED, KernelName
 from rtrun.plan.suites import Value
-from rtrun.report.groups import Group
-from rtrun.report.study import Study
 
 By = Literal["variant", "kernel", "trace"]
 """What the two sides differ in: a circumstance of their runs."""

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from rtfiles.output import showing_progress
-from rtrun.report.claims import general, timers
-from rtrun.report.claims.examination import Finding, Result
-from rtrun.report.claims.reference import published
-from rtrun.report.groups import Group
-from rtrun.report.study import Study
+from rtrun.judgement.claims import general, timers
+from rtrun.judgement.claims.examination import Finding, Result
+from rtrun.judgement.claims.reference import published
+from rtrun.judgement.groups import Group
+from rtrun.judgement.study import Study
 from rtrun.target.platform import Platform
 
 

@@ -1,5 +1,7 @@
 """What is kept of one series of one run: small, and enough for every verdict, figure and plot of the report."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,8 +9,8 @@ from numpy.typing import NDArray
 
 from rtrun.analysis.blocks import Blocks, cut, split_randomly
 from rtrun.analysis.extreme_values import Tail, tail_of
-from rtrun.analysis.figures import Figures
-from rtrun.analysis.histogram import Histogram, Int64s, from_samples
+from rtrun.analysis.figures import PERCENTILES, Figures, rank
+from rtrun.analysis.histogram import Histogram, Int64s, from_samples, merge
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.plan.question import NONE_TOLERATED, Question
 from rtrun.results.series import MAIN_LOGS, Header, SampleSeries, Series
@@ -134,3 +136,40 @@ def _course(values: NDArray[np.int64]) -> Course:
     width = -(-values.size // _COLUMNS)
     starts = np.arange(0, values.size, width)
     return Course(low_ns=np.minimum.reduceat(values, starts), high_ns=np.maximum.reduceat(values, starts), width=width)
+
+
+def pool_figures(digests: Sequence[Digest]) -> Figures:
+    """The figures of several outputs as if they were one; percentiles are lower edges of the histogram's bins.
+
+    The standard deviation is that of the pooled values: the sums of squares within the outputs and between their means
+    are added. The outputs have bins of one width.
+    """
+    if len(digests) == 1:
+        return digests[0].figures
+    parts = [one.figures for one in digests if one.n]
+    n = sum(part.n for part in parts)
+    lows = [part.min_ns for part in parts if part.min_ns is not None]
+    highs = [part.max_ns for part in parts if part.max_ns is not None]
+    means = [(part.n, part.mean_ns, part.std_ns) for part in parts if part.mean_ns is not None]
+    mean = std = None
+    if n and len(means) == len(parts):
+        mean = sum(count * value for count, value, _ in means) / n
+        within = sum((count - 1) * (spread or 0.0) ** 2 for count, _, spread in means)
+        squares = within + sum(count * (value - mean) ** 2 for count, value, _ in means)
+        std = math.sqrt(squares / (n - 1)) if n > 1 else 0.0
+    merged = merge(one.histogram for one in digests)
+    percentiles = {}
+    if merged.n and merged.values_ns.size:
+        below = np.cumsum(merged.counts)
+        wanted = {p: rank(merged.n, p) for p in PERCENTILES}
+        percentiles = {p: int(merged.values_ns[np.searchsorted(below, r)]) for p, r in wanted.items() if r <= below[-1]}
+    return Figures(
+        n=n,
+        min_ns=min(lows, default=None),
+        mean_ns=mean,
+        max_ns=max(highs) if highs and len(highs) == len(parts) else None,
+        std_ns=std,
+        percentiles_ns=percentiles,
+        bin_ns=merged.bin_ns,
+        overflow=sum(part.overflow for part in parts),
+    )

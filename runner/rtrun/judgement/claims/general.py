@@ -9,7 +9,7 @@ from rtrun.analysis.comparison import Change
 from rtrun.analysis.effects import holm
 from rtrun.analysis.intervals import clopper_pearson
 from rtrun.analysis.periods import burst_peaks, evenly_spread_p, find_period
-from rtrun.report.claims.examination import (
+from rtrun.judgement.claims.examination import (
     NEVER_BELOW,
     Finding,
     Result,
@@ -20,9 +20,9 @@ from rtrun.report.claims.examination import (
     runs_of,
     select,
 )
-from rtrun.report.digest import Digest
-from rtrun.report.groups import Group, slowest
-from rtrun.report.study import Study
+from rtrun.judgement.digest import Digest
+from rtrun.judgement.groups import Group, slowest
+from rtrun.judgement.study import Study
 
 ONESHOT, COMMUNICATION, CYCLICTEST = "oneshot_timer_tests", "communication_tests", "cyclictest"
 _BROADER_NS = 300_000  # of the claim: from about 200 to about 500 us

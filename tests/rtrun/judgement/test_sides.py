@@ -8,8 +8,8 @@ from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_run
 
 from rtfiles.errors import UsageError
 from rtrun.cli import main
-from rtrun.report.sides import names_of_sides, split
-from rtrun.report.study import study
+from rtrun.judgement.sides import names_of_sides, split
+from rtrun.judgement.study import study
 
 
 def write(root, variants, *, policies=("RR", "FIFO")):

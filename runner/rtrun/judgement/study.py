@@ -14,10 +14,10 @@ from rtrun.analysis.deadline import judge
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
+from rtrun.judgement.digest import Digest, digest
+from rtrun.judgement.groups import Group, slowest, telling_parameters
 from rtrun.plan.question import NONE_TOLERATED, THESIS, Question
 from rtrun.plan.suites import Value, judged, measures
-from rtrun.report.digest import Digest, digest
-from rtrun.report.groups import Group, slowest, telling_parameters
 from rtrun.results import reading
 from rtrun.results.copies import find_copies
 from rtrun.results.reading import Source

@@ -4,9 +4,9 @@ from collections.abc import Container
 from dataclasses import dataclass
 
 from rtrun.analysis.deadline import Answer
-from rtrun.report.groups import Group
-from rtrun.report.study import Study
-from rtrun.report.verdicts import severity, verdict_line
+from rtrun.judgement.groups import Group
+from rtrun.judgement.study import Study
+from rtrun.judgement.verdicts import severity, verdict_line
 from rtrun.target.platform import Platform, weakest
 
 

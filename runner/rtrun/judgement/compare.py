@@ -1,0 +1,167 @@
+"""Two folders of runs compared, group by group."""
+
+import dataclasses
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rtfiles.errors import UsageError
+from rtrun.analysis.comparison import Comparison, Ratio, compare, correct, ratio_of_misses
+from rtrun.judgement.digest import pool_figures
+from rtrun.judgement.groups import Group
+from rtrun.judgement.sides import By, split
+from rtrun.judgement.study import Study, study
+from rtrun.plan.question import Question
+from rtrun.results.series import MEASURED_2014
+from rtrun.target.platform import Platform
+
+
+@dataclass(frozen=True, kw_only=True)
+class Changed:
+    """What became of one group."""
+
+    label: str
+    comparison: Comparison
+    p999_ns: tuple[int | None, int | None]
+    max_ns: tuple[int | None, int | None]
+    misses: Ratio | None
+    runs: tuple[tuple[str, ...], tuple[str, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compared:
+    """Two sets: the groups that both have, what only one of them has, and what could be matched in several ways."""
+
+    platform: Platform
+    deadline_ns: int
+    miss: str
+    """What counts as a miss, in words."""
+    changes: tuple[Changed, ...]
+    only_a: tuple[str, ...]
+    only_b: tuple[str, ...]
+    ambiguous: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+def compare_sets(a: Path, b: Path, question: Question, *, margin_ns: float | None) -> Compared:
+    """Compare what two paths hold, group by group, as `compare_studies` does."""
+    first, second = (study(path, question, bounds=False) for path in (a, b))
+    return compare_studies(first, second, margin_ns=margin_ns)
+
+
+def compare_sides(
+    path: Path,
+    by: By | None,
+    names: Sequence[str],
+    question: Question,
+    *,
+    margin_ns: float | None,
+) -> tuple[tuple[str, str], Compared]:
+    """Compare two variants of one campaign, or its kernels; return their names too. Raises UsageError as `split`."""
+    whole = study(path, question, bounds=False)
+    chosen, (first, second) = split(whole, by, names)
+    return chosen, compare_studies(first, second, margin_ns=margin_ns)
+
+
+def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> Compared:
+    """Compare two studies of the same question, group by group.
+
+    Groups of the same suite and parameters are compared if they are of the same target, or if each side has one such
+    group: then the target is what changed. Where one side has results of the programs of 2014, one-shot timers are
+    compared by measured_2014 and cyclic ones by their jitter, on both sides, and the label says so. Groups that are not
+    compared are in ``ambiguous``, ``only_a`` or ``only_b``. Raises UsageError for two platforms.
+    """
+    if first.platform is not second.platform and first.digests and second.digests:
+        raise UsageError(
+            f"{first.source.path} was measured on {first.platform.machine}, {second.source.path} on "
+            f"{second.platform.machine}: times of different platforms are not compared"
+        )
+    pairs: list[tuple[Group, Group]] = []
+    ambiguous: list[str] = []
+    only: tuple[list[str], list[str]] = ([], [])
+    of_2014 = (MEASURED_2014, "jitter")
+    as_in_2014 = {group.suite for side in (first, second) for group in side.groups if group.series in of_2014}
+    sides = [_by_circumstances(side, as_in_2014) for side in (first, second)]
+    for key in dict.fromkeys((*sides[0], *sides[1])):
+        alike_a, alike_b = (side.get(key, []) for side in sides)
+        matched = [(x, y) for x in alike_a for y in alike_b if _origin(x) == _origin(y)]
+        if not matched and len(alike_a) == len(alike_b) == 1:
+            matched = [(alike_a[0], alike_b[0])]
+        pairs += matched
+        if alike_a and alike_b and not matched:
+            targets = [" and ".join(_origin_text(group) for group in alike) for alike in (alike_a, alike_b)]
+            ambiguous.append(f"{alike_a[0].label}: {targets[0]} in A, {targets[1]} in B: no target is in both")
+        else:
+            for alike, unmatched, place in ((alike_a, only[0], 0), (alike_b, only[1], 1)):
+                rest = [group for group in alike if all(group is not pair[place] for pair in matched)]
+                unmatched += [_label(group, of_several=len(alike) > 1) for group in rest]
+    counts = Counter(x.label for x, _ in pairs)
+    changes = [
+        _changed(_label(x, of_several=counts[x.label] > 1), x, y, first.question.confidence, margin_ns, len(pairs))
+        for x, y in pairs
+    ]
+    corrected = correct([change.comparison for change in changes])
+    return Compared(
+        platform=first.platform,
+        deadline_ns=first.question.deadline_ns,
+        miss=first.asked.miss,
+        changes=tuple(
+            dataclasses.replace(change, comparison=one) for change, one in zip(changes, corrected, strict=True)
+        ),
+        only_a=tuple(only[0]),
+        only_b=tuple(only[1]),
+        ambiguous=tuple(ambiguous),
+        left_out=(*first.left_out, *second.left_out),
+    )
+
+
+def _by_circumstances(side: Study, as_in_2014: set[str]) -> dict[str, list[Group]]:
+    """Groups that measured something, by suite, series and parameters.
+
+    Of the suites in `as_in_2014` the groups are those of 2014's series, and those of runs that have no such series.
+    """
+    groups: dict[str, list[Group]] = {}
+    of_2014 = [group for group in side.as_in_2014 if group.suite in as_in_2014]
+    covered = {run for group in of_2014 for run in group.runs}
+    judged = [g for g in side.groups if not (g.suite in as_in_2014 and covered.issuperset(g.runs))]
+    for group in (*judged, *of_2014):
+        if group.blocks:
+            groups.setdefault(json.dumps([group.suite, group.series, sorted(group.parameters.items())]), []).append(
+                group
+            )
+    return groups
+
+
+def _origin(group: Group) -> tuple[str, int]:
+    """What else keeps groups apart: target, width of the bins."""
+    first = group.digests[0]
+    return group.target, first.histogram.bin_ns
+
+
+def _origin_text(group: Group) -> str:
+    return group.target or "an unknown target"
+
+
+def _label(group: Group, *, of_several: bool) -> str:
+    return f"{group.label} on {_origin_text(group)}" if of_several else group.label
+
+
+def _changed(label: str, a: Group, b: Group, confidence: float, margin_ns: float | None, tests: int) -> Changed:
+    figures = pool_figures(a.digests), pool_figures(b.digests)
+    return Changed(
+        label=label,
+        comparison=compare(
+            a.blocks,
+            b.blocks,
+            confidence=confidence,
+            margin_ns=margin_ns,
+            clock_step_ns=max(a.clock_step_ns, b.clock_step_ns),
+            tests=tests,
+        ),
+        p999_ns=(figures[0].percentiles_ns.get(99.9), figures[1].percentiles_ns.get(99.9)),
+        max_ns=(figures[0].max_ns, figures[1].max_ns),
+        misses=ratio_of_misses(a.verdict, b.verdict, confidence) if a.verdict and b.verdict else None,
+        runs=(a.runs, b.runs),
+    )

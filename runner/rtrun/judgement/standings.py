@@ -1,0 +1,40 @@
+"""How far each group of a campaign is from its answer: what the rounds of a goal go by."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rtrun.analysis.standing import Standing
+from rtrun.judgement.digest import Digest
+from rtrun.judgement.groups import Group
+from rtrun.judgement.study import Study, study
+from rtrun.plan.goal import Goal
+from rtrun.results.record import is_closed
+
+
+def standings(study: Study) -> tuple[Standing, ...]:
+    """How far each group of a study is, groups of alike boards before those of each board."""
+    times_s = {record.run: record.duration_s for record in study.records}
+    return tuple(_standing(group, study.name(group), times_s) for group in study.answers)
+
+
+def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
+    """What reads the answers of a campaign from its results so far; a closed run is read only once."""
+    known: dict[Path, tuple[Digest, ...]] = {}
+
+    def evaluate() -> tuple[Standing, ...]:
+        if not any(is_closed(folder) for folder in results.iterdir()):
+            return ()
+        return standings(study(results, goal.question, bounds=False, known=known))
+
+    return evaluate
+
+
+def _standing(group: Group, label: str, times_s: dict[str, float]) -> Standing:
+    return Standing(
+        label=label,
+        runs=group.runs,
+        verdict=group.verdict,
+        undecidable=group.undecidable,
+        measured_s=sum(times_s.get(run, 0.0) for run in group.runs),
+        boards=frozenset(group.boards),
+    )
