@@ -16,7 +16,7 @@ import pytest
 from hypothesis import settings
 
 from ports import free_port
-from rtrun.target.address import Address
+from rtrun.targets.address import Address
 
 # A shell that starts us in the background lets us, and all we start, ignore Ctrl-C; the tests send it.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -24,7 +24,7 @@ from logs import LOGS_2014
 from rtfiles.command import parser_of
 from rtfiles.config import read_yaml
 from rtfiles.start import commands_of
-from rtrun.target.config import read_target
+from rtrun.targets.config import read_target
 
 TOP = Path(__file__).parents[1]
 PAGES = [TOP / "README.md", *sorted((TOP / "docs").glob("*.md"))]
@@ -40,7 +40,7 @@ NOT_RUN = {
     "rtgen kconfig verify": "a kernel tree; tests/rtgen/test_kconfig_verify.py",
     "rtgen kernel build": "minutes; tests/rtgen/test_kernel_build.py",
     "rtrun bisect": "an archive of several commits; tests/rtrun/archive/test_trends.py",
-    "rtrun check-rt": "a target; tests/rtrun/target/test_rt_readiness.py",
+    "rtrun check-rt": "a target; tests/rtrun/targets/test_rt_readiness.py",
     "rtrun probe": "a target; tests/integration",
     "rtrun run": "a target; tests/integration",
     "rtrun compare RESULTS --by kernel": "results on two kernels; tests/rtrun/judgement/test_sides.py",

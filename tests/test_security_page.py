@@ -15,7 +15,7 @@ ROWS = re.findall(r"^\| [^|]+ \| ([0-9]+) ?([A-Za-z/]*) \| `([\w.]+)\.(\w+)` \|$
 # By its name a constant is a limit on size or number, and in the rooms that talk to a target also one on time.
 LIMIT = re.compile(r"_?MAX_\w+|\w+_MAX|\w*LIMIT_BYTES")
 TIME = re.compile(r"\w+_S")
-TIMED = ("rtrun.target.", "rtrun.execution.")
+TIMED = ("rtrun.targets.", "rtrun.execution.")
 NO_LIMITS = {
     "ranges of numbers, which take no room": {
         "rtfiles.untrusted.INT64_MAX",
@@ -30,22 +30,23 @@ NO_LIMITS = {
         "rtrun.archive.queries._GRID_MAX",
         "rtrun.causes.control.WINDOWS_MAX",
         "rtrun.report.causes.REMEDIES_MAX",
+        "rtrun.results.rate.OFF_MAX",
     },
     "pauses between two attempts, and parts of a time that stands on the page": {
-        "rtrun.target.labgrid.POLL_S",
-        "rtrun.target.link.RETRY_S",
-        "rtrun.target.processes.POLL_S",
-        "rtrun.target.processes.SLICE_S",
-        "rtrun.target.processes.WAIT_S",
-        "rtrun.target.restart.POLL_S",
-        "rtrun.target.serial_console._READ_S",
-        "rtrun.target.serial_console._RETRY_S",
-        "rtrun.target.ssh.KILL_GRACE_S",
+        "rtrun.targets.labgrid.places.POLL_S",
+        "rtrun.targets.link.RETRY_S",
+        "rtrun.targets.processes.POLL_S",
+        "rtrun.targets.processes.SLICE_S",
+        "rtrun.targets.processes.WAIT_S",
+        "rtrun.targets.restart.POLL_S",
+        "rtrun.targets.labgrid.serial_console._READ_S",
+        "rtrun.targets.labgrid.serial_console._RETRY_S",
+        "rtrun.targets.ssh.ssh_shell.KILL_GRACE_S",
     },
     "times of programs of our own": {
         "rtrun.execution.run_programs.DEADLINE_EXTRA_S",
-        "rtrun.target.kvm.DEADLINE_S",
-        "rtrun.target.qemu.STOP_S",
+        "rtrun.targets.qemu.kvm.DEADLINE_S",
+        "rtrun.targets.qemu.emulator.STOP_S",
     },
 }
 

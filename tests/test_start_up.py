@@ -70,7 +70,7 @@ def test_reading_results_loads_no_more_than_it_takes(command: str, others: set[s
     done = python(PROGRAM.format(program="rtrun", arguments=[command, str(tmp_path)]))
     imported = set(done.stderr.splitlines()[-1].split())
     assert done.returncode == 0 and "numpy" in imported
-    assert not imported & ({"paramiko", "scipy.stats", "duckdb", "pyarrow", "rtrun.target.config"} | others)
+    assert not imported & ({"paramiko", "scipy.stats", "duckdb", "pyarrow", "rtrun.targets.config"} | others)
 
 
 @pytest.mark.parametrize(("program", "command"), [("rtrun", "why"), ("rtgen", "suites")])

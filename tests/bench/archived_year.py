@@ -19,7 +19,7 @@ from rtrun.archive.store import make_archive, write_file
 from rtrun.archive.tables import Origin, as_parquet, histogram_table, partition_of, run_table
 from rtrun.results.record import RunRecord, RunStatus, TargetFacts
 from rtrun.results.series import Header, HistogramSeries
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 MEASUREMENTS = 2_000_000_000
 FREQUENCIES_HZ = (100, 250, 500, 1000)

@@ -22,10 +22,10 @@ from rtrun.plan import conditions
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.run import SET_UP_S, Run
 from rtrun.results.record import read_record
-from rtrun.target.address import Address
-from rtrun.target.config import Target
-from rtrun.target.connection import Connection
-from rtrun.target.ssh import SshShell
+from rtrun.targets.address import Address
+from rtrun.targets.config import Target
+from rtrun.targets.connection import Connection
+from rtrun.targets.ssh.ssh_shell import SshShell
 
 TOP = Path(__file__).parents[2]
 RUNS = 8

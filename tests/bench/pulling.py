@@ -18,7 +18,7 @@ from typing import IO
 import pytest
 
 from conftest import Sshd, serve
-from rtrun.target.connection import Connection
+from rtrun.targets.connection import Connection
 
 SIZE_BYTES = 64 * 1024 * 1024
 ROUNDS = 9

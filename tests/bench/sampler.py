@@ -13,9 +13,10 @@ import pytest
 
 import rtgen.cli
 from rtrun.execution.preparation import SAMPLER
-from rtrun.target import deploy, inspection
-from rtrun.target.config import connect, read_target
-from rtrun.target.link import Link
+from rtrun.targets import deploy
+from rtrun.targets.config import connect, read_target
+from rtrun.targets.inspection import facts as inspection
+from rtrun.targets.link import Link
 
 TOP = Path(__file__).parents[2]
 LASTS_S = 60

@@ -23,7 +23,7 @@ from rtgen.board import disk, initrd
 from rtgen.board.kernel import debian_kernel
 from rtgen.board.machine import find
 from rtgen.board.packages import packages, unpacked
-from rtrun.target import qemu
+from rtrun.targets.qemu import emulator as qemu
 
 pytestmark = [pytest.mark.bitbake, pytest.mark.qemu, pytest.mark.timeout(900)]
 

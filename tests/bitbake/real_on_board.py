@@ -18,7 +18,7 @@ import rtgen.cli
 from bitbake.debian_tools import work_folder
 from rtgen import suites as builder
 from rtgen.checkout import checkout
-from rtrun.target import qemu
+from rtrun.targets.qemu import emulator as qemu
 
 pytestmark = [pytest.mark.bitbake, pytest.mark.qemu, pytest.mark.timeout(1200)]
 

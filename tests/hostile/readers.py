@@ -42,23 +42,16 @@ from rtrun.results.record import (
     TargetFacts,
 )
 from rtrun.results.record import verify as verify_run
-from rtrun.target import (
-    architecture,
-    control_groups,
-    host_keys,
-    inspection,
-    platform_signs,
-    processes,
-    qemu,
-    ros_master,
-    rt_readiness,
-    ssh_config,
-)
-from rtrun.target.address import Address
-from rtrun.target.config import read_target
-from rtrun.target.connection import parse_listing
-from rtrun.target.link import Link
-from rtrun.target.platform import Platform
+from rtrun.targets import processes, ros_master
+from rtrun.targets.address import Address
+from rtrun.targets.config import read_target
+from rtrun.targets.connection import parse_listing
+from rtrun.targets.inspection import architecture, control_groups, platform_signs, rt_readiness
+from rtrun.targets.inspection import facts as inspection
+from rtrun.targets.inspection.platform import Platform
+from rtrun.targets.link import Link
+from rtrun.targets.qemu import emulator as qemu
+from rtrun.targets.ssh import host_keys, ssh_config
 from rtrun.validity import baselines
 from rtrun.validity.observations import observations_of, summarize
 

@@ -101,9 +101,9 @@ CLIENT = """
 import json, re, sys, time
 from pathlib import Path, PurePosixPath
 from rtfiles.errors import InfrastructureError, UsageError
-from rtrun.target.address import Address
-from rtrun.target.config import Target
-from rtrun.target.link import Link
+from rtrun.targets.address import Address
+from rtrun.targets.config import Target
+from rtrun.targets.link import Link
 
 action, port, host_key, key, folder = sys.argv[1:]
 target = Target(name="hostile", work_dir=PurePosixPath("/tmp/rt-tests"), suites=None, ros_setup=None,

@@ -10,8 +10,9 @@ import pytest
 
 from rtfiles.errors import UsageError
 from rtrun.execution import journal, resumption
-from rtrun.target import labgrid, ros_master
-from rtrun.target.errors import TargetError
+from rtrun.targets import ros_master
+from rtrun.targets.errors import TargetError
+from rtrun.targets.labgrid import places as labgrid
 
 SERVICE = "targets:\n  board:\n    resources:\n      NetworkService: {service}\n"
 

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.sshd
 MEMORY_MIB = 300
 RUN = "with Link(target, print) as link: link.run(['true'], deadline_s={deadline})"
 LIST = (
-    "from rtrun.target.connection import listing, parse_listing\n"
+    "from rtrun.targets.connection import listing, parse_listing\n"
     "with Link(target, print) as link: parse_listing(link.check(listing(PurePosixPath('/'), ['a'], matches_max=1)))"
 )
 COPY = (

@@ -20,10 +20,11 @@ from rtrun.execution import campaign_runner
 from rtrun.plan.campaign import read_campaign
 from rtrun.results import run_directory
 from rtrun.results.reading import read_run
-from rtrun.target import qemu, qmp
-from rtrun.target.config import connect, read_target
-from rtrun.target.connection import Connection
-from rtrun.target.errors import TargetError, TargetGone
+from rtrun.targets.config import connect, read_target
+from rtrun.targets.connection import Connection
+from rtrun.targets.errors import TargetError, TargetGone
+from rtrun.targets.qemu import emulator as qemu
+from rtrun.targets.qemu import qmp
 from watching import Watching
 
 # The time limit counts for the fixture too: a cold board and the suites for it take some minutes.

@@ -10,8 +10,8 @@ import rtgen.cli
 import rtrun.cli
 from rtgen.board.machine import machines
 from rtrun.report.terminal import BANNERS
-from rtrun.target import qemu
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
+from rtrun.targets.qemu import emulator as qemu
 
 # A cold board, its sysroot and its suites take some minutes beside other work.
 pytestmark = [pytest.mark.boards, pytest.mark.qemu, pytest.mark.ros, pytest.mark.timeout(1800)]

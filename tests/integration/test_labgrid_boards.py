@@ -13,9 +13,9 @@ import pytest
 
 import rtgen.cli
 from rtrun.results.record import RunStatus, verify
-from rtrun.target import qemu
-from rtrun.target.connection import Connection
-from rtrun.target.errors import ConnectionLost
+from rtrun.targets.connection import Connection
+from rtrun.targets.errors import ConnectionLost
+from rtrun.targets.qemu import emulator as qemu
 
 pytest.importorskip("labgrid", reason="pip install meta-rt-tests[farm]")
 from labgrid_farm import farm_of, power_switch

@@ -12,7 +12,7 @@ from rtgen.kconfig.data import Concern
 from rtgen.profile import Profile
 from rtrun.plan.campaign import Campaign, read_campaign
 from rtrun.results.record import RunRecord
-from rtrun.target.config import LabgridConfig, LocalConfig, QemuConfig, SshConfig
+from rtrun.targets.config import LabgridConfig, LocalConfig, QemuConfig, SshConfig
 
 WRONG = (
     None,

@@ -16,8 +16,8 @@ from rtgen import debian
 from rtgen.board import sysroot
 from rtgen.board.build import build
 from rtgen.board.machine import architectures, find, machines
-from rtrun.target import platform_signs
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection import platform_signs
+from rtrun.targets.inspection.platform import Platform
 
 # A cold board and its sysroot take some minutes beside other work.
 pytestmark = [pytest.mark.qemu, pytest.mark.timeout(1800)]

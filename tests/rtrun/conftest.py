@@ -9,8 +9,8 @@ from report.campaigns import write_campaign
 
 from conftest import BOOT_ID, seeing, serve
 from ports import free_port
-from rtrun.target.config import Target
-from rtrun.target.link import Link
+from rtrun.targets.config import Target
+from rtrun.targets.link import Link
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from typing import Any
 from logs import LOGS_2014
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.run import UNTRACED, Run
-from rtrun.target.address import Address
-from rtrun.target.config import Target
+from rtrun.targets.address import Address
+from rtrun.targets.config import Target
 
 PROGRAM = """#!{python}
 import json, os, subprocess, sys, time

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ports import free_port
-from rtrun.target import labgrid
+from rtrun.targets.labgrid import places as labgrid
 
 
 class Farm:

@@ -7,7 +7,7 @@ from rooms import find_late_imports, modules_of_rooms
 
 # docs/house.md names them in this order.
 ROOMS = (
-    "plan", "target", "analysis", "results", "validity", "causes", "execution", "judgement", "report", "archive",
+    "plan", "targets", "analysis", "results", "validity", "causes", "execution", "judgement", "report", "archive",
     "commands", "cli",
 )  # fmt: skip
 

@@ -10,7 +10,7 @@ from rtrun.causes.events import Event
 from rtrun.causes.ftrace import parse
 from rtrun.results import run_directory
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
-from rtrun.target.control_groups import ControlGroup
+from rtrun.targets.inspection.control_groups import ControlGroup
 
 SPECIMENS = Path(__file__).parents[1] / "data" / "traces"
 OUTPUT = "cyclic_timer_tests_l2500_fq500-tnRTRR"

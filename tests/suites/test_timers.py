@@ -12,7 +12,7 @@ import pytest
 
 from rtfiles.config import read_yaml
 from rtgen import suites as builder
-from rtrun.target.kernel_trace import read_events
+from rtrun.targets.inspection.kernel_trace import read_events
 
 from .conftest import (
     PROGRAMS,

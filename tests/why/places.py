@@ -17,10 +17,11 @@ from rtgen import suites
 from rtgen.board.build import build as build_board
 from rtgen.board.machine import architectures, machines
 from rtrun.plan.run import KernelName
-from rtrun.target import qemu, qmp
-from rtrun.target.address import Address, ThisMachine
-from rtrun.target.connection import Connection
-from rtrun.target.errors import TargetError
+from rtrun.targets.address import Address, ThisMachine
+from rtrun.targets.connection import Connection
+from rtrun.targets.errors import TargetError
+from rtrun.targets.qemu import emulator as qemu
+from rtrun.targets.qemu import qmp
 
 HERE = Path(__file__).parent
 BOARD = "qemu-armv7"

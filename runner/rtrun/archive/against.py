@@ -14,7 +14,7 @@ from rtrun.archive.store import Store, make_archive
 from rtrun.archive.tables import Origin
 from rtrun.judgement.gate import Case, Gate, why_not_accepted
 from rtrun.plan.question import Measure
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 # The runs that are in no course, and why.
 _WITHOUT_COURSE = """

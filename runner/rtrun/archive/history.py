@@ -13,7 +13,7 @@ from rtfiles.quantities import grouped, time_us
 from rtrun.archive import By
 from rtrun.archive.queries import Point
 from rtrun.report.terminal import print_banner
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 _SHOWN = (50.0, 99.0, 99.9, 99.99)
 

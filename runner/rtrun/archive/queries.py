@@ -24,7 +24,7 @@ from rtrun.plan.limits import BINS_MAX, TIME_MAX_NS
 from rtrun.plan.question import Measure
 from rtrun.plan.suites import judged, measures
 from rtrun.results.samples import called
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

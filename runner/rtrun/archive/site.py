@@ -17,7 +17,7 @@ from rtrun.archive.pictures import course_plots
 from rtrun.archive.trends import Trend, as_text
 from rtrun.report.html_pages import figures, script, templates
 from rtrun.report.terminal import BANNERS
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 _SHOWN = (50.0, 99.0, 99.9, 99.99)
 

@@ -24,7 +24,7 @@ from rtrun.judgement.groups import format_parameters, telling_parameters
 from rtrun.plan.limits import BINS_MAX
 from rtrun.results.record import FILE, RunRecord, moment
 from rtrun.results.series import HistogramSeries, SampleSeries, Series
-from rtrun.target.inspection import Fact
+from rtrun.targets.inspection.facts import Fact
 
 Table = Any  # pyarrow has no types
 UNKNOWN_MONTH = "unknown"

@@ -7,7 +7,7 @@ from rtrun.causes.parts import Cause, Kind, Part
 from rtrun.causes.reconstruction import NORMAL_PRIO
 from rtrun.causes.timeline import State
 from rtrun.results.record import RunRecord
-from rtrun.target.control_groups import KERNEL_RUNTIME_US, ControlGroup
+from rtrun.targets.inspection.control_groups import KERNEL_RUNTIME_US, ControlGroup
 
 # No CPU needs so long to leave an idle state.
 IDLE_EXIT_MAX_NS = 1_000_000

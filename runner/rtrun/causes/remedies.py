@@ -9,7 +9,7 @@ from pydantic import Field, field_validator
 
 from rtfiles.config import Config, load
 from rtrun.causes.parts import Kind
-from rtrun.target.rt_readiness import with_safety_net
+from rtrun.targets.inspection.rt_readiness import with_safety_net
 
 DATA = Path(__file__).with_suffix(".yml")
 

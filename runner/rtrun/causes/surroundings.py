@@ -14,7 +14,7 @@ from rtrun.analysis.coincidence import LEAST_INTERVALS, Floats, find_coincidence
 from rtrun.analysis.histogram import Int64s
 from rtrun.causes.measured import Measured, read_measured
 from rtrun.results.record import RunRecord, check_file
-from rtrun.target.inspection import TargetState
+from rtrun.targets.inspection.facts import TargetState
 from rtrun.validity.observations import COUNTS_MAX, SAMPLER_OUTPUT, Observation, observations_of
 
 STATES = "target.json"

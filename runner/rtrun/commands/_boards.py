@@ -18,8 +18,9 @@ from rtrun.execution.farm import Board
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import Run
 from rtrun.results.record import RunStatus
-from rtrun.target import labgrid, labgrid_environment
-from rtrun.target.config import LabgridConfig, Target, TargetConfig, connect, parse_target, read_target
+from rtrun.targets.config import LabgridConfig, Target, TargetConfig, connect, parse_target, read_target
+from rtrun.targets.labgrid import environment as labgrid_environment
+from rtrun.targets.labgrid import places as labgrid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rtfiles.output import print_note
-from rtrun.target.config import TargetConfig, connect
-from rtrun.target.link import Link
+from rtrun.targets.config import TargetConfig, connect
+from rtrun.targets.link import Link
 
 
 @contextlib.contextmanager

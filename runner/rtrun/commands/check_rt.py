@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtrun.target.link import Link
-    from rtrun.target.platform import Platform
-    from rtrun.target.rt_readiness import Finding
+    from rtrun.targets.inspection.platform import Platform
+    from rtrun.targets.inspection.rt_readiness import Finding
+    from rtrun.targets.link import Link
 
 NAME = "check-rt"
 HELP = "list what stands in the way of real time on a running target, why, and the remedy"
@@ -28,8 +28,8 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import print_text
     from rtrun.commands._link import linked
-    from rtrun.target import platform_signs, rt_readiness
-    from rtrun.target.config import read_target
+    from rtrun.targets.config import read_target
+    from rtrun.targets.inspection import platform_signs, rt_readiness
 
     config = read_target(args.target)
     checks = rt_readiness.read_checks()
@@ -55,8 +55,8 @@ def run(args: argparse.Namespace) -> int:
 def _save_config(link: "Link", path: Path) -> None:
     from rtfiles import atomic
     from rtfiles.errors import UsageError
-    from rtrun.target import inspection
-    from rtrun.target.errors import TargetError
+    from rtrun.targets.errors import TargetError
+    from rtrun.targets.inspection import facts as inspection
 
     packed = inspection.read_kernel_config(link)
     if not packed:
@@ -84,7 +84,7 @@ def _as_json(finding: "Finding") -> dict[str, Any]:
 def _print(target: str, platform: "Platform", findings: "list[Finding]") -> None:
     from rtfiles.output import print_line
     from rtrun.report.terminal import banner_of
-    from rtrun.target.rt_readiness import SEVERITIES, SHOWN_LINES
+    from rtrun.targets.inspection.rt_readiness import SEVERITIES, SHOWN_LINES
 
     faults = [each for each in findings if each.status == "fault"]
     unknown = [each for each in findings if each.status == "unknown"]

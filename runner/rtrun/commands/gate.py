@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report.formats import junit
     from rtrun.report.screen import print_styled
     from rtrun.report.terminal import print_banner
-    from rtrun.target.platform import Platform
+    from rtrun.targets.inspection.platform import Platform
 
     if args.against:
         judged = _against(args)
@@ -88,7 +88,7 @@ def _against(args: argparse.Namespace) -> "Gate":
     check_extra()
     from rtrun.archive.against import gate_against
     from rtrun.archive.store import open_archive
-    from rtrun.target.platform import Platform
+    from rtrun.targets.inspection.platform import Platform
 
     if args.probability or args.confidence or args.tolerate or args.assume_independent:
         raise UsageError(

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.output import print_line
     from rtrun.results.importers.adopt import adopt
     from rtrun.results.importers.identity import FIELDS, Identity, read_pattern
-    from rtrun.target.platform import Platform
+    from rtrun.targets.inspection.platform import Platform
 
     given = {name: getattr(args, name) for name in FIELDS}
     read_name = read_pattern(args.names) if args.names else lambda _: {}

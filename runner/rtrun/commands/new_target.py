@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtrun.target.address import Address
-    from rtrun.target.link import Link
+    from rtrun.targets.address import Address
+    from rtrun.targets.link import Link
 
 NAME = "new-target"
 HELP = "write the target file of a board, after a look at its host key, and say what the board lacks"
@@ -34,8 +34,8 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import print_line
     from rtrun.commands._link import linked
-    from rtrun.target.config import parse_target
-    from rtrun.target.ssh_config import address_of
+    from rtrun.targets.config import parse_target
+    from rtrun.targets.ssh.ssh_config import address_of
 
     asks = sys.stdin.isatty()
     host = args.host or (_answer("host (name, address, or alias of ~/.ssh/config)") if asks else "")
@@ -85,9 +85,9 @@ def _host_key(address: "Address", asks: bool) -> dict[str, str]:
     """Return the host key for the target file, once the user has compared it; nothing where known_hosts has one."""
     from rtfiles.errors import UsageError
     from rtfiles.output import print_line
-    from rtrun.target.errors import TargetError
-    from rtrun.target.host_keys import fingerprint, read_host_keys
-    from rtrun.target.transport import ask_host_key
+    from rtrun.targets.errors import TargetError
+    from rtrun.targets.ssh.host_keys import fingerprint, read_host_keys
+    from rtrun.targets.ssh.transport import ask_host_key
 
     known = read_host_keys(address)
     if known.trusted or known.authorities:
@@ -135,10 +135,10 @@ def _lacks(link: "Link") -> list[str]:
     """Return what the board lacks for campaigns."""
     from rtfiles.invocation import as_called
     from rtrun.plan import conditions, suites
-    from rtrun.target import inspection
-    from rtrun.target.deploy import ON_TARGET
-    from rtrun.target.errors import TargetError
-    from rtrun.target.link import OUT_OF_REACH
+    from rtrun.targets.deploy import ON_TARGET
+    from rtrun.targets.errors import TargetError
+    from rtrun.targets.inspection import facts as inspection
+    from rtrun.targets.link import OUT_OF_REACH
 
     lacks = []
     try:
@@ -170,7 +170,7 @@ def _lacks(link: "Link") -> list[str]:
 def _readiness(link: "Link", output: Path) -> str:
     """Say in a line what stands in the way of real time."""
     from rtfiles.invocation import as_called
-    from rtrun.target import rt_readiness
+    from rtrun.targets.inspection import rt_readiness
 
     findings = rt_readiness.judge(rt_readiness.read_checks(), rt_readiness.read_facts(link))
     grave = [each.check.name for each in rt_readiness.grave_faults(findings)]

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rtrun.target.inspection import Fact
+    from rtrun.targets.inspection.facts import Fact
 
 NAME = "probe"
 HELP = "say what a target is and whether it is ready for a campaign"
@@ -24,8 +24,10 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import print_line, print_status, print_text
     from rtrun.commands._link import linked
-    from rtrun.target import deploy, inspection, platform_signs, ros_master
-    from rtrun.target.config import read_target
+    from rtrun.targets import deploy, ros_master
+    from rtrun.targets.config import read_target
+    from rtrun.targets.inspection import facts as inspection
+    from rtrun.targets.inspection import platform_signs
 
     config = read_target(args.target)
 

@@ -46,7 +46,7 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
     from rtrun.report import terminal
     from rtrun.results import reading
     from rtrun.results.record import is_closed
-    from rtrun.target.platform import Platform, weakest
+    from rtrun.targets.inspection.platform import Platform, weakest
 
     if path.is_dir():
         if is_closed(path) or not any(child.is_dir() for child in path.iterdir()):

@@ -18,12 +18,12 @@ from rtrun.execution.trace_threshold import with_found_threshold
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import KernelName, Run
 from rtrun.results.record import RunRecord, RunStatus, is_finished, read_record
-from rtrun.target import processes
-from rtrun.target.errors import TargetError
-from rtrun.target.inspection import running_kernel
-from rtrun.target.kernel_trace import tracing
-from rtrun.target.link import Link, TargetRebooted
-from rtrun.target.restart import check_restart, restart
+from rtrun.targets import processes
+from rtrun.targets.errors import TargetError
+from rtrun.targets.inspection.facts import running_kernel
+from rtrun.targets.inspection.kernel_trace import tracing
+from rtrun.targets.link import Link, TargetRebooted
+from rtrun.targets.restart import check_restart, restart
 
 # A board that restarts during each of so many attempts will not complete this run.
 ATTEMPTS = 3

@@ -17,8 +17,8 @@ from rtrun.plan.kernels import blocks
 from rtrun.plan.run import Run
 from rtrun.results import run_directory
 from rtrun.results.record import RunStatus, is_finished
-from rtrun.target.config import Target
-from rtrun.target.link import Link
+from rtrun.targets.config import Target
+from rtrun.targets.link import Link
 
 PlanRounds = Callable[[Callable[[], float]], NextRound]
 """From the time spent so far, in seconds, to the rounds."""

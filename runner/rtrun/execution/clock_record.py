@@ -8,7 +8,7 @@ from rtfiles.config import read_json
 from rtfiles.errors import UsageError
 from rtrun.results import samples
 from rtrun.results.record import Clock
-from rtrun.target.inspection import TargetState
+from rtrun.targets.inspection.facts import TargetState
 
 # Steps of clocksources that are far coarser than what is measured, in ns, rounded up. The step of a finer clock shows
 # only when it is read in a loop, as the measuring programs do.

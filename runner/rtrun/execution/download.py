@@ -8,8 +8,8 @@ from rtfiles.errors import UsageError
 from rtrun.plan import suites
 from rtrun.results import partial_samples
 from rtrun.results.gnuplot_lines import check_commands
-from rtrun.target import connection
-from rtrun.target.link import Link
+from rtrun.targets import connection
+from rtrun.targets.link import Link
 
 MIB = 1024 * 1024
 STREAM_LIMIT_BYTES = 16 * MIB

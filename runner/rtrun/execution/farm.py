@@ -12,9 +12,9 @@ from typing import Protocol
 from rtfiles.errors import InfrastructureError
 from rtrun.execution.allotment import Allotment, NextRound
 from rtrun.execution.board import Observer, Session, measure_rounds
-from rtrun.target.config import Target
-from rtrun.target.errors import TargetError, TargetGone
-from rtrun.target.link import Link
+from rtrun.targets.config import Target
+from rtrun.targets.errors import TargetError, TargetGone
+from rtrun.targets.link import Link
 
 
 class BoardObserver(Observer, Protocol):

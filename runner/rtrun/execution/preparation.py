@@ -10,10 +10,12 @@ from rtfiles.invocation import as_called
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import Run
-from rtrun.target import deploy, inspection, platform_signs, ros_master
-from rtrun.target.errors import TargetError
-from rtrun.target.link import Link
-from rtrun.target.platform import KnownPlatform
+from rtrun.targets import deploy, ros_master
+from rtrun.targets.errors import TargetError
+from rtrun.targets.inspection import facts as inspection
+from rtrun.targets.inspection import platform_signs
+from rtrun.targets.inspection.platform import KnownPlatform
+from rtrun.targets.link import Link
 
 # Both the package of the suites and its program.
 SAMPLER = "rt_tests_sampler"

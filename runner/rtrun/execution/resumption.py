@@ -18,11 +18,11 @@ from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json
 from rtrun.plan.limits import Pid
 from rtrun.results.record import Moment, RunRecord
-from rtrun.target import groups
-from rtrun.target.connection import COMMAND_S
-from rtrun.target.errors import TargetError
-from rtrun.target.inspection import TargetState, parse_state
-from rtrun.target.link import Link
+from rtrun.targets import groups
+from rtrun.targets.connection import COMMAND_S
+from rtrun.targets.errors import TargetError
+from rtrun.targets.inspection.facts import TargetState, parse_state
+from rtrun.targets.link import Link
 
 FILE = "attempt.json"
 LIMIT_BYTES = 4 * 1024 * 1024

@@ -22,12 +22,14 @@ from rtrun.plan.program import Exit
 from rtrun.plan.run import Run
 from rtrun.results import run_directory
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
-from rtrun.target import control_groups, inspection, processes, ros_master
-from rtrun.target.connection import parse_listing
-from rtrun.target.control_groups import ControlGroup
-from rtrun.target.errors import TargetError
-from rtrun.target.link import OUT_OF_REACH, Link
-from rtrun.target.platform import Platform
+from rtrun.targets import processes, ros_master
+from rtrun.targets.connection import parse_listing
+from rtrun.targets.errors import TargetError
+from rtrun.targets.inspection import control_groups
+from rtrun.targets.inspection import facts as inspection
+from rtrun.targets.inspection.control_groups import ControlGroup
+from rtrun.targets.inspection.platform import Platform
+from rtrun.targets.link import OUT_OF_REACH, Link
 from rtrun.validity import baselines, requirements
 from rtrun.validity.outcome import Verdict, judge
 

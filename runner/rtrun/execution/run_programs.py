@@ -9,7 +9,7 @@ from rtrun.execution.preparation import Prepared
 from rtrun.plan import conditions, suites
 from rtrun.plan.program import Program
 from rtrun.plan.run import Run
-from rtrun.target.kernel_trace import OPTIONS as TRACE_OPTIONS
+from rtrun.targets.inspection.kernel_trace import OPTIONS as TRACE_OPTIONS
 from rtrun.validity.observations import SAMPLER, SAMPLER_OUTPUT, output_bytes_max
 
 SUBSCRIBER = "ct_subscriber"

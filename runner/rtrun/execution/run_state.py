@@ -4,8 +4,8 @@ from collections.abc import Callable
 from enum import StrEnum
 
 from rtfiles.errors import InfrastructureError
-from rtrun.target.errors import DeadlineExpired
-from rtrun.target.link import OUT_OF_REACH
+from rtrun.targets.errors import DeadlineExpired
+from rtrun.targets.link import OUT_OF_REACH
 
 
 class RunState(StrEnum):

@@ -15,7 +15,7 @@ from rtrun.judgement.sides import By, split
 from rtrun.judgement.study import Study, study
 from rtrun.plan.question import Question
 from rtrun.results.series import MEASURED_2014
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ from rtrun.analysis.deadline import Answer
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import severity, verdict_line
-from rtrun.target.platform import Platform, weakest
+from rtrun.targets.inspection.platform import Platform, weakest
 
 
 @dataclass(frozen=True, kw_only=True)

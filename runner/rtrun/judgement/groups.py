@@ -14,7 +14,7 @@ from rtrun.plan.question import Measure
 from rtrun.plan.suites import Value, measures, suites
 from rtrun.results.record import RunRecord
 from rtrun.results.series import MEASURED_2014
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 _UNITS = {"timeout_us": " us", "frequency_hz": " Hz", "payload_bytes": " B", "subscribers": " sub", "priority": " prio"}
 # These do not change what is measured: runs that differ in them only are alike.

@@ -23,7 +23,7 @@ from rtrun.results.copies import find_copies
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
 from rtrun.results.series import MAIN_LOGS
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Print what may betray a virtual machine: one line "source: value" for each fact. target/platform_signs.yml judges them.
+# Print what may betray a virtual machine: one line "source: value" for each fact. targets/inspection/platform_signs.yml judges them.
 show() { while IFS= read -r value || [ -n "$value" ]; do echo "$1: $value"; done; }
 {
     if grep -qwm1 '^flags.*hypervisor' /proc/cpuinfo; then echo "cpuinfo flag: hypervisor"; fi

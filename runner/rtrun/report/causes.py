@@ -19,7 +19,7 @@ from rtrun.report.screen import fitted
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
-from rtrun.target.kernel_trace import OPTIONS
+from rtrun.targets.inspection.kernel_trace import OPTIONS
 
 if TYPE_CHECKING:
     import rich.table

@@ -14,7 +14,7 @@ from rtrun.report.end_tables import end_tables
 from rtrun.report.scenarios import Scenario, scenarios
 from rtrun.report.tables import Table, how
 from rtrun.report.terminal import banner_of
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 
 @dataclass(frozen=True, kw_only=True)

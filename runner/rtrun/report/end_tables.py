@@ -22,7 +22,7 @@ from rtrun.report import causes
 from rtrun.report.tables import Table, how, printable_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
 from rtrun.results.samples import NON_MEASURING_THREADS
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 
 def end_tables(study: Study, claims: Sequence[Examined]) -> tuple[Table, ...]:

@@ -15,7 +15,7 @@ from rtrun.results.rate import OFF_MAX
 from rtrun.results.reading import Result, Run, Runs
 from rtrun.results.record import FILE
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header
-from rtrun.target.platform import Platform, weakest
+from rtrun.targets.inspection.platform import Platform, weakest
 
 BANNERS = {
     Platform.EMULATED: "EMULATED: not a real-time statement",

@@ -34,9 +34,9 @@ from rtrun.plan.run import KernelName
 from rtrun.plan.suites import Parameters, Value, baselines, suite
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.results.rate import OFF_MAX, Rate
-from rtrun.target.control_groups import ControlGroup
-from rtrun.target.inspection import Fact
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.control_groups import ControlGroup
+from rtrun.targets.inspection.facts import Fact
+from rtrun.targets.inspection.platform import Platform
 
 FILE = "run.json"
 

@@ -16,7 +16,7 @@ from rtrun.plan.suites import Value, judged, measures
 from rtrun.results.gnuplot_log import Log
 from rtrun.results.importers.histogram_file import Imported
 from rtrun.results.samples import InEffect, Samples, called
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 MEASURED_2014 = "measured_2014"
 # What to say wherever such a series is shown.

@@ -25,7 +25,7 @@ from rtrun.plan.limits import (
 )
 from rtrun.results.record import Observed, Rival
 from rtrun.results.samples import NON_MEASURING_THREADS
-from rtrun.target.inspection import POLICIES
+from rtrun.targets.inspection.facts import POLICIES
 
 SAMPLER = "sampler"
 SAMPLER_OUTPUT = f"{SAMPLER}.stdout"

@@ -13,7 +13,7 @@ from rtrun.archive.store import make_archive, write_file
 from rtrun.archive.tables import Origin, as_parquet, histogram_table, partition_of, run_table
 from rtrun.results.record import Observed, RunRecord, RunStatus, TargetFacts
 from rtrun.results.series import Header, HistogramSeries
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 START = datetime(2026, 1, 1, 10)
 N = 4000

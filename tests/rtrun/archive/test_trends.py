@@ -7,7 +7,7 @@ from archive.archived import N, write_build, write_course
 from report.campaigns import latencies, oneshot_rows, write_run
 
 from rtrun.cli import main
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 DAYS = 30
 CHANGED = 18  # the day from which on something is another

@@ -9,7 +9,7 @@ from rtrun.causes.parts import Kind
 from rtrun.causes.ranking import rank
 from rtrun.report.causes import answer, remedies, table
 from rtrun.results.record import read_record
-from rtrun.target.control_groups import ControlGroup, Throttling
+from rtrun.targets.inspection.control_groups import ControlGroup, Throttling
 
 ME, HOG = ("cyclic_timer_te", 1, 4), ("hog", 2, 1)
 

@@ -10,7 +10,7 @@ from rtrun.causes.parts import Cause, Kind, Part
 from rtrun.causes.ranking import rank
 from rtrun.causes.remedies import read_remedies, remedy
 from rtrun.report.causes import answer, table
-from rtrun.target.rt_readiness import read_checks
+from rtrun.targets.inspection.rt_readiness import read_checks
 
 
 def outlier(*causes, usual=None, windows=10, pid=None):

@@ -11,8 +11,8 @@ import yaml
 from conftest import seeing, serve
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.cli import main
-from rtrun.target.config import read_target
-from rtrun.target.host_keys import _key_blob, fingerprint
+from rtrun.targets.config import read_target
+from rtrun.targets.ssh.host_keys import _key_blob, fingerprint
 
 
 @pytest.fixture

@@ -20,9 +20,9 @@ from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.cli import main
 from rtrun.execution import campaign_runner, preparation, run_programs
 from rtrun.results.reading import read_run
-from rtrun.target import ros_master
-from rtrun.target.errors import TargetError, TargetGone
-from rtrun.target.link import Link
+from rtrun.targets import ros_master
+from rtrun.targets.errors import TargetError, TargetGone
+from rtrun.targets.link import Link
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]

@@ -4,7 +4,7 @@ from written import write_cyclic
 
 from rtrun.execution import clock_record
 from rtrun.results.record import Clock
-from rtrun.target.inspection import TargetState
+from rtrun.targets.inspection.facts import TargetState
 
 
 def test_the_step_is_the_coarsest_that_any_program_saw():

@@ -14,7 +14,7 @@ import pytest
 from rtrun.execution import campaign_runner, preparation
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.reading import read_run
-from rtrun.target.errors import TargetError
+from rtrun.targets.errors import TargetError
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]

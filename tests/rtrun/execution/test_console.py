@@ -7,8 +7,8 @@ from faulty import runs_of
 
 from ports import free_port
 from rtrun.execution import campaign_runner, run_execution
-from rtrun.target.errors import ConnectionLost
-from rtrun.target.link import CONSOLE_END_BYTES, Link
+from rtrun.targets.errors import ConnectionLost
+from rtrun.targets.link import CONSOLE_END_BYTES, Link
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]

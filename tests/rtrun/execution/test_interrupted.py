@@ -14,10 +14,10 @@ from faulty import record, runs_of
 from rtrun.execution import board, campaign_runner, run_execution, run_programs
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results import run_directory
-from rtrun.target import processes
-from rtrun.target.connection import Connection
-from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError
-from rtrun.target.link import BREAKS_MAX, Link, TargetRebooted
+from rtrun.targets import processes
+from rtrun.targets.connection import Connection
+from rtrun.targets.errors import ConnectionLost, DeadlineExpired, TargetError
+from rtrun.targets.link import BREAKS_MAX, Link, TargetRebooted
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]

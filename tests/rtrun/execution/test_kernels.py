@@ -11,9 +11,9 @@ from conftest import BOOT_ID, seeing, serve
 from rtfiles.errors import UsageError
 from rtrun.execution import campaign_runner, preparation, run_execution
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.target.address import ThisMachine
-from rtrun.target.errors import TargetError
-from rtrun.target.link import Link
+from rtrun.targets.address import ThisMachine
+from rtrun.targets.errors import TargetError
+from rtrun.targets.link import Link
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]

@@ -8,9 +8,9 @@ import pytest
 
 from rtrun.execution import resumption
 from rtrun.plan.program import Program
-from rtrun.target import deploy, processes
-from rtrun.target.connection import Connection
-from rtrun.target.errors import TargetError
+from rtrun.targets import deploy, processes
+from rtrun.targets.connection import Connection
+from rtrun.targets.errors import TargetError
 
 pytestmark = pytest.mark.sshd
 

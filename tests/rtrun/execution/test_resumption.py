@@ -19,7 +19,7 @@ from written import write_npy
 from rtfiles.errors import UsageError
 from rtrun.execution import campaign_runner, run_execution
 from rtrun.results import run_directory
-from rtrun.target.errors import ConnectionLost
+from rtrun.targets.errors import ConnectionLost
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]

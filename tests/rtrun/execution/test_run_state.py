@@ -3,8 +3,8 @@
 import pytest
 
 from rtrun.execution.run_state import RunEvent, RunLife, RunState, must_give_up, transition
-from rtrun.target.errors import ConnectionLost, DeadlineExpired, TargetError, TargetGone
-from rtrun.target.link import TargetRebooted
+from rtrun.targets.errors import ConnectionLost, DeadlineExpired, TargetError, TargetGone
+from rtrun.targets.link import TargetRebooted
 
 
 def after(*events):

@@ -15,7 +15,7 @@ from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.execution import campaign_runner, download, run_execution
 from rtrun.plan import campaign_digest
 from rtrun.results import run_directory
-from rtrun.target.errors import TargetError
+from rtrun.targets.errors import TargetError
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]

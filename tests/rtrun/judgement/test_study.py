@@ -13,7 +13,7 @@ from rtrun.analysis.figures import IndexedValue
 from rtrun.judgement.study import study
 from rtrun.judgement.verdicts import verdict_line
 from rtrun.plan.question import Question, read_tolerance
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 ONESHOT = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
 

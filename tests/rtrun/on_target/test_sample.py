@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from conftest import kernel_threads_hidden
-from rtrun.target.deploy import ON_TARGET
+from rtrun.targets.deploy import ON_TARGET
 from rtrun.validity.observations import COUNTS_MAX, Observation, observations_of, read_observations
 
 SCRIPT = ["sh", str(ON_TARGET / "sample.sh")]

@@ -1,4 +1,4 @@
-"""The supervisor of a program, beyond what its users see: tests/rtrun/target/test_processes.py."""
+"""The supervisor of a program, beyond what its users see: tests/rtrun/targets/test_processes.py."""
 
 import shutil
 import subprocess

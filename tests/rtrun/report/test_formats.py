@@ -17,7 +17,7 @@ from report.campaigns import latencies, oneshot_rows, write_run
 from logs import LOGS_2014
 from rtrun.cli import main
 from rtrun.report.terminal import BANNERS
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 LOG_2014 = LOGS_2014 / "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log"
 

@@ -13,7 +13,7 @@ from rtrun.plan.suites import Value
 from rtrun.report.terminal import BANNERS, NO_PREEMPT_RT, PREEMPT_RT_IN_PART, answer, table
 from rtrun.results.reading import Result
 from rtrun.results.series import Header
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 
 def result(figures: Figures, remarks: tuple[str, ...] = (), run: str = "001-x", **parameters: Value) -> Result:

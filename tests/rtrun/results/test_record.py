@@ -13,7 +13,7 @@ from rtrun.execution import campaign_runner
 from rtrun.results import run_directory
 from rtrun.results.reading import read_runs
 from rtrun.results.record import RunRecord, RunStatus, TargetFacts, read_record, verify
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 
 def record_of(**changed):

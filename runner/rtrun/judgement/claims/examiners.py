@@ -12,7 +12,7 @@ from rtrun.judgement.claims.examination import Finding, Result
 from rtrun.judgement.claims.reference import published
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

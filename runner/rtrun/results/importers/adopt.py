@@ -17,7 +17,7 @@ from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, Imported, histogram_text
 from rtrun.results.importers.identity import Identity, target_facts
 from rtrun.results.record import RunRecord, RunStatus
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 NOBODY_KNOWS = Identity()
 

@@ -21,7 +21,7 @@ from rtrun.judgement.claims.reference import published
 from rtrun.judgement.study import study
 from rtrun.plan.question import Question
 from rtrun.results.importers.adopt import adopt
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 CONFIRMED, REFUTED, UNDECIDED = Finding.CONFIRMED, Finding.REFUTED, Finding.UNDECIDED
 IDS = [claim["id"] for claim in published()["claims"]]

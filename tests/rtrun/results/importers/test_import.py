@@ -21,7 +21,7 @@ from rtrun.results.importers.adopt import adopt
 from rtrun.results.importers.cyclictest import read_text
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
-from rtrun.target.platform import Platform
+from rtrun.targets.inspection.platform import Platform
 
 HARDWARE = ("--platform", "hardware")
 

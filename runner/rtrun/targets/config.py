@@ -1,0 +1,340 @@
+"""Target files. A board over SSH, a board in QEMU and this machine become the same `Target`."""
+
+import contextlib
+import functools
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from rtfiles.config import Config, Place, UserPath, matching, parse, read_yaml_with_place
+from rtfiles.errors import UsageError
+from rtfiles.invocation import as_called
+from rtfiles.output import print_note
+from rtfiles.wording import unknown
+from rtrun.plan.run import KernelName
+from rtrun.targets.address import Address, ThisMachine, check_host
+from rtrun.targets.connection import Connection
+from rtrun.targets.errors import ConnectionLost, TargetGone
+from rtrun.targets.inspection.platform import KnownPlatform, Platform
+from rtrun.targets.labgrid import environment as labgrid_environment
+from rtrun.targets.labgrid import places as labgrid
+from rtrun.targets.qemu import emulator as qemu
+from rtrun.targets.ssh.ssh_config import address_of
+
+Word = Annotated[str, Field(min_length=1)]
+Command = Annotated[list[Word], Field(min_length=1)]
+# A week and a day: more than anybody waits for.
+RECONNECT_MAX_S, BOOT_MAX_S = 604_800, 86_400
+
+
+# No part of it is . or ..: folders in it are removed.
+WorkDir = Annotated[
+    str,
+    matching(
+        r"(/\.?[A-Za-z0-9_-][A-Za-z0-9._-]*)+/?",
+        "a whole path of letters, digits and . _ -, as /var/lib/rt-tests, without . and ..",
+    ),
+]
+
+
+def _host_key(text: str) -> str:
+    from rtrun.targets.ssh.host_keys import read_host_key
+
+    read_host_key(text)
+    return text
+
+
+class _Common(Config):
+    schema_: Literal[1] = Field(alias="schema")
+    name: Annotated[
+        str, matching(r"[A-Za-z0-9][A-Za-z0-9._-]*", "a name of letters, digits and . _ -, a letter or digit first")
+    ]
+    suites: UserPath | None = None
+    """Folder of `rtgen suites build` to deploy, relative to this file; none: those installed on the target."""
+    work_dir: WorkDir = "/var/lib/rt-tests"
+    """Folder on the target for deployed suites and running measurements."""
+    ros_setup: str | None = None
+    """Shell file on the target that sets up ROS; none: /opt/ros/<distro>/setup.sh when there is exactly one."""
+    ros_master_port: Annotated[int, Field(ge=1, le=65535)] = 11311
+    reconnect_s: Annotated[int, Field(ge=0, le=RECONNECT_MAX_S)] = 120
+    """How long a lost target is waited for, in seconds."""
+
+
+class _Ssh(_Common):
+    """What a board with an SSH server has. None here is as ~/.ssh/config says, or else as `Address` has it."""
+
+    key: UserPath | None = None
+    host_key: Annotated[str, AfterValidator(_host_key)] | None = None
+    known_hosts: UserPath | None = None
+    emulated: bool = False
+    """True for an emulated machine that looks like a real one. What looks virtual is found without it."""
+    restart: Command | None = None
+    """Command line on the target that restarts it, for campaigns that ask for several boots or kernels."""
+    boot_kernel: dict[KernelName, Command] = Field(default_factory=dict)
+    """By kernel: command line on the target after which `restart` starts that kernel."""
+
+
+class SshConfig(_Ssh):
+    """Any board that runs an SSH server."""
+
+    kind: Literal["ssh"]
+    host: Annotated[str, AfterValidator(check_host)]
+    """A name, an address, or an alias of ~/.ssh/config."""
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    user: Word | None = None
+
+    @model_validator(mode="after")
+    def _restarts_into_kernels(self) -> "SshConfig":
+        if self.boot_kernel and self.restart is None:
+            raise ValueError("boot_kernel chooses what restart starts: add restart: [systemctl, reboot] or the like")
+        return self
+
+
+class LabgridConfig(_Ssh):
+    """A board of a labgrid farm: a place of its coordinator, or any place with these tags."""
+
+    kind: Literal["labgrid"]
+    place: Word | None = None
+    filter: dict[Word, Word] = Field(default_factory=dict)
+    """Tags that the place has."""
+    coordinator: Word | None = None
+    """HOST or HOST:PORT; none: as labgrid's environment file, LG_COORDINATOR, or labgrid's default."""
+    environment: UserPath | None = None
+    """labgrid's own environment file, relative to this file, for what a place needs beside its resources."""
+    boot_s: Annotated[int, Field(ge=1, le=BOOT_MAX_S)] = 180
+    """How long the board may take until SSH answers after its power was switched, in seconds."""
+
+    @model_validator(mode="after")
+    def _names_places(self) -> "LabgridConfig":
+        if (self.place is None) == (not self.filter):
+            raise ValueError("give either place: NAME, or filter: with tags of the place")
+        return self
+
+
+class QemuConfig(_Common):
+    """A board that the runner boots and ends itself."""
+
+    kind: Literal["qemu"]
+    board: UserPath
+    """Folder of `rtgen board build`, relative to this file."""
+
+
+class LocalConfig(_Common):
+    """This machine itself, without SSH."""
+
+    kind: Literal["local"]
+    work_dir: WorkDir = Field(default_factory=lambda: str(_state_folder() / "rt-tests"))
+    emulated: bool = False
+    """As for a board behind SSH."""
+
+
+TargetConfig = SshConfig | QemuConfig | LocalConfig | LabgridConfig
+_KINDS: dict[str, type[TargetConfig]] = {
+    "ssh": SshConfig,
+    "qemu": QemuConfig,
+    "local": LocalConfig,
+    "labgrid": LabgridConfig,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Power:
+    """The power switch of a target: `cycle` switches it off and on; it boots within `boot_s` seconds then."""
+
+    cycle: Callable[[], None]
+    boot_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """A target that is switched on."""
+
+    name: str
+    place: str | None = None
+    """Of a labgrid farm, which was taken for it: the name of the board, where the target is any of several."""
+    known_platform: KnownPlatform | None = None
+    """What is known without asking the target, and not to be asked then."""
+    address: Address | ThisMachine
+    suites: Path | None
+    work_dir: PurePosixPath
+    ros_setup: str | None
+    ros_master_port: int
+    reconnect_s: float
+    boot_s: float
+    """How long it may take until SSH answers for the first time, in seconds."""
+    console: Path | None
+    restart: Callable[[Connection], None] | None = None
+    """Asks the target to restart, and returns before it does; None: nobody has said how."""
+    boot_kernel: Mapping[KernelName, Callable[[Connection], None]] = field(default_factory=dict)
+    """By kernel: chooses it as the one that `restart` starts."""
+    power: Power | None = None
+    """None: nobody can switch it."""
+    failure: Callable[[], TargetGone | None]
+    """Why the target is gone for good, as far as can be known without a connection to it; None while it may answer."""
+
+
+def read_target(path: Path) -> TargetConfig:
+    """Read a target file. Raises UsageError with every mistake found."""
+    return parse_target(*read_yaml_with_place(path))
+
+
+def parse_target(data: object, origin: Place | str) -> TargetConfig:
+    """Read what a target file holds. Raises UsageError with every mistake found."""
+    top = Place(origin) if isinstance(origin, str) else origin
+    kind = data.get("kind") if isinstance(data, dict) else None
+    if kind is None:
+        raise UsageError(f"{top / 'kind'}: is missing, allowed: {', '.join(_KINDS)}")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise UsageError(f"{top / 'kind'}: {unknown('kind', kind, known=_KINDS, label='allowed')}")
+    return parse(data, _KINDS[kind], top)
+
+
+@contextlib.contextmanager
+def connect(
+    config: TargetConfig,
+    folder: Path,
+    console: Path,
+    *,
+    notify: Callable[[str], None] = print_note,
+    is_over: Callable[[], bool] = lambda: False,
+) -> Iterator[Target]:
+    """Yield the target; a board in QEMU is booted, a place of a farm acquired, until the context is left.
+
+    Relative paths of the config are relative to `folder`. The serial console of such a board goes to `console`. Where
+    a place is waited for, `notify` is told, until `is_over`.
+    """
+    suites = _resolve(folder, config.suites) if config.suites is not None else None
+    if suites is not None and not suites.is_dir():
+        raise UsageError(f"{suites}: no such folder; suites are built with: {as_called('rtgen')} suites build")
+    if suites is not None and not (suites / "build.json").is_file():
+        raise UsageError(f"{suites}: has no build.json: name the folder that {as_called('rtgen')} suites build printed")
+    address: Address | ThisMachine
+    failure: Callable[[], TargetGone | None] = _no_failure
+    restart: Callable[[Connection], None] | None = None
+    boot_kernel: dict[KernelName, Callable[[Connection], None]] = {}
+    console_log, boot_s = None, 0.0
+    place: labgrid.AcquiredPlace | None = None
+    power: Power | None = None
+    known_platform = None
+    if not isinstance(config, QemuConfig) and config.emulated:
+        known_platform = KnownPlatform(platform=Platform.EMULATED, evidence="stated in the target file")
+    with contextlib.ExitStack() as stack:
+        if isinstance(config, QemuConfig):
+            board = _resolve(folder, config.board)
+            machine = stack.enter_context(qemu.boot(board, console))
+            known_platform = machine.platform
+            address, failure, console_log = machine.address, machine.failure, machine.console
+            restart = machine.reset
+            boot_kernel = {kernel: functools.partial(machine.choose, kernel) for kernel in machine.board.kernels}
+            boot_s = 300.0
+        elif isinstance(config, LocalConfig):
+            address = ThisMachine()
+        elif isinstance(config, LabgridConfig):
+            place = stack.enter_context(_place(config, folder, console, notify, is_over))
+            address = _address(config, folder, place.host, place.port, place.user, place.key)
+            console_log = console if place.has_console else None
+            restart, boot_kernel = _restarting(config)
+            if place.power_cycle is not None:
+                power = Power(cycle=place.power_cycle, boot_s=config.boot_s)
+                restart = restart or functools.partial(_restart_by_power, place.power_cycle)
+        else:
+            address = _address(config, folder, config.host, config.port, config.user)
+            restart, boot_kernel = _restarting(config)
+        yield Target(
+            name=config.name,
+            place=place.name if place is not None else None,
+            known_platform=known_platform,
+            address=address,
+            suites=suites,
+            work_dir=PurePosixPath(config.work_dir),
+            ros_setup=config.ros_setup,
+            ros_master_port=config.ros_master_port,
+            reconnect_s=config.reconnect_s,
+            boot_s=boot_s,
+            console=console_log,
+            restart=restart,
+            boot_kernel=boot_kernel,
+            power=power,
+            failure=failure,
+        )
+
+
+def _place(
+    config: LabgridConfig, folder: Path, console: Path, notify: Callable[[str], None], is_over: Callable[[], bool]
+) -> AbstractContextManager[labgrid.AcquiredPlace]:
+    environment = labgrid_environment.Environment()
+    if config.environment is not None:
+        environment = labgrid_environment.read_environment(_resolve(folder, config.environment))
+    wanted = {"name": config.place} if config.place is not None else config.filter
+    coordinator = labgrid.coordinator_of(config.coordinator, environment)
+    return labgrid.acquired(coordinator, wanted, environment, console, notify, is_over)
+
+
+def _address(
+    config: SshConfig | LabgridConfig,
+    folder: Path,
+    host: str,
+    port: int | None,
+    user: str | None,
+    key: Path | None = None,
+) -> Address:
+    from rtrun.targets.ssh.login import check_key_file
+
+    key = _resolve(folder, config.key) if config.key is not None else key
+    if key is not None:
+        check_key_file(key)
+    known_hosts = _resolve(folder, config.known_hosts) if config.known_hosts is not None else None
+    if known_hosts is not None and not known_hosts.is_file():
+        raise UsageError(f"{known_hosts}: no such file: name one of host keys as 'known_hosts', or leave it out")
+    return address_of(
+        host,
+        port=port,
+        user=user,
+        key=key,
+        host_key=config.host_key,
+        known_hosts=known_hosts,
+    )
+
+
+Restart = Callable[[Connection], None]
+
+
+def _restarting(config: SshConfig | LabgridConfig) -> tuple[Restart | None, dict[KernelName, Restart]]:
+    """What restarts the target, and by kernel what chooses it before, as the target file says."""
+    restart = functools.partial(_restart_by_command, config.restart) if config.restart else None
+    return restart, {
+        kernel: functools.partial(_choose_by_command, command) for kernel, command in config.boot_kernel.items()
+    }
+
+
+def _restart_by_power(cycle: Callable[[], None], connection: Connection) -> None:
+    del connection
+    cycle()
+
+
+def _state_folder() -> Path:
+    """Where programs keep state of this user (XDG base directory specification); it survives a restart."""
+    return Path(os.environ.get("XDG_STATE_HOME") or "~/.local/state").expanduser()
+
+
+def _resolve(folder: Path, path: str) -> Path:
+    return folder / Path(path).expanduser()
+
+
+def _restart_by_command(argv: Sequence[str], connection: Connection) -> None:
+    # The board may be gone before it answers; asked a second time, it would restart once more.
+    with contextlib.suppress(ConnectionLost):
+        connection.check(argv)
+
+
+def _choose_by_command(argv: Sequence[str], connection: Connection) -> None:
+    connection.check(argv)
+
+
+def _no_failure() -> None:
+    return None

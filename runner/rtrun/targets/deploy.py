@@ -1,0 +1,95 @@
+"""Putting files on the target by content: what is there already is not sent again."""
+
+import hashlib
+import secrets
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+from rtfiles.errors import UsageError
+from rtrun.targets import groups
+from rtrun.targets.errors import TargetError
+
+if TYPE_CHECKING:
+    from rtrun.targets.connection import Connection
+    from rtrun.targets.link import Link
+
+ON_TARGET = Path(__file__).parents[1] / "on_target"
+
+# Trees of each kind that stay beside those of a campaign: going back to the build before costs no transfer, and another
+# runner may be about to use its own.
+KEPT = 2
+# A slow board checks the suites, some MiB, in a second.
+CHECK_S = 120.0
+# Whether the tree stands there with these checksums; it counts as used now.
+_IS_WHOLE = 'cd "$1" 2>/dev/null && sha256sum -c - >/dev/null 2>&1 && touch .'
+# Prints "<object>: OK" for each that is there and whole.
+_WHOLE = 'cd "$1" && LC_ALL=C sha256sum -c - 2>/dev/null; exit 0'
+# The file is its name's word: checked where it lies, then renamed, so that a power cut leaves no half of it.
+_ADOPT = 'cd "$1" && echo "$3  $2" | sha256sum -c - >/dev/null && chmod 755 "$2" && sync "$2" && mv "$2" "$3"'
+_LINK = """
+set -e
+mkdir -p "$1.$3"; cd "$1.$3"
+while read -r digest path; do
+    case $path in */*) mkdir -p "${path%/*}";; esac
+    ln "$2/$digest" "$path"
+done
+# The listing ends early when the link does: what is not whole gets no name.
+[ "$(find . -type f | wc -l)" -eq "$4" ]
+cd ..; rm -rf "$1"; mv "$1.$3" "$1"
+"""
+# Nothing while a program of any run lives: it may have been started from any of the trees.
+_PRUNE = (
+    groups.LIVING
+    + """
+cd "$1" || exit 1
+[ -z "$(living runs)" ] || exit 0
+for kind in scripts suites; do
+    ls -t "$kind" 2>/dev/null | tail -n "+$(($2 + 1))" | while read -r tree; do rm -rf "$kind/$tree"; done
+done
+# Of no tree. One of today may be that of another runner, which is about to make a tree of it.
+find objects -type f -links 1 -mtime +0 -exec rm -f {} +
+"""
+)
+
+
+def deploy(link: "Link", folder: Path, kind: str) -> PurePosixPath:
+    """Make a local folder stand on the target as ``<work_dir>/<kind>/<hash of its contents>`` and return that path.
+
+    What stands there is used only while its checksums are right. Raises TargetError when the target cannot hold it. May
+    be repeated after anything went wrong.
+    """
+    files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    if not files:
+        raise UsageError(f"{folder}: nothing to deploy, the folder is empty")
+    digests = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+    listing = "".join(f"{digest}  {name}\n" for name, digest in digests.items())
+    tree = link.target.work_dir / kind / hashlib.sha256(listing.encode()).hexdigest()[:16]
+    if link.run(["sh", "-c", _IS_WHOLE, "sh", str(tree)], deadline_s=CHECK_S, stdin=listing).status == 0:
+        return tree
+    by_digest = {digest: files[name] for name, digest in digests.items()}
+    link.do(lambda connection: _send(connection, link.target.work_dir / "objects", by_digest))
+    objects = str(link.target.work_dir / "objects")
+    command = ["sh", "-c", _LINK, "sh", str(tree), objects]
+    # Drawn anew at each attempt: a lost link may have left half of one.
+    link.check([*command, secrets.token_hex(4), str(len(files))], stdin=listing)
+    return tree
+
+
+def prune(link: "Link", used: int) -> None:
+    """Remove what was deployed before the trees that were `used` last and KEPT others, unless a run is going on."""
+    link.check(["sh", "-c", _PRUNE, "sh", str(link.target.work_dir), str(used + KEPT)], deadline_s=CHECK_S)
+
+
+def _send(connection: "Connection", objects: PurePosixPath, by_digest: Mapping[str, Path]) -> None:
+    listing = "".join(f"{digest}  {digest}\n" for digest in by_digest)
+    whole = connection.check(["sh", "-c", _WHOLE, "sh", str(objects)], deadline_s=CHECK_S, stdin=listing).splitlines()
+    for digest in (digest for digest in by_digest if f"{digest}: OK" not in whole):
+        temporary = f".{digest}.{secrets.token_hex(4)}"
+        try:
+            adopt = ["sh", "-c", _ADOPT, "sh", str(objects), temporary, digest]
+            connection.upload(by_digest[digest], objects / temporary, adopt)
+        except TargetError:
+            # Best effort: on a full disk the half that was sent is in the way of everything else.
+            connection.run(["rm", "-f", str(objects / temporary)])
+            raise

@@ -1,0 +1,264 @@
+"""What a target has, asked before a campaign, and its state before and after every run."""
+
+import gzip
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BeforeValidator, Field, ValidationError
+
+from rtfiles.config import Config
+from rtfiles.errors import UsageError
+from rtfiles.invocation import as_called
+from rtfiles.untrusted import JSON_BYTES_MAX, parse_json, read_text, real_number, whole_number
+from rtrun.plan.limits import (
+    COUNT_MAX,
+    CPUS_MAX,
+    SIZE_MAX_BYTES,
+    Count,
+    FrequencyKhz,
+    Pid,
+    Priority,
+    RtRuntimeUs,
+    TemperatureMc,
+    UptimeS,
+)
+from rtrun.plan.run import KernelName
+from rtrun.targets.deploy import ON_TARGET
+from rtrun.targets.errors import TargetError
+from rtrun.targets.inspection import architecture
+
+if TYPE_CHECKING:
+    from rtrun.targets.config import Target
+    from rtrun.targets.link import Link
+
+SCRIPT = ON_TARGET / "inspect.sh"
+STATE_SCRIPT = ON_TARGET / "state.sh"
+_KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -r) 2>/dev/null; exit 0"
+# Numbers of sched_setscheduler(2), as in field 41 of /proc/<pid>/stat (proc(5)).
+POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
+# What inspect.sh prints a line of.
+_CODE_NAME = re.compile("[a-z]{1,32}")
+_FACTS = frozenset(
+    ("missing", "foreign", "readonly", "setup", "master", "program", "elf", "debian", "cpus", "free_kib")
+)
+# Sections of state.sh kept as one text. Every other one is one value, or a list when it has several lines.
+_TEXTS = ("cpuinfo", "memory", "os_release")
+
+Fact = str | list[str] | None
+"""What the target says of itself: a list where it has several, as the governor of each CPU."""
+
+
+def _number(value: Any) -> Any:
+    return whole_number(value) if isinstance(value, str) else value
+
+
+def _numbers(value: Any) -> Any:
+    lines = [value] if isinstance(value, str) else [] if value is None else value
+    return [_number(line) for line in lines] if isinstance(lines, list) else value
+
+
+def _uptime(value: Any) -> Any:
+    # The second number is the time that the CPUs were idle.
+    return real_number(value.partition(" ")[0]) if isinstance(value, str) else value
+
+
+class Thread(Config):
+    """A real-time thread. The policy is a number where its name is not known; one at DEADLINE has priority 0."""
+
+    tid: Pid
+    name: str
+    policy: str
+    priority: Priority
+
+
+class TargetState(Config):
+    """The state of a target as stored in target.json; what the target does not have is None or empty.
+
+    Numbers may stand as the kernel prints them.
+    """
+
+    boot_id: Fact = None
+    kernel_release: Fact = None
+    kernel_version: Fact = None
+    machine: Fact = None
+    host: Fact = None
+    uptime: Annotated[UptimeS | None, BeforeValidator(_uptime)] = None
+    """Seconds since the boot."""
+    cmdline: Fact = None
+    cpus_online: Fact = None
+    realtime: Fact = None
+    clocksource: Fact = None
+    clockevent: Fact = None
+    governor: Fact = None
+    frequency_khz: Annotated[list[FrequencyKhz], BeforeValidator(_numbers)] = Field(default_factory=list)
+    temperature_mc: Annotated[list[TemperatureMc], BeforeValidator(_numbers)] = Field(default_factory=list)
+    sched_rt_runtime_us: Annotated[RtRuntimeUs | None, BeforeValidator(_number)] = None
+    load: Fact = None
+    memory: str | None = None
+    os_release: str | None = None
+    roscpp_version: Fact = None
+    cpuinfo: str | None = None
+    threads: Count = 0
+    rt_threads: list[Thread] = Field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Equipment:
+    """What a target has installed and how much room it has."""
+
+    setup: str | None
+    master: str | None
+    programs: dict[str, str]
+    """Executable name to path, of suites installed on the target."""
+    cpus: int
+    free_bytes: int
+    architecture: str | None
+    """What programs of the target are made for, as `architecture.name` puts it; None where it cannot be seen."""
+    debian: str | None
+    """The code name of the target's Debian, as trixie; None where it is another system."""
+
+
+def inspect(link: "Link") -> Equipment:
+    """Look for tools, ROS and installed suites. Raises TargetError naming what is missing and the remedy."""
+    target = link.target
+    # Through standard input: nothing can be deployed before the tools for it are known to be there.
+    output = link.check(["sh", "-s", str(target.work_dir)], stdin=SCRIPT.read_text(encoding="utf-8"))
+    facts: dict[str, list[str]] = {}
+    for line in output.splitlines():
+        name, _, value = line.partition(" ")
+        if name in _FACTS:
+            facts.setdefault(name, []).append(value)
+    if "missing" in facts:
+        raise TargetError(
+            f"{target.address}: the target lacks {', '.join(facts['missing'])}: install util-linux, coreutils"
+        )
+    if "foreign" in facts:
+        raise TargetError(
+            f"{target.address}: {target.work_dir} holds what rtrun did not make ({facts['foreign'][0][:200]}): "
+            "name an empty or a new folder as work_dir in the target file"
+        )
+    if "readonly" in facts:
+        raise TargetError(
+            f"{target.address}: {target.work_dir} cannot be written: name another folder as work_dir in the target file"
+        )
+    setups = facts.get("setup", [])
+    if target.ros_setup is None and len(setups) > 1:
+        raise TargetError(
+            f"{target.address}: several ROS ({', '.join(setups)}): put one into the target file as ros_setup"
+        )
+    setup = target.ros_setup or (setups[0] if setups else None)
+    masters = facts.get("master", [])
+    root = str(PurePosixPath(setup).parent) + "/" if setup else ""
+    return Equipment(
+        setup=setup,
+        master=next((path for path in masters if path.startswith(root)), masters[0] if masters else None),
+        programs={PurePosixPath(path).name: path for path in reversed(facts.get("program", []))},
+        cpus=_count(facts.get("cpus"), lowest=1, highest=CPUS_MAX),
+        free_bytes=_count(facts.get("free_kib"), lowest=0, highest=SIZE_MAX_BYTES // 1024) * 1024,
+        architecture=architecture.name(_header(facts.get("elf", []))),
+        debian=next((name for name in facts.get("debian", []) if _CODE_NAME.fullmatch(name)), None),
+    )
+
+
+def _count(values: Sequence[str] | None, *, lowest: int, highest: int) -> int:
+    """The number that the target reports, or the lowest where it reports none."""
+    try:
+        return whole_number(values[0], lowest=lowest, highest=highest) if values else lowest
+    except ValueError:
+        return lowest
+
+
+def _header(lines: Sequence[str]) -> bytes:
+    try:
+        return bytes.fromhex(" ".join(lines))
+    except ValueError:
+        return b""
+
+
+def check_suites(suites: Path, target: "Target", equipment: Equipment) -> None:
+    """Raise UsageError when a folder of suites is for another architecture or release of Debian than the target's."""
+    release = built_for(suites)
+    if release is not None and equipment.debian not in (None, release):
+        raise UsageError(
+            f"{suites}: suites for Debian {release}, but {target.address} has {equipment.debian}'s libraries: "
+            f"build them by {as_called('rtgen')} suites build --suite {equipment.debian}"
+        )
+    made_for = architecture.of_folder(suites)
+    if made_for is not None and equipment.architecture not in (None, made_for):
+        raise UsageError(
+            f"{suites}: suites for {made_for}, but {target.address} is {equipment.architecture}: "
+            f"name suites that were built for its machine by {as_called('rtgen')} suites build --machine"
+        )
+
+
+def built_for(suites: Path) -> str | None:
+    """The release of Debian whose libraries suites were linked against, by their build.json; None if it names none."""
+    path = suites / "build.json"
+    record = parse_json(read_text(path, max_bytes=JSON_BYTES_MAX), str(path))
+    release = record.get("debian") if isinstance(record, dict) else None
+    return release if isinstance(release, str) else None
+
+
+def read_state(link: "Link", script: PurePosixPath) -> TargetState:
+    """Return the present state of the target."""
+    return parse_state(link.check(["sh", str(script)]))
+
+
+def parse_state(text: str) -> TargetState:
+    """Read the output of state.sh. Sections that are not known are ignored, and so is what is no such fact."""
+    state: dict[str, Any] = {}
+    sections = re.split(r"^== (\w+)$", text, flags=re.MULTILINE)
+    for name, body in zip(sections[1::2], sections[2::2], strict=True):
+        if name == "threads":
+            *lines, count = body.strip().split("\n")
+            state["threads"] = _count([count], lowest=0, highest=COUNT_MAX)
+            state["rt_threads"] = [thread for line in lines if (thread := _thread(line))]
+        elif name in _TEXTS:
+            state[name] = body.strip() or None
+        elif name in TargetState.model_fields and name != "rt_threads":
+            lines = body.strip().splitlines()
+            state[name] = lines[0] if len(lines) == 1 else lines or None
+    try:
+        return TargetState(**state)
+    except ValidationError as error:
+        wrong = {each["loc"][0] for each in error.errors()}
+        return TargetState(**{name: value for name, value in state.items() if name not in wrong})
+
+
+def _thread(line: str) -> Thread | None:
+    """Read a line of /proc/<pid>/task/<tid>/stat; the name may hold blanks and brackets."""
+    match = re.match(r"([0-9]{1,9}) \((.{0,64})\) (.+)$", line)
+    fields = match.group(3).split() if match else []
+    # proc(5) counts from 1 with pid and name before these: rt_priority is field 40, policy 41.
+    if match is None or len(fields) < 39:
+        return None
+    try:
+        policy = whole_number(fields[38])
+        return Thread(
+            tid=whole_number(match.group(1)),
+            name=match.group(2),
+            policy=POLICIES.get(policy, str(policy)),
+            priority=whole_number(fields[37], lowest=0 if POLICIES.get(policy) == "DEADLINE" else 1),
+        )
+    except ValueError:
+        return None
+
+
+def is_preempt_rt(state: TargetState) -> bool:
+    """Whether the kernel calls itself PREEMPT_RT. Only kernels with the out-of-tree patch have /sys/kernel/realtime."""
+    return bool(re.search(r"\bPREEMPT[_ ]RT\b", str(state.kernel_version))) or state.realtime == "1"
+
+
+def running_kernel(link: "Link") -> KernelName:
+    """The kernel that the target runs, asked without anything deployed there."""
+    state = parse_state(link.check(["sh", "-s"], stdin=STATE_SCRIPT.read_text(encoding="utf-8")))
+    return "rt" if is_preempt_rt(state) else "standard"
+
+
+def read_kernel_config(link: "Link") -> bytes:
+    """Return the running kernel's configuration, gzipped, or nothing where the target does not have it."""
+    text = link.check(["sh", "-c", _KERNEL_CONFIG])
+    return gzip.compress(text.encode(), mtime=0) if text.strip() else b""

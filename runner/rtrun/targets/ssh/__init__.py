@@ -1,0 +1,1 @@
+"""A target behind SSH: its keys, logins and connections."""

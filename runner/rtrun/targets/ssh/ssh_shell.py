@@ -1,0 +1,215 @@
+"""Commands over SSH: each in a channel of its own, ended from a second one when its time is up."""
+
+import contextlib
+import secrets
+import select
+import shlex
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import paramiko
+
+from rtfiles.errors import InfrastructureError
+from rtfiles.untrusted import whole_number
+from rtrun.plan.limits import PID_MAX
+from rtrun.targets import groups
+from rtrun.targets.address import Address
+from rtrun.targets.errors import ConnectionLost, DeadlineExpired, TargetError
+from rtrun.targets.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, Collector, TooMuch
+from rtrun.targets.ssh.transport import FORBIDDEN, connect, reason, shutting_down
+
+# All that a window holds: paramiko moves what is left in its buffer, up to 2 MiB, each time a part of it is taken.
+_READ_BYTES = 2 * 1024 * 1024
+KILL_GRACE_S = 5.0
+# Beyond the deadline of a command: to end it, and for the answers to that.
+GRACE_S = 3 * KILL_GRACE_S
+_WORD = "RTRUN_COMMAND"
+# Not every SSH server starts a command as the leader of a group.
+_KILL = (
+    groups.FUNCTIONS
+    + """
+word=$2
+is_ours() { tr '\\0' '\\n' <"$1/environ" | grep -qxF "$word"; }
+if is_our_group "$1"; then
+    kill -KILL "-$1"
+else
+    is_ours "/proc/$1" 2>/dev/null && kill -KILL "$1"
+fi
+"""
+)
+
+
+class _FirstLineApart:
+    """Keeps the first line of a stream and hands on what follows it."""
+
+    def __init__(self, take: Callable[[bytes], None]) -> None:
+        self._line = b""
+        self._take = take
+        self._is_complete = False
+
+    @property
+    def pid(self) -> int | None:
+        """The process that the line names; None where it names none, or has not arrived to its end."""
+        try:
+            line = self._line.decode("ascii") if self._is_complete else ""
+            return whole_number(line, lowest=2, highest=PID_MAX)
+        except ValueError:
+            return None
+
+    def __call__(self, chunk: bytes) -> None:
+        if not self._is_complete:
+            head, newline, chunk = chunk.partition(b"\n")
+            self._line += head
+            self._is_complete = bool(newline)
+            if len(self._line) > CHUNK_BYTES:
+                raise TooMuch(f"{CHUNK_BYTES} bytes in its first line")
+        if chunk:
+            self._take(chunk)
+
+
+class SshShell:
+    """An authenticated SSH connection."""
+
+    def __init__(self, address: Address, *, timeout_s: float) -> None:
+        self.address = address
+        self.stream, self.transport = connect(address, timeout_s)
+
+    def close(self) -> None:
+        """Close the connection; what runs detached on the target goes on."""
+        self.transport.close()
+
+    def interrupt(self) -> None:
+        """Break the connection, so that what another thread waits for ends."""
+        self.stream.shut_down()
+
+    @contextlib.contextmanager
+    def open_port(self, port: int, deadline_s: float) -> Iterator[paramiko.Channel]:
+        """Yield a stream to a port of the target's own loopback, which is closed after `deadline_s` seconds.
+
+        Raises ConnectionRefusedError when nobody listens.
+        """
+        with self._within(deadline_s):
+            channel: paramiko.Channel | None
+            try:
+                channel = self.transport.open_channel("direct-tcpip", ("127.0.0.1", port), ("127.0.0.1", 0))
+            except paramiko.ChannelException as error:
+                if error.code == FORBIDDEN:
+                    raise TargetError(
+                        f"{self.address}: the SSH server forbids TCP forwarding, allow it (AllowTcpForwarding yes)"
+                    ) from error
+                channel = None
+        if channel is None:
+            raise ConnectionRefusedError(f"{self.address}: nobody listens on port {port}")
+        channel.settimeout(deadline_s)
+        deadline = threading.Timer(deadline_s, channel.close)
+        deadline.daemon = True
+        deadline.start()
+        try:
+            yield channel
+        finally:
+            deadline.cancel()
+            channel.close()
+
+    def execute(
+        self, argv: Sequence[str], stdin: Iterable[bytes], take: Callable[[bytes], None], deadline_s: float
+    ) -> tuple[int, str]:
+        """Run a command, hand what it prints to `take`, and return its exit status and its standard error."""
+        deadline = time.monotonic() + deadline_s
+        stderr = Collector(OUTPUT_BYTES_MAX)
+        # The first line is the process to kill when time is up: sshd starts each command in a session of its own. By
+        # the word in its environment it is told from any other of that number.
+        stdout = _FirstLineApart(take)
+        word = f"{_WORD}={secrets.token_hex(8)}"
+        with self._within(deadline_s + GRACE_S), self._session() as channel:
+            channel.settimeout(deadline_s)
+            channel.exec_command(f"export {word}; echo $$; exec {shlex.join(argv)}")
+            try:
+                # A command may end before it has read everything; its exit status says why.
+                with contextlib.suppress(OSError):
+                    for chunk in stdin:
+                        channel.sendall(chunk)
+                    channel.shutdown_write()
+                ended = self._read(channel, deadline, stdout, stderr)
+                # A status that comes as the time is up may stand before output that was not read.
+                status = channel.recv_exit_status() if ended and channel.exit_status_ready() else None
+            except TooMuch as error:
+                self._kill(stdout.pid, word)
+                raise TargetError(f"{self.address}: {argv[0]} printed more than {error} and was ended") from error
+            except InfrastructureError:
+                self._kill(stdout.pid, word)
+                raise
+            if status is None:
+                fate = "was ended" if self._kill(stdout.pid, word) else "may go on: the target does not show it"
+                raise DeadlineExpired(f"{self.address}: {argv[0]} took longer than {deadline_s:g} s and {fate}")
+            if status == -1 and not self.transport.is_active():
+                raise EOFError(f"while {argv[0]} was running")
+        return status, stderr.text()
+
+    def _read(
+        self,
+        channel: paramiko.Channel,
+        deadline: float,
+        stdout: Callable[[bytes], None],
+        stderr: Callable[[bytes], None],
+    ) -> bool:
+        """Read both streams until they end and the exit status is there, or the deadline (monotonic seconds) passes.
+
+        Return whether they ended.
+        """
+        while (remaining_s := deadline - time.monotonic()) > 0:
+            # Asked before the buffers: what arrives in between is read in the next turn.
+            ended = channel.eof_received or channel.closed
+            chunks = (
+                channel.recv(_READ_BYTES) if channel.recv_ready() else b"",
+                channel.recv_stderr(_READ_BYTES) if channel.recv_stderr_ready() else b"",
+            )
+            if any(chunks):
+                self.stream.unread_bytes -= len(chunks[0]) + len(chunks[1])
+                stdout(chunks[0])
+                stderr(chunks[1])
+                continue
+            self.stream.unread_bytes = 0
+            if ended:
+                # The exit status may come before or after the end of the streams.
+                channel.status_event.wait(remaining_s)
+                return True
+            select.select([channel], [], [], remaining_s)
+        return False
+
+    def _kill(self, pid: int | None, word: str) -> bool:
+        """Kill what was started with a word in its environment; return whether that was found, and is killed."""
+        if pid is None:
+            return False
+        try:
+            with self._session() as channel:
+                channel.exec_command(shlex.join(["sh", "-c", _KILL, "sh", str(pid), word]))
+                return bool(channel.status_event.wait(KILL_GRACE_S)) and channel.exit_status == 0
+        except Exception:
+            # As in `_within`; the reason to kill is what the caller reports.
+            return False
+
+    @contextlib.contextmanager
+    def _session(self) -> Iterator[paramiko.Channel]:
+        channel = self.transport.open_session()
+        try:
+            yield channel
+        finally:
+            channel.close()
+
+    @contextlib.contextmanager
+    def _within(self, seconds: float) -> Iterator[None]:
+        """Give the body a total deadline, and turn what paramiko raises in it into ConnectionLost or TargetError."""
+        self.stream.unread_bytes = 0
+        with shutting_down(self.stream, seconds) as expired:
+            try:
+                yield
+            except InfrastructureError:
+                raise
+            except Exception as error:
+                # paramiko raises here whatever its reading thread has ended with.
+                if self.stream.is_exceeded:
+                    raise TargetError(f"{self.address}: the target sends more than it was asked for") from error
+                if expired.is_set():
+                    raise ConnectionLost(f"{self.address}: no answer within {seconds:g} s") from error
+                raise ConnectionLost(f"{self.address}: the connection broke: {reason(error)}") from error

@@ -1,0 +1,287 @@
+"""Boards of a farm: a real labgrid coordinator and exporter on loopback, whose places are real SSH servers."""
+
+import contextlib
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from faulty import write_faulty_suites
+from labgrid_farm import farm_of, power_switch
+
+from conftest import SSHD, serve
+from rtfiles.errors import UsageError
+from rtrun.cli import main
+from rtrun.commands._boards import read_targets
+from rtrun.targets.config import parse_target
+from rtrun.targets.labgrid import environment as labgrid_environment
+
+pytest.importorskip("labgrid", reason="pip install meta-rt-tests[farm]")
+
+
+# Every call of labgrid's client takes a second, and a campaign makes five.
+def on_farm(test):
+    for mark in (pytest.mark.sshd, pytest.mark.ros, pytest.mark.slow):
+        test = mark(test)
+    return test
+
+
+CAMPAIGN = "schema: 1\nname: test\nruns: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101]}]\n"
+
+
+@contextlib.contextmanager
+def serial_port(text):
+    """A serial port behind TCP that prints a text again and again: what comes at once the reader drops."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def talk(stream):
+            with contextlib.suppress(OSError), stream:
+                while True:
+                    stream.sendall(text)
+                    time.sleep(0.2)
+
+        def answer():
+            with contextlib.suppress(OSError):
+                while True:
+                    stream, _ = server.accept()
+                    threading.Thread(target=talk, args=(stream,), daemon=True).start()
+
+        threading.Thread(target=answer, daemon=True).start()
+        yield server.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def servers(tmp_path_factory):
+    """Coordinator and exporter with the place panda-1: an sshd that its power switch ends and starts again."""
+    folder = tmp_path_factory.mktemp("farm")
+    (folder / "sshd").mkdir()
+    cycles = []
+    with contextlib.ExitStack() as stack:
+        sshd = stack.enter_context(serve(folder / "sshd"))
+        running = [sshd.process]
+
+        def switch(is_on):
+            cycles.append(is_on)
+            if is_on:
+                again = [SSHD, "-D", "-e", "-f", sshd.folder / "config"]
+                running.append(subprocess.Popen(again, stderr=subprocess.DEVNULL))
+                stack.callback(running[-1].kill)
+            else:
+                running[-1].kill()
+
+        serial = stack.enter_context(serial_port(b"U-Boot 2026.10\r\nlogin:"))
+        group = {
+            "NetworkService": {"address": "127.0.0.1", "port": sshd.port, "username": sshd.user},
+            "NetworkPowerPort": stack.enter_context(power_switch(switch)),
+            "NetworkSerialPort": {"host": "127.0.0.1", "port": serial, "protocol": "raw"},
+        }
+        farm = stack.enter_context(farm_of(folder, {"panda-1": group, "empty-1": {}}, {"board": "panda"}))
+        farm.sshd, farm.switch, farm.cycles = sshd, switch, cycles
+        yield farm
+
+
+@pytest.fixture
+def farm(servers, tmp_path, monkeypatch, ros_master):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("LG_COORDINATOR", raising=False)
+    servers.wishes = write_faulty_suites(tmp_path / "suites")
+    servers.cycles.clear()
+    Path("campaign.yml").write_text(CAMPAIGN)
+    servers.keys = {
+        "key": str(servers.sshd.key),
+        "host_key": servers.sshd.host_key,
+        "suites": "suites",
+        "work_dir": str(tmp_path / "target"),
+        "ros_master_port": ros_master,
+        "reconnect_s": 0,
+        "boot_s": 30,
+        "coordinator": servers.coordinator,
+    }
+    yield servers
+    assert not servers.place("panda-1").holder and not servers.place("panda-1").reservation, "it was given back"
+
+
+def write_target(farm, **keys):
+    data = {"schema": 1, "name": "panda", "kind": "labgrid", **farm.keys, **keys}
+    Path("target.yml").write_text(json.dumps(data))
+    return ["run", "campaign.yml", "--target", "target.yml"]
+
+
+def records():
+    return [json.loads(path.read_text()) for path in sorted(Path("results/test").glob("0*/run.json"))]
+
+
+@on_farm
+def test_a_place_is_acquired_measured_on_and_given_back(farm):
+    assert main(write_target(farm, filter={"board": "panda"})) == 0
+    assert [record["status"] for record in records()] == ["ok", "ok"]
+    assert {record["target"]["name"] for record in records()} == {"panda-1"}, "the place that was taken"
+    assert "U-Boot" in Path("results/test/console.log").read_text()
+    assert "console.log" in records()[0]["files"]
+
+
+@on_farm
+def test_a_dead_board_is_switched_off_and_on_and_the_campaign_goes_on(farm, capsys):
+    farm.switch(False)
+    farm.cycles.clear()
+    assert main(write_target(farm, place="panda-1")) == 0
+    assert farm.cycles == [False, True] and len(records()) == 2
+    assert "switching its power off and on" in capsys.readouterr().err
+
+
+@on_farm
+def test_a_board_that_never_boots(farm, capsys):
+    farm.switch(False)
+    config = farm.sshd.folder / "config"
+    config.rename(config.with_suffix(".away"))
+    try:
+        assert main(write_target(farm, place="panda-1", boot_s=1)) == 3
+    finally:
+        config.with_suffix(".away").rename(config)
+        farm.switch(True)
+    err = capsys.readouterr().err
+    assert "tried for 1 s since its power was switched off and on" in err and "login:" in err
+
+
+@on_farm
+def test_a_place_that_somebody_holds_is_reserved_and_waited_for(farm, capsys):
+    farm.client("-p", "panda-1", "acquire", user="alice")
+
+    def give_back():
+        while not farm.client("reservations"):
+            time.sleep(0.1)
+        farm.client("-p", "panda-1", "release", user="alice")
+
+    helper = threading.Thread(target=give_back)
+    helper.start()
+    assert main(write_target(farm, place="panda-1")) == 0
+    helper.join()
+    assert f"panda-1 is held by {socket.gethostname()}/alice: reserved, and waited for" in capsys.readouterr().err
+    assert not farm.client("reservations")
+
+
+@on_farm
+def test_a_place_that_this_user_acquired_stays_acquired(farm, capsys):
+    farm.client("-p", "panda-1", "acquire")
+    try:
+        assert main(write_target(farm, place="panda-1")) == 0
+        assert farm.place("panda-1").holder
+    finally:
+        farm.client("-p", "panda-1", "release")
+    assert "acquired by" in capsys.readouterr().err
+
+
+@on_farm
+def test_a_second_runner_of_the_same_user_waits_for_the_place(farm, tmp_path):
+    words = write_target(farm, filter={"board": "panda"})
+    gate = tmp_path / "gate"
+    farm.wishes.will(f"await {gate}")
+    first, second = (
+        [sys.executable, "-m", "rtrun.cli", *words, "--results", results] for results in ("results/one", "results/two")
+    )
+    with subprocess.Popen(first, stderr=subprocess.DEVNULL) as measuring:
+        farm.wishes.await_calls()
+        with subprocess.Popen(second, stderr=subprocess.PIPE, text=True) as waiting:
+            line = waiting.stderr.readline()
+            gate.touch()
+            err = line + waiting.stderr.read()
+    assert (measuring.returncode, waiting.returncode) == (0, 0), err
+    assert "panda-1 is held by" in line and "reserved, and waited for" in line
+    assert len(farm.wishes.calls()) == 4
+
+
+@on_farm
+def test_a_killed_runner_gives_the_place_back_and_the_next_call_goes_on(farm):
+    words = write_target(farm, place="panda-1")
+    farm.wishes.will("sleep 2")
+    process = subprocess.Popen([sys.executable, "-m", "rtrun.cli", *words], stderr=subprocess.DEVNULL)
+    farm.wishes.await_calls()
+    assert farm.place("panda-1").holder
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    farm.await_free("panda-1")
+    assert main(words) == 0
+    assert len(records()) == len(farm.wishes.calls()) == 2, "the run that went on was picked up"
+
+
+@on_farm
+def test_labgrids_environment_file_names_key_and_coordinator(farm):
+    targets = {
+        "main": {
+            "resources": {"RemotePlace": {"name": "panda-1"}},
+            "drivers": [{"SSHDriver": {"keyfile": farm.keys.pop("key")}}],
+        }
+    }
+    Path("env.yaml").write_text(json.dumps({"targets": targets, "options": {"coordinator_address": farm.coordinator}}))
+    del farm.keys["coordinator"]
+    assert main(write_target(farm, place="panda-1", environment="env.yaml")) == 0
+
+
+@on_farm
+def test_every_place_with_a_tag_and_every_place_of_an_environment_file(farm, monkeypatch):
+    monkeypatch.setenv("LG_COORDINATOR", farm.coordinator)
+    (target,) = read_targets([], ["labgrid:board=panda"])
+    assert (target.name, target.config.place) == ("panda-1", "panda-1")
+    with pytest.raises(UsageError, match="has no such place; its places: "):
+        read_targets([], ["labgrid:board=fish"])
+    Path("env.yaml").write_text("targets: {main: {resources: {RemotePlace: {name: bare-1}}}}\n")
+    (target,) = read_targets([], (), Path("env.yaml"))
+    assert (target.config.place, target.config.environment) == ("bare-1", str(Path("env.yaml").absolute()))
+
+
+@pytest.mark.parametrize("wrong", ["panda", "labgrid:", "labgrid:panda", "labgrid:=a", "ssh:a=b"])
+def test_targets_are_given_by_tags(wrong):
+    with pytest.raises(UsageError, match="takes labgrid:KEY=VALUE"):
+        read_targets([], [wrong])
+
+
+@on_farm
+def test_no_target_at_all(farm, capsys):
+    assert main(["run", "campaign.yml"]) == 2
+    assert "name what to measure on: --target FILE" in capsys.readouterr().err
+
+
+@on_farm
+@pytest.mark.parametrize(
+    ("keys", "status", "message"),
+    [
+        ({"place": "panda-9"}, 2, "has no place with name=panda-9; its places: panda-1, empty-1"),
+        ({"filter": {"board": "fish"}}, 2, "has no place with board=fish"),
+        ({"place": "empty-1"}, 3, "empty-1"),
+        (
+            {"place": "panda-1", "coordinator": "127.0.0.1:1"},
+            3,
+            "the labgrid coordinator at 127.0.0.1:1 does not answer",
+        ),
+    ],
+)
+def test_what_cannot_be_had_is_one_line(farm, capsys, keys, status, message):
+    assert main(write_target(farm, **keys)) == status
+    err = capsys.readouterr().err
+    assert message in err and "Traceback" not in err
+
+
+def test_a_target_file_names_a_place_or_tags():
+    keys = {"schema": 1, "name": "panda", "kind": "labgrid"}
+    for wrong in ({}, {"place": "a", "filter": {"board": "panda"}}):
+        with pytest.raises(UsageError, match="give either place: NAME, or filter: with tags of the place"):
+            parse_target(keys | wrong, "target.yml")
+
+
+def test_an_environment_file_without_a_place(tmp_path):
+    (tmp_path / "env.yaml").write_text("targets: {main: {drivers: {}}}\n")
+    with pytest.raises(UsageError, match="names no RemotePlace"):
+        labgrid_environment.read_environment(tmp_path / "env.yaml")
+
+
+def test_labgrid_is_loaded_for_its_own_targets_only():
+    code = (
+        "import sys, rtrun.commands._boards\n"
+        "sys.exit(any(name.split('.')[0] in ('labgrid', 'grpc', 'serial') for name in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,174 @@
+"""This machine as a target: commands as sshd would run them."""
+
+import os
+import signal
+import socket
+import subprocess
+import threading
+import time
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+from ports import free_port
+from rtfiles.errors import UsageError
+from rtrun.cli import main
+from rtrun.targets.address import ThisMachine
+from rtrun.targets.config import connect, read_target
+from rtrun.targets.connection import Connection
+from rtrun.targets.deploy import ON_TARGET
+from rtrun.targets.errors import DeadlineExpired, TargetError
+from rtrun.targets.link import Link
+from rtrun.targets.restart import restart
+
+CONFIG = "schema: 1\nname: here\nkind: local\n"
+
+
+@pytest.fixture
+def connection():
+    return Connection(ThisMachine())
+
+
+def test_a_program_that_is_not_there(connection):
+    assert connection.run(["no-such-program"]).status == 127
+    with pytest.raises(TargetError, match=r"this machine: no-such-program failed with exit status 127: .*not found"):
+        connection.check(["no-such-program"])
+
+
+def test_much_on_all_three_streams(connection):
+    text = "x" * 3_000_000
+    done = connection.run(["sh", "-c", "tee /dev/stderr"], stdin=text)
+    assert (done.stdout, done.stderr) == (text, text)
+
+
+def test_a_command_that_reads_nothing(connection):
+    assert connection.run(["sh", "-c", "exec <&-; echo there"], stdin="x" * 3_000_000).stdout == "there\n"
+
+
+def wait_for_end(pids):
+    deadline = time.monotonic() + 60
+    for pid in pids:
+        status = Path(f"/proc/{pid}/status")
+        while status.exists() and "Z (zombie)" not in status.read_text():
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+
+def test_the_deadline_ends_everything_that_was_started(connection, tmp_path):
+    """Even where the command itself has ended."""
+    pids = tmp_path / "pids"
+    with pytest.raises(DeadlineExpired, match="this machine: sh took longer than 5 s and was ended"):
+        connection.run(["sh", "-c", f"echo $$ >{pids}; sleep 300 & echo $! >>{pids}"], deadline_s=5)
+    wait_for_end(pids.read_text().split())
+
+
+def test_too_much_output_ends_the_command(connection):
+    with pytest.raises(TargetError, match="cat printed more than 8 MiB and was ended"):
+        connection.check(["cat", "/dev/zero"])
+
+
+def test_ctrl_c_ends_the_command_and_does_not_reach_it(connection, tmp_path):
+    pids = tmp_path / "pids"
+
+    def interrupt():
+        while not (pids.exists() and pids.read_text()):
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        connection.run(["sh", "-c", f"trap : INT; echo $$ >{pids}; while :; do sleep 1; done"], deadline_s=60)
+    wait_for_end(pids.read_text().split())
+
+
+def test_ctrl_c_while_a_command_is_started_ends_it(connection, tmp_path, monkeypatch):
+    started = []
+    real = subprocess.Popen
+
+    def interrupted(*words, **more):
+        started.append(real(*words, **more))
+        signal.raise_signal(signal.SIGINT)
+        return started[0]
+
+    monkeypatch.setattr(subprocess, "Popen", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        connection.run(["sleep", "300"])
+    assert started[0].returncode == -signal.SIGKILL
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_files_both_ways(connection, tmp_path):
+    (tmp_path / "up").write_bytes(bytes(range(256)) * 8192)
+    connection.upload(tmp_path / "up", PurePosixPath(tmp_path / "there"))
+    (tmp_path / "back").mkdir()
+    connection.download(PurePosixPath(tmp_path), {"there": 256 * 8192}, tmp_path / "back")
+    assert (tmp_path / "back" / "there").read_bytes() == (tmp_path / "up").read_bytes()
+    with pytest.raises(TargetError, match="more than the 10 bytes"):
+        connection.download(PurePosixPath(tmp_path), {"there": 10}, tmp_path / "back")
+    with pytest.raises(TargetError, match="this machine: cannot read"):
+        connection.download(PurePosixPath(tmp_path), {"nothing": 10}, tmp_path / "back")
+    with pytest.raises(TargetError, match="this machine: cannot write"):
+        connection.upload(tmp_path / "up", PurePosixPath(tmp_path / "no" / "folder"))
+
+
+def test_nothing_of_the_callers_environment(connection, monkeypatch):
+    monkeypatch.setenv("LD_LIBRARY_PATH", "/x")
+    monkeypatch.setenv("ROS_MASTER_URI", "http://elsewhere:1")
+    names = {line.partition("=")[0] for line in connection.check(["env"]).splitlines()}
+    assert names - {"PWD", "OLDPWD", "SHLVL", "_"} <= {"PATH", "HOME", "USER", "LOGNAME", "SHELL"}
+
+
+def test_a_port(connection):
+    port = free_port()
+    with pytest.raises(ConnectionRefusedError), connection.open_port(port, deadline_s=5):
+        pass
+    with socket.create_server(("127.0.0.1", port)), connection.open_port(port, deadline_s=0.2) as stream:
+        # Nobody answers, and the stream is closed when the time is up, whatever its timeout.
+        stream.settimeout(60)
+        assert stream.recv(1) == b""
+
+
+def test_target_file(tmp_path, monkeypatch):
+    (tmp_path / "target.yml").write_text(CONFIG)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    assert read_target(tmp_path / "target.yml").work_dir == f"{tmp_path}/state/rt-tests"
+    monkeypatch.delenv("XDG_STATE_HOME")
+    monkeypatch.setenv("HOME", "/home/me")
+    assert read_target(tmp_path / "target.yml").work_dir == "/home/me/.local/state/rt-tests"
+    (tmp_path / "target.yml").write_text(f"{CONFIG}restart: [reboot]\n")
+    with pytest.raises(UsageError, match="unknown key 'restart'"):
+        read_target(tmp_path / "target.yml")
+
+
+def test_the_link_knows_the_boot_and_does_not_restart(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    (tmp_path / "target.yml").write_text(CONFIG)
+    with (
+        connect(read_target(tmp_path / "target.yml"), tmp_path, tmp_path / "log") as target,
+        Link(target, print) as link,
+    ):
+        assert link.boot_id == Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        with pytest.raises(UsageError, match="the runner cannot restart the machine that it runs on"):
+            restart(link)
+
+
+def test_probe(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    (tmp_path / "target.yml").write_text(CONFIG)
+    assert main(["probe", "--target", str(tmp_path / "target.yml")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split(None, 1) == ["target", "here (this machine)"]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="takes its rights away from a process of root's")
+def test_what_needs_root_is_said_in_a_line_each():
+    needs = ["rt_priority=50", "irq_cpu=0", "sed"]
+    drop = ["prlimit", "--rtprio=0:0", "setpriv", "--reuid=65534", "--clear-groups"]
+    script = (ON_TARGET / "missing.sh").read_text()
+    done = subprocess.run(
+        [*drop, "sh", "-s", *needs], input=script, capture_output=True, text=True, check=True, cwd="/"
+    )
+    assert done.stdout.splitlines() == [
+        "the right to real-time priority 50 (root, or rtprio in /etc/security/limits.conf)",
+        "interrupts that can be moved (/proc/irq/*/smp_affinity_list, by root)",
+    ]

@@ -1,0 +1,273 @@
+"""Programs that run detached on a target behind a real sshd."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+from conftest import apart, serve
+from rtrun.plan.program import Exit, Program
+from rtrun.targets import deploy, processes
+from rtrun.targets.errors import DeadlineExpired, TargetError, TargetGone
+from rtrun.targets.link import Link
+
+pytestmark = pytest.mark.sshd
+
+
+def deploy_scripts(link):
+    for name in ("objects", "scripts"):
+        Path(link.target.work_dir / name).mkdir(parents=True)
+    return deploy.deploy(link, deploy.ON_TARGET, "scripts")
+
+
+@pytest.fixture
+def scripts(link):
+    return deploy_scripts(link)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    return folder
+
+
+def sh(text, **more):
+    return Program(name="p", argv=("sh", "-c", text), **more)
+
+
+def start_and_wait(link, scripts, folder, program):
+    processes.start(link, scripts, PurePosixPath(folder), program)
+    return processes.wait(link, PurePosixPath(folder), program.name, deadline_s=60)
+
+
+def test_status_streams_and_environment(link, scripts, folder):
+    program = sh('echo "out $GREETING"; echo err >&2; exit 3', environment=(("GREETING", "it's $me"),))
+    assert start_and_wait(link, scripts, folder, program) == Exit(status=3, expired=False)
+    assert (folder / "p.stdout").read_text() == "out it's $me\n"
+    assert (folder / "p.stderr").read_text() == "err\n"
+    assert (folder / "p.boot_id").read_text() == Path("/proc/sys/kernel/random/boot_id").read_text()
+
+
+def test_setup_file_is_read_first(link, scripts, folder):
+    (folder / "setup.sh").write_text("export GREETING=$NOT_SET_ANYWHERE-hello\n")
+    processes.start(link, scripts, PurePosixPath(folder), sh("echo $GREETING"), setup=str(folder / "setup.sh"))
+    processes.wait(link, PurePosixPath(folder), "p", deadline_s=60)
+    assert (folder / "p.stdout").read_text() == "-hello\n"
+
+
+def test_it_is_in_a_session_of_its_own(link, scripts, folder):
+    start_and_wait(link, scripts, folder, sh("ps -o pgid= -o sid= -p $$"))
+    group, session = (folder / "p.stdout").read_text().split()
+    assert group == session == (folder / "p.pid").read_text().strip()
+
+
+def test_what_has_no_room_for_its_files_is_not_started(link, scripts, folder):
+    """Nobody could end it."""
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", folder], check=True)
+    try:
+        (folder / "ballast").write_bytes(bytes(2 * 4096))
+        with pytest.raises(TargetError, match=r"No space left|is the disk full"):
+            processes.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
+        assert not (folder / "p.pid").exists()
+        (folder / "ballast").unlink()
+        processes.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
+        processes.end(link, PurePosixPath(folder), "p")
+        assert processes.list_ended(link, PurePosixPath(folder), ["p"]) == ["p"]
+    finally:
+        subprocess.run(["umount", "-l", folder], check=True)
+
+
+def test_starting_again_starts_nothing(link, scripts, folder):
+    program = sh(f"echo once >>{folder}/count; sleep 0.3")
+    processes.start(link, scripts, PurePosixPath(folder), program)
+    processes.start(link, scripts, PurePosixPath(folder), program)
+    processes.wait(link, PurePosixPath(folder), "p", deadline_s=60)
+    processes.start(link, scripts, PurePosixPath(folder), program)
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=60).status == 0
+    assert (folder / "count").read_text() == "once\n"
+
+
+def test_it_survives_a_lost_link_and_is_found_again(link, scripts, folder, remarks):
+    processes.start(link, scripts, PurePosixPath(folder), sh("sleep 1.5; exit 5"))
+    cut = threading.Timer(0.4, lambda: link._connection.shell.stream.shut_down())
+    cut.start()
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=60).status == 5
+    assert any("connection broke" in remark for remark in remarks)
+
+
+def test_the_target_ends_what_takes_too_long(link, scripts, folder):
+    program = sh(f"echo $$ >{folder}/child; exec sleep 300", deadline_s=5)
+    ended = start_and_wait(link, scripts, folder, program)
+    assert ended.expired
+    assert ended.status == 128 + signal.SIGTERM
+    assert not Path(f"/proc/{(folder / 'child').read_text().strip()}").exists()
+
+
+def test_waiting_has_a_deadline_of_its_own(link, scripts, folder):
+    processes.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
+    with pytest.raises(DeadlineExpired):
+        processes.wait(link, PurePosixPath(folder), "p", deadline_s=0.5)
+    processes.end(link, PurePosixPath(folder), "p")
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=20).status is None
+
+
+def test_a_program_is_waited_for_in_many_short_waits(link, scripts, folder, monkeypatch):
+    monkeypatch.setattr(processes, "WAIT_S", 0.2)
+    monkeypatch.setattr(processes, "SLICE_S", 0.2)
+    assert start_and_wait(link, scripts, folder, sh("sleep 1; exit 6")).status == 6
+
+
+def test_what_never_becomes_true_is_an_error():
+    with pytest.raises(TargetError, match="waited 0 s for the moon"):
+        processes.wait_until(lambda: False, deadline_s=0, what="the moon")
+
+
+def test_a_target_that_is_gone_is_not_waited_for(link, scripts, folder, monkeypatch):
+    monkeypatch.setattr(processes, "WAIT_S", 0.2)
+    monkeypatch.setattr(processes, "SLICE_S", 0.2)
+    processes.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
+    target = link.target
+    link.target = replace(target, failure=lambda: TargetGone("QEMU ended"))
+    with pytest.raises(TargetGone, match="QEMU ended"):
+        processes.wait(link, PurePosixPath(folder), "p", deadline_s=60)
+    link.target = target
+    processes.end(link, PurePosixPath(folder), "p")
+
+
+def test_the_last_line_of_a_file_is_short(link, folder):
+    (folder / "p.stderr").write_text("first\n" + "x" * 10_000 + "\n")
+    assert processes.read_last_line(link, PurePosixPath(folder / "p.stderr")) == "x" * 500
+    assert processes.read_last_line(link, PurePosixPath(folder / "none")) == ""
+
+
+def end_background(link, folder, loads=(), others=(), master_pid="17"):
+    folder = PurePosixPath(folder)
+    return processes.end_background(link, folder, ["suite"], loads, others, master_pid=master_pid, then=[["echo", "x"]])
+
+
+def test_the_master_that_was_seen_first_counts(link, folder):
+    ends = [end_background(link, folder, master_pid=word) for word in ("17", "18")]
+    assert [(end.master_pid, end.early, end.output) for end in ends] == [("17", {}, "x\n")] * 2
+    # /proc takes no new files, as a full disk does.
+    assert end_background(link, "/proc", master_pid="19").master_pid == "19"
+
+
+def test_end_takes_the_whole_group_even_the_stubborn(link, scripts, folder):
+    text = f"trap '' TERM; (trap '' TERM; echo $$ >{folder}/child; sleep 300; sleep 300) & wait; sleep 300"
+    processes.start(link, scripts, PurePosixPath(folder), sh(text))
+    while not (folder / "child").exists():
+        time.sleep(0.02)
+    processes.end(link, PurePosixPath(folder), "p")
+    group = int((folder / "p.pid").read_text())
+    deadline = time.monotonic() + 20
+    while True:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            break
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_end_waits_for_the_pid_of_what_has_just_been_started(link, folder):
+    starting = "exec 9>p.lock; flock 9; cat /proc/sys/kernel/random/boot_id >p.boot_id; sleep 0.3; echo $$ >p.pid"
+    process = subprocess.Popen(["setsid", "sh", "-c", f"{starting}; sleep 300; :"], cwd=folder)
+    while not (folder / "p.boot_id").exists():
+        time.sleep(0.01)
+    processes.end(link, PurePosixPath(folder), "p")
+    try:
+        assert process.wait(60) == -signal.SIGTERM
+    finally:
+        process.kill()
+
+
+def test_end_leaves_a_pid_of_another_boot_alone(link, scripts, folder):
+    processes.start(link, scripts, PurePosixPath(folder), sh("sleep 1; exit 4"))
+    (folder / "p.boot_id").write_text("00000000-0000-0000-0000-000000000000\n")
+    processes.end(link, PurePosixPath(folder), "p")
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=20).status == 4
+
+
+@pytest.mark.parametrize("content", ["1\n", "0\n", "-1\n", "", "none\n", "{other}", "{other}\n", "{own}"])
+def test_end_kills_nothing_that_a_wrong_pid_file_names(target, tmp_path, content, remarks):
+    """As root, a kill of the group 1 ends everything on the board."""
+    for folder in (folders := [tmp_path / name for name in ("own", "other", "sshd")]):
+        folder.mkdir()
+    with serve(folders.pop(), apart()) as server, contextlib.ExitStack() as stack:
+        stack.callback(server.process.kill)
+        link = stack.enter_context(Link(replace(target, address=server.address), remarks.append))
+        scripts = deploy_scripts(link)
+        for folder in folders:
+            processes.start(link, scripts, PurePosixPath(folder), sh("exec sleep 300"))
+            while not (folder / "p.stderr").exists():
+                time.sleep(0.01)
+        own, other = [(folder / "p.pid").read_text().strip() for folder in folders]
+        (folders[0] / "p.pid").write_text(content.format(own=own, other=other))
+        with pytest.raises(TargetError, match="own/p runs, but its pid file does not say which process it is"):
+            processes.give_up(link, PurePosixPath(folders[0]), ["p"])
+        assert [processes.list_ended(link, PurePosixPath(folder), ["p"]) for folder in folders] == [[], []]
+        assert folders[0].exists() and not remarks
+        (folders[0] / "p.pid").write_text(f"{own}\n")
+        processes.give_up(link, PurePosixPath(folders[0]), ["p"])
+        assert not folders[0].exists() and not processes.list_ended(link, PurePosixPath(folders[1]), ["p"])
+
+
+def test_killed_supervisor_leaves_no_status(link, scripts, folder):
+    processes.start(link, scripts, PurePosixPath(folder), sh("sleep 300"))
+    deadline = time.monotonic() + 20
+    while not (folder / "p.pid").exists() or not (folder / "p.pid").read_text().strip():
+        assert time.monotonic() < deadline
+    os.killpg(int((folder / "p.pid").read_text()), signal.SIGKILL)
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=20) == Exit(status=None, expired=False)
+
+
+def test_a_folder_that_is_not_there(link, scripts, tmp_path):
+    with pytest.raises(TargetError, match=r"failed with exit status \d+: .*can't cd to .*gone"):
+        processes.start(link, scripts, PurePosixPath(tmp_path / "gone"), sh("true"))
+
+
+def test_what_was_given_up_is_not_started_any_more(link, scripts, folder, monkeypatch):
+    """A start under way goes on when its connection is closed: its second program must not be left running."""
+    stubborn = Program(name="stubborn", argv=("sh", "-c", f"trap '' TERM; echo $$ >{folder}.first; sleep 60; sleep 60"))
+    late = Program(name="late", argv=("sh", "-c", f"echo $$ >{folder}.second; sleep 60"))
+    with monkeypatch.context() as patch:
+        real = processes.join_commands
+        patch.setattr(
+            processes, "join_commands", lambda commands: real([*commands[:1], ["sleep", "0.5"], *commands[1:]])
+        )
+        starting = threading.Thread(target=processes.start, args=(link, scripts, PurePosixPath(folder), stubborn, late))
+        starting.start()
+        while not Path(f"{folder}.first").exists():
+            time.sleep(0.02)
+    processes.give_up(link, PurePosixPath(folder), ["stubborn", "late"])
+    starting.join()
+    assert not folder.exists()
+    time.sleep(0.5)
+    assert not Path(f"{folder}.second").exists()
+
+
+def test_the_clock_on_the_wall_does_not_tell_who_died(link, folder):
+    for name, uptime in (("sampler", "100.07"), ("suite", "100.08"), ("other", "100.08"), ("load", "100.10")):
+        (folder / f"{name}.exit").write_text(f"0 {uptime}\n")
+        os.utime(folder / f"{name}.exit", (1e9, 1e9 - float(uptime)))
+
+    def ended_early():
+        return end_background(link, folder, ["load", "other"], ["sampler"]).early
+
+    assert ended_early() == {"sampler": "0"}
+    (folder / "load.exit").write_text("0 1.00\n")
+    assert ended_early() == {"sampler": "0"}, "the first answer counts: by now the runner has ended them itself"
+
+
+@pytest.mark.parametrize("word", ["²", "9" * 6000, "-1", "256", "0x0", ""])
+def test_an_exit_status_that_is_none(link, scripts, folder, word):
+    """The file lies on the target, where anybody may have written it."""
+    (folder / "p.exit").write_text(f"{word} 12.34\n")
+    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=60).status is None
