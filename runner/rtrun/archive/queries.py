@@ -20,10 +20,10 @@ from rtrun.analysis.figures import PERCENTILES
 from rtrun.analysis.histogram import Int64s
 from rtrun.archive import By
 from rtrun.archive.store import Store, find_files
+from rtrun.kinds.known import called
 from rtrun.plan.limits import BINS_MAX, TIME_MAX_NS
 from rtrun.plan.question import Measure
 from rtrun.plan.suites import judged, measures
-from rtrun.results.samples import called
 from rtrun.targets.inspection.platform import Platform
 
 if TYPE_CHECKING:

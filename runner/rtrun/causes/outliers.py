@@ -22,9 +22,9 @@ from rtrun.causes.parts import Part
 from rtrun.causes.reconstruction import reconstruct
 from rtrun.causes.steps import Step, steps
 from rtrun.causes.timeline import IDLE_PID, Span, State, Timeline
+from rtrun.kinds.output import NON_MEASURING_THREADS, Record
 from rtrun.plan.suites import suite
 from rtrun.results.record import RunRecord, check_file
-from rtrun.results.samples import NON_MEASURING_THREADS, Record
 
 # What is read after an outlier: the thread that measured it must be seen to go on.
 AFTER_NS = 10_000_000

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
-from rtrun.results import samples
+from rtrun.kinds.output import Record
 from rtrun.results.record import Clock
 from rtrun.targets.inspection.facts import TargetState
 
@@ -32,7 +32,7 @@ def record(state: TargetState, seen_ns: Iterable[int]) -> Clock:
     return Clock(source=source, event=state.clockevent, step_ns=max(steps, default=None))
 
 
-def steps_seen(folder: Path, outputs: Iterable[str], records: Mapping[str, samples.Record]) -> list[int]:
+def steps_seen(folder: Path, outputs: Iterable[str], records: Mapping[str, Record]) -> list[int]:
     """The clock steps that programs wrote down in ``<output>.json``, in ns; a program of 2014 writes none.
 
     `records` are those of these files that were read before, by output.
@@ -40,6 +40,6 @@ def steps_seen(folder: Path, outputs: Iterable[str], records: Mapping[str, sampl
     steps = []
     for output in outputs:
         with contextlib.suppress(UsageError):
-            record = records.get(output) or read_json(folder / f"{output}.json", samples.Record)
+            record = records.get(output) or read_json(folder / f"{output}.json", Record)
             steps.append(record.in_effect.clock_step_ns)
     return steps

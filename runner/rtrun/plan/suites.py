@@ -83,6 +83,8 @@ class Suite(Config):
     """One suite: its programs, the parameters each takes, and what it writes."""
 
     summary: str
+    kind: Literal["oneshot", "cyclic", "messages"] | None = None
+    """How its samples are read (rtrun.kinds); None: it writes none, as a baseline."""
     measures: Annotated[tuple[Measure, ...], Field(strict=False, min_length=1)]
     """What a question may be of; of the first one where it names none."""
     programs: dict[str, Strings]

@@ -15,13 +15,13 @@ from rtrun.judgement.claims.examiners import Examined
 from rtrun.judgement.claims.reference import oneshot_rows, published
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study, environment
+from rtrun.kinds.output import NON_MEASURING_THREADS
 from rtrun.plan.conditions import IDLE
 from rtrun.plan.question import NONE_TOLERATED
 from rtrun.plan.suites import suites
 from rtrun.report import causes
 from rtrun.report.tables import Table, how, printable_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
-from rtrun.results.samples import NON_MEASURING_THREADS
 from rtrun.targets.inspection.platform import Platform
 
 

@@ -10,8 +10,8 @@ from rich.table import Table
 from rich.text import Text
 
 from rtfiles.output import counted, print_line, printable
+from rtrun.kinds.rate import OFF_MAX
 from rtrun.plan.suites import Value, output_name, suite, suites
-from rtrun.results.rate import OFF_MAX
 from rtrun.results.reading import Result, Run, Runs
 from rtrun.results.record import FILE
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
+from rtrun.kinds.rate import OFF_MAX, Rate
 from rtrun.plan.conditions import IDLE, Settings
 from rtrun.plan.limits import (
     ClockStepNs,
@@ -33,7 +34,6 @@ from rtrun.plan.limits import (
 from rtrun.plan.run import KernelName
 from rtrun.plan.suites import Parameters, Value, baselines, suite
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
-from rtrun.results.rate import OFF_MAX, Rate
 from rtrun.targets.inspection.control_groups import ControlGroup
 from rtrun.targets.inspection.facts import Fact
 from rtrun.targets.inspection.platform import Platform

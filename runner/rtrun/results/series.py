@@ -11,11 +11,13 @@ from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtrun.analysis.figures import Figures, IndexedValue, figures_of_histogram, figures_of_samples
 from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.kinds.known import called
+from rtrun.kinds.output import InEffect
 from rtrun.plan.question import Measure
 from rtrun.plan.suites import Value, judged, measures
 from rtrun.results.gnuplot_log import Log
 from rtrun.results.importers.histogram_file import Imported
-from rtrun.results.samples import InEffect, Samples, called
+from rtrun.results.samples import Samples
 from rtrun.targets.inspection.platform import Platform
 
 MEASURED_2014 = "measured_2014"

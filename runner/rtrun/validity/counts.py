@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable
 
+from rtrun.kinds.output import Record
 from rtrun.results.gnuplot_log import Log
-from rtrun.results.samples import Record
 
 LISTED_MAX = 1000  # The suites list so many indices of each kind at most.
 

@@ -12,6 +12,7 @@ from typing import Any, TextIO
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import LINE_CHARACTERS_MAX, MIB, real_number, whole_number
+from rtrun.kinds.output import NON_MEASURING_THREADS
 from rtrun.plan.conditions import cpu_set
 from rtrun.plan.limits import (
     FREQUENCY_MAX_KHZ,
@@ -24,7 +25,6 @@ from rtrun.plan.limits import (
     Range,
 )
 from rtrun.results.record import Observed, Rival
-from rtrun.results.samples import NON_MEASURING_THREADS
 from rtrun.targets.inspection.facts import POLICIES
 
 SAMPLER = "sampler"

@@ -14,7 +14,8 @@ from written import write_communication, write_cyclic, write_oneshot, write_outp
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
-from rtrun.results.samples import IndexedValues, read_samples
+from rtrun.kinds.output import IndexedValues
+from rtrun.results.samples import read_samples
 
 
 def as_pairs(series: IndexedValues) -> list[tuple[int, int]]:

@@ -9,10 +9,11 @@ from rtfiles import atomic
 from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtfiles.untrusted import read_bytes
+from rtrun.kinds.known import kind_of
 from rtrun.plan.suites import Value
 from rtrun.results import run_directory
 from rtrun.results.gnuplot_lines import MAX_SIZE_BYTES
-from rtrun.results.gnuplot_log import SERIES_OF_ONESHOT_LOGS, read_log
+from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, Imported, histogram_text
 from rtrun.results.importers.identity import Identity, target_facts
@@ -35,15 +36,17 @@ def adopt(
     name = re.sub(r"[^A-Za-z0-9._-]", "_", path.stem) or "imported"
     if path.suffix == ".log" and b"# Plot data for gnuplot" in read_bytes(path, max_bytes=MAX_SIZE_BYTES):
         log = read_log(path)
-        output = (
-            re.sub(r"-(measured|reported|diff)$", "", path.stem) if log.suite == "oneshot_timer_tests" else path.stem
+        kind = kind_of(log.suite)
+        endings = {series: f"-{ending}" for ending, series in kind.log_series.items() if ending} if kind else {}
+        output = next(
+            (path.stem.removesuffix(each) for each in endings.values() if path.stem.endswith(each)), path.stem
         )
         record = _record(name, results, log.suite, log.parameters, [output], platform, path, identity)
         folder = _new(results, name)
         # A log may have been renamed: under this name it is read as that log of the output.
-        kind = {series: f"-{kind}" for kind, series in SERIES_OF_ONESHOT_LOGS.items()}.get(log.series, "")
+        ending = endings.get(log.series, "")
         with run_directory.filling(folder) as partial:
-            shutil.copyfile(path, partial / f"{output}{kind}.log")
+            shutil.copyfile(path, partial / f"{output}{ending}.log")
             run_directory.close(partial, folder, record)
         return [(folder, ("the samples, and their order but for the listed extremes", *log.remarks))]
     histograms = read(path)

@@ -1,0 +1,149 @@
+"""A cyclic timer: how late its callback came, and how far two of them lay apart."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtfiles.errors import UsageError
+from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.kind import Columns, Kind
+from rtrun.kinds.output import IndexedValues, Record, no_values
+from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, without
+from rtrun.plan.limits import WALL_TIME_MAX_NS
+
+# Clocks that NTP disciplines drift from others by 500 ppm at most.
+_NTP_DRIFT = 5e-4
+# So many calls in a row are not all interrupted between their two stamps.
+_FEW_CALLS = 16
+_LEAST_STEP_NS = 1_000_000  # NTP steps a clock by more, and slews it by less
+
+
+def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
+    """Lateness of each call, jitter of each period, and the grid from the first timestamp; from the second one on."""
+    timestamp = np.asarray(columns["timestamp_ns"])
+    check_times(path, timestamp)
+    agree(path, "measured periods", max(len(timestamp) - 1, 0), record.counts.measured)
+    index = np.arange(max(len(timestamp) - 1, 0))
+    passed_ns = timestamp[1:] - timestamp[:1] if len(timestamp) else timestamp
+    frequency_hz = _frequency_hz(record, path)
+    period_ns = _grid_ns(1, frequency_hz)
+    grid = IndexedValues(values_ns=passed_ns - _grid_ns(index + 1, frequency_hz), index=index)
+    lateness = _lateness(columns, record, path, period_ns) if "expected_ns" in columns else _estimated(grid, period_ns)
+    return {
+        "lateness": lateness,
+        "jitter": IndexedValues(values_ns=np.diff(timestamp) - period_ns, index=index),
+        "grid": grid,
+    }
+
+
+def _lateness(columns: Columns, record: Record, path: Path, period_ns: int) -> IndexedValues:
+    """How late each call is against the grid that roscpp keeps, whose skipped periods are absent.
+
+    roscpp moves its grid when it is two periods behind: what it moves it by beyond whole periods is lateness of the
+    call there, and the whole periods are skipped. So nothing is made up for by moving the grid.
+    """
+    expected, real = np.asarray(columns["expected_ns"]), np.asarray(columns["real_ns"])
+    for column in (expected, real):
+        if column.size and not 0 <= int(column.min()) <= int(column.max()) <= WALL_TIME_MAX_NS:
+            raise UsageError(f"{path}: a time of the wall clock below 0 or above {WALL_TIME_MAX_NS} ns cannot be")
+    passed = np.diff(expected)
+    skipped = np.maximum(passed // period_ns - 1, 0)
+    values = (real - expected)[1:] + np.where(passed > period_ns, passed % period_ns, 0)
+    check_times(path, values)
+    total = int(skipped.sum(dtype=np.float64))
+    if total > MAX_ABSENT:
+        raise UsageError(
+            f"{path}: {total} periods were skipped: none with more than {MAX_ABSENT} is read; was the wall clock set?"
+        )
+    if record.rate is not None and record.rate.skipped is not None:
+        agree(path, "skipped", total, record.rate.skipped)
+    # The loops of the calls, of which each has those that were skipped before it.
+    loops = np.arange(values.size) + np.cumsum(skipped)
+    return IndexedValues(
+        values_ns=values,
+        index=np.arange(values.size),
+        absent=without(loops, int(loops[-1]) + 1) if total else no_values(),
+        undecidable=_clock_was_set(real - np.asarray(columns["timestamp_ns"]), period_ns),
+    )
+
+
+def _clock_was_set(offset: Int64s, period_ns: int) -> str:
+    """Why calls are neither late nor in time: roscpp's grid jumped with the wall clock; empty where it did not.
+
+    `offset`, int64 (n,), is the wall clock less that of the timestamps, a little less where a thread was interrupted
+    between the two stamps of a call. So its highest value among a few calls shows whether one of the clocks was set.
+    """
+    if not offset.size:
+        return ""
+    highest = np.maximum.reduceat(offset, np.arange(0, max(1, offset.size - _FEW_CALLS + 1), _FEW_CALLS))
+    most_ns = int(np.abs(np.diff(highest)).max(initial=0))
+    if most_ns <= max(_LEAST_STEP_NS, period_ns) + _NTP_DRIFT * period_ns * _FEW_CALLS:
+        return ""
+    return (
+        f"the wall clock, by which roscpp keeps its grid, was set by {most_ns / 1e6:.3g} ms while it was measured: "
+        "measure again when it is not (NTP steps it after a boot), or ask for the jitter (--of jitter)"
+    )
+
+
+def _estimated(grid: IndexedValues, period_ns: int) -> IndexedValues:
+    """Lateness of samples that do not tell when calls were due, against a grid laid through the earliest ones.
+
+    Clocks drift: the grid is that of the first timestamp, tilted so that the earliest of the first quarter and of the
+    last are as late as one another, by 500 ppm at most. A call more than two periods late makes roscpp move its grid,
+    where to is not known.
+    """
+    values, quarter = grid.values_ns, grid.values_ns.size // 4
+    if not values.size:
+        return grid
+    late = values
+    # Twice: where the grid still falls or rises, the earliest calls are found at the ends of the quarters.
+    for _ in range(2):
+        first = int(np.argmin(late[: quarter or None]))
+        last = late.size - quarter + int(np.argmin(late[-quarter:])) if quarter else first
+        slope = (int(late[last]) - int(late[first])) / max(1, last - first)
+        limit = _NTP_DRIFT * period_ns
+        late = late - np.rint(min(max(slope, -limit), limit) * grid.index).astype(np.int64)
+    late = late - late.min()
+    undecidable = ""
+    if int(late.max()) > 2 * period_ns:
+        undecidable = (
+            "samples of an earlier version do not tell when calls were due, and one came more than two periods late, "
+            "after which roscpp moves its grid: measure again, or ask for the jitter (--of jitter)"
+        )
+    return IndexedValues(
+        values_ns=late,
+        index=grid.index,
+        assumes="a grid estimated from the earliest calls: these samples do not tell when calls were due",
+        undecidable=undecidable,
+    )
+
+
+def _grid_ns(periods: Any, frequency_hz: int) -> Any:
+    """So many periods, an int or an array of them, to the nearest nanosecond; in whole numbers, so it never drifts."""
+    return (2 * periods * 10**9 + frequency_hz) // (2 * frequency_hz)
+
+
+def _frequency_hz(record: Record, path: Path) -> int:
+    frequency_hz = record.requested.get("frequency_hz")
+    if not isinstance(frequency_hz, int):
+        raise UsageError(
+            f"{path.with_suffix('.json')}: requested.frequency_hz: must be a whole number, got {frequency_hz!r}"
+        )
+    return frequency_hz
+
+
+def _times(columns: Columns, values: IndexedValues) -> Int64s:
+    # The first row is the origin of the first period.
+    return np.asarray(columns["timestamp_ns"][values.index + 1])
+
+
+KIND = Kind(
+    series=_series,
+    called={"lateness": "lateness", "jitter": "jitter"},
+    times=_times,
+    suite_2014="cyclic_timer_tests",
+    log_summary=re.compile(r"with a total of ([0-9]{1,12}) measurements"),
+    log_series={"": "jitter"},
+)

@@ -1,0 +1,34 @@
+"""What tells one kind of measurement from another."""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.output import IndexedValues, Record
+from rtrun.plan.question import Measure
+
+Columns = Mapping[str, Int64s]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Kind:
+    """A kind of measurement.
+
+    `series` makes the series of the samples from their columns, each of shape (rows,), the first of which is what the
+    suite is about; it raises UsageError, which names the file, where rows and counts disagree. `called` says what a
+    question calls a series; of two by one name the first in the samples is meant. `times` are the moments at which
+    the values of a series were measured, int64 (n,).
+
+    In logs of the form of 2014 `log_summary` is the line that says how many were asked for, `log_series` the series of
+    a log by what its name ends with; `missing_as_value`: a missing message stands there as a value of -1 us.
+    """
+
+    series: Callable[[Columns, Record, Path], dict[str, IndexedValues]]
+    called: Mapping[str, Measure]
+    times: Callable[[Columns, IndexedValues], Int64s]
+    suite_2014: str
+    log_summary: re.Pattern[str]
+    log_series: Mapping[str, str] = field(default_factory=dict)
+    missing_as_value: bool = False

@@ -1,0 +1,19 @@
+"""The kinds of measurement that there are, by the names that suites.yml has for them."""
+
+from rtrun.kinds import cyclic, messages, oneshot
+from rtrun.kinds.kind import Kind
+from rtrun.plan.question import Measure
+from rtrun.plan.suites import suites
+
+KINDS: dict[str, Kind] = {"oneshot": oneshot.KIND, "cyclic": cyclic.KIND, "messages": messages.KIND}
+
+
+def kind_of(suite: str) -> Kind | None:
+    """The kind of a suite by its name; None for one that is not known, and for what writes no samples."""
+    described = suites().suites.get(suite)
+    return KINDS.get(described.kind) if described and described.kind else None
+
+
+def called(series: str) -> Measure | None:
+    """What a question calls a series by this name; None for one that no question is of."""
+    return next((kind.called[series] for kind in KINDS.values() if series in kind.called), None)

@@ -1,0 +1,65 @@
+"""Messages: how long after its publication one came, and which never did."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from rtfiles.errors import UsageError
+from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.kind import Columns, Kind
+from rtrun.kinds.output import IndexedValues, Record, no_values
+from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, disagree, without
+
+
+def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
+    publication, reception, arrived = columns["publication_ns"], columns["reception_ns"], columns["seq"]
+    counts = record.counts
+    check_times(path, publication, reception)
+    steps = np.diff(arrived)
+    is_in_order = bool(np.all(steps > 0))
+    # As a rule nothing is to be sorted, which takes longer than all the figures.
+    seq, order = (arrived, slice(None)) if is_in_order else np.unique(arrived, return_index=True)
+    first, last = (int(seq[0]), int(seq[-1])) if seq.size else (0, -1)
+    if first < 0 or last >= counts.asked:
+        raise UsageError(
+            f"{disagree(path)}: seq: {first} to {last} in the rows, {counts.asked} asked for in the counts"
+        )
+    if len(seq) != len(arrived):
+        raise UsageError(
+            f"{disagree(path)}: seq: {len(arrived) - len(seq)} numbers stand in the rows again, which hold each once"
+        )
+    agree(path, "measured", len(seq), counts.measured)
+    # Whoever did not see the last message knows only of the gaps between those that came.
+    missing = range(last + 1 - len(seq), counts.asked - len(seq) + 1)
+    if counts.missing not in (missing[-1:] if record.complete else missing):
+        agree(path, "missing", missing[-1], counts.missing)
+    agree(path, "out of order", int(np.count_nonzero(steps < 0)), counts.out_of_order)
+    absent = _absent(seq, counts.asked, path) if counts.missing else no_values()
+    return {"latency": IndexedValues(values_ns=(reception - publication)[order], index=seq, absent=absent)}
+
+
+def _absent(index: Int64s, asked: int, path: Path) -> Int64s:
+    if asked - len(index) > MAX_ABSENT:
+        raise UsageError(
+            f"{path}: {asked} were asked for, {len(index)} came: none with more than {MAX_ABSENT} missing is read"
+        )
+    return without(index, asked)
+
+
+def _times(columns: Columns, values: IndexedValues) -> Int64s:
+    # Rows are in the order of reception, values in that of their numbers.
+    seq = columns["seq"]
+    order = np.argsort(seq, kind="stable")
+    return np.asarray(columns["reception_ns"][order[np.searchsorted(seq, values.index, sorter=order)]])
+
+
+KIND = Kind(
+    series=_series,
+    called={"latency": "latency"},
+    times=_times,
+    suite_2014="communication_tests",
+    log_summary=re.compile(r"Amount messages: ([0-9]{1,12})\b"),
+    log_series={"": "latency"},
+    missing_as_value=True,
+)

@@ -1,0 +1,46 @@
+"""A one-shot timer: how long after it was armed its callback came."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.kind import Columns, Kind
+from rtrun.kinds.output import IndexedValues, Record
+from rtrun.kinds.rows import agree, check_times
+
+NOT_FIRED_NS = -(2**63)
+
+
+def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
+    counts = record.counts
+    fired = columns["measured_ns"] != NOT_FIRED_NS
+    index = np.flatnonzero(fired)
+    agree(path, "measured", len(index), counts.measured)
+    agree(path, "not fired", len(fired) - len(index), counts.not_fired)
+    measured, reported = columns["measured_ns"][index], columns["reported_ns"][index]
+    check_times(path, columns["start_ns"], columns["end_ns"][index], measured, reported)
+    values = {"measured": measured, "reported": reported, "difference": reported - measured}
+    absent = np.flatnonzero(~fired)
+    if "armed_ns" in columns:
+        start, armed = columns["start_ns"][index], columns["armed_ns"][index]
+        check_times(path, armed)
+        # The programs of 2014 counted from after roscpp had armed the timer.
+        values["measured_2014"] = measured - (armed - start)
+        values["difference_2014"] = reported - values["measured_2014"]
+    return {name: IndexedValues(values_ns=column, index=index, absent=absent) for name, column in values.items()}
+
+
+def _times(columns: Columns, values: IndexedValues) -> Int64s:
+    return np.asarray(columns["end_ns"][values.index])
+
+
+KIND = Kind(
+    series=_series,
+    called={"measured": "latency", "measured_2014": "latency"},
+    times=_times,
+    suite_2014="oneshot_timer_tests",
+    log_summary=re.compile(r"with a loop length of ([0-9]{1,12}) "),
+    log_series={"measured": "measured_2014", "reported": "reported", "diff": "difference_2014"},
+)

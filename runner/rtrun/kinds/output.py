@@ -1,0 +1,167 @@
+"""What a program of a suite writes: the types of its json, and the values of a series of its samples."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from rtfiles.config import Config
+from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.rate import Rate
+from rtrun.plan.limits import ClockStepNs, Count, Cpu, CpuDmaLatencyUs, MeanNs, Pid, Priority, TimeNs
+from rtrun.plan.suites import Asked, Parameters
+
+# Threads of a suite that have no part in the measurement: of normal scheduling, on spare CPUs, whatever was asked for.
+NON_MEASURING_THREADS = frozenset({"rt_blocks", "rt_traces"})
+
+
+class Thread(Config):
+    """A thread of the measuring program, as the kernel showed it."""
+
+    tid: Pid
+    name: str
+    policy: str
+    priority: Priority
+    cpus: list[Cpu]
+
+
+class InEffect(Config):
+    """What was in effect while measuring, read back."""
+
+    threads: list[Thread]
+    clock: str
+    clock_resolution_ns: ClockStepNs
+    clock_step_ns: ClockStepNs
+    mlockall: bool
+    cpu_dma_latency_us: CpuDmaLatencyUs | None = None
+    """The lowest latency that any program held in /dev/cpu_dma_latency, or the kernel's default; None: not known."""
+
+
+class Kernel(Config):
+    """The kernel measured on, as uname names it."""
+
+    release: str
+    version: str
+    machine: str
+
+
+class Counts(Config):
+    """How many measurements were asked for, and what became of them."""
+
+    asked: Asked
+    measured: Count
+    not_fired: Count
+    missing: Count
+    duplicate: Count
+    out_of_order: Count
+
+    @property
+    def known(self) -> int:
+        """How many became something."""
+        return self.measured + self.not_fired + self.missing
+
+
+class Indices(Config):
+    """Indices of what the counts count, the first 1000 of each."""
+
+    not_fired: list[Count]
+    missing: list[Count]
+    duplicate: list[Count]
+    out_of_order: list[Count]
+
+
+class Entry(Config):
+    """One value of a list of the highest or lowest."""
+
+    value_ns: TimeNs
+    index: Count
+
+
+class Summary(Config):
+    """A program's own summary of one series; the numbers are None when n is 0."""
+
+    n: Count
+    min_ns: TimeNs | None
+    mean_ns: TimeNs | MeanNs | None
+    max_ns: TimeNs | None
+    top: list[Entry]
+    lowest: list[Entry]
+
+
+class Files(Config):
+    """Names of the files written beside the json."""
+
+    logs: list[str]
+    npy: str
+
+
+class Traces(Config):
+    """Values above a limit that the kernel trace was asked for, and the traces that were kept."""
+
+    above_limit: Count
+    files: list[str]
+
+
+class ProgramHead(Config):
+    """What the json of every program begins with: what was requested, and in effect."""
+
+    schema_number: Literal[1] = Field(alias="schema")
+    suite: str
+    program: str
+    version: str
+    complete: bool
+    incomplete_reason: str | None
+    requested: Parameters
+    in_effect: InEffect
+    host: str
+    kernel: Kernel
+    start_time: str
+    end_time: str
+
+
+class Record(ProgramHead):
+    """``<output>.json``, as docs/formats.md has it."""
+
+    counts: Counts
+    indices: Indices
+    summary: dict[str, Summary]
+    files: Files
+    columns: list[str] | None = None
+    """Of the npy; samples of earlier versions do not name theirs, which are those of suites.yml."""
+    rate: Rate | None = None
+    """None: samples of earlier versions."""
+    traces: Traces = Field(default_factory=lambda: Traces(above_limit=0, files=[]))
+
+
+class SentCounts(Config):
+    """How many messages were asked for, and sent."""
+
+    asked: Asked
+    sent: Count
+
+
+class SenderRecord(ProgramHead):
+    """``<output>-publisher.json``: a program without samples."""
+
+    counts: SentCounts
+    rate: Rate
+
+
+def no_values() -> Int64s:
+    return np.empty(0, np.int64)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class IndexedValues:
+    """Values in nanoseconds and the index of each measurement, both of shape (n,).
+
+    `absent`, int64 (a,), ascending, are the loops without a value, counted with them: what did not fire, is missing or
+    was skipped. `assumes` says what had to be assumed for the values, `undecidable` why no answer can rest on them.
+    """
+
+    values_ns: Int64s
+    index: Int64s
+    absent: Int64s = field(default_factory=no_values)
+    assumes: str = ""
+    undecidable: str = ""

@@ -1,0 +1,33 @@
+"""What the kinds have in common: rows of samples checked against the counts and against what times can be."""
+
+from pathlib import Path
+
+import numpy as np
+
+from rtfiles.errors import UsageError
+from rtrun.analysis.histogram import Int64s
+from rtrun.plan.limits import TIME_MAX_NS
+
+MAX_ABSENT = 10_000_000  # loops without a value, so that they fit into memory
+
+
+def disagree(path: Path) -> str:
+    return f"{path} and {path.with_suffix('.json').name} disagree"
+
+
+def agree(path: Path, what: str, rows: int, counts: int) -> None:
+    if rows != counts:
+        raise UsageError(f"{disagree(path)}: {what}: {rows} in the rows, {counts} in the counts")
+
+
+def check_times(path: Path, *columns: Int64s) -> None:
+    for column in columns:
+        if column.size and (int(column.min()) < -TIME_MAX_NS or int(column.max()) > TIME_MAX_NS):
+            raise UsageError(f"{path}: a time beyond {TIME_MAX_NS} ns cannot be")
+
+
+def without(present: Int64s, number: int) -> Int64s:
+    """Which of so many loops are not among those present, ascending."""
+    absent = np.ones(number, dtype=bool)
+    absent[present] = False
+    return np.flatnonzero(absent).astype(np.int64)
