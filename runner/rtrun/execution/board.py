@@ -69,6 +69,10 @@ class Session:
         """What became of the runs of this call and of those before, by name."""
         return {**self.finished, **self.statuses}
 
+    def known_runs(self) -> set[str]:
+        """The names of the runs that may have a folder on a board."""
+        return {run.name for run in self.runs} | self.log.begun()
+
 
 def measure_rounds(
     session: Session, link: Link, observer: Observer, take_round: Callable[[Collection[str]], Round | None]
@@ -83,11 +87,11 @@ def measure_rounds(
     remote = link.target.work_dir / "runs" / session.log.uid
 
     def may_run_go_on() -> bool:
-        return resumption.may_run_go_on(link, remote, session.log.begun())
+        return resumption.may_run_go_on(link, remote, session.known_runs())
 
     with link, _PreparedTarget(link, session, may_run_go_on, observer.note) as prepared:
         # Runs that an earlier call left on the board come first: two runs at once would disturb each other.
-        begun = frozenset(resumption.list_folders(link, remote, session.log.begun()))
+        begun = frozenset(resumption.list_folders(link, remote, session.known_runs()))
         foreign = {name for name in begun if _is_foreign(session, name, link.target.name)}
         for name in foreign:
             processes.give_up(link, remote / name)
@@ -166,9 +170,7 @@ class _PreparedTarget:
         self._link, self._notify = link, notify
         self.may_run_go_on = may_run_go_on
         owner, runs = session.log.uid, session.needed
-        self._prepare = functools.partial(
-            preparation.prepared, link, owner, runs, may_run_go_on, variants=session.variants
-        )
+        self._prepare = functools.partial(preparation.prepared, link, owner, runs, may_run_go_on, session.variants)
         self._stack = contextlib.ExitStack()
         self._ready: preparation.Prepared | None = None
         self._kernels: dict[str, KernelName] = {}

@@ -48,7 +48,6 @@ def prepared(
     owner: str,
     runs: Sequence[Run],
     may_run_go_on: Callable[[], bool],
-    *,
     variants: Mapping[str, Variant] | None = None,
 ) -> Iterator[Prepared]:
     """Deploy scripts and suites, and see to it that a ROS master answers while the context lasts, or a run goes on."""

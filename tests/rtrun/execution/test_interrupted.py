@@ -104,7 +104,7 @@ def test_an_error_of_ours_leaves_the_run_and_its_master_alone(bare_target, wishe
     assert len(wishes.calls()) == 1
 
 
-WAITING, ENDING, LOOKING = 'flock -s "$1.lock"', "write_if_absent", "[ -e given_up ] && echo"
+WAITING, ENDING, LOOKING = 'flock -s "$program.lock"', "write_if_absent", "[ -e given_up ] && echo"
 
 
 @pytest.mark.parametrize("steps", [[WAITING], [ENDING], [WAITING, LOOKING]], ids=["waiting", "ending", "picking up"])

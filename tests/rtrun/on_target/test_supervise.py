@@ -33,7 +33,7 @@ def test_the_number_of_a_process_that_ended_may_be_anothers(tmp_path: Path) -> N
         sh "$1" "$2" program 1 "" sh -c 'trap "exit 0" TERM; while :; do sleep 0.01; done'
         until [ -s "$2/program.pid" ]; do sleep 0.01; done
         # Of the two that sleep, the one that is the child of a child of the supervisor.
-        until sleeper=$(pgrep --session "$(cat "$2/program.pid")" --full '^sleep 1$'); do sleep 0.01; done
+        until sleeper=$(pgrep --session "$(head -n 1 "$2/program.pid")" --full '^sleep 1$'); do sleep 0.01; done
         until [ -e "$2/program.exit" ]; do sleep 0.01; done
         while :; do
             echo $((sleeper - 1)) >/proc/sys/kernel/ns_last_pid
@@ -41,7 +41,7 @@ def test_the_number_of_a_process_that_ended_may_be_anothers(tmp_path: Path) -> N
             [ $! = "$sleeper" ] && break
             kill $!
         done
-        while pgrep --session "$(cat "$2/program.pid")"; do sleep 0.05; done
+        while pgrep --session "$(head -n 1 "$2/program.pid")"; do sleep 0.05; done
         kill -0 "$sleeper" && grep -q sleep "/proc/$sleeper/comm"
     """
     subprocess.run([*apart(), "sh", "-c", script, "sh", SCRIPT, tmp_path], check=True, stdout=subprocess.DEVNULL)
