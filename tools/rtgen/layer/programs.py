@@ -4,24 +4,16 @@ import json
 from pathlib import PurePosixPath
 from typing import Any
 
-import jinja2
-
 from rtfiles.config import read_yaml
 from rtgen.checkout import checkout
-from rtgen.layer.render import SOURCES, Tree, marked
+from rtgen.layer.render import SOURCES, Tree, marked, templates
 
 PATH = SOURCES / "rt_tests_support/src/programs.cpp"
 
 
 def render_programs() -> Tree:
     """The one file, by its path in the checkout."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(checkout() / "tools/rtgen/templates"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    environment = templates()
     environment.filters |= {"cpp": _cpp, "kind": _kind}
     data = read_yaml(checkout() / SOURCES / "suites.yml")
     text = environment.get_template("recipes-tests/programs.cpp.j2").render(data)

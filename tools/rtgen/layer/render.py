@@ -52,13 +52,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
     source = f"profile {name}"
     known = load_machines()
     version = importlib.metadata.version("meta-rt-tests")
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(checkout() / "tools/rtgen/templates"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    environment = templates()
     environment.filters |= {"scalar": _scalar, "git_url": _git_url}
     shared: dict[str, Any] = {
         "name": name,
@@ -164,6 +158,17 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
     if not release.modern:
         add(f"{layer}/recipes-support/boost/boost_1.54.0.bbappend", "recipes-support/boost.bbappend")
     return tree
+
+
+def templates() -> jinja2.Environment:
+    """The templates, which fail on what they are not given."""
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(checkout() / "tools/rtgen/templates"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
 
 
 def suite_recipes(profile: Profile) -> Iterator[dict[str, Any]]:
