@@ -28,10 +28,10 @@ COPY = (
     " link.do(lambda c: c.download(PurePosixPath('/etc'), {'passwd': 1000}, Path(folder)))"
 )
 STATE = (
-    "from rtrun.target import inspection\n"
+    "from rtrun.targets.inspection import facts as inspection\n"
     "with Link(target, print) as link: inspection.read_state(link, PurePosixPath('/state.sh'))"
 )
-ASK = "from rtrun.target import ros_master\nwith Link(target, print) as link: assert ros_master.ask_pid(link) is None"
+ASK = "from rtrun.targets import ros_master\nwith Link(target, print) as link: assert ros_master.ask_pid(link) is None"
 
 
 @pytest.fixture
