@@ -178,18 +178,17 @@ def figures(archive: Archive, by: By, *, deadline_ns: int, of: Measure | None = 
         raise _damaged(archive.store, f"platform: {min(unknown)[:40]!r}, expected one of {', '.join(Platform)}")
 
     # The number of rows stands at the end of a file: what is too much is refused before it is read.
-    members = [[run for run in _runs_of(row) if run[0] in archive.histograms] for row in rows]
+    members = [[(run, path) for run in _runs_of(row) if (path := archive.histograms.get(run[0]))] for row in rows]
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        paths = [archive.histograms[run[0]] for of_row in members for run in of_row]
+        paths = [path for of_row in members for _, path in of_row]
         footers = dict(zip(paths, threads.map(partial(_footer, archive.store), paths), strict=True))
-    sizes = [sum(footers[archive.histograms[run[0]]].num_rows for run in of_row) for of_row in members]
+    largest = max((sum(footers[path].num_rows for _, path in of_row) for of_row in members), default=0)
 
-    def points(row: dict[str, Any], runs: Sequence[_Run]) -> list[Point]:
+    def points(row: dict[str, Any], runs: Sequence[tuple[_Run, str]]) -> list[Point]:
         of_series: dict[str, list[_Run]] = {}
         bins: dict[str, list[_Bins]] = {}
         held = 0
-        for run in runs:
-            path = archive.histograms[run[0]]
+        for run, path in runs:
             more = footers[path].num_rows
             if held + more > ROWS_MAX:
                 bins = {series: [_merged(each)] for series, each in bins.items()}
@@ -208,7 +207,7 @@ def figures(archive: Archive, by: By, *, deadline_ns: int, of: Measure | None = 
         return [_point(row, series, of_series[series], bins[series], deadline_ns) for series in bins]
 
     # Reading and sorting leave Python's lock to others.
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, ROWS_MAX // min(max([1, *sizes]), ROWS_MAX))) as threads:
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, ROWS_MAX // min(max(1, largest), ROWS_MAX))) as threads:
         made = [point for of_row in threads.map(points, rows, members) for point in of_row]
     return sorted(made, key=lambda point: (point.scenario, point.parameters, point.platform))
 

@@ -26,9 +26,11 @@ def read_measured(folder: Path, record: RunRecord) -> Iterator[Measured]:
 
     Raises UsageError as `read_samples` does.
     """
+    kind = kind_of(record.suite)
+    if kind is None:
+        return
     for output in dict.fromkeys(record.outputs):
-        kind = kind_of(record.suite)
-        if kind is None or f"{output}.npy" not in record.files:
+        if f"{output}.npy" not in record.files:
             continue
         for ending in (".npy", ".json"):
             check_file(folder, record, output + ending)

@@ -104,19 +104,27 @@ def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Ite
     """How long the goal takes in the best case, and at a rate of misses where one is given."""
     from rtrun.analysis.deadline import Answer
     from rtrun.analysis.further import plan_measurements
-    from rtrun.plan.rounds import outlook, rounds_a_boot
+    from rtrun.plan.rounds import outlook
 
-    best = plan_measurements(goal.question)
+    a_boot = _rounds_a_boot(goal, groups)
     for assumed in (0.0,) if rate is None else (0.0, rate):
         planned = plan_measurements(goal.question, rate=assumed)
-        if planned is None or best is None:
+        if planned is None or a_boot is None:
             yield _Forecast(assumed_rate=assumed)
             continue
         is_proven, measurements = planned
         answer = Answer.PROVEN if is_proven else Answer.REFUTED
-        a_boot = rounds_a_boot(groups, best[1], goal.boots)
         expected = outlook(groups, measurements, boots=goal.boots, a_boot=a_boot)
         yield _Forecast(assumed_rate=assumed, answer=answer, outlook=expected)
+
+
+def _rounds_a_boot(goal: "Goal", groups: "Sequence[Run]") -> int | None:
+    """How many rounds each boot has if no measurement misses; None where no number of measurements is a proof."""
+    from rtrun.analysis.further import plan_measurements
+    from rtrun.plan.rounds import rounds_a_boot
+
+    best = plan_measurements(goal.question)
+    return None if best is None else rounds_a_boot(groups, best[1], goal.boots)
 
 
 def _prices_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> "dict[int, Outlook]":
@@ -131,13 +139,11 @@ def _prices_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> "dict[int, Outlo
 def _slowest_load_s(goal: "Goal", groups: "Sequence[Run]", forecasts: Sequence[_Forecast]) -> float | None:
     """How slowly a load may come and go to be judged by the runs of the best case, in seconds; None without one."""
     from rtrun.analysis.constancy import slowest_load
-    from rtrun.analysis.further import plan_measurements
-    from rtrun.plan.rounds import joined_s, rounds_a_boot
+    from rtrun.plan.rounds import joined_s
 
-    best = plan_measurements(goal.question)
-    if best is None or forecasts[0].outlook is None:
+    a_boot = _rounds_a_boot(goal, groups)
+    if a_boot is None or forecasts[0].outlook is None:
         return None
-    a_boot = rounds_a_boot(groups, best[1], goal.boots)
     return slowest_load(joined_s(groups, forecasts[0].outlook.rounds, boots=goal.boots, a_boot=a_boot))
 
 

@@ -160,8 +160,8 @@ def _parse_attempt(text: str, origin: str, programs: Collection[str]) -> Attempt
 
 def list_folders(link: Link, runs: PurePosixPath, names: Collection[str]) -> list[str]:
     """Return which of these runs of a campaign an earlier call has left something of."""
-    found = link.check(["sh", "-c", _FOLDERS, "sh", str(runs)], stdin=_lines(names)).splitlines()
-    return [name for name in names if name in set(found)]
+    found = set(link.check(["sh", "-c", _FOLDERS, "sh", str(runs)], stdin=_lines(names)).splitlines())
+    return [name for name in names if name in found]
 
 
 def may_run_go_on(link: Link, runs: PurePosixPath, names: Collection[str]) -> bool:

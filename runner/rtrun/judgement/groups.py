@@ -11,14 +11,12 @@ from rtrun.analysis.histogram import Histogram, merge
 from rtrun.analysis.trials import Trials
 from rtrun.judgement.digest import Digest
 from rtrun.plan.question import Measure
-from rtrun.plan.suites import Value, measures, suites
+from rtrun.plan.suites import NOT_TELLING, Value, measures, suites
 from rtrun.results.record import RunRecord
 from rtrun.results.series import MEASURED_2014
 from rtrun.targets.inspection.platform import Platform
 
 _UNITS = {"timeout_us": " us", "frequency_hz": " Hz", "payload_bytes": " B", "subscribers": " sub", "priority": " prio"}
-# These do not change what is measured: runs that differ in them only are alike.
-_NOT_TELLING = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s", "trace_of")
 # Boards that agree in these facts of run.json, and in platform and clock step, are alike.
 _ENVIRONMENT = (
     "machine",
@@ -115,7 +113,7 @@ def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:
 
     An option that was not given is left out: records of before it was added do not have it.
     """
-    return {key: value for key, value in parameters.items() if key not in _NOT_TELLING and value is not None}
+    return {key: value for key, value in parameters.items() if key not in NOT_TELLING and value is not None}
 
 
 def format_parameters(parameters: dict[str, Value]) -> str:
@@ -123,7 +121,7 @@ def format_parameters(parameters: dict[str, Value]) -> str:
     words: list[str] = []
     options = suites().options
     for key, value in parameters.items():
-        if key in _NOT_TELLING or value is None or value == "":
+        if key in NOT_TELLING or value is None or value == "":
             continue
         option = options.get(key)
         if key not in _TELLING and option is not None and value == option.default:

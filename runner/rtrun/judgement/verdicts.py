@@ -119,7 +119,7 @@ def _scope(verdict: Verdict) -> list[str]:
     """What a proof holds for: bursts and boots."""
     whole = math.floor(verdict.longest_burst)
     covered = f"holds for bursts of up to {grouped(whole)} misses" if whole > 1 else "holds for misses that come singly"
-    more = [f"{_amount(verdict, count)} for bursts of {length}" for length, count in verdict.further_for_bursts]
+    more = [f"{amount(verdict, count)} for bursts of {length}" for length, count in verdict.further_for_bursts]
     return [covered + (f" (without a miss, {', '.join(more)})" if more else ""), *_boots(verdict)]
 
 
@@ -141,7 +141,7 @@ def _more(verdict: Verdict) -> list[str]:
         if verdict.change.missing_loops:
             parts.append(
                 f"a load that comes and goes is part of the process once it has come back five times: "
-                f"{_amount(verdict, verdict.change.missing_loops)}"
+                f"{amount(verdict, verdict.change.missing_loops)}"
             )
         return parts
     if verdict.off_rate:
@@ -149,17 +149,18 @@ def _more(verdict: Verdict) -> list[str]:
     if verdict.further:
         chance = "" if verdict.misses else f" (chance of that: {100 * verdict.further_chance:.0f} %)"
         parts.append(
-            f"{_amount(verdict, verdict.further)} prove it without {'another' if verdict.misses else 'a'} miss{chance}"
+            f"{amount(verdict, verdict.further)} prove it without {'another' if verdict.misses else 'a'} miss{chance}"
             + (", if dependence stays as seen" if verdict.design_effect > 1.005 else "")
         )
     if verdict.further_likely is not None and verdict.further_likely[1]:
         answer, count = verdict.further_likely
-        parts.append(f"at the rate seen, {answer} after {_amount(verdict, count)} nine times in ten")
+        parts.append(f"at the rate seen, {answer} after {amount(verdict, count)} nine times in ten")
     elif verdict.misses and verdict.further_likely is None:
         parts.append("at the rate seen, no number is likely to decide it")
     return parts
 
 
-def _amount(verdict: Verdict, count: int) -> str:
+def amount(verdict: Verdict, count: int, what: str = "more measurements") -> str:
+    """How many are missing, and how long they take to measure, where that is known."""
     hours = verdict.hours(count)
-    return f"{grouped(count)} more measurements" + ("" if hours is None else f" ({duration(hours * 3600)})")
+    return f"{grouped(count)} {what}" + ("" if hours is None else f" ({duration(hours * 3600)})")

@@ -6,6 +6,8 @@ from rtrun.plan.question import Measure
 from rtrun.plan.suites import suites
 
 KINDS: dict[str, Kind] = {"oneshot": oneshot.KIND, "cyclic": cyclic.KIND, "messages": messages.KIND}
+OF_2014: dict[str, Kind] = {kind.suite_2014: kind for kind in KINDS.values()}
+"""The same by the suite whose logs had their form in 2014."""
 
 
 def kind_of(suite: str) -> Kind | None:

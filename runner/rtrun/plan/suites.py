@@ -24,6 +24,9 @@ Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
 SUITES_FILE = Path(__file__).with_name("suites.yml")
 BASELINES_FILE = Path(__file__).with_name("baselines.yml")
 
+# Options that do not change what is measured: runs that differ in them only are alike.
+NOT_TELLING = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s", "trace_of")
+
 
 class Option(Config):
     """One option of the programs: its flag and the values it takes."""

@@ -11,7 +11,7 @@ from rtrun.analysis.standing import Standing
 from rtrun.analysis.stationarity import Change
 from rtrun.execution.goal import Progress
 from rtrun.judgement.study import Study
-from rtrun.judgement.verdicts import off_rate, scope_in_short
+from rtrun.judgement.verdicts import amount, off_rate, scope_in_short
 from rtrun.plan.goal import Goal
 from rtrun.report.screen import fitted
 
@@ -111,22 +111,17 @@ def missing(standing: Standing) -> str:
     parts = [_count(verdict.boots_missing, "boot")] if verdict.boots_missing else []
     if not verdict.misses and verdict.further:
         chance = f" (chance of that: {100 * verdict.further_chance:.0f} %)" if verdict.further_chance < 0.995 else ""
-        parts.append(f"{_measurements(verdict, verdict.further)} without a miss{chance}")
+        parts.append(f"{amount(verdict, verdict.further, 'more')} without a miss{chance}")
     elif verdict.further_likely is None:
         parts.append("at the rate seen, no number is likely to decide it")
     elif verdict.further_likely[1]:
         answer, further = verdict.further_likely
-        parts.append(f"{_measurements(verdict, further)} at the rate seen, then {answer}")
+        parts.append(f"{amount(verdict, further, 'more')} at the rate seen, then {answer}")
     return "; ".join(parts)
 
 
 def _count(number: int, noun: str, more: str = "more ") -> str:
     return counted(number, f"{more}{noun}")
-
-
-def _measurements(verdict: Verdict, number: int) -> str:
-    hours = verdict.hours(number)
-    return f"{grouped(number)} more" + ("" if hours is None else f" ({duration(hours * 3600)})")
 
 
 def as_data(standings: Sequence[Standing]) -> list[dict[str, Any]]:

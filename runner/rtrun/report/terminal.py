@@ -11,7 +11,7 @@ from rich.text import Text
 
 from rtfiles.output import counted, print_line, printable
 from rtrun.kinds.rate import OFF_MAX
-from rtrun.plan.suites import Value, output_name, suite, suites
+from rtrun.plan.suites import NOT_TELLING, Value, output_name, suite, suites
 from rtrun.results.reading import Result, Run, Runs
 from rtrun.results.record import FILE
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header
@@ -26,8 +26,6 @@ PREEMPT_RT_IN_PART = "PREEMPT_RT IN PART OF THE RUNS: the kernel of the others p
 COARSE_NS = 10_000_000  # from here on a tenth of a microsecond is not worth its column
 
 _UNITS = {"timeout_us": "us", "frequency_hz": "Hz", "payload_bytes": "B", "subscribers": "sub"}
-# The number of measurements has its own column; these do not change what is measured.
-_NOT_TOLD = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s", "trace_of")
 
 
 def table(results: Sequence[Result]) -> Table:
@@ -99,7 +97,7 @@ def _parameters(header: Header) -> str:
     for key, value in header.parameters.items():
         if key == "policy":
             words.insert(0, "OTHER" if value == "0" else str(value))  # as the kernel calls it
-        elif key not in _NOT_TOLD and value is not None and _is_telling(header.suite, key, value):
+        elif key not in NOT_TELLING and value is not None and _is_telling(header.suite, key, value):
             words.append(f"{value}{_UNITS[key]}" if key in _UNITS else f"{key}={value}")
     if header.parameters.get("subscribers", 1) != 1:
         words.append(f"#{header.output.removesuffix(output_name(header.suite, {**header.parameters, 'prefix': ''}))}")

@@ -17,7 +17,7 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import IndexedValue
-from rtrun.kinds.known import KINDS
+from rtrun.kinds.known import OF_2014
 from rtrun.plan.limits import TIME_MAX_NS
 
 MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
@@ -48,7 +48,6 @@ _LABELS = {
     "Jitter:": "jitter",
 }
 _LISTS = {"Indices of top values": "top", "Indices of lowest values": "lowest"}
-SUMMARIES = {kind.suite_2014: kind.log_summary for kind in KINDS.values()}  # by suite
 _INCOMPLETE = re.compile(r"Incomplete: ([0-9]{1,12}) of [0-9]{1,12} measured, (.*)")
 COUNTS = {
     "out_of_order": re.compile(r"Messages out of order: ([0-9]{1,12})\b"),
@@ -176,8 +175,8 @@ def _read_comment(lines: _Lines, text: Text, line: str) -> None:
     if match := _BOUNDS.search(line):
         label = line[: match.start()].strip()
         text.summaries[_LABELS.get(label, "latency")] = _printed(match, lines.number)
-    for suite, pattern in SUMMARIES.items():
-        if match := pattern.search(line):
+    for suite, kind in OF_2014.items():
+        if match := kind.log_summary.search(line):
             text.suite = suite
             text.counts["asked"] = (int(match[1]), lines.number)
     for name, pattern in COUNTS.items():
