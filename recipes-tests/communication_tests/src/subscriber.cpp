@@ -117,10 +117,7 @@ int run(int argc, char* argv[]) {
   rt_tests::Report& report = session.report;
   report.measured = latency.n();
   report.rate.asked_hz = options.number("frequency_hz");
-  if (const std::size_t received = session.samples.size(); received > 0) {
-    report.rate.achieved_hz =
-        rt_tests::frequency_hz(received, session.samples[0][1], session.samples[received - 1][1]);
-  }
+  report.rate.achieved_hz = session.frequency_hz(1);
   report.missing = receptions.missing();
   report.duplicate = receptions.duplicate;
   report.out_of_order = receptions.out_of_order;

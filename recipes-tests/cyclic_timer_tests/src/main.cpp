@@ -71,10 +71,7 @@ int run(int argc, char* argv[]) {
   const cyclic::Overruns overruns = cyclic::count_overruns(samples, frequency_hz);
   rt_tests::Report& report = session.report;
   report.measured = jitter.n();
-  report.rate = {frequency_hz, std::nullopt, overruns.overruns, overruns.skipped};
-  if (const std::size_t calls = samples.size(); calls > 0) {
-    report.rate.achieved_hz = rt_tests::frequency_hz(calls, samples[0][0], samples[calls - 1][0]);
-  }
+  report.rate = {frequency_hz, session.frequency_hz(0), overruns.overruns, overruns.skipped};
   report.series = {&jitter, &grid, &lateness};
   report.plot = rt_tests::Plot::cyclic;
   report.logs = {{".log", &jitter}};

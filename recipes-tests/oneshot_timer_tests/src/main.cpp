@@ -119,10 +119,7 @@ int run(int argc, char* argv[]) {
   const oneshot::Results results(session.samples);
   rt_tests::Report& report = session.report;
   report.measured = results.measured.n();
-  const std::size_t shots = session.samples.size();
-  if (shots > 0) {
-    report.rate.achieved_hz = rt_tests::frequency_hz(shots, session.samples[0][0], session.samples[shots - 1][0]);
-  }
+  report.rate.achieved_hz = session.frequency_hz(0);
   report.series = {&results.measured, &results.reported, &results.difference, &results.measured_2014,
                    &results.difference_2014};
   report.plot = rt_tests::Plot::oneshot;

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "rt_tests_support/blocks.h"
@@ -68,6 +69,12 @@ class MeasurementSession {
 
   // Right after the last measurement, while every thread is as it was.
   void end() { surroundings.finish(); }
+
+  // How often rows came, by the times in a column; none of less than two rows.
+  std::optional<double> frequency_hz(std::size_t column) const {
+    const std::size_t rows = samples.size();
+    return rows == 0 ? std::nullopt : rt_tests::frequency_hz(rows, samples[0][column], samples[rows - 1][column]);
+  }
 
   // Before ros::shutdown.
   void tear_down() {
