@@ -23,6 +23,7 @@ from rtgen.kconfig import fragment, verify
 from rtgen.profile import load_profile
 from rtrun import cli
 from rtrun.execution import journal, resumption
+from rtrun.execution.middleware import ros_master
 from rtrun.plan.campaign import Campaign, plan, read_campaign
 from rtrun.plan.goal import Goal
 from rtrun.report import causes
@@ -42,7 +43,7 @@ from rtrun.results.record import (
     TargetFacts,
 )
 from rtrun.results.record import verify as verify_run
-from rtrun.targets import processes, ros_master
+from rtrun.targets import processes
 from rtrun.targets.address import Address
 from rtrun.targets.config import read_target
 from rtrun.targets.connection import parse_listing
@@ -87,7 +88,7 @@ def of_answer(read: Callable[[Link], object], *seeds: str) -> Reader:
         target = SimpleNamespace(
             address=Address(host="board"),
             work_dir=PurePosixPath("/var/rt-tests"),
-            ros_setup=None,
+            setup=None,
             known_platform=None,
         )
         link = SimpleNamespace(
@@ -286,8 +287,8 @@ ATTEMPT = json.dumps(
         "schema": 1,
         "uid": "0123456789abcdef",
         "start_time": "2026-11-21T10:00:00+00:00",
-        "master_pid": 12,
-        "own_master": True,
+        "service": "12",
+        "own_service": True,
         "argv": {"cyclic_timer_tests": ["cyclic_timer_tests", "-l", "10"]},
     }
 )
@@ -307,7 +308,7 @@ def _surroundings(samples: Path) -> Files:
     before, after = (
         inspection.parse_state(STATE.replace("900.10", f"{at_s:.2f}")).model_dump() for at_s in (begin_s - 1, end_s + 1)
     )
-    target = json.dumps({"schema": 1, "before": before, "after": after, "own_ros_master": True})
+    target = json.dumps({"schema": 1, "before": before, "after": after, "own_service": True})
     return {"sampler.stdout": sampled.encode(), "target.json": target.encode()}
 
 
@@ -487,7 +488,7 @@ READERS: dict[str, Reader] = {
         lambda link: processes.wait(link, PurePosixPath("/x"), "x", deadline_s=1), "0 12.00\n", "expired"
     ),
     "ended": of_answer(
-        lambda link: processes.end_background(link, PurePosixPath("/x"), [], [], [], master_pid="12", then=[]),
+        lambda link: processes.end_background(link, PurePosixPath("/x"), [], [], [], service="12", then=[]),
         f"12\nload 1\n== ended\n{STATE}",
     ),
     "listing": of_answer(

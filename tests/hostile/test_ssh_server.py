@@ -31,7 +31,10 @@ STATE = (
     "from rtrun.targets.inspection import facts as inspection\n"
     "with Link(target, print) as link: inspection.read_state(link, PurePosixPath('/state.sh'))"
 )
-ASK = "from rtrun.targets import ros_master\nwith Link(target, print) as link: assert ros_master.ask_pid(link) is None"
+ASK = (
+    "from rtrun.execution.middleware import ros_master\n"
+    "with Link(target, print) as link: assert ros_master.ask_pid(link) is None"
+)
 
 
 @pytest.fixture

@@ -57,7 +57,7 @@ def test_suites_measure_on_debian_13(machine: str, tmp_path: Path, monkeypatch) 
         state = json.loads((run / "target.json").read_text())["before"]
         assert "VERSION_CODENAME=trixie" in state["os_release"].splitlines()
         # The last of ROS 1.
-        assert state["roscpp_version"].startswith("1.17.")
+        assert record["target"]["middleware_version"].startswith("1.17.")
 
 
 @pytest.mark.kernel

@@ -20,8 +20,8 @@ def loopback(sshd, tmp_path):
         address=sshd.address,
         suites=None,
         work_dir=PurePosixPath(tmp_path / "target"),
-        ros_setup=None,
-        ros_master_port=11311,
+        setup=None,
+        master_port=11311,
         reconnect_s=20,
         boot_s=0,
         console=None,
@@ -58,13 +58,13 @@ def wishes(suites_folder):
 @pytest.fixture
 def bare_target(loopback, suites_folder, wishes):
     """A target with the stand-in, on which no ROS master runs."""
-    return replace(loopback, suites=suites_folder, ros_master_port=free_port())
+    return replace(loopback, suites=suites_folder, master_port=free_port())
 
 
 @pytest.fixture
 def ready_target(bare_target, ros_master):
     """A target with the stand-in, on which a ROS master runs."""
-    return replace(bare_target, ros_master_port=ros_master)
+    return replace(bare_target, master_port=ros_master)
 
 
 @pytest.fixture

@@ -107,7 +107,7 @@ if wish.startswith("full"):
         except OSError:
             pass
 if wish == "full for long":
-    for _ in range(300):
+    for _ in range(1200):  # until the last block of the sampler is full
         if not Path("sampler.exit").exists():
             time.sleep(0.1)
     os.unlink("ballast")

@@ -97,7 +97,7 @@ def test_suites_compile_without_a_warning_and_measure(version, suite, tmp_path, 
     Path("campaign.yml").write_text(CAMPAIGN)
     assert rtrun.cli.main(["run", "campaign.yml", "--target", "target.yml"]) == 0
     runs = [path.parent for path in Path("results/compilers").glob("*/run.json")]
-    assert [json.loads((run / "run.json").read_text())["status"] for run in runs] == ["ok"] * 3
-    for run in runs:
-        state = json.loads((run / "target.json").read_text())["before"]
-        assert state["roscpp_version"].startswith(ROSCPP[suite])
+    records = [json.loads((run / "run.json").read_text()) for run in runs]
+    assert [record["status"] for record in records] == ["ok"] * 3
+    for record in records:
+        assert record["target"]["middleware_version"].startswith(ROSCPP[suite])

@@ -19,7 +19,7 @@ Figure = Literal["p50", "p99", "p99.9", "P(miss)"]
 PERCENTS: dict[Figure, float] = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
 # A percentile needs so many values beyond it in a run.
 _BEYOND = 20
-_TEXTS = ("kernel_release", "kernel_version", "commit", "image", "roscpp_version", "governor", "clock_source")
+_TEXTS = ("kernel_release", "kernel_version", "commit", "image", "middleware_version", "governor", "clock_source")
 _NUMBERS = ("temperature_max_mc", "frequency_max_khz", "load_1min_max")
 
 

@@ -41,7 +41,7 @@ _MEMORY = "1GB"  # for the table of runs: a row of a run takes some KB
 # Whoever may write a file of the archive may write anything into it: every value is given its type of docs/archive.md.
 _TEXTS = ("run_key", "run", "scenario", "parameters", "platform", "status", "packages", "machine", "suite", "month")
 _OPTIONAL_TEXTS = (
-    *("reason", "boot_id", "kernel_release", "kernel_version", "commit", "image", "roscpp_version", "governor"),
+    *("reason", "boot_id", "kernel_release", "kernel_version", "commit", "image", "middleware_version", "governor"),
     "clock_source",
 )
 _NUMBERS = {"temperature_max_mc": "BIGINT", "frequency_max_khz": "BIGINT", "load_1min_max": "DOUBLE"}

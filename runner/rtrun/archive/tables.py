@@ -31,7 +31,7 @@ UNKNOWN_MONTH = "unknown"
 _TEXTS = ("run_key", "run", "campaign", "scenario", "parameters", "condition", "settings", "variant", "platform")
 _FACTS = (
     *("platform_evidence", "status", "reason", "boot_id", "address", "kernel_release", "kernel_version"),
-    *("architecture", "clock_source", "clock_event", "governor", "roscpp_version", "ros_setup"),
+    *("architecture", "clock_source", "clock_event", "governor", "middleware_version", "setup"),
     *("commit", "image", "packages", "record"),
 )
 RUNS = pyarrow.schema(
@@ -110,8 +110,8 @@ def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
         "clock_source": _text(target.clock.source if target.clock else target.clocksource),
         "clock_event": _text(target.clock.event if target.clock else None),
         "governor": _text(target.governor),
-        "roscpp_version": _text(target.roscpp_version),
-        "ros_setup": _text(target.ros_setup),
+        "middleware_version": _text(target.middleware_version),
+        "setup": _text(target.setup),
         "commit": origin.commit,
         "image": origin.image,
         "packages": _json(origin.packages),

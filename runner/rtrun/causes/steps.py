@@ -1,8 +1,8 @@
-"""Where a message was while it took its time: the parts of its latency by the steps of roscpp between two programs.
+"""Where a message was while it took its time: the parts of its latency by the steps between two programs.
 
-A publisher hands a message to its poll thread, which writes it into a socket. The poll thread of the subscriber reads
-it and puts it into the callback queue, from which the thread that spins takes it (roscpp: `TopicManager::publish`,
-`PollManager`, `Subscription::handleMessage`, `CallbackQueue`).
+A publisher hands a message to a thread that writes it into the transport. A thread of the subscriber reads it and
+queues it for the thread that calls back. That is so in roscpp (`TopicManager::publish`, `PollManager`,
+`Subscription::handleMessage`, `CallbackQueue`); where a middleware has no such thread, its step takes no time.
 """
 
 from collections import Counter
@@ -17,10 +17,10 @@ class Step(StrEnum):
     """The steps in their order; a thread that waits for a CPU has begun its step."""
 
     PUBLISHER = "publisher"
-    WRITE = "publisher's poll thread writes"
-    SOCKET = "socket"
-    POLL = "subscriber's poll thread"
-    QUEUE = "callback queue"
+    WRITE = "publisher's thread writes"
+    TRANSPORT = "transport"
+    READ = "subscriber's thread reads"
+    QUEUE = "queue"
     CALLBACK = "callback"
     UNKNOWN = "unexplained"
 
@@ -39,9 +39,9 @@ def steps(parts: Sequence[Part], *, pid: int, own: frozenset[int]) -> Mapping[St
 
 def _step(part: Part, pid: int, own: frozenset[int], writer: int | None) -> Step:
     if part.pid is None:
-        return Step.UNKNOWN if part.cause.kind is Kind.UNEXPLAINED else Step.SOCKET
+        return Step.UNKNOWN if part.cause.kind is Kind.UNEXPLAINED else Step.TRANSPORT
     if part.pid == pid:
         return Step.CALLBACK if part.state is State.RUNNING else Step.QUEUE
     if part.pid in own:
-        return Step.POLL
+        return Step.READ
     return Step.WRITE if part.pid == writer else Step.PUBLISHER

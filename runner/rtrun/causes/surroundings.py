@@ -48,7 +48,7 @@ class _States(Config):
     schema_number: Literal[1] = Field(alias="schema")
     before: TargetState
     after: TargetState
-    own_ros_master: bool
+    own_service: bool
 
 
 def find_unusual(folder: Path, record: RunRecord) -> Iterator[Unusual]:

@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rtrun.targets.inspection.facts import Fact
+    from rtrun.execution.middleware.service import Service
+    from rtrun.targets.inspection.facts import Fact, Installed
 
 NAME = "probe"
 HELP = "say what a target is and whether it is ready for a campaign"
@@ -24,7 +25,8 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import print_line, print_status, print_text
     from rtrun.commands._link import linked
-    from rtrun.targets import deploy, ros_master
+    from rtrun.execution.middleware.known import SERVICES
+    from rtrun.targets import deploy
     from rtrun.targets.config import read_target
     from rtrun.targets.inspection import facts as inspection
     from rtrun.targets.inspection import platform_signs
@@ -40,13 +42,13 @@ def run(args: argparse.Namespace) -> int:
             inspection.check_suites(target.suites, target, equipment)
         known = platform_signs.find_platform(link)
         state = inspection.read_state(link, deploy.deploy(link, deploy.ON_TARGET, "scripts") / "state.sh")
-        answers = ros_master.ask_pid(link) is not None
+        services = {name: service.identity(link) is not None for name, service in SERVICES.items()}
     print_status("")
     if args.json:
         facts = {
             "platform": asdict(known),
             "equipment": asdict(equipment),
-            "ros_master_answers": answers,
+            "services": services,
             "state": state.model_dump(),
         }
         print_text(json.dumps(facts, indent=2))
@@ -63,14 +65,21 @@ def run(args: argparse.Namespace) -> int:
         "governor": _shown(state.governor, absent="none"),
         "real-time threads": f"{len(state.rt_threads)} of {state.threads}",
         "free on disk": f"{equipment.free_bytes // 2**20} MiB in {target.work_dir}",
-        "ROS": f"roscpp {_shown(state.roscpp_version)}" if equipment.master else "not found",
-        "ROS master": "answers" if answers else "does not answer, a campaign starts one",
+        **{name: _middleware(equipment.of(name), SERVICES[name], runs) for name, runs in services.items()},
         "suites": suites,
     }
     width = max(map(len, lines))
     for name, value in lines.items():
         print_line(f"{name:{width}}  {value}")
     return 0
+
+
+def _middleware(installed: "Installed", service: "Service", runs: bool) -> str:
+    """What the target has of a middleware, in one line."""
+    if installed.server is None:
+        return "not found"
+    answers = "answers" if runs else "does not answer, a campaign starts one"
+    return f"{installed.version or 'of an unknown version'}; {service.name} {answers}"
 
 
 def _shown(fact: "Fact", absent: str = "unknown") -> str:

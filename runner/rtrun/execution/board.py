@@ -17,7 +17,7 @@ from rtrun.execution.run_state import RunEvent, RunLife, RunState
 from rtrun.execution.trace_threshold import with_found_threshold
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import KernelName, Run
-from rtrun.results.record import RunRecord, RunStatus, is_finished, read_record
+from rtrun.results.record import RunStatus, is_finished, read_record
 from rtrun.targets import processes
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection.facts import running_kernel
@@ -123,9 +123,9 @@ def measure_rounds(
                     session.statuses[run.name] = RunStatus.INCOMPLETE
                     observer.ended(number, run, RunStatus.INCOMPLETE, f"no limit for its traces: {error}")
                     continue
-                record = _measure(session, prepared, run, observer, may_be_begun=run.name in begun)
-                session.statuses[run.name] = record.status
-                observer.ended(number, run, record.status, record.reason)
+                status, reason = _measure(session, prepared, run, observer, may_be_begun=run.name in begun)
+                session.statuses[run.name] = status
+                observer.ended(number, run, status, reason)
         # Nothing of the campaign stays on the board, not even an empty folder.
         with contextlib.suppress(TargetRebooted):
             processes.remove(link, remote)
@@ -138,24 +138,31 @@ def _is_foreign(session: Session, run: str, target: str) -> bool:
 
 def _measure(
     session: Session, prepared: "_PreparedTarget", run: Run, observer: Observer, *, may_be_begun: bool
-) -> RunRecord:
-    """Measure a run, again after each restart of the target that cut it off. Raises TargetRebooted after too many."""
+) -> tuple[RunStatus, str | None]:
+    """Measure a run, again after each restart of the target that cut it off; return what became of it, and why.
+
+    Raises TargetRebooted after too many restarts.
+    """
     folder = session.results / run.name
     for attempts_left in reversed(range(ATTEMPTS)):
         life = RunLife(lambda state, reason: session.log.note(session.now().isoformat(), run.name, state, reason))
         try:
             ready = prepared.get(run.kernel).for_run(run)
+            if lacks := ready.lacks(run):
+                return RunStatus.INCOMPLETE, lacks
             with tracing(ready.link, ready.scripts, run.parameters, prepared.may_run_go_on):
-                return run_execution.measure(
+                record = run_execution.measure(
                     ready, session.log.uid, session.campaign, run, folder, life, session.now, may_be_begun=may_be_begun
                 )
+            return record.status, record.reason
         except TargetRebooted as error:
             prepared.drop()
             may_be_begun = True
             life.move(RunEvent.RESTART, str(error))
             observer.note(f"{run.name}: {error}")
             if life.state is RunState.CLOSED:
-                return read_record(folder)
+                record = read_record(folder)
+                return record.status, record.reason
             if not attempts_left:
                 raise
     raise AssertionError("the last attempt returns or raises")

@@ -1,4 +1,4 @@
-"""Prepare a target: deploy scripts and suites, check its tools, see to it that a ROS master answers."""
+"""Prepare a target: deploy scripts and suites, check its tools, see to it that what middlewares need runs."""
 
 import contextlib
 import gzip
@@ -7,15 +7,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from rtfiles.invocation import as_called
+from rtrun.execution.middleware.known import SERVICES
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import Run
-from rtrun.targets import deploy, ros_master
+from rtrun.targets import deploy
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import facts as inspection
 from rtrun.targets.inspection import platform_signs
 from rtrun.targets.inspection.platform import KnownPlatform
-from rtrun.targets.link import Link
+from rtrun.targets.link import OUT_OF_REACH, Link
 
 # Both the package of the suites and its program.
 SAMPLER = "rt_tests_sampler"
@@ -33,13 +34,37 @@ class Prepared:
     """The path of what observes the target: the program of the suites, or the script where they have none."""
     programs: dict[str, str]
     kernel_config: bytes
-    own_master: bool
+    own_services: frozenset[str]
+    """The middlewares whose service is ours."""
+    no_service: Mapping[str, str]
+    """The middlewares whose service does not run, and why."""
+    setup: str | None = None
+    """The shell file that a variant names for its programs."""
     variants: Mapping[str, "Prepared"] = field(default_factory=dict)
-    """The same target with the suites and the ROS of each variant, by its name."""
+    """The same target with the suites and the set-up of each variant, by its name."""
 
     def for_run(self, run: Run) -> "Prepared":
         """The target with what the run's variant needs."""
         return self.variants.get(run.variant, self)
+
+    def lacks(self, run: Run) -> str | None:
+        """Say what a run needs that the target does not have, or None."""
+        for middleware in middlewares_of(run):
+            if middleware in self.no_service:
+                return self.no_service[middleware]
+        own = [suites.executable(run.suite, program, run.parameters) for program in suites.suite(run.suite).programs]
+        for program in (*own, *sorted(conditions.suites_programs(run.condition))):
+            if program not in self.programs:
+                return (
+                    f"{self.link.target.address}: {program} is not installed on the target: "
+                    f"name a folder of {as_called('rtgen')} suites build as suites in the target file"
+                )
+        return None
+
+    def setup_of(self, middleware: str) -> str | None:
+        """The shell file that sets up a middleware for its programs; None: nothing does."""
+        is_installed = middleware in self.equipment.middlewares
+        return (self.setup or self.equipment.of(middleware).setup) if is_installed else None
 
 
 @contextlib.contextmanager
@@ -50,7 +75,10 @@ def prepared(
     may_run_go_on: Callable[[], bool],
     variants: Mapping[str, Variant] | None = None,
 ) -> Iterator[Prepared]:
-    """Deploy scripts and suites, and see to it that a ROS master answers while the context lasts, or a run goes on."""
+    """Deploy scripts and suites, and see to it that services run while the context lasts, or a run goes on.
+
+    Raises TargetError where none of the runs can be measured.
+    """
     target = link.target
     equipment = inspection.inspect(link)
     for folder in filter(None, [target.suites, *(variant.suites for variant in (variants or {}).values())]):
@@ -68,16 +96,18 @@ def prepared(
     # One for all variants: what it costs must not be taken for an effect of one of them.
     samplers = [each[SAMPLER] for each in (*programs.values(), equipment.programs) if SAMPLER in each]
     deploy.prune(link, 1 + len(variants or {}))
-    for run in runs:
-        for program in (*suites.suite(run.suite).programs, *conditions.suites_programs(run.condition)):
-            if program not in programs[run.variant]:
-                raise TargetError(
-                    f"{target.address}: {program} is not installed on the target: "
-                    f"name a folder of {as_called('rtgen')} suites build as suites in the target file"
-                )
-    priority = _highest_priority(runs)
-    master = ros_master.running(link, scripts, equipment, owner, priority + 1 if priority else None, may_run_go_on)
-    with master as own_master:
+    with contextlib.ExitStack() as running:
+        own_services, no_service = set(), {}
+        priority = _highest_priority(runs)
+        above = priority + 1 if priority else None
+        for name in sorted({name for run in runs for name in middlewares_of(run)} & SERVICES.keys()):
+            service = SERVICES[name].running(link, scripts, equipment.of(name), owner, above, may_run_go_on)
+            try:
+                own_services |= {name} if running.enter_context(service) else set()
+            except OUT_OF_REACH:
+                raise
+            except TargetError as error:
+                no_service[name] = str(error)
         ready = Prepared(
             link=link,
             equipment=equipment,
@@ -86,30 +116,29 @@ def prepared(
             sampler=samplers[0] if samplers else str(scripts / "sample.sh"),
             programs=programs[""],
             kernel_config=kernel_config,
-            own_master=own_master,
+            own_services=frozenset(own_services),
+            no_service=no_service,
         )
         by_name = {
-            name: replace(
-                ready,
-                programs=programs[name],
-                equipment=replace(equipment, setup=variant.ros_setup or equipment.setup),
-            )
+            name: replace(ready, programs=programs[name], setup=variant.ros_setup)
             for name, variant in (variants or {}).items()
         }
-        yield replace(ready, variants=by_name)
+        ready = replace(ready, variants=by_name)
+        lacking = [ready.for_run(run).lacks(run) for run in runs]
+        if lacking and all(lacking):
+            raise TargetError(str(lacking[0]))
+        yield ready
+
+
+def middlewares_of(run: Run) -> set[str]:
+    """The names of those whose programs a run starts."""
+    return {run.middleware, conditions.conditions().conditions[run.condition].middleware}
 
 
 def _deploy_suites(link: Link, folder: Path) -> dict[str, str]:
     """Put a folder of suites on the target; return the paths of its programs there, by name."""
     tree = deploy.deploy(link, folder, "suites")
-    of_suites = {suite: described.programs for suite, described in suites.suites().suites.items()}
-    # Suites of an earlier version have no sampler.
-    sampler = {SAMPLER: (SAMPLER,)} if (folder / "lib" / SAMPLER / SAMPLER).is_file() else {}
-    return {
-        program: str(tree / "lib" / package / program)
-        for package, programs in (of_suites | sampler).items()
-        for program in programs
-    }
+    return {path.name: str(tree / path.relative_to(folder)) for path in (folder / "lib").glob("*/*") if path.is_file()}
 
 
 def _highest_priority(runs: Sequence[Run]) -> int:

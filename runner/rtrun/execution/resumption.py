@@ -16,7 +16,6 @@ from pydantic import Field
 from rtfiles.config import Config, parse
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json
-from rtrun.plan.limits import Pid
 from rtrun.results.record import Moment, RunRecord
 from rtrun.targets import groups
 from rtrun.targets.connection import COMMAND_S
@@ -81,7 +80,7 @@ sync attempt.new && mv attempt.new attempt.json && echo state && sh "$4" >state 
 
 
 class Attempt(Config):
-    """How a run began: when, with which ROS master, the command line of each of its programs, and the target's state.
+    """How a run began: when, beside which service, the command line of each of its programs, and the target's state.
 
     The state is in a file of its own, which the target writes.
     """
@@ -89,8 +88,9 @@ class Attempt(Config):
     schema_number: Literal[1] = Field(alias="schema")
     uid: Annotated[str, Field(min_length=1, max_length=64)]
     start_time: Moment
-    master_pid: Pid
-    own_master: bool
+    service: Annotated[str, Field(max_length=64)]
+    """The identity of the service that its middleware needs; empty: it needs none."""
+    own_service: bool
     argv: dict[str, list[str]]
     before: TargetState = Field(default_factory=TargetState)
 
@@ -197,8 +197,8 @@ def begin(
     remote: PurePosixPath,
     *,
     start_time: str,
-    master_pid: int,
-    own_master: bool,
+    service: str,
+    own_service: bool,
     argv: Mapping[str, Sequence[str]],
     state_script: PurePosixPath,
 ) -> Attempt:
@@ -210,8 +210,8 @@ def begin(
         "schema": 1,
         "uid": secrets.token_hex(8),
         "start_time": start_time,
-        "master_pid": master_pid,
-        "own_master": own_master,
+        "service": service,
+        "own_service": own_service,
         "argv": {name: list(words) for name, words in argv.items()},
     }
     text = json.dumps(data)

@@ -13,16 +13,18 @@ from pathlib import Path, PurePosixPath
 from rtfiles.errors import InfrastructureError
 from rtfiles.untrusted import MIB, read_end
 from rtrun.execution import clock_record, download, resumption
+from rtrun.execution.middleware.known import SERVICES
+from rtrun.execution.middleware.service import Service
 from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt
 from rtrun.execution.run_programs import RunPrograms, programs_of
 from rtrun.execution.run_state import RunEvent, RunLife, RunState, must_give_up
-from rtrun.plan import suites
+from rtrun.plan import conditions, suites
 from rtrun.plan.program import Exit
 from rtrun.plan.run import Run
 from rtrun.results import run_directory
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
-from rtrun.targets import processes, ros_master
+from rtrun.targets import processes
 from rtrun.targets.connection import parse_listing
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import control_groups
@@ -33,7 +35,6 @@ from rtrun.targets.link import OUT_OF_REACH, Link
 from rtrun.validity import baselines, requirements
 from rtrun.validity.outcome import Verdict, judge
 
-TOPIC = "/communication_tests"
 SUBSCRIBED_S = 60.0
 # The target ends a program at its deadline; the runner waits this much longer for that.
 END_GRACE_S = 60.0
@@ -46,7 +47,7 @@ LISTING_S = 120.0
 # Stands between the state of the target and the list of files.
 _FILES = "== files"
 # Facts of a target that run.json takes from its state under the same names.
-STATED = ("kernel_release", "kernel_version", "machine", "boot_id", "clocksource", "governor", "roscpp_version")
+STATED = ("kernel_release", "kernel_version", "machine", "boot_id", "clocksource", "governor")
 
 Clock = Callable[[], datetime]
 
@@ -67,6 +68,15 @@ class _Work:
     def link(self) -> Link:
         return self.prepared.link
 
+    @property
+    def service(self) -> Service | None:
+        """What its middleware needs beside the programs; None: nothing."""
+        return SERVICES.get(self.run.middleware)
+
+    @property
+    def setup(self) -> str | None:
+        return self.prepared.setup_of(self.run.middleware)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _End:
@@ -77,7 +87,8 @@ class _End:
     exits: Sequence[Exit]
     ended_early: Mapping[str, str]
     """Background programs that ended before the suite, name to exit status."""
-    master_pid: str
+    service: str
+    """The identity of what its middleware needs; empty: it needs nothing, or that has died."""
     after: inspection.TargetState
     """State of the target."""
     files: Mapping[str, int]
@@ -115,7 +126,7 @@ def measure(
         attempt, not_started = (_resume(work, life) if may_be_begun else None), None
         if attempt is None:
             attempt, not_started = _start(work, life, now)
-        exits, ended, master_pid = _wait(work, life)
+        exits, ended, service = _wait(work, life)
     except (KeyboardInterrupt, InfrastructureError) as error:
         if must_give_up(life.state, error):
             with contextlib.suppress(TargetError):
@@ -124,7 +135,7 @@ def measure(
         elif life.state is RunState.MEASURING and not isinstance(error, OUT_OF_REACH):
             raise TargetError(f"{error}; the run goes on and is picked up by the next call") from error
         raise
-    end = _end_background(work, exits, master_pid, not_started or ended)
+    end = _end_background(work, exits, service, not_started or ended)
     with run_directory.filling(folder) as partial:
         refused = _download(work, partial, attempt, end)
         verdict = _judge(work, partial, attempt, end, refused)
@@ -175,25 +186,31 @@ def _start(work: _Work, life: RunLife, now: Clock) -> tuple[Attempt, str | None]
 
 def _begin(work: _Work, now: Clock) -> Attempt:
     start_time = now()
-    master_pid = ros_master.ask_pid(work.link)
-    if master_pid is None:
-        raise TargetError(f"{work.link.target.address}: the ROS master died")
+    service = _service(work)
+    if work.service and not service:
+        raise TargetError(f"{work.link.target.address}: {work.service.name} died")
     return resumption.begin(
         work.link,
         work.remote,
         start_time=start_time.isoformat(),
-        master_pid=master_pid,
-        own_master=work.prepared.own_master,
+        service=service,
+        own_service=work.run.middleware in work.prepared.own_services,
         argv={program.name: program.argv for program in work.programs.of_suite},
         state_script=work.prepared.scripts / "state.sh",
     )
+
+
+def _service(work: _Work) -> str:
+    """The identity of what the middleware of the run needs; empty: it needs nothing, or that does not run."""
+    return (work.service.identity(work.link) if work.service else None) or ""
 
 
 def _start_background(work: _Work) -> None:
     """Start what the condition asks for. Raises TargetError when a program of it ends at once."""
     link, prepared = work.link, work.prepared
     programs = [each.program for each in work.programs.background]
-    processes.start(link, prepared.scripts, work.remote, *programs, setup=prepared.equipment.setup)
+    setup = prepared.setup_of(conditions.conditions().conditions[work.run.condition].middleware)
+    processes.start(link, prepared.scripts, work.remote, *programs, setup=setup)
     time.sleep(work.run.settle_s)
     for name in processes.list_ended(link, work.remote, [program.name for program in programs]):
         reason = processes.read_last_line(link, work.remote / f"{name}.stderr") or "it printed no reason"
@@ -201,31 +218,40 @@ def _start_background(work: _Work) -> None:
 
 
 def _start_suite(work: _Work) -> str | None:
-    """Start the sampler, then the subscribers, and the rest once these have registered with the ROS master.
+    """Start the sampler, then the suite's programs stage by stage, each when those before it are ready.
 
-    Return why the rest was not started: a subscriber has ended.
+    Return why the rest was not started: a program that it needs has ended.
     """
-    link, scripts, setup = work.link, work.prepared.scripts, work.prepared.equipment.setup
-    subscribers, measuring = work.programs.subscribers, work.programs.measuring
-    sampler = [work.programs.sampler] if work.programs.sampler else []
-    processes.start(link, scripts, work.remote, *sampler, *(subscribers or measuring), setup=setup)
-    if not subscribers:
-        return None
-    names = [program.name for program in subscribers]
-    processes.wait_until(
-        lambda: (
-            ros_master.count_subscribers(link, TOPIC, work.token) >= len(names)
-            or bool(processes.list_ended(link, work.remote, names))
-        ),
-        deadline_s=SUBSCRIBED_S,
-        what=f"{link.target.address}: {len(names)} subscribers to register with the ROS master",
-    )
-    if ended := processes.list_ended(link, work.remote, names):
-        # The run has failed. What publishes would not notice, and take as long as if all were there.
-        processes.end(link, work.remote, *names)
-        return f"{ended[0]} ended before {measuring[0].name} was started: {_last_word(work, ended[0])}"
-    processes.start(link, scripts, work.remote, *measuring, setup=setup)
+    link, remote = work.link, work.remote
+    start = partial(processes.start, link, work.prepared.scripts, remote, setup=work.setup)
+    first, *later = work.programs.stages
+    start(*([work.programs.sampler] if work.programs.sampler else []), *first)
+    for stage in later:
+        names = [program.name for program in work.programs.awaited]
+        _wait_ready(work, names)
+        if ended := processes.list_ended(link, remote, names):
+            # The run has failed. What publishes would not notice, and take as long as if all were there.
+            processes.end(link, remote, *names)
+            return f"{ended[0]} ended before {stage[0].name} was started: {_last_word(work, ended[0])}"
+        start(*stage)
     return None
+
+
+def _wait_ready(work: _Work, names: Sequence[str]) -> None:
+    """Wait until these programs of the suite are ready, or one of them has ended.
+
+    Without a service nobody but the programs themselves knows: they wait for one another.
+    """
+    service, link = work.service, work.link
+    if service is not None:
+        processes.wait_until(
+            lambda: (
+                service.count_subscribers(link, work.token) >= len(names)
+                or bool(processes.list_ended(link, work.remote, names))
+            ),
+            deadline_s=SUBSCRIBED_S,
+            what=f"{link.target.address}: {len(names)} subscribers to register with {service.name}",
+        )
 
 
 def _last_word(work: _Work, name: str) -> str:
@@ -235,13 +261,13 @@ def _last_word(work: _Work, name: str) -> str:
 def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str | None, str]:
     """Wait for the programs of the suite.
 
-    Return how they ended, why they were ended, if so, and the process id of the ROS master then.
+    Return how they ended, why they were ended, if so, and the identity of the service then.
     """
     link, failure = work.link, None
-    subscribers = [program.name for program in work.programs.subscribers]
+    awaited = [program.name for program in work.programs.awaited]
     exits = []
     for program in work.programs.of_suite:
-        needed = [] if failure or program.name in subscribers else subscribers
+        needed = [] if failure or program.name in awaited else awaited
         wait = partial(processes.wait, link, work.remote, program.name, deadline_s=program.deadline_s + END_GRACE_S)
         try:
             exits.append(wait(needed=needed))
@@ -250,12 +276,12 @@ def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str | None, str]:
             failure = f"{error.name} ended while {program.name} was running: {_last_word(work, error.name)}"
             processes.end(link, work.remote, *work.programs.suite_names)
             exits.append(wait())
-    master_pid = str(ros_master.ask_pid(link))
+    service = _service(work)
     life.move(RunEvent.END)
-    return exits, failure, master_pid
+    return exits, failure, service
 
 
-def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str, failure: str | None) -> _End:
+def _end_background(work: _Work, exits: Sequence[Exit], service: str, failure: str | None) -> _End:
     limits = work.programs.file_limits
     ended = processes.end_background(
         work.link,
@@ -263,7 +289,7 @@ def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str, failure
         work.programs.suite_names,
         work.programs.load_names,
         work.programs.other_names,
-        master_pid=master_pid,
+        service=service,
         then=[["sh", str(work.prepared.scripts / "state.sh")], ["echo", _FILES], download.listing(work.remote, limits)],
     )
     state, _, listed = ended.output.partition(f"{_FILES}\n")
@@ -274,7 +300,7 @@ def _end_background(work: _Work, exits: Sequence[Exit], master_pid: str, failure
         failure=failure,
         exits=exits,
         ended_early=ended.early,
-        master_pid=ended.master_pid,
+        service=ended.service,
         after=inspection.parse_state(state),
         files=files.sizes,
     )
@@ -286,7 +312,7 @@ def _download(work: _Work, partial: Path, attempt: Attempt, end: _End) -> dict[s
     if work.prepared.kernel_config:
         (partial / "kernel.config.gz").write_bytes(work.prepared.kernel_config)
     before, after = attempt.before.model_dump(), end.after.model_dump()
-    states = {"schema": 1, "before": before, "after": after, "own_ros_master": attempt.own_master}
+    states = {"schema": 1, "before": before, "after": after, "own_service": attempt.own_service}
     (partial / "target.json").write_text(json.dumps(states, indent=2) + "\n", encoding="utf-8")
     console = work.link.target.console
     if console is not None and console.exists():
@@ -308,8 +334,8 @@ def _judge(work: _Work, partial: Path, attempt: Attempt, end: _End, refused: Map
     )
     if end.failure:
         return replace(verdict, status=RunStatus.FAILED, reason=end.failure)
-    if end.master_pid != str(attempt.master_pid):
-        reason = "the ROS master died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
+    if work.service and end.service != attempt.service:
+        reason = f"{work.service.name} died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
         return replace(verdict, status=RunStatus.FAILED, reason=reason)
     return verdict
 
@@ -376,7 +402,8 @@ def _record(
             preempt_rt=inspection.is_preempt_rt(attempt.before),
             cpus=work.prepared.equipment.cpus,
             clock=clock_record.record(attempt.before, clock_record.steps_seen(partial, outputs, verdict.records)),
-            ros_setup=work.prepared.equipment.setup,
+            setup=work.setup,
+            middleware_version=work.prepared.equipment.of(run.middleware).version,
             **{name: getattr(attempt.before, name) for name in STATED},
         ),
         files={},

@@ -1,18 +1,18 @@
 """The programs of one run: those of its suite, those in the background, and the files they may write."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 from rtrun.execution import download
 from rtrun.execution.preparation import Prepared
 from rtrun.plan import conditions, suites
+from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.program import Program
 from rtrun.plan.run import Run
 from rtrun.targets.inspection.kernel_trace import OPTIONS as TRACE_OPTIONS
 from rtrun.validity.observations import SAMPLER, SAMPLER_OUTPUT, output_bytes_max
 
-SUBSCRIBER = "ct_subscriber"
 # A suite that needs longer than this for the time it should take hangs.
 DEADLINE_FACTOR = 5
 DEADLINE_EXTRA_S = 120.0
@@ -22,10 +22,8 @@ DEADLINE_EXTRA_S = 120.0
 class RunPrograms:
     """What runs on the target for one run."""
 
-    subscribers: tuple[Program, ...]
-    """Programs of the suite that wait for the messages of the others: they start first."""
-    measuring: tuple[Program, ...]
-    """The other programs of the suite; before they start nothing is measured."""
+    stages: tuple[tuple[Program, ...], ...]
+    """The programs of the suite in the order of their start: those of a stage when all before them are ready."""
     background: tuple[conditions.Background, ...]
     sampler: Program | None
     """What observes all that; None where the campaign has switched it off."""
@@ -35,9 +33,19 @@ class RunPrograms:
     """The files that the run may write, and the largest size of each that is believable, in bytes."""
 
     @property
+    def measuring(self) -> tuple[Program, ...]:
+        """Those that start last; before they start nothing is measured."""
+        return self.stages[-1]
+
+    @property
+    def awaited(self) -> tuple[Program, ...]:
+        """Those that start before, and without which the last ones have nothing to do."""
+        return tuple(program for stage in self.stages[:-1] for program in stage)
+
+    @property
     def of_suite(self) -> tuple[Program, ...]:
         """All programs of the suite."""
-        return (*self.measuring, *self.subscribers)
+        return (*self.measuring, *self.awaited)
 
     @property
     def suite_names(self) -> list[str]:
@@ -64,19 +72,18 @@ class RunPrograms:
 def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str) -> RunPrograms:
     """Return the programs of a run in its folder `remote` on the target.
 
-    `token` makes the names of their ROS nodes unique to one attempt: a master remembers nodes that were killed.
+    `token` is unique to one attempt.
     """
     deadline_s = DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S
-    port = prepared.link.target.ros_master_port
-    environment = (("ROS_MASTER_URI", f"http://127.0.0.1:{port}"), ("ROS_IP", "127.0.0.1"))
-    subscribers, measuring, outputs = _of_suite(prepared, run, environment, deadline_s, token)
+    stages, outputs = _of_suite(prepared, run, deadline_s, token)
+    of_suite = [program for stage in stages for program in stage]
     background = conditions.background(
         run.condition,
         run.settings,
         cpus=prepared.equipment.cpus,
         programs=prepared.programs,
         scripts=prepared.scripts,
-        environment=environment,
+        environment=_environment(prepared, conditions.conditions().conditions[run.condition].middleware),
         expected_s=run.expected_s,
         deadline_s=deadline_s,
     )
@@ -89,17 +96,16 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
     )
     limits = download.expected_files(
         run.suite,
-        [*(program.name for program in (*measuring, *subscribers)), *names, SAMPLER],
+        [*(program.name for program in of_suite), *names, SAMPLER],
         outputs,
         int(run.parameters.get("repetitions") or 0),
         traced=any(run.parameters.get(option) is not None for option in TRACE_OPTIONS),
     )
     program_json = suites.program_json_names(run.suite, run.parameters)
-    limits |= {f"{program.name}.cgroups": download.CGROUPS_LIMIT_BYTES for program in (*measuring, *subscribers)}
+    limits |= {f"{program.name}.cgroups": download.CGROUPS_LIMIT_BYTES for program in of_suite}
     limits[SAMPLER_OUTPUT] = output_bytes_max(sampler.deadline_s)
     return RunPrograms(
-        subscribers=tuple(subscribers),
-        measuring=tuple(measuring),
+        stages=stages,
         background=tuple(background),
         sampler=None if run.settings.get(conditions.SAMPLER) else sampler,
         outputs=tuple(outputs),
@@ -107,30 +113,34 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
     )
 
 
+def _environment(prepared: Prepared, middleware: str) -> tuple[tuple[str, str], ...]:
+    return middlewares()[middleware].environment_with(ros_master_port=prepared.link.target.master_port)
+
+
 def _of_suite(
-    prepared: Prepared, run: Run, environment: tuple[tuple[str, str], ...], deadline_s: float, token: str
-) -> tuple[list[Program], list[Program], list[str]]:
-    """Return the subscribers, the other programs, and the outputs they write."""
-    suite = suites.suite(run.suite)
+    prepared: Prepared, run: Run, deadline_s: float, token: str
+) -> tuple[tuple[tuple[Program, ...], ...], list[str]]:
+    """Return the programs of the suite by stage, and the outputs they write."""
+    suite, middleware = suites.suite(run.suite), middlewares()[run.middleware]
+    environment = _environment(prepared, run.middleware)
     count = int(run.parameters.get("subscribers") or 1)
-    subscribers: list[Program] = []
-    others: list[Program] = []
     outputs: list[str] = []
-    for executable in suite.programs:
-        repeated = executable == suite.repeated
+
+    def instances(name: str) -> Iterator[Program]:
+        repeated = name == suite.repeated
+        path = prepared.programs[suites.executable(run.suite, name, run.parameters)]
         for number in range(count if repeated else 1):
             prefix = {"prefix": str(number)} if repeated and count > 1 else {}
             parameters = dict(run.parameters) | prefix
-            argv = suites.argv(run.suite, executable, parameters)
-            # A ROS master ends the older of two nodes of one name.
-            node = (f"__name:={SUBSCRIBER}{number}_{token}",) if repeated else ()
-            program = Program(
-                name=f"{executable}-{number}" if prefix else executable,
-                argv=(prepared.programs[executable], *argv[1:], *node),
+            further = [word.format(number=number, token=token) for word in middleware.repeated] if repeated else []
+            yield Program(
+                name=f"{name}-{number}" if prefix else name,
+                argv=(path, *suites.argv(run.suite, name, parameters)[1:], *further),
                 environment=environment,
                 deadline_s=deadline_s,
             )
-            (subscribers if repeated else others).append(program)
             if not suite.is_baseline and (repeated or suite.repeated is None):
                 outputs.append(suites.output_name(run.suite, parameters))
-    return subscribers, others, outputs
+
+    stages = tuple(tuple(program for name in stage for program in instances(name)) for stage in suite.stages)
+    return stages, outputs

@@ -11,7 +11,7 @@ from rtrun.analysis.histogram import Histogram, merge
 from rtrun.analysis.trials import Trials
 from rtrun.judgement.digest import Digest
 from rtrun.plan.question import Measure
-from rtrun.plan.suites import NOT_TELLING, Value, measures, suites
+from rtrun.plan.suites import NOT_TELLING, Value, measures, options
 from rtrun.results.record import RunRecord
 from rtrun.results.series import MEASURED_2014
 from rtrun.targets.inspection.platform import Platform
@@ -26,7 +26,7 @@ _ENVIRONMENT = (
     "preempt_rt",
     "clocksource",
     "governor",
-    "roscpp_version",
+    "middleware_version",
 )
 # Always told, default or not.
 _TELLING = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
@@ -119,11 +119,11 @@ def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:
 def format_parameters(parameters: dict[str, Value]) -> str:
     """Parameters in a few words: policy first, what is not the default, units behind the number."""
     words: list[str] = []
-    options = suites().options
+    known = options()
     for key, value in parameters.items():
         if key in NOT_TELLING or value is None or value == "":
             continue
-        option = options.get(key)
+        option = known.get(key)
         if key not in _TELLING and option is not None and value == option.default:
             continue
         if key == "policy":

@@ -21,11 +21,6 @@ section sched_rt_runtime_us; cat /proc/sys/kernel/sched_rt_runtime_us 2>/dev/nul
 section load;               cat /proc/loadavg 2>/dev/null
 section memory;             head -n 3 /proc/meminfo 2>/dev/null
 section os_release;         cat /etc/os-release 2>/dev/null
-section roscpp_version
-{
-    sed -n 's/.*<version>\(.*\)<.version>.*/\1/p' /opt/ros/*/share/roscpp/package.xml /usr/share/roscpp/package.xml
-    ls /usr/lib/libroscpp.so.*.* /usr/lib/*/libroscpp.so.*.* | sed 's/.*[.]so[.]//'
-} 2>/dev/null | head -n 1
 section cpuinfo;            cat /proc/cpuinfo 2>/dev/null
 # Real-time threads (field 40, rt_priority, is not 0, or 41, policy, is 6, SCHED_DEADLINE), then how many threads there are of
 # any kind.

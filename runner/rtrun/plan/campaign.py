@@ -203,8 +203,9 @@ def _matches(run: Run, pattern: Entry) -> bool:
 
 
 def _takes(suite: suites.Suite) -> tuple[str, ...]:
-    keys = tuple(key for key in suite.parameters if key not in RESERVED)
-    return (*keys, "subscribers") if suite.repeated else keys
+    keys = [key for key in suite.parameters if key not in RESERVED]
+    keys += ["subscribers"] if suite.repeated else []
+    return (*keys, *([] if suite.is_baseline else ["middleware"]))
 
 
 def _given(takes: Sequence[str]) -> tuple[str, ...]:

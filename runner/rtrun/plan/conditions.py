@@ -14,6 +14,7 @@ from rtfiles.errors import UsageError
 from rtfiles.untrusted import whole_number
 from rtfiles.wording import unknown
 from rtrun.plan.limits import CPUS_MAX
+from rtrun.plan.middleware.description import NONE
 from rtrun.plan.program import Program
 from rtrun.plan.suites import Option, Strings, Value, check_numbers
 
@@ -50,6 +51,8 @@ class Condition(Config):
     summary: str
     loads: dict[str, Load] = Field(default_factory=dict)
     takes: Strings = ()
+    middleware: str = NONE
+    """Of its loads, where they are programs of the suites."""
     busy_percent: int = 0
     """The least share of all CPUs' time, in percent, that must not be idle; only of a load that may use all CPUs."""
 

@@ -50,6 +50,11 @@ class Run:
     trace: str = ""
 
     @property
+    def middleware(self) -> str:
+        """The name of the one that it measures through."""
+        return suites.middleware_of(self.suite, self.parameters)
+
+    @property
     def least_s(self) -> float:
         """The least time that the measuring can take, in seconds: its timeouts or periods alone."""
         return self._measuring_s(0.0)
@@ -133,6 +138,7 @@ def label(run: Run) -> str:
     """What tells a run from the others of its campaign, for its name."""
     subscribers = run.parameters.get("subscribers")
     words = [suites.output_name(run.suite, run.parameters), *([f"{subscribers}sub"] if subscribers else [])]
+    words += [run.middleware] if run.middleware != suites.suite(run.suite).middleware else []
     words += [run.condition] if run.condition != conditions.IDLE else []
     settings = conditions.conditions().settings
     words += [f"{key}{value}" for key, value in run.settings.items() if value != settings[key].default]

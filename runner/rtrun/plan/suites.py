@@ -16,6 +16,7 @@ from pydantic import AfterValidator, Field
 from rtfiles.config import Config, load
 from rtfiles.errors import UsageError
 from rtfiles.wording import did_you_mean, unknown
+from rtrun.plan.middleware.description import DEFAULT, NONE, middlewares
 from rtrun.plan.question import Measure
 
 Value = str | int | None
@@ -101,6 +102,8 @@ class Suite(Config):
     """Of programs without samples: what stands between the output and ``.json`` in the name of the json they write."""
     repeated: str | None = None
     """The program that runs once per subscriber; none: there are no subscribers."""
+    starts_after: dict[str, str] = Field(default_factory=dict)
+    """Programs that start when another one is ready, which receives what they send."""
     launch: dict[str, Value] = Field(default_factory=dict)
     """Parameters that a campaign does not give and that are not at the program's default."""
     is_baseline: bool = Field(default=False, alias="baseline")
@@ -113,6 +116,18 @@ class Suite(Config):
     """Of a baseline, the kernel option that it needs."""
     flags: dict[str, str] = Field(default_factory=dict)
     values: dict[str, str] = Field(default_factory=dict)
+
+    @property
+    def middleware(self) -> str:
+        """Through what it measures where nobody names another middleware."""
+        return NONE if self.is_baseline else DEFAULT
+
+    @property
+    def stages(self) -> tuple[tuple[str, ...], ...]:
+        """Its programs in the order in which they start: those of a stage when all before them are ready."""
+        first = tuple(program for program in self.programs if program not in self.starts_after)
+        then = tuple(program for program in self.programs if program in self.starts_after)
+        return (first, then) if then else (first,)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -169,8 +184,13 @@ def _check_options(described_suites: Suites, known: Mapping[str, Option]) -> Non
 
 @functools.cache
 def options() -> dict[str, Option]:
-    """Every option of a suite or a baseline, by the key used in campaigns, JSON and reports."""
-    return suites().options | baselines().options
+    """Every option of a suite or a baseline, by the key used in campaigns, JSON and reports.
+
+    The middleware is no option of a program: each has programs of its own.
+    """
+    choices = tuple(name for name in middlewares() if name != NONE)
+    own = {"middleware": Option(type="choice", choices=choices, default=DEFAULT, help="through what a suite measures")}
+    return suites().options | baselines().options | own
 
 
 def suite(name: str) -> Suite:
@@ -186,6 +206,17 @@ def defaults_of(name: str) -> dict[str, Value]:
     described = suite(name)
     own = described.launch if described.is_baseline else {}
     return {key: option.default for key, option in options().items()} | own
+
+
+def middleware_of(suite_name: str, parameters: Mapping[str, Value]) -> str:
+    """The name of the middleware of a run with these parameters."""
+    return str(parameters.get("middleware") or suite(suite_name).middleware)
+
+
+def executable(suite_name: str, program: str, parameters: Mapping[str, Value]) -> str:
+    """What a program of a suite is called that measures through the middleware of such a run."""
+    name = middleware_of(suite_name, parameters)
+    return middlewares()[name].executable.format(program=program, middleware=name)
 
 
 def measures(name: str) -> tuple[Measure, ...]:

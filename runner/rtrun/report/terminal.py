@@ -11,7 +11,7 @@ from rich.text import Text
 
 from rtfiles.output import counted, print_line, printable
 from rtrun.kinds.rate import OFF_MAX
-from rtrun.plan.suites import NOT_TELLING, Value, output_name, suite, suites
+from rtrun.plan.suites import NOT_TELLING, Value, options, output_name, suite
 from rtrun.results.reading import Result, Run, Runs
 from rtrun.results.record import FILE
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header
@@ -105,7 +105,7 @@ def _parameters(header: Header) -> str:
 
 
 def _is_telling(suite_name: str, key: str, value: Value) -> bool:
-    option = suites().options.get(key)
+    option = options().get(key)
     return option is None or value != option.default or f"{{{key}}}" in suite(suite_name).output
 
 

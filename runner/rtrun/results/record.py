@@ -32,7 +32,7 @@ from rtrun.plan.limits import (
     TimeNs,
 )
 from rtrun.plan.run import KernelName
-from rtrun.plan.suites import Parameters, Value, baselines, suite
+from rtrun.plan.suites import Parameters, Value, baselines, middleware_of, suite, suites
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.targets.inspection.control_groups import ControlGroup
 from rtrun.targets.inspection.facts import Fact
@@ -117,9 +117,10 @@ class TargetFacts(Config):
     boot_id: Fact = None
     clocksource: Fact = None
     governor: Fact = None
-    roscpp_version: Fact = None
-    ros_setup: Fact = None
-    """The shell file that set up ROS for the run."""
+    middleware_version: Fact = None
+    """Of the middleware that the run measured through."""
+    setup: Fact = None
+    """The shell file that set that up for the run."""
     clock: Clock | None = None
 
 
@@ -243,13 +244,15 @@ class RunRecord(Config):
         """The parameters, and what was there beside the suite where there was something: runs of one are alike.
 
         Runs that keep the traces above one quantile are alike, though each has a threshold of its own. A baseline did
-        by itself what earlier versions did not tell it.
+        by itself what earlier versions did not tell it, and theirs was the one middleware that a suite had.
         """
         measured = baselines().suites.get(self.suite) if self.programs else None
         condition: dict[str, Value] = {} if self.condition == IDLE else {"condition": self.condition}
         settings = {key: value for key, value in self.settings.items() if value not in (None, "")}
         of_campaign: dict[str, Value] = {"variant": self.variant, "kernel": self.kernel, "trace": self.trace}
         parameters = {key: value for key, value in self.parameters.items() if key != TRACE_PARAMETER or not self.trace}
+        if self.suite in suites().suites:
+            parameters["middleware"] = middleware_of(self.suite, parameters)
         return (
             (measured.launch if measured else {})
             | parameters

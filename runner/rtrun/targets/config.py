@@ -162,8 +162,9 @@ class Target:
     address: Address | ThisMachine
     suites: Path | None
     work_dir: PurePosixPath
-    ros_setup: str | None
-    ros_master_port: int
+    setup: str | None
+    """The shell file that sets up what its middlewares need; None: the one that is found there."""
+    master_port: int
     reconnect_s: float
     boot_s: float
     """How long it may take until SSH answers for the first time, in seconds."""
@@ -252,8 +253,8 @@ def connect(
             address=address,
             suites=suites,
             work_dir=PurePosixPath(config.work_dir),
-            ros_setup=config.ros_setup,
-            ros_master_port=config.ros_master_port,
+            setup=config.ros_setup,
+            master_port=config.ros_master_port,
             reconnect_s=config.reconnect_s,
             boot_s=boot_s,
             console=console_log,

@@ -88,7 +88,7 @@ _SOON = "0.05 0.05 0.1"
 # supervise.sh starts nothing in a folder with this mark, not even when it was called before the mark was made.
 _GIVE_UP = '[ ! -d "$1" ] || : >"$1/given_up"; exit 0'
 _MARK = "== ended"
-# A background program ended early when it ended before the last of the suite's programs. This answer and the ROS master
+# A background program ended early when it ended before the last of the suite's programs. This answer and the service
 # that was seen at the end are kept in the folder before anything is ended: the caller may ask again after a lost link,
 # or after the runner was killed, and then what the runner itself has ended must not count.
 _KEEP_END = """
@@ -98,7 +98,7 @@ write_if_absent() {
     echo "$2" >"$1.$$" && ln "$1.$$" "$1" 2>/dev/null
     cat "$1" || echo "$2"
 }
-write_if_absent master_pid "$2"
+write_if_absent service "$2"
 suite=$3
 shift 3
 # In hundredths of a second since the boot: the wall clock may have been set meanwhile.
@@ -126,11 +126,11 @@ class Ended:
     """What the end of a run found.
 
     `early` are the background programs that ended before the suite did, name to exit status, which is empty where there
-    is none. `master_pid` is that of the ROS master when the suite had ended, as it was first seen.
+    is none. `service` is the identity of that of the middleware when the suite had ended, as it was first seen.
     """
 
     early: Mapping[str, str]
-    master_pid: str
+    service: str
     output: str
     """Of the commands that followed."""
 
@@ -217,22 +217,22 @@ def end_background(
     loads: Sequence[str],
     others: Sequence[str],
     *,
-    master_pid: str,
+    service: str,
     then: Sequence[Sequence[str]],
 ) -> Ended:
     """End the background programs of a suite whose `programs` have ended, then run the commands `then`.
 
-    The `loads` are killed soon, the `others` get time to put right what they changed. `master_pid` is that of the ROS
-    master now.
+    The `loads` are killed soon, the `others` get time to put right what they changed. `service` is the identity of that
+    of the middleware now.
     """
-    keep_end = ["sh", "-c", _KEEP_END, "sh", str(folder), master_pid, " ".join(programs), *loads, *others]
+    keep_end = ["sh", "-c", _KEEP_END, "sh", str(folder), service, " ".join(programs), *loads, *others]
     commands = [keep_end, ["echo", _MARK], _end(folder, loads, _SOON), _end(folder, others), *then]
     output = link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)
     kept, _, rest = output.partition(f"{_MARK}\n")
-    master_pid, *early = kept.split("\n")
+    service, *early = kept.split("\n")
     return Ended(
         early={name: status for name, _, status in (line.partition(" ") for line in early if line)},
-        master_pid=master_pid.strip(),
+        service=service.strip(),
         output=rest,
     )
 

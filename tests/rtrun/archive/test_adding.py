@@ -85,13 +85,13 @@ def test_the_circumstances_of_a_run(tmp_path, archive):
         1,
         condition="cpu80",
         in_effect={"temperature_mc": [41_000, 47_500], "load_1min": [0.5, 2.0]},
-        target={"name": "panda 3", "kernel_release": "6.1.0-rt", "boot_id": "b1", "roscpp_version": "1.16.0"},
+        target={"name": "panda 3", "kernel_release": "6.1.0-rt", "boot_id": "b1", "middleware_version": "1.16.0"},
     )
     words = ["--commit", "abc", "--image", "i1", "--package", "roscpp=1.17", "--package", "a=2"]
     main(["archive", "add", str(tmp_path / "results"), "--to", str(archive), *words])
     (row,) = pyarrow.parquet.read_table(archive / "runs").to_pylist()
     told = {"machine": "panda 3", "commit": "abc", "image": "i1", "kernel_release": "6.1.0-rt", "boot_id": "b1"}
-    told |= {"condition": "cpu80", "temperature_max_mc": 47_500, "load_1min_max": 2.0, "roscpp_version": "1.16.0"}
+    told |= {"condition": "cpu80", "temperature_max_mc": 47_500, "load_1min_max": 2.0, "middleware_version": "1.16.0"}
     told |= {"status": "ok", "platform": "hardware", "scenario": "oneshot_timer RR 1000 us condition=cpu80"}
     assert {name: row[name] for name in told} == told
     assert json.loads(row["packages"]) == {"roscpp": "1.17", "a": "2"}

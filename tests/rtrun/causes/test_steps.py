@@ -55,9 +55,9 @@ def part(begin_ns, end_ns, pid=None, state=None, kind=Kind.OTHER_THREAD):
         (part(0, 5, 1, State.RUNNING, Kind.INTERRUPT), Step.CALLBACK),
         (part(0, 5, 1, State.WAITING, Kind.HIGHER), Step.QUEUE),
         (part(0, 5, 1, State.ASLEEP, Kind.LOCK), Step.QUEUE),
-        (part(0, 5, 2, State.WAITING), Step.POLL),
+        (part(0, 5, 2, State.WAITING), Step.READ),
         (part(0, 5, 3, State.RUNNING), Step.WRITE),
-        (part(0, 5, kind=Kind.SOFTIRQ), Step.SOCKET),
+        (part(0, 5, kind=Kind.SOFTIRQ), Step.TRANSPORT),
         (part(0, 5, kind=Kind.UNEXPLAINED), Step.UNKNOWN),
     ],
 )
@@ -67,4 +67,4 @@ def test_the_step_of_a_part(one, step):
 
 def test_of_other_threads_the_last_one_wrote():
     made = steps([part(0, 5, 4), part(5, 6, 3), part(6, 9, 2), part(9, 10, 1)], pid=1, own=frozenset({1, 2}))
-    assert made == {Step.PUBLISHER: 5, Step.WRITE: 1, Step.POLL: 3, Step.QUEUE: 1}
+    assert made == {Step.PUBLISHER: 5, Step.WRITE: 1, Step.READ: 3, Step.QUEUE: 1}

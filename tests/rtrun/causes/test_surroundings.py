@@ -37,7 +37,7 @@ def write_sampled(root, *, clocks_apart_s=0.0, planted="24:eth0", outlying=True)
     (folder / "sampler.stdout").write_text("\n".join(lines) + "\n")
     around = {"before": begin_s - 0.5, "after": begin_s + STEP_S * OBSERVATIONS + 0.5}
     states = {when: STATE | {"uptime": f"{at_s:.2f} 9.0"} for when, at_s in around.items()}
-    (folder / "target.json").write_text(json.dumps({"schema": 1, **states, "own_ros_master": True}))
+    (folder / "target.json").write_text(json.dumps({"schema": 1, **states, "own_service": True}))
     close(folder, "sampler.stdout", "target.json")
     return folder
 

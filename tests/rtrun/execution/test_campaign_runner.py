@@ -19,8 +19,9 @@ from faulty import record, runs_of
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.cli import main
 from rtrun.execution import campaign_runner, preparation, run_programs
+from rtrun.execution.middleware import ros_master
+from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.reading import read_run
-from rtrun.targets import ros_master
 from rtrun.targets.errors import TargetError, TargetGone
 from rtrun.targets.link import Link
 from watching import Watching
@@ -44,7 +45,7 @@ def measure(target, runs, results, watching):
 
 def master_is_gone(target):
     with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", target.ros_master_port)) != 0
+        return probe.connect_ex(("127.0.0.1", target.master_port)) != 0
 
 
 def test_a_campaign_from_end_to_end(bare_target, tmp_path, watching, wishes):
@@ -60,7 +61,7 @@ def test_a_campaign_from_end_to_end(bare_target, tmp_path, watching, wishes):
     assert (folder / "cyclic_timer_tests.stdout").read_text() == "\tINFO: done\n"
     state = json.loads((folder / "target.json").read_text())
     assert state["before"]["boot_id"] == Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-    assert state["own_ros_master"] is True
+    assert state["own_service"] is True
     assert written["target"]["kernel_release"] == os.uname().release
     (program,) = written["programs"]
     own = {line.split(":", 2)[2] for line in Path("/proc/self/cgroup").read_text().splitlines()}
@@ -200,14 +201,14 @@ def test_a_master_that_is_there_is_used_and_left_alone(target, tmp_path, watchin
     runs = runs_of(1)
     assert list(measure(target, runs, tmp_path / "results", watching).values()) == ["ok"]
     state = json.loads((tmp_path / "results" / runs[0].name / "target.json").read_text())
-    assert state["own_ros_master"] is False
+    assert state["own_service"] is False
     with Link(target, watching.notes.append) as link:
         assert ros_master.ask_pid(link) is not None
 
 
 def test_a_port_that_is_no_master(bare_target, tmp_path, watching, wishes, monkeypatch):
     monkeypatch.setattr(ros_master, "START_S", 3.0)
-    with socket.create_server(("127.0.0.1", bare_target.ros_master_port)) as server:
+    with socket.create_server(("127.0.0.1", bare_target.master_port)) as server:
         threading.Thread(target=answer_junk, args=(server,), daemon=True).start()
         with pytest.raises(TargetError, match="taken by a program that does not answer as a ROS master"):
             measure(bare_target, runs_of(1), tmp_path / "results", watching)
@@ -251,11 +252,28 @@ def test_a_master_that_dies_in_the_middle_of_a_run(bare_target, tmp_path, watchi
     assert list(measure(bare_target, runs, tmp_path / "results", watching).values()) == ["ok", "ok", "ok"]
 
 
-def test_no_ros_on_the_target(bare_target, tmp_path, watching, wishes, monkeypatch):
+@pytest.fixture
+def without_ros(bare_target, wishes, monkeypatch):
+    """A target that has nothing of any middleware."""
     real = preparation.inspection.inspect
-    monkeypatch.setattr(preparation.inspection, "inspect", lambda *words: replace(real(*words), master=None))
+    monkeypatch.setattr(preparation.inspection, "inspect", lambda *words: replace(real(*words), middlewares={}))
+    return bare_target
+
+
+def test_no_ros_on_the_target(without_ros, tmp_path, watching):
     with pytest.raises(TargetError, match="no ROS on the target"):
-        measure(bare_target, runs_of(1), tmp_path / "results", watching)
+        measure(without_ros, runs_of(1), tmp_path / "results", watching)
+
+
+def test_what_needs_no_ros_is_measured_without(without_ros, tmp_path, watching):
+    baseline = {"suite": "cyclictest", "repetitions": 100}
+    (alone,) = plan(Campaign(schema=1, name="test", runs=[baseline]), "test")
+    assert list(measure(without_ros, [alone], tmp_path / "alone", watching).values()) == ["ok"]
+    assert record(tmp_path / "alone", alone)["target"].get("setup") is None
+    assert not list(Path(without_ros.work_dir).glob("master/*"))
+    both = plan(Campaign(schema=1, name="test", runs=[{"suite": "cyclic_timer_tests"}, baseline]), "test")
+    assert list(measure(without_ros, both, tmp_path / "both", watching).values()) == ["incomplete", "ok"]
+    assert "no ROS on the target" in watching.ends[-2][1]
 
 
 def test_a_suite_that_is_not_on_the_target(target, tmp_path, watching):
@@ -331,7 +349,7 @@ def write_files(tmp_path, sshd, target, count):
     (tmp_path / "target.yml").write_text(
         f"schema: 1\nname: loopback\nkind: ssh\nhost: 127.0.0.1\nport: {sshd.port}\nuser: {sshd.user}\n"
         f"key: {sshd.key}\nhost_key: {sshd.host_key}\nsuites: suites\nwork_dir: {target.work_dir}\n"
-        f"ros_master_port: {target.ros_master_port}\nreconnect_s: 2\n"
+        f"ros_master_port: {target.master_port}\nreconnect_s: 2\n"
     )
     return ["run", str(tmp_path / "campaign.yml"), "--target", str(tmp_path / "target.yml")]
 

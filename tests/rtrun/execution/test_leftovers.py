@@ -32,8 +32,8 @@ def begin(link, folder):
             link,
             PurePosixPath(folder),
             start_time="2026-01-01T00:00:00+00:00",
-            master_pid=17,
-            own_master=True,
+            service="17",
+            own_service=True,
             argv={"suite": ["suite", "-r", "10"]},
             state_script=PurePosixPath(script),
         )

@@ -24,7 +24,7 @@ LOADS = [name for name, condition in conditions.conditions().conditions.items() 
 def test_a_load_lasts_for_minutes(loopback, ros_master, tmp_path, monkeypatch, condition):
     monkeypatch.chdir(TOP)
     assert rtgen.cli.main(["suites", "build", "--machine", "host"]) == 0
-    target = replace(loopback, suites=TOP / "build" / "suites" / "host", ros_master_port=ros_master)
+    target = replace(loopback, suites=TOP / "build" / "suites" / "host", master_port=ros_master)
     entry = {"suite": "cyclic_timer_tests", "frequency_hz": 10, "repetitions": 10 * LASTS_S, "condition": condition}
     (run,) = runs = plan(Campaign(schema=1, name="loads", runs=[entry]), "loads")
     campaign_runner.run_campaign(target, "loads", runs, tmp_path / "results", Watching())

@@ -80,7 +80,7 @@ def test_a_runner_killed_at_twenty_random_moments(sshd, ros_master, tmp_path, wi
 def proxied(loopback, sshd, suites_folder, wishes, ros_master):
     with proxy_to(sshd.port) as proxy:
         address = replace(loopback.address, port=proxy.port)
-        yield proxy, replace(loopback, address=address, suites=suites_folder, ros_master_port=ros_master)
+        yield proxy, replace(loopback, address=address, suites=suites_folder, master_port=ros_master)
 
 
 def break_and_mend(break_link, proxy, mended_after_s):
@@ -149,7 +149,7 @@ def test_two_runners_do_not_mix(proxied, tmp_path, wishes):
 
 def test_a_reboot_while_nobody_looked(loopback, suites_folder, ros_master, tmp_path, wishes):
     """A run folder that another boot left is kept as incomplete, and the run is repeated."""
-    target = replace(loopback, suites=suites_folder, ros_master_port=ros_master)
+    target = replace(loopback, suites=suites_folder, master_port=ros_master)
     (run,) = runs = runs_of(1)
     results = tmp_path / "results"
 

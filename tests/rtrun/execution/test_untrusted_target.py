@@ -49,7 +49,7 @@ def deep(key, value):
         lambda data: json.dumps(data | {"argv": {}}),
         lambda data: json.dumps(data | {"argv": {"cyclic_timer_tests": 5}}),
         lambda data: json.dumps(data | {"start_time": "\ud800"}),
-        lambda data: json.dumps(data).replace(str(data["master_pid"]), "9" * 6000, 1),
+        lambda data: json.dumps(data).replace(data["service"], "9" * 6000, 1),
         lambda data: json.dumps(data)[:-3],
         lambda data: "[]",
     ],

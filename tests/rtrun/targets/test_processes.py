@@ -147,16 +147,16 @@ def test_the_last_line_of_a_file_is_short(link, folder):
     assert processes.read_last_line(link, PurePosixPath(folder / "none")) == ""
 
 
-def end_background(link, folder, loads=(), others=(), master_pid="17"):
+def end_background(link, folder, loads=(), others=(), service="17"):
     folder = PurePosixPath(folder)
-    return processes.end_background(link, folder, ["suite"], loads, others, master_pid=master_pid, then=[["echo", "x"]])
+    return processes.end_background(link, folder, ["suite"], loads, others, service=service, then=[["echo", "x"]])
 
 
 def test_the_master_that_was_seen_first_counts(link, folder):
-    ends = [end_background(link, folder, master_pid=word) for word in ("17", "18")]
-    assert [(end.master_pid, end.early, end.output) for end in ends] == [("17", {}, "x\n")] * 2
+    ends = [end_background(link, folder, service=word) for word in ("17", "18")]
+    assert [(end.service, end.early, end.output) for end in ends] == [("17", {}, "x\n")] * 2
     # /proc takes no new files, as a full disk does.
-    assert end_background(link, "/proc", master_pid="19").master_pid == "19"
+    assert end_background(link, "/proc", service="19").service == "19"
 
 
 def test_end_takes_the_whole_group_even_the_stubborn(link, scripts, folder):

@@ -2,7 +2,7 @@
 
 import gzip
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,15 +35,20 @@ if TYPE_CHECKING:
     from rtrun.targets.link import Link
 
 SCRIPT = ON_TARGET / "inspect.sh"
+MIDDLEWARE_SCRIPTS = {path.stem: path for path in sorted((ON_TARGET / "middleware").glob("*.sh"))}
 STATE_SCRIPT = ON_TARGET / "state.sh"
 _KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -r) 2>/dev/null; exit 0"
 # Numbers of sched_setscheduler(2), as in field 41 of /proc/<pid>/stat (proc(5)).
 POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
 # What inspect.sh prints a line of.
 _CODE_NAME = re.compile("[a-z]{1,32}")
-_FACTS = frozenset(
-    ("missing", "foreign", "readonly", "setup", "master", "program", "elf", "debian", "cpus", "free_kib")
-)
+_FACTS = frozenset(("missing", "foreign", "readonly", "program", "elf", "debian", "cpus", "free_kib"))
+# What the script of a middleware prints a line of.
+_INSTALLED = frozenset(("setup", "server", "version", "program"))
+# Stands before what the script of a middleware prints.
+_MIDDLEWARE = "== middleware "
+# A version of a middleware, as 1.17.0.
+VERSION_MAX = 64
 # Sections of state.sh kept as one text. Every other one is one value, or a list when it has several lines.
 _TEXTS = ("cpuinfo", "memory", "os_release")
 
@@ -99,18 +104,27 @@ class TargetState(Config):
     load: Fact = None
     memory: str | None = None
     os_release: str | None = None
-    roscpp_version: Fact = None
     cpuinfo: str | None = None
     threads: Count = 0
     rt_threads: list[Thread] = Field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Installed:
+    """What a target has of one middleware."""
+
+    setup: str | None = None
+    """The shell file that sets it up for its programs."""
+    server: str | None = None
+    """The program that must run beside them."""
+    version: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Equipment:
     """What a target has installed and how much room it has."""
 
-    setup: str | None
-    master: str | None
+    middlewares: Mapping[str, Installed]
     programs: dict[str, str]
     """Executable name to path, of suites installed on the target."""
     cpus: int
@@ -120,17 +134,22 @@ class Equipment:
     debian: str | None
     """The code name of the target's Debian, as trixie; None where it is another system."""
 
+    def of(self, middleware: str) -> Installed:
+        """What the target has of a middleware."""
+        return self.middlewares.get(middleware, Installed())
+
 
 def inspect(link: "Link") -> Equipment:
-    """Look for tools, ROS and installed suites. Raises TargetError naming what is missing and the remedy."""
+    """Look for tools, middlewares and installed suites. Raises TargetError naming what is missing and the remedy."""
     target = link.target
     # Through standard input: nothing can be deployed before the tools for it are known to be there.
-    output = link.check(["sh", "-s", str(target.work_dir)], stdin=SCRIPT.read_text(encoding="utf-8"))
-    facts: dict[str, list[str]] = {}
-    for line in output.splitlines():
-        name, _, value = line.partition(" ")
-        if name in _FACTS:
-            facts.setdefault(name, []).append(value)
+    scripts = [SCRIPT.read_text(encoding="utf-8")]
+    for name, path in MIDDLEWARE_SCRIPTS.items():
+        scripts.append(f"echo '{_MIDDLEWARE}{name}'\n{path.read_text(encoding='utf-8')}")
+    output = link.check(["sh", "-s", str(target.work_dir)], stdin="".join([*scripts, "exit 0\n"]))
+    own, *rest = re.split(rf"^{_MIDDLEWARE}(\w+)$", output, flags=re.MULTILINE)
+    facts = _lines_by_name(own, _FACTS)
+    found = {name: _lines_by_name(text, _INSTALLED) for name, text in zip(rest[::2], rest[1::2], strict=True)}
     if "missing" in facts:
         raise TargetError(
             f"{target.address}: the target lacks {', '.join(facts['missing'])}: install util-linux, coreutils"
@@ -144,22 +163,41 @@ def inspect(link: "Link") -> Equipment:
         raise TargetError(
             f"{target.address}: {target.work_dir} cannot be written: name another folder as work_dir in the target file"
         )
-    setups = facts.get("setup", [])
-    if target.ros_setup is None and len(setups) > 1:
-        raise TargetError(
-            f"{target.address}: several ROS ({', '.join(setups)}): put one into the target file as ros_setup"
-        )
-    setup = target.ros_setup or (setups[0] if setups else None)
-    masters = facts.get("master", [])
-    root = str(PurePosixPath(setup).parent) + "/" if setup else ""
+    programs = [*facts.get("program", []), *(path for one in found.values() for path in one.get("program", []))]
     return Equipment(
-        setup=setup,
-        master=next((path for path in masters if path.startswith(root)), masters[0] if masters else None),
-        programs={PurePosixPath(path).name: path for path in reversed(facts.get("program", []))},
+        middlewares={name: _installed(target, one) for name, one in found.items()},
+        programs={PurePosixPath(path).name: path for path in reversed(programs)},
         cpus=_count(facts.get("cpus"), lowest=1, highest=CPUS_MAX),
         free_bytes=_count(facts.get("free_kib"), lowest=0, highest=SIZE_MAX_BYTES // 1024) * 1024,
         architecture=architecture.name(_header(facts.get("elf", []))),
         debian=next((name for name in facts.get("debian", []) if _CODE_NAME.fullmatch(name)), None),
+    )
+
+
+def _lines_by_name(text: str, known: Collection[str]) -> dict[str, list[str]]:
+    """The values of lines ``name value``, of the names that are known."""
+    facts: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        name, _, value = line.partition(" ")
+        if name in known:
+            facts.setdefault(name, []).append(value)
+    return facts
+
+
+def _installed(target: "Target", facts: Mapping[str, Sequence[str]]) -> Installed:
+    """What a target has of a middleware. Raises TargetError where it has several, and its file names none."""
+    setups = facts.get("setup", [])
+    if target.setup is None and len(setups) > 1:
+        raise TargetError(
+            f"{target.address}: several ROS ({', '.join(setups)}): put one into the target file as ros_setup"
+        )
+    setup = target.setup or (setups[0] if setups else None)
+    servers = facts.get("server", [])
+    root = str(PurePosixPath(setup).parent) + "/" if setup else ""
+    return Installed(
+        setup=setup,
+        server=next((path for path in servers if path.startswith(root)), servers[0] if servers else None),
+        version=next((text[:VERSION_MAX] for text in facts.get("version", [])), None),
     )
 
 

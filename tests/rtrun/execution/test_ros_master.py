@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from rtrun.targets import ros_master
+from rtrun.execution.middleware import ros_master
 
 REPLY = (
     "<methodResponse><params><param><value><array><data><value><int>1</int></value><value>{}</value>"

@@ -14,7 +14,7 @@ from rtrun.plan.program import Program
 from rtrun.targets import processes
 from rtrun.targets.connection import Connection
 from rtrun.targets.errors import TargetError
-from rtrun.targets.inspection.facts import Equipment
+from rtrun.targets.inspection.facts import Installed
 from rtrun.targets.link import Link
 
 NAME = "rosmaster"
@@ -78,7 +78,7 @@ def _parse_reply(reply: bytes) -> tuple[int, str, Any]:
 
 def ask_pid(link: Link) -> int | None:
     """Return the process id that the ROS master on the target's port reports; None when no master answers."""
-    port = link.target.ros_master_port
+    port = link.target.master_port
     try:
         pid = link.do(lambda connection: call(connection, port, "getPid"))
     except ConnectionRefusedError:
@@ -89,7 +89,7 @@ def ask_pid(link: Link) -> int | None:
 
 def count_subscribers(link: Link, topic: str, token: str) -> int:
     """Return how many nodes with a token in their names have subscribed. Raises TargetError when no master answers."""
-    port = link.target.ros_master_port
+    port = link.target.master_port
     try:
         _, subscribed, _ = link.do(lambda connection: call(connection, port, "getSystemState"))
         return sum(token in node for name, nodes in subscribed if name == topic for node in nodes)
@@ -103,7 +103,7 @@ def count_subscribers(link: Link, topic: str, token: str) -> int:
 def running(
     link: Link,
     scripts: PurePosixPath,
-    equipment: Equipment,
+    installed: Installed,
     owner: str,
     priority: int | None,
     may_run_go_on: Callable[[], bool],
@@ -120,7 +120,7 @@ def running(
     folder = target.work_dir / "master" / owner
     ours = _is_running(link, folder)
     if ask_pid(link) is None:
-        if equipment.master is None:
+        if installed.server is None:
             raise TargetError(
                 f"{target.address}: no ROS on the target: neither /opt/ros/*/bin/rosmaster "
                 "nor /usr/bin/rosmaster is there, install ROS with rosmaster"
@@ -128,11 +128,11 @@ def running(
         processes.end(link, folder, NAME)
         if _is_port_taken(link):
             raise TargetError(
-                f"{target.address}: port {target.ros_master_port} of the target is taken by a program that does not "
+                f"{target.address}: port {target.master_port} of the target is taken by a program that does not "
                 "answer as a ROS master: end it, or put another ros_master_port into the target file"
             )
         link.check(["sh", "-c", 'rm -rf "$1" && mkdir -p "$1"', "sh", str(folder)])
-        argv = [equipment.master, "--core", "-p", str(target.ros_master_port)]
+        argv = [installed.server, "--core", "-p", str(target.master_port)]
         if priority is not None:
             argv = ["chrt", "-f", str(priority), *argv]
         program = Program(
@@ -142,7 +142,7 @@ def running(
             deadline_s=LIFE_S,
         )
         ours = True
-        processes.start(link, scripts, folder, program, setup=equipment.setup)
+        processes.start(link, scripts, folder, program, setup=installed.setup)
     try:
         if ours:
             _wait_ready(link, folder)
@@ -163,7 +163,7 @@ def _is_running(link: Link, folder: PurePosixPath) -> bool:
 
 def _is_port_taken(link: Link) -> bool:
     def connect(connection: Connection) -> bool:
-        with connection.open_port(link.target.ros_master_port, deadline_s=ANSWER_S):
+        with connection.open_port(link.target.master_port, deadline_s=ANSWER_S):
             return True
 
     try:

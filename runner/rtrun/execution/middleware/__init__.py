@@ -1,0 +1,1 @@
+"""What is done on a target for each middleware: one module each."""

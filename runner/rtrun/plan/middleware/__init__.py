@@ -1,0 +1,1 @@
+"""The middlewares through which suites measure: one file of data each."""

@@ -1,0 +1,42 @@
+"""What is known of each middleware without a target: `<name>.yml` beside this module.
+
+A suite says what is measured, a middleware through what. What is done on a target for one is in
+`rtrun.execution.middleware`.
+"""
+
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from rtfiles.config import Config, load
+
+NONE = "none"
+"""Of a baseline: nothing stands between the kernel and what is measured."""
+DEFAULT = "roscpp"
+"""Of a suite, where nobody names one: that of 2014."""
+
+
+class Middleware(Config):
+    """One middleware: how its programs are called and started."""
+
+    summary: str
+    executable: str = "{program}_{middleware}"
+    """What its form of a suite's program is called."""
+    environment: dict[str, str] = Field(default_factory=dict)
+    """Of its programs; `{ros_master_port}` is that of the target."""
+    repeated: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    """Further arguments of a program that runs once per subscriber, `{number}`; `{token}` is unique to an attempt."""
+
+    def environment_with(self, **values: object) -> tuple[tuple[str, str], ...]:
+        """The environment of its programs with these values filled in."""
+        return tuple((name, text.format_map(values)) for name, text in self.environment.items())
+
+
+@functools.cache
+def middlewares() -> Mapping[str, Middleware]:
+    """Every middleware by its name, the default one first."""
+    files = sorted(Path(__file__).parent.glob("*.yml"), key=lambda path: (path.stem != DEFAULT, path.stem))
+    return {path.stem: load(path, Middleware) for path in files}
