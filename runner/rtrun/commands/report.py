@@ -6,7 +6,7 @@ from pathlib import Path
 from rtrun.commands._question import add_question, ask
 
 NAME = "report"
-HELP = "write one file: answer, plots, figures, claims"
+HELP = "write one file: answer, plots, figures"
 
 _ENDINGS = {
     "html": "html",
@@ -35,22 +35,19 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import print_bytes, print_line, print_note, print_status
     from rtrun.judgement import gate
-    from rtrun.judgement.claims.examiners import examine_claims
     from rtrun.report import answers, formats, page
     from rtrun.report.contents import contents
     from rtrun.report.plots import pictures
 
-    # The other formats hold neither worst cases nor claims.
+    # The other formats hold no worst cases.
     format_ = _format(args.format, args.output)
-    whole = format_ in ("html", "markdown", "json")
-    analysed = ask(args, bounds=whole)
-    examined = examine_claims(analysed) if whole else ()
-    written = contents(analysed, examined)
+    analysed = ask(args, bounds=format_ in ("html", "markdown", "json"))
+    written = contents(analysed)
     judged = gate.gate(analysed)
     writers = {
         "html": lambda: page.html(analysed, written).encode("utf-8", "replace"),
         "markdown": lambda: formats.markdown(written).encode("utf-8", "replace"),
-        "json": lambda: formats.as_json(analysed, examined).encode("utf-8", "replace"),
+        "json": lambda: formats.as_json(analysed).encode("utf-8", "replace"),
         "junit": lambda: formats.junit(judged).encode("utf-8", "replace"),
         "lava": lambda: formats.lava(analysed, judged).encode(),
         "csv": lambda: formats.as_csv(analysed).encode("utf-8", "replace"),

@@ -1,5 +1,6 @@
 """The contents of a report in the order in which it is read; the HTML and the Markdown format write them down."""
 
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,10 +8,10 @@ from dataclasses import dataclass
 from rtfiles.output import printable
 from rtfiles.quantities import duration, grouped
 from rtrun.analysis.deadline import Answer
-from rtrun.judgement.claims.examiners import Examined
+from rtrun.judgement.claims.examiners import bear_on_claims
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import WORST_FIRST, boots_in_words
-from rtrun.report.end_tables import end_tables
+from rtrun.report.end_tables import end_tables, worst_cases_in_short
 from rtrun.report.scenarios import Scenario, scenarios
 from rtrun.report.tables import Table, how
 from rtrun.report.terminal import banner_of
@@ -22,6 +23,7 @@ class Contents:
     """A report: the answer, what it rests on, every scenario, then what is looked up.
 
     `worst` is the scenario with the highest value, None where nothing was measured. `facts` are (what, value).
+    `remarks` are what has no table of its own, a line each.
     """
 
     title: str
@@ -33,10 +35,11 @@ class Contents:
     facts: tuple[tuple[str, str], ...]
     scenarios: tuple[Scenario, ...]
     tables: tuple[Table, ...]
+    remarks: tuple[str, ...]
     left_out: tuple[str, ...]
 
 
-def contents(study: Study, claims: Sequence[Examined]) -> Contents:
+def contents(study: Study) -> Contents:
     """Put a study into words."""
     made = scenarios(study)
     measured = [one for one in made if one.figures.max_ns is not None]
@@ -49,7 +52,8 @@ def contents(study: Study, claims: Sequence[Examined]) -> Contents:
         question=_question(study),
         facts=tuple(_facts(study)),
         scenarios=made,
-        tables=end_tables(study, claims),
+        tables=end_tables(study),
+        remarks=tuple(printable(text) for text in (worst_cases_in_short(study), _claims(study)) if text),
         left_out=tuple(map(printable, study.left_out)),
     )
 
@@ -144,6 +148,12 @@ def _facts(study: Study) -> list[tuple[str, str]]:
         ("measured", values),
     ]
     return [(what, printable(value)) for what, value in facts if value]
+
+
+def _claims(study: Study) -> str:
+    """Where the claims of the thesis are examined; empty where nothing was measured that they are about."""
+    command = shlex.join(("rtrun", "claims", str(study.source.path)))
+    return f"Claims of the thesis: {command}" if bear_on_claims(study) else ""
 
 
 def _text(fact: str | list[str] | None) -> str:

@@ -1,17 +1,16 @@
-"""The tables behind the scenarios: worst cases, layers, claims, published figures, environment, reproduction."""
+"""The tables behind the scenarios: worst cases, layers, published figures, environment, reproduction."""
 
 import hashlib
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from rtfiles.output import counted
 from rtfiles.quantities import time_us, us
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.layers import attribute
 from rtrun.analysis.worst_case import disagreement
 from rtrun.judgement.claims.examination import is_rt, select
-from rtrun.judgement.claims.examiners import Examined
 from rtrun.judgement.claims.reference import oneshot_rows, published
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study, environment
@@ -24,8 +23,10 @@ from rtrun.report.tables import Table, how, printable_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
 from rtrun.targets.inspection.platform import Platform
 
+WORST_CASE = "Worst case by extreme value theory"
 
-def end_tables(study: Study, claims: Sequence[Examined]) -> tuple[Table, ...]:
+
+def end_tables(study: Study) -> tuple[Table, ...]:
     """What stands behind the scenarios, each table with what came out of it."""
     tables = [
         *_causes(study),
@@ -34,7 +35,6 @@ def end_tables(study: Study, claims: Sequence[Examined]) -> tuple[Table, ...]:
         causes.surroundings(study.source)[0],
         _worst_cases(study),
         *_layers(study),
-        _claims(claims),
         *_published(study),
     ]
     return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)
@@ -47,8 +47,8 @@ def _causes(study: Study) -> tuple[Table, Table]:
 
 
 def _worst_cases(study: Study) -> Table:
-    rows = []
-    for group in study.groups:
+    rows: list[tuple[str, ...]] = []
+    for group in study.groups if _given_bounds(study) else ():
         if group.no_bound:
             rows.append((group.label, "-", "refused", group.no_bound))
         rows += [(group.label, bound.method, *_bound(bound)) for bound in group.bounds]
@@ -56,7 +56,7 @@ def _worst_cases(study: Study) -> Table:
             rows.append((group.label, "-", "doubtful", text))
     return Table(
         id="worst-case",
-        title="Worst case by extreme value theory",
+        title=WORST_CASE,
         columns=(
             "suite and parameters",
             "method",
@@ -70,14 +70,34 @@ def _worst_cases(study: Study) -> Table:
     )
 
 
+def _given_bounds(study: Study) -> list[tuple[float, Group]]:
+    """The upper ends of the bounds that may be given, and what they are of."""
+    return [
+        (bound.high_ns, group)
+        for group in study.groups
+        for bound in group.bounds
+        if bound.refused is None and bound.high_ns is not None
+    ]
+
+
 def _bounds_outcome(study: Study) -> str:
     """In how many scenarios a bound may be given, and the highest one."""
-    given = [(one.high_ns, group) for group in study.groups for one in group.bounds if one.refused is None]
-    highest = max(((high_ns, group.label) for high_ns, group in given if high_ns is not None), default=None)
-    if highest is None:
-        return f"no bound in any of {len(study.groups)} scenarios"
+    given = _given_bounds(study)
+    highest_ns, label = max(((high_ns, group.label) for high_ns, group in given), default=(0.0, ""))
     scenarios = len({id(group) for _, group in given})
-    return f"a bound in {scenarios} of {len(study.groups)} scenarios, the highest {us(highest[0])} us for {highest[1]}"
+    return f"a bound in {scenarios} of {len(study.groups)} scenarios, the highest {us(highest_ns)} us for {label}"
+
+
+def worst_cases_in_short(study: Study) -> str:
+    """What is said where no bound may be given, so that there is no table; empty where there is one."""
+    if not study.groups or _given_bounds(study):
+        return ""
+    reasons = dict.fromkeys(group.no_bound for group in study.groups)
+    reason = reasons.popitem()[0] if len(reasons) == 1 else None
+    return (
+        f"{WORST_CASE}: no bound in any of {counted(len(study.groups), 'scenario')}: "
+        f"{reason or '--format json has the reasons'}. {how('Worst case')}"
+    )
 
 
 def _bound(bound: Bound) -> tuple[str, str]:
@@ -171,26 +191,6 @@ def _period_us(group: Group) -> float | None:
             return float(value)
     frequency = group.parameters.get("frequency_hz")
     return 1e6 / frequency if isinstance(frequency, int) and frequency else None
-
-
-def _claims(claims: Sequence[Examined]) -> Table:
-    rows = [
-        (str(c.result.finding), c.id, c.section, c.text, c.result.numbers, c.result.test, _few(c.result.runs))
-        for c in claims
-    ]
-    return Table(
-        id="claims",
-        title="Claims of the thesis, re-examined",
-        outcome=", ".join(f"{count} {finding}" for finding, count in Counter(row[0] for row in rows).items()),
-        columns=("found", "claim", "section", "text", "numbers", "test", "runs"),
-        rows=rows,
-        numbers=9,
-        notes=(how("Claims"),),
-    )
-
-
-def _few(runs: Sequence[str]) -> str:
-    return ", ".join(runs[:3]) + (f" and {len(runs) - 3} more" if len(runs) > 3 else "")
 
 
 # The load of the published tables, by the condition that makes the same load.

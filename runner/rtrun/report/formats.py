@@ -6,14 +6,12 @@ import io
 import json
 import math
 import re
-from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
 
 from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtrun.analysis.figures import PERCENTILES
-from rtrun.judgement.claims.examiners import Examined
 from rtrun.judgement.digest import Digest
 from rtrun.judgement.gate import Gate
 from rtrun.judgement.study import Study
@@ -41,6 +39,7 @@ def markdown(contents: Contents) -> str:
             parts += ["", f"### {table.title}", "", *_markdown_table(table)]
     for table in contents.tables:
         parts += ["", f"## {table.title}", "", f"{_plain(table.outcome)}.", "", *_markdown_table(table)]
+    parts += [line for remark in contents.remarks for line in ("", _plain(remark))]
     return "\n".join(parts) + "\n"
 
 
@@ -60,7 +59,7 @@ def _plain(text: str) -> str:
     return " ".join(text.split())
 
 
-def as_json(study: Study, claims: Sequence[Examined]) -> str:
+def as_json(study: Study) -> str:
     """Everything that was found, for programs; numbers that do not exist are null."""
     data = {
         "schema": 2,
@@ -88,7 +87,6 @@ def as_json(study: Study, claims: Sequence[Examined]) -> str:
             for group in study.groups
         ],
         "series": [_series(one) for one in (*study.digests, *study.others)],
-        "claims": [{"id": c.id, "section": c.section, "text": c.text, **_data(c.result)} for c in claims],
         "left_out": list(study.left_out),
     }
     return json.dumps(data, indent=1, allow_nan=False) + "\n"

@@ -10,11 +10,13 @@ import pytest
 from report.campaigns import latencies, oneshot_rows, write_run
 
 from rtrun.analysis.figures import figures_of_samples
-from rtrun.judgement.claims.examiners import examine_claims
 from rtrun.judgement.digest import pool_figures
 from rtrun.judgement.study import study
 from rtrun.plan.question import Question
 from rtrun.report.contents import Contents, contents
+from rtrun.report.end_tables import WORST_CASE
+from rtrun.results.importers.adopt import adopt
+from rtrun.targets.inspection.platform import Platform
 
 TOP = Path(__file__).parents[3]
 PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
@@ -29,8 +31,7 @@ def write(root: Path, **record) -> Path:
 
 
 def contents_of(root: Path, **question: float) -> Contents:
-    analysed = study(root, Question(**question))
-    return contents(analysed, examine_claims(analysed))
+    return contents(study(root, Question(**question)))
 
 
 def texts(value: object) -> Iterator[str]:
@@ -67,6 +68,33 @@ def test_the_answer_is_a_sentence_and_the_next_step_follows_from_it(tmp_path, qu
     assert written.worst is not None and written.worst.figures.max_ns == max(v.max() for v in LATENCIES_NS)
 
 
+def test_the_claims_are_named_where_runs_bear_on_them(tmp_path):
+    folder = write(tmp_path / "our results")
+    claims = f"Claims of the thesis: rtrun claims '{folder}'"
+    assert contents_of(folder).remarks[-1] == claims
+    histogram = tmp_path / "cyclictest.txt"
+    histogram.write_text("# Histogram\n000010 002000\n# Total: 000002000\n# Max Latencies: 00010\n")
+    adopt(histogram, tmp_path / "cyclictest", platform=Platform.HARDWARE)
+    assert [text for text in contents_of(tmp_path / "cyclictest").remarks if "laims" in text] == []
+
+
+def test_worst_cases_take_one_line_unless_there_is_one(tmp_path):
+    """These few values allow no bound. Where there is one, its table has what was refused, too."""
+    analysed = study(write(tmp_path))
+    written = contents(analysed)
+    (line,) = (text for text in written.remarks if text.startswith(WORST_CASE))
+    assert "no bound in any of 1 scenario" in line and "worst-case" not in {table.id for table in written.tables}
+    (group,) = analysed.groups
+    given = dataclasses.replace(
+        group.bounds[0], level_ns=150_000.0, low_ns=140_000, high_ns=160_000, shape=0.1, refused=None
+    )
+    bounds = (given, *group.bounds[1:])
+    written = contents(dataclasses.replace(analysed, groups=(dataclasses.replace(group, bounds=bounds),)))
+    (table,) = (table for table in written.tables if table.id == "worst-case")
+    assert table.outcome.startswith("a bound in 1 of 1 scenarios, the highest 160.0 us") and len(table.rows) == 3
+    assert not any(text.startswith(WORST_CASE) for text in written.remarks)
+
+
 def test_an_emulated_board_says_nothing_about_a_deadline(tmp_path):
     write_run(tmp_path, "a", "oneshot_timer_tests", [oneshot_rows(LATENCIES_NS[0], 1000)], PARAMETERS, asked=5000,
               platform="emulated")  # fmt: skip
@@ -100,7 +128,7 @@ def test_the_sections_that_hold_the_formulas_are_there(tmp_path):
         for section in re.findall(r"docs/analysis\.md, (.+?)\.", text)
     }
     headings = set(re.findall(r"^## (.+)$", (TOP / "docs/analysis.md").read_text(), re.M))
-    assert {"Deadline", "What counts as what", "Worst case", "Claims"} <= named <= headings
+    assert {"Deadline", "What counts as what", "Worst case"} <= named <= headings
 
 
 def test_no_text_holds_a_command_to_a_terminal(tmp_path):
