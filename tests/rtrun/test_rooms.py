@@ -1,9 +1,12 @@
 """The order of the runner's rooms, from the imports: no room imports a later one."""
 
+import ast
+
 import pytest
 
 import rtrun
 from rooms import find_late_imports, modules_of_rooms
+from rtrun.plan.suites import suites
 
 # docs/house.md names them in this order.
 ROOMS = (
@@ -19,6 +22,15 @@ def test_every_module_stands_in_a_room():
 @pytest.mark.parametrize("room", ROOMS)
 def test_no_room_imports_a_later_one(room):
     assert find_late_imports(rtrun, ROOMS, room) == []
+
+
+def test_no_module_asks_for_a_suite_or_a_kind_by_its_name():
+    """They ask the kind; plan/ alone, which reads suites.yml, knows which names there are."""
+    names = {*suites().suites, "oneshot", "cyclic"}
+    rooms = modules_of_rooms(rtrun)
+    modules = [path for room in ROOMS if room not in ("plan", "kinds") for path in rooms[room]]
+    texts = [(path, node) for path in modules for node in ast.walk(ast.parse(path.read_text()))]
+    assert [(path, node.value) for path, node in texts if isinstance(node, ast.Constant) and node.value in names] == []
 
 
 def test_an_import_of_a_later_room_is_found():

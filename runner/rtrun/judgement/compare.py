@@ -13,8 +13,8 @@ from rtrun.judgement.digest import pool_figures
 from rtrun.judgement.groups import Group
 from rtrun.judgement.sides import By, split
 from rtrun.judgement.study import Study, study
+from rtrun.kinds.known import ELSE_IN_2014
 from rtrun.plan.question import Question
-from rtrun.results.series import MEASURED_2014
 from rtrun.targets.inspection.platform import Platform
 
 
@@ -81,8 +81,7 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
     pairs: list[tuple[Group, Group]] = []
     ambiguous: list[str] = []
     only: tuple[list[str], list[str]] = ([], [])
-    of_2014 = (MEASURED_2014, "jitter")
-    as_in_2014 = {group.suite for side in (first, second) for group in side.groups if group.series in of_2014}
+    as_in_2014 = {group.suite for side in (first, second) for group in side.groups if group.series in ELSE_IN_2014}
     sides = [_by_circumstances(side, as_in_2014) for side in (first, second)]
     for key in dict.fromkeys((*sides[0], *sides[1])):
         alike_a, alike_b = (side.get(key, []) for side in sides)

@@ -12,8 +12,9 @@ from rtrun.analysis.extreme_values import Tail, tail_of
 from rtrun.analysis.figures import PERCENTILES, Figures, rank
 from rtrun.analysis.histogram import Histogram, Int64s, from_samples, merge
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
+from rtrun.kinds.known import MAIN_2014
 from rtrun.plan.question import NONE_TOLERATED, Question
-from rtrun.results.series import MAIN_LOGS, Header, SampleSeries, Series
+from rtrun.results.series import Header, SampleSeries, Series
 
 _COLUMNS = 240
 # Half of the 1 ms by which the thesis found the negative cluster set off (section 4.2.2).
@@ -84,7 +85,7 @@ def digest(series: Series, question: Question) -> Digest:
     course: Course | None = None
     header = series.header
     undecidable = header.undecidable or None
-    compared = header.main or header.series in MAIN_LOGS
+    compared = header.main or header.series in MAIN_2014
     tolerance = question.tolerance if header.main else NONE_TOLERATED
     if isinstance(series, SampleSeries):
         values = series.values_ns

@@ -10,10 +10,10 @@ from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.analysis.trials import Trials
 from rtrun.judgement.digest import Digest
+from rtrun.kinds.known import ELSE_IN_2014
 from rtrun.plan.question import Measure
 from rtrun.plan.suites import NOT_TELLING, Value, measures, options
 from rtrun.results.record import RunRecord
-from rtrun.results.series import MEASURED_2014
 from rtrun.targets.inspection.platform import Platform
 
 _UNITS = {"timeout_us": " us", "frequency_hz": " Hz", "payload_bytes": " B", "subscribers": " sub", "priority": " prio"}
@@ -68,7 +68,7 @@ class Group:
     @property
     def label(self) -> str:
         """Suite and parameters in a few words; the series, too, where its suite is judged by another one else."""
-        told = self.series == MEASURED_2014 or (self.of is not None and self.of != measures(self.suite)[0])
+        told = self.series in ELSE_IN_2014 or (self.of is not None and self.of != measures(self.suite)[0])
         words = [self.suite.removesuffix("_tests"), self.series if told else ""]
         return " ".join(filter(None, [*words, format_parameters(self.parameters)]))
 

@@ -16,13 +16,13 @@ from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
 from rtrun.judgement.digest import Digest, digest
 from rtrun.judgement.groups import Group, slowest, telling_parameters
+from rtrun.kinds.known import MAIN_2014
 from rtrun.plan.question import NONE_TOLERATED, THESIS, Question
 from rtrun.plan.suites import Value, judged, measures
 from rtrun.results import reading
 from rtrun.results.copies import find_copies
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
-from rtrun.results.series import MAIN_LOGS
 from rtrun.targets.inspection.platform import Platform
 
 
@@ -71,7 +71,7 @@ class Study:
     @property
     def as_in_2014(self) -> tuple[Group, ...]:
         """The groups that compare with the publications of 2014: measured_2014 of one-shot, jitter of cyclic timers."""
-        return tuple(group for group in (*self.groups, *self.groups_2014) if group.series in MAIN_LOGS)
+        return tuple(group for group in (*self.groups, *self.groups_2014) if group.series in MAIN_2014)
 
     @property
     def digests(self) -> tuple[Digest, ...]:
@@ -145,7 +145,7 @@ def study(
         question=question,
         groups=groups,
         pooled=tuple(_pooled(groups, by_run, question, off_rate)),
-        groups_2014=grouped((one for one in others if one.header.series in MAIN_LOGS), bounds=False),
+        groups_2014=grouped((one for one in others if one.header.series in MAIN_2014), bounds=False),
         others=others,
         records=tuple(records.values()),
         left_out=tuple(left_out),

@@ -143,7 +143,10 @@ KIND = Kind(
     series=_series,
     called={"lateness": "lateness", "jitter": "jitter"},
     times=_times,
+    # The first two periods.
+    startup={"lateness": 2, "jitter": 2, "grid": 2},
     suite_2014="cyclic_timer_tests",
+    main_2014="jitter",
     log_summary=re.compile(r"with a total of ([0-9]{1,12}) measurements"),
     log_series={"": "jitter"},
 )

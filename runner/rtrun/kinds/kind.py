@@ -21,14 +21,21 @@ class Kind:
     question calls a series; of two by one name the first in the samples is meant. `times` are the moments at which
     the values of a series were measured, int64 (n,).
 
-    In logs of the form of 2014 `log_summary` is the line that says how many were asked for, `log_series` the series of
-    a log by what its name ends with; `missing_as_value`: a missing message stands there as a value of -1 us.
+    `startup` says of how many loops at the start of a run the values of a series stand apart, as in the thesis.
+    `layer_below` is the baseline, or the kind, that measures what this one's values are on top of.
+
+    `main_2014` is the series that the suite was about in 2014. In logs of that form `log_summary` is the line that says
+    how many were asked for, `log_series` the series of a log by what its name ends with; `missing_as_value`: a missing
+    message stands there as a value of -1 us.
     """
 
     series: Callable[[Columns, Record, Path], dict[str, IndexedValues]]
     called: Mapping[str, Measure]
     times: Callable[[Columns, IndexedValues], Int64s]
+    startup: Mapping[str, int] = field(default_factory=dict)
+    layer_below: str = ""
     suite_2014: str
+    main_2014: str
     log_summary: re.Pattern[str]
     log_series: Mapping[str, str] = field(default_factory=dict)
     missing_as_value: bool = False

@@ -16,6 +16,17 @@ def kind_of(suite: str) -> Kind | None:
     return KINDS.get(described.kind) if described and described.kind else None
 
 
+MAIN_2014 = frozenset(kind.main_2014 for kind in KINDS.values())
+"""The series that the suites were about in 2014."""
+ELSE_IN_2014 = frozenset(kind.main_2014 for kind in KINDS.values() if kind.main_2014 != next(iter(kind.called)))
+"""Those of which today's suites are about another one."""
+
+
+def startup_loops(series: str) -> int:
+    """Of how many loops at the start of a run the values of a series stand apart."""
+    return next((kind.startup[series] for kind in KINDS.values() if series in kind.startup), 0)
+
+
 def called(series: str) -> Measure | None:
     """What a question calls a series by this name; None for one that no question is of."""
     return next((kind.called[series] for kind in KINDS.values() if series in kind.called), None)

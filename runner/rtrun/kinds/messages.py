@@ -58,7 +58,11 @@ KIND = Kind(
     series=_series,
     called={"latency": "latency"},
     times=_times,
+    # The first message.
+    startup={"latency": 1},
+    layer_below="oneshot",
     suite_2014="communication_tests",
+    main_2014="latency",
     log_summary=re.compile(r"Amount messages: ([0-9]{1,12})\b"),
     log_series={"": "latency"},
     missing_as_value=True,

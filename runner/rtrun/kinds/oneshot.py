@@ -40,7 +40,9 @@ KIND = Kind(
     series=_series,
     called={"measured": "latency", "measured_2014": "latency"},
     times=_times,
+    layer_below="cyclictest",
     suite_2014="oneshot_timer_tests",
+    main_2014="measured_2014",
     log_summary=re.compile(r"with a loop length of ([0-9]{1,12}) "),
     log_series={"measured": "measured_2014", "reported": "reported", "diff": "difference_2014"},
 )

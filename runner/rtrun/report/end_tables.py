@@ -1,9 +1,8 @@
 """The tables behind the scenarios: worst cases, layers, published figures, environment, reproduction."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 from rtfiles.output import counted
 from rtfiles.quantities import time_us, us
@@ -11,11 +10,11 @@ from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.layers import attribute
 from rtrun.analysis.worst_case import disagreement
 from rtrun.judgement.claims.examination import is_rt, select
-from rtrun.judgement.claims.reference import oneshot_rows, published
+from rtrun.judgement.claims.reference import message_rows, oneshot_rows
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study, environment
+from rtrun.kinds.known import KINDS
 from rtrun.kinds.output import NON_MEASURING_THREADS
-from rtrun.plan.conditions import IDLE
 from rtrun.plan.question import NONE_TOLERATED
 from rtrun.plan.suites import suites
 from rtrun.report import causes
@@ -34,8 +33,8 @@ def end_tables(study: Study) -> tuple[Table, ...]:
         causes.periods(study.source)[0],
         causes.surroundings(study.source)[0],
         _worst_cases(study),
-        *_layers(study),
-        *_published(study),
+        _layers(study),
+        _published(study),
     ]
     return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)
 
@@ -118,40 +117,41 @@ _UNLIKE_IDLE = (
 )
 
 
-def _layers(study: Study) -> list[Table]:
+def _layers(study: Study) -> Table:
     """What each layer adds to the one below, for every pair of groups that differ in nothing but the layer."""
-    if study.platform is Platform.EMULATED:
-        return []
-    rows = []
-    for low_name, high_name in (("cyclictest", "oneshot_timer_tests"), ("oneshot_timer_tests", "communication_tests")):
-        for low in select(study.groups, low_name):
-            for high in select(study.groups, high_name):
-                if not _differ_in_layer(low, high):
-                    continue
-                if _awake_us(low) != _awake_us(high):
-                    if not _has_like(low, select(study.groups, high_name)):
-                        rows.append((low.label, high.label, "-", "-", "-", f"refused: {_UNLIKE_IDLE}"))
-                    continue
-                attribution = attribute(low.blocks, high.blocks, confidence=study.question.confidence)
-                if attribution.refused:
-                    rows.append((low.label, high.label, "-", "-", "-", f"refused: {attribution.refused}"))
-                for added in attribution.added:
-                    interval = f"{added.low_ns / 1000:+.1f} to {added.high_ns / 1000:+.1f}"
-                    adds = f"{added.added_ns / 1000:+.1f}"
-                    rows.append((low.label, high.label, added.figure, adds, interval, added.method))
+    rows: list[tuple[str, ...]] = []
+    groups = () if study.platform is Platform.EMULATED else study.groups
+    for low, high, above in _pairs_of_layers(groups):
+        labels = low.label, high.label
+        if _awake_us(low) != _awake_us(high):
+            if not _has_like(low, above):
+                rows.append((*labels, "-", "-", "-", f"refused: {_UNLIKE_IDLE}"))
+            continue
+        attribution = attribute(low.blocks, high.blocks, confidence=study.question.confidence)
+        if attribution.refused:
+            rows.append((*labels, "-", "-", "-", f"refused: {attribution.refused}"))
+        for added in attribution.added:
+            interval = f"{added.low_ns / 1000:+.1f} to {added.high_ns / 1000:+.1f}"
+            rows.append((*labels, added.figure, f"{added.added_ns / 1000:+.1f}", interval, added.method))
     columns = ("layer", "layer above", "figure", "adds us", f"{100 * study.question.confidence:g} % CI us", "method")
     outcome = f"{len({row[:2] for row in rows})} pairs of layers compared"
-    return [
-        Table(
-            id="layers",
-            title="What each layer adds",
-            columns=columns,
-            rows=rows,
-            outcome=outcome,
-            numbers=9,
-            notes=(how("Comparison"),),
-        )
-    ]
+    return Table(
+        id="layers",
+        title="What each layer adds",
+        columns=columns,
+        rows=rows,
+        outcome=outcome,
+        numbers=9,
+        notes=(how("Comparison"),),
+    )
+
+
+def _pairs_of_layers(groups: Sequence[Group]) -> Iterator[tuple[Group, Group, list[Group]]]:
+    """Yield a group, one that differs from it in the layer alone, and all groups of that one's kind."""
+    for kind in KINDS.values():
+        above = select(groups, kind)
+        below = select(groups, KINDS.get(kind.layer_below, kind.layer_below))
+        yield from ((low, high, above) for low in below for high in above if _differ_in_layer(low, high))
 
 
 def _differ_in_layer(low: Group, high: Group) -> bool:
@@ -193,48 +193,19 @@ def _period_us(group: Group) -> float | None:
     return 1e6 / frequency if isinstance(frequency, int) and frequency else None
 
 
-# The load of the published tables, by the condition that makes the same load.
-_PUBLISHED_LOAD_PERCENT = {IDLE: 0, "cpu80": 80}
-
-
-def _published(study: Study) -> list[Table]:
-    rows: list[tuple[str, ...]] = []
-    of_table = oneshot_rows()
-    matched: set[int] = set()
-    for group in select(study.as_in_2014, "oneshot_timer_tests"):
-        for number, row in enumerate(of_table):
-            if _as_published(group, row):
-                there = f"PandaBoard ES 2014, {row['kernel']}, {row['cpu_load_percent']} % load"
-                rows.append((group.label, there, *_here(group), *(str(row[k]) for k in ("min_us", "avg_us", "max_us"))))
-                matched.add(number)
-    for group in select(study.as_in_2014, "communication_tests", rt=True):
-        known = published()["thesis_figures"]["communication_fig_4_3"]
-        if (group.parameters.get("frequency_hz"), group.parameters.get("subscribers", 1)) == (100, 1):
-            numbers = [str(known[f"rest_{k}_us"]) for k in ("min", "avg", "max")]
-            rows.append((group.label, "PandaBoard ES 2014, figure 4.3", *_here(group), *numbers))
+def _published(study: Study) -> Table:
+    of_table, others = oneshot_rows(), message_rows()
+    matched = [(row, group) for group in study.as_in_2014 for row in (*of_table, *others) if row.is_like(group)]
+    measured = sum(any(row is each for each, _ in matched) for row in of_table)
     columns_here, columns_there = ("min us", "mean us", "max us"), ("2014 min us", "2014 mean us", "2014 max us")
-    return [
-        Table(
-            id="published",
-            title="Beside the published PandaBoard figures",
-            columns=("suite and parameters", "published", *columns_here, *columns_there),
-            rows=rows,
-            outcome=f"{len(matched)} of the {len(of_table)} rows of the one-shot table were measured here",
-            numbers=2,
-            notes=("Another board, kernel or ROS: a difference says nothing about any one of them alone.",),
-        )
-    ]
-
-
-def _as_published(group: Group, row: Mapping[str, Any]) -> bool:
-    """Whether a group was measured as a row of the published table was, as far as the group's kernel is known."""
-    asked = (group.parameters.get("timeout_us"), group.parameters.get("policy", "0"))
-    load_percent = _PUBLISHED_LOAD_PERCENT.get(str(group.parameters.get("condition", IDLE)))
-    kernels = {record.target.preempt_rt for record in group.records} or {None}
-    return (
-        asked == (row["timeout_us"], row["policy"])
-        and load_percent == row["cpu_load_percent"]
-        and not kernels.isdisjoint({None, row["preempt_rt"]})
+    return Table(
+        id="published",
+        title="Beside the published PandaBoard figures",
+        columns=("suite and parameters", "published", *columns_here, *columns_there),
+        rows=[(group.label, row.place, *_here(group), *map(str, row.figures_us)) for row, group in matched],
+        outcome=f"{measured} of the {len(of_table)} rows of the one-shot table were measured here",
+        numbers=2,
+        notes=("Another board, kernel or ROS: a difference says nothing about any one of them alone.",),
     )
 
 

@@ -11,7 +11,7 @@ from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtrun.analysis.figures import Figures, IndexedValue, figures_of_histogram, figures_of_samples
 from rtrun.analysis.histogram import Histogram, Int64s
-from rtrun.kinds.known import called
+from rtrun.kinds.known import MAIN_2014, called, startup_loops
 from rtrun.kinds.output import InEffect
 from rtrun.plan.question import Measure
 from rtrun.plan.suites import Value, judged, measures
@@ -30,10 +30,6 @@ _WITHOUT_2014 = (
     "samples of an earlier version, without a stamp from after the timer was armed: not compared with what was"
     " published in 2014"
 )
-# Of the logs: what a suite was about in 2014.
-MAIN_LOGS = (MEASURED_2014, "jitter", "latency")
-# Loops at the start of a run that stand apart, as in the thesis: the first message, the first two periods.
-STARTUP_LOOPS = {"latency": 1, "lateness": 2, "jitter": 2, "grid": 2}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -134,7 +130,7 @@ def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[Samp
         # Of two series by one name the first is meant: the other one is that of 2014.
         known = None if called(name) in told else called(name)
         told.add(known)
-        apart = STARTUP_LOOPS.get(name, 0)
+        apart = startup_loops(name)
         absent = values.absent
         head = min(apart - int(np.searchsorted(absent, apart)), values.values_ns.size)
         sample_series.append(
@@ -178,13 +174,13 @@ def series_of_log(log: Log, of: Measure | None = None) -> HistogramSeries:
     A log names the loop of its ten highest and lowest values only: a start-up value among them is set apart, and a
     remark says so where one is not. Raises UsageError for a question of what a log does not hold.
     """
-    known = called(log.series) if log.series in MAIN_LOGS else None
+    known = called(log.series) if log.series in MAIN_2014 else None
     try:
         if known is not None and of is not None and judged(measures(log.suite), of) != known:
             raise UsageError(f"a log keeps the {known} only: ask for it (--of {known})")
     except UsageError as error:
         raise UsageError(f"{log.path}: {log.suite}: {error}") from None
-    apart = STARTUP_LOOPS.get(log.series, 0)
+    apart = startup_loops(log.series)
     listed = {entry.index: entry for entry in (*log.top, *log.lowest) if entry.index is not None}
     startup = tuple(listed[index] for index in range(apart) if index in listed)
     count = log.count.copy()

@@ -14,6 +14,8 @@ from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.layers import figure_of
 from rtrun.judgement.groups import Group, format_parameters
 from rtrun.judgement.study import Study
+from rtrun.kinds.kind import Kind
+from rtrun.kinds.known import kind_of
 
 # Fewer runs a side do not show how much runs differ by themselves.
 LEAST_RUNS = 5
@@ -51,9 +53,14 @@ def too_small(figure: str, groups: Iterable[Group]) -> Result:
     return Result(finding=Finding.UNDECIDED, numbers=f"too few measurements to compare {figure}", runs=runs_of(groups))
 
 
-def select(groups: Iterable[Group], suite: str, *, rt: bool | None = None) -> list[Group]:
-    """Of the groups those of a suite that measured something; with real-time policy, without, or either."""
-    return [group for group in groups if group.suite == suite and group.n and (rt is None or is_rt(group) is rt)]
+def select(groups: Iterable[Group], of: Kind | str, *, rt: bool | None = None) -> list[Group]:
+    """The groups of a kind, or of a baseline, that measured something; `rt`: with a real-time policy, or without."""
+    return [group for group in groups if is_of(group.suite, of) and group.n and (rt is None or is_rt(group) is rt)]
+
+
+def is_of(suite: str, of: Kind | str) -> bool:
+    """Whether a suite is of a kind, or is the baseline of this name."""
+    return suite == of if isinstance(of, str) else kind_of(suite) is of
 
 
 def is_rt(group: Group) -> bool:

@@ -15,6 +15,7 @@ from rtrun.judgement.claims.examination import (
     Result,
     compared,
     examine_shift,
+    is_of,
     no_runs,
     pairs,
     runs_of,
@@ -23,17 +24,18 @@ from rtrun.judgement.claims.examination import (
 from rtrun.judgement.digest import Digest
 from rtrun.judgement.groups import Group, slowest
 from rtrun.judgement.study import Study
+from rtrun.kinds import messages, oneshot
+from rtrun.kinds.known import KINDS, kind_of
 
-ONESHOT, COMMUNICATION, CYCLICTEST = "oneshot_timer_tests", "communication_tests", "cyclictest"
+ONESHOT, COMMUNICATION, CYCLICTEST = oneshot.KIND, messages.KIND, "cyclictest"
 _BROADER_NS = 300_000  # of the claim: from about 200 to about 500 us
-SUITES = ("cyclic_timer_tests", ONESHOT, COMMUNICATION)
 
 
 def peaks_random(study: Study) -> Result:
     """The highest values of each run lie anywhere: spread evenly, and at no fixed distance."""
     by_run: dict[str, Digest] = {}
     for d in slowest([d for group in study.as_in_2014 for d in group.digests]):
-        if d.header.suite in SUITES and d.n >= 1000 and any(entry.index is not None for entry in d.figures.top):
+        if kind_of(d.header.suite) and d.n >= 1000 and any(entry.index is not None for entry in d.figures.top):
             by_run[d.run] = d
     if not by_run:
         return no_runs("run of 1000 measurements or more that lists where its peaks lie")
@@ -141,7 +143,7 @@ def comm_higher_frequency_faster(study: Study) -> Result:
 
 def comm_nothing_lost(study: Study) -> Result:
     """No message is missing or out of order."""
-    digests = [d for g in study.groups if g.suite == COMMUNICATION for d in g.digests]
+    digests = [d for g in study.groups if is_of(g.suite, COMMUNICATION) for d in g.digests]
     if not digests:
         return no_runs("communication run")
     missing, swapped = sum(d.header.missing for d in digests), sum(d.header.out_of_order for d in digests)
@@ -158,8 +160,8 @@ def comm_nothing_lost(study: Study) -> Result:
 def rr_equals_fifo(study: Study) -> Result:
     """RR and FIFO give the same distribution."""
     compared_pairs = []
-    for suite in SUITES:
-        for pair in pairs(select(study.as_in_2014, suite, rt=True), "policy", "RR", "FIFO"):
+    for kind in KINDS.values():
+        for pair in pairs(select(study.as_in_2014, kind, rt=True), "policy", "RR", "FIFO"):
             comparison = compared(pair, study.question.confidence)
             if comparison is not None:
                 compared_pairs.append((pair, comparison))
@@ -203,9 +205,9 @@ def default_priority_unpredictable(study: Study) -> Result:
     """The 99th percentile is higher without real-time priority."""
     candidates = [
         pair
-        for suite in SUITES
+        for kind in KINDS.values()
         for policy in ("RR", "FIFO")
-        for pair in pairs(select(study.as_in_2014, suite), "policy", policy, "0")
+        for pair in pairs(select(study.as_in_2014, kind), "policy", policy, "0")
     ]
     # "Drastically" is read as twice as much: the shift is as large as the figure.
     return examine_shift(

@@ -10,6 +10,7 @@ from rtrun.judgement.claims.examination import (
     compared,
     describe_shift,
     examine_shift,
+    is_of,
     is_rt,
     no_runs,
     pairs,
@@ -18,9 +19,10 @@ from rtrun.judgement.claims.examination import (
 )
 from rtrun.judgement.groups import Group, format_parameters
 from rtrun.judgement.study import Study
+from rtrun.kinds import cyclic, oneshot
 from rtrun.plan.question import NONE_TOLERATED, Question
 
-ONESHOT, CYCLIC = "oneshot_timer_tests", "cyclic_timer_tests"
+ONESHOT, CYCLIC = oneshot.KIND, cyclic.KIND
 _MS = 1_000_000
 _DEADLINE_NS = 400_000
 
@@ -60,7 +62,7 @@ def oneshot_sub_millisecond(study: Study) -> Result:
 
 def oneshot_ignored_without_rt(study: Study) -> Result:
     """Timers that do not fire: some without real-time priority, none with it."""
-    with_rt, without = ([g for g in study.groups if g.suite == ONESHOT and is_rt(g) is rt] for rt in (True, False))
+    with_rt, without = ([g for g in study.groups if is_of(g.suite, ONESHOT) and is_rt(g) is rt] for rt in (True, False))
     if not with_rt and not without:
         return no_runs("one-shot run")
     lost_rt, lost = (sum(d.header.not_fired for g in side for d in g.digests) for side in (with_rt, without))
@@ -85,7 +87,7 @@ def oneshot_ignored_without_rt(study: Study) -> Result:
 def oneshot_reported_accurate(study: Study) -> Result:
     """With real-time priority, what the timer reports is what was measured; without, milliseconds apart."""
     differences = [
-        d for d in study.others if d.header.suite == ONESHOT and d.header.series == "difference_2014" and d.n
+        d for d in study.others if is_of(d.header.suite, ONESHOT) and d.header.series == "difference_2014" and d.n
     ]
     rt = [d for d in differences if d.header.parameters.get("policy", "0") != "0"]
     without = [d for d in differences if d.header.parameters.get("policy", "0") == "0"]
