@@ -91,69 +91,63 @@ class Verdict:
         return None if self.period_ns is None else measurements * self.period_ns / 3.6e12
 
 
-def judge(
-    runs: Sequence[Trials],
-    question: Question,
-    *,
-    period_ns: float | None = None,
-    clock_step_ns: int | None = None,
-    emulated: bool = False,
-    measurements_per_event: int = 1,
-    off_rate: int = 0,
-) -> Verdict:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Circumstances:
+    """How runs were measured, as far as it bears on their verdict.
+
+    `measurements_per_event` measurements of one event (the subscribers of one message) count as one measurement.
+    `off_rate` runs beside these are left out because they missed the rate that was asked for.
+    """
+
+    period_ns: float | None = None
+    clock_step_ns: int | None = None
+    emulated: bool = False
+    measurements_per_event: int = 1
+    off_rate: int = 0
+
+
+def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = Circumstances()) -> Verdict:
     """Answer a question for runs of one set of parameters.
 
     PROVEN: the interval's upper end is below it, and no run shows a change. IF_INDEPENDENT: the same, from counts that
     kept no order. REFUTED: the lower end is above it. Else, and with fewer boots than asked for, NEEDS MORE, with
     how many.
-    With `off_rate` runs beside these, left out because they missed the rate that was asked for, nothing is PROVEN: runs
-    that kept to it are the lucky ones.
-    `measurements_per_event` measurements of one event (the subscribers of one message) count as one measurement.
+    With runs left out that missed the rate that was asked for, nothing is PROVEN: runs that kept to it are the lucky
+    ones.
     Numbers from an emulated board, or for a deadline below two clock steps, are no real-time statement.
     Raises ValueError when probability or confidence is not between 0 and 1.
     """
-    deadline_ns, probability, confidence = question.deadline_ns, question.probability, question.confidence
+    probability, confidence = question.probability, question.confidence
     if not 0 < probability < 1 or not 0 < confidence < 1:
         raise ValueError("probability and confidence must lie between 0 and 1, both ends excluded")
     runs = sorted(runs, key=lambda run: run.start_time)
     n = sum(run.n for run in runs)
     late, absent = sum(run.late for run in runs), sum(run.absent for run in runs)
     misses = late + absent
-    ordered = all(run.misses is not None for run in runs)
-    joined = join_boots(runs)
-    constancy = examine_constancy(joined, probability=probability, confidence=confidence)
-    effect, assumes = _effect_of_runs(runs, misses, confidence, measurements_per_event)
-    effect = max(effect, _effect_of_clusters(constancy.clusters, misses, confidence))
-    effect = min(max(effect, _least_effect(question, measurements_per_event)), max(1.0, float(n)))
+    constancy = examine_constancy(join_boots(runs), probability=probability, confidence=confidence)
+    effect, assumes = _effect(runs, misses, constancy.clusters, question, measured.measurements_per_event)
     lower, upper = anytime_interval(misses / effect, n / effect, confidence)
     if unclear := sum(run.unclear for run in runs):
         # What may have met the deadline counts against a proof, and not for the contrary.
         lower = anytime_lower((misses - unclear) / effect, n / effect, confidence)
         assumes = (*assumes, f"{unclear} values in the same bin of a log as the deadline are late")
-    change = constancy.change
+    is_constant = constancy.change is None and not measured.off_rate
     covered = longest_burst(misses, n, effect, question)
-    refused = None
-    if emulated:
-        refused = "measured on an emulated board"
-    elif clock_step_ns is not None and deadline_ns < 2 * clock_step_ns:
-        refused = f"the deadline of {deadline_ns} ns is finer than two steps of the clock ({clock_step_ns} ns each)"
     boots = len({run.boot for run in runs}) if all(run.boot for run in runs) else None
+    refused = _refusal(question, measured)
+    answer = Answer.NEEDS_MORE
     if refused:
         answer = Answer.NO_STATEMENT
     elif boots is not None and boots < question.boots:
-        answer = Answer.NEEDS_MORE
-    elif covered >= question.bursts and change is None and not off_rate:
-        answer = Answer.PROVEN if ordered else Answer.IF_INDEPENDENT
+        pass
+    elif covered >= question.bursts and is_constant:
+        is_ordered = all(run.misses is not None for run in runs)
+        answer = Answer.PROVEN if is_ordered else Answer.IF_INDEPENDENT
     elif n and lower > probability:
         answer = Answer.REFUTED
-    else:
-        answer = Answer.NEEDS_MORE
-    proven = answer in (Answer.PROVEN, Answer.IF_INDEPENDENT)
-    further = None if off_rate else missing_without_miss(misses, n, effect, question)
-    longer = [(length, replace(question, bursts=length)) for length in BURSTS] if proven else []
-    is_open = answer == Answer.NEEDS_MORE and change is None and not off_rate
-    likely = likely_further(misses, n, effect, question) if is_open else None
-
+    further = None if measured.off_rate else missing_without_miss(misses, n, effect, question)
+    likely = likely_further(misses, n, effect, question) if answer == Answer.NEEDS_MORE and is_constant else None
+    is_proven = answer in (Answer.PROVEN, Answer.IF_INDEPENDENT)
     return Verdict(
         answer=answer,
         question=question,
@@ -169,24 +163,48 @@ def judge(
         boots=boots,
         boards=len({run.board for run in runs}),
         longest_burst=covered,
-        further_for_bursts=tuple(
-            (length, more) for length, asked in longer if (more := missing_without_miss(misses, n, effect, asked))
-        ),
+        further_for_bursts=_further_for_bursts(misses, n, effect, question) if is_proven else (),
         further=further,
         further_chance=chance_of_no_miss(misses, n, effect, further or 0),
         further_likely=likely and (Answer.PROVEN if likely[0] else Answer.REFUTED, likely[1]),
-        period_ns=period_ns,
+        period_ns=measured.period_ns,
         assumes=assumes,
         runs=len({run.run or str(index) for index, run in enumerate(runs)}),
-        off_rate=off_rate,
-        change=change,
+        off_rate=measured.off_rate,
+        change=constancy.change,
         refused=refused,
     )
 
 
-def _least_effect(question: Question, measurements_per_event: int) -> float:
+def _refusal(question: Question, measured: Circumstances) -> str | None:
+    """Why numbers are no real-time statement, None where they are one."""
+    if measured.emulated:
+        return "measured on an emulated board"
+    step_ns = measured.clock_step_ns
+    if step_ns is not None and question.deadline_ns < 2 * step_ns:
+        return f"the deadline of {question.deadline_ns} ns is finer than two steps of the clock ({step_ns} ns each)"
+    return None
+
+
+def _further_for_bursts(misses: int, n: int, effect: float, question: Question) -> tuple[tuple[int, int], ...]:
+    """(length of bursts, measurements without a miss that would cover them), as far as more are missing."""
+    asked = [(length, replace(question, bursts=length)) for length in BURSTS]
+    return tuple((length, more) for length, each in asked if (more := missing_without_miss(misses, n, effect, each)))
+
+
+def _effect(
+    runs: Sequence[Trials], misses: int, clusters: Sequence[tuple[int, int]], question: Question, per_event: int
+) -> tuple[float, tuple[str, ...]]:
+    """The design effect, at most the number of measurements, and what had to be assumed for it."""
+    of_runs, assumes = _effect_of_runs(runs, misses, question.confidence, per_event)
+    of_clusters = _effect_of_clusters(clusters, misses, question.confidence)
+    effect = max(of_runs, of_clusters, _least_effect(question, per_event))
+    return min(effect, max(1.0, float(sum(run.n for run in runs)))), assumes
+
+
+def _least_effect(question: Question, per_event: int) -> float:
     """The design effect that is known beforehand: subscribers of one message, and windows that hold the same misses."""
-    return float(measurements_per_event * question.tolerance.overlap)
+    return float(per_event * question.tolerance.overlap)
 
 
 def _effect_of_runs(

@@ -1,10 +1,9 @@
 """Two folders of runs compared, group by group."""
 
-import dataclasses
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rtfiles.errors import UsageError
@@ -78,42 +77,50 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
             f"{first.source.path} was measured on {first.platform.machine}, {second.source.path} on "
             f"{second.platform.machine}: times of different platforms are not compared"
         )
-    pairs: list[tuple[Group, Group]] = []
-    ambiguous: list[str] = []
-    only: tuple[list[str], list[str]] = ([], [])
     as_in_2014 = {group.suite for side in (first, second) for group in side.groups if group.series in ELSE_IN_2014}
     sides = [_by_circumstances(side, as_in_2014) for side in (first, second)]
-    for key in dict.fromkeys((*sides[0], *sides[1])):
-        alike_a, alike_b = (side.get(key, []) for side in sides)
-        matched = [(x, y) for x in alike_a for y in alike_b if _origin(x) == _origin(y)]
-        if not matched and len(alike_a) == len(alike_b) == 1:
-            matched = [(alike_a[0], alike_b[0])]
-        pairs += matched
-        if alike_a and alike_b and not matched:
-            targets = [" and ".join(_origin_text(group) for group in alike) for alike in (alike_a, alike_b)]
-            ambiguous.append(f"{alike_a[0].label}: {targets[0]} in A, {targets[1]} in B: no target is in both")
-        else:
-            for alike, unmatched, place in ((alike_a, only[0], 0), (alike_b, only[1], 1)):
-                rest = [group for group in alike if all(group is not pair[place] for pair in matched)]
-                unmatched += [_label(group, of_several=len(alike) > 1) for group in rest]
-    counts = Counter(x.label for x, _ in pairs)
-    changes = [
-        _changed(_label(x, of_several=counts[x.label] > 1), x, y, first.question.confidence, margin_ns, len(pairs))
-        for x, y in pairs
-    ]
+    matches = [_match(*(side.get(key, []) for side in sides)) for key in dict.fromkeys((*sides[0], *sides[1]))]
+    pairs = [pair for match in matches for pair in match.pairs]
+    counts = Counter(a.label for a, _ in pairs)
+    changes = [_changed(pair, first.question.confidence, margin_ns, len(pairs)) for pair in pairs]
     corrected = correct([change.comparison for change in changes])
     return Compared(
         platform=first.platform,
         deadline_ns=first.question.deadline_ns,
         miss=first.asked.miss,
         changes=tuple(
-            dataclasses.replace(change, comparison=one) for change, one in zip(changes, corrected, strict=True)
+            replace(change, comparison=comparison, label=_label(a, of_several=counts[a.label] > 1))
+            for change, comparison, (a, _) in zip(changes, corrected, pairs, strict=True)
         ),
-        only_a=tuple(only[0]),
-        only_b=tuple(only[1]),
-        ambiguous=tuple(ambiguous),
+        only_a=tuple(label for match in matches for label in match.only_a),
+        only_b=tuple(label for match in matches for label in match.only_b),
+        ambiguous=tuple(match.ambiguous for match in matches if match.ambiguous),
         left_out=(*first.left_out, *second.left_out),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Match:
+    """Groups of the same circumstances, of both sides: those of one target in pairs, and the labels of the rest."""
+
+    pairs: tuple[tuple[Group, Group], ...] = ()
+    only_a: tuple[str, ...] = ()
+    only_b: tuple[str, ...] = ()
+    ambiguous: str = ""
+
+
+def _match(a: Sequence[Group], b: Sequence[Group]) -> _Match:
+    pairs = tuple((x, y) for x in a for y in b if _origin(x) == _origin(y))
+    if not pairs and len(a) == len(b) == 1:
+        pairs = ((a[0], b[0]),)
+    if a and b and not pairs:
+        targets = [" and ".join(_origin_text(group) for group in side) for side in (a, b)]
+        return _Match(ambiguous=f"{a[0].label}: {targets[0]} in A, {targets[1]} in B: no target is in both")
+    only_a, only_b = (
+        tuple(_label(group, of_several=len(side) > 1) for group in side if all(group is not each for each in matched))
+        for side, matched in ((a, [x for x, _ in pairs]), (b, [y for _, y in pairs]))
+    )
+    return _Match(pairs=pairs, only_a=only_a, only_b=only_b)
 
 
 def _by_circumstances(side: Study, as_in_2014: set[str]) -> dict[str, list[Group]]:
@@ -147,10 +154,11 @@ def _label(group: Group, *, of_several: bool) -> str:
     return f"{group.label} on {_origin_text(group)}" if of_several else group.label
 
 
-def _changed(label: str, a: Group, b: Group, confidence: float, margin_ns: float | None, tests: int) -> Changed:
+def _changed(pair: tuple[Group, Group], confidence: float, margin_ns: float | None, tests: int) -> Changed:
+    a, b = pair
     figures = pool_figures(a.digests), pool_figures(b.digests)
     return Changed(
-        label=label,
+        label=a.label,
         comparison=compare(
             a.blocks,
             b.blocks,

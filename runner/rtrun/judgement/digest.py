@@ -13,8 +13,8 @@ from rtrun.analysis.figures import PERCENTILES, Figures, rank
 from rtrun.analysis.histogram import Histogram, Int64s, from_samples, merge
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.kinds.known import MAIN_2014
-from rtrun.plan.question import NONE_TOLERATED, Question
-from rtrun.results.series import Header, SampleSeries, Series
+from rtrun.plan.question import NONE_TOLERATED, Question, Tolerance
+from rtrun.results.series import Header, HistogramSeries, SampleSeries, Series
 
 _COLUMNS = 240
 # Half of the 1 ms by which the thesis found the negative cluster set off (section 4.2.2).
@@ -79,33 +79,24 @@ class Digest:
 
 def digest(series: Series, question: Question) -> Digest:
     """Reduce a series; its verdict is prepared for the deadline and the tolerance of the question."""
+    header = series.header
+    tolerance = question.tolerance if header.main else NONE_TOLERATED
     trials: Trials | None = None
     tail: Tail | None = None
     blocks: Blocks | None = None
     course: Course | None = None
-    header = series.header
     undecidable = header.undecidable or None
-    compared = header.main or header.series in MAIN_2014
-    tolerance = question.tolerance if header.main else NONE_TOLERATED
-    if isinstance(series, SampleSeries):
-        values = series.values_ns
-        histogram = from_samples(values)
-        if compared:
-            trials = count_misses(values, question.deadline_ns, series.absent, tolerance)
-            blocks = cut(values) if values.size else None
-        if header.main and values.size:
-            tail, course = tail_of(values), _course(values)
-    else:
-        histogram = series.histogram
-        if compared and tolerance != NONE_TOLERATED:
-            undecidable = "counts without order do not tell which misses follow one another"
-        elif compared:
-            try:
-                trials = count_misses_in_histogram(histogram, question.deadline_ns, series.absent_count)
-            except ValueError as error:
-                undecidable = str(error)
-        if compared:
+    histogram = from_samples(series.values_ns) if isinstance(series, SampleSeries) else series.histogram
+    if header.main or header.series in MAIN_2014:
+        if isinstance(series, SampleSeries):
+            trials = count_misses(series.values_ns, question.deadline_ns, series.absent, tolerance)
+            blocks = cut(series.values_ns) if series.values_ns.size else None
+        else:
+            counted = _count_without_order(series, question.deadline_ns, tolerance)
+            trials, undecidable = (counted, undecidable) if isinstance(counted, Trials) else (None, counted)
             blocks = split_randomly(histogram) if histogram.values_ns.size else None
+    if header.main and isinstance(series, SampleSeries) and series.values_ns.size:
+        tail, course = tail_of(series.values_ns), _course(series.values_ns)
     magnitude = np.abs(histogram.values_ns) if header.series.startswith("difference") and histogram.n else None
     return Digest(
         header=header,
@@ -120,6 +111,16 @@ def digest(series: Series, question: Question) -> Digest:
         blocks=blocks,
         course=course,
     )
+
+
+def _count_without_order(series: HistogramSeries, deadline_ns: int, tolerance: Tolerance) -> Trials | str:
+    """The misses among counts, or why they do not tell them."""
+    if tolerance != NONE_TOLERATED:
+        return "counts without order do not tell which misses follow one another"
+    try:
+        return count_misses_in_histogram(series.histogram, deadline_ns, series.absent_count)
+    except ValueError as error:
+        return str(error)
 
 
 def _cluster(histogram: Histogram) -> Cluster:
@@ -148,29 +149,37 @@ def pool_figures(digests: Sequence[Digest]) -> Figures:
     if len(digests) == 1:
         return digests[0].figures
     parts = [one.figures for one in digests if one.n]
-    n = sum(part.n for part in parts)
     lows = [part.min_ns for part in parts if part.min_ns is not None]
     highs = [part.max_ns for part in parts if part.max_ns is not None]
-    means = [(part.n, part.mean_ns, part.std_ns) for part in parts if part.mean_ns is not None]
-    mean = std = None
-    if n and len(means) == len(parts):
-        mean = sum(count * value for count, value, _ in means) / n
-        within = sum((count - 1) * (spread or 0.0) ** 2 for count, _, spread in means)
-        squares = within + sum(count * (value - mean) ** 2 for count, value, _ in means)
-        std = math.sqrt(squares / (n - 1)) if n > 1 else 0.0
+    mean_ns, std_ns = _pooled_moments(parts)
     merged = merge(one.histogram for one in digests)
-    percentiles = {}
-    if merged.n and merged.values_ns.size:
-        below = np.cumsum(merged.counts)
-        wanted = {p: rank(merged.n, p) for p in PERCENTILES}
-        percentiles = {p: int(merged.values_ns[np.searchsorted(below, r)]) for p, r in wanted.items() if r <= below[-1]}
     return Figures(
-        n=n,
+        n=sum(part.n for part in parts),
         min_ns=min(lows, default=None),
-        mean_ns=mean,
+        mean_ns=mean_ns,
         max_ns=max(highs) if highs and len(highs) == len(parts) else None,
-        std_ns=std,
-        percentiles_ns=percentiles,
+        std_ns=std_ns,
+        percentiles_ns=_percentiles(merged),
         bin_ns=merged.bin_ns,
         overflow=sum(part.overflow for part in parts),
     )
+
+
+def _pooled_moments(parts: Sequence[Figures]) -> tuple[float | None, float | None]:
+    """Mean and standard deviation of all values; None where one of the parts has no mean."""
+    known = [(part.n, part.mean_ns, part.std_ns or 0.0) for part in parts if part.mean_ns is not None]
+    n = sum(count for count, *_ in known)
+    if not n or len(known) < len(parts):
+        return None, None
+    mean = sum(count * value for count, value, _ in known) / n
+    squares = sum((count - 1) * spread**2 + count * (value - mean) ** 2 for count, value, spread in known)
+    return mean, math.sqrt(squares / (n - 1)) if n > 1 else 0.0
+
+
+def _percentiles(histogram: Histogram) -> dict[float, int]:
+    """By nearest rank; those beyond the counted values are left out."""
+    if not histogram.values_ns.size:
+        return {}
+    below = np.cumsum(histogram.counts)
+    ranks = {p: rank(histogram.n, p) for p in PERCENTILES}
+    return {p: int(histogram.values_ns[np.searchsorted(below, r)]) for p, r in ranks.items() if r <= below[-1]}

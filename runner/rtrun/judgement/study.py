@@ -10,7 +10,7 @@ from typing import Any
 
 from rtfiles.errors import UsageError
 from rtfiles.output import showing_progress
-from rtrun.analysis.deadline import judge
+from rtrun.analysis.deadline import Circumstances, Verdict, judge
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
@@ -94,62 +94,95 @@ def study(
     ``left_out``.
     """
     source = reading.find_source(path)
-    left_out = [f"{name}: incomplete, it has no run.json: nothing in it is analysed" for name in source.incomplete]
-    digests: list[Digest] = []
-    records: dict[Path, RunRecord] = {}
+    records, refused = _read_records(source.folders)
+    copies = find_copies(records)
+    records = {folder: record for folder, record in records.items() if folder not in copies}
+    _check_of(path, records.values(), question)
+    runs = [_read_run(folder, record, question, known) for folder, record in records.items()]
+    digests = [one for run in runs for one in run.digests]
     if not source.folders:
         digests = [digest(series, question) for series in reading.read_file(path, question.of)]
-    for folder in showing_progress(source.folders, "reading run"):
+    _check_platform(path, digests)
+    basis = _Basis(
+        question=question,
+        records={record.run: record for record in records.values()},
+        off_rate=_off_rate([*records.values(), *_read_old(source)]),
+    )
+    others = tuple(one for one in digests if not one.header.main)
+    groups = _grouped([one for one in digests if one.header.main], basis, bounds=bounds)
+    return Study(
+        source=source,
+        question=question,
+        groups=groups,
+        pooled=tuple(_pooled(groups, basis)),
+        groups_2014=_grouped([one for one in others if one.header.series in MAIN_2014], basis, bounds=False),
+        others=others,
+        records=tuple(records.values()),
+        left_out=(
+            *(f"{name}: incomplete, it has no run.json: nothing in it is analysed" for name in source.incomplete),
+            *refused,
+            *copies.values(),
+            *(text for run in runs for text in run.left_out),
+        ),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Basis:
+    """What every group of a study is judged with: the question, the records by run, and `_off_rate`."""
+
+    question: Question
+    records: Mapping[str, RunRecord]
+    off_rate: Mapping[str, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _DigestedRun:
+    """The complete series of a run, and what of it is left out, a line each."""
+
+    digests: tuple[Digest, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+
+def _read_records(folders: Sequence[Path]) -> tuple[dict[Path, RunRecord], list[str]]:
+    """The records of run directories, and why others are refused."""
+    records, refused = {}, []
+    for folder in showing_progress(folders, "reading run"):
         try:
             records[folder] = read_record(folder)
         except UsageError as error:
-            left_out.append(str(error))
-    copies = find_copies(records)
-    left_out += copies.values()
-    for folder in copies:
-        del records[folder]
-    _check_of(path, records.values(), question)
-    for folder, record in records.items():
-        try:
-            if known is not None and folder in known:
-                digests += known[folder]
-                continue
-            of_run = list(_digests_of_run(folder, record, question, left_out))
-            if known is not None and record.status is RunStatus.OK:
-                known[folder] = tuple(replace(one, tail=None, blocks=None, course=None) for one in of_run)
-            digests += of_run
-        except UsageError as error:
-            left_out.append(str(error))
-    by_run = {record.run: record for record in records.values()}
-    off_rate = _off_rate([*records.values(), *_read_old(source)])
+            refused.append(str(error))
+    return records, refused
+
+
+def _read_run(
+    folder: Path, record: RunRecord, question: Question, known: dict[Path, tuple[Digest, ...]] | None
+) -> _DigestedRun:
+    if known is not None and folder in known:
+        return _DigestedRun(digests=known[folder])
+    if record.status is not RunStatus.OK:
+        return _DigestedRun(left_out=(f"{record.run}: {record.status}: {record.reason or 'no reason given'}",))
+    digests, incomplete = [], {}
+    try:
+        for series in reading.read_series(folder, record, question.of):
+            if series.header.incomplete:
+                incomplete[series.header.output] = series.header.incomplete
+            else:
+                digests.append(digest(series, question))
+    except UsageError as error:
+        return _DigestedRun(left_out=(str(error),))
+    if known is not None:
+        known[folder] = tuple(replace(one, tail=None, blocks=None, course=None) for one in digests)
+    left_out = (f"{record.run}: {output} is incomplete: {reason}" for output, reason in incomplete.items())
+    return _DigestedRun(digests=tuple(digests), left_out=tuple(left_out))
+
+
+def _check_platform(path: Path, digests: Sequence[Digest]) -> None:
     if len(platforms := sorted({one.header.platform for one in digests})) > 1:
         raise UsageError(
             f"{path}: holds runs of several platforms ({', '.join(platforms)}), which say different things about time: "
             "move the runs of each platform into a folder of their own"
         )
-
-    def grouped(members: Iterable[Digest], *, bounds: bool) -> tuple[Group, ...]:
-        by_key: dict[str, list[Digest]] = {}
-        for one in members:
-            by_key.setdefault(_key(one), []).append(one)
-        groups = [
-            _group(alike, by_run, question, off_rate, bounds=bounds)
-            for alike in showing_progress([*by_key.values()], "judging group")
-        ]
-        return tuple(sorted(groups, key=lambda group: (group.suite, group.target)))
-
-    others = tuple(one for one in digests if not one.header.main)
-    groups = grouped((one for one in digests if one.header.main), bounds=bounds)
-    return Study(
-        source=source,
-        question=question,
-        groups=groups,
-        pooled=tuple(_pooled(groups, by_run, question, off_rate)),
-        groups_2014=grouped((one for one in others if one.header.series in MAIN_2014), bounds=False),
-        others=others,
-        records=tuple(records.values()),
-        left_out=tuple(left_out),
-    )
 
 
 def _check_of(path: Path, records: Iterable[RunRecord], question: Question) -> None:
@@ -165,18 +198,13 @@ def _check_of(path: Path, records: Iterable[RunRecord], question: Question) -> N
         raise UsageError(f"{path}: {'; '.join(wrong.values())}")
 
 
-def _digests_of_run(folder: Path, record: RunRecord, question: Question, left_out: list[str]) -> Iterator[Digest]:
-    """Yield a digest of every complete series of a run; what is left out is told in `left_out`, one line each."""
-    if record.status is not RunStatus.OK:
-        left_out.append(f"{record.run}: {record.status}: {record.reason or 'no reason given'}")
-        return
-    incomplete: dict[str, str] = {}
-    for series in reading.read_series(folder, record, question.of):
-        if series.header.incomplete:
-            incomplete[series.header.output] = series.header.incomplete
-        else:
-            yield digest(series, question)
-    left_out += [f"{record.run}: {output} is incomplete: {reason}" for output, reason in incomplete.items()]
+def _grouped(digests: Sequence[Digest], basis: _Basis, *, bounds: bool) -> tuple[Group, ...]:
+    by_key: dict[str, list[Digest]] = {}
+    for one in digests:
+        by_key.setdefault(_key(one), []).append(one)
+    alike = showing_progress([*by_key.values()], "judging group")
+    groups = [_group(members, basis, bounds=bounds) for members in alike]
+    return tuple(sorted(groups, key=lambda group: (group.suite, group.target)))
 
 
 def _key(one: Digest) -> str:
@@ -208,9 +236,7 @@ def _kind(target: str, suite: str, parameters: Mapping[str, Value]) -> str:
     return json.dumps([target, suite, sorted(telling_parameters(parameters).items())])
 
 
-def _pooled(
-    groups: Sequence[Group], records: Mapping[str, RunRecord], question: Question, off_rate: Mapping[str, int]
-) -> Iterator[Group]:
+def _pooled(groups: Sequence[Group], basis: _Basis) -> Iterator[Group]:
     """Yield groups that were measured on several boards in the same environment as one; boards are its clusters.
 
     Of imported files the environment is not known.
@@ -222,40 +248,15 @@ def _pooled(
     for members in alike.values():
         if len({board for group in members for board in group.boards}) > 1:
             digests = [one for group in members for one in group.digests]
-            pooled = _group(digests, records, question, off_rate, bounds=False)
+            pooled = _group(digests, basis, bounds=False)
             yield replace(pooled, target=", ".join(group.target for group in members), members=tuple(members))
 
 
-def _group(
-    alike: Sequence[Digest],
-    records: Mapping[str, RunRecord],
-    question: Question,
-    off_rate: Mapping[str, int],
-    *,
-    bounds: bool,
-) -> Group:
-    first = alike[0].header
-    kinds = {_kind(one.header.target, one.header.suite, one.header.parameters) for one in alike}
+def _group(alike: Sequence[Digest], basis: _Basis, *, bounds: bool) -> Group:
+    first, records = alike[0].header, basis.records
     trials = tuple(_located(one.trials, one.run, records.get(one.run)) for one in alike if one.trials is not None)
     undecidable = next((one.undecidable for one in alike if one.undecidable), None)
-    periods = [one.header.period_ns for one in alike if one.header.period_ns]
-    steps = [one.header.clock_step_ns for one in alike if one.header.clock_step_ns]
-    # Subscribers of one run receive the same messages; threads of cyclictest only measure at the same time.
-    side_by_side = len(alike) / len({one.run for one in alike})
-    verdict = None
-    if undecidable is None and trials:
-        verdict = judge(
-            trials,
-            replace(question, of=first.of, tolerance=question.tolerance if first.main else NONE_TOLERATED),
-            period_ns=sum(periods) / len(periods) / side_by_side if periods else None,
-            clock_step_ns=max(steps, default=None),
-            emulated=first.platform is Platform.EMULATED,
-            measurements_per_event=round(side_by_side) if "subscribers" in first.parameters else 1,
-            off_rate=sum(off_rate.get(kind, 0) for kind in kinds),
-        )
-        assumes = dict.fromkeys(one.header.assumes for one in alike if one.header.assumes)
-        verdict = replace(verdict, assumes=(*verdict.assumes, *assumes))
-    worst_cases, no_bound = _bounds(alike, question, max(steps, default=1)) if bounds else ((), None)
+    worst_cases, no_bound = _bounds(alike, basis.question) if bounds else ((), None)
     return Group(
         suite=first.suite,
         series=first.series,
@@ -264,12 +265,38 @@ def _group(
         parameters=telling_parameters(first.parameters),
         digests=tuple(alike),
         trials=trials,
-        verdict=verdict,
+        verdict=_verdict(alike, trials, basis) if trials and undecidable is None else None,
         undecidable=undecidable,
         bounds=worst_cases,
         no_bound=no_bound,
         records=tuple(records[run] for run in dict.fromkeys(one.run for one in alike) if run in records),
     )
+
+
+def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], basis: _Basis) -> Verdict:
+    first, question = alike[0].header, basis.question
+    kinds = {_kind(one.header.target, one.header.suite, one.header.parameters) for one in alike}
+    periods = [one.header.period_ns for one in alike if one.header.period_ns]
+    # Subscribers of one run receive the same messages; threads of cyclictest only measure at the same time.
+    side_by_side = len(alike) / len({one.run for one in alike})
+    verdict = judge(
+        trials,
+        replace(question, of=first.of, tolerance=question.tolerance if first.main else NONE_TOLERATED),
+        Circumstances(
+            period_ns=sum(periods) / len(periods) / side_by_side if periods else None,
+            clock_step_ns=_clock_step_ns(alike),
+            emulated=first.platform is Platform.EMULATED,
+            measurements_per_event=round(side_by_side) if "subscribers" in first.parameters else 1,
+            off_rate=sum(basis.off_rate.get(kind, 0) for kind in kinds),
+        ),
+    )
+    assumes = dict.fromkeys(one.header.assumes for one in alike if one.header.assumes)
+    return replace(verdict, assumes=(*verdict.assumes, *assumes))
+
+
+def _clock_step_ns(alike: Sequence[Digest]) -> int | None:
+    """The widest step of a clock that any was measured with, None where none is known."""
+    return max((one.header.clock_step_ns for one in alike if one.header.clock_step_ns), default=None)
 
 
 def _located(trials: Trials, run: str, record: RunRecord | None) -> Trials:
@@ -280,7 +307,7 @@ def _located(trials: Trials, run: str, record: RunRecord | None) -> Trials:
     return replace(trials, run=run, boot=boot, board=record.target.name, start_time=record.start_time)
 
 
-def _bounds(alike: Sequence[Digest], question: Question, step_ns: int) -> tuple[tuple[Bound, ...], str | None]:
+def _bounds(alike: Sequence[Digest], question: Question) -> tuple[tuple[Bound, ...], str | None]:
     if alike[0].header.platform is Platform.EMULATED:
         return (), "measured on an emulated board"
     tails = [one.tail for one in slowest(alike)]
@@ -290,7 +317,7 @@ def _bounds(alike: Sequence[Digest], question: Question, step_ns: int) -> tuple[
         [tail for tail in tails if tail is not None],
         probability=question.probability,
         confidence=question.confidence,
-        quantum_ns=step_ns,
+        quantum_ns=_clock_step_ns(alike) or 1,
     ), None
 
 

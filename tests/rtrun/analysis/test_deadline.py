@@ -1,11 +1,12 @@
 """Deadline verdicts: the answers, what they rest on, and what is refused; their error rates are in tests/coverage/."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from rtrun.analysis.deadline import Answer, Verdict, judge
+from rtrun.analysis.deadline import Answer, Circumstances, Verdict, judge
 from rtrun.analysis.histogram import Histogram, from_samples
 from rtrun.analysis.intervals import anytime_interval
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
@@ -14,8 +15,8 @@ from rtrun.plan.question import Question
 DEADLINE = 400_000
 
 
-def verdict(*runs: Trials, probability: float = 1e-3, **more: object) -> Verdict:
-    return judge(runs, Question(deadline_ns=DEADLINE, probability=probability), **more)  # type: ignore[arg-type]
+def verdict(*runs: Trials, probability: float = 1e-3, **measured: Any) -> Verdict:
+    return judge(runs, Question(deadline_ns=DEADLINE, probability=probability), Circumstances(**measured))
 
 
 def with_misses(n: int, *positions: int) -> np.ndarray:

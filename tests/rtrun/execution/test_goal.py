@@ -6,7 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
-from rtrun.analysis.deadline import Answer, judge
+from rtrun.analysis.deadline import Answer, Circumstances, judge
 from rtrun.analysis.standing import Standing
 from rtrun.analysis.trials import count_misses
 from rtrun.execution.goal import TRIES, Findings, rounds, runs_left, standings_of
@@ -64,11 +64,8 @@ class Board:
             names = [name for name in self.trials if name.split("-r")[0] == group.name]
             trials = [self._place(name) for name in names]
             if names:
-                verdict = judge(
-                    trials,
-                    Question(probability=1e-3, boots=self.wanted.boots),
-                    emulated=self.emulated,
-                )
+                question = Question(probability=1e-3, boots=self.wanted.boots)
+                verdict = judge(trials, question, Circumstances(emulated=self.emulated))
                 standings.append(
                     Standing(
                         label=group.name,

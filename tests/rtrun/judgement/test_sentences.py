@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rtrun.analysis.comparison import Ratio
-from rtrun.analysis.deadline import judge
+from rtrun.analysis.deadline import Circumstances, judge
 from rtrun.analysis.stationarity import Change
 from rtrun.analysis.trials import Trials, count_misses
 from rtrun.judgement.verdicts import scope_in_short, sentences
@@ -73,14 +73,14 @@ ADDED = "for the system measure on 5 boots or more"
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_a_sentence(measured, question, said):
-    text = "; ".join(sentences(judge(measured, question, period_ns=PERIOD_NS)))
+    text = "; ".join(sentences(judge(measured, question, Circumstances(period_ns=PERIOD_NS))))
     assert said in text, text
     for nonsense in (" 0 more", "(0 s)", "0 h)", "up to 1 misses"):
         assert nonsense not in text
 
 
 def test_a_change_is_said_before_anything_else():
-    verdict = judge(trials(4000), QUESTION, period_ns=PERIOD_NS)
+    verdict = judge(trials(4000), QUESTION, Circumstances(period_ns=PERIOD_NS))
     change = Change(p_value=1e-9, significant=0.01, text="it rose", missing_loops=60_000)
     assert sentences(replace(verdict, answer="NEEDS MORE", change=change)) == [
         "it did not stay the same: it rose (p = 1e-09)",
