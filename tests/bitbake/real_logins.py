@@ -288,7 +288,7 @@ def client(port: int, folder: Path) -> Callable[..., subprocess.CompletedProcess
     return ssh
 
 
-def wait_for(login: Callable[[], subprocess.CompletedProcess[str]], machine: qemu.Machine, console: Path) -> None:
+def wait_for(login: Callable[[], subprocess.CompletedProcess[str]], machine: qemu.BootedBoard, console: Path) -> None:
     """Log in as soon as the board answers; the test's own time limit ends the waiting."""
     while (done := login()).returncode != 0:
         shown = console.read_text(errors="replace")[-3000:] if console.exists() else ""

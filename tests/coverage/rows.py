@@ -21,7 +21,7 @@ from written import write_output
 
 from rtrun.analysis import comparison, constancy, deadline, layers, recurrence
 from rtrun.analysis.blocks import Blocks, cut
-from rtrun.analysis.comparison import Change, compare, correct
+from rtrun.analysis.comparison import ComparisonAnswer, compare, correct
 from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
 from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.further import Floats, proves, smallest
@@ -120,7 +120,7 @@ def some_group_differs(rng: Rng) -> bool:
             for k in range(10)
         ]
         compared.append(compare(runs[::2], runs[1::2], tests=12))
-    return any(one.answer is Change.DIFFERENT for one in correct(compared))
+    return any(one.answer is ComparisonAnswer.DIFFERENT for one in correct(compared))
 
 
 def proven_for(length: float, n: int, rng: Rng) -> bool:
@@ -234,7 +234,7 @@ def seen_to_differ(rng: Rng) -> bool:
     for place, side in enumerate(5 * "A" + 15 * "AB" + 5 * "B"):
         block = cut(rng.normal(40_000 + 500 * place + 1000 * rng.normal(), 2000, 128).astype(np.int64))
         sides[side].append(replace(block, boot="boot", start_time=f"2026-01-01T00:{place:02}:00+00:00"))
-    return compare(sides["A"], sides["B"]).answer == Change.DIFFERENT
+    return compare(sides["A"], sides["B"]).answer == ComparisonAnswer.DIFFERENT
 
 
 def proven_by_lucky_runs(rng: Rng) -> bool:

@@ -344,7 +344,8 @@ def _runs() -> list[Files]:
                 in_effect=Observed(
                     policy=["RR"], priority=[95], cpus=[0, 1], loads={"stress": 2}, load_cpus=[0], busy_percent=84.2,
                     sched_rt_runtime_us=[950000], temperature_mc=[40000, 41000], frequency_khz=[800000, 800000],
-                    load_1min=[0.5, 0.75], rivals=[Rival(name="migration/0", policy="FIFO", priority=99)], looks=2,
+                    load_1min=[0.5, 0.75], rivals=[Rival(name="migration/0", policy="FIFO", priority=99)],
+                    observations=2,
                 ),
                 target=TargetFacts(
                     name="board", cpus=2, boot_id="1-1", clock=Clock(source="tsc", event="lapic", step_ns=16)

@@ -123,7 +123,7 @@ def test_conditions_on_the_board_and_what_was_in_effect(measured):
         record = read_record(measured, run)
         in_effect = record["in_effect"]
         assert (in_effect["policy"], in_effect["priority"], in_effect["cpus"]) == (["RR"], [95], [1])
-        assert in_effect["looks"] >= 1 and in_effect["sched_rt_runtime_us"] == [950000]
+        assert in_effect["observations"] >= 1 and in_effect["sched_rt_runtime_us"] == [950000]
         rivals = {rival["name"] for rival in in_effect["rivals"]}
         assert "rosmaster" in rivals, "at the priority above the suite's"
         assert in_effect["loads"].keys() == record["requested"]["loads"].keys()

@@ -13,12 +13,12 @@ import pytest
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import cli, debian
 from rtgen.board import build, disk, initrd, kernel, machine, packages, sysroot, u_boot
-from rtgen.board.boot import Boot
+from rtgen.board.boot import KernelBoot
 
 
 @pytest.fixture
-def some_kernel(tmp_path: Path) -> kernel.Kernel:
-    return kernel.Kernel(
+def some_kernel(tmp_path: Path) -> kernel.KernelFiles:
+    return kernel.KernelFiles(
         "6.1.0-rt", tmp_path / "vmlinuz", tmp_path / "config", tmp_path, tmp_path, {"linux": "6.1.1-1"}
     )
 
@@ -30,7 +30,7 @@ def test_unknown_machine_is_a_usage_error_that_lists_the_known(capsys: pytest.Ca
     assert capsys.readouterr().err == said
 
 
-def test_board_record_is_what_formats_md_promises(some_kernel: kernel.Kernel) -> None:
+def test_board_record_is_what_formats_md_promises(some_kernel: kernel.KernelFiles) -> None:
     board = machine.find("vexpress-a9")
     entries = build.boot_entries(board, {"rt": some_kernel})
     record = build.board_record("vexpress-a9", board, board.qemu, entries, {}, "ssh-ed25519 AAAA comment\n")
@@ -42,7 +42,7 @@ def test_board_record_is_what_formats_md_promises(some_kernel: kernel.Kernel) ->
     assert "kernels" not in record
 
 
-def test_a_board_with_two_kernels_has_files_of_each_and_starts_the_first(some_kernel: kernel.Kernel) -> None:
+def test_a_board_with_two_kernels_has_files_of_each_and_starts_the_first(some_kernel: kernel.KernelFiles) -> None:
     board = machine.find("vexpress-a9")
     entries = build.boot_entries(board, {"rt": some_kernel, "standard": replace(some_kernel, release="6.1.0")})
     record = build.board_record("vexpress-a9", board, board.qemu, entries, {}, "ssh-ed25519 AAAA comment\n")
@@ -85,7 +85,10 @@ def test_only_the_main_suite_of_debian_itself_is_a_source(listing: str, mirror: 
 def test_another_release_comes_from_the_same_mirror() -> None:
     own, other = debian.source(), debian.source("trixie")
     assert (other.release, other.mirror) == ("trixie", own.mirror)
-    assert debian.Source(release="trixie", mirror="http://mirror/debian").line == "deb http://mirror/debian trixie main"
+    assert (
+        debian.PackageSource(release="trixie", mirror="http://mirror/debian").line
+        == "deb http://mirror/debian trixie main"
+    )
 
 
 def test_unknown_suite_of_debian(capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,7 +102,7 @@ def test_suite_that_the_mirror_does_not_serve_is_one_clear_line(tmp_path: Path) 
     (tmp_path / "mirror").mkdir()
     folder = tmp_path / "tree"
     folder.mkdir()
-    source = debian.Source(release="trixie", mirror=f"file://{tmp_path}/mirror")
+    source = debian.PackageSource(release="trixie", mirror=f"file://{tmp_path}/mirror")
     with pytest.raises(InfrastructureError) as raised:
         debian.extract(["base-files"], folder, "armhf", source)
     assert str(raised.value) == f"Debian's suite trixie is not served by {source.mirror}"
@@ -112,7 +115,7 @@ def test_mirror_that_does_not_answer_is_one_clear_line(tmp_path: Path) -> None:
         closed.bind(("127.0.0.1", 0))
         mirror = f"http://127.0.0.1:{closed.getsockname()[1]}/debian"
         with pytest.raises(InfrastructureError) as raised:
-            debian.extract(["base-files"], tmp_path, "armhf", debian.Source(release="bookworm", mirror=mirror))
+            debian.extract(["base-files"], tmp_path, "armhf", debian.PackageSource(release="bookworm", mirror=mirror))
     assert str(raised.value).startswith(f"cannot download {mirror}/dists/bookworm/InRelease: Could not connect to ")
     assert "\n" not in str(raised.value)
 
@@ -164,7 +167,7 @@ def test_modules_come_after_what_they_need_and_once() -> None:
     ]
 
 
-def test_device_tree_that_the_kernel_lacks(some_kernel: kernel.Kernel) -> None:
+def test_device_tree_that_the_kernel_lacks(some_kernel: kernel.KernelFiles) -> None:
     with pytest.raises(InfrastructureError, match=r"^the kernel 6\.1\.0-rt has no device tree other\.dtb$"):
         some_kernel.device_tree("other.dtb")
     (some_kernel.dtbs / "other.dtb").touch()
@@ -175,7 +178,7 @@ def test_device_tree_that_the_kernel_lacks(some_kernel: kernel.Kernel) -> None:
 
 def test_firmware_that_its_package_lacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packages, "unpacked", lambda *_: tmp_path)
-    source = debian.Source(release="trixie", mirror=None)
+    source = debian.PackageSource(release="trixie", mirror=None)
     with pytest.raises(InfrastructureError, match=r"^u-boot-omap of Debian trixie \(armhf\) has no file usr/MLO$"):
         packages.file_of("u-boot-omap", "usr/MLO", "armhf", source)
     (tmp_path / "usr").mkdir()
@@ -186,7 +189,7 @@ def test_firmware_that_its_package_lacks(tmp_path: Path, monkeypatch: pytest.Mon
 def test_u_boot_comes_from_the_suite_that_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
-    def unpacked(names: list[str], architecture: str, source: debian.Source) -> Path:
+    def unpacked(names: list[str], architecture: str, source: debian.PackageSource) -> Path:
         asked.append((*names, architecture, source))
         return tmp_path
 
@@ -196,14 +199,14 @@ def test_u_boot_comes_from_the_suite_that_has_it(tmp_path: Path, monkeypatch: py
     for name in panda.u_boot.files:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    boot = Boot(kernel=tmp_path, ram_disk=tmp_path, command_line="quiet", device_tree=tmp_path)
-    source = debian.Source(release="trixie", mirror="http://mirror/debian")
+    boot = KernelBoot(kernel=tmp_path, ram_disk=tmp_path, command_line="quiet", device_tree=tmp_path)
+    source = debian.PackageSource(release="trixie", mirror="http://mirror/debian")
     files = u_boot.boot_files(panda.architecture, panda.u_boot, source, {"rt": boot}, tmp_path)
     assert files.others["MLO"] == tmp_path / "usr/lib/u-boot/omap4_panda/MLO"
-    assert set(asked) == {("u-boot-omap", "armhf", debian.Source(release="bookworm", mirror=source.mirror))}
+    assert set(asked) == {("u-boot-omap", "armhf", debian.PackageSource(release="bookworm", mirror=source.mirror))}
 
 
-def test_ram_disk_gets_modules_unpacked(some_kernel: kernel.Kernel) -> None:
+def test_ram_disk_gets_modules_unpacked(some_kernel: kernel.KernelFiles) -> None:
     (some_kernel.modules / "modules.dep").write_text("plain.ko:\npacked.ko.xz: plain.ko\n")
     (some_kernel.modules / "plain.ko").write_bytes(b"as it is")
     (some_kernel.modules / "packed.ko.xz").write_bytes(lzma.compress(b"was packed"))

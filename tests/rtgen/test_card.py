@@ -11,7 +11,7 @@ import pytest
 
 from rtgen import cli, debian, flash
 from rtgen.board import card, disk, u_boot, uefi
-from rtgen.board.boot import Boot, BootFiles
+from rtgen.board.boot import BootFiles, KernelBoot
 from rtgen.board.machine import UBoot, architectures
 
 MIB = 2**20
@@ -133,7 +133,7 @@ def test_boot_kernel_copies_the_file_of_a_kernel_to_where_firmware_looks(
 def test_u_boot_loads_each_kernel_with_its_own_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(u_boot, "file_of", lambda package, name, *_: tmp_path / name)
     boots = {
-        name: Boot(
+        name: KernelBoot(
             kernel=tmp_path / f"{name}.kernel",
             ram_disk=tmp_path / f"{name}.initrd",
             command_line=f"root={name}",
@@ -142,7 +142,7 @@ def test_u_boot_loads_each_kernel_with_its_own_files(tmp_path: Path, monkeypatch
         for name in ("rt", "standard")
     }
     loader = UBoot(package="u-boot", files=["usr/lib/MLO"], device_tree="board.dtb")
-    loaded = u_boot.boot_files("armhf", loader, debian.Source(release="bookworm", mirror=None), boots, tmp_path)
+    loaded = u_boot.boot_files("armhf", loader, debian.PackageSource(release="bookworm", mirror=None), boots, tmp_path)
     for name, configuration in loaded.by_kernel.items():
         words = dict(line.split(maxsplit=1) for line in configuration.read_text().splitlines())
         assert words["append"] == f"root={name}"

@@ -58,7 +58,7 @@ def test_options_of_removed_and_later_symbols_follow_the_version(data):
 
 
 def test_version_numbers_compare_as_numbers():
-    option = kconfig.Option(symbol="X", value="y", reason="r", source="s", since="6.2")
+    option = kconfig.KernelOption(symbol="X", value="y", reason="r", source="s", since="6.2")
     assert option.holds_for("6.12") and not option.holds_for("6.1")
 
 

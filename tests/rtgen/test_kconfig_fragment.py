@@ -6,7 +6,7 @@ import os
 import pytest
 
 from rtfiles.errors import UsageError
-from rtgen.kconfig.data import Option
+from rtgen.kconfig.data import KernelOption
 from rtgen.kconfig.fragment import CONFIG_BYTES_MAX, kernel_of, read_text
 from rtgen.kconfig.verify import load_fragment
 
@@ -38,4 +38,4 @@ def test_versions_have_digits_that_a_kernel_has():
     for version in ("9" * 6000 + ".1", "\u0666.\u0661"):
         assert kernel_of(head.format(version)) is None
         with pytest.raises(ValueError, match="since"):
-            Option(symbol="A", value="y", reason="x", source="y", since=version)
+            KernelOption(symbol="A", value="y", reason="x", source="y", since=version)

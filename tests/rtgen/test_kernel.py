@@ -8,10 +8,10 @@ import pytest
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import kernel
 from rtgen.cli import main
-from rtgen.debian import Source
+from rtgen.debian import PackageSource
 from rtgen.kconfig import data as kconfig
 from rtgen.kconfig import debian_source
-from rtgen.kconfig.verify import Mismatch, Verdict, verify_config
+from rtgen.kconfig.verify import Mismatch, Verification, verify_config
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_a_mirror_without_the_suites_is_one_clear_line(data, monkeypatch, tmp_pa
     monkeypatch.setenv("META_RT_TESTS_CACHE", str(tmp_path / "cache"))
     mirror = tmp_path / "mirror"
     mirror.mkdir()
-    monkeypatch.setattr(debian_source, "source", lambda: Source(release="bookworm", mirror=f"file://{mirror}"))
+    monkeypatch.setattr(debian_source, "source", lambda: PackageSource(release="bookworm", mirror=f"file://{mirror}"))
     assert main(["kernel", "build", "--machine", "qemu-armv7", "--kernel", "7.2"]) == 3
     pinned = data.source("7.2")
     reason = f"The repository 'file:{mirror} {pinned.suites[0]} Release' does not have a Release file."
@@ -77,7 +77,7 @@ def test_a_file_with_another_checksum_is_refused(data, monkeypatch, tmp_path):
 
 def test_options_that_do_not_hold_are_not_built(data):
     wrong = Mismatch(symbol="PREEMPT_RT", want="y", got="n", reason="unmet dependency EXPERT (is n)")
-    verdict = Verdict(subject="qemu-armv7", checked=1, mismatches=(wrong,), config="")
+    verdict = Verification(subject="qemu-armv7", checked=1, mismatches=(wrong,), config="")
     with pytest.raises(UsageError, match="qemu-armv7: options do not hold: PREEMPT_RT"):
         kernel.build(data, "qemu-armv7", verdict)
 

@@ -107,7 +107,7 @@ def test_a_mirror_in_the_middle_of_an_update_is_asked_again_past_caches(
 ) -> None:
     mirror.at, mirror.fault = at, FAULTS[fault]
     # What it serves is not signed.
-    source = debian.Source(release=RELEASE, mirror=f"[trusted=yes] {mirror.address}")
+    source = debian.PackageSource(release=RELEASE, mirror=f"[trusted=yes] {mirror.address}")
     if fault == "always":
         with pytest.raises(InfrastructureError) as raised:
             debian.extract([PACKAGE], tmp_path, "armhf", source)
@@ -135,7 +135,7 @@ def test_the_source_of_a_kernel_is_asked_for_again_past_caches(
     monkeypatch.setenv("APT_CONFIG", str(unsigned))
     monkeypatch.setenv("LC_ALL", "C.UTF-8")
     monkeypatch.setenv("META_RT_TESTS_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(debian_source, "source", lambda: debian.Source(release=RELEASE, mirror=mirror.address))
+    monkeypatch.setattr(debian_source, "source", lambda: debian.PackageSource(release=RELEASE, mirror=mirror.address))
     archive, pinned = release / ARCHIVE[1:], kconfig.load().source()
     checksum = hashlib.sha256(archive.read_bytes()).hexdigest()
     tree = pinned.tree.model_copy(update={"package": PACKAGE, "file": archive.name, "sha256": checksum})

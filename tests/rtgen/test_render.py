@@ -17,7 +17,7 @@ from rtgen.cli import main
 from rtgen.kconfig import data as kconfig
 from rtgen.layer import output, programs
 from rtgen.layer import render as layer
-from rtgen.layer.render import Link, is_ours
+from rtgen.layer.render import SymbolicLink, is_ours
 from rtgen.profile import Release, load_machines, load_profile, load_releases, profile_names
 
 SUITES = PurePosixPath("meta-rt-tests/recipes-tests/suites")
@@ -37,7 +37,7 @@ def text(tree, path):
 def test_every_file_says_it_is_generated(name):
     tree = tree_of(name)
     for path, content in tree.items():
-        if isinstance(content, Link):
+        if isinstance(content, SymbolicLink):
             assert (path, content.target) == (SUITES / "files", PurePosixPath("recipes-tests"))
             continue
         first = content.partition("\n")[0]

@@ -28,7 +28,7 @@ class Farm:
         command = [sys.executable, "-m", "labgrid.remote.client", "-x", self.coordinator, *words]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
 
-    def place(self, name: str) -> labgrid.Place:
+    def place(self, name: str) -> labgrid.LabgridPlace:
         return next(place for place in labgrid.list_places(self.coordinator) if place.name == name)
 
     def await_free(self, name: str) -> None:

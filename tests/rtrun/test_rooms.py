@@ -1,9 +1,13 @@
 """The order of the runner's rooms, from the imports: no room imports a later one."""
 
 import ast
+from collections import Counter
+from pathlib import Path
 
 import pytest
 
+import rtfiles
+import rtgen
 import rtrun
 from rooms import find_late_imports, modules_of_rooms
 from rtrun.plan.suites import suites
@@ -35,3 +39,11 @@ def test_no_module_asks_for_a_suite_or_a_kind_by_its_name():
 
 def test_an_import_of_a_later_room_is_found():
     assert find_late_imports(rtrun, tuple(reversed(ROOMS)), "commands")
+
+
+def test_a_class_name_stands_once():
+    """In all of the runner and the tools: one word for one thing."""
+    paths = [path for top in (rtrun, rtgen, rtfiles) for path in Path(str(top.__file__)).parent.rglob("*.py")]
+    nodes = [node for path in paths for node in ast.walk(ast.parse(path.read_text()))]
+    names = Counter(node.name for node in nodes if isinstance(node, ast.ClassDef))
+    assert names["Group"] == 1 and [name for name, count in names.items() if count > 1] == []

@@ -31,7 +31,7 @@ LIST = "packages.list"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Source:
+class PackageSource:
     """Where packages come from: the code name of Debian's release, and the mirror (None: mmdebstrap's default)."""
 
     release: str
@@ -43,7 +43,7 @@ class Source:
         return f"deb {self.mirror} {self.release} main" if self.mirror else None
 
 
-def source(release: str | None = None) -> Source:
+def source(release: str | None = None) -> PackageSource:
     """The source of a release's packages; without a release that of this machine, and elsewhere than on Debian 12's.
 
     On Debian the mirror is the machine's own. Only the main suite is used: it has everything, and the security suite's
@@ -51,12 +51,12 @@ def source(release: str | None = None) -> Source:
     """
     system = platform.freedesktop_os_release()
     if system.get("ID") != "debian" or "VERSION_CODENAME" not in system:
-        return Source(release=release or "bookworm", mirror=None)
+        return PackageSource(release=release or "bookworm", mirror=None)
     own = system["VERSION_CODENAME"]
     listing = run(
         ["apt-get", "indextargets", "--format", "$(ORIGIN)|$(REPO_URI)|$(RELEASE)|$(COMPONENT)", "Created-By: Packages"]
     )
-    return Source(release=release or own, mirror=mirror(listing, own))
+    return PackageSource(release=release or own, mirror=mirror(listing, own))
 
 
 def mirror(listing: str, release: str) -> str | None:
@@ -113,7 +113,9 @@ def failed_download(output: str) -> str | None:
     return f"cannot download {failed[1]}: {failed[2]}{later}"
 
 
-def extract(names: list[str], folder: Path, architecture: str, source: Source, dropped: Iterable[str] = ()) -> None:
+def extract(
+    names: list[str], folder: Path, architecture: str, source: PackageSource, dropped: Iterable[str] = ()
+) -> None:
     """Unpack packages of an architecture and their dependencies into an existing folder; the caller owns every file.
 
     Documentation, translations and files that match `dropped` (patterns of tar) are left out. Absolute symbolic links

@@ -20,7 +20,7 @@ _PROXIES = ("http_proxy", "https_proxy", "GIT_PROXY_COMMAND")
 _PROGRAM_TIMEOUT_S = 20
 
 
-class Program(Config):
+class NeededProgram(Config):
     """The Debian package of a program, and the oldest version that works."""
 
     package: str
@@ -31,7 +31,7 @@ class Needs(Config):
     """doctor.yml."""
 
     schema_: Literal[1] = Field(alias="schema")
-    programs: dict[str, Program]
+    programs: dict[str, NeededProgram]
     locale: str
     disk_gib: int
     disk_rm_work_gib: int
@@ -55,7 +55,7 @@ class Host:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Finding:
+class Obstacle:
     """Something that prevents a build (`fatal`) or may spoil it, and the remedy."""
 
     fatal: bool
@@ -84,36 +84,36 @@ def inspect(folder: Path, needs: Needs) -> Host:
     )
 
 
-def judge(host: Host, needs: Needs) -> list[Finding]:
+def judge(host: Host, needs: Needs) -> list[Obstacle]:
     """What stands against a build on a host, the fatal findings first."""
     return sorted(_findings(host, needs), key=lambda finding: not finding.fatal)
 
 
-def _findings(host: Host, needs: Needs) -> Iterator[Finding]:
+def _findings(host: Host, needs: Needs) -> Iterator[Obstacle]:
     missing = [name for name in needs.programs if name not in host.versions]
     if missing:
         packages = " ".join(sorted({needs.programs[name].package for name in missing}))
-        yield Finding(
+        yield Obstacle(
             fatal=True, what=f"not installed: {', '.join(missing)}", remedy=f"sudo apt-get install {packages}"
         )
     for name, version in host.versions.items():
         oldest = needs.programs[name].version
         if oldest and version and _numbers(version) < _numbers(oldest):
-            yield Finding(
+            yield Obstacle(
                 fatal=True,
                 what=f"{name} is version {version}, BitBake needs {oldest}",
                 remedy="take a newer distribution, or the Yocto Project's buildtools-extended tarball",
             )
     if needs.locale not in host.locales:
-        yield Finding(
+        yield Obstacle(
             fatal=True,
             what="the locale en_US.UTF-8, in which BitBake runs, does not exist",
             remedy="sudo apt-get install locales && sudo localedef -i en_US -f UTF-8 en_US.UTF-8",
         )
     if host.root:
-        yield Finding(fatal=True, what="you are root, as whom BitBake refuses to run", remedy="build as another user")
+        yield Obstacle(fatal=True, what="you are root, as whom BitBake refuses to run", remedy="build as another user")
     if not host.user_namespaces:
-        yield Finding(
+        yield Obstacle(
             fatal=True,
             what="user namespaces cannot be made, with which BitBake cuts tasks off the network",
             remedy="Ubuntu 24.04 and later: sudo sysctl kernel.apparmor_restrict_unprivileged_userns=0; "
@@ -121,31 +121,31 @@ def _findings(host: Host, needs: Needs) -> Iterator[Finding]:
             "in a container: allow unshare (podman and docker: --security-opt seccomp=unconfined)",
         )
     if found := re.search(r"[\s+@]", str(host.folder)):
-        yield Finding(
+        yield Obstacle(
             fatal=True,
             what=f"{host.folder} has {found[0]!r} in its path, which breaks recipes",
             remedy="build in a folder whose path has no blank, + or @",
         )
     yield from _resources(host, needs)
     if "http_proxy" in host.proxies and "https_proxy" not in host.proxies:
-        yield Finding(
+        yield Obstacle(
             fatal=False,
             what="http_proxy is set and https_proxy is not, but most sources come by https",
             remedy="export https_proxy with your proxy, too",
         )
     if {"http_proxy", "https_proxy"} & host.proxies.keys() and "GIT_PROXY_COMMAND" not in host.proxies:
-        yield Finding(
+        yield Obstacle(
             fatal=False,
             what="a proxy is set, which git:// addresses do not use",
             remedy="export GIT_PROXY_COMMAND (see core.gitProxy in git-config), if a fetch by git:// fails",
         )
 
 
-def _resources(host: Host, needs: Needs) -> Iterator[Finding]:
+def _resources(host: Host, needs: Needs) -> Iterator[Obstacle]:
     free_gib, memory_gib = host.free_bytes / GIB, host.memory_bytes / GIB
     if free_gib < needs.disk_gib:
         enough = free_gib >= needs.disk_rm_work_gib
-        yield Finding(
+        yield Obstacle(
             fatal=not enough,
             what=f"{free_gib:.0f} GiB are free in {host.folder}, a first build needs {needs.disk_gib} GiB",
             remedy="add :meta-rt-tests/kas/rm-work.yml to the command of kas, with which "
@@ -156,13 +156,13 @@ def _resources(host: Host, needs: Needs) -> Iterator[Finding]:
         )
     # A machine of 8 GiB shows a little less, since the firmware and the kernel keep some.
     if memory_gib < 0.9 * needs.memory_gib:
-        yield Finding(
+        yield Obstacle(
             fatal=False,
             what=f"{memory_gib:.1f} GiB of memory, {needs.memory_gib} GiB are the least that Yocto's manual names",
             remedy='in local.conf: BB_NUMBER_THREADS = "2" and PARALLEL_MAKE = "-j 2"; add swap',
         )
     if host.open_files < needs.open_files:
-        yield Finding(
+        yield Obstacle(
             fatal=False,
             what=f"a process may open {host.open_files} files only, the usual limit is {needs.open_files}",
             remedy=f"ulimit -n {needs.open_files}",

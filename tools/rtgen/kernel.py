@@ -13,7 +13,7 @@ from rtgen.kconfig.data import Data
 from rtgen.kconfig.fragment import parse_fragment
 from rtgen.kconfig.render import render
 from rtgen.kconfig.tree import CROSS_COMPILE
-from rtgen.kconfig.verify import Verdict, verify_tree
+from rtgen.kconfig.verify import Verification, verify_tree
 from rtgen.process import run
 
 SCHEMA = 1
@@ -27,7 +27,7 @@ _REPRODUCIBLE = {
 BUILD_TIMEOUT_S = 3 * 3600
 
 
-def plan(data: Data, machine: str, version: str | None = None) -> Verdict:
+def plan(data: Data, machine: str, version: str | None = None) -> Verification:
     """Verify the .config that would be built: the machine's fragment for a pinned version on its first base.
 
     The version is as in `Data.source`.
@@ -37,7 +37,7 @@ def plan(data: Data, machine: str, version: str | None = None) -> Verdict:
     return verify_tree(data, tree, machine, data.machine(machine).bases[0], fragment, None)
 
 
-def build(data: Data, machine: str, verdict: Verdict, version: str | None = None) -> Path:
+def build(data: Data, machine: str, verdict: Verification, version: str | None = None) -> Path:
     """Build the kernel that was planned for a machine and a version; return its folder in the cache.
 
     The folder holds vmlinuz (zImage), config, modules/<release> (as in /lib/modules), dtbs/*.dtb, and kernel.json

@@ -60,7 +60,7 @@ RtSource = Literal["branch", "mainline", "patch"]
 
 
 class KernelRecipe(Config):
-    """A kernel recipe in the layers of a release: its series, and how it gets PREEMPT_RT (see `Kernel`).
+    """A kernel recipe in the layers of a release: its series, and how it gets PREEMPT_RT (see `ProfileKernel`).
 
     `collection`: the layer's name for BitBake (BBFILE_COLLECTIONS), if an image may do without the recipe's layer.
     """
@@ -142,7 +142,7 @@ class KernelSource(Config):
     rt_patch_sha256: Annotated[str, matching(r"[0-9a-f]{64}", "64 lower-case hex digits")] | None = None
 
 
-class Kernel(Config):
+class ProfileKernel(Config):
     """The kernel of a machine, and how it gets PREEMPT_RT.
 
     `rt`: "branch" (the recipe's branch has the RT patch), "mainline" (no patch is needed) or "patch" (our append adds
@@ -166,7 +166,7 @@ class Kernel(Config):
         return tuple(int(part) for part in self.version.split("."))
 
 
-class Console(Config):
+class SerialConsole(Config):
     """A serial console."""
 
     device: Annotated[str, matching(r"tty[A-Za-z]+\d+", "a serial device such as ttyS2")]
@@ -180,11 +180,11 @@ class SdCard(Config):
     root_extra_mib: Annotated[int, Field(ge=0, le=65536)]
 
 
-class Machine(Config):
+class ProfileMachine(Config):
     """A machine of the profile. `sd_card` is for machines of our layer; others have image types of their own."""
 
-    kernel: Kernel
-    serial_console: Console
+    kernel: ProfileKernel
+    serial_console: SerialConsole
     boot_arguments: Annotated[tuple[Argument, ...], Field(strict=False)] = ()
     sd_card: SdCard | None = None
 
@@ -221,7 +221,7 @@ class Profile(Config):
     ros_distro: str
     distro: Name
     repositories: Annotated[dict[Name, Repository], Field(min_length=1)]
-    machines: Annotated[dict[Name, Machine], Field(min_length=1)]
+    machines: Annotated[dict[Name, ProfileMachine], Field(min_length=1)]
     suites: SuiteSource | None = None
     image: Image
     ssh: Ssh

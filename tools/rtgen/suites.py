@@ -14,7 +14,7 @@ from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.wording import unknown
 from rtgen.board import packages as board_packages
 from rtgen.board import sysroot
-from rtgen.board.machine import Architecture, architectures, machines
+from rtgen.board.machine import DebianArchitecture, architectures, machines
 from rtgen.checkout import checkout
 from rtgen.process import run
 
@@ -44,7 +44,7 @@ class Toolchain:
 
     compiler: str
     flags: str
-    architecture: Architecture | None
+    architecture: DebianArchitecture | None
     sysroot: Path | None
     release: str | None
     identity: tuple[str, ...]

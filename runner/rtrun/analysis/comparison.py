@@ -1,7 +1,7 @@
 """Did it change? Two sets of runs, compared by resampling blocks, runs or boots, never single measurements."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -25,7 +25,7 @@ _LEAST_UNITS = 5
 _BEYOND = 20
 
 
-class Change(StrEnum):
+class ComparisonAnswer(StrEnum):
     """What can be said about two sets.
 
     RUNS_DIFFER: the runs at hand do, but they are too few, or were not measured in turn, to say so of what they are of.
@@ -75,7 +75,7 @@ class Comparison:
     ``interleaved``: the runs were measured in turn.
     """
 
-    answer: Change
+    answer: ComparisonAnswer
     shifts: tuple[Shift, ...]
     distance: float
     p_value: float
@@ -118,55 +118,36 @@ def compare(
     if not any(run.n for run in a) or not any(run.n for run in b):
         raise ValueError("one of the two sets has no measurement")
     columns, bin_ns, (rows_a, rows_b) = align((a, b))
-    width = max(bin_ns, clock_step_ns)
     keys_a, keys_b, units_name = _units(a, b)
-    whole_runs = min(len(set(keys_a)), len(set(keys_b))) >= _RUNS_AS_UNITS
-    interleaved = is_interleaved([run.start_time for run in a], [run.start_time for run in b])
+    counts = len(set(keys_a)), len(set(keys_b))
+    whole_runs = min(counts) >= _RUNS_AS_UNITS
     assumes = []
-    if any(not run.ordered for run in (*a, *b)) and not whole_runs:
-        assumes.append("independent measurements: a log without samples keeps no order")
     if whole_runs:
         rows_a, rows_b = [_sums_by_key(rows_a, keys_a)], [_sums_by_key(rows_b, keys_b)]
     else:
-        counts = f"{len(set(keys_a))} and {len(set(keys_b))}"
-        assumes.append(f"{units_name} alike: with {counts} of them the difference between them is not in the intervals")
-    units = (sum(len(rows) for rows in rows_a), sum(len(rows) for rows in rows_b))
+        if any(not run.ordered for run in (*a, *b)):
+            assumes.append("independent measurements: a log without samples keeps no order")
+        assumes.append(
+            f"{units_name} alike: with {counts[0]} and {counts[1]} of them the difference between them is not in the "
+            "intervals"
+        )
     rng = np.random.default_rng(SEED)
-    boot_a, boot_b = _resample(rows_a, rng), _resample(rows_b, rng)
-    tail = 100 * (1 - confidence) / 2
-    shifts = []
-    total_a, total_b = sum(run.n for run in a), sum(run.n for run in b)
-    exact = (sum(float(run.sums_ns.sum()) for run in a) / total_a, sum(float(run.sums_ns.sum()) for run in b) / total_b)
-    whole_a, whole_b = np.concatenate(rows_a).sum(axis=0)[None], np.concatenate(rows_b).sum(axis=0)[None]
-    figures: list[tuple[str, float | None]] = [("mean", None)]
-    figures += [(f"p{100 * q:g}", q) for q in QUANTILES if min(total_a, total_b) * (1 - q) >= _BEYOND]
-    for name, q in figures:
-        if q is None:
-            (at_a, at_b) = exact
-            draws = _means(boot_b, columns) - _means(boot_a, columns)
-            draws += (at_b - at_a) - float((_means(whole_b, columns) - _means(whole_a, columns))[0])
-        else:
-            at_a, at_b = (float(_quantiles(w, columns, width, q)[0]) for w in (whole_a, whole_b))
-            draws = _quantiles(boot_b, columns, width, q) - _quantiles(boot_a, columns, width, q)
-        low, high = (at_b - at_a) + _few_units(min(units), confidence) * (
-            np.percentile(draws, [tail, 100 - tail]) - (at_b - at_a)
-        )
-        margin = margin_ns if margin_ns is not None else max(1000.0, 0.05 * abs(at_a))
-        shifts.append(
-            Shift(figure=name, a_ns=at_a, b_ns=at_b, low_ns=float(low), high_ns=float(high), margin_ns=margin)
-        )
-    distance, p_value = _permutation_test(
-        np.concatenate(rows_a), np.concatenate(rows_b), rng, max(ROUNDS, math.ceil(2 * tests / (1 - confidence)))
-    )
+    sides = _side(a, rows_a, rng), _side(b, rows_b, rng)
+    units = len(sides[0].units), len(sides[1].units)
+    bins = _Bins(lowest_ns=columns, width_ns=max(bin_ns, clock_step_ns))
+    shifts = _shifts(sides, bins, confidence, margin_ns)
+    rounds = max(ROUNDS, math.ceil(2 * tests / (1 - confidence)))
+    distance, p_value = _permutation_test(sides[0].units, sides[1].units, rng, rounds)
+    interleaved = is_interleaved([run.start_time for run in a], [run.start_time for run in b])
     if min(units) < _LEAST_UNITS:
-        answer = Change.UNDECIDED
+        answer = ComparisonAnswer.UNDECIDED
     elif p_value < 1 - confidence:
-        answer = Change.DIFFERENT if whole_runs and interleaved else Change.RUNS_DIFFER
+        answer = ComparisonAnswer.DIFFERENT if whole_runs and interleaved else ComparisonAnswer.RUNS_DIFFER
     else:
         answer = _no_difference(shifts)
     return Comparison(
         answer=answer,
-        shifts=() if answer == Change.UNDECIDED else tuple(shifts),
+        shifts=() if answer == ComparisonAnswer.UNDECIDED else shifts,
         distance=distance,
         p_value=p_value,
         units=units_name if whole_runs else "blocks",
@@ -178,18 +159,74 @@ def compare(
     )
 
 
-def _no_difference(shifts: Sequence[Shift]) -> Change:
-    return Change.SAME if all(shift.within_margin for shift in shifts) else Change.NOT_SEEN
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Side:
+    """One of two sets: counts (u, m) of its units, those of sets drawn from it (ROUNDS, m), and those of all (1, m)."""
+
+    units: Int64s
+    drawn: NDArray[np.float64]
+    whole: Int64s
+    n: int
+    mean_ns: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Bins:
+    """Bins: their lower edges (m,), and how wide values are spread in them."""
+
+    lowest_ns: Int64s
+    width_ns: int
+
+
+def _side(runs: Sequence[Blocks], strata: Sequence[Int64s], rng: np.random.Generator) -> _Side:
+    units = np.concatenate(strata)
+    n = sum(run.n for run in runs)
+    mean_ns = sum(float(run.sums_ns.sum()) for run in runs) / n
+    return _Side(units=units, drawn=_resample(strata, rng), whole=units.sum(axis=0)[None], n=n, mean_ns=mean_ns)
+
+
+def _shifts(sides: tuple[_Side, _Side], bins: _Bins, confidence: float, margin_ns: float | None) -> tuple[Shift, ...]:
+    """How far the mean and each quantile with enough values above it moved."""
+    a, b = sides
+    widening = _few_units(min(len(a.units), len(b.units)), confidence)
+    tail = 100 * (1 - confidence) / 2
+    shifts = []
+    for name, (at_a, at_b), draws in _figures(a, b, bins):
+        seen = at_b - at_a
+        low, high = seen + widening * (np.percentile(draws, [tail, 100 - tail]) - seen)
+        margin = margin_ns if margin_ns is not None else max(1000.0, 0.05 * abs(at_a))
+        shifts.append(
+            Shift(figure=name, a_ns=at_a, b_ns=at_b, low_ns=float(low), high_ns=float(high), margin_ns=margin)
+        )
+    return tuple(shifts)
+
+
+def _figures(a: _Side, b: _Side, bins: _Bins) -> Iterator[tuple[str, tuple[float, float], NDArray[np.float64]]]:
+    """Yield each figure: its name, its value on both sides, and its shift in the sets drawn, (ROUNDS,)."""
+    # Means are of the values themselves; of sets drawn they are known to the width of a bin only.
+    means = [[_means(counts, bins.lowest_ns) for counts in (side.whole, side.drawn)] for side in (a, b)]
+    off = (b.mean_ns - a.mean_ns) - float((means[1][0] - means[0][0])[0])
+    yield "mean", (a.mean_ns, b.mean_ns), means[1][1] - means[0][1] + off
+    for q in QUANTILES:
+        if min(a.n, b.n) * (1 - q) >= _BEYOND:
+            at_a, at_b = (float(_quantiles(side.whole, bins, q)[0]) for side in (a, b))
+            yield f"p{100 * q:g}", (at_a, at_b), _quantiles(b.drawn, bins, q) - _quantiles(a.drawn, bins, q)
+
+
+def _no_difference(shifts: Sequence[Shift]) -> ComparisonAnswer:
+    return ComparisonAnswer.SAME if all(shift.within_margin for shift in shifts) else ComparisonAnswer.NOT_SEEN
 
 
 def correct(comparisons: Sequence[Comparison]) -> list[Comparison]:
     """Comparisons of the same confidence taken together: with the chance 1 - confidence any of them sees a difference
     where there is none (Holm 1979)."""
-    decided = [one for one in comparisons if one.answer is not Change.UNDECIDED]
+    decided = [one for one in comparisons if one.answer is not ComparisonAnswer.UNDECIDED]
     rejected = iter(holm([one.p_value for one in decided], 1 - decided[0].confidence) if decided else [])
     return [
         one
-        if one.answer is Change.UNDECIDED or next(rejected) or one.answer not in (Change.DIFFERENT, Change.RUNS_DIFFER)
+        if one.answer is ComparisonAnswer.UNDECIDED
+        or next(rejected)
+        or one.answer not in (ComparisonAnswer.DIFFERENT, ComparisonAnswer.RUNS_DIFFER)
         else replace(one, answer=_no_difference(one.shifts))
         for one in comparisons
     ]
@@ -233,13 +270,13 @@ def _means(counts: NDArray[np.generic], columns: Int64s) -> NDArray[np.float64]:
     return np.asarray(counts @ columns.astype(np.float64) / sizes)
 
 
-def _quantiles(counts: NDArray[np.generic], columns: Int64s, width: int, q: float) -> NDArray[np.float64]:
+def _quantiles(counts: NDArray[np.generic], bins: _Bins, q: float) -> NDArray[np.float64]:
     below = np.cumsum(counts, axis=1, dtype=np.float64)
     rank = q * below[:, -1:]
     column = (below >= rank).argmax(axis=1)[:, None]
     inside = np.take_along_axis(counts, column, axis=1)
     within = 1 - (np.take_along_axis(below, column, axis=1) - rank) / np.maximum(inside, 1)
-    return np.asarray((columns[column] + width * within)[:, 0], dtype=np.float64)
+    return np.asarray((bins.lowest_ns[column] + bins.width_ns * within)[:, 0], dtype=np.float64)
 
 
 def _units(a: Sequence[Blocks], b: Sequence[Blocks]) -> tuple[list[str], list[str], str]:

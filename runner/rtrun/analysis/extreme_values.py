@@ -38,7 +38,7 @@ class Tail:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check:
+class Assumption:
     """One assumption put to the test: its p-value (None where the check is a plain limit) and what was seen."""
 
     name: str
@@ -67,7 +67,7 @@ class Bound:
     level_ns: float | None
     low_ns: float | None
     high_ns: float | None
-    checks: tuple[Check, ...]
+    checks: tuple[Assumption, ...]
 
 
 def tail_of(values_ns: Int64s) -> Tail:
@@ -116,7 +116,7 @@ def decluster(values: Int64s, positions: Int64s, threshold: int) -> tuple[Int64s
 def block_maxima(runs: Sequence[Tail], probability: float, confidence: float, quantum_ns: int) -> Bound:
     """Fit a generalised extreme value distribution to maxima of equal blocks (Coles 2001, chapter 3)."""
 
-    def refused(why: str, checks: Sequence[Check] = (), points: int = 0, block: int | None = None) -> Bound:
+    def refused(why: str, checks: Sequence[Assumption] = (), points: int = 0, block: int | None = None) -> Bound:
         return refuse("GEV", why, probability, confidence, points, checks, block=block)
 
     n = sum(run.n for run in runs)
@@ -181,7 +181,7 @@ def refuse(
     probability: float,
     confidence: float,
     points: int = 0,
-    checks: Sequence[Check] = (),
+    checks: Sequence[Assumption] = (),
     threshold_ns: int | None = None,
     block: int | None = None,
 ) -> Bound:
@@ -237,10 +237,10 @@ def _coarser(run: Tail, block: int) -> Int64s:
     return np.maximum.reduceat(run.maxima_ns, np.arange(whole) * factor) if whole else run.maxima_ns[:0]
 
 
-def resolution(peaks: Int64s, quantum_ns: int) -> Check:
+def resolution(peaks: Int64s, quantum_ns: int) -> Assumption:
     """Whether there are different values enough to fit anything."""
     distinct = int(np.unique(peaks // quantum_ns).size)
-    return Check(
+    return Assumption(
         name="quantisation",
         passed=distinct >= _DISTINCT,
         p_value=None,
@@ -248,7 +248,7 @@ def resolution(peaks: Int64s, quantum_ns: int) -> Check:
     )
 
 
-def stays_the_same(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[Check]:
+def stays_the_same(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[Assumption]:
     """The checks of resolution, stationarity and dependence that every opinion needs."""
     from scipy.special import chdtrc
 
@@ -257,7 +257,7 @@ def stays_the_same(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[C
         return checks
     trend, trend_p = rank_correlation(np.arange(peaks.size), peaks)
     checks.append(
-        Check(
+        Assumption(
             name="stationarity",
             passed=trend_p >= _SIGNIFICANT,
             p_value=trend_p,
@@ -269,7 +269,7 @@ def stays_the_same(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[C
         statistic = float(((parts - peaks.size / 8) ** 2).sum() / (peaks.size / 8))
         p = float(chdtrc(7, statistic))
         checks.append(
-            Check(
+            Assumption(
                 name="stationarity",
                 passed=p >= _SIGNIFICANT,
                 p_value=p,
@@ -280,7 +280,7 @@ def stays_the_same(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[C
     # A constant half has no rank correlation: NaN, and nothing that depends.
     p = follow_p if math.isfinite(follow_p) else 1.0
     checks.append(
-        Check(
+        Assumption(
             name="dependence",
             passed=p >= _SIGNIFICANT,
             p_value=p,
@@ -290,21 +290,23 @@ def stays_the_same(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[C
     return checks
 
 
-def _fit_check(family: tails.Family, sample: tails.Sample, parameters: tails.Parameters) -> Check:
+def _fit_check(family: tails.Family, sample: tails.Sample, parameters: tails.Parameters) -> Assumption:
     p = tails.goodness(family, sample, parameters)
     if p is None:
-        return Check(name="fit", passed=False, p_value=None, seen="too few different values to test the fit")
-    return Check(
+        return Assumption(name="fit", passed=False, p_value=None, seen="too few different values to test the fit")
+    return Assumption(
         name="fit", passed=p >= FIT_BELOW, p_value=p, seen=f"chi-squared test of the {family.name} fit: p = {p:.2g}"
     )
 
 
-def back_test(family: tails.Family, values: Int64s, at: Int64s, n: int, quantum_ns: int) -> Check:
+def back_test(family: tails.Family, values: Int64s, at: Int64s, n: int, quantum_ns: int) -> Assumption:
     """Fit the first half in time; its 99 % bound for the maximum of the second half must hold there."""
     early = at < n // 2
     first, rest = values[early], values[~early]
     if first.size < LEAST_PEAKS // 2 or rest.size == 0:
-        return Check(name="back-test", passed=False, p_value=None, seen="too few high values in one half of the time")
+        return Assumption(
+            name="back-test", passed=False, p_value=None, seen="too few high values in one half of the time"
+        )
     sample = tails.sample_of(first, quantum_ns)
     best = tails.fit(family, sample)
     chance = 0.01 / rest.size
@@ -312,7 +314,7 @@ def back_test(family: tails.Family, values: Int64s, at: Int64s, n: int, quantum_
     worst = int(rest.max())
     broken = int((rest > bound).sum())
     unit = "above the threshold " if family.name == "GPD" else ""
-    return Check(
+    return Assumption(
         name="back-test",
         passed=broken == 0,
         p_value=None,

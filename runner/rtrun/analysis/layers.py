@@ -81,15 +81,15 @@ def shift_without_drift(values: tuple[Floats, Floats], times_s: tuple[Floats, Fl
     its variance is the sum of the squared weights times the variances, and the degrees of freedom are those of Welch
     and Satterthwaite. What the slope takes of the degrees of freedom is divided as the sums of squares of time are.
     """
-    apart = [times - times.mean() for times in times_s]
-    squares = [float(each @ each) for each in apart]
+    from_mean_s = [times - times.mean() for times in times_s]
+    squares = [float(each @ each) for each in from_mean_s]
     # Runs that all began at the same time have not drifted.
     whole = sum(squares) or 1.0
-    slope = sum(float(each @ own) for each, own in zip(apart, values, strict=True)) / whole
+    slope = sum(float(each @ own) for each, own in zip(from_mean_s, values, strict=True)) / whole
     between = float(times_s[1].mean() - times_s[0].mean())
     shift = float(values[1].mean() - values[0].mean()) - slope * between
     parts, degrees = [], []
-    for sign, own, each, square in zip((-1, 1), values, apart, squares, strict=True):
+    for sign, own, each, square in zip((-1, 1), values, from_mean_s, squares, strict=True):
         rest = own - own.mean() - slope * each
         free = own.size - 1 - square / whole
         weights = sign / own.size - between / whole * each

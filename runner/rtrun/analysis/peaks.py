@@ -10,8 +10,8 @@ from rtrun.analysis import anderson_darling, tails
 from rtrun.analysis.extreme_values import (
     FIT_BELOW,
     LEAST_PEAKS,
+    Assumption,
     Bound,
-    Check,
     Tail,
     above_bound,
     back_test,
@@ -63,7 +63,7 @@ def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: f
     Of the thresholds, from low to high, the first is taken whose fit is not rejected (Bader, Yan & Zhang 2018).
     """
 
-    def refused(why: str, checks: Sequence[Check] = (), peaks: _Peaks | None = None) -> Bound:
+    def refused(why: str, checks: Sequence[Assumption] = (), peaks: _Peaks | None = None) -> Bound:
         points, threshold_ns = (0, None) if peaks is None else (int(peaks.values_ns.size), peaks.threshold_ns)
         return refuse("GPD", why, probability, confidence, points, checks, threshold_ns=threshold_ns)
 
@@ -89,7 +89,7 @@ def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: f
     peaks = fit.peaks
     checks.append(resolution(peaks.values_ns, quantum_ns))
     seen = f"Anderson-Darling test of the GPD: p = {fit.p_value:.2g}, rejected at {rejected} of {len(fits)} thresholds"
-    checks.append(Check(name="fit", passed=rejected < len(fits), p_value=fit.p_value, seen=seen))
+    checks.append(Assumption(name="fit", passed=rejected < len(fits), p_value=fit.p_value, seen=seen))
     checks.append(back_test(tails.GPD, fit.excesses_ns, peaks.positions, n, quantum_ns))
     if failed := next((check for check in checks if not check.passed), None):
         return refused(f"{failed.name}: {failed.seen}", checks, peaks)
@@ -127,8 +127,8 @@ def _peaks(values: Int64s, positions: Int64s, threshold_ns: int) -> _Peaks:
     return _Peaks(threshold_ns=threshold_ns, values_ns=highest, positions=at, theta=theta, above=above)
 
 
-def _checks(peaks: _Peaks, n: int, quantum_ns: int) -> list[Check]:
-    bursts = Check(
+def _checks(peaks: _Peaks, n: int, quantum_ns: int) -> list[Assumption]:
+    bursts = Assumption(
         name="dependence",
         passed=peaks.theta >= _LEAST_INDEX,
         p_value=None,

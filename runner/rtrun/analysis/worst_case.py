@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 
 from rtrun.analysis.extreme_values import (
+    Assumption,
     Bound,
-    Check,
     Tail,
     block_maxima,
     candidate_thresholds,
@@ -89,7 +89,7 @@ def exponential_tail(runs: Sequence[Tail], probability: float, confidence: float
             level_ns=base + factor * mean,
             low_ns=base + factor * low,
             high_ns=base + factor * high,
-            checks=(Check(name="variation", passed=True, p_value=None, seen=seen),),
+            checks=(Assumption(name="variation", passed=True, p_value=None, seen=seen),),
         )
     return refuse("CV", reason, probability, confidence)
 

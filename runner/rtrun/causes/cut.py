@@ -14,7 +14,7 @@ from itertools import pairwise
 from rtrun.causes.events import Context
 from rtrun.causes.parts import Cause, Kind, Part
 from rtrun.causes.reconstruction import NORMAL_PRIO
-from rtrun.causes.timeline import IDLE_PID, Change, Occupant, Span, State, Timeline, Waker, Why
+from rtrun.causes.timeline import IDLE_PID, Occupant, Span, State, StateChange, Timeline, Waker, Why
 
 # The longest way from one thread to the one that woke it: a trace in a circle ends there.
 STEPS_MAX = 10_000
@@ -174,7 +174,7 @@ class _Walk:
             place -= 1
         return place
 
-    def _is_held_up(self, slept: Change | None, waker: Waker) -> bool:
+    def _is_held_up(self, slept: StateChange | None, waker: Waker) -> bool:
         """Whether a thread waits for another that keeps something, or itself, rather than for something to do."""
         if waker.held is not Why.UNKNOWN:
             return True
@@ -224,7 +224,7 @@ class _Walk:
         if who.pid == IDLE_PID:
             if prio is not None and prio >= NORMAL_PRIO:
                 return Cause(kind=Kind.GROUP if pid in who.passed_over else Kind.IDLE_EXIT)
-            return Cause(kind=Kind.THROTTLED, name=IDLE) if who.preferred else Cause(kind=Kind.IDLE_EXIT)
+            return Cause(kind=Kind.THROTTLED, name=IDLE) if who.throttled else Cause(kind=Kind.IDLE_EXIT)
         if who.pid == pid:
             return self._cause(Kind.PROGRAM if pid == self.pid else Kind.OTHER_THREAD, pid)
         other = who.prio if who.prio is not None else self.timeline.prios.get(who.pid)
@@ -241,7 +241,7 @@ class _Walk:
         elif prio >= NORMAL_PRIO and not self._printed(who.pid, span.end_ns):
             # The scheduler shares the CPU among them; real-time throttling is of no concern to either.
             kind = Kind.SHARED
-        elif who.preferred or self._was_chosen(who.pid, since_ns, span.end_ns):
+        elif who.throttled or self._was_chosen(who.pid, since_ns, span.end_ns):
             kind = Kind.THROTTLED
         else:
             kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.NOT_PREEMPTED
@@ -262,7 +262,7 @@ class _Walk:
         times = self.timeline.consoles_ns.get(pid, ())
         return bisect_left(times, began_ns) < bisect_left(times, at_ns)
 
-    def _slept(self, pid: int, slept: Change | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
+    def _slept(self, pid: int, slept: StateChange | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """The time from when a thread fell asleep until it was woken."""
         if waker.held is not Why.UNKNOWN:
             yield from self._held(pid, slept, waker, asleep_ns, at_ns)
@@ -281,7 +281,7 @@ class _Walk:
                 begin_ns=asleep_ns, end_ns=waker.began_ns, cause=Cause(kind=kind, name=waker.name), cpu=waker.cpu
             )
 
-    def _held(self, pid: int, slept: Change | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
+    def _held(self, pid: int, slept: StateChange | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """The time for which a thread was stopped or frozen, latest first: by whom it was stopped, or let go on."""
         kind, by = (Kind.FROZEN if waker.held is Why.FROZEN else Kind.STOPPED), (waker.pid, waker.name)
         if kind is Kind.STOPPED and slept is not None:

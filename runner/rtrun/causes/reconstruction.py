@@ -24,7 +24,7 @@ from rtrun.causes.events import (
     TimerStart,
     Wake,
 )
-from rtrun.causes.timeline import IDLE_PID, Change, Expiry, Occupant, Span, State, Timeline, Waker, Why
+from rtrun.causes.timeline import IDLE_PID, Expiry, Occupant, Span, State, StateChange, Timeline, Waker, Why
 
 NORMAL_PRIO = 100  # from here on a thread has no real-time priority
 # Operations that wait for the owner of a lock (include/uapi/linux/futex.h): FUTEX_WAIT, which glibc uses for mutexes
@@ -104,7 +104,7 @@ class _Builder:
 
     def __init__(self) -> None:
         self.cpus: dict[int, _Cpu] = {}
-        self.threads: dict[int, list[Change]] = defaultdict(list)
+        self.threads: dict[int, list[StateChange]] = defaultdict(list)
         self.names: dict[int, str] = {}
         self.prios: dict[int, int] = {}
         self.timers: dict[str, TimerStart] = {}
@@ -176,7 +176,7 @@ class _Builder:
                 self.names.setdefault(event.pid, event.name)
                 if cpu.thread is None:
                     cpu.thread = Occupant(Context.THREAD, event.name, event.pid, None)
-                    self.threads[event.pid].append(Change(event.at_ns, State.RUNNING, event.cpu))
+                    self.threads[event.pid].append(StateChange(event.at_ns, State.RUNNING, event.cpu))
             case Lost():
                 self._lose(cpu, event)
         cpu.last_ns = event.at_ns
@@ -193,23 +193,23 @@ class _Builder:
             self._enqueue(pid, number)
         else:
             self._dequeue(pid)
-        preferred = next_prio >= NORMAL_PRIO and bool(cpu.queued)
+        throttled = next_prio >= NORMAL_PRIO and bool(cpu.queued)
         passed_over = frozenset(cpu.queued_normal) if next_pid == IDLE_PID else frozenset()
-        cpu.thread = Occupant(Context.THREAD, next_name, next_pid, next_prio, preferred, passed_over)
+        cpu.thread = Occupant(Context.THREAD, next_name, next_pid, next_prio, throttled, passed_over)
         self.names[pid], self.prios[pid] = name, prio
         self.names[next_pid], self.prios[next_pid] = next_name, next_prio
         if pid != IDLE_PID:
             if can_run:
-                self.threads[pid].append(Change(at_ns, State.WAITING, number))
+                self.threads[pid].append(StateChange(at_ns, State.WAITING, number))
             else:
-                self.threads[pid].append(Change(at_ns, State.ASLEEP, number, why=self._why(event)))
+                self.threads[pid].append(StateChange(at_ns, State.ASLEEP, number, why=self._why(event)))
                 self.woke.pop(pid, None)
                 self.thawing.discard(pid)
         if next_pid != IDLE_PID:
             self.faults.discard(next_pid)
             if next_pid not in self.threads:
                 self.not_woken.add(next_pid)
-            self.threads[next_pid].append(Change(at_ns, State.RUNNING, number))
+            self.threads[next_pid].append(StateChange(at_ns, State.RUNNING, number))
 
     def _why(self, event: Switch) -> Why:
         if event.state.startswith(("T", "t")):
@@ -249,7 +249,7 @@ class _Builder:
             waker = self._held(cpu, event, waker)
             self.woke[event.by_pid].append(event.pid)
         self.overslept_ns.pop(event.pid, None)
-        changes.append(Change(event.at_ns, State.WAITING, event.target_cpu, waker=waker))
+        changes.append(StateChange(event.at_ns, State.WAITING, event.target_cpu, waker=waker))
 
     def _waker(self, cpu: _Cpu, event: Wake) -> Waker:
         layer = cpu.layer()
@@ -296,7 +296,7 @@ class _Builder:
         """A thread that waits does so on another CPU from now on."""
         changes = self.threads.get(pid)
         if changes and changes[-1].state is State.WAITING and changes[-1].cpu != cpu:
-            changes.append(Change(at_ns, State.WAITING, cpu))
+            changes.append(StateChange(at_ns, State.WAITING, cpu))
 
     def _lose(self, cpu: _Cpu, event: Lost) -> None:
         cpu.close(cpu.last_ns)
@@ -320,7 +320,7 @@ class _Builder:
             ran = self.threads[pid][0]
             begin_ns = max(*begins_ns, *(one.at_ns for one in self.lost if one.at_ns <= ran.at_ns), 0)
             if begin_ns < ran.at_ns:
-                self.threads[pid].insert(0, Change(begin_ns, State.WAITING, ran.cpu))
+                self.threads[pid].insert(0, StateChange(begin_ns, State.WAITING, ran.cpu))
 
 
 def _interrupt(cpu: _Cpu, event: Interrupt) -> None:

@@ -14,7 +14,7 @@ IDLE_PID = 0
 class Occupant(NamedTuple):
     """What has a CPU: a thread, or an interrupt or softirq within it. The priority of a thread is None if not known.
 
-    `preferred`: the scheduler chose a thread without a real-time priority, or none, though one with such a priority
+    `throttled`: the scheduler chose a thread without a real-time priority, or none, though one with such a priority
     was on the queue of the CPU. `passed_over`: the threads without one that were on it when nobody was chosen.
     """
 
@@ -22,7 +22,7 @@ class Occupant(NamedTuple):
     name: str
     pid: int
     prio: int | None
-    preferred: bool = False
+    throttled: bool = False
     passed_over: frozenset[int] = frozenset()
 
 
@@ -79,7 +79,7 @@ class Waker(NamedTuple):
     held_ns: int | None = None
 
 
-class Change(NamedTuple):
+class StateChange(NamedTuple):
     """From this moment on a thread is in a state. `cpu` is that of its run queue; `waker` stands where it was woken."""
 
     at_ns: int
@@ -95,7 +95,7 @@ class Timeline:
 
     begin_ns: int
     cpus: Mapping[int, Sequence[Span]]
-    threads: Mapping[int, Sequence[Change]]
+    threads: Mapping[int, Sequence[StateChange]]
     names: Mapping[int, str]
     prios: Mapping[int, int]
     """The latest priority of each thread that was seen to be switched to or from."""

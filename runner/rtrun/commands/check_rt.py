@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rtrun.targets.inspection.platform import Platform
-    from rtrun.targets.inspection.rt_readiness import Finding
+    from rtrun.targets.inspection.rt_readiness import CheckResult
     from rtrun.targets.link import Link
 
 NAME = "check-rt"
@@ -69,7 +69,7 @@ def _save_config(link: "Link", path: Path) -> None:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _as_json(finding: "Finding") -> dict[str, Any]:
+def _as_json(finding: "CheckResult") -> dict[str, Any]:
     check = finding.check
     return {
         "name": check.name,
@@ -81,7 +81,7 @@ def _as_json(finding: "Finding") -> dict[str, Any]:
     }
 
 
-def _print(target: str, platform: "Platform", findings: "list[Finding]") -> None:
+def _print(target: str, platform: "Platform", findings: "list[CheckResult]") -> None:
     from rtfiles.output import print_line
     from rtrun.report.terminal import banner_of
     from rtrun.targets.inspection.rt_readiness import SEVERITIES, SHOWN_LINES

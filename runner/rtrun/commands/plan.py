@@ -106,25 +106,25 @@ def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Ite
     from rtrun.analysis.further import plan_measurements
     from rtrun.plan.rounds import outlook
 
-    a_boot = _rounds_a_boot(goal, groups)
+    boot_rounds = _rounds_of_boot(goal, groups)
     for assumed in (0.0,) if rate is None else (0.0, rate):
         planned = plan_measurements(goal.question, rate=assumed)
-        if planned is None or a_boot is None:
+        if planned is None or boot_rounds is None:
             yield _Forecast(assumed_rate=assumed)
             continue
         is_proven, measurements = planned
         answer = Answer.PROVEN if is_proven else Answer.REFUTED
-        expected = outlook(groups, measurements, boots=goal.boots, a_boot=a_boot)
+        expected = outlook(groups, measurements, boots=goal.boots, boot_rounds=boot_rounds)
         yield _Forecast(assumed_rate=assumed, answer=answer, outlook=expected)
 
 
-def _rounds_a_boot(goal: "Goal", groups: "Sequence[Run]") -> int | None:
+def _rounds_of_boot(goal: "Goal", groups: "Sequence[Run]") -> int | None:
     """How many rounds each boot has if no measurement misses; None where no number of measurements is a proof."""
     from rtrun.analysis.further import plan_measurements
-    from rtrun.plan.rounds import rounds_a_boot
+    from rtrun.plan.rounds import rounds_of_boot
 
     best = plan_measurements(goal.question)
-    return None if best is None else rounds_a_boot(groups, best[1], goal.boots)
+    return None if best is None else rounds_of_boot(groups, best[1], goal.boots)
 
 
 def _prices_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> "dict[int, Outlook]":
@@ -141,10 +141,10 @@ def _slowest_load_s(goal: "Goal", groups: "Sequence[Run]", forecasts: Sequence[_
     from rtrun.analysis.constancy import slowest_load
     from rtrun.plan.rounds import joined_s
 
-    a_boot = _rounds_a_boot(goal, groups)
-    if a_boot is None or forecasts[0].outlook is None:
+    boot_rounds = _rounds_of_boot(goal, groups)
+    if boot_rounds is None or forecasts[0].outlook is None:
         return None
-    return slowest_load(joined_s(groups, forecasts[0].outlook.rounds, boots=goal.boots, a_boot=a_boot))
+    return slowest_load(joined_s(groups, forecasts[0].outlook.rounds, boots=goal.boots, boot_rounds=boot_rounds))
 
 
 def _load_lines(slowest_s: float | None) -> Iterator[str]:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rich.console import Group
 
     from rtrun.analysis.figures import IndexedValue
-    from rtrun.results.reading import Result, Run
+    from rtrun.results.reading import ClosedRun, Result
 
 NAME = "show"
 HELP = "show the figures of a run, of all runs in a folder, of a log, or of samples"
@@ -67,7 +67,7 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
     return {"schema": 1, **data}, terminal.answer(results, platform=Platform.HARDWARE), ()
 
 
-def _run_data(run: "Run") -> dict[str, Any]:
+def _run_data(run: "ClosedRun") -> dict[str, Any]:
     record = run.record
     keys = (
         "run",

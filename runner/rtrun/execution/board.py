@@ -14,7 +14,7 @@ from rtrun.execution import preparation, resumption, run_execution
 from rtrun.execution.allotment import Round
 from rtrun.execution.journal import Journal
 from rtrun.execution.run_state import RunEvent, RunLife, RunState
-from rtrun.execution.trace_threshold import with_found_threshold
+from rtrun.execution.trace_threshold import with_threshold_of_warm_up
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import KernelName, Run
 from rtrun.results.record import RunStatus, is_finished, read_record
@@ -118,7 +118,7 @@ def measure_rounds(
                     observer.ended(number, run, RunStatus.OK, None)
                     continue
                 try:
-                    run = with_found_threshold(run, session.results)
+                    run = with_threshold_of_warm_up(run, session.results)
                 except UsageError as error:
                     session.statuses[run.name] = RunStatus.INCOMPLETE
                     observer.ended(number, run, RunStatus.INCOMPLETE, f"no limit for its traces: {error}")

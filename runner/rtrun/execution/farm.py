@@ -47,7 +47,7 @@ def measure_on_boards(session: Session, boards: Sequence[Board], next_round: Nex
     # does by default, costs CPU time and gains nothing.
     sys.setswitchinterval(0.05)
     allotment = Allotment(next_round, [board.name for board in boards], session.owners)
-    work = _Work(session=session, allotment=allotment)
+    work = _FarmThreads(session=session, allotment=allotment)
     # A second Ctrl-C ends the program at once: it waits for no thread.
     threads = [threading.Thread(target=work.measure_on, args=(board,), daemon=True) for board in boards]
     for thread in threads:
@@ -73,7 +73,7 @@ def _is_of_this_machine(error: BaseException) -> bool:
     return any(isinstance(cause, InfrastructureError) and not isinstance(cause, TargetError) for cause in causes)
 
 
-class _Work:
+class _FarmThreads:
     """The threads' common ground: what ended which board, and how to end them all."""
 
     def __init__(self, session: Session, allotment: Allotment) -> None:

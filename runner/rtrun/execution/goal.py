@@ -13,7 +13,7 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.standing import Standing
 from rtrun.execution.allotment import NextRound, Round
 from rtrun.plan.goal import Goal
-from rtrun.plan.rounds import boot_of_round, plan_round, rounds_a_boot, rounds_for, run_in_round
+from rtrun.plan.rounds import boot_of_round, plan_round, rounds_for, rounds_of_boot, run_in_round
 from rtrun.plan.run import Run
 from rtrun.results.record import RunStatus, is_closed, verify
 
@@ -81,7 +81,7 @@ def rounds(
     does one whose run failed `TRIES` times. `report_progress` is called with the seconds spent so far before each new
     round and at the end, once for each state of the answers.
     """
-    a_boot = rounds_a_boot(groups, measurements, goal.boots)
+    boot_rounds = rounds_of_boot(groups, measurements, goal.boots)
     lowest = highest = _latest_round(groups, findings)
     tries: Counter[str] = Counter()
     given_up: set[str] = set()
@@ -109,7 +109,7 @@ def rounds(
         if len(todo) == len(open_groups) and standings != reported:
             spent_s = findings.spent_s()
             reported = standings
-            report_progress(_progress(groups, standings, measurements, a_boot, spent_s, boards), spent_s)
+            report_progress(_progress(groups, standings, measurements, boot_rounds, spent_s, boards), spent_s)
         if len(todo) == len(open_groups) and (
             not todo or findings.spent_s() + sum(run.expected_s for run in todo) > goal.at_most_ns / 1e9
         ):
@@ -120,7 +120,7 @@ def rounds(
         highest = max(highest, number)
         return Round(
             runs=tuple(todo),
-            used_boots=_used_boots(groups, number, highest, a_boot, findings) if goal.boots > 1 else frozenset(),
+            used_boots=_used_boots(groups, number, highest, boot_rounds, findings) if goal.boots > 1 else frozenset(),
         )
 
     return next_round
@@ -171,9 +171,13 @@ def _latest_round(groups: Sequence[Run], findings: Findings) -> int:
     return number
 
 
-def _used_boots(groups: Sequence[Run], number: int, highest: int, a_boot: int, findings: Findings) -> frozenset[str]:
+def _used_boots(
+    groups: Sequence[Run], number: int, highest: int, boot_rounds: int, findings: Findings
+) -> frozenset[str]:
     """The boots that runs of rounds up to `highest` were on, of all that are not to share a boot with this round."""
-    others = [each for each in range(1, highest + 1) if boot_of_round(each, a_boot) != boot_of_round(number, a_boot)]
+    others = [
+        each for each in range(1, highest + 1) if boot_of_round(each, boot_rounds) != boot_of_round(number, boot_rounds)
+    ]
     boots = {findings.boot_of(run_in_round(group, each)) for each in others for group in groups}
     return frozenset(boot for boot in boots if boot)
 
@@ -182,7 +186,7 @@ def _progress(
     groups: Sequence[Run],
     standings: Mapping[str, Standing],
     measurements: int,
-    a_boot: int,
+    boot_rounds: int,
     spent_s: float,
     boards: int,
 ) -> list[Progress]:
@@ -192,13 +196,13 @@ def _progress(
     progress = []
     for group in groups:
         standing = standings.get(group.name)
-        number = runs_left(group, standing, measurements, a_boot)
+        number = runs_left(group, standing, measurements, boot_rounds)
         left_s = None if number is None else number * (group.expected_s + overhead_s) / boards
         progress.append(Progress(group=group, standing=standing, left_s=left_s))
     return progress
 
 
-def runs_left(group: Run, standing: Standing | None, measurements: int, a_boot: int) -> int | None:
+def runs_left(group: Run, standing: Standing | None, measurements: int, boot_rounds: int) -> int | None:
     """How many more runs bring a group to its answer if misses go on at the rate seen; None where no number does."""
     verdict = standing.verdict if standing else None
     if standing is not None and standing.is_final:
@@ -211,4 +215,4 @@ def runs_left(group: Run, standing: Standing | None, measurements: int, a_boot: 
     further = likely if verdict.misses else verdict.further
     if further is None:
         return None
-    return max(verdict.boots_missing * a_boot, math.ceil(further * len(standing.runs) / verdict.n))
+    return max(verdict.boots_missing * boot_rounds, math.ceil(further * len(standing.runs) / verdict.n))

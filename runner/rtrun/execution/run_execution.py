@@ -33,7 +33,7 @@ from rtrun.targets.inspection.control_groups import ControlGroup
 from rtrun.targets.inspection.platform import Platform
 from rtrun.targets.link import OUT_OF_REACH, Link
 from rtrun.validity import baselines, requirements
-from rtrun.validity.outcome import Verdict, judge
+from rtrun.validity.outcome import RunOutcome, judge
 
 SUBSCRIBED_S = 60.0
 # The target ends a program at its deadline; the runner waits this much longer for that.
@@ -320,7 +320,7 @@ def _download(work: _Work, partial: Path, attempt: Attempt, end: _End) -> dict[s
     return refused
 
 
-def _judge(work: _Work, partial: Path, attempt: Attempt, end: _End, refused: Mapping[str, str]) -> Verdict:
+def _judge(work: _Work, partial: Path, attempt: Attempt, end: _End, refused: Mapping[str, str]) -> RunOutcome:
     verdict = judge(
         partial,
         work.run,
@@ -355,7 +355,7 @@ def _record(
     attempt: Attempt,
     end: _End,
     refused: Mapping[str, str],
-    verdict: Verdict,
+    verdict: RunOutcome,
     now: Clock,
 ) -> RunRecord:
     run, target = work.run, work.link.target

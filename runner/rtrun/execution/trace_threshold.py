@@ -13,7 +13,7 @@ from rtrun.results.record import RunStatus, check_file, read_record
 from rtrun.results.samples import read_samples
 
 
-def with_found_threshold(run: Run, results: Path) -> Run:
+def with_threshold_of_warm_up(run: Run, results: Path) -> Run:
     """The run with its threshold, or as it is where the limit is no quantile. Raises UsageError without a warm-up."""
     part = quantile(run.trace)
     if part is None:

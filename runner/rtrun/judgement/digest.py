@@ -33,7 +33,7 @@ class Cluster:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Course:
+class ThinnedSeries:
     """A series over its loops, thinned: ``low_ns`` and ``high_ns`` (c,) of consecutive columns of ``width`` loops."""
 
     low_ns: Int64s
@@ -59,7 +59,7 @@ class Digest:
     undecidable: str | None
     tail: Tail | None
     blocks: Blocks | None
-    course: Course | None
+    course: ThinnedSeries | None
 
     @property
     def run(self) -> str:
@@ -84,7 +84,7 @@ def digest(series: Series, question: Question) -> Digest:
     trials: Trials | None = None
     tail: Tail | None = None
     blocks: Blocks | None = None
-    course: Course | None = None
+    course: ThinnedSeries | None = None
     undecidable = header.undecidable or None
     histogram = from_samples(series.values_ns) if isinstance(series, SampleSeries) else series.histogram
     if header.main or header.series in MAIN_2014:
@@ -134,10 +134,12 @@ def _cluster(histogram: Histogram) -> Cluster:
     return Cluster(n=n, fraction=fraction, median_ns=middle, low_ns=int(values[0]), high_ns=int(values[-1]))
 
 
-def _course(values: NDArray[np.int64]) -> Course:
+def _course(values: NDArray[np.int64]) -> ThinnedSeries:
     width = -(-values.size // _COLUMNS)
     starts = np.arange(0, values.size, width)
-    return Course(low_ns=np.minimum.reduceat(values, starts), high_ns=np.maximum.reduceat(values, starts), width=width)
+    return ThinnedSeries(
+        low_ns=np.minimum.reduceat(values, starts), high_ns=np.maximum.reduceat(values, starts), width=width
+    )
 
 
 def pool_figures(digests: Sequence[Digest]) -> Figures:

@@ -22,7 +22,7 @@ def severity(answer: str, worst_ns: int | None) -> tuple[int, float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Line:
+class VerdictLine:
     """A verdict: its answer, what it is about, and the numbers."""
 
     answer: str
@@ -30,12 +30,12 @@ class Line:
     text: str
 
 
-def verdict_line(group: Group, name: str = "") -> Line:
+def verdict_line(group: Group, name: str = "") -> VerdictLine:
     """The verdict of a group in one line; `name` is what it is called, its label where none is given."""
     verdict, about = group.verdict, printable(name or group.label)
     if verdict is None:
-        return Line(answer=Answer.NEEDS_MORE, about=about, text=group.undecidable or "nothing was measured")
-    return Line(answer=verdict.answer, about=about, text=_numbers(verdict, group))
+        return VerdictLine(answer=Answer.NEEDS_MORE, about=about, text=group.undecidable or "nothing was measured")
+    return VerdictLine(answer=verdict.answer, about=about, text=_numbers(verdict, group))
 
 
 def _numbers(verdict: Verdict, group: Group) -> str:

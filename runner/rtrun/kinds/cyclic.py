@@ -8,7 +8,7 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.kind import Columns, Kind
+from rtrun.kinds.kind import Columns, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record, no_values
 from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, without
 from rtrun.plan.limits import WALL_TIME_MAX_NS
@@ -139,7 +139,7 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
     return np.asarray(columns["timestamp_ns"][values.index + 1])
 
 
-KIND = Kind(
+KIND = MeasurementKind(
     series=_series,
     called={"lateness": "lateness", "jitter": "jitter"},
     times=_times,

@@ -13,7 +13,7 @@ Columns = Mapping[str, Int64s]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Kind:
+class MeasurementKind:
     """A kind of measurement.
 
     `series` makes the series of the samples from their columns, each of shape (rows,), the first of which is what the

@@ -1,16 +1,16 @@
 """The kinds of measurement that there are, by the names that suites.yml has for them."""
 
 from rtrun.kinds import cyclic, messages, oneshot
-from rtrun.kinds.kind import Kind
+from rtrun.kinds.kind import MeasurementKind
 from rtrun.plan.question import Measure
 from rtrun.plan.suites import suites
 
-KINDS: dict[str, Kind] = {"oneshot": oneshot.KIND, "cyclic": cyclic.KIND, "messages": messages.KIND}
-OF_2014: dict[str, Kind] = {kind.suite_2014: kind for kind in KINDS.values()}
+KINDS: dict[str, MeasurementKind] = {"oneshot": oneshot.KIND, "cyclic": cyclic.KIND, "messages": messages.KIND}
+OF_2014: dict[str, MeasurementKind] = {kind.suite_2014: kind for kind in KINDS.values()}
 """The same by the suite whose logs had their form in 2014."""
 
 
-def kind_of(suite: str) -> Kind | None:
+def kind_of(suite: str) -> MeasurementKind | None:
     """The kind of a suite by its name; None for one that is not known, and for what writes no samples."""
     described = suites().suites.get(suite)
     return KINDS.get(described.kind) if described and described.kind else None

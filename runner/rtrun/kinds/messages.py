@@ -7,7 +7,7 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.kind import Columns, Kind
+from rtrun.kinds.kind import Columns, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record, no_values
 from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, disagree, without
 
@@ -54,7 +54,7 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
     return np.asarray(columns["reception_ns"][order[np.searchsorted(seq, values.index, sorter=order)]])
 
 
-KIND = Kind(
+KIND = MeasurementKind(
     series=_series,
     called={"latency": "latency"},
     times=_times,

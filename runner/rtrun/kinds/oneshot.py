@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.kind import Columns, Kind
+from rtrun.kinds.kind import Columns, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record
 from rtrun.kinds.rows import agree, check_times
 
@@ -36,7 +36,7 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
     return np.asarray(columns["end_ns"][values.index])
 
 
-KIND = Kind(
+KIND = MeasurementKind(
     series=_series,
     called={"measured": "latency", "measured_2014": "latency"},
     times=_times,

@@ -38,7 +38,7 @@ class InEffect(Config):
     """The lowest latency that any program held in /dev/cpu_dma_latency, or the kernel's default; None: not known."""
 
 
-class Kernel(Config):
+class Uname(Config):
     """The kernel measured on, as uname names it."""
 
     release: str
@@ -115,7 +115,7 @@ class ProgramHead(Config):
     requested: Parameters
     in_effect: InEffect
     host: str
-    kernel: Kernel
+    kernel: Uname
     start_time: str
     end_time: str
 

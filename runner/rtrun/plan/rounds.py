@@ -46,7 +46,7 @@ def rounds_for(group: Run, measurements: int) -> int:
     return math.ceil(measurements / measurements_of(group))
 
 
-def rounds_a_boot(groups: Sequence[Run], measurements: int, boots: int) -> int:
+def rounds_of_boot(groups: Sequence[Run], measurements: int, boots: int) -> int:
     """How many rounds are measured on one boot, so that so many measurements of each group need so many boots.
 
     At least 1: where fewer rounds than boots would do, each round is on a boot of its own.
@@ -54,25 +54,25 @@ def rounds_a_boot(groups: Sequence[Run], measurements: int, boots: int) -> int:
     return max(1, max(rounds_for(group, measurements) for group in groups) // boots)
 
 
-def boot_of_round(number: int, rounds_a_boot: int) -> int:
+def boot_of_round(number: int, boot_rounds: int) -> int:
     """The boot that a round is measured on, counted from 0."""
-    return (number - 1) // rounds_a_boot
+    return (number - 1) // boot_rounds
 
 
-def joined_s(groups: Sequence[Run], rounds: int, *, boots: int, a_boot: int) -> float:
+def joined_s(groups: Sequence[Run], rounds: int, *, boots: int, boot_rounds: int) -> float:
     """How long the runs of one boot measure a group in so many rounds, joined, in seconds; of the shortest group."""
-    return min(group.expected_s for group in groups) * (a_boot if boots > 1 else rounds)
+    return min(group.expected_s for group in groups) * (boot_rounds if boots > 1 else rounds)
 
 
-def outlook(groups: Sequence[Run], measurements: int, *, boots: int, a_boot: int) -> Outlook:
-    """How long it takes until each group has so many measurements, on at least so many boots of `a_boot` rounds.
+def outlook(groups: Sequence[Run], measurements: int, *, boots: int, boot_rounds: int) -> Outlook:
+    """How long it takes until each group has so many measurements, on at least so many boots of `boot_rounds` rounds.
 
     A group leaves the rounds when it has them.
     """
-    least = (boots - 1) * a_boot + 1
+    least = (boots - 1) * boot_rounds + 1
     rounds = {group.name: max(least, rounds_for(group, measurements)) for group in groups}
     most = max(rounds.values())
-    restarts = boot_of_round(most, a_boot) if boots > 1 else 0
+    restarts = boot_of_round(most, boot_rounds) if boots > 1 else 0
     return Outlook(
         rounds=most,
         boots=restarts + 1,

@@ -22,7 +22,7 @@ VALUES_ABOVE = 10
 _QUANTILE = re.compile(r"p([0-9]{2}(?:\.[0-9]{1,6})?)", re.ASCII)
 
 
-class Trace(Config):
+class TraceSetting(Config):
     """`trace` of a campaign."""
 
     above: str
@@ -35,7 +35,7 @@ def read_trace(value: object, where: Place) -> str:
     """
     if value is None:
         return ""
-    above = parse(value, Trace, where).above
+    above = parse(value, TraceSetting, where).above
     if (match := _QUANTILE.fullmatch(above)) and 50 <= float(match[1]) < 100:
         return f"p{float(match[1]):.8g}"
     allowed = options()[PARAMETER]

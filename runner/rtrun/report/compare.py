@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from rtfiles.quantities import time_us, us
-from rtrun.analysis.comparison import Change, Comparison, Ratio, Shift
+from rtrun.analysis.comparison import Comparison, ComparisonAnswer, Ratio, Shift
 from rtrun.judgement.compare import Compared
 from rtrun.report.terminal import banner_of
 
@@ -44,13 +44,13 @@ def _shift(shift: Shift, c: Comparison) -> str:
 
 def _why(c: Comparison) -> str:
     test = f"largest difference of the distributions {100 * c.distance:.2g} %, p = {c.p_value:.2g} ({c.units})"
-    if c.answer == Change.UNDECIDED:
+    if c.answer == ComparisonAnswer.UNDECIDED:
         return f"{min(c.unit_counts)} {c.units} are too few to compare"
-    if c.answer == Change.RUNS_DIFFER:
+    if c.answer == ComparisonAnswer.RUNS_DIFFER:
         few = "fewer than five runs or boots a side" if c.units == "blocks" else ""
         apart = "" if c.interleaved else "not measured in turn: whatever else changed meanwhile is in it"
         return f"{'; '.join(filter(None, (few, apart)))}; {test}"
-    if c.answer == Change.NOT_SEEN:
+    if c.answer == ComparisonAnswer.NOT_SEEN:
         if c.units == "blocks":
             return f"{test}; fewer than five runs a side do not tell how large a shift is excluded"
         widest = max(c.shifts, key=lambda shift: max(-shift.low_ns, shift.high_ns) / shift.margin_ns)

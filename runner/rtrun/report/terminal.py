@@ -12,7 +12,7 @@ from rich.text import Text
 from rtfiles.output import counted, print_line, printable
 from rtrun.kinds.rate import OFF_MAX
 from rtrun.plan.suites import NOT_TELLING, Value, options, output_name, suite
-from rtrun.results.reading import Result, Run, Runs
+from rtrun.results.reading import ClosedRun, Result, Runs
 from rtrun.results.record import FILE
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header
 from rtrun.targets.inspection.platform import Platform, weakest
@@ -183,7 +183,7 @@ def remarks_of(header: Header) -> list[str]:
     return [f"incomplete: {header.incomplete}"] * (header.incomplete is not None) + list(header.remarks)
 
 
-def answer_of_run(run: Run) -> Group:
+def answer_of_run(run: ClosedRun) -> Group:
     """The answer of one run: every series of every output."""
     rates = [f"{name}: {rate.words}" for name, rate in run.record.rates.items()]
     notes = [*_notes(run), *rates]
@@ -203,12 +203,12 @@ def answer_of_runs(folder: Runs) -> Group:
     )
 
 
-def _notes(run: Run) -> list[str]:
+def _notes(run: ClosedRun) -> list[str]:
     record = run.record
     return [] if record.status == "ok" else [f"{record.run}: {record.status}: {record.reason or 'no reason given'}"]
 
 
-def _not_kept(run: Run) -> list[str]:
+def _not_kept(run: ClosedRun) -> list[str]:
     """The rates that the programs of a run did not keep to, a sentence each."""
     rates = run.record.rates.items() if run.record.status == "ok" else ()
     return [

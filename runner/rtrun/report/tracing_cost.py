@@ -6,7 +6,7 @@ from itertools import groupby
 from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtfiles.quantities import us
-from rtrun.analysis.comparison import Change
+from rtrun.analysis.comparison import ComparisonAnswer
 from rtrun.judgement.compare import Changed, compare_studies
 from rtrun.judgement.sides import names_of_sides, split
 from rtrun.judgement.study import Study, study
@@ -54,10 +54,10 @@ def tracing_cost(examined: Study) -> Table:
     )
 
 
-def _outcome(answers: Sequence[Change]) -> str:
-    if shifted := answers.count(Change.DIFFERENT):
+def _outcome(answers: Sequence[ComparisonAnswer]) -> str:
+    if shifted := answers.count(ComparisonAnswer.DIFFERENT):
         return f"tracing shifts values in {shifted} of {len(answers)} scenarios"
-    if differ := answers.count(Change.RUNS_DIFFER):
+    if differ := answers.count(ComparisonAnswer.RUNS_DIFFER):
         return (
             f"these traced runs differ from the untraced in {differ} of {len(answers)} scenarios; "
             "whether tracing shifts values takes five pairs of runs measured in turn (repeats: 5)"

@@ -33,7 +33,7 @@ class Result:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Run:
+class ClosedRun:
     """A closed run: its record, and the results of every output, none when the run failed or is invalid."""
 
     folder: Path
@@ -46,7 +46,7 @@ class Runs:
     """The runs in a folder: those read, the names of those that are not closed, and why any other was refused."""
 
     folder: Path
-    runs: tuple[Run, ...]
+    runs: tuple[ClosedRun, ...]
     incomplete: tuple[str, ...]
     refused: tuple[str, ...]
 
@@ -68,11 +68,11 @@ def results_of(every_series: Iterable[Series]) -> tuple[Result, ...]:
     return tuple(Result(header=one.header, figures=one.figures()) for one in every_series)
 
 
-def read_run(folder: Path) -> Run:
+def read_run(folder: Path) -> ClosedRun:
     """Read a run directory: its record, then the figures of its outputs. Raises UsageError as `read_series` does."""
     record = read_record(folder)
     of_use = record.status not in (RunStatus.FAILED, RunStatus.INVALID)
-    return Run(folder=folder, record=record, results=results_of(read_series(folder, record)) if of_use else ())
+    return ClosedRun(folder=folder, record=record, results=results_of(read_series(folder, record)) if of_use else ())
 
 
 def read_series(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Series]:
@@ -178,7 +178,7 @@ def find_source(path: Path) -> Source:
 def read_runs(folder: Path) -> Runs:
     """Read every closed run in a folder. Raises UsageError as `find_source` does."""
     source = find_source(folder)
-    runs: list[Run] = []
+    runs: list[ClosedRun] = []
     refused: list[str] = []
     for path in source.folders:
         try:

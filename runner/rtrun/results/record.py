@@ -165,7 +165,7 @@ class Observed(Config):
     frequency_khz: Range[FrequencyKhz] | None = None
     load_1min: Range[LoadAverage] | None = None
     rivals: list[Rival] = Field(default_factory=list)
-    looks: Count = 0
+    observations: Count = 0
     """Observations while the suite measured."""
 
 

@@ -130,9 +130,9 @@ def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[Samp
         # Of two series by one name the first is meant: the other one is that of 2014.
         known = None if called(name) in told else called(name)
         told.add(known)
-        apart = startup_loops(name)
+        loops = startup_loops(name)
         absent = values.absent
-        head = min(apart - int(np.searchsorted(absent, apart)), values.values_ns.size)
+        head = min(loops - int(np.searchsorted(absent, loops)), values.values_ns.size)
         sample_series.append(
             SampleSeries(
                 header=Header(
@@ -162,7 +162,7 @@ def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[Samp
                 ),
                 values_ns=np.ascontiguousarray(values.values_ns[head:]),
                 index=values.index[head:],
-                absent=absent[absent >= apart] - apart,
+                absent=absent[absent >= loops] - loops,
             )
         )
     return tuple(sample_series)
@@ -180,15 +180,15 @@ def series_of_log(log: Log, of: Measure | None = None) -> HistogramSeries:
             raise UsageError(f"a log keeps the {known} only: ask for it (--of {known})")
     except UsageError as error:
         raise UsageError(f"{log.path}: {log.suite}: {error}") from None
-    apart = startup_loops(log.series)
+    loops = startup_loops(log.series)
     listed = {entry.index: entry for entry in (*log.top, *log.lowest) if entry.index is not None}
-    startup = tuple(listed[index] for index in range(apart) if index in listed)
+    startup = tuple(listed[index] for index in range(loops) if index in listed)
     count = log.count.copy()
     for entry in startup:
         count[np.searchsorted(log.value_us, entry.value_ns // 1000)] -= 1
     kept = count > 0
     remarks = log.remarks
-    if len(startup) < min(apart, int(log.count.sum())):
+    if len(startup) < min(loops, int(log.count.sum())):
         remarks += ("start-up values are not among the listed ones: the figures include them",)
     return HistogramSeries(
         header=Header(

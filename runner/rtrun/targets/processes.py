@@ -82,9 +82,9 @@ exit $status
 """
 )
 # For a program that puts something right at its end.
-_PATIENTLY = "0.05 0.05 0.1 0.2 0.2 0.2 0.4 0.4 0.4"
+_LONG_PAUSES_S = "0.05 0.05 0.1 0.2 0.2 0.2 0.4 0.4 0.4"
 # For a load, which has nothing to put right: a worker of stress-ng --vm ends only after its pass over the memory.
-_SOON = "0.05 0.05 0.1"
+_SHORT_PAUSES_S = "0.05 0.05 0.1"
 # supervise.sh starts nothing in a folder with this mark, not even when it was called before the mark was made.
 _GIVE_UP = '[ ! -d "$1" ] || : >"$1/given_up"; exit 0'
 _MARK = "== ended"
@@ -206,7 +206,7 @@ def give_up(link: Link, folder: PurePosixPath, names: Sequence[str] = ("*",)) ->
     link.check(join_commands(commands), deadline_s=END_BACKGROUND_S + REMOVE_S)
 
 
-def _end(folder: PurePosixPath, names: Sequence[str], pauses: str = _PATIENTLY) -> list[str]:
+def _end(folder: PurePosixPath, names: Sequence[str], pauses: str = _LONG_PAUSES_S) -> list[str]:
     return ["sh", "-c", _END, "sh", str(folder), pauses, *names]
 
 
@@ -226,7 +226,7 @@ def end_background(
     of the middleware now.
     """
     keep_end = ["sh", "-c", _KEEP_END, "sh", str(folder), service, " ".join(programs), *loads, *others]
-    commands = [keep_end, ["echo", _MARK], _end(folder, loads, _SOON), _end(folder, others), *then]
+    commands = [keep_end, ["echo", _MARK], _end(folder, loads, _SHORT_PAUSES_S), _end(folder, others), *then]
     output = link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)
     kept, _, rest = output.partition(f"{_MARK}\n")
     service, *early = kept.split("\n")

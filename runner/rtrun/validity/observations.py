@@ -254,7 +254,7 @@ def summarize(observations: Iterable[Observation], states: Iterable[ThreadState]
         frequency_khz=_range(value for each in seen for value in each.frequency_khz),
         load_1min=_range(each.load_1min for each in seen),
         rivals=first[:REPORTED_RIVALS],
-        looks=len(seen),
+        observations=len(seen),
     )
 
 

@@ -30,7 +30,7 @@ from rtrun.validity.observations import (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class RunOutcome:
     """What became of a run, why, and what was in effect meanwhile."""
 
     status: RunStatus
@@ -53,7 +53,7 @@ def judge(
     background: Sequence[Background],
     ended_early: Mapping[str, str],
     is_timed: bool = True,
-) -> Verdict:
+) -> RunOutcome:
     """Say what became of a run from the files in `folder`, and why: the first thing that went wrong.
 
     `refused` are files that were not taken, or not whole, name to reason; `ended_early` are background programs that
@@ -95,7 +95,7 @@ def judge(
         if wrong is not None:
             status, reason = RunStatus.INVALID, wrong
     in_effect = summarize(observations, requirements.measuring_threads(run, observations, records))
-    return Verdict(status=status, reason=reason, in_effect=in_effect, records=records, rates=rates)
+    return RunOutcome(status=status, reason=reason, in_effect=in_effect, records=records, rates=rates)
 
 
 def _rates_of_outputs(

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from rtrun.analysis.blocks import Blocks, add_outputs, cut, split_randomly
-from rtrun.analysis.comparison import Change, compare, correct, ratio_of_misses
+from rtrun.analysis.comparison import ComparisonAnswer, compare, correct, ratio_of_misses
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.interleaving import is_interleaved
@@ -25,7 +25,7 @@ def process(n: int, rng: np.random.Generator, mean_ns: float = 60_000, memory: f
 def test_alike_is_rarely_called_different() -> None:
     rng = np.random.default_rng(2)
     answers = [compare([cut(process(20_000, rng))], [cut(process(20_000, rng))]).answer for _ in range(60)]
-    assert answers.count(Change.RUNS_DIFFER) <= 8  # 3 expected
+    assert answers.count(ComparisonAnswer.RUNS_DIFFER) <= 8  # 3 expected
 
 
 def test_a_test_for_independent_data_would_call_them_different() -> None:
@@ -40,16 +40,16 @@ def test_a_test_for_independent_data_would_call_them_different() -> None:
 def test_a_shift_is_seen_and_its_interval_holds_it() -> None:
     rng = np.random.default_rng(3)
     comparisons = [compare([cut(process(20_000, rng))], [cut(process(20_000, rng, 63_000))]) for _ in range(40)]
-    assert sum(c.answer == Change.RUNS_DIFFER for c in comparisons) >= 38
+    assert sum(c.answer == ComparisonAnswer.RUNS_DIFFER for c in comparisons) >= 38
     assert sum(c.shifts[0].low_ns <= 3000 <= c.shifts[0].high_ns for c in comparisons) >= 34
 
 
 def test_none_seen_is_not_none() -> None:
     rng = np.random.default_rng(14)
     small = compare([cut(process(3000, rng))], [cut(process(3000, rng))], margin_ns=500)
-    assert small.answer == Change.NOT_SEEN and not small.shifts[0].within_margin
+    assert small.answer == ComparisonAnswer.NOT_SEEN and not small.shifts[0].within_margin
     large = compare([cut(process(200_000, rng))], [cut(process(200_000, rng))], margin_ns=20_000)
-    assert large.answer == Change.SAME and all(shift.within_margin for shift in large.shifts)
+    assert large.answer == ComparisonAnswer.SAME and all(shift.within_margin for shift in large.shifts)
 
 
 def boots(rng: np.random.Generator, number: int = 6, mean_ns: float = 60_000) -> list[Blocks]:
@@ -61,16 +61,16 @@ def test_five_runs_a_side_put_the_difference_between_boots_into_the_interval() -
     rng = np.random.default_rng(5)
     comparisons = [compare(in_turn(boots(rng), 0), in_turn(boots(rng), 1)) for _ in range(40)]
     assert all(c.units == "runs" and c.unit_counts == (6, 6) and c.interleaved for c in comparisons)
-    assert sum(c.answer == Change.DIFFERENT for c in comparisons) <= 5
+    assert sum(c.answer == ComparisonAnswer.DIFFERENT for c in comparisons) <= 5
     apart = compare(in_turn(boots(rng), 0), in_turn(boots(rng, mean_ns=90_000), 1))
-    assert apart.answer == Change.DIFFERENT
+    assert apart.answer == ComparisonAnswer.DIFFERENT
 
 
 @pytest.mark.parametrize("number", [1, 2, 4])
 def test_few_runs_may_differ_but_not_what_they_are_of(number: int) -> None:
     rng = np.random.default_rng(5)
     answers = [compare(in_turn(boots(rng, number), 0), in_turn(boots(rng, number), 1)).answer for _ in range(15)]
-    assert Change.DIFFERENT not in answers and answers.count(Change.RUNS_DIFFER) > 5
+    assert ComparisonAnswer.DIFFERENT not in answers and answers.count(ComparisonAnswer.RUNS_DIFFER) > 5
     one = compare(boots(rng, number), boots(rng, number))
     assert one.units == "blocks" and "runs alike" in one.assumes[0]
 
@@ -78,16 +78,16 @@ def test_few_runs_may_differ_but_not_what_they_are_of(number: int) -> None:
 def test_sets_measured_one_after_the_other_are_never_different() -> None:
     rng = np.random.default_rng(6)
     comparison = compare(in_turn(boots(rng), 0, 1), in_turn(boots(rng, mean_ns=90_000), 6, 1))
-    assert comparison.answer == Change.RUNS_DIFFER and not comparison.interleaved
+    assert comparison.answer == ComparisonAnswer.RUNS_DIFFER and not comparison.interleaved
 
 
 def test_sets_without_a_common_boot_have_boots_as_units() -> None:
     rng = np.random.default_rng(7)
     a, b = in_turn(boots(rng), 0, boot="a"), in_turn(boots(rng, mean_ns=90_000), 1, boot="b")
     comparison = compare(a, b)
-    assert comparison.answer == Change.RUNS_DIFFER and "boots alike: with 1 and 1" in comparison.assumes[0]
+    assert comparison.answer == ComparisonAnswer.RUNS_DIFFER and "boots alike: with 1 and 1" in comparison.assumes[0]
     a, b = ([replace(run, boot=f"{side}{k}") for k, run in enumerate(runs)] for side, runs in (("a", a), ("b", b)))
-    assert compare(a, b).units == "boots" and compare(a, b).answer == Change.DIFFERENT
+    assert compare(a, b).units == "boots" and compare(a, b).answer == ComparisonAnswer.DIFFERENT
 
 
 def test_the_interval_of_a_quantile_holds_a_shift_below_a_microsecond() -> None:
@@ -117,7 +117,7 @@ def test_a_heavier_tail_is_seen_where_it_is() -> None:
 
 def test_a_few_values_are_too_few() -> None:
     few = cut(np.array([1000, 2000], dtype=np.int64))
-    assert compare([few], [few]).answer == Change.UNDECIDED
+    assert compare([few], [few]).answer == ComparisonAnswer.UNDECIDED
     assert compare([few], [cut(process(5000, np.random.default_rng(1)))]).shifts == ()
     with pytest.raises(ValueError, match="no measurement"):
         compare([few], [])
@@ -227,5 +227,5 @@ def test_of_twelve_groups_without_a_difference_none_differs():
             made.append(compare(*sets, tests=12))
         for corrected in (True, False):
             answers = [one.answer for one in (correct(made) if corrected else made)]
-            seen[corrected] += Change.DIFFERENT in answers
+            seen[corrected] += ComparisonAnswer.DIFFERENT in answers
     assert seen[True] <= 1 < seen[False]

@@ -325,7 +325,7 @@ def test_a_disk_of_the_target_that_is_full_while_the_suite_runs(
     written = record(tmp_path / "results", runs[0])
     reason = "nobody saw what was in effect to the end: the disk of the target was full (df -h)"
     assert (written["status"], written["reason"]) == ("invalid", reason)
-    assert written["in_effect"]["looks"] > 0
+    assert written["in_effect"]["observations"] > 0
 
 
 def test_a_full_disk_here(target, tmp_path, watching, wishes, small_disk):

@@ -69,7 +69,7 @@ def test_a_load_runs_with_the_suite_and_ends_with_it(target, tmp_path, wishes):
     assert record["condition"] == "cpu80"
     assert record["requested"]["loads"] == {"stress": 1 + len(os.sched_getaffinity(0))}
     assert record["in_effect"]["loads"]["stress"] >= record["requested"]["loads"]["stress"]
-    assert record["in_effect"]["policy"] == ["OTHER"] and record["in_effect"]["looks"] >= 2
+    assert record["in_effect"]["policy"] == ["OTHER"] and record["in_effect"]["observations"] >= 2
     assert record["in_effect"]["busy_percent"] > 60
     assert {"name": "migration/0", "policy": "FIFO", "priority": 99} in record["in_effect"]["rivals"]
     assert {"stress.stdout", "sampler.stdout"} <= set(record["files"])
@@ -163,7 +163,7 @@ def test_what_is_observed_may_be_as_large_as_the_run_is_long(
     record = measure(target, tmp_path, repetitions=repetitions, frequency_hz=frequency_hz, condition="memory")
     size = record["files"]["sampler.stdout"]["size_bytes"]
     assert size > 16 * 1024 * 1024
-    assert record["status"] == status and record["in_effect"]["looks"] >= looks
+    assert record["status"] == status and record["in_effect"]["observations"] >= looks
     if status == "ok":
         assert (record["reason"], record["refused"]) == (None, {})
     else:
@@ -177,7 +177,7 @@ def test_a_run_without_sampler(target, tmp_path, wishes):
     record = measure(target, tmp_path, sampler="none")
     assert (record["status"], record["reason"], record["settings"]["sampler"]) == ("ok", None, "none")
     assert record["run"].endswith("-samplernone"), "told from one with it"
-    assert "sampler.stdout" not in record["files"] and record["in_effect"]["looks"] == 0
+    assert "sampler.stdout" not in record["files"] and record["in_effect"]["observations"] == 0
 
 
 def test_affinity_of_the_load(target, tmp_path, wishes):

@@ -30,6 +30,6 @@ def test_a_load_lasts_for_minutes(loopback, ros_master, tmp_path, monkeypatch, c
     campaign_runner.run_campaign(target, "loads", runs, tmp_path / "results", Watching())
     written = record(tmp_path / "results", run)
     assert (written["status"], written["reason"]) == ("ok", None)
-    assert written["in_effect"]["looks"] > LASTS_S / 4
+    assert written["in_effect"]["observations"] > LASTS_S / 4
     for name, processes in written["requested"]["loads"].items():
         assert written["in_effect"]["loads"][name] >= processes

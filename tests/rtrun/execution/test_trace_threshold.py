@@ -9,7 +9,7 @@ from report.campaigns import cyclic_rows, latencies, write_run
 
 from rtfiles.errors import UsageError
 from rtrun.execution import campaign_runner
-from rtrun.execution.trace_threshold import with_found_threshold
+from rtrun.execution.trace_threshold import with_threshold_of_warm_up
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.reading import find_source
 from watching import Watching
@@ -30,35 +30,35 @@ def write_warm_up(root, name, values_ns, **closing):
 def test_the_threshold_is_the_quantile_of_the_warm_up(tmp_path):
     run, values_ns = planned(), latencies(1000, 3)
     write_warm_up(tmp_path, f"{run.name}.warm-up", values_ns)
-    found = with_found_threshold(run, tmp_path)
+    found = with_threshold_of_warm_up(run, tmp_path)
     assert found.parameters["trace_threshold_us"] == round(np.quantile(values_ns, 0.99) / 1000)
     assert {**found.parameters, "trace_threshold_us": None} == run.parameters
 
 
 def test_a_limit_in_microseconds_needs_no_warm_up(tmp_path):
     run = planned("300us")
-    assert with_found_threshold(run, tmp_path) is run
+    assert with_threshold_of_warm_up(run, tmp_path) is run
 
 
 def test_values_below_a_microsecond_give_the_lowest_threshold(tmp_path):
     run = planned()
     write_warm_up(tmp_path, f"{run.name}.warm-up", np.zeros(1000, dtype=np.int64))
-    assert with_found_threshold(run, tmp_path).parameters["trace_threshold_us"] == 1
+    assert with_threshold_of_warm_up(run, tmp_path).parameters["trace_threshold_us"] == 1
 
 
 def test_without_a_whole_warm_up_there_is_no_threshold(tmp_path):
     run = planned()
     with pytest.raises(UsageError, match="incomplete run"):
-        with_found_threshold(run, tmp_path)
+        with_threshold_of_warm_up(run, tmp_path)
     folder = write_warm_up(tmp_path, f"{run.name}.warm-up", latencies(1000, 3), status="failed", reason="it broke")
     with pytest.raises(UsageError, match=r"\.warm-up is failed: it broke"):
-        with_found_threshold(run, tmp_path)
+        with_threshold_of_warm_up(run, tmp_path)
     data = json.loads((folder / "run.json").read_text())
     (folder / "run.json").write_text(json.dumps(data | {"status": "ok"}))
     (samples,) = folder.glob("*.npy")
     samples.write_bytes(samples.read_bytes()[:-8])
     with pytest.raises(UsageError, match="altered since the run was closed"):
-        with_found_threshold(run, tmp_path)
+        with_threshold_of_warm_up(run, tmp_path)
 
 
 @pytest.mark.sshd

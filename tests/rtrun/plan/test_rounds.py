@@ -3,7 +3,7 @@
 import pytest
 
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.plan.rounds import boot_of_round, outlook, plan_round, rounds_a_boot, rounds_for
+from rtrun.plan.rounds import boot_of_round, outlook, plan_round, rounds_for, rounds_of_boot
 
 CAMPAIGN = {
     "schema": 1,
@@ -35,17 +35,18 @@ def test_start_up_values_do_not_count(measurements, rounds):
 
 
 @pytest.mark.parametrize(
-    ("measurements", "boots", "a_boot"), [(16_000, 8, 2), (16_000, 1, 16), (1000, 8, 1), (15_999, 8, 2), (15_000, 8, 1)]
+    ("measurements", "boots", "boot_rounds"),
+    [(16_000, 8, 2), (16_000, 1, 16), (1000, 8, 1), (15_999, 8, 2), (15_000, 8, 1)],
 )
-def test_the_rounds_of_the_best_case_are_spread_over_the_boots(measurements, boots, a_boot):
-    assert rounds_a_boot(GROUPS, measurements, boots) == a_boot
-    assert boot_of_round(1, a_boot) == 0 and boot_of_round(a_boot + 1, a_boot) == 1
-    assert outlook(GROUPS, measurements, boots=boots, a_boot=a_boot).boots >= boots
+def test_the_rounds_of_the_best_case_are_spread_over_the_boots(measurements, boots, boot_rounds):
+    assert rounds_of_boot(GROUPS, measurements, boots) == boot_rounds
+    assert boot_of_round(1, boot_rounds) == 0 and boot_of_round(boot_rounds + 1, boot_rounds) == 1
+    assert outlook(GROUPS, measurements, boots=boots, boot_rounds=boot_rounds).boots >= boots
 
 
 def test_the_outlook_counts_rounds_boots_and_seconds():
-    times = outlook(GROUPS, 16_000, boots=8, a_boot=2)
+    times = outlook(GROUPS, 16_000, boots=8, boot_rounds=2)
     assert (times.rounds, times.boots) == (16, 8)
     assert times.measuring_s == pytest.approx(16 * 1002 * (1 / 100 + 1 / 200 + 1 / 300 + 1 / 400))
-    few = outlook(GROUPS, 1, boots=8, a_boot=1)
+    few = outlook(GROUPS, 1, boots=8, boot_rounds=1)
     assert (few.rounds, few.boots) == (8, 8), "the boots that the answer must rest on take a round each"

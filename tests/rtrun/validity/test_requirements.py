@@ -62,7 +62,7 @@ def test_what_is_as_asked_for():
     looks = (sample(100, thread(), thread(), "governor -", "sched_rt_runtime_us 950000"), sample(102), sample(104))
     assert wrong(run_of(), *looks) is None
     in_effect = observed(run_of(), *looks)
-    assert (in_effect.policy, in_effect.priority, in_effect.cpus, in_effect.looks) == (["RR"], [95], [0, 1], 3)
+    assert (in_effect.policy, in_effect.priority, in_effect.cpus, in_effect.observations) == (["RR"], [95], [0, 1], 3)
     assert in_effect.sched_rt_runtime_us == [950000] and in_effect.frequency_khz == [700000, 920000]
     assert requested(run_of(), []).policy == "RR" and requested(run_of(policy=0), []).priority == 0
 
@@ -191,7 +191,7 @@ def test_what_is_kept_of_a_load_is_its_fewest_processes():
     ]
     assert observed(run_of(condition="cpu80"), *looks[:2]).loads == {"stress": 3}
     kept = observed(run_of(condition="cpu80"), *(each + "end\n" for each in looks))
-    assert (kept.loads, kept.load_cpus, kept.looks) == ({"stress": 0}, [0, 1], 3), "it was gone in the end"
+    assert (kept.loads, kept.load_cpus, kept.observations) == ({"stress": 0}, [0, 1], 3), "it was gone in the end"
 
 
 def test_a_load_that_does_nothing():

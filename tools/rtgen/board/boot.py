@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Boot:
+class KernelBoot:
     """Files of the kernel and its initial RAM disk, the kernel's arguments, and its device tree where it needs one."""
 
     kernel: Path

@@ -14,7 +14,7 @@ from rtfiles.errors import UsageError
 from rtfiles.wording import unknown
 from rtgen import debian
 from rtgen.board import card, disk, initrd, packages
-from rtgen.board.kernel import Kernel, built_kernel, debian_kernel
+from rtgen.board.kernel import KernelFiles, built_kernel, debian_kernel
 from rtgen.board.machine import Machine, Qemu, architectures, find
 from rtgen.kconfig import data as kconfig
 
@@ -56,7 +56,11 @@ def build(name: str, place: Path, kernel: str = "debian", login: Path | None = N
 
 
 def assemble(
-    name: str, machine: Machine, kernels: Mapping[str, Kernel], source: debian.Source, login: Path | None = None
+    name: str,
+    machine: Machine,
+    kernels: Mapping[str, KernelFiles],
+    source: debian.PackageSource,
+    login: Path | None = None,
 ) -> Path:
     """The folder of a board in the cache: this machine with these kernels by name, of which it starts the first.
 
@@ -76,12 +80,12 @@ def assemble(
     return cache.entry("board", cache.digest([name, repr(machine), str(root), *inputs, *keys]), build_in)
 
 
-def ram_disk(machine: Machine, kernel: Kernel, root: Path) -> bytes:
+def ram_disk(machine: Machine, kernel: KernelFiles, root: Path) -> bytes:
     """The initial RAM disk of a kernel, with busybox from the root file system in the folder `root`."""
     return initrd.archive((root / disk.BUSYBOX).read_bytes(), kernel.loadable([*machine.modules]))
 
 
-def root_file_system(machine: Machine, kernels: Mapping[str, Kernel], source: debian.Source) -> Path:
+def root_file_system(machine: Machine, kernels: Mapping[str, KernelFiles], source: debian.PackageSource) -> Path:
     """The folder of `disk.build` in the cache, which machines with the same packages, kernels and modules share."""
     recipe = [HERE / name for name in ("disk.py", "kernel.py", "packages.yml", "applets.txt", "root")]
     names = disk.package_names(machine, source.release)
@@ -95,7 +99,7 @@ def root_file_system(machine: Machine, kernels: Mapping[str, Kernel], source: de
 
 
 def link_board(
-    name: str, machine: Machine, qemu: Qemu, kernels: Mapping[str, Kernel], root: Path, folder: Path
+    name: str, machine: Machine, qemu: Qemu, kernels: Mapping[str, KernelFiles], root: Path, folder: Path
 ) -> None:
     """Write the board of a machine in QEMU into an empty folder. What others share is linked, not copied."""
     for file in (disk.IMAGE, disk.KEY, f"{disk.KEY}.pub"):
@@ -113,7 +117,7 @@ def link_board(
     atomic.write_text(folder / "board.json", json.dumps(record, indent=2) + "\n")
 
 
-def boot_entries(machine: Machine, kernels: Mapping[str, Kernel]) -> dict[str, dict[str, Any]]:
+def boot_entries(machine: Machine, kernels: Mapping[str, KernelFiles]) -> dict[str, dict[str, Any]]:
     """What board.json says of each kernel: its files in the board's folder. Those of the first have plain names."""
     entries: dict[str, dict[str, Any]] = {}
     for name, kernel in kernels.items():

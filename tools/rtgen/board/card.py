@@ -9,8 +9,8 @@ from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.untrusted import read_text
 from rtgen import debian
 from rtgen.board import disk, u_boot, uefi
-from rtgen.board.boot import Boot, BootFiles
-from rtgen.board.kernel import Kernel
+from rtgen.board.boot import BootFiles, KernelBoot
+from rtgen.board.kernel import KernelFiles
 from rtgen.board.machine import Machine
 from rtgen.process import run
 
@@ -33,11 +33,11 @@ ROOT_TYPE: dict[Table, str] = {"gpt": "type=L", "dos": "type=83"}
 
 def build(
     machine: Machine,
-    kernels: Mapping[str, Kernel],
+    kernels: Mapping[str, KernelFiles],
     root: Path,
     ram_disks: Mapping[str, bytes],
     login: Path | None,
-    source: debian.Source,
+    source: debian.PackageSource,
     folder: Path,
 ) -> None:
     """Write card.img into an empty folder, from the root file system in `root`, a folder of `disk.build`.
@@ -59,7 +59,7 @@ def build(
     boots = {}
     for name, kernel in kernels.items():
         (work / f"initrd-{name}").write_bytes(ram_disks[name])
-        boots[name] = Boot(
+        boots[name] = KernelBoot(
             kernel=kernel.image,
             ram_disk=work / f"initrd-{name}",
             command_line=f"{machine.cmdline} root=UUID={file_system_id(system)} quiet",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rtfiles.errors import InfrastructureError
 from rtgen import debian
-from rtgen.board.kernel import Kernel
+from rtgen.board.kernel import KernelFiles
 from rtgen.board.machine import Machine
 from rtgen.board.packages import packages, unpacked
 from rtgen.process import run
@@ -31,7 +31,7 @@ def package_names(machine: Machine, release: str) -> list[str]:
     return sorted([*known.root, *known.releases[release].root, *card])
 
 
-def build(machine: Machine, kernels: Iterable[Kernel], source: debian.Source, folder: Path) -> None:
+def build(machine: Machine, kernels: Iterable[KernelFiles], source: debian.PackageSource, folder: Path) -> None:
     """Make root.img, its login key id_ed25519, and the public part of its host key in an empty folder."""
     tree = folder / "tree"
     tree.mkdir()
@@ -74,7 +74,7 @@ def add_tools(tree: Path) -> None:
     (tree / "sbin/init").symlink_to("../bin/busybox")
 
 
-def add_modules(tree: Path, kernel: Kernel, modules: list[str]) -> None:
+def add_modules(tree: Path, kernel: KernelFiles, modules: list[str]) -> None:
     """Add the kernel's configuration, the named modules and their dependencies."""
     (tree / "boot").mkdir(exist_ok=True)
     shutil.copy(kernel.config, tree / f"boot/config-{kernel.release}")
@@ -97,7 +97,7 @@ def add_keys(tree: Path, folder: Path) -> None:
     shutil.copy(host_key.with_suffix(".pub"), folder / HOST_KEY)
 
 
-def add_bytecode(tree: Path, source: debian.Source) -> None:
+def add_bytecode(tree: Path, source: debian.PackageSource) -> None:
     """Compile the board's Python modules, which takes the emulated CPU a minute, by a Python of the board's version.
 
     Where that is not this one, the release's own for this machine's architecture is unpacked and run where it lies.

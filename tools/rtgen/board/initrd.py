@@ -9,7 +9,7 @@ INIT = Path(__file__).with_name("init.sh")
 
 
 @dataclass(frozen=True)
-class Entry:
+class CpioEntry:
     """One file of a cpio archive; `mode` is st_mode with its type, `device` the major and minor of a device node."""
 
     name: str
@@ -26,23 +26,23 @@ def archive(busybox: bytes, modules: dict[str, bytes]) -> bytes:
     return cpio(list(entries(busybox, modules)))
 
 
-def entries(busybox: bytes, modules: dict[str, bytes]) -> Iterator[Entry]:
+def entries(busybox: bytes, modules: dict[str, bytes]) -> Iterator[CpioEntry]:
     """The files of the RAM disk."""
     for folder in ("bin", "dev", "lib", "proc", "root", "sys"):
-        yield Entry(folder, stat.S_IFDIR | 0o755)
+        yield CpioEntry(folder, stat.S_IFDIR | 0o755)
     # The kernel opens it for the first program, before a file system is mounted.
-    yield Entry("dev/console", stat.S_IFCHR | 0o600, device=(5, 1))
-    yield Entry("bin/busybox", stat.S_IFREG | 0o755, busybox)
-    yield Entry("init", stat.S_IFREG | 0o755, INIT.read_bytes())
+    yield CpioEntry("dev/console", stat.S_IFCHR | 0o600, device=(5, 1))
+    yield CpioEntry("bin/busybox", stat.S_IFREG | 0o755, busybox)
+    yield CpioEntry("init", stat.S_IFREG | 0o755, INIT.read_bytes())
     for name, data in modules.items():
-        yield Entry(f"lib/{name}", stat.S_IFREG | 0o644, data)
-    yield Entry("lib/modules.list", stat.S_IFREG | 0o644, "".join(f"{name}\n" for name in modules).encode())
+        yield CpioEntry(f"lib/{name}", stat.S_IFREG | 0o644, data)
+    yield CpioEntry("lib/modules.list", stat.S_IFREG | 0o644, "".join(f"{name}\n" for name in modules).encode())
 
 
-def cpio(files: list[Entry]) -> bytes:
+def cpio(files: list[CpioEntry]) -> bytes:
     """Pack files in the format of the kernel's RAM disks: "newc", see Documentation/driver-api/early-userspace."""
     packed = bytearray()
-    for number, file in enumerate([*files, Entry("TRAILER!!!", 0)], start=1):
+    for number, file in enumerate([*files, CpioEntry("TRAILER!!!", 0)], start=1):
         name = file.name.encode() + b"\0"
         links = 2 if stat.S_ISDIR(file.mode) else 1
         # inode, mode, uid, gid, links, time, size, device (2), device node (2), length of the name, no checksum

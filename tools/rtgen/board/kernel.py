@@ -15,7 +15,7 @@ from rtgen.kconfig import data as kconfig
 
 
 @dataclass(frozen=True)
-class Kernel:
+class KernelFiles:
     """The files of a kernel that a board needs.
 
     `modules` is the folder ``lib/modules/<release>`` with modules.dep in it, `dtbs` a folder of ``*.dtb``.
@@ -51,14 +51,14 @@ class Kernel:
         return contents
 
 
-def debian_kernel(package: str, machine: Machine, source: debian.Source) -> Kernel:
+def debian_kernel(package: str, machine: Machine, source: debian.PackageSource) -> KernelFiles:
     """The kernel of Debian's package for a machine, from the cache or downloaded (about 10 s)."""
     folder = unpacked([package], machine.architecture, source)
     releases = [path.name for path in (folder / "lib/modules").iterdir()]
     if len(releases) != 1:
         raise InfrastructureError(f"{package}: expected one kernel in {folder}, found {releases}")
     release = releases[0]
-    return Kernel(
+    return KernelFiles(
         release=release,
         image=folder / f"boot/vmlinuz-{release}",
         config=folder / f"boot/config-{release}",
@@ -70,7 +70,7 @@ def debian_kernel(package: str, machine: Machine, source: debian.Source) -> Kern
     )
 
 
-def built_kernel(board: str, version: str | None = None) -> Kernel:
+def built_kernel(board: str, version: str | None = None) -> KernelFiles:
     """The kernel of `rtgen kernel build` for this board, from the cache or built (five minutes on two idle cores).
 
     Without a version it is the first that is pinned. Raises UsageError when there is no fragment for this board, no
@@ -80,7 +80,7 @@ def built_kernel(board: str, version: str | None = None) -> Kernel:
     machine = data.fragment_of(board)
     folder = kernel_build.build(data, machine, kernel_build.plan(data, machine, version), version)
     release = json.loads((folder / "kernel.json").read_text(encoding="utf-8"))["release"]
-    return Kernel(
+    return KernelFiles(
         release=release,
         image=folder / "vmlinuz",
         config=folder / "config",

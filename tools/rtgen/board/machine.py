@@ -19,7 +19,7 @@ Name = Annotated[
 ]
 
 
-class Architecture(Config):
+class DebianArchitecture(Config):
     """Debian's architecture: the prefix of its compiler, the processor as ``uname -m`` names it, UEFI's name for it."""
 
     triplet: Name
@@ -84,10 +84,10 @@ class Machine(Config):
 
 
 @functools.cache
-def architectures() -> dict[str, Architecture]:
+def architectures() -> dict[str, DebianArchitecture]:
     """The known architectures, by Debian's name, read once."""
     data = read_yaml(ARCHITECTURES)
-    return {name: parse(each, Architecture, f"{ARCHITECTURES}: {name}") for name, each in data.items()}
+    return {name: parse(each, DebianArchitecture, f"{ARCHITECTURES}: {name}") for name, each in data.items()}
 
 
 def machines(folder: Path = HERE / "machines") -> dict[str, Machine]:

@@ -17,29 +17,29 @@ DATA = Path(__file__).with_name("packages.yml")
 Reason = Annotated[str, StringConstraints(min_length=1)]
 
 
-class Release(Config):
+class DebianRelease(Config):
     """What differs in a release of Debian: packages of the root file system, flags for compiling its programs."""
 
     root: dict[str, Reason]
     flags: list[str]
 
 
-class Packages(Config):
+class DebianPackages(Config):
     """packages.yml: the name of each package, or a pattern of files that are left out, and the reason."""
 
     root: dict[str, Reason]
     card: dict[str, Reason]
     sysroot: dict[str, Reason]
     dropped: dict[str, Reason]
-    releases: dict[str, Release]
+    releases: dict[str, DebianRelease]
 
 
-def packages() -> Packages:
+def packages() -> DebianPackages:
     """Read packages.yml."""
-    return load(DATA, Packages)
+    return load(DATA, DebianPackages)
 
 
-def source(suite: str | None) -> debian.Source:
+def source(suite: str | None) -> debian.PackageSource:
     """Where a board's packages come from, for Debian's suite of this name (None: this machine's own).
 
     Raises UsageError for a suite that packages.yml does not know.
@@ -51,7 +51,7 @@ def source(suite: str | None) -> debian.Source:
     return chosen
 
 
-def file_of(package: str, file: str, architecture: str, source: debian.Source) -> Path:
+def file_of(package: str, file: str, architecture: str, source: debian.PackageSource) -> Path:
     """A file of a package by its path in it. Raises InfrastructureError when there is none, and as `unpacked` does."""
     path = unpacked([package], architecture, source) / file
     if not path.is_file():
@@ -59,7 +59,7 @@ def file_of(package: str, file: str, architecture: str, source: debian.Source) -
     return path
 
 
-def unpacked(names: list[str], architecture: str, source: debian.Source, dropped: Iterable[str] = ()) -> Path:
+def unpacked(names: list[str], architecture: str, source: debian.PackageSource, dropped: Iterable[str] = ()) -> Path:
     """The folder of unpacked packages and their dependencies, from the cache or downloaded. Raises as `extract`.
 
     It is not to be changed: what is made of these packages is made in a copy. A kernel in it has its modules.dep, which

@@ -7,7 +7,7 @@ from rtgen import debian
 from rtgen.board.packages import packages
 
 
-def build(architecture: str, source: debian.Source) -> Path:
+def build(architecture: str, source: debian.PackageSource) -> Path:
     """Return a folder for ``g++ --sysroot=``, with roscpp and the C library of Debian's architecture and release.
 
     Built once (about 30 s, network) and kept in the cache. Raises UsageError or InfrastructureError as

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rtgen import debian
-from rtgen.board.boot import Boot, BootFiles
+from rtgen.board.boot import BootFiles, KernelBoot
 from rtgen.board.machine import UBoot
 from rtgen.board.packages import file_of
 
@@ -28,7 +28,7 @@ label linux
 
 
 def boot_files(
-    architecture: str, u_boot: UBoot, source: debian.Source, boots: Mapping[str, Boot], work: Path
+    architecture: str, u_boot: UBoot, source: debian.PackageSource, boots: Mapping[str, KernelBoot], work: Path
 ) -> BootFiles:
     """The files of the boot partition: a configuration for each kernel; those that U-Boot's package has come first.
 

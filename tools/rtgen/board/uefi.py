@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from rtgen import debian
-from rtgen.board.boot import Boot, BootFiles
+from rtgen.board.boot import BootFiles, KernelBoot
 from rtgen.board.machine import Machine, architectures
 from rtgen.board.packages import file_of
 from rtgen.process import run
@@ -20,7 +20,7 @@ SECTION_ALIGNMENT = 4096
 
 
 def boot_files(
-    machine: Machine, source: debian.Source, boots: Mapping[str, Boot], os_release: Path, work: Path
+    machine: Machine, source: debian.PackageSource, boots: Mapping[str, KernelBoot], os_release: Path, work: Path
 ) -> BootFiles:
     """The files of the boot partition: an EFI file for each kernel."""
     architecture = architectures()[machine.architecture]

@@ -10,7 +10,7 @@ from rtfiles.output import print_line, print_text
 
 if TYPE_CHECKING:
     from rtgen.kconfig.data import Data
-    from rtgen.kconfig.verify import Verdict
+    from rtgen.kconfig.verify import Verification
 
 NAME = "kconfig"
 HELP = "render PREEMPT_RT kernel fragments, and verify that they take effect"
@@ -112,7 +112,7 @@ def _verify_config(args: argparse.Namespace, data: "Data") -> int:
     return int(report(verify_config(data, args.machine, read_text(args.config), str(args.config))))
 
 
-def report(verdict: "Verdict") -> bool:
+def report(verdict: "Verification") -> bool:
     """Print a verdict; whether it is a failure."""
     count = len(verdict.mismatches)
     if not count:

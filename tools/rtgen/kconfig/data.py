@@ -17,7 +17,7 @@ Version = Annotated[str, config.matching(_VERSION, "a version of the kernel like
 _VALUE = re.compile(r'[ymn]|-?\d+|0x[0-9a-fA-F]+|"[^"]*"')
 
 
-class Option(config.Config):
+class KernelOption(config.Config):
     """A kernel option: its value, the reason, the source of that reason, and its kernels (since <= kernel < before)."""
 
     symbol: Annotated[str, config.matching("[A-Z0-9_]+", "a symbol of Kconfig without CONFIG_")]
@@ -47,13 +47,13 @@ class Concern(config.Config):
 
     schema_: Literal[1] = Field(alias="schema")
     summary: str
-    options: list[Option]
+    options: list[KernelOption]
 
 
 Architecture = Literal["arm", "arm64", "x86-64"]  # the keys of tree.ARCHITECTURES
 
 
-class Kernel(config.Config):
+class KernelVersion(config.Config):
     """A kernel version: the symbol that enables PREEMPT_RT, and the patch series for where mainline lacks it."""
 
     rt_series: str | None
@@ -62,7 +62,7 @@ class Kernel(config.Config):
     proven: str | None
 
 
-class Machine(config.Config):
+class KernelMachine(config.Config):
     """The concerns of a fragment, the bases on which it must take effect, and boards that run the same kernel.
 
     `since`: the first kernel for which it has a fragment; None means every kernel.
@@ -102,12 +102,12 @@ class DebianSource(config.Config):
 
 class _Kernels(config.Config):
     schema_: Literal[1] = Field(alias="schema")
-    kernels: dict[str, Kernel]
+    kernels: dict[str, KernelVersion]
 
 
 class _Machines(config.Config):
     schema_: Literal[1] = Field(alias="schema")
-    machines: dict[str, Machine]
+    machines: dict[str, KernelMachine]
 
 
 class _Sources(config.Config):
@@ -120,12 +120,12 @@ class Data:
     """Everything in a ``kconfig/`` folder."""
 
     folder: Path
-    kernels: dict[str, Kernel]
-    machines: dict[str, Machine]
+    kernels: dict[str, KernelVersion]
+    machines: dict[str, KernelMachine]
     concerns: dict[str, Concern]
     sources: dict[str, DebianSource]
 
-    def kernel(self, version: str) -> Kernel:
+    def kernel(self, version: str) -> KernelVersion:
         """The kernel of that version. Raises UsageError, naming the known ones."""
         if version not in self.kernels:
             raise UsageError(unknown("kernel", version, known=self.kernels))
@@ -140,7 +140,7 @@ class Data:
             )
         return self.sources[chosen]
 
-    def machine(self, name: str) -> Machine:
+    def machine(self, name: str) -> KernelMachine:
         """The machine of that name. Raises UsageError, naming the known ones."""
         if name not in self.machines:
             raise UsageError(unknown("machine", name, known=self.machines))
@@ -168,7 +168,7 @@ class Data:
         known = self.kernel(kernel)
         return None if self.machine(machine).architecture in known.rt_mainline else known.rt_series
 
-    def options(self, machine: str, kernel: str) -> dict[str, tuple[Option, ...]]:
+    def options(self, machine: str, kernel: str) -> dict[str, tuple[KernelOption, ...]]:
         """The options of a machine that hold for a kernel, by concern, in the order of the files."""
         self.kernel(kernel)
         return {

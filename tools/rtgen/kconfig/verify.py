@@ -25,7 +25,7 @@ class Mismatch:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Verdict:
+class Verification:
     """The result for `checked` options on one base; `config` is the finished .config."""
 
     subject: str
@@ -50,7 +50,7 @@ def merge(base: Sequence[Line], fragment: Sequence[Line]) -> str:
 
 def verify_tree(
     data: Data, tree: Tree, machine: str, base: str, fragment: Sequence[Line], origin: str | None
-) -> Verdict:
+) -> Verification:
     """Merge a fragment onto a base of the machine, and compare the .config that ``conf`` makes with fragment and data.
 
     Options of the data count even if the fragment leaves them out or contradicts them. `origin` names the file of the
@@ -83,13 +83,13 @@ def verify_tree(
         if series and name == data.kernel(tree.kernel).rt_symbol and (name not in known or "ARCH_SUPPORTS_RT" in why):
             why = f"this tree lacks the patch series {series} ({why})"
         mismatches.append(Mismatch(symbol=name, want=value, got=_shown(name, got, known), reason=why))
-    return Verdict(
+    return Verification(
         subject=f"{machine}, Linux {tree.release}, {base}",
         checked=len(wanted), mismatches=tuple(mismatches), config=config,
     )  # fmt: skip
 
 
-def verify_config(data: Data, machine: str, text: str, origin: str) -> Verdict:
+def verify_config(data: Data, machine: str, text: str, origin: str) -> Verification:
     """Compare a finished .config with the data. Raises UsageError when its head names no known kernel version."""
     kernel = kernel_of(text)
     if kernel is None:
@@ -104,7 +104,7 @@ def verify_config(data: Data, machine: str, text: str, origin: str) -> Verdict:
         for name, value in wanted.items()
         if got.get(name, "n") != value
     )
-    return Verdict(
+    return Verification(
         subject=f"{machine}, Linux {kernel}, {origin}", checked=len(wanted), mismatches=mismatches, config=text
     )
 

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from rtfiles import atomic
 from rtfiles.errors import UsageError
 from rtgen.checkout import checkout
-from rtgen.layer.render import SOURCES_LINK, Link, Tree, is_ours
+from rtgen.layer.render import SOURCES_LINK, SymbolicLink, Tree, is_ours
 from rtgen.profile import LAYER
 
 OWNED = (LAYER,)  # folders with rendered files only
@@ -58,7 +58,7 @@ def write(tree: Tree, out: Path) -> Outcome:
         target = out / path
         target.parent.mkdir(parents=True, exist_ok=True)
         # An unchanged file keeps its time, so that BitBake does not parse it again.
-        if isinstance(content, Link):
+        if isinstance(content, SymbolicLink):
             link = _relative(content, path)
             if not target.is_symlink() or str(target.readlink()) != link:
                 atomic.replace_link(target, link)
@@ -70,7 +70,9 @@ def write(tree: Tree, out: Path) -> Outcome:
     for file in removed:
         file.unlink()
         _remove_empty(file, out)
-    linked = [link.target for link in tree.values() if isinstance(link, Link) and not (out / link.target).exists()]
+    linked = [
+        link.target for link in tree.values() if isinstance(link, SymbolicLink) and not (out / link.target).exists()
+    ]
     for path in linked:
         (out / path).symlink_to((checkout() / path).resolve())
     return Outcome(written=written, removed=tuple(removed), linked=tuple(out / path for path in linked))
@@ -84,7 +86,7 @@ def _obstacles(tree: Tree, out: Path) -> dict[Path, str]:
         path: "a folder in the place of a file" for path in targets if path.is_dir() and not path.is_symlink()
     }
     parents = {parent for path in targets for parent in path.parents}
-    links = {out / content.target for content in tree.values() if isinstance(content, Link)}
+    links = {out / content.target for content in tree.values() if isinstance(content, SymbolicLink)}
     for path in parents | links:
         if os.path.lexists(path) and not path.is_dir():
             obstacles[path] = "not a folder" if path.exists() else "a broken link"
@@ -110,7 +112,7 @@ def _replaceable(path: PurePosixPath, out: Path) -> bool:
 
 def _content(tree: Tree, path: PurePosixPath) -> str:
     content = tree.get(path, "")
-    return f"link to {_relative(content, path)}\n" if isinstance(content, Link) else content
+    return f"link to {_relative(content, path)}\n" if isinstance(content, SymbolicLink) else content
 
 
 def _read(path: Path) -> str:
@@ -120,7 +122,7 @@ def _read(path: Path) -> str:
     return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
 
-def _relative(link: Link, at: PurePosixPath) -> str:
+def _relative(link: SymbolicLink, at: PurePosixPath) -> str:
     return os.path.relpath(link.target, at.parent)
 
 

@@ -18,7 +18,7 @@ from rtfiles.config import read_yaml
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
 from rtgen.checkout import checkout
-from rtgen.profile import LAYER, Machine, Profile, Release, Repository, key_pattern, load_machines
+from rtgen.profile import LAYER, Profile, ProfileMachine, Release, Repository, key_pattern, load_machines
 
 KAS_VERSION = 14  # of kas 4.0, the first with `commit`; kas 5 reads it
 SOURCES = PurePosixPath("recipes-tests")  # of the suites: beside the layer in every output folder
@@ -29,13 +29,13 @@ SAMPLER = "rt_tests_sampler"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Link:
+class SymbolicLink:
     """A symbolic link to a folder beside the layer, as `files` of the suites' recipes."""
 
     target: PurePosixPath
 
 
-Tree = dict[PurePosixPath, str | Link]
+Tree = dict[PurePosixPath, str | SymbolicLink]
 
 
 def is_ours(text: str) -> bool:
@@ -93,7 +93,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
             machine_layers.setdefault(needed, []).append(machine_name)
     add(f"{layer}/README.md", "layer.README.md", machine_layers=machine_layers)
     add(f"{layer}/SECURITY.md", "layer.SECURITY.md")
-    recipes: dict[str, dict[str, Machine]] = {}
+    recipes: dict[str, dict[str, ProfileMachine]] = {}
     for machine_name, machine in profile.machines.items():
         recipes.setdefault(machine.kernel.recipe, {})[machine_name] = machine
     collections = [release.kernels[recipe].collection for recipe in recipes]
@@ -114,7 +114,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         suites=sorted(suite["package"] for suite in suites if not suite["library"]),
     )
     if not profile.suites:
-        tree[SOURCES_LINK] = Link(target=SOURCES)
+        tree[SOURCES_LINK] = SymbolicLink(target=SOURCES)
 
     kernels = f"{layer}/recipes-kernel/linux"
     for machine_name, machine in profile.machines.items():
@@ -237,7 +237,7 @@ def _shared_repositories(profile: Profile, release: Release) -> dict[str, Reposi
     return {name: repository for name, repository in profile.repositories.items() if name not in own}
 
 
-def device_tree_folder(machine: Machine) -> str:
+def device_tree_folder(machine: ProfileMachine) -> str:
     """The folder of OMAP's device trees in arch/arm/boot/dts; it was moved in Linux 6.5."""
     return "ti/omap/" if machine.kernel.series >= (6, 5) else ""
 
@@ -271,7 +271,7 @@ def _git_url(url: str) -> str:
     return f"git://{rest};protocol={protocol}"
 
 
-def _fragment(name: str, machine: Machine) -> tuple[str, str]:
+def _fragment(name: str, machine: ProfileMachine) -> tuple[str, str]:
     """A fragment of kconfig/ for the kernel of a machine: its path in the repository and its text."""
     path = f"fragments/{name}-{machine.kernel.version}.cfg"
     try:

@@ -8,13 +8,13 @@ import numpy as np
 
 from rtfiles.quantities import us
 from rtrun.analysis.blocks import Blocks
-from rtrun.analysis.comparison import Change, Comparison, Shift, compare
+from rtrun.analysis.comparison import Comparison, ComparisonAnswer, Shift, compare
 from rtrun.analysis.effects import Effect, examine_effect, holm
 from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.layers import figure_of
 from rtrun.judgement.groups import Group, format_parameters
 from rtrun.judgement.study import Study
-from rtrun.kinds.kind import Kind
+from rtrun.kinds.kind import MeasurementKind
 from rtrun.kinds.known import kind_of
 
 # Fewer runs a side do not show how much runs differ by themselves.
@@ -34,7 +34,7 @@ class Finding(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result:
+class ClaimResult:
     """What an examiner found: the answer, the numbers it rests on, the test, and the runs."""
 
     finding: Finding
@@ -43,22 +43,17 @@ class Result:
     runs: tuple[str, ...] = ()
 
 
-def no_runs(what: str) -> Result:
+def no_runs(what: str) -> ClaimResult:
     """No run of the campaign bears on the claim."""
-    return Result(finding=Finding.UNDECIDED, numbers=f"no {what} in this campaign")
+    return ClaimResult(finding=Finding.UNDECIDED, numbers=f"no {what} in this campaign")
 
 
-def too_small(figure: str, groups: Iterable[Group]) -> Result:
-    """Runs bear on the claim, but with too few measurements."""
-    return Result(finding=Finding.UNDECIDED, numbers=f"too few measurements to compare {figure}", runs=runs_of(groups))
-
-
-def select(groups: Iterable[Group], of: Kind | str, *, rt: bool | None = None) -> list[Group]:
+def select(groups: Iterable[Group], of: MeasurementKind | str, *, rt: bool | None = None) -> list[Group]:
     """The groups of a kind, or of a baseline, that measured something; `rt`: with a real-time policy, or without."""
     return [group for group in groups if is_of(group.suite, of) and group.n and (rt is None or is_rt(group) is rt)]
 
 
-def is_of(suite: str, of: Kind | str) -> bool:
+def is_of(suite: str, of: MeasurementKind | str) -> bool:
     """Whether a suite is of a kind, or is the baseline of this name."""
     return suite == of if isinstance(of, str) else kind_of(suite) is of
 
@@ -95,7 +90,7 @@ def compared(pair: tuple[Group, Group], confidence: float) -> Comparison | None:
         return None
     step_ns = max(first.clock_step_ns, second.clock_step_ns)
     comparison = compare(*blocks, confidence=confidence, clock_step_ns=step_ns)
-    return None if comparison.answer == Change.UNDECIDED else comparison
+    return None if comparison.answer == ComparisonAnswer.UNDECIDED else comparison
 
 
 def shift_of(comparison: Comparison, figure: str) -> Shift | None:
@@ -120,7 +115,7 @@ def examine_shift(
     *,
     least_ns: float = 0.0,
     least_part: float = 0.0,
-) -> Result:
+) -> ClaimResult:
     """Decide a claim that a figure ("mean" or "p99") moves in the direction of `sign` in every pair of groups.
 
     The claimed effect, `least_ns` or a part of the first group's figure, is the least that confirms; below it the claim
@@ -144,7 +139,7 @@ def examine_shift(
     if not effects:
         if not left_out:
             return no_runs(missing)
-        return Result(
+        return ClaimResult(
             finding=Finding.UNDECIDED,
             numbers=f"no pair has {LEAST_RUNS} runs a side that were measured in turn",
             test=test,
@@ -155,7 +150,7 @@ def examine_shift(
         finding = Finding.REFUTED
     else:
         finding = Finding.CONFIRMED if all(e.p_above <= level for _, e in effects) else Finding.UNDECIDED
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers="; ".join(
             f"{format_parameters(pair[0].parameters)}: {figure} {us(effect.a_ns)} -> {us(effect.b_ns)} us "

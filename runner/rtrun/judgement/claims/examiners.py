@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from rtfiles.output import showing_progress
 from rtrun.judgement.claims import general, timers
-from rtrun.judgement.claims.examination import Finding, Result
+from rtrun.judgement.claims.examination import ClaimResult, Finding
 from rtrun.judgement.claims.reference import published
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
@@ -20,7 +20,7 @@ from rtrun.targets.inspection.platform import Platform
 class Examiner:
     """An examiner; a ``functional`` claim is about what ROS does, not how fast, and may be decided in emulation."""
 
-    examine: Callable[[Study], Result]
+    examine: Callable[[Study], ClaimResult]
     functional: bool = False
 
 
@@ -31,7 +31,7 @@ class Examined:
     id: str
     section: str
     text: str
-    result: Result
+    result: ClaimResult
 
 
 EXAMINERS: dict[str, Examiner] = {
@@ -73,7 +73,7 @@ def examine_claims(study: Study) -> tuple[Examined, ...]:
         examiner = EXAMINERS[claim["id"]]
         result = examiner.examine(study)
         if study.platform is Platform.EMULATED and not examiner.functional and result.runs:
-            result = Result(
+            result = ClaimResult(
                 finding=Finding.UNDECIDED,
                 numbers=f"measured on an emulated board, not a real-time statement ({result.numbers})",
                 test=result.test,

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from rtfiles.quantities import us
-from rtrun.analysis.comparison import Change
+from rtrun.analysis.comparison import ComparisonAnswer
 from rtrun.analysis.effects import holm
 from rtrun.analysis.intervals import clopper_pearson
 from rtrun.analysis.periods import burst_peaks, evenly_spread_p, find_period
 from rtrun.judgement.claims.examination import (
     NEVER_BELOW,
+    ClaimResult,
     Finding,
-    Result,
     compared,
     examine_shift,
     is_of,
@@ -31,7 +31,7 @@ ONESHOT, COMMUNICATION, CYCLICTEST = oneshot.KIND, messages.KIND, "cyclictest"
 _BROADER_NS = 300_000  # of the claim: from about 200 to about 500 us
 
 
-def peaks_random(study: Study) -> Result:
+def peaks_random(study: Study) -> ClaimResult:
     """The highest values of each run lie anywhere: spread evenly, and at no fixed distance."""
     by_run: dict[str, Digest] = {}
     for d in slowest([d for group in study.as_in_2014 for d in group.digests]):
@@ -50,7 +50,7 @@ def peaks_random(study: Study) -> Result:
         finding = Finding.REFUTED
     else:
         finding = Finding.CONFIRMED if places.size >= 100 else Finding.UNDECIDED
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers=f"places of {places.size} peaks in {len(by_run)} runs, p = {spread_p:.2g} for an even spread, "
         f"p = {period_p:.2g} for no period (strongest: {period} loops)",
@@ -60,7 +60,7 @@ def peaks_random(study: Study) -> Result:
     )
 
 
-def nanosleep_better(study: Study) -> Result:
+def nanosleep_better(study: Study) -> ClaimResult:
     """The highest value of cyclictest is lower than that of the one-shot timer."""
     timers, base = select(study.as_in_2014, ONESHOT, rt=True), select(study.as_in_2014, CYCLICTEST)
     if not timers or not base:
@@ -76,7 +76,7 @@ def nanosleep_better(study: Study) -> Result:
     above = max(d.figures.max_ns or 0 for g in timers for d in g.digests)
     runs = runs_of([*timers, *base])
     if any(value is None for value in below):
-        return Result(
+        return ClaimResult(
             finding=Finding.UNDECIDED, numbers="a cyclictest histogram overflowed, its maximum is not in it", runs=runs
         )
     worst = max(value for value in below if value is not None)
@@ -85,7 +85,7 @@ def nanosleep_better(study: Study) -> Result:
         finding = Finding.REFUTED
     else:
         finding = Finding.CONFIRMED if 2 * worst <= above and n_base >= n_timer else Finding.UNDECIDED
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers=f"highest value: cyclictest {us(worst)} us of {n_base}, ROS one-shot timer {us(above)} us of {n_timer}",
         test="maxima; confirmed at half or less of as many values, refuted when not lower of as few",
@@ -93,7 +93,7 @@ def nanosleep_better(study: Study) -> Result:
     )
 
 
-def comm_first_message_worst(study: Study) -> Result:
+def comm_first_message_worst(study: Study) -> ClaimResult:
     """The first message is the slowest."""
     digests = [
         d
@@ -106,7 +106,7 @@ def comm_first_message_worst(study: Study) -> Result:
     worst = [d for d in digests if d.figures.max_ns is not None and d.header.startup[0].value_ns > d.figures.max_ns]
     low, high = clopper_pearson(len(worst), len(digests), study.question.confidence)
     finding = Finding.CONFIRMED if low > 0.5 else Finding.REFUTED if high < 0.5 else Finding.UNDECIDED
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers=f"the first message was the slowest for {len(worst)} of {len(digests)} subscribers "
         f"({100 * study.question.confidence:g} % CI of the share {low:.2f} to {high:.2f})",
@@ -115,7 +115,7 @@ def comm_first_message_worst(study: Study) -> Result:
     )
 
 
-def comm_more_subscribers_broader(study: Study) -> Result:
+def comm_more_subscribers_broader(study: Study) -> ClaimResult:
     """Five subscribers receive later, over a range that is broader by 300 us, than one."""
     candidates = list(pairs(select(study.as_in_2014, COMMUNICATION, rt=True), "subscribers", 1, 5))
     missing = "pair of communication runs with one and five real-time subscribers"
@@ -133,7 +133,7 @@ def _range_ns(group: Group) -> int:
     return highest - min((d.figures.min_ns or 0 for d in group.digests), default=0)
 
 
-def comm_higher_frequency_faster(study: Study) -> Result:
+def comm_higher_frequency_faster(study: Study) -> ClaimResult:
     """The mean latency is lower at 1 kHz than at 100 Hz."""
     groups = select(study.as_in_2014, COMMUNICATION, rt=True)
     return examine_shift(
@@ -141,7 +141,7 @@ def comm_higher_frequency_faster(study: Study) -> Result:
     )
 
 
-def comm_nothing_lost(study: Study) -> Result:
+def comm_nothing_lost(study: Study) -> ClaimResult:
     """No message is missing or out of order."""
     digests = [d for g in study.groups if is_of(g.suite, COMMUNICATION) for d in g.digests]
     if not digests:
@@ -149,7 +149,7 @@ def comm_nothing_lost(study: Study) -> Result:
     missing, swapped = sum(d.header.missing for d in digests), sum(d.header.out_of_order for d in digests)
     n = sum(d.loops for d in digests)
     enough = clopper_pearson(0, n, study.question.confidence)[1] < NEVER_BELOW
-    return Result(
+    return ClaimResult(
         finding=Finding.REFUTED if missing or swapped else Finding.CONFIRMED if enough else Finding.UNDECIDED,
         numbers=f"{missing} missing and {swapped} out of order of {n} messages expected",
         test=f"counts; confirmed when none and P below {NEVER_BELOW:g} (Clopper-Pearson)",
@@ -157,7 +157,7 @@ def comm_nothing_lost(study: Study) -> Result:
     )
 
 
-def rr_equals_fifo(study: Study) -> Result:
+def rr_equals_fifo(study: Study) -> ClaimResult:
     """RR and FIFO give the same distribution."""
     compared_pairs = []
     for kind in KINDS.values():
@@ -170,14 +170,14 @@ def rr_equals_fifo(study: Study) -> Result:
     alike = [all(s.within_margin for s in c.shifts) for _, c in compared_pairs]
     significant = holm([c.p_value for _, c in compared_pairs], 1 - study.question.confidence)
     apart = [
-        c.answer == Change.DIFFERENT and beyond_chance and not within
+        c.answer == ComparisonAnswer.DIFFERENT and beyond_chance and not within
         for (_, c), beyond_chance, within in zip(compared_pairs, significant, alike, strict=True)
     ]
     finding = Finding.REFUTED if any(apart) else Finding.CONFIRMED if all(alike) else Finding.UNDECIDED
     if any(apart) and any(c.units == "blocks" for _, c in compared_pairs):
         # One boot or run may differ from the next whatever the policy: too few runs to blame the policy.
         finding = Finding.UNDECIDED
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers="; ".join(
             f"{pair[0].label}: {c.answer} (mean {c.shifts[0].shift_ns / 1000:+.1f} us, p = {c.p_value:.2g})"
@@ -189,19 +189,19 @@ def rr_equals_fifo(study: Study) -> Result:
     )
 
 
-def single_cpu_shutdown_stuck(study: Study) -> Result:
+def single_cpu_shutdown_stuck(study: Study) -> ClaimResult:
     """A single CPU hangs at shutdown: the runner prevents it, so no run decides the claim."""
     single = [record.run for record in study.records if record.target.cpus == 1]
     if not single:
         return no_runs("run on a target with one CPU")
-    return Result(
+    return ClaimResult(
         finding=Finding.UNDECIDED,
         numbers=f"{len(single)} runs on one CPU, but the runner keeps the master above the nodes' priority, as it must",
         runs=tuple(single),
     )
 
 
-def default_priority_unpredictable(study: Study) -> Result:
+def default_priority_unpredictable(study: Study) -> ClaimResult:
     """The 99th percentile is higher without real-time priority."""
     candidates = [
         pair

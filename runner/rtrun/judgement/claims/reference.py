@@ -10,7 +10,7 @@ from rtfiles.config import read_yaml
 from rtrun.judgement.claims.examination import select
 from rtrun.judgement.groups import Group
 from rtrun.kinds import messages, oneshot
-from rtrun.kinds.kind import Kind
+from rtrun.kinds.kind import MeasurementKind
 from rtrun.plan.conditions import IDLE
 from rtrun.plan.suites import Value
 
@@ -32,7 +32,7 @@ class Row:
     """Figures that were published, in us, and what they were measured with; None: a group may have any."""
 
     place: str
-    kind: Kind
+    kind: MeasurementKind
     parameters: Mapping[str, Value]
     load_percent: int | None = None
     preempt_rt: bool | None = None

@@ -5,8 +5,8 @@ from rtrun.analysis.deadline import judge
 from rtrun.analysis.intervals import clopper_pearson
 from rtrun.judgement.claims.examination import (
     NEVER_BELOW,
+    ClaimResult,
     Finding,
-    Result,
     compared,
     describe_shift,
     examine_shift,
@@ -27,7 +27,7 @@ _MS = 1_000_000
 _DEADLINE_NS = 400_000
 
 
-def oneshot_sub_millisecond(study: Study) -> Result:
+def oneshot_sub_millisecond(study: Study) -> ClaimResult:
     """If 1 ms is waited whatever was asked, no latency is below 1 ms - timeout, and the mean grows by that much."""
     groups = [group for group in select(study.as_in_2014, ONESHOT) if 0 < _number(group, "timeout_us") < 1000]
     if not groups:
@@ -51,7 +51,7 @@ def oneshot_sub_millisecond(study: Study) -> Result:
         finding = Finding.REFUTED
     else:
         finding = Finding.UNDECIDED
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers="; ".join(words),
         test="share of latencies below (1 ms - timeout), Clopper-Pearson: refuted above 50 %, confirmed below 5 % "
@@ -60,7 +60,7 @@ def oneshot_sub_millisecond(study: Study) -> Result:
     )
 
 
-def oneshot_ignored_without_rt(study: Study) -> Result:
+def oneshot_ignored_without_rt(study: Study) -> ClaimResult:
     """Timers that do not fire: some without real-time priority, none with it."""
     with_rt, without = ([g for g in study.groups if is_of(g.suite, ONESHOT) and is_rt(g) is rt] for rt in (True, False))
     if not with_rt and not without:
@@ -76,7 +76,7 @@ def oneshot_ignored_without_rt(study: Study) -> Result:
         # "Now and then" is read as once in a million, no less.
         finding = Finding.REFUTED if n and upper < 1e-6 else Finding.UNDECIDED
     of_loops = f"{lost} of {n} without real-time priority (P below {upper:.1e})" if n else "no run without priority"
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers=f"not fired: {of_loops}, " + (f"{lost_rt} of {n_rt} with it" if n_rt else "no run with it"),
         test="counts, Clopper-Pearson",
@@ -84,7 +84,7 @@ def oneshot_ignored_without_rt(study: Study) -> Result:
     )
 
 
-def oneshot_reported_accurate(study: Study) -> Result:
+def oneshot_reported_accurate(study: Study) -> ClaimResult:
     """With real-time priority, what the timer reports is what was measured; without, milliseconds apart."""
     differences = [
         d for d in study.others if is_of(d.header.suite, ONESHOT) and d.header.series == "difference_2014" and d.n
@@ -102,7 +102,7 @@ def oneshot_reported_accurate(study: Study) -> Result:
     else:
         finding = Finding.UNDECIDED
     words = "no run" if apart is None else f"peak {us(apart)} us"
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers=f"|reported - measured|: with priority mean {us(mean)} us, peak {us(peak)} us "
         "(claimed: below 10 and 80 us); "
@@ -112,14 +112,14 @@ def oneshot_reported_accurate(study: Study) -> Result:
     )
 
 
-def oneshot_400us_rare(study: Study) -> Result:
+def oneshot_400us_rare(study: Study) -> ClaimResult:
     """A latency above 400 us comes less than once in a million."""
     groups = select(study.as_in_2014, ONESHOT, rt=True)
     if not groups:
         return no_runs("one-shot run with real-time priority")
     late, low, high, n, method = _pooled(study, groups)
     finding = Finding.REFUTED if low > 1e-7 else Finding.CONFIRMED if high < 1e-6 else Finding.UNDECIDED
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers=f"{late} of {n} above 400 us, P between {low:.1e} and {high:.1e} "
         f"({100 * study.question.confidence:g} % CI)",
@@ -128,7 +128,7 @@ def oneshot_400us_rare(study: Study) -> Result:
     )
 
 
-def oneshot_latency_grows_with_timeout(study: Study) -> Result:
+def oneshot_latency_grows_with_timeout(study: Study) -> ClaimResult:
     """The mean latency is higher at 10 ms than at 1 ms, by 50 us."""
     groups = select(study.as_in_2014, ONESHOT, rt=True)
     return examine_shift(
@@ -141,7 +141,7 @@ def oneshot_latency_grows_with_timeout(study: Study) -> Result:
     )
 
 
-def cyclic_negative_cluster(study: Study) -> Result:
+def cyclic_negative_cluster(study: Study) -> ClaimResult:
     """About 12 % of the jitter values lie near -900 us."""
     groups = select(study.as_in_2014, CYCLIC)
     clusters = [d.cluster for g in groups for d in g.digests if d.cluster is not None]
@@ -157,7 +157,7 @@ def cyclic_negative_cluster(study: Study) -> Result:
         # Less than a tenth of the share that was claimed is another phenomenon than "about 12 %".
         finding = Finding.REFUTED if high < 0.012 or (low > 0.05 and not near) else Finding.UNDECIDED
     where = f", medians {us(min(places))} to {us(max(places))} us" if places else ""
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers=f"{100 * inside / n:.2f} % of {n} jitter values below -500 us{where} (claimed: 12 % near -900 us)",
         test="share below -500 us, Clopper-Pearson: confirmed above 5 % and near, refuted below 1.2 % or elsewhere",
@@ -165,7 +165,7 @@ def cyclic_negative_cluster(study: Study) -> Result:
     )
 
 
-def cyclic_first_two_negative(study: Study) -> Result:
+def cyclic_first_two_negative(study: Study) -> ClaimResult:
     """At 100 Hz one of the first two periods is shorter by more than 2 ms, and none later."""
     groups = [g for g in select(study.as_in_2014, CYCLIC) if _number(g, "frequency_hz") == 100]
     digests = [d for g in groups for d in g.digests if d.header.startup]
@@ -177,7 +177,7 @@ def cyclic_first_two_negative(study: Study) -> Result:
     if not hit and not later and len(digests) < 3:
         finding = Finding.UNDECIDED
     lowest = min(value.value_ns for d in digests for value in d.header.startup)
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers=f"{len(hit)} of {len(digests)} runs have a jitter below -2 ms in the first two periods (lowest "
         f"{us(lowest)} us), {len(later)} have one later",
@@ -186,7 +186,7 @@ def cyclic_first_two_negative(study: Study) -> Result:
     )
 
 
-def cyclic_frequency_kept(study: Study) -> Result:
+def cyclic_frequency_kept(study: Study) -> ClaimResult:
     """The last call comes within one period of where it belongs: the jitter adds up to nothing."""
     groups = [group for group in select(study.as_in_2014, CYCLIC) if _number(group, "frequency_hz")]
     drifts = []
@@ -200,7 +200,7 @@ def cyclic_frequency_kept(study: Study) -> Result:
         return no_runs("cyclic run whose frequency is known")
     kept = [fits for _, _, fits, _ in drifts]
     worst = max(drifts, key=lambda item: abs(item[1]))
-    return Result(
+    return ClaimResult(
         finding=Finding.CONFIRMED if all(kept) else Finding.REFUTED,
         numbers=f"in {sum(kept)} of {len(drifts)} runs the last call came within one period (at least 1 ms) of where "
         f"it belongs; worst: {us(worst[1])} us off, mean jitter {worst[3] / 1000:.2f} us",
@@ -209,14 +209,14 @@ def cyclic_frequency_kept(study: Study) -> Result:
     )
 
 
-def cyclic_400us_never(study: Study) -> Result:
+def cyclic_400us_never(study: Study) -> ClaimResult:
     """No jitter value lies above 400 us."""
     groups = select(study.as_in_2014, CYCLIC, rt=True)
     if not groups:
         return no_runs("cyclic run with real-time priority")
     late, _, high, n, method = _pooled(study, groups)
     finding = Finding.REFUTED if late else Finding.CONFIRMED if high < 1e-6 else Finding.UNDECIDED
-    return Result(
+    return ClaimResult(
         finding=finding,
         numbers=f"{late} of {n} above 400 us, P below {high:.1e} ({100 * study.question.confidence:g} % CI)",
         test=f"{method}: confirmed when none and P below 1e-6",
@@ -224,7 +224,7 @@ def cyclic_400us_never(study: Study) -> Result:
     )
 
 
-def cyclic_degrades_above_1khz(study: Study) -> Result:
+def cyclic_degrades_above_1khz(study: Study) -> ClaimResult:
     """The 99th percentile of the jitter is higher above 1 kHz."""
     groups = select(study.as_in_2014, CYCLIC)
     faster = sorted({_number(g, "frequency_hz") for g in groups if _number(g, "frequency_hz") > 1000})

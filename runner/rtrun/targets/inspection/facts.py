@@ -70,7 +70,7 @@ def _uptime(value: Any) -> Any:
     return real_number(value.partition(" ")[0]) if isinstance(value, str) else value
 
 
-class Thread(Config):
+class RtThread(Config):
     """A real-time thread. The policy is a number where its name is not known; one at DEADLINE has priority 0."""
 
     tid: Pid
@@ -106,7 +106,7 @@ class TargetState(Config):
     os_release: str | None = None
     cpuinfo: str | None = None
     threads: Count = 0
-    rt_threads: list[Thread] = Field(default_factory=list)
+    rt_threads: list[RtThread] = Field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -266,7 +266,7 @@ def parse_state(text: str) -> TargetState:
         return TargetState(**{name: value for name, value in state.items() if name not in wrong})
 
 
-def _thread(line: str) -> Thread | None:
+def _thread(line: str) -> RtThread | None:
     """Read a line of /proc/<pid>/task/<tid>/stat; the name may hold blanks and brackets."""
     match = re.match(r"([0-9]{1,9}) \((.{0,64})\) (.+)$", line)
     fields = match.group(3).split() if match else []
@@ -275,7 +275,7 @@ def _thread(line: str) -> Thread | None:
         return None
     try:
         policy = whole_number(fields[38])
-        return Thread(
+        return RtThread(
             tid=whole_number(match.group(1)),
             name=match.group(2),
             policy=POLICIES.get(policy, str(policy)),

@@ -67,7 +67,7 @@ def with_safety_net(change: str, safety_net: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class CheckResult:
     """The result of a check: `evidence` are the lines at fault, or the reason why it is unknown."""
 
     check: Check
@@ -93,34 +93,34 @@ def parse(text: str) -> dict[str, list[str]]:
     return {name: body.strip("\n").splitlines() for name, body in zip(parts[1::2], parts[2::2], strict=True)}
 
 
-def judge(checks: list[Check], facts: dict[str, list[str]]) -> list[Finding]:
+def judge(checks: list[Check], facts: dict[str, list[str]]) -> list[CheckResult]:
     """Hold facts against checks; findings stand in the order of severity, faults first."""
     findings = [_judge(check, facts.get(check.fact, [])) for check in checks]
     order = ("fault", "unknown", "ok")
     return sorted(findings, key=lambda each: (order.index(each.status), SEVERITIES.index(each.check.severity)))
 
 
-def grave_faults(findings: list[Finding]) -> list[Finding]:
+def grave_faults(findings: list[CheckResult]) -> list[CheckResult]:
     """The findings that are fatal or high."""
     return [each for each in findings if each.status == "fault" and each.check.severity in GRAVE]
 
 
-def is_ready(findings: list[Finding]) -> bool:
+def is_ready(findings: list[CheckResult]) -> bool:
     """Whether nothing fatal or high was found."""
     return not grave_faults(findings)
 
 
-def _judge(check: Check, lines: list[str]) -> Finding:
+def _judge(check: Check, lines: list[str]) -> CheckResult:
     lines = [line for line in lines if line]
     if not lines:
         if check.absent == "ok":
-            return Finding(check=check, status="ok", evidence=())
-        return Finding(check=check, status="unknown", evidence=(f"the target does not show its {check.fact}",))
+            return CheckResult(check=check, status="ok", evidence=())
+        return CheckResult(check=check, status="unknown", evidence=(f"the target does not show its {check.fact}",))
     if check.some is not None:
         good = any(re.search(check.some, line) for line in lines)
         bad = [] if good else lines
     else:
         bad = [line for line in lines if re.search(str(check.none), line)]
-    return Finding(
+    return CheckResult(
         check=check, status="fault" if bad else "ok", evidence=tuple(line[:SHOWN_CHARACTERS] for line in bad)
     )

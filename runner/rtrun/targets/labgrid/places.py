@@ -54,7 +54,7 @@ _ALSO_POWER = ("PDUDaemonPort", "NetworkSysfsGPIO")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class LabgridPlace:
     """A place of a coordinator, and who holds it, as ``host/user``."""
 
     name: str
@@ -144,7 +144,7 @@ def coordinator_of(given: str | None, environment: Environment) -> str:
     return given or environment.coordinator or os.environ.get("LG_COORDINATOR") or COORDINATOR
 
 
-def list_places(coordinator: str) -> list[Place]:
+def list_places(coordinator: str) -> list[LabgridPlace]:
     """Ask a coordinator for its places. Raises UsageError when labgrid is not installed, TargetError."""
     try:
         import grpc
@@ -164,7 +164,7 @@ def list_places(coordinator: str) -> list[Place]:
                 "is labgrid-coordinator running there, and is LG_COORDINATOR or `coordinator` in the target file right?"
             ) from error
     return [
-        Place(
+        LabgridPlace(
             name=place.name,
             tags=dict(place.tags),
             holder=place.acquired or None,
@@ -174,7 +174,7 @@ def list_places(coordinator: str) -> list[Place]:
     ]
 
 
-def matching(places: list[Place], tags: Mapping[str, str]) -> list[Place]:
+def matching(places: list[LabgridPlace], tags: Mapping[str, str]) -> list[LabgridPlace]:
     """The places that have all of these tags."""
     return [place for place in places if tags.items() <= place.tags.items()]
 
@@ -231,7 +231,7 @@ def acquired(
 def _reserve_and_acquire(
     client: _Client,
     wanted: Mapping[str, str],
-    fitting: list[Place],
+    fitting: list[LabgridPlace],
     stack: contextlib.ExitStack,
     notify: Callable[[str], None],
     is_over: Callable[[], bool],

@@ -60,7 +60,7 @@ class BootEntry(Config):
     kernel_release: str
 
 
-class Board(Config):
+class BoardFile(Config):
     """`board.json`; file names are relative to its folder (see docs/formats.md)."""
 
     schema_: Literal[2] = Field(alias="schema")
@@ -86,10 +86,10 @@ class Board(Config):
 
 
 @dataclass(slots=True, kw_only=True)
-class Machine:
+class BootedBoard:
     """A booted board. QEMU cannot change the kernel that it was called with: another one is booted by another QEMU."""
 
-    board: Board
+    board: BoardFile
     folder: Path
     overlay: Path
     work: Path
@@ -165,42 +165,42 @@ class Machine:
         return TargetGone(f"the board in QEMU was switched off: QEMU ended ({how}); console: {self.console}")
 
 
-def read_board(folder: Path) -> Board:
+def read_board(folder: Path) -> BoardFile:
     """Read `board.json`. Raises UsageError that says how to make one."""
     path = folder / "board.json"
     if not path.is_file():
         raise UsageError(f"{folder}: no board there, make one: {as_called('rtgen')} board build")
     try:
-        return load(path, Board)
+        return load(path, BoardFile)
     except UsageError as error:
         raise UsageError(
             f"{error}\n{path}: if another version made it, make it anew: {as_called('rtgen')} board build"
         ) from error
 
 
-def emulator(board: Board, folder: Path) -> tuple[str, ...]:
+def emulator(board: BoardFile, folder: Path) -> tuple[str, ...]:
     """QEMU's program and the arguments that make it the board: by KVM where that works, emulated where it does not."""
     by_kvm = _by_kvm(board)
     return by_kvm if by_kvm and kvm.works(by_kvm, folder / board.kernel) else _by_tcg(board)
 
 
-def platform_of(board: Board, folder: Path) -> KnownPlatform:
+def platform_of(board: BoardFile, folder: Path) -> KnownPlatform:
     """Virtual where KVM runs the board, else emulated."""
     if emulator(board, folder) == _by_tcg(board):
         return KnownPlatform(platform=Platform.EMULATED, evidence="QEMU emulates the processor (TCG)")
     return KnownPlatform(platform=Platform.VIRTUAL, evidence="QEMU runs it by KVM")
 
 
-def _by_tcg(board: Board) -> tuple[str, ...]:
+def _by_tcg(board: BoardFile) -> tuple[str, ...]:
     return (board.qemu.binary, *board.qemu.arguments)
 
 
-def _by_kvm(board: Board) -> tuple[str, ...] | None:
+def _by_kvm(board: BoardFile) -> tuple[str, ...] | None:
     kvm = board.qemu.kvm
     return None if kvm is None or kvm.processor != platform.machine() else (*_by_tcg(board), *kvm.arguments)
 
 
-def command(machine: Machine, kernel: KernelName | None) -> list[str]:
+def command(machine: BootedBoard, kernel: KernelName | None) -> list[str]:
     """Return the QEMU command line. The disk is the overlay; port 0 lets this machine's kernel choose the SSH port."""
     board, folder = machine.board, machine.folder
     entry = board.entry(kernel)
@@ -221,7 +221,7 @@ def command(machine: Machine, kernel: KernelName | None) -> list[str]:
 
 
 @contextlib.contextmanager
-def boot(folder: Path, console: Path, overlay: Path | None = None) -> Iterator[Machine]:
+def boot(folder: Path, console: Path, overlay: Path | None = None) -> Iterator[BootedBoard]:
     """Start the board and yield it at once; it may take seconds until SSH answers.
 
     `overlay` is where the changes to the disk go: one that exists is booted again (as after a power cut), by default
@@ -239,7 +239,7 @@ def boot(folder: Path, console: Path, overlay: Path | None = None) -> Iterator[M
         if not overlay.exists():
             base = (folder / board.disk).resolve()
             _quiet("qemu-img", "create", "-q", "-f", "qcow2", "-b", str(base), "-F", board.disk_format, str(overlay))
-        machine = Machine(board=board, folder=folder, overlay=overlay, work=work, console=console)
+        machine = BootedBoard(board=board, folder=folder, overlay=overlay, work=work, console=console)
         stack.callback(machine.end)
         machine.start()
         yield machine

@@ -13,7 +13,7 @@ from report.campaigns import (
     write_run,
 )
 
-from rtrun.analysis.comparison import Change
+from rtrun.analysis.comparison import ComparisonAnswer
 from rtrun.judgement.claims import general
 from rtrun.judgement.claims.examination import Finding, compared
 from rtrun.judgement.claims.examiners import EXAMINERS, examine_claims
@@ -284,7 +284,7 @@ def test_one_pair_of_three_refutes_only_beyond_the_chance_of_three(tmp_path, mon
 
     def with_p_value(pair, confidence):
         comparison = compared(pair, confidence)
-        return replace(comparison, p_value=p_value if comparison.answer == Change.DIFFERENT else 0.5)
+        return replace(comparison, p_value=p_value if comparison.answer == ComparisonAnswer.DIFFERENT else 0.5)
 
     monkeypatch.setattr(general, "compared", with_p_value)
     assert examine(tmp_path, "rr-equals-fifo").finding == finding

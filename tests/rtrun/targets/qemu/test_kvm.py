@@ -83,7 +83,7 @@ def test_arguments_for_kvm_only_where_it_works(
 ) -> None:
     program = stand_in(tmp_path, f"exit {status}")
     login = qemu.Login(user="root", key="key", host_key="ssh-ed25519 AAAA")
-    board = qemu.Board(
+    board = qemu.BoardFile(
         schema=2, machine="m", kernel="vmlinuz", initrd="initrd", dtb=None, cmdline="quiet",
         disk="root.img", disk_format="raw", ssh=login, kernel_release="6.1", packages={},
         qemu=qemu.Emulator(
