@@ -219,7 +219,7 @@ def outside_the_interval(order: str, rng: Rng) -> bool | None:
     if layers.refused:
         return None
     added = layers.added[0]
-    return not added.low_ns <= 30_000 <= added.high_ns
+    return not added.low <= 30_000 <= added.high
 
 
 def _in_pairs(values: tuple[Floats, Floats], _: object) -> tuple[float, float, float]:

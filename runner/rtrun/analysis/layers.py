@@ -1,4 +1,4 @@
-"""What each layer adds: cyclictest below, the ROS timer above it, publish-subscribe on top."""
+"""What a layer adds to the one that it stands on, from runs of both that were measured in turn."""
 
 import math
 from collections.abc import Sequence
@@ -13,16 +13,22 @@ from rtrun.analysis.interleaving import is_interleaved, seconds
 Floats = NDArray[np.float64]
 
 _LEAST_RUNS = 3
+QUANTILES = {"median": 0.5, "p99": 0.99, "p99.99": 0.9999}
+LATE = "P(late)"
+"""The figure that is no time: the share of values above the deadline."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Added:
-    """What the upper layer adds to one figure of the lower, in ns, with its interval; ``method`` says how."""
+    """What the upper layer adds to one figure of the lower, with its interval; ``method`` says how.
+
+    Times are in ns; LATE is a share.
+    """
 
     figure: str
-    added_ns: float
-    low_ns: float
-    high_ns: float
+    added: float
+    low: float
+    high: float
     confidence: float
     method: str
 
@@ -35,8 +41,12 @@ class Attribution:
     refused: str | None = None
 
 
-def attribute(lower: Sequence[Blocks], upper: Sequence[Blocks], *, confidence: float = 0.95) -> Attribution:
+def attribute(
+    lower: Sequence[Blocks], upper: Sequence[Blocks], *, late_above_ns: int | None = None, confidence: float = 0.95
+) -> Attribution:
     """What `upper` adds to `lower`, from runs of each layer that were measured in turn.
+
+    A quantile is told where each run has as many values as it takes to reach it, LATE where there is a deadline.
 
     The time at which a run began is a covariate: both layers are taken to drift by the same slope, which is fitted and
     removed, so that a steady drift (temperature, load) is not added to the layer in whatever order the runs were. Runs
@@ -51,9 +61,15 @@ def attribute(lower: Sequence[Blocks], upper: Sequence[Blocks], *, confidence: f
     times_s = [seconds(of_layer) for of_layer in starts]
     if times_s[0] is None or times_s[1] is None or not is_interleaved(*starts):
         return Attribution(added=(), refused="the runs were not measured in turn: a drift would be added to the layer")
+    least = min(run.n for run in (*lower, *upper))
+    figures = ["mean", *(name for name, quantile in QUANTILES.items() if least * (1 - quantile) >= 1)]
+    figures += [] if late_above_ns is None else [LATE]
     added = []
-    for figure in ("mean", "p99"):
-        below, above = (np.array([figure_of(run, figure) for run in runs]) for runs in (lower, upper))
+    for figure in figures:
+        below, above = (
+            np.array([figure_of(run, figure, late_above_ns=late_above_ns or 0) for run in runs])
+            for runs in (lower, upper)
+        )
         added.append(_added(figure, (below, above), (times_s[0], times_s[1]), confidence))
     return Attribution(added=tuple(added))
 
@@ -65,9 +81,9 @@ def _added(figure: str, values: tuple[Floats, Floats], times_s: tuple[Floats, Fl
     half = float(stdtrit(degrees, (1 + confidence) / 2)) * error
     return Added(
         figure=figure,
-        added_ns=middle,
-        low_ns=middle - half,
-        high_ns=middle + half,
+        added=middle,
+        low=middle - half,
+        high=middle + half,
         confidence=confidence,
         method=f"{values[0].size} and {values[1].size} runs measured in turn, a steady drift removed, Welch's t",
     )
@@ -101,11 +117,17 @@ def shift_without_drift(values: tuple[Floats, Floats], times_s: tuple[Floats, Fl
     return shift, error, sum(parts) ** 2 / sum(part**2 / free for part, free in zip(parts, degrees, strict=True))
 
 
-def figure_of(run: Blocks, figure: str) -> float:
-    """The mean or the 99th percentile ("mean", "p99") of a run, ns. Raises ValueError when it has no measurement."""
+def figure_of(run: Blocks, figure: str, *, late_above_ns: int = 0) -> float:
+    """The mean, one of QUANTILES, in ns, or the share above a limit (LATE) of a run.
+
+    Raises ValueError when it has no measurement.
+    """
     if not run.n:
         raise ValueError("a run has no measurement")
     if figure == "mean":
         return float(run.sums_ns.sum()) / run.n
-    below = np.cumsum(run.counts.sum(axis=0))
-    return float(run.values_ns[np.searchsorted(below, math.ceil(0.99 * below[-1]))])
+    counts = run.counts.sum(axis=0)
+    if figure == LATE:
+        return float(counts[run.values_ns > late_above_ns].sum()) / run.n
+    below = np.cumsum(counts)
+    return float(run.values_ns[np.searchsorted(below, math.ceil(QUANTILES[figure] * below[-1]))])

@@ -145,6 +145,7 @@ KIND = MeasurementKind(
     times=_times,
     # The first two periods.
     startup={"lateness": 2, "jitter": 2, "grid": 2},
+    layer_below="cyclictest",
     suite_2014="cyclic_timer_tests",
     main_2014="jitter",
     log_summary=re.compile(r"with a total of ([0-9]{1,12}) measurements"),

@@ -1,26 +1,20 @@
 """The tables behind the scenarios: worst cases, layers, published figures, environment, reproduction."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from rtfiles.output import counted
 from rtfiles.quantities import time_us, us
 from rtrun.analysis.extreme_values import Bound
-from rtrun.analysis.layers import attribute
 from rtrun.analysis.worst_case import disagreement
-from rtrun.judgement.claims.examination import is_rt, select
 from rtrun.judgement.claims.reference import message_rows, oneshot_rows
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study, environment
-from rtrun.kinds.known import KINDS
 from rtrun.kinds.output import NON_MEASURING_THREADS
 from rtrun.plan.question import NONE_TOLERATED
-from rtrun.plan.suites import suites
-from rtrun.report import causes
+from rtrun.report import causes, layers
 from rtrun.report.tables import Table, how, printable_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
-from rtrun.targets.inspection.platform import Platform
 
 WORST_CASE = "Worst case by extreme value theory"
 
@@ -33,7 +27,7 @@ def end_tables(study: Study) -> tuple[Table, ...]:
         causes.periods(study.source)[0],
         causes.surroundings(study.source)[0],
         _worst_cases(study),
-        _layers(study),
+        layers.table(study),
         _published(study),
     ]
     return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)
@@ -107,90 +101,6 @@ def _bound(bound: Bound) -> tuple[str, str]:
         f"shape {bound.shape:.3f}, {bound.points} points, "
         + ", ".join(f"{c.name} p = {c.p_value:.2g}" for c in bound.checks if c.p_value is not None),
     )
-
-
-# Parameters of a layer alone; all others must be the same in both.
-_OF_A_LAYER = {"timeout_us", "interval_us", "frequency_hz", "busy_mode", "threads", "payload_bytes", "subscribers"}
-_UNLIKE_IDLE = (
-    "idle CPUs were kept awake in one and not in the other; give both the same cpu_dma_latency_us, of which cyclictest "
-    "has 0 by default and the suites none"
-)
-
-
-def _layers(study: Study) -> Table:
-    """What each layer adds to the one below, for every pair of groups that differ in nothing but the layer."""
-    rows: list[tuple[str, ...]] = []
-    groups = () if study.platform is Platform.EMULATED else study.groups
-    for low, high, above in _pairs_of_layers(groups):
-        labels = low.label, high.label
-        if _awake_us(low) != _awake_us(high):
-            if not _has_like(low, above):
-                rows.append((*labels, "-", "-", "-", f"refused: {_UNLIKE_IDLE}"))
-            continue
-        attribution = attribute(low.blocks, high.blocks, confidence=study.question.confidence)
-        if attribution.refused:
-            rows.append((*labels, "-", "-", "-", f"refused: {attribution.refused}"))
-        for added in attribution.added:
-            interval = f"{added.low_ns / 1000:+.1f} to {added.high_ns / 1000:+.1f}"
-            rows.append((*labels, added.figure, f"{added.added_ns / 1000:+.1f}", interval, added.method))
-    columns = ("layer", "layer above", "figure", "adds us", f"{100 * study.question.confidence:g} % CI us", "method")
-    outcome = f"{len({row[:2] for row in rows})} pairs of layers compared"
-    return Table(
-        id="layers",
-        title="What each layer adds",
-        columns=columns,
-        rows=rows,
-        outcome=outcome,
-        numbers=9,
-        notes=(how("Comparison"),),
-    )
-
-
-def _pairs_of_layers(groups: Sequence[Group]) -> Iterator[tuple[Group, Group, list[Group]]]:
-    """Yield a group, one that differs from it in the layer alone, and all groups of that one's kind."""
-    for kind in KINDS.values():
-        above = select(groups, kind)
-        below = select(groups, KINDS.get(kind.layer_below, kind.layer_below))
-        yield from ((low, high, above) for low in below for high in above if _differ_in_layer(low, high))
-
-
-def _differ_in_layer(low: Group, high: Group) -> bool:
-    """Whether two groups with real-time policy differ in the layer alone: same target, priority, condition, period."""
-    alike = low.target == high.target and _others(low) == _others(high) and _period_us(low) == _period_us(high)
-    means_known = all(one.figures.mean_ns is not None for group in (low, high) for one in group.digests)
-    one_event = all(group.parameters.get(key, 1) == 1 for group in (low, high) for key in ("subscribers", "threads"))
-    return alike and means_known and one_event and is_rt(high) and bool(low.blocks and high.blocks)
-
-
-def _awake_us(group: Group) -> object:
-    """The latency at which idle CPUs were kept awake; None where they slept as they would."""
-    return group.parameters.get("cpu_dma_latency_us")
-
-
-def _has_like(low: Group, above: Sequence[Group]) -> bool:
-    """Whether one of the layer above was measured with idle CPUs as this one was."""
-    return any(_differ_in_layer(low, high) and _awake_us(low) == _awake_us(high) for high in above)
-
-
-def _others(group: Group) -> dict[str, object]:
-    """Parameters that are not of one layer alone and not the default: a suite without an option has its default."""
-    options = suites().options
-    given = {
-        key: value
-        for key, value in group.parameters.items()
-        if key not in _OF_A_LAYER | {"cpu_dma_latency_us"} and value not in (None, "")
-    }
-    return {key: value for key, value in given.items() if key not in options or value != options[key].default}
-
-
-def _period_us(group: Group) -> float | None:
-    """Time between two measurements as asked for."""
-    for key in ("timeout_us", "interval_us"):
-        value = group.parameters.get(key)
-        if isinstance(value, int):
-            return float(value)
-    frequency = group.parameters.get("frequency_hz")
-    return 1e6 / frequency if isinstance(frequency, int) and frequency else None
 
 
 def _published(study: Study) -> Table:

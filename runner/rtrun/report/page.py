@@ -4,9 +4,11 @@ from typing import Any
 
 from rtfiles.quantities import time_us
 from rtrun.judgement.study import Study
+from rtrun.report import layers
 from rtrun.report.contents import Contents
 from rtrun.report.html_pages import as_json, figures, script, templates
 from rtrun.report.plots.charts import plots
+from rtrun.report.plots.stacks import stacked
 from rtrun.report.scenarios import Scenario
 
 # The class of an answer in the styles, which give it its colour, and its mark, for eyes and paper without colours.
@@ -39,6 +41,7 @@ def html(study: Study, contents: Contents) -> str:
     return environment.get_template("page.html.j2").render(
         contents=contents,
         cards=cards,
+        pictures={layers.TABLE: figures(stacked(layers.stacks(study)))},
         failed=sum(card["style"] == "refuted" for card in cards),
         opened=_OPENED,
         choices={key: values for key, values in choices.items() if len(values) > 1},

@@ -31,7 +31,7 @@ function framed(layout) {
     automargin: true, exponentformat: "none", separatethousands: true };
   const flat = { paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", separators: ". ",
     font: { color: colour("--ink"), family: "system-ui, sans-serif", size: 12 },
-    hoverlabel: { align: "left", namelength: -1 }, margin: { l: 50, r: 15, t: 10, b: 40 }, hovermode: "closest",
+    hoverlabel: { align: "left", namelength: -1 }, margin: { l: 50, r: 15, t: 10, b: 45 }, hovermode: "closest",
     legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 }, showlegend: true };
   for (const name of ["xaxis", "yaxis"]) flat[name] = { ...axis, ...layout[name] };
   if (layout.scene) {
@@ -49,6 +49,7 @@ function canTurn() {
 function draw(figure) {
   const place = figure.querySelector(".plot"), { data, layout } = parsed(figure.querySelector("script").textContent);
   const shown = framed(layout);
+  if (layout.height) place.style.height = `${layout.height}px`;
   if (layout.scene) {
     if (canTurn()) { delete shown.xaxis; delete shown.yaxis; shown.margin = { l: 0, r: 0, t: 0, b: 0 }; }
     else { delete shown.scene; data[0].type = "heatmap"; }

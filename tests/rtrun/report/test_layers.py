@@ -1,10 +1,13 @@
 """What each layer adds: only groups that differ in the layer alone are paired."""
 
+from dataclasses import replace
+
 import pytest
 from report.campaigns import communication_rows, latencies, oneshot_rows, write_run
 
+from rtrun.judgement.layers import differing_in_layer
 from rtrun.judgement.study import study
-from rtrun.report.end_tables import _layers
+from rtrun.report.layers import table
 
 CPU80 = {"condition": "cpu", "settings": {"load_percent": 80}}
 
@@ -31,7 +34,7 @@ def write(tmp_path):
 
 def pairs(root):
     """The lower and the upper group of each row of the table."""
-    return {(row[0], row[1]) for row in _layers(study(root, bounds=False)).rows}
+    return {(row[0], row[1]) for row in table(study(root, bounds=False)).rows}
 
 
 TIMER = {"policy": "RR", "timeout_us": 10_000, "busy_mode": 0}
@@ -49,14 +52,14 @@ AWAKE = {"cpu_dma_latency_us": 0}
 def test_idle_cpus_must_have_been_alike(write, tmp_path):
     """Of two groups above, the one that is alike is paired; where none is, the table says why."""
     write("a", TIMER | AWAKE, MESSAGES)
-    table = _layers(study(tmp_path, bounds=False))
-    (row,) = table.rows
-    assert "refused: idle CPUs were kept awake in one and not in the other" in row[5]
+    made = table(study(tmp_path, bounds=False))
+    (row,) = made.rows
+    assert "refused: idle CPUs were kept awake in one and not in the other" in row[-1]
     write("b", TIMER | AWAKE, MESSAGES | AWAKE)
-    table = _layers(study(tmp_path, bounds=False))
-    assert {row[5].partition(":")[0] for row in table.rows} != {"refused"}
-    assert {row[:2] for row in table.rows} == {(table.rows[0][0], table.rows[0][1])}
-    assert "cpu_dma_latency_us=0" in table.rows[0][1]
+    made = table(study(tmp_path, bounds=False))
+    assert {row[-1].partition(":")[0] for row in made.rows} != {"refused"}
+    assert {row[:2] for row in made.rows} == {(made.rows[0][0], made.rows[0][1])}
+    assert "cpu_dma_latency_us=0" in made.rows[0][1]
 
 
 @pytest.mark.parametrize(
@@ -75,3 +78,19 @@ def test_idle_cpus_must_have_been_alike(write, tmp_path):
 def test_what_differs_in_more_than_the_layer_is_not_paired(write, tmp_path, parameters, record):
     write("a", TIMER, MESSAGES | parameters, **record)
     assert pairs(tmp_path) == set()
+
+
+def through(group, middleware, **parameters):
+    return replace(group, parameters=group.parameters | {"middleware": middleware} | parameters)
+
+
+def test_a_layer_stands_on_the_middleware_below_or_on_the_system(write, tmp_path):
+    """Timers of roscpp stand on cyclictest, its messages on TCP; a timer through another middleware is none of them."""
+    write("a", TIMER, MESSAGES)
+    timer, messages = sorted(study(tmp_path, bounds=False).groups, key=lambda group: group.suite, reverse=True)
+    bare = replace(timer, suite="cyclictest", parameters={"policy": "RR", "interval_us": 10_000})
+    socket, longer = through(messages, "tcp"), through(messages, "tcp", payload_bytes=1000)
+    found = differing_in_layer([bare, timer, messages, socket, longer])
+    assert [(low.label, high.label) for low, high in found] == [
+        (low.label, high.label) for low, high in ((bare, timer), (timer, messages), (socket, messages))
+    ]

@@ -18,6 +18,8 @@ NONE = "none"
 DEFAULT = "roscpp"
 """Of a suite, where nobody names one: that of 2014."""
 
+Names = Annotated[tuple[str, ...], Field(strict=False)]
+
 
 class Middleware(Config):
     """One middleware: how its programs are called and started."""
@@ -27,8 +29,11 @@ class Middleware(Config):
     """What its form of a suite's program is called."""
     environment: dict[str, str] = Field(default_factory=dict)
     """Of its programs; `{ros_master_port}` is that of the target."""
-    repeated: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    repeated: Names = ()
     """Further arguments of a program that runs once per subscriber, `{number}`; `{token}` is unique to an attempt."""
+
+    stands_on: dict[str, Names] = Field(default_factory=dict)
+    """Of each kind of measurement the middlewares below it, to which it adds what it costs; none: the system alone."""
 
     def environment_with(self, **values: object) -> tuple[tuple[str, str], ...]:
         """The environment of its programs with these values filled in."""

@@ -1,0 +1,137 @@
+"""Groups that stand upon one another: which layer of a middleware, or of the system below, each is.
+
+A layer stands on the same measurement through the middleware below (`stands_on` of its file), or on the kind of
+measurement, or the baseline, that its own is on top of (`layer_below` of its kind).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rtrun.analysis.layers import Attribution, attribute
+from rtrun.judgement.claims.examination import is_rt
+from rtrun.judgement.groups import Group
+from rtrun.judgement.study import Study
+from rtrun.kinds.known import KINDS, kind_of
+from rtrun.plan.middleware.description import middlewares
+from rtrun.plan.suites import middleware_of, options, suite
+from rtrun.targets.inspection.platform import Platform
+
+# Parameters of a layer alone; all others must be the same in both.
+_OF_A_LAYER = {
+    *("timeout_us", "interval_us", "frequency_hz", "busy_mode", "threads", "payload_bytes", "subscribers"),
+    *("middleware", "start_delay_s", "cpu_dma_latency_us"),
+}
+# Of one measurement through two middlewares these are the same, too.
+_OF_A_MEASUREMENT = ("timeout_us", "frequency_hz", "payload_bytes", "subscribers")
+UNLIKE_IDLE = (
+    "idle CPUs were kept awake in one and not in the other; give both the same cpu_dma_latency_us, of which cyclictest "
+    "has 0 by default and the suites none"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayerPair:
+    """A layer, the one above it, and what that adds; `refused` within says why that is not known."""
+
+    below: Group
+    above: Group
+    attribution: Attribution
+
+
+def layer_pairs(study: Study) -> tuple[LayerPair, ...]:
+    """Every two groups that differ in the layer alone; none on an emulated board, whose times say nothing."""
+    groups = () if study.platform is Platform.EMULATED else study.groups
+    pairs = []
+    for below, above in differing_in_layer(groups):
+        if _awake_us(below) == _awake_us(above):
+            attribution = attribute(
+                below.blocks,
+                above.blocks,
+                late_above_ns=study.question.deadline_ns,
+                confidence=study.question.confidence,
+            )
+        elif any(_awake_us(below) == _awake_us(other) for low, other in differing_in_layer(groups) if low is below):
+            continue
+        else:
+            attribution = Attribution(added=(), refused=UNLIKE_IDLE)
+        pairs.append(LayerPair(below=below, above=above, attribution=attribution))
+    return tuple(pairs)
+
+
+def chains(pairs: Sequence[LayerPair]) -> tuple[tuple[LayerPair, ...], ...]:
+    """The pairs in which something is known, put upon one another: each chain from a lowest layer to a highest."""
+    known = [pair for pair in pairs if pair.attribution.added]
+
+    def upward(group: Group) -> list[tuple[LayerPair, ...]]:
+        found = [(pair, *rest) for pair in known if pair.below is group for rest in upward(pair.above)]
+        return found or [()]
+
+    lowest: list[Group] = []
+    for pair in known:
+        if all(pair.below is not other.above for other in known) and all(pair.below is not group for group in lowest):
+            lowest.append(pair.below)
+    return tuple(chain for group in lowest for chain in upward(group) if chain)
+
+
+def differing_in_layer(groups: Sequence[Group]) -> list[tuple[Group, Group]]:
+    """Each layer with one above it, of groups that are alike in all else."""
+    measured = [group for group in groups if group.n]
+    return [
+        (below, above)
+        for above in measured
+        for below in measured
+        if _is_layer_below(below, above) and _differ_in_layer_alone(below, above)
+    ]
+
+
+def _is_layer_below(below: Group, above: Group) -> bool:
+    kind = kind_of(above.suite)
+    if kind is None or above.of == "jitter" or below.of == "jitter":
+        return False
+    over, under = (middleware_of(group.suite, group.parameters) for group in (above, below))
+    stands_on = middlewares()[over].stands_on.get(suite(above.suite).kind or "", ())
+    if kind_of(below.suite) is kind:
+        return under in stands_on and all(
+            below.parameters.get(key) == above.parameters.get(key) for key in _OF_A_MEASUREMENT
+        )
+    if kind.layer_below in KINDS:
+        return kind_of(below.suite) is KINDS[kind.layer_below] and under == over and _is_one_event(above)
+    # A middleware that stands on another one is on top of that.
+    return below.suite == kind.layer_below and not stands_on and _is_one_event(above)
+
+
+def _is_one_event(group: Group) -> bool:
+    return all(group.parameters.get(key, 1) == 1 for key in ("subscribers", "threads"))
+
+
+def _differ_in_layer_alone(low: Group, high: Group) -> bool:
+    """Whether two groups with real-time policy are alike in all else: target, priority, condition, period."""
+    alike = low.target == high.target and _others(low) == _others(high) and _period_us(low) == _period_us(high)
+    means_known = all(one.figures.mean_ns is not None for group in (low, high) for one in group.digests)
+    one_thread = low.parameters.get("threads", 1) == 1
+    return alike and means_known and one_thread and is_rt(high) and bool(low.blocks and high.blocks)
+
+
+def _awake_us(group: Group) -> object:
+    """The latency at which idle CPUs were kept awake; None where they slept as they would."""
+    return group.parameters.get("cpu_dma_latency_us")
+
+
+def _others(group: Group) -> dict[str, object]:
+    """Parameters that are not of one layer alone and not the default: a suite without an option has its default."""
+    known = options()
+    return {
+        key: value
+        for key, value in group.parameters.items()
+        if key not in _OF_A_LAYER and value not in (None, "") and not (key in known and value == known[key].default)
+    }
+
+
+def _period_us(group: Group) -> float | None:
+    """Time between two measurements as asked for."""
+    for key in ("timeout_us", "interval_us"):
+        value = group.parameters.get(key)
+        if isinstance(value, int):
+            return float(value)
+    frequency = group.parameters.get("frequency_hz")
+    return 1e6 / frequency if isinstance(frequency, int) and frequency else None

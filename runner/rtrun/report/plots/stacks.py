@@ -1,0 +1,84 @@
+"""The picture of layers put upon one another: the mean of the lowest one, then what each layer above adds to it."""
+
+from collections.abc import Iterator, Sequence
+
+from rtrun.report.layers import LayerBar
+from rtrun.report.plots.charts import Plot, Trace, plain
+
+_COLOURS = 8  # --series-0 to --series-7
+_BAR = 0.36  # of the room that a chain has
+# A part that is a smaller share of the widest chain has no room for its name.
+_LEAST_NAMED = 0.06
+
+
+def stacked(chains: Sequence[Sequence[LayerBar]]) -> list[Plot]:
+    """One plot with a bar for each chain of layers; none where there are no chains."""
+    if not chains:
+        return []
+    widest_us = max(sum(bar.us for bar in chain) for chain in chains)
+    hidden = {"visible": False, "fixedrange": True, "range": [len(chains) - 0.5, -0.6]}
+    layout = {
+        "barmode": "relative",
+        "bargap": 0,
+        "height": 90 + 74 * len(chains),
+        "xaxis": {"title": {"text": "mean in us, layer by layer"}, "rangemode": "tozero"},
+        "yaxis": hidden,
+    }
+    caption = (
+        "Means put upon one another, from the lowest layer on the left; the lines are intervals of what a layer adds. "
+        "Quantiles and shares of late values do not add up: they are in the table."
+    )
+    data = [_part(row, place, bar) for row, chain in enumerate(chains) for place, bar in enumerate(chain)]
+    data += [text for row, chain in enumerate(chains) for text in _texts(row, chain, widest_us)]
+    return [Plot(caption=caption, data=data, layout=layout)]
+
+
+def _part(row: int, place: int, bar: LayerBar) -> Trace:
+    told = f"{bar.label}: {bar.us:.1f} us"
+    if place:
+        told = f"{bar.label} adds {bar.us:+.1f} us, {bar.low_us:+.1f} to {bar.high_us:+.1f} us"
+    return {
+        "type": "bar",
+        "orientation": "h",
+        "showlegend": False,
+        "y": [row],
+        "x": [round(bar.us, 3)],
+        "width": [_BAR],
+        "hovertext": [plain(told)],
+        "hovertemplate": "%{hovertext}<extra></extra>",
+        "marker": {"color": f"--series-{place % _COLOURS}"},
+        "error_x": {
+            "type": "data",
+            "symmetric": False,
+            "array": [round(bar.high_us - bar.us, 3)],
+            "arrayminus": [round(bar.us - bar.low_us, 3)],
+            "color": "--ink",
+            "thickness": 1.2,
+            "visible": place > 0,
+        },
+    }
+
+
+def _texts(row: int, chain: Sequence[LayerBar], widest_us: float) -> Iterator[Trace]:
+    """The name of the chain above its bar, and of each part below it."""
+    yield _text(0.0, row - _BAR / 2, "top right", chain[-1].label)
+    begin_us = 0.0
+    for place, bar in enumerate(chain):
+        if bar.us > _LEAST_NAMED * widest_us:
+            value = f"{bar.us:.0f}" if place == 0 else f"{bar.us:+.0f}"
+            yield _text(begin_us, row + _BAR / 2, "bottom right", f"{bar.short} {value}")
+        begin_us += bar.us
+
+
+def _text(x_us: float, y: float, position: str, text: str) -> Trace:
+    return {
+        "type": "scatter",
+        "mode": "text",
+        "showlegend": False,
+        "hoverinfo": "skip",
+        "cliponaxis": False,
+        "x": [round(x_us, 3)],
+        "y": [y],
+        "text": [plain(text)],
+        "textposition": position,
+    }
