@@ -15,10 +15,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("b", type=Path, nargs="?", help="the same: after [another side of the campaign in A]")
     parser.add_argument(
         "--by",
-        choices=("variant", "kernel", "trace"),
+        choices=("variant", "kernel", "trace", "middleware"),
         help="what the two sides of the campaign in A differ in [variant where it has some]",
     )
-    parser.add_argument("--variants", nargs=2, default=(), metavar="NAME", help="which two, where A has more")
+    parser.add_argument("--sides", nargs=2, default=(), metavar="NAME", help="which two, where A has more")
     parser.add_argument(
         "--margin",
         type=time_argument,
@@ -39,11 +39,11 @@ def run(args: argparse.Namespace) -> int:
     asked = question(args, args.a)
     sides = (str(args.a), str(args.b))
     if args.b is None:
-        sides, compared = compare_sides(args.a, args.by, args.variants, asked, margin_ns=args.margin)
+        sides, compared = compare_sides(args.a, args.by, args.sides, asked, margin_ns=args.margin)
         if not args.json:
             print_line(f"A: {sides[0]}, B: {sides[1]}")
-    elif args.variants or args.by:
-        raise UsageError("--by, --variants: go with one folder, that of a campaign with variants, kernels or traces")
+    elif args.sides or args.by:
+        raise UsageError("--by, --sides: go with one folder, that of a campaign with variants, kernels or traces")
     else:
         compared = compare_sets(args.a, args.b, asked, margin_ns=args.margin)
     if not compared.changes:

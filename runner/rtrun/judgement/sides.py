@@ -1,6 +1,6 @@
 """The runs of one campaign, taken apart into the two sides of a comparison.
 
-Sides are two of its variants, its two kernels, or runs without and with traces.
+Sides are two of its variants or middlewares, its two kernels, or runs without and with traces.
 """
 
 from collections.abc import Sequence
@@ -10,30 +10,34 @@ from typing import Literal, get_args
 from rtfiles.errors import UsageError
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
+from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.run import UNTRACED, KernelName
 from rtrun.plan.suites import Value
 
-By = Literal["variant", "kernel", "trace"]
+By = Literal["variant", "kernel", "trace", "middleware"]
 """What the two sides differ in: a circumstance of their runs."""
 
 
 def names_of_sides(study: Study, by: By) -> list[str]:
     """The sides that were measured: variants in the order of the campaign file, the standard kernel before rt.
 
-    Runs without traces come before those with them.
+    Runs without traces come before those with them, the default middleware before others.
     """
     if by == "kernel":
         return [kernel for kernel in get_args(KernelName) if any(record.kernel == kernel for record in study.records)]
     if by == "trace":
         limits = {record.trace for record in study.records if record.trace}
         return sorted(limits, key=lambda limit: (limit != UNTRACED, limit))
+    if by == "middleware":
+        measured = {group.parameters.get("middleware") for group in study.groups}
+        return [name for name in middlewares() if name in measured]
     # The number of a run's name tells the order of the file.
     runs = sorted((record.run, record.variant) for record in study.records if record.variant)
     return list(dict.fromkeys(variant for _, variant in runs))
 
 
 def split(study: Study, by: By | None = None, names: Sequence[str] = ()) -> tuple[tuple[str, str], tuple[Study, Study]]:
-    """The names of two sides and what each of them measured. `names` chooses two variants where there are more.
+    """The names of two sides and what each of them measured. `names` chooses two where there are more.
 
     Without `by` the sides are variants where there are some, else kernels. Their groups have no parameter in which the
     two sides have no value in common: it is what makes the side. So groups that differ in it alone have the same
@@ -46,7 +50,7 @@ def split(study: Study, by: By | None = None, names: Sequence[str] = ()) -> tupl
     if len(chosen) != 2 or len(set(chosen)) != 2 or not set(chosen) <= set(known):
         holds = f"the {by}s {', '.join(known)}" if known else f"no {by}s of a campaign"
         raise UsageError(
-            f"{study.source.path}: holds {holds}: give a second folder to compare with, or two variants with --variants"
+            f"{study.source.path}: holds {holds}: give a second folder to compare with, or two {by}s with --sides"
         )
     sides = [_groups_of(study.groups, by, name) for name in chosen]
     varying = {

@@ -36,11 +36,13 @@ def write(root, variants, *, policies=("RR", "FIFO")):
 
 
 def test_groups_of_two_variants_are_matched_though_a_setting_differs(tmp_path):
-    root = write(tmp_path / "runs", {"old": (90, {"priority": 95}), "new": (90, {"priority": 80})})
+    new = {"priority": 80, "middleware": "zeromq"}
+    root = write(tmp_path / "runs", {"old": (90, {"priority": 95}), "new": (90, new)})
     whole = study(root, bounds=False)
     assert names_of_sides(whole, "variant") == ["old", "new"]
     names, (first, second) = split(whole)
     assert names == ("old", "new")
+    assert split(whole, "middleware")[0] == ("roscpp", "zeromq")
     for side in (first, second):
         assert sorted(group.parameters["policy"] for group in side.groups) == ["FIFO", "RR"]
         assert not {"variant", "priority"} & set().union(*(group.parameters for group in side.groups))
@@ -117,8 +119,8 @@ def test_what_is_no_pair_of_variants_is_refused(tmp_path, capsys):
     root = write(tmp_path / "runs", {"a": (90, {}), "b": (90, {}), "c": (90, {})}, policies=("RR",))
     assert main(["compare", str(root)]) == 2
     assert "holds the variants a, b, c: give a second folder" in capsys.readouterr().err
-    assert main(["compare", str(root), "--variants", "a", "c"]) == 0
-    assert main(["compare", str(root), "--variants", "a", "d"]) == 2
-    assert main(["compare", str(root), str(root), "--variants", "a", "c"]) == 2
+    assert main(["compare", str(root), "--sides", "a", "c"]) == 0
+    assert main(["compare", str(root), "--sides", "a", "d"]) == 2
+    assert main(["compare", str(root), str(root), "--sides", "a", "c"]) == 2
     with pytest.raises(UsageError, match="holds the variants"):
         split(study(root, bounds=False), names=["a", "a"])
