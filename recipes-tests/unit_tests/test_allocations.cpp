@@ -11,11 +11,11 @@
 #include <cstdlib>
 #include <thread>
 
-#include "jitter.h"
-#include "receptions.h"
+#include "rt_tests_support/measure/jitter.h"
+#include "rt_tests_support/measure/receptions.h"
 #include "rt_tests_support/blocks.h"
 #include "rt_tests_support/process.h"
-#include "shots.h"
+#include "rt_tests_support/measure/shots.h"
 
 extern "C" {
 void* __libc_malloc(size_t);

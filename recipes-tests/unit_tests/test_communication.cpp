@@ -3,8 +3,8 @@
 #include <chrono>
 #include <thread>
 
-#include "pace.h"
-#include "receptions.h"
+#include "rt_tests_support/measure/pace.h"
+#include "rt_tests_support/measure/receptions.h"
 
 using communication::Receptions;
 

@@ -3,7 +3,7 @@
 #include <utility>
 #include <vector>
 
-#include "jitter.h"
+#include "rt_tests_support/measure/jitter.h"
 
 using rt_tests::Series;
 

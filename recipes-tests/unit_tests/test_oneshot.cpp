@@ -5,7 +5,7 @@
 
 #include "rt_tests_support/errors.h"
 #include "rt_tests_support/process.h"
-#include "shots.h"
+#include "rt_tests_support/measure/shots.h"
 
 using oneshot::did_not_fire;
 using oneshot::ShotBox;

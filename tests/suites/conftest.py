@@ -239,6 +239,7 @@ def check_outputs(folder: Path, output: str) -> dict[str, Any]:
     rows = np.load(folder / f"{output}.npy", allow_pickle=False)
     assert rows.dtype == np.int64
     known = read_yaml(builder.sources() / "suites.yml")["suites"][record["suite"]]
+    assert record["middleware"] == "roscpp"
     assert (record["columns"], rows.shape[1]) == (known["columns"], len(known["columns"]))
     check_rate(record, rows)
     series = series_of(record, rows)

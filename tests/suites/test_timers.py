@@ -183,6 +183,13 @@ def test_locked_memory_is_bounded_and_never_faults(bench: Bench, command: tuple[
     assert 4_000 < locked_kib(process) < 24_000
     process.terminate()
     assert end(process).status == (1 if "publisher" in command[0] else 0)
+    (path,) = bench.folder.glob("*.json")
+    costs = json.loads(path.read_text())["costs"]
+    if "subscriber" in command[0]:
+        assert costs is None  # no message came
+    else:
+        assert costs["minor_faults"] == costs["major_faults"] == 0
+        assert costs["voluntary_switches"] > 500 and costs["cpu_time_ns"] > 10**6
 
 
 def test_out_dir_prefix_and_clock(bench: Bench) -> None:

@@ -1,4 +1,4 @@
-"""The ROS-free parts of the suites: their GoogleTest programs, each a test here."""
+"""What the suites share: its GoogleTest programs, each a test here."""
 
 from pathlib import Path
 
@@ -14,6 +14,7 @@ PROGRAMS = (
     "oneshot",
     "cyclic",
     "communication",
+    "middleware",
     "allocations",
     "blocks",
     "process",

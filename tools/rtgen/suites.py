@@ -1,4 +1,4 @@
-"""Build the catkin packages of recipes-tests one after the other, for this machine or a board."""
+"""Build the packages of recipes-tests one after the other, for this machine or a board."""
 
 import hashlib
 import json
@@ -56,7 +56,7 @@ def sources() -> Path:
 
 
 def packages() -> list[str]:
-    """The catkin packages in the order of their dependencies."""
+    """The packages in the order of their dependencies."""
     return [SUPPORT, SAMPLER, *read_yaml(sources() / "suites.yml")["suites"]]
 
 
@@ -134,7 +134,7 @@ def build(machine: str, place: Path, suite: str | None = None) -> Path:
 
 
 def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) -> None:
-    """Configure, compile and install one catkin package into the stage, where later packages find it."""
+    """Configure, compile and install one package into the stage, where later packages find it."""
     work = temporary / source.name
     options = {
         "CMAKE_INSTALL_PREFIX": str(stage),

@@ -12,7 +12,7 @@ DEPENDS = "catkin-native"
 DEPENDS += "${@bb.utils.contains("PTEST_ENABLED", "1", "googletest", "", d)}"
 
 SRC_URI = "file://${ROS_BPN}"
-SRC_URI += "${@bb.utils.contains("PTEST_ENABLED", "1", "file://unit_tests file://oneshot_timer_tests/src file://cyclic_timer_tests/src file://communication_tests/src", "", d)}"
+SRC_URI += "${@bb.utils.contains("PTEST_ENABLED", "1", "file://unit_tests", "", d)}"
 
 S = "${WORKDIR}/${ROS_BPN}"
 
@@ -21,7 +21,7 @@ inherit ros_distro_noetic ros_component ros_catkin ptest
 # The library is static: its package for the target is empty.
 ALLOW_EMPTY:${PN} = "1"
 
-# The unit tests of the library and of the parts of the suites that need no ROS.
+# The unit tests of the library.
 do_configure_ptest() {
     cmake ${OECMAKE_GENERATOR_ARGS} -S ${WORKDIR}/unit_tests -B ${B}/unit_tests \
         -DCMAKE_TOOLCHAIN_FILE=${WORKDIR}/toolchain.cmake

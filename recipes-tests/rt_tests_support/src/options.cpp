@@ -97,7 +97,7 @@ Options parse(const Program& program, int argc, char* argv[]) {
       std::exit(0);
     }
     if (word == "--version") {
-      std::cout << program.name << " " << version() << std::endl;
+      std::cout << program.executable() << " " << version() << std::endl;
       std::exit(0);
     }
     if (word[0] != '-' && word.find(":=") != std::string::npos) continue;  // a ROS remapping
@@ -105,7 +105,7 @@ Options parse(const Program& program, int argc, char* argv[]) {
     const std::size_t equals = word.compare(0, 2, "--") == 0 ? word.find('=') : std::string::npos;
     const std::string flag = word.substr(0, equals);
     if (!options.knows(flag)) {
-      throw UsageError("unknown option '" + flag + "'; " + program.name + " --help lists what there is");
+      throw UsageError("unknown option '" + flag + "'; " + program.executable() + " --help lists what there is");
     }
     if (equals != std::string::npos) {
       options.assign(flag, word.substr(equals + 1));
@@ -150,7 +150,7 @@ std::vector<int> parse_cpus(const std::string& list, int cpu_count) {
 }
 
 std::string help(const Program& program) {
-  std::string text = std::string("usage: ") + program.name + " [options]\n" + program.purpose + "\n\n";
+  std::string text = "usage: " + program.executable() + " [options]\n" + program.purpose + "\n\n";
   const auto line = [&](std::string left, const std::string& right) {
     left.resize(std::max<std::size_t>(left.size() + 2, 38), ' ');
     text += "  " + left + right + "\n";

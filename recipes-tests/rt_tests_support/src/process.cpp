@@ -16,6 +16,7 @@
 #include <fstream>
 #include <new>
 
+#include "rt_tests_support/clock.h"
 #include "rt_tests_support/errors.h"
 
 namespace rt_tests {
@@ -209,6 +210,19 @@ std::vector<ThreadState> read_threads() {
     threads.push_back(state);
   });
   return threads;
+}
+
+Costs costs_so_far() {
+  rusage used{};
+  getrusage(RUSAGE_SELF, &used);
+  const auto ns = [](const timeval& time) { return int64_t{time.tv_sec} * ns_per_s + time.tv_usec * ns_per_us; };
+  return {used.ru_minflt, used.ru_majflt, used.ru_nvcsw, used.ru_nivcsw, ns(used.ru_utime) + ns(used.ru_stime)};
+}
+
+Costs operator-(const Costs& later, const Costs& earlier) {
+  return {later.minor_faults - earlier.minor_faults, later.major_faults - earlier.major_faults,
+          later.voluntary_switches - earlier.voluntary_switches,
+          later.involuntary_switches - earlier.involuntary_switches, later.cpu_time_ns - earlier.cpu_time_ns};
 }
 
 void require_memory(int64_t bytes) {

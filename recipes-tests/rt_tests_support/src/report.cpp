@@ -39,6 +39,17 @@ void write_in_effect(Json& json, const Surroundings& surroundings) {
   json.field("cpu_dma_latency_us", surroundings.cpu_dma_latency_us).close();
 }
 
+void write_costs(Json& json, const std::optional<Costs>& costs) {
+  json.key("costs");
+  if (!costs) {
+    json.null();
+    return;
+  }
+  json.open('{').field("minor_faults", costs->minor_faults).field("major_faults", costs->major_faults);
+  json.field("voluntary_switches", costs->voluntary_switches);
+  json.field("involuntary_switches", costs->involuntary_switches).field("cpu_time_ns", costs->cpu_time_ns).close();
+}
+
 void write_series(Json& json, const Series& series) {
   const auto list = [&](const char* name, const std::vector<Indexed>& items) {
     json.key(name).open('[');
@@ -74,6 +85,10 @@ Destination destination(const Options& options, const std::string& base) {
 Surroundings::Surroundings(clockid_t chosen)
     : clock(chosen), clock_step_ns(rt_tests::clock_step_ns(chosen)), start_time(utc_now()) {}
 
+void Surroundings::end() {
+  if (begin_) costs = costs_so_far() - *begin_;
+}
+
 void Surroundings::finish() {
   end_time = utc_now();
   threads = read_threads();
@@ -91,6 +106,7 @@ void write_head(Json& json, const Program& program, const Options& options, cons
   utsname names{};
   uname(&names);
   json.field("schema", 1).field("suite", program.suite).field("program", program.name);
+  json.field("middleware", program.middleware);
   json.field("version", version()).field("complete", incomplete_reason.empty()).key("incomplete_reason");
   if (incomplete_reason.empty()) {
     json.null();
@@ -103,6 +119,7 @@ void write_head(Json& json, const Program& program, const Options& options, cons
   json.field("release", std::string(names.release)).field("version", std::string(names.version));
   json.field("machine", std::string(names.machine)).close();
   json.field("start_time", surroundings.start_time).field("end_time", surroundings.end_time);
+  write_costs(json, surroundings.costs);
 }
 
 void write_rate(Json& json, const Rate& rate) {

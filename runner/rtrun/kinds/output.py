@@ -9,7 +9,7 @@ from pydantic import Field
 from rtfiles.config import Config
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.rate import Rate
-from rtrun.plan.limits import ClockStepNs, Count, Cpu, CpuDmaLatencyUs, MeanNs, Pid, Priority, TimeNs
+from rtrun.plan.limits import ClockStepNs, Count, Cpu, CpuDmaLatencyUs, CpuTimeNs, MeanNs, Pid, Priority, TimeNs
 from rtrun.plan.suites import Asked, Parameters
 
 # Threads of a suite that have no part in the measurement: of normal scheduling, on spare CPUs, whatever was asked for.
@@ -103,12 +103,25 @@ class Traces(Config):
     files: list[str]
 
 
+class Costs(Config):
+    """What all threads of a program cost together while it measured."""
+
+    minor_faults: Count
+    """Page faults without reading from a disk."""
+    major_faults: Count
+    voluntary_switches: Count
+    involuntary_switches: Count
+    cpu_time_ns: CpuTimeNs
+
+
 class ProgramHead(Config):
     """What the json of every program begins with: what was requested, and in effect."""
 
     schema_number: Literal[1] = Field(alias="schema")
     suite: str
     program: str
+    middleware: str = "roscpp"
+    """Through which it measured; samples of earlier versions, which knew no other, do not say."""
     version: str
     complete: bool
     incomplete_reason: str | None
@@ -118,6 +131,8 @@ class ProgramHead(Config):
     kernel: Uname
     start_time: str
     end_time: str
+    costs: Costs | None = None
+    """None: nothing was measured, or samples of an earlier version."""
 
 
 class Record(ProgramHead):

@@ -27,7 +27,7 @@ REPEATS_MAX = 10_000
 # At a second each, runs enough for a day. A few lists multiply to many millions.
 RUNS_MAX = 100_000
 # Set by the runner alone.
-RESERVED = ("prefix", "out_dir")
+RESERVED = ("prefix", "out_dir", "awaited_subscribers")
 # What a variant may name beside values of a run: a folder of `rtgen suites build`, relative to the campaign file, and a
 # shell file on the target that sets up ROS; those of the target file where it names none.
 VARIANT_KEYS = ("suites", "ros_setup")

@@ -40,6 +40,7 @@ BINS_MAX = 2**22
 RATE_MAX_HZ = 10**9
 
 TimeNs = Annotated[int, Field(ge=-TIME_MAX_NS, le=TIME_MAX_NS)]
+CpuTimeNs = Annotated[int, Field(ge=0, le=TIME_MAX_NS)]
 MeanNs = Annotated[float, Field(ge=-TIME_MAX_NS, le=TIME_MAX_NS)]
 PeriodNs = Annotated[float, Field(gt=0, le=TIME_MAX_NS)]
 ClockStepNs = Annotated[int, Field(ge=0, le=CLOCK_STEP_MAX_NS)]

@@ -92,6 +92,8 @@ class Suite(Config):
     measures: Annotated[tuple[Measure, ...], Field(strict=False, min_length=1)]
     """What a question may be of; of the first one where it names none."""
     programs: dict[str, Strings]
+    not_on_roscpp: dict[str, Strings] = Field(default_factory=dict)
+    """What a program takes besides, on every middleware but roscpp."""
     output: str
     logs: Strings
     columns: Strings

@@ -239,6 +239,16 @@ def test_junk_in_the_header_is_refused_and_nothing_else_happens(tmp_path: Path, 
         assert {name: column.shape for name, column in samples.columns.items()} == {"timestamp_ns": (4,)}
 
 
+def test_samples_of_before_other_middlewares_are_of_roscpp(tmp_path: Path) -> None:
+    path = write_cyclic(tmp_path)
+    record = read_samples(path).record
+    assert (record.middleware, record.costs) == ("roscpp", None)
+    costs = {"minor_faults": 1, "major_faults": 0, "voluntary_switches": 2, "involuntary_switches": 3}
+    change_record(path, middleware="zeromq", costs=costs | {"cpu_time_ns": 1000})
+    record = read_samples(path).record
+    assert record.middleware == "zeromq" and record.costs and record.costs.cpu_time_ns == 1000
+
+
 def test_incomplete_samples_miss_what_nobody_knows_of(tmp_path: Path) -> None:
     path = write_communication(tmp_path)
     counts = json.loads(path.read_text())["counts"]

@@ -175,8 +175,6 @@ def suite_recipes(profile: Profile) -> Iterator[dict[str, Any]]:
     """The values for the recipe of each suite, of their library and of the sampler, from suites.yml."""
     data = read_yaml(checkout() / SOURCES / "suites.yml")["suites"]
     library_needs = ["roscpp"] if profile.suites else []
-    # The unit tests include headers of the suites.
-    unit_tests = [] if profile.suites else ["file://unit_tests", *(f"file://{package}/src" for package in data)]
     yield {
         "package": _dashed(LIBRARY),
         "summary": "Library of the suites that measure ROS",
@@ -184,7 +182,7 @@ def suite_recipes(profile: Profile) -> Iterator[dict[str, Any]]:
         "build": library_needs,
         "run": [],
         "library": True,
-        "unit_tests": unit_tests,
+        "unit_tests": not profile.suites,
     }
     if not profile.suites:
         yield {
@@ -194,7 +192,7 @@ def suite_recipes(profile: Profile) -> Iterator[dict[str, Any]]:
             "build": [],
             "run": [],
             "library": False,
-            "unit_tests": [],
+            "unit_tests": False,
         }
     for package, suite in data.items():
         # The messages of the original suites need std-msgs, according to their package.xml.
@@ -208,7 +206,7 @@ def suite_recipes(profile: Profile) -> Iterator[dict[str, Any]]:
             "build": sorted({*map(_dashed, build + run), *extra}),
             "run": sorted({*map(_dashed, run), *extra}),
             "library": False,
-            "unit_tests": [],
+            "unit_tests": False,
         }
 
 

@@ -21,10 +21,15 @@ struct Option {
 
 struct Program {
   const char* suite;
-  const char* name;
+  const char* name;  // as in suites.yml
   const char* purpose;
   std::vector<std::string> keys;          // the options it takes
   std::vector<std::string> columns = {};  // of its samples, as in suites.yml
+  const char* middleware = "roscpp";      // through which it measures
+
+  bool is_of_roscpp() const { return std::string(middleware) == "roscpp"; }
+  // roscpp's, which is that of 2014, has the plain name; any other is <name>_<middleware>.
+  std::string executable() const { return is_of_roscpp() ? name : std::string(name) + "_" + middleware; }
 };
 
 class Options {

@@ -64,6 +64,16 @@ cpu_set_t current_cpus();  // of the calling thread
 void give_up_realtime();
 
 std::vector<ThreadState> read_threads();  // every thread of this process
+
+// What all threads of this process cost together, those that ended included.
+struct Costs {
+  int64_t minor_faults = 0, major_faults = 0;  // page faults: without and with reading from a disk
+  int64_t voluntary_switches = 0, involuntary_switches = 0;
+  int64_t cpu_time_ns = 0;  // user and system
+};
+Costs costs_so_far();
+Costs operator-(const Costs& later, const Costs& earlier);
+
 bool memory_is_locked();
 
 // Throws Failure if the kernel reports that less memory is available. To be called before samples are allocated and

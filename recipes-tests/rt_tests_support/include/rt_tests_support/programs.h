@@ -10,7 +10,8 @@ namespace rt_tests {
 
 const std::vector<Option>& all_options();
 
-// A program of suites.yml, with a sentence for its --help. Throws std::logic_error for one that is not there.
-Program described(const std::string& name, const char* purpose);
+// A program of suites.yml through a middleware, with a sentence for its --help. Throws std::logic_error for one that is
+// not there.
+Program described(const std::string& name, const char* middleware, const char* purpose);
 
 }  // namespace rt_tests

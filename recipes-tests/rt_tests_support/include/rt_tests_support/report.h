@@ -31,7 +31,7 @@ std::string policy_suffix(const Options& options);  // "", "-tnRTRR", "-tnRTFIFO
 // Throws UsageError if the folder cannot be written to.
 Destination destination(const Options& options, const std::string& base);
 
-// What was in effect during the measurement. finish() reads it while every thread still runs as it did then.
+// What was in effect during the measurement, and what it cost.
 struct Surroundings {
   clockid_t clock;
   int64_t clock_step_ns;
@@ -40,9 +40,15 @@ struct Surroundings {
   std::vector<ThreadState> threads;
   bool memory_locked = false;
   std::optional<int32_t> cpu_dma_latency_us;
+  std::optional<Costs> costs;  // none of a measurement that did not begin
 
   explicit Surroundings(clockid_t clock);  // before the measurement
-  void finish();                           // right after it
+  void begin() { begin_ = costs_so_far(); }
+  void end();
+  void finish();  // after end(), while every thread still runs as it did
+
+ private:
+  std::optional<Costs> begin_;
 };
 
 // What a program did, and how often it should have: measurements, messages, calls of a timer.

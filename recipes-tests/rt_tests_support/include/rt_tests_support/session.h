@@ -22,7 +22,7 @@
 namespace rt_tests {
 
 // Columns is the number of columns of the samples. The members are made in the order in which they are declared: the
-// process is set up before any memory of the measurement is allocated, and everything before ros::init.
+// process is set up before any memory of the measurement is allocated, and everything before the middleware.
 template <std::size_t Columns>
 class MeasurementSession {
   const Options& options_;
@@ -60,15 +60,18 @@ class MeasurementSession {
 
   clockid_t clock() const noexcept { return surroundings.clock; }
 
-  // On the measuring thread, once ROS is initialised, before the first timer: roscpp's thread that waits for the timers
-  // starts with it, and inherits the policy. From here on a signal ends the measurement, and posts `wake`.
+  // On the measuring thread, once the middleware is initialised, before the first timer: threads that start with it, as
+  // roscpp's that waits for the timers, inherit the policy. From here on a signal ends the measurement, and posts `wake`.
   void begin(sem_t* wake = nullptr) {
     set_up_measuring_thread(options_);
     catch_stop_signals(wake);
   }
 
   // Right after the last measurement, while every thread is as it was.
-  void end() { surroundings.finish(); }
+  void end() {
+    surroundings.end();
+    surroundings.finish();
+  }
 
   // How often rows came, by the times in a column; none of less than two rows.
   std::optional<double> frequency_hz(std::size_t column) const {
@@ -76,7 +79,7 @@ class MeasurementSession {
     return rows == 0 ? std::nullopt : rt_tests::frequency_hz(rows, samples[0][column], samples[rows - 1][column]);
   }
 
-  // Before ros::shutdown.
+  // Before the middleware is shut down.
   void tear_down() {
     give_up_realtime();
     outliers.finish();

@@ -1,4 +1,4 @@
-// Which messages a subscriber received: in order, out of order, twice, or not at all. Without ROS.
+// Which messages a subscriber received: in order, out of order, twice, or not at all.
 #pragma once
 
 #include <algorithm>

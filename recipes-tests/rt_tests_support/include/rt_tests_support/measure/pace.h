@@ -1,4 +1,4 @@
-// When the publisher sends its messages. Without ROS.
+// When the publisher sends its messages.
 #pragma once
 
 #include <time.h>

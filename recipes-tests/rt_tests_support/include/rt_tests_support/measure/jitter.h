@@ -1,4 +1,4 @@
-// The jitter and the lateness of a cyclic timer, computed from its samples. Without ROS.
+// The jitter and the lateness of a cyclic timer, computed from its samples.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// The measuring loop of the one-shot timer and how its threads exchange results. Without ROS.
+// The measuring loop of the one-shot timer and how its threads exchange results.
 #pragma once
 
 #include <semaphore.h>
