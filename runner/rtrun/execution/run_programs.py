@@ -13,6 +13,8 @@ from rtrun.plan.run import Run
 from rtrun.targets.inspection.kernel_trace import OPTIONS as TRACE_OPTIONS
 from rtrun.validity.observations import SAMPLER, SAMPLER_OUTPUT, output_bytes_max
 
+# How many subscribers a publisher waits for, where nobody else knows.
+AWAITED = "awaited_subscribers"
 # A suite that needs longer than this for the time it should take hangs.
 DEADLINE_FACTOR = 5
 DEADLINE_EXTRA_S = 120.0
@@ -131,7 +133,7 @@ def _of_suite(
         path = prepared.programs[suites.executable(run.suite, name, run.parameters)]
         for number in range(count if repeated else 1):
             prefix = {"prefix": str(number)} if repeated and count > 1 else {}
-            parameters = dict(run.parameters) | prefix
+            parameters = dict(run.parameters) | prefix | ({AWAITED: count} if suite.repeated else {})
             further = [word.format(number=number, token=token) for word in middleware.repeated] if repeated else []
             yield Program(
                 name=f"{name}-{number}" if prefix else name,

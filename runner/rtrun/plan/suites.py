@@ -124,6 +124,10 @@ class Suite(Config):
         """Through what it measures where nobody names another middleware."""
         return NONE if self.is_baseline else DEFAULT
 
+    def options_of(self, program: str, middleware: str) -> tuple[str, ...]:
+        """The keys of the options that a program takes that measures through a middleware."""
+        return self.programs[program] + (self.not_on_roscpp.get(program, ()) if middleware != DEFAULT else ())
+
     @property
     def stages(self) -> tuple[tuple[str, ...], ...]:
         """Its programs in the order in which they start: those of a stage when all before them are ready."""
@@ -277,7 +281,7 @@ def argv(suite_name: str, program: str, parameters: Mapping[str, Value]) -> list
     if described.is_baseline:
         return [program, *described.always, *_explicit(suite_name, program, parameters)]
     words = [program]
-    for key in described.programs[program]:
+    for key in described.options_of(program, middleware_of(suite_name, parameters)):
         option = suites().options[key]
         value = parameters.get(key)
         if value is not None and value != option.default:
