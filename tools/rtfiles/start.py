@@ -1,6 +1,8 @@
 """The start of both programs. It imports as little as can be, so that nothing of ours runs before Ctrl-C is seen to."""
 
+import os
 import signal
+import sys
 from collections.abc import Sequence
 from importlib import import_module
 from types import ModuleType
@@ -10,8 +12,11 @@ def start(prog: str, description: str, commands: Sequence[str], argv: Sequence[s
     """Import the commands of a program, modules of ``<prog>.commands``, run one, and return the exit status.
 
     Ctrl-C while they are imported ends the process as it ends a program that knows nothing of signals: an import that
-    is interrupted leaves a traceback, and nothing is to be cleaned up yet.
+    is interrupted leaves a traceback, and nothing is to be cleaned up yet. In the 20 ms before this is called, while
+    Python sets itself up and pip's script imports us, it leaves Python's own traceback: no line of ours has run.
     """
+    # pydantic would look for plugins in every package that is installed.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     before = signal.getsignal(signal.SIGINT)
     # One that is ignored, or that a caller has taken for itself, stays.
     quiet = before is signal.default_int_handler
@@ -20,7 +25,9 @@ def start(prog: str, description: str, commands: Sequence[str], argv: Sequence[s
     try:
         from rtfiles.command import dispatch
 
-        modules = commands_of(prog, commands)
+        word = (sys.argv[1:] if argv is None else argv)[:1]
+        asked = [name for name in commands if [name.rstrip("_").replace("_", "-")] == word]
+        modules = commands_of(prog, asked or commands)  # --help, and what says that a word is wrong, name all of them
     finally:
         if quiet:
             signal.signal(signal.SIGINT, before)

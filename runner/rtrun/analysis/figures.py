@@ -159,14 +159,15 @@ def _order_statistics(values: Int64s, binned: _Binned, listed: int) -> tuple[lis
     of_ranks = np.searchsorted(np.cumsum(binned.counts), ranks)
     # Below the last of the lowest and above the first of the highest every bin is wanted, between them few are.
     below, above = int(of_ranks[listed - 1]), int(of_ranks[listed])
-    between = [place for place in np.unique(of_ranks[2 * listed :]).tolist() if below < place < above]
+    # Sets of a few: np.unique would load numpy.ma, which takes as long as all of this.
+    between = [place for place in set(of_ranks[2 * listed :].tolist()) if below < place < above]
     wanted = np.zeros(_BINS, np.bool_)
     wanted[: below + 1] = wanted[above:] = wanted[between] = True
     positions = np.concatenate([_places_among(binned.places, piece, below, above, between) for piece in pieces(n)])
     # A rank among these values is lower by the values of lower bins that are not wanted.
     left_out = np.cumsum(np.where(wanted, 0, binned.counts))
     among = np.array(ranks) - 1 - left_out[of_ranks]
-    ordered = np.partition(values[positions], np.unique(among))
+    ordered = np.partition(values[positions], list(set(among.tolist())))
     return ordered[among].tolist(), positions
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.histogram import Int64s
+from rtrun.analysis.histogram import Int64s, pieces
 from rtrun.plan.limits import TIME_MAX_NS
 
 MAX_ABSENT = 10_000_000  # loops without a value, so that they fit into memory
@@ -22,8 +22,10 @@ def agree(path: Path, what: str, rows: int, counts: int) -> None:
 
 def check_times(path: Path, *columns: Int64s) -> None:
     for column in columns:
-        if column.size and (int(column.min()) < -TIME_MAX_NS or int(column.max()) > TIME_MAX_NS):
-            raise UsageError(f"{path}: a time beyond {TIME_MAX_NS} ns cannot be")
+        for piece in pieces(column.size):
+            part = np.ascontiguousarray(column[piece])  # the values of a column do not lie beside one another in a row
+            if int(part.min()) < -TIME_MAX_NS or int(part.max()) > TIME_MAX_NS:
+                raise UsageError(f"{path}: a time beyond {TIME_MAX_NS} ns cannot be")
 
 
 def without(present: Int64s, number: int) -> Int64s:
