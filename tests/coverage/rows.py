@@ -51,8 +51,8 @@ class Row:
     """
 
     name: str
-    event: str
     draw: Draw
+    event: str = "PROVEN"
     at_most: float = 100.0
     at_least: float = 0.0
     quick: int = 120
@@ -342,10 +342,7 @@ def _any_burst(misses: float, n: float, effect: float, question: Question) -> fl
 ROWS = [
     *(
         Row(
-            name=f"{name}, n = {n:.0e}",
-            event="PROVEN",
-            draw=partial(proven, partial(process, n, P)),
-            at_most=5.0,
+            name=f"{name}, n = {n:.0e}", draw=partial(proven, partial(process, n, P)), at_most=5.0,
             quick=60 if n == 20_000 or name == "AR(0.95)" else 0,
             remedy=(deadline, "_widened", lambda *_: 1.0) if name == "AR(0.95)" and n == 100_000 else None,
         )
@@ -355,11 +352,8 @@ ROWS = [
     *(
         Row(
             name=f"{number} boots, a run each, rates lognormal (sd 0.5), n = {n:.0e}",
-            event="PROVEN",
-            draw=partial(proven_of_boots, number, n),
-            at_most=7.0 if number < 5 else 5.0,
-            quick=60 if n == 200_000 else 0,
-            reported={2: "38", 3: "36", 5: "30", 7: "26"}.get(number, ""),
+            draw=partial(proven_of_boots, number, n), at_most=7.0 if number < 5 else 5.0,
+            quick=60 if n == 200_000 else 0, reported={2: "38", 3: "36", 5: "30", 7: "26"}.get(number, ""),
             remedy=(deadline, "_effect_between", _never_between) if n == 200_000 and number == 2 else None,
         )
         for number in (2, 3, 4, 5, 7, 10)
@@ -367,33 +361,21 @@ ROWS = [
     ),
     Row(
         name="bursts of 5, n = 1e4 (none seen: 13.5 %)",
-        event="PROVEN",
-        draw=partial(proven, partial(processes.bursts, 10_000, P, length=5.0)),
-        reported="25",
-        quick=0,
+        draw=partial(proven, partial(processes.bursts, 10_000, P, length=5.0)), reported="25", quick=0,
     ),
     Row(
         name="bursts of 5, n = 2e4 (none seen: 1.8 %)",
-        event="PROVEN",
-        draw=partial(proven, partial(processes.bursts, 20_000, P, length=5.0)),
-        at_most=12.0,
-        quick=100,
+        draw=partial(proven, partial(processes.bursts, 20_000, P, length=5.0)), at_most=12.0, quick=100,
         remedy=(deadline, "effect_of_few", lambda *_: 1.0),
     ),
     Row(
-        name="bursts of 5, n = 5e4",
-        event="PROVEN",
-        draw=partial(proven, partial(processes.bursts, 50_000, P, length=5.0)),
-        at_most=5.0,
-        quick=60,
+        name="bursts of 5, n = 5e4", draw=partial(proven, partial(processes.bursts, 50_000, P, length=5.0)),
+        at_most=5.0, quick=60,
     ),
     *(
         Row(
-            name=f"bursts of {length}, n = {n:.0e}",
-            event=f"PROVEN and said to hold for bursts of {length}",
-            draw=partial(proven_for, length, n),
-            at_most=5.0,
-            reported="80" if length >= 20 else "25",
+            name=f"bursts of {length}, n = {n:.0e}", event=f"PROVEN and said to hold for bursts of {length}",
+            draw=partial(proven_for, length, n), at_most=5.0, reported="80" if length >= 20 else "25",
             quick=80 if n == 20_000 else 0,
         )
         for length in (5, 20, 50)
@@ -401,13 +383,9 @@ ROWS = [
     ),
     *(
         Row(
-            name=f"looking after each of {looks} batches of 2000",
-            event="PROVEN at any look",
-            draw=partial(proven_at_any_look, looks, 2000),
-            at_most=5.0,
-            quick={20: 60}.get(looks, 0),
-            long={1: 500, 5: 500, 20: 200, 100: 60}[looks],
-            reported={1: "2", 5: "6", 20: "10", 100: "17"}[looks],
+            name=f"looking after each of {looks} batches of 2000", event="PROVEN at any look",
+            draw=partial(proven_at_any_look, looks, 2000), at_most=5.0, quick={20: 60}.get(looks, 0),
+            long={1: 500, 5: 500, 20: 200, 100: 60}[looks], reported={1: "2", 5: "6", 20: "10", 100: "17"}[looks],
             remedy=(deadline, "longest_burst", _plain_interval) if looks == 20 else None,
         )
         for looks in (1, 5, 20, 100)
@@ -415,11 +393,8 @@ ROWS = [
     *(
         Row(
             name=f"P = 5e-3 in the last 5 % only, n = {n:.0e}{note}",
-            event="PROVEN",
-            draw=partial(proven, partial(processes.late_regime, n, p=5e-3, part=0.05)),
-            at_most=at_most,
-            quick=100 if n == 20_000 else 0,
-            reported="32" if n == 10_000 else "",
+            draw=partial(proven, partial(processes.late_regime, n, p=5e-3, part=0.05)), at_most=at_most,
+            quick=100 if n == 20_000 else 0, reported="32" if n == 10_000 else "",
         )
         for n, at_most, note in (
             (10_000, 100.0, " (at most one miss: 28.7 %)"),
@@ -429,22 +404,13 @@ ROWS = [
     ),
     Row(
         name="values rise by half during the run, n = 1e5, no miss yet",
-        event="PROVEN",
-        draw=partial(proven, partial(processes.rising, 100_000)),
-        at_most=5.0,
-        quick=60,
-        remedy=_UNEXAMINED,
+        draw=partial(proven, partial(processes.rising, 100_000)), at_most=5.0, quick=60, remedy=_UNEXAMINED,
     ),
     *(
         Row(
             name=f"{number} runs of {n}, {'one boot' if one_boot else 'a boot each'}, {name}",
-            event="PROVEN",
-            draw=partial(proven_in_pieces, number, n, rates, one_boot),
-            at_most=20.0 if bad else 100.0,
-            at_least=0.0 if bad else 88.0,
-            quick=quick,
-            long=200,
-            reported=reported,
+            draw=partial(proven_in_pieces, number, n, rates, one_boot), at_most=20.0 if bad else 100.0,
+            at_least=0.0 if bad else 88.0, quick=quick, long=200, reported=reported,
             remedy=_UNEXAMINED if bad and quick else None,
         )
         for number, n, name, rates, bad, quick, reported in (
@@ -459,12 +425,8 @@ ROWS = [
     *(
         Row(
             name=f"a load comes {turns} times{'' if regular else ' at random'}, 20 runs, P(miss) = {rate / P:g} P",
-            event="PROVEN",
-            draw=partial(proven_in_rounds, turns, rate, regular),
-            at_most=5.0 if rate == P else 100.0,
-            at_least=80.0 if rate < P and turns >= 8 else 0.0,
-            quick=quick,
-            long=100,
+            draw=partial(proven_in_rounds, turns, rate, regular), at_most=5.0 if rate == P else 100.0,
+            at_least=80.0 if rate < P and turns >= 8 else 0.0, quick=quick, long=100,
             remedy=(deadline, "examine_constancy", _run_by_run) if quick else None,
             reported="0 to 6" if rate < P else "",
         )
@@ -479,23 +441,15 @@ ROWS = [
         )
     ),
     Row(
-        name="the slowest load that the plan says these runs can judge, 10 runs of 24 000",
-        event="a change is seen",
-        draw=partial(changes_under_the_slowest_load, 240_000),
-        at_most=15.0,
-        quick=20,
-        long=500,
+        name="the slowest load that the plan says these runs can judge, 10 runs of 24 000", event="a change is seen",
+        draw=partial(changes_under_the_slowest_load, 240_000), at_most=15.0, quick=20, long=500,
         remedy=(constancy, "slowest_load", lambda length: length / 3),
     ),
     *(
         Row(
             name=f"bursts of {length}, a goal that asks for them, a look after each of 40 rounds of {250 * length}",
-            event="PROVEN at any look",
-            draw=partial(proven_at_any_look_in_bursts, length),
-            at_most=5.0,
-            quick=24 if length == 20 else 0,
-            long=100,
-            reported={5: "47", 20: "83"}[length],
+            event="PROVEN at any look", draw=partial(proven_at_any_look_in_bursts, length), at_most=5.0,
+            quick=24 if length == 20 else 0, long=100, reported={5: "47", 20: "83"}[length],
             remedy=(deadline, "longest_burst", _any_burst),
         )
         for length in (5, 20)
@@ -503,32 +457,21 @@ ROWS = [
     *(
         Row(
             name=f"a look after each of 30 boots from the fifth on, rates lognormal (sd {spread:g})",
-            event="PROVEN at any look",
-            draw=partial(proven_at_any_look_in_boots, spread),
-            quick=0,
-            long=100,
+            event="PROVEN at any look", draw=partial(proven_at_any_look_in_boots, spread), quick=0, long=100,
         )
         for spread in (0.5, 1.0)
     ),
     *(
         Row(
             name=f"a cyclic timer, ten calls late in a row, P(lateness > deadline) = P, judged by {of}",
-            event="PROVEN",
-            draw=partial(proven_of_a_timer, of),
-            at_most=at_most,
-            at_least=at_least,
-            quick=20,
-            long=500,
+            draw=partial(proven_of_a_timer, of), at_most=at_most, at_least=at_least, quick=20, long=500,
         )
         for of, at_most, at_least in (("lateness", 8.0, 0.0), ("jitter", 100.0, 80.0))
     ),
     *(
         Row(
             name=f"at most {tolerance}: P(more) = P, {name}, n = {n:.0e}",
-            event="PROVEN",
-            draw=partial(proven_with_some_tolerated, make, tolerance),
-            at_most=5.0 if n < 30_000 else 7.0,
-            quick=quick,
+            draw=partial(proven_with_some_tolerated, make, tolerance), at_most=5.0 if n < 30_000 else 7.0, quick=quick,
             long=500,
             remedy=(deadline, "_least_effect", lambda *_: 1.0) if n < 30_000 and tolerance == THREE_OF_100 else None,
         )
@@ -549,20 +492,13 @@ ROWS = [
     ),
     Row(
         name="a goal that is changed after looking, to any deadline and P(miss) that is allowed",
-        event="PROVEN at any look",
-        draw=proven_after_a_change_of_goal,
-        at_most=5.0,
-        quick=200,
+        event="PROVEN at any look", draw=proven_after_a_change_of_goal, at_most=5.0, quick=200,
         remedy=(questions, "may_follow", lambda *_: True),
     ),
     *(
         Row(
-            name=f"what a layer adds, a steady drift, 8 runs of each layer in {name}",
-            event="outside the interval",
-            draw=partial(outside_the_interval, order),
-            at_most=at_most,
-            quick=200,
-            reported=reported,
+            name=f"what a layer adds, a steady drift, 8 runs of each layer in {name}", event="outside the interval",
+            draw=partial(outside_the_interval, order), at_most=at_most, quick=200, reported=reported,
             remedy=(layers, "shift_without_drift", _in_pairs) if reported else None,
         )
         for name, order, at_most, reported in (
@@ -573,59 +509,33 @@ ROWS = [
     ),
     Row(
         name="two sets that differ in nothing, a steady drift, 20 runs each, most of one before the other",
-        event="DIFFERENT",
-        draw=seen_to_differ,
-        at_most=5.0,
-        quick=20,
-        long=200,
+        event="DIFFERENT", draw=seen_to_differ, at_most=5.0, quick=20, long=200,
         remedy=(comparison, "is_interleaved", lambda *_: True),
     ),
     Row(
         name="a publisher that misses its rate in half of all runs, and deadlines oftener then; repeated until kept",
-        event="PROVEN",
-        draw=proven_by_lucky_runs,
-        at_most=0.0,
-        quick=6,
-        long=100,
-        remedy=(studies, "_off_rate", lambda _: {}),
+        draw=proven_by_lucky_runs, at_most=0.0, quick=6, long=100, remedy=(studies, "_off_rate", lambda _: {}),
     ),
-    Row(
-        name="a histogram without order, bursts of 5",
-        event="PROVEN",
-        draw=proven_without_order,
-        at_most=0.0,
-        quick=20,
-        long=500,
-    ),
+    Row(name="a histogram without order, bursts of 5", draw=proven_without_order, at_most=0.0, quick=20, long=500),
     *(
         Row(
-            name=f'"N more" in nine cases of ten, {name}, P(miss) = {rate / P:g} of the target',
-            event="enough",
-            draw=partial(enough, processes.DEPENDENT[name], rate),
-            at_least=90.0,
-            quick=0,
-            long=draws,
+            name=f'"N more" in nine cases of ten, {name}, P(miss) = {rate / P:g} of the target', event="enough",
+            draw=partial(enough, processes.DEPENDENT[name], rate), at_least=90.0, quick=0, long=draws,
             reported="11" if name == "AR(0.9)" else "",
         )
         for name, rate, draws in (("independent", P / 2, 1000), ("AR(0.5)", P / 2, 1000), ("AR(0.9)", P / 5, 2000))
     ),
     Row(
         name="independent, P(miss) a tenth of the target, n = 1e4",
-        event="PROVEN",
-        draw=partial(proven, partial(processes.independent, 10_000, P / 10)),
-        at_least=80.0,
-        quick=60,
+        draw=partial(proven, partial(processes.independent, 10_000, P / 10)), at_least=80.0, quick=60,
     ),
     *(
         Row(
-            name=f"{number} boots of 4000, one in 20 has nearly all misses",
-            event=event,
-            draw=partial(proven_of_some_bad_boots, number, scope),
-            at_most=100.0 if scope == 1 else 5.0,
+            name=f"{number} boots of 4000, one in 20 has nearly all misses", event=event,
+            draw=partial(proven_of_some_bad_boots, number, scope), at_most=100.0 if scope == 1 else 5.0,
             reported={5: "79", 20: "36"}.get(number, "") if scope == 1 else "",
             quick=20 if scope < 1 and number == 20 else 0,
-            remedy=(Verdict, "unlike_share", 0.01) if scope < 1 and number == 20 else None,
-            long=300,
+            remedy=(Verdict, "unlike_share", 0.01) if scope < 1 and number == 20 else None, long=300,
         )
         for number in (5, 20, 72)
         for scope, event in ((1.0, "PROVEN"), (0.05, "PROVEN and said to hold for 95 % of boots"))
@@ -633,41 +543,26 @@ ROWS = [
     *(
         Row(
             name=f"fractional noise (H = 0.9), {number} run{'s, a boot each' * (number > 1)}, n = 1e5 in all",
-            event="PROVEN",
-            draw=partial(proven_of_fractional_noise, number),
-            at_most=100.0 if number == 1 else 5.0,
-            reported={1: "25", 5: "1.5"}[number],
-            quick=0,
-            long=300,
+            draw=partial(proven_of_fractional_noise, number), at_most=100.0 if number == 1 else 5.0,
+            reported={1: "25", 5: "1.5"}[number], quick=0, long=300,
         )
         for number in (1, 5)
     ),
     Row(
         name="compare: twelve groups that differ in nothing, five runs a side in turn",
-        event="any is called DIFFERENT",
-        draw=some_group_differs,
-        at_most=8.0,
-        quick=0,
-        long=150,
+        event="any is called DIFFERENT", draw=some_group_differs, at_most=8.0, quick=0, long=150,
     ),
     Row(
         # Seven claims can be decided wrongly, each at the level of 5 %.
         name="ten groups that differ in nothing, five runs each (claims)",
-        event="a claim of the thesis is decided wrongly",
-        draw=lambda rng: bool(null_campaigns.decided(rng)),
-        at_most=30.0,
-        quick=0,
-        long=100,
-        reported="70 to 90",
+        event="a claim of the thesis is decided wrongly", draw=lambda rng: bool(null_campaigns.decided(rng)),
+        at_most=30.0, quick=0, long=100, reported="70 to 90",
     ),
     *(
         Row(
-            name=f"why: late values every {period} ms, 1 kHz for {n // 1000} s",
-            event="the period is found",
-            draw=partial(late_values.is_found, n, period),
-            at_least=90.0,
-            quick=10 if n == 60_000 and period in (20, 100, 3000, 7500) else 0,
-            long=100 if n == 60_000 else 40,
+            name=f"why: late values every {period} ms, 1 kHz for {n // 1000} s", event="the period is found",
+            draw=partial(late_values.is_found, n, period), at_least=90.0,
+            quick=10 if n == 60_000 and period in (20, 100, 3000, 7500) else 0, long=100 if n == 60_000 else 40,
             reported={(60_000, 1000): "100"}.get((n, period), "0" if period in reported else ""),
             remedy=(recurrence, "counts_tried", lambda values: iter([values // 1000])) if period == 100 else None,
         )
@@ -679,14 +574,10 @@ ROWS = [
     ),
     *(
         Row(
-            name=f"why: no period, {name}, 1 kHz for 60 s",
-            event="a period is found",
-            draw=partial(late_values.finds_one, 60_000, make),
-            at_most=0.2,
-            quick=20 if name == "bursts of 100" else 0,
-            long=500,
-            remedy=(recurrence, "_phases", _each_event) if name == "bursts of 100" else None,
+            name=f"why: no period, {name}, 1 kHz for 60 s", event="a period is found",
+            draw=partial(late_values.finds_one, 60_000, make), at_most=0.2, quick=20 if name == "bursts of 100" else 0,
+            long=500, remedy=(recurrence, "_phases", _each_event) if name == "bursts of 100" else None,
         )
         for name, make in late_values.WITHOUT_PERIOD.items()
     ),
-]
+]  # fmt: skip
