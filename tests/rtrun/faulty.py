@@ -186,6 +186,17 @@ def target_file(target: Target, ros_master: int) -> dict[str, Any]:
     }
 
 
+def write_files(folder: Path, target: Target, count: int) -> list[str]:
+    """Write the files of a campaign of so many short runs on a target, whose suites are beside; the words for rtrun."""
+    frequencies = [100 + number for number in range(count)]
+    (folder / "campaign.yml").write_text(
+        f"schema: 1\nname: test\nruns: [{{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: {frequencies}}}]\n"
+    )
+    file = target_file(target, target.ros_master_port) | {"suites": "suites", "reconnect_s": 2}
+    (folder / "target.yml").write_text(json.dumps(file))
+    return ["run", str(folder / "campaign.yml"), "--target", str(folder / "target.yml")]
+
+
 def runs_of(count: int, **parameters: Any) -> list[Run]:
     """So many short runs of cyclic_timer_tests, of frequencies from 100 Hz on; traced ones without their twins."""
     entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": [100 + n for n in range(count)]}

@@ -135,7 +135,8 @@ CASES = {
     ),
     # The thread that should have handed work over waited for the CPU: it is followed.
     "a timeout is not what was waited for": Case(
-        timed_out(awaited_waits=True), 1520, "HIGHER hog 400; INTERRUPT local_timer 3; HIGHER hog 97; OTHER_THREAD mate 10; PROGRAM me 10", own=(1, 5)
+        timed_out(awaited_waits=True), 1520,
+        "HIGHER hog 400; INTERRUPT local_timer 3; HIGHER hog 97; OTHER_THREAD mate 10; PROGRAM me 10", own=(1, 5),
     ),
     "a timeout before there was work": Case(
         timed_out(awaited_waits=False), 1520, "OWN_SLEEP me 400; ...", own=(1, 5)

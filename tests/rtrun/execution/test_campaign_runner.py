@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import pytest
-from faulty import record, runs_of
+from faulty import record, runs_of, write_files
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.cli import main
@@ -341,19 +341,6 @@ def test_a_full_disk_here(target, tmp_path, watching, wishes, small_disk):
     assert campaign_runner.count_finished(small_disk / "results", runs) == 1
 
 
-def write_files(tmp_path, sshd, target, count):
-    (tmp_path / "campaign.yml").write_text(
-        f"schema: 1\nname: test\nruns: [{{suite: cyclic_timer_tests, repetitions: 10, "
-        f"frequency_hz: {[100 + n for n in range(count)]}}}]\n"
-    )
-    (tmp_path / "target.yml").write_text(
-        f"schema: 1\nname: loopback\nkind: ssh\nhost: 127.0.0.1\nport: {sshd.port}\nuser: {sshd.user}\n"
-        f"key: {sshd.key}\nhost_key: {sshd.host_key}\nsuites: suites\nwork_dir: {target.work_dir}\n"
-        f"ros_master_port: {target.master_port}\nreconnect_s: 2\n"
-    )
-    return ["run", str(tmp_path / "campaign.yml"), "--target", str(tmp_path / "target.yml")]
-
-
 def rtrun(tmp_path, words):
     return subprocess.Popen(
         [sys.executable, "-m", "rtrun.cli", *words],
@@ -365,8 +352,8 @@ def rtrun(tmp_path, words):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_interrupt(sshd, bare_target, tmp_path, wishes, number):
-    words = write_files(tmp_path, sshd, bare_target, 3)
+def test_interrupt(bare_target, tmp_path, wishes, number):
+    words = write_files(tmp_path, bare_target, 3)
     wishes.will("ok", "sleep 100")
     runner = rtrun(tmp_path, words)
     while len(wishes.calls()) < 2:
@@ -382,8 +369,8 @@ def test_interrupt(sshd, bare_target, tmp_path, wishes, number):
     assert [call.split()[1] for call in wishes.calls()] == ["100", "101", "101", "102"]
 
 
-def test_a_killed_runner_finds_its_run_again(sshd, bare_target, tmp_path, wishes):
-    words = write_files(tmp_path, sshd, bare_target, 2)
+def test_a_killed_runner_finds_its_run_again(bare_target, tmp_path, wishes):
+    words = write_files(tmp_path, bare_target, 2)
     wishes.will("sleep 3")
     runner = rtrun(tmp_path, words)
     while len(wishes.calls()) < 1:
@@ -398,8 +385,8 @@ def test_a_killed_runner_finds_its_run_again(sshd, bare_target, tmp_path, wishes
     assert master_is_gone(bare_target)
 
 
-def test_a_campaign_goes_on_without_a_reader(sshd, bare_target, tmp_path, wishes):
-    words = write_files(tmp_path, sshd, bare_target, 3)
+def test_a_campaign_goes_on_without_a_reader(bare_target, tmp_path, wishes):
+    words = write_files(tmp_path, bare_target, 3)
     runner = rtrun(tmp_path, words)
     assert runner.stdout.readline()
     runner.stdout.close()
@@ -407,9 +394,9 @@ def test_a_campaign_goes_on_without_a_reader(sshd, bare_target, tmp_path, wishes
     assert len(wishes.calls()) == 3
 
 
-def test_exit_status_of_failed_runs_and_of_a_finished_campaign(sshd, target, tmp_path, wishes, monkeypatch, capsys):
+def test_exit_status_of_failed_runs_and_of_a_finished_campaign(target, tmp_path, wishes, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    words = write_files(tmp_path, sshd, target, 1)
+    words = write_files(tmp_path, target, 1)
     wishes.will("fail")
     assert main(words) == 3
     out = capsys.readouterr().out

@@ -25,11 +25,11 @@ def target(ready_target):
     return ready_target
 
 
-def measure(target, tmp_path, act=lambda: None, **values):
+def measure(target, tmp_path, **values):
     """Run a campaign of one run and return its run.json."""
     entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": 10} | values
     (run,) = runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
-    campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching(lambda number: act()))
+    campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching())
     return json.loads((tmp_path / "results" / run.name / "run.json").read_text())
 
 
@@ -84,51 +84,41 @@ def runs_in(environ, target):
         return False
 
 
-def kill(processes):
-    for pid, command in processes.items():
-        if command == "stress-ng":
+def beside_the_suite(target, name):
+    """What gives the processes of a program once the suite runs beside it."""
+
+    def find():
+        is_there = "cyclic_timer_te" in session_of(target, "cyclic_timer_tests").values()
+        return session_of(target, name) if is_there else {}
+
+    return find
+
+
+def kill(command, count=None):
+    """What kills so many processes of this command; "": of any."""
+
+    def kill_them(processes):
+        for pid in [pid for pid, each in processes.items() if command in ("", each)][:count]:
             os.kill(pid, signal.SIGKILL)
 
-
-def stress_in(target):
-    """The load, once the suite runs beside it."""
-    if "cyclic_timer_te" in session_of(target, "cyclic_timer_tests").values():
-        return session_of(target, "stress")
-    return {}
+    return kill_them
 
 
-def test_a_load_that_died_in_the_middle_makes_the_run_invalid(target, tmp_path, wishes):
-    wishes.will("sleep 3")
-    record = measure(target, tmp_path, lambda: when(lambda: stress_in(target), kill), condition="cpu80")
-    assert record["status"] == "invalid"
-    assert "condition cpu80: stress ended in the middle of the run, with exit status 137" in record["reason"]
-
-
-def test_a_worker_that_died_in_the_middle_makes_the_run_invalid(target, tmp_path, wishes):
-    def kill_a_worker(processes):
-        workers = [pid for pid, command in processes.items() if command == "stress-ng-cpu"]
-        os.kill(workers[0], signal.SIGKILL)
-
-    wishes.will("sleep 6")
-    record = measure(target, tmp_path, lambda: when(lambda: stress_in(target), kill_a_worker), condition="cpu80")
-    assert record["status"] == "invalid"
-    assert "condition cpu80: stress " in record["reason"]
-
-
-def test_a_sampler_that_died_makes_the_run_invalid(target, tmp_path, wishes):
-    wishes.will("sleep 3")
-
-    def kill_all(processes):
-        for pid in processes:
-            os.kill(pid, signal.SIGKILL)
-
-    def sampler():
-        suite = session_of(target, "cyclic_timer_tests")
-        return session_of(target, "sampler") if "cyclic_timer_te" in suite.values() else {}
-
-    record = measure(target, tmp_path, lambda: when(sampler, kill_all))
-    assert record["status"] == "invalid"
-    assert "sampler ended in the middle of the run, killed from outside" in record["reason"]
+def test_what_dies_in_the_middle_makes_its_run_invalid(target, tmp_path, wishes):
+    """A load, one of its workers, the sampler: each in a run of its own."""
+    dying = [
+        ("stress", kill("stress-ng"), "condition cpu80: stress ended in the middle of the run, with exit status 137"),
+        ("stress", kill("stress-ng-cpu", 1), "condition cpu80: stress "),
+        ("sampler", kill(""), "sampler ended in the middle of the run, killed from outside"),
+    ]
+    entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": [10, 9, 8], "condition": "cpu80"}
+    runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
+    wishes.will("sleep 3", "sleep 6", "sleep 3")
+    watching = Watching(lambda number: when(beside_the_suite(target, dying[number][0]), dying[number][1]))
+    statuses = campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)
+    assert list(statuses.values()) == ["invalid"] * 3
+    for run, (_, _, reason) in zip(runs, dying, strict=True):
+        assert reason in json.loads((tmp_path / "results" / run.name / "run.json").read_text())["reason"]
 
 
 # Prints what it would see in two days, but at once.
@@ -146,10 +136,7 @@ signal.pause()
 
 @pytest.mark.parametrize(
     ("repetitions", "frequency_hz", "status", "looks"),
-    [
-        (172_800, 1, "ok", 86_350),
-        (10, 10, "invalid", 30_000),
-    ],
+    [(172_800, 1, "ok", 86_350), (10, 10, "invalid", 30_000)],
 )
 def test_what_is_observed_may_be_as_large_as_the_run_is_long(
     target, suites_folder, tmp_path, wishes, repetitions, frequency_hz, status, looks
@@ -180,14 +167,6 @@ def test_a_run_without_sampler(target, tmp_path, wishes):
     assert "sampler.stdout" not in record["files"] and record["in_effect"]["observations"] == 0
 
 
-def test_affinity_of_the_load(target, tmp_path, wishes):
-    wishes.will("sleep 4")
-    record = measure(target, tmp_path, condition="hackbench", load_cpu="1")
-    assert (record["status"], record["reason"]) == ("ok", None)
-    assert record["requested"]["load_cpus"] == record["in_effect"]["load_cpus"] == [1]
-    assert record["in_effect"]["loads"]["hackbench"] >= 41
-
-
 def test_what_the_target_lacks_is_said_before_anything_is_measured(target, tmp_path, wishes, monkeypatch):
     monkeypatch.setattr(preparation.conditions, "needs", lambda *_: {"no-such-tool", "governor=warp", "sh"})
     with pytest.raises(TargetError, match="the target lacks the cpufreq governor warp, no-such-tool, which this"):
@@ -210,14 +189,8 @@ def test_a_policy_that_is_not_in_effect_makes_the_run_invalid(target, tmp_path, 
 
 
 def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
-    (run,) = runs = plan(
-        Campaign(
-            schema=1,
-            name="test",
-            runs=[{"suite": "cyclictest", "policy": "RR", "priority": 80, "repetitions": 4000, "threads": 2}],
-        ),
-        "test",
-    )
+    entry = {"suite": "cyclictest", "policy": "RR", "priority": 80, "repetitions": 4000, "threads": 2}
+    (run,) = runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
     campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching())
     record = json.loads((tmp_path / "results" / run.name / "run.json").read_text())
     assert (record["status"], record["reason"]) == ("ok", None)
@@ -240,13 +213,16 @@ def test_hwlatdetect_where_the_kernel_has_no_such_tracer(target, tmp_path, monke
         campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching())
 
 
-def test_every_other_load_keeps_its_workers(target, tmp_path, wishes):
-    loads = ["memory", "io", "network", "irq"]
-    wishes.will(*["sleep 4"] * len(loads))
-    entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": 10, "condition": loads}
-    runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
+def test_every_other_load_keeps_its_workers_and_the_cpus_that_it_was_given(target, tmp_path, wishes):
+    wishes.will(*["sleep 4"] * 5)
+    entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": 10}
+    loads = [{"condition": ["memory", "io", "network", "irq"]}, {"condition": "hackbench", "load_cpu": "1"}]
+    runs = plan(Campaign(schema=1, name="test", runs=[entry | load for load in loads]), "test")
     campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching())
-    for run in runs:
-        record = json.loads((tmp_path / "results" / run.name / "run.json").read_text())
-        assert (record["status"], record["reason"]) == ("ok", None)
+    records = [json.loads((tmp_path / "results" / run.name / "run.json").read_text()) for run in runs]
+    assert [(record["status"], record["reason"]) for record in records] == [("ok", None)] * 5
+    for record in records[:-1]:
         assert record["in_effect"]["loads"]["stress"] >= record["requested"]["loads"]["stress"] > 1
+    hackbench = records[-1]
+    assert hackbench["requested"]["load_cpus"] == hackbench["in_effect"]["load_cpus"] == [1]
+    assert hackbench["in_effect"]["loads"]["hackbench"] >= 41

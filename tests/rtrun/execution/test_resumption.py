@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faulty import runs_of
+from faulty import runs_of, write_files
 from proxy import proxy_to
 from written import write_npy
 
@@ -26,19 +26,6 @@ pytestmark = [pytest.mark.sshd, pytest.mark.ros]
 KILLS = 20
 
 
-def write_files(folder, sshd, ros_master, work_dir, count):
-    frequencies = [100 + number for number in range(count)]
-    (folder / "campaign.yml").write_text(
-        f"schema: 1\nname: test\nruns: [{{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: {frequencies}}}]\n"
-    )
-    (folder / "target.yml").write_text(
-        f"schema: 1\nname: loopback\nkind: ssh\nhost: 127.0.0.1\nport: {sshd.port}\nuser: {sshd.user}\n"
-        f"key: {sshd.key}\nhost_key: {sshd.host_key}\nsuites: suites\nwork_dir: {work_dir}\n"
-        f"ros_master_port: {ros_master}\nreconnect_s: 2\n"
-    )
-    return [sys.executable, "-m", "rtrun.cli", "run", "campaign.yml", "--target", "target.yml"]
-
-
 def finished(results):
     """What stands in the end: run name to what it measured, whenever that was."""
     return {
@@ -48,8 +35,8 @@ def finished(results):
     }
 
 
-def test_a_runner_killed_at_twenty_random_moments(sshd, ros_master, tmp_path, wishes):
-    words = write_files(tmp_path, sshd, ros_master, tmp_path / "target", 6)
+def test_a_runner_killed_at_twenty_random_moments(ready_target, tmp_path, wishes):
+    words = [sys.executable, "-m", "rtrun.cli", *write_files(tmp_path, ready_target, 6)]
     undisturbed = [*words, "--results", "undisturbed"]
     assert subprocess.run(undisturbed, cwd=tmp_path, capture_output=True, timeout=120).returncode == 0
     calls = len(wishes.calls())
@@ -77,10 +64,9 @@ def test_a_runner_killed_at_twenty_random_moments(sshd, ros_master, tmp_path, wi
 
 
 @pytest.fixture
-def proxied(loopback, sshd, suites_folder, wishes, ros_master):
+def proxied(ready_target, sshd):
     with proxy_to(sshd.port) as proxy:
-        address = replace(loopback.address, port=proxy.port)
-        yield proxy, replace(loopback, address=address, suites=suites_folder, master_port=ros_master)
+        yield proxy, replace(ready_target, address=replace(ready_target.address, port=proxy.port))
 
 
 def break_and_mend(break_link, proxy, mended_after_s):
@@ -133,36 +119,24 @@ def test_a_link_that_stays_cut_is_an_error_and_the_run_is_picked_up_later(proxie
 
 def test_two_runners_do_not_mix(proxied, tmp_path, wishes):
     _, target = proxied
-    watching = Watching()
-    refused = []
 
     def act(number):
-        try:
+        with pytest.raises(UsageError, match="another rtrun is at work there"):
             campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", Watching())
-        except UsageError as error:
-            refused.append(str(error))
 
-    watching.at_start = act
-    campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
-    assert "another rtrun is at work there" in refused[0]
+    statuses = campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", Watching(act))
+    assert list(statuses.values()) == ["ok"]
 
 
-def test_a_reboot_while_nobody_looked(loopback, suites_folder, ros_master, tmp_path, wishes):
+def test_a_reboot_while_nobody_looked(ready_target, tmp_path, wishes):
     """A run folder that another boot left is kept as incomplete, and the run is repeated."""
-    target = replace(loopback, suites=suites_folder, master_port=ros_master)
-    (run,) = runs = runs_of(1)
-    results = tmp_path / "results"
-
-    class Stop(Exception):
-        pass
+    target, results, (run,) = ready_target, tmp_path / "results", runs_of(1)
 
     def stop(number):
-        raise Stop
+        raise KeyboardInterrupt
 
-    watching = Watching()
-    watching.at_start = stop
-    with pytest.raises(Stop):
-        campaign_runner.run_campaign(target, "test", runs, results, watching)
+    with pytest.raises(KeyboardInterrupt):
+        campaign_runner.run_campaign(target, "test", [run], results, Watching(stop))
     log = campaign_runner.journal.open_journal(results, "test", "", "")
     leftover = Path(target.work_dir) / "runs" / log.uid / run.name
     log.close()
@@ -170,8 +144,7 @@ def test_a_reboot_while_nobody_looked(loopback, suites_folder, ros_master, tmp_p
     (leftover / "cyclic_timer_tests.boot_id").write_text("11111111-2222-3333-4444-555555555555\n")
     (leftover / "cyclic_timer_tests.stdout").write_text("\tINFO: as far as it came\n")
     write_npy(leftover / "cyclic_timer_tests_l10_fq100.npy.part", [(n,) for n in range(1, 7)], announced=11)
-    watching.at_start = lambda number: None
-    assert campaign_runner.run_campaign(target, "test", runs, results, watching) == {run.name: "ok"}
+    assert campaign_runner.run_campaign(target, "test", [run], results, Watching()) == {run.name: "ok"}
     kept = results / f"{run.name}.incomplete-1"
     assert np.load(kept / "cyclic_timer_tests_l10_fq100.npy").tolist() == [[n] for n in range(1, 7)]
     assert (kept / "cyclic_timer_tests.stdout").read_text() == "\tINFO: as far as it came\n"
