@@ -192,7 +192,7 @@ def write_files(folder: Path, target: Target, count: int) -> list[str]:
     (folder / "campaign.yml").write_text(
         f"schema: 1\nname: test\nruns: [{{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: {frequencies}}}]\n"
     )
-    file = target_file(target, target.ros_master_port) | {"suites": "suites", "reconnect_s": 2}
+    file = target_file(target, target.master_port) | {"suites": "suites", "reconnect_s": 2}
     (folder / "target.yml").write_text(json.dumps(file))
     return ["run", str(folder / "campaign.yml"), "--target", str(folder / "target.yml")]
 
