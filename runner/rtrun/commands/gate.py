@@ -32,6 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="virtual: let proofs from virtual machines pass too, which hold for that machine on that host alone",
     )
     parser.add_argument(
+        "--max-page-faults",
+        type=int,
+        metavar="N",
+        help="fail where a program had more page faults while it measured, as 0 [not asked]",
+    )
+    parser.add_argument(
         "--against",
         metavar="ARCHIVE",
         help="ask instead whether the runs are worse than their history in this archive",
@@ -69,7 +75,12 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--margin, --false-alarms: go with --against ARCHIVE")
     else:
         analysed = ask(args, bounds=False)
-        judged = gate(analysed, assume_independent=args.assume_independent, platform=Platform(args.platform))
+        judged = gate(
+            analysed,
+            assume_independent=args.assume_independent,
+            platform=Platform(args.platform),
+            max_page_faults=args.max_page_faults,
+        )
         print_banner(analysed.platform)
     print_styled("passed" if judged.passed else "failed")
     print_answers(judged.cases, judged=True)
@@ -90,9 +101,10 @@ def _against(args: argparse.Namespace) -> "Gate":
     from rtrun.archive.store import open_archive
     from rtrun.targets.inspection.platform import Platform
 
-    if args.probability or args.confidence or args.tolerate or args.assume_independent:
+    of_deadline = (args.probability, args.confidence, args.tolerate, args.assume_independent, args.max_page_faults)
+    if any(each not in (None, False) for each in of_deadline):
         raise UsageError(
-            "--probability, --confidence, --tolerate, --assume-independent: are of the deadline, not of --against"
+            "--probability, --confidence, --tolerate, --assume-independent, --max-page-faults: go without --against"
         )
     asked = question(args, args.results)
     return gate_against(

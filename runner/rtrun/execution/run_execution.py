@@ -19,6 +19,7 @@ from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt
 from rtrun.execution.run_programs import RunPrograms, programs_of
 from rtrun.execution.run_state import RunEvent, RunLife, RunState, must_give_up
+from rtrun.kinds.output import Record, SenderRecord
 from rtrun.plan import conditions, suites
 from rtrun.plan.program import Exit
 from rtrun.plan.run import Run
@@ -349,6 +350,20 @@ def _take_control_groups(path: Path) -> list[ControlGroup]:
     return control_groups.parse_around(text)
 
 
+def _program_record(
+    partial: Path, name: str, argv: list[str], exit_: Exit, head: Record | SenderRecord | None
+) -> ProgramRecord:
+    return ProgramRecord(
+        name=name,
+        argv=argv,
+        exit_status=exit_.status,
+        control_groups=_take_control_groups(partial / f"{name}.cgroups"),
+        rate=head.rate if head else None,
+        costs=head.costs if head else None,
+        loops=head.counts.loops if head else None,
+    )
+
+
 def _record(
     work: _Work,
     partial: Path,
@@ -385,13 +400,7 @@ def _record(
         start_time=attempt.start_time,
         end_time=now().isoformat(),
         programs=[
-            ProgramRecord(
-                name=program.name,
-                argv=attempt.argv[program.name],
-                exit_status=exit_.status,
-                control_groups=_take_control_groups(partial / f"{program.name}.cgroups"),
-                rate=verdict.rates.get(program.name),
-            )
+            _program_record(partial, program.name, attempt.argv[program.name], exit_, verdict.heads.get(program.name))
             for program, exit_ in zip(work.programs.of_suite, end.exits, strict=True)
         ],
         outputs=outputs,

@@ -1,12 +1,15 @@
 """Does a campaign pass? One case for every group of runs alike, and one for whatever was not analysed."""
 
-from collections.abc import Container
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 
+from rtfiles.output import counted
 from rtrun.analysis.deadline import Answer
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import severity, verdict_line
+from rtrun.plan.suites import suites
+from rtrun.results.record import RunRecord
 from rtrun.targets.inspection.platform import Platform, weakest
 
 
@@ -37,14 +40,21 @@ class Gate:
         return bool(self.cases) and all(case.passed for case in self.cases)
 
 
-def gate(study: Study, *, assume_independent: bool = False, platform: Platform = Platform.HARDWARE) -> Gate:
+def gate(
+    study: Study,
+    *,
+    assume_independent: bool = False,
+    platform: Platform = Platform.HARDWARE,
+    max_page_faults: int | None = None,
+) -> Gate:
     """Judge a study. Only a proof passes: neither too little data nor an emulated board is one.
 
     What was measured on a virtual machine passes only where `platform` is virtual. What is proven if measurements are
     independent, from counts without order, passes only with `assume_independent`.
     Of boards that are alike the answer for all of them counts; that of a single board fails only if it is refuted.
     A run that failed, is incomplete or was refused does not pass: what it hides is not known. An attempt that a restart
-    of the target cut off is named, and passes when its run was measured again.
+    of the target cut off is named, and passes when its run was measured again. With `max_page_faults` no program of
+    a suite may have had more while it measured.
     """
     passing = {Answer.PROVEN, Answer.IF_INDEPENDENT} if assume_independent else {Answer.PROVEN}
     cases = [
@@ -60,7 +70,19 @@ def gate(study: Study, *, assume_independent: bool = False, platform: Platform =
         Case(about=name, answer="REPEATED", text="cut off by a restart of the target, then measured again", passed=True)
         for name in study.source.repeated
     ]
+    if max_page_faults is not None:
+        cases += [case for record in study.records for case in _page_faults(record, max_page_faults)]
     return Gate(cases=tuple(cases))
+
+
+def _page_faults(record: RunRecord, most: int) -> Iterator[Case]:
+    """A case for each program of a suite that had more page faults than it may have, or does not tell them."""
+    for program in record.programs if record.suite in suites().suites else ():
+        faults = program.costs.page_faults if program.costs else None
+        if faults is None or faults > most:
+            had = "it does not tell how many it had" if faults is None else counted(faults, "page fault")
+            text = f"{had} while it measured, {most} allowed"
+            yield Case(about=f"{record.run} {program.name}", answer="PAGE FAULTS", text=text, passed=False)
 
 
 def why_not_accepted(measured: Platform, accepted: Platform) -> str | None:

@@ -61,6 +61,11 @@ class Counts(Config):
         """How many became something."""
         return self.measured + self.not_fired + self.missing
 
+    @property
+    def loops(self) -> int:
+        """How often it did what it does."""
+        return self.measured
+
 
 class Indices(Config):
     """Indices of what the counts count, the first 1000 of each."""
@@ -113,6 +118,11 @@ class Costs(Config):
     involuntary_switches: Count
     cpu_time_ns: CpuTimeNs
 
+    @property
+    def page_faults(self) -> int:
+        """Of both sorts."""
+        return self.minor_faults + self.major_faults
+
 
 class ProgramHead(Config):
     """What the json of every program begins with: what was requested, and in effect."""
@@ -154,6 +164,11 @@ class SentCounts(Config):
 
     asked: Asked
     sent: Count
+
+    @property
+    def loops(self) -> int:
+        """How often it did what it does."""
+        return self.sent
 
 
 class SenderRecord(ProgramHead):

@@ -16,6 +16,7 @@ from rtrun.plan import conditions, suites
 from rtrun.plan.goal import Goal
 from rtrun.plan.kernels import order_by_kernel
 from rtrun.plan.limits import Seed
+from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.run import KernelName, Run, interleave, label, never_observed
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.plan.trace import read_trace, too_few, traced, with_warm_ups
@@ -169,6 +170,12 @@ def _combinations(
         errors.append(f"{where / 'repeats'}: one whole number, not a list")
     if not all(axes.values()) or not repeats:
         return
+    for name in axes.get("middleware", []):
+        if suite.kind not in (has := middlewares()[str(name)].kinds):
+            errors.append(
+                f"{where / 'middleware'}: {name} has no programs of {entry['suite']}, only of {', '.join(has)}"
+            )
+            return
     number = math.prod(map(len, axes.values())) * int(repeats[0] or 1)
     if number > RUNS_MAX:
         errors.append(f"{where}: makes {number} runs, at most {RUNS_MAX} are allowed")

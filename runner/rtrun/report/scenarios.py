@@ -87,7 +87,7 @@ def _scenario(group: Group, label: str, study: Study) -> Scenario:
         figures=pool_figures(group.digests),
         tables=tuple(
             printable_table(table)
-            for table in (_figures(every), _startup(every), _clusters(every), _rates(group))
+            for table in (_figures(every), _startup(every), _clusters(every), _rates(group), _costs(group))
             if table.rows
         ),
     )
@@ -210,6 +210,30 @@ def _rates(group: Group) -> Table:
     ]
     columns = ("run", "program", "asked Hz", "achieved Hz", "overruns", "skipped periods")
     return Table(id="rates", title="Rates", columns=columns, rows=rows, numbers=2)
+
+
+def _costs(group: Group) -> Table:
+    """What each program cost while it measured."""
+    rows = [
+        (
+            record.run,
+            program.name,
+            str(costs.minor_faults),
+            str(costs.major_faults),
+            str(costs.voluntary_switches),
+            str(costs.involuntary_switches),
+            us(costs.cpu_time_ns / program.loops) if program.loops else "-",
+        )
+        for record in group.records
+        for program in record.programs
+        if (costs := program.costs)
+    ]
+    columns = ("run", "program", "minor faults", "major faults", "waited", "preempted", "CPU us a loop")
+    notes = (
+        "Of all threads of a program while it measured: page faults without and with reading from a disk, switches to "
+        "other threads because it waited, and because it was preempted.",
+    )
+    return Table(id="costs", title="Costs", columns=columns, rows=rows, numbers=2, notes=notes)
 
 
 def _number(value: float | None) -> str:

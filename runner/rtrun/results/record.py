@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
+from rtrun.kinds.output import Costs
 from rtrun.kinds.rate import OFF_MAX, Rate
 from rtrun.plan.conditions import IDLE, Settings
 from rtrun.plan.limits import (
@@ -76,8 +77,8 @@ class RunStatus(StrEnum):
 class ProgramRecord(Config):
     """A program that ran; no exit status: something else than the program ended it.
 
-    `control_groups` are those that it was in, and those above them; earlier versions recorded none. `rate` is that of
-    its json; None where it wrote none, or none that tells a rate.
+    `control_groups` are those that it was in, and those above them; earlier versions recorded none. `rate`, `costs` and
+    `loops` are those of its json; None where it wrote none, or none that tells them.
     """
 
     name: str
@@ -85,6 +86,9 @@ class ProgramRecord(Config):
     exit_status: ExitStatus | None
     control_groups: list[ControlGroup] = Field(default_factory=list)
     rate: Rate | None = None
+    costs: Costs | None = None
+    loops: Count | None = None
+    """Measurements made, or messages sent."""
 
 
 class FileRecord(Config):

@@ -7,7 +7,7 @@ from pathlib import Path
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
 from rtrun.kinds.output import Record, SenderRecord
-from rtrun.kinds.rate import OFF_MAX, Rate, is_missed
+from rtrun.kinds.rate import OFF_MAX, is_missed
 from rtrun.plan import suites
 from rtrun.plan.conditions import Background
 from rtrun.plan.program import Exit, Program
@@ -38,8 +38,8 @@ class RunOutcome:
     in_effect: Observed
     records: Mapping[str, Record]
     """The json of outputs, by output, as far as they were read."""
-    rates: Mapping[str, Rate]
-    """What each program says of its rate, by its name."""
+    heads: Mapping[str, Record | SenderRecord]
+    """The json of each program, by its name."""
 
 
 def judge(
@@ -66,13 +66,14 @@ def judge(
     status, reason = _of_programs(folder, programs, exits) or (RunStatus.OK, None)
     if status is RunStatus.OK:
         status, reason = _of_outputs(folder, run, outputs, refused, records) or (RunStatus.OK, None)
-    rates = _rates_of_outputs(run, programs, outputs, records)
     senders, unreadable = _senders(folder, run, refused)
-    rates |= {program: sender.rate for program, sender in senders.items()}
+    heads = _by_writer(run, programs, outputs, records) | senders
     if status is RunStatus.OK and unreadable:
         status, reason = RunStatus.FAILED, unreadable
     if status in (RunStatus.OK, RunStatus.INCOMPLETE) and is_timed and (missed := _missed_rate(senders)):
         status, reason = RunStatus.INVALID, missed
+    if status in (RunStatus.OK, RunStatus.INCOMPLETE) and (other := _other_middleware(run, heads)):
+        status, reason = RunStatus.INVALID, other
     try:
         observations = observations_of(folder)
         wrong = requirements.find_violation(run, background, observations, records)
@@ -95,17 +96,25 @@ def judge(
         if wrong is not None:
             status, reason = RunStatus.INVALID, wrong
     in_effect = summarize(observations, requirements.measuring_threads(run, observations, records))
-    return RunOutcome(status=status, reason=reason, in_effect=in_effect, records=records, rates=rates)
+    return RunOutcome(status=status, reason=reason, in_effect=in_effect, records=records, heads=heads)
 
 
-def _rates_of_outputs(
+def _by_writer(
     run: Run, programs: Sequence[Program], outputs: Sequence[str], records: Mapping[str, Record]
-) -> dict[str, Rate]:
-    """The rates in the json of outputs, by the program that wrote each."""
+) -> dict[str, Record | SenderRecord]:
+    """The json of outputs, by the program that wrote each."""
     alone = suites.suite(run.suite).program_json
     writers = [program.name for program in programs if program.name not in alone]
     named = zip(writers, outputs, strict=False)
-    return {name: rate for name, output in named if output in records and (rate := records[output].rate)}
+    return {name: records[output] for name, output in named if output in records}
+
+
+def _other_middleware(run: Run, heads: Mapping[str, Record | SenderRecord]) -> str | None:
+    """Say which program measured through another middleware than the run asks for, or None."""
+    for program, head in heads.items():
+        if head.middleware != run.middleware:
+            return f"{program}: asked for the middleware {run.middleware}, it measured through {head.middleware}"
+    return None
 
 
 def _senders(folder: Path, run: Run, refused: Mapping[str, str]) -> tuple[dict[str, SenderRecord], str | None]:

@@ -136,6 +136,27 @@ def test_a_run_that_failed_when_it_was_repeated_does_not_pass(tmp_path, capsys):
     assert re.search(r"^FAIL  NOT ANALYSED  b +-", printed, re.M) and "b: failed" in printed
 
 
+COSTS = {"major_faults": 1, "voluntary_switches": 5000, "involuntary_switches": 0, "cpu_time_ns": 10**8}
+
+
+@pytest.mark.parametrize(
+    ("costs", "allowed", "says"),
+    [
+        (COSTS | {"minor_faults": 0}, 1, None),
+        (COSTS | {"minor_faults": 1}, 1, "2 page faults while it measured, 1 allowed"),
+        (None, 1, "it does not tell how many it had while it measured, 1 allowed"),
+    ],
+)
+def test_a_program_with_page_faults_fails_where_they_are_asked_for(tmp_path, capsys, costs, allowed, says):
+    program = {"name": "oneshot_timer_tests", "argv": ["x"], "exit_status": 0, "costs": costs, "loops": 5000}
+    write_oneshot(tmp_path, programs=[program])
+    question = ["gate", str(tmp_path), "--probability", "1e-2"]
+    assert main(question) == 0
+    capsys.readouterr()
+    assert main([*question, "--max-page-faults", str(allowed)]) == (1 if says else 0)
+    assert (says or "") in capsys.readouterr().out.replace("\n", " ")
+
+
 def test_wrong_questions_are_usage_errors(tmp_path, capsys):
     write_oneshot(tmp_path)
     for wrong in (["--deadline", "400"], ["--deadline", "0us"], ["--probability", "0"], ["--confidence", "nan"]):

@@ -7,6 +7,7 @@ from written import write_cyclic
 
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.program import Exit, Program
+from rtrun.plan.suites import program_json_names
 from rtrun.results.record import RunStatus
 from rtrun.validity.outcome import judge
 
@@ -96,6 +97,18 @@ def test_an_output_that_says_otherwise(judged, change, status, reason):
     assert reason in judged()[1]
 
 
+HEAD = ("schema", "version", "complete", "incomplete_reason", "in_effect", "host", "kernel", "start_time", "end_time")
+
+
+def write_sender(folder, run, *, sent, rate):
+    """The json of a publisher that has sent so many messages."""
+    head = json.loads(write_cyclic(folder).read_text())
+    sender = {key: head[key] for key in HEAD} | {"suite": run.suite, "program": "communication_tests_publisher"}
+    sender |= {"requested": {}, "counts": {"asked": sent, "sent": sent}, "rate": rate}
+    (name,) = program_json_names(run.suite, run.parameters).values()
+    (folder / name).write_text(json.dumps(sender))
+
+
 @pytest.mark.parametrize(
     ("achieved_hz", "sent", "is_timed", "reason"),
     [
@@ -116,22 +129,8 @@ def test_an_output_that_says_otherwise(judged, change, status, reason):
 def test_a_publisher_that_misses_its_rate(tmp_path, achieved_hz, sent, is_timed, reason):
     entry = {"suite": "communication_tests", "frequency_hz": 200_000, "repetitions": sent}
     (run,) = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
-    head = json.loads(write_cyclic(tmp_path).read_text())
-    kept = (
-        "schema",
-        "version",
-        "complete",
-        "incomplete_reason",
-        "in_effect",
-        "host",
-        "kernel",
-        "start_time",
-        "end_time",
-    )
     rate = {"asked_hz": 200_000, "achieved_hz": achieved_hz, "overruns": 7, "skipped": 9}
-    sender = {key: head[key] for key in kept} | {"suite": run.suite, "program": "communication_tests_publisher"}
-    sender |= {"requested": {}, "counts": {"asked": sent, "sent": sent}, "rate": rate}
-    (tmp_path / f"ct_gnuplot_l{sent}_fq200000_pl0-publisher.json").write_text(json.dumps(sender))
+    write_sender(tmp_path, run, sent=sent, rate=rate)
     programs = [
         Program(name=f"communication_tests_{name}", argv=(), deadline_s=30) for name in ("subscriber", "publisher")
     ]
@@ -139,7 +138,18 @@ def test_a_publisher_that_misses_its_rate(tmp_path, achieved_hz, sent, is_timed,
     verdict = judge(tmp_path, run, programs, ended, [], refused={}, background=[], ended_early={}, is_timed=is_timed)
     assert (verdict.status is RunStatus.OK) == (reason is None)
     assert reason is None or reason in verdict.reason
-    assert verdict.rates["communication_tests_publisher"].skipped == 9
+    assert verdict.heads["communication_tests_publisher"].rate.skipped == 9
+
+
+def test_a_publisher_through_another_middleware_than_asked_for(tmp_path):
+    entry = {"suite": "communication_tests", "middleware": "tcp", "repetitions": 10}
+    (run,) = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
+    write_sender(tmp_path, run, sent=10, rate={"asked_hz": 1000, "achieved_hz": 1e3, "overruns": 0, "skipped": 0})
+    program = Program(name="communication_tests_publisher", argv=(), deadline_s=30)
+    ended = [Exit(status=0, expired=False)]
+    verdict = judge(tmp_path, run, [program], ended, [], refused={}, background=[], ended_early={})
+    assert verdict.status is RunStatus.INVALID
+    assert verdict.reason == f"{program.name}: asked for the middleware tcp, it measured through roscpp"
 
 
 def test_idle_cpus_that_slept_deeper_than_asked(tmp_path):

@@ -25,6 +25,8 @@ class Middleware(Config):
     """One middleware: how its programs are called and started."""
 
     summary: str
+    kinds: Names = ()
+    """The kinds of measurement that it has programs for."""
     executable: str = "{program}_{middleware}"
     """What its form of a suite's program is called."""
     environment: dict[str, str] = Field(default_factory=dict)
