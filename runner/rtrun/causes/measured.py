@@ -1,14 +1,16 @@
 """The values of a run with the moments at which they were measured."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.known import kind_of
-from rtrun.kinds.output import IndexedValues
+from rtrun.plan.question import Measure
+from rtrun.plan.suites import Value, judged, measures
+from rtrun.plan.trace import SERIES
 from rtrun.results.record import RunRecord, check_file
-from rtrun.results.samples import Samples, read_samples
+from rtrun.results.samples import read_samples
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -21,10 +23,10 @@ class Measured:
     times_ns: Int64s
 
 
-def read_measured(folder: Path, record: RunRecord) -> Iterator[Measured]:
-    """Yield the outputs of a run that have samples with values, by the series that its traces are of.
+def read_measured(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Measured]:
+    """Yield the outputs of a run that have samples with values; `of` is their series, None: that of the run's traces.
 
-    Raises UsageError as `read_samples` does.
+    Raises UsageError as `read_samples` does, and where the suite measures no such thing.
     """
     kind = kind_of(record.suite)
     if kind is None:
@@ -35,13 +37,12 @@ def read_measured(folder: Path, record: RunRecord) -> Iterator[Measured]:
         for ending in (".npy", ".json"):
             check_file(folder, record, output + ending)
         samples = read_samples(folder / f"{output}.npy")
-        values = traced_values(samples)
+        values = samples.judged(of or traced_series(record.suite, record.parameters))
         if values.values_ns.size:
             times_ns = kind.times(samples.columns, values)
             yield Measured(output=output, values_ns=values.values_ns, index=values.index, times_ns=times_ns)
 
 
-def traced_values(samples: Samples) -> IndexedValues:
+def traced_series(suite: str, parameters: Mapping[str, Value]) -> Measure:
     """The series that the limit of a trace is held against: of the cyclic timer what it was asked for."""
-    of = samples.record.requested.get("trace_of")
-    return samples.judged("jitter" if of == "jitter" else None)
+    return judged(measures(suite), "jitter" if parameters.get(SERIES) == "jitter" else None)

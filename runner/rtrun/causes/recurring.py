@@ -9,6 +9,7 @@ import numpy as np
 from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.recurrence import Recurrence, counts_tried, find_recurrence
 from rtrun.causes.measured import read_measured
+from rtrun.plan.question import Measure
 from rtrun.results.record import RunRecord
 
 # Of a shorter run the highest values are no rare ones.
@@ -26,9 +27,9 @@ class Recurring:
     recurrence: Recurrence
 
 
-def recurring(folder: Path, record: RunRecord) -> Iterator[Recurring]:
-    """Yield the outputs of a run whose late values have a period. Raises UsageError as `read_measured` does."""
-    for measured in read_measured(folder, record):
+def recurring(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Recurring]:
+    """Yield the outputs of a run whose late values have a period; `of` and what is raised are as of `read_measured`."""
+    for measured in read_measured(folder, record, of):
         if measured.values_ns.size < VALUES_AT_LEAST:
             continue
         highest = _highest(measured.values_ns, max(counts_tried(measured.values_ns.size)))

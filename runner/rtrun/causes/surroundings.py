@@ -13,6 +13,7 @@ from rtfiles.config import Config, read_json
 from rtrun.analysis.coincidence import LEAST_INTERVALS, Floats, find_coincidences
 from rtrun.analysis.histogram import Int64s
 from rtrun.causes.measured import Measured, read_measured
+from rtrun.plan.question import Measure
 from rtrun.results.record import RunRecord, check_file
 from rtrun.targets.inspection.facts import TargetState
 from rtrun.validity.observations import COUNTS_MAX, SAMPLER_OUTPUT, Observation, observations_of
@@ -51,8 +52,8 @@ class _States(Config):
     own_service: bool
 
 
-def find_unusual(folder: Path, record: RunRecord) -> Iterator[Unusual]:
-    """Yield what was unusual around the highest values of a run.
+def find_unusual(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Unusual]:
+    """Yield what was unusual around the highest values of a run; `of` is as of `read_measured`.
 
     Raises UsageError for files that are not what they should be.
     """
@@ -61,7 +62,7 @@ def find_unusual(folder: Path, record: RunRecord) -> Iterator[Unusual]:
     check_file(folder, record, SAMPLER_OUTPUT)
     observations = observations_of(folder)
     bounds_s = _bounds_s(folder, record)
-    for measured in read_measured(folder, record):
+    for measured in read_measured(folder, record, of):
         within, highest = _intervals(observations, measured, bounds_s)
         if len(within) <= LEAST_INTERVALS:
             continue

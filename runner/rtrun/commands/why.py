@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from rtrun.commands._question import add_of
+
 NAME = "why"
 HELP = "say what late values waited for, from the kernel traces around them, and whether they have a period"
 
@@ -10,6 +12,7 @@ HELP = "say what late values waited for, from the kernel traces around them, and
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The results, and a file for Perfetto."""
     parser.add_argument("results", type=Path, metavar="RESULTS", help="a results folder, or one run directory in it")
+    add_of(parser, "default: that of the campaign's goal, else what its traces are of")
     parser.add_argument("--perfetto", type=Path, metavar="FILE", help="write the outliers for ui.perfetto.dev")
 
 
@@ -22,6 +25,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report import causes
     from rtrun.report.perfetto import perfetto
     from rtrun.report.tracing_cost import thresholds, tracing_cost_at
+    from rtrun.results.goal_file import read_goal
     from rtrun.results.reading import find_source
     from rtrun.results.record import read_record
 
@@ -30,12 +34,15 @@ def run(args: argparse.Namespace) -> int:
         refuse_trace_cmd(args.results)
         raise UsageError(f"{args.results}: not a results folder or a run directory")
     ranking, explained, refused = causes.ranked(source)
-    periods, not_searched = causes.periods(source)
+    of = args.of
+    if of is None and (goal := read_goal(args.results)):
+        of = goal.of or "lateness"
+    periods, not_searched = causes.periods(source, of)
     table = causes.table(ranking, explained)
-    cost, not_compared = tracing_cost_at(source)
-    surroundings, not_held = causes.surroundings(source)
+    cost, not_compared = tracing_cost_at(source, of)
+    surroundings, not_held = causes.surroundings(source, of)
     print_line(f"{table.outcome if explained or refused else causes.no_traces(source)}.")
-    for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders])):
+    for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders], of)):
         print_line(note)
     screen = console()
     if table.rows:

@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.causes.measured import traced_values
+from rtrun.causes.measured import read_measured
 from rtrun.plan.run import Run
 from rtrun.plan.suites import options
 from rtrun.plan.trace import PARAMETER, WARM_UP, quantile, with_threshold
-from rtrun.results.record import RunStatus, check_file, read_record
-from rtrun.results.samples import read_samples
+from rtrun.results.record import RunStatus, read_record
 
 
 def with_threshold_of_warm_up(run: Run, results: Path) -> Run:
@@ -28,11 +27,7 @@ def _quantile_ns(folder: Path, part: float) -> float:
     record = read_record(folder)
     if record.status is not RunStatus.OK:
         raise UsageError(f"{folder.name} is {record.status}: {record.reason}")
-    values = []
-    for output in dict.fromkeys(record.outputs):
-        for ending in (".npy", ".json"):
-            check_file(folder, record, output + ending)
-        values.append(traced_values(read_samples(folder / f"{output}.npy")).values_ns)
+    values = [measured.values_ns for measured in read_measured(folder, record)]
     pooled = np.concatenate(values) if values else np.array([], dtype=np.int64)
     if not pooled.size:
         raise UsageError(f"{folder.name} measured nothing")

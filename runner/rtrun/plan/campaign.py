@@ -19,6 +19,7 @@ from rtrun.plan.limits import Seed
 from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.run import KernelName, Run, interleave, label, never_observed
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
+from rtrun.plan.trace import SERIES as TRACE_SERIES
 from rtrun.plan.trace import read_trace, too_few, traced, with_warm_ups
 
 SUBSCRIBERS_MAX = 64
@@ -98,6 +99,9 @@ def plan(campaign: Campaign, origin: Place | str) -> tuple[Run, ...]:
     errors: list[str] = []
     top = Place(origin) if isinstance(origin, str) else origin
     _check_common(campaign, top / "common", errors)
+    if campaign.until and campaign.until.of:
+        # What is judged is what traces are of, unless the campaign names another series.
+        campaign = campaign.model_copy(update={"common": {TRACE_SERIES: campaign.until.of} | campaign.common})
     _check_variants(campaign, top / "variants", errors)
     if (campaign.order == "interleaved") != (campaign.seed is not None):
         errors.append(f"{top / 'seed'}: give one, a whole number, with order: interleaved, and only then")

@@ -16,6 +16,7 @@ from rtrun.plan.run import UNTRACED, Run, never_observed
 from rtrun.plan.suites import Value, options
 
 PARAMETER = "trace_threshold_us"
+SERIES = "trace_of"
 WARM_UP = ".warm-up"
 # So many values of a warm-up are expected to be above the quantile, and at least one of the run.
 VALUES_ABOVE = 10

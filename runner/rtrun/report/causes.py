@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -15,6 +16,7 @@ from rtrun.causes.recurring import Recurring, recurring
 from rtrun.causes.remedies import remedy
 from rtrun.causes.steps import Step
 from rtrun.causes.surroundings import find_unusual
+from rtrun.plan.question import Measure
 from rtrun.report.screen import fitted
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source
@@ -47,9 +49,12 @@ def explain_source(source: Source) -> tuple[tuple[Explained, ...], tuple[str, ..
     return tuple(explained), tuple(refused)
 
 
-def periods(source: Source) -> tuple[Table, tuple[str, ...]]:
-    """The periods of late values, a row for each output that has one, and why a run could not be searched."""
-    found, refused = _search(source, recurring)
+def periods(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]:
+    """The periods of late values, a row for each output that has one, and why a run could not be searched.
+
+    `of` is their series, None: that of each run's traces.
+    """
+    found, refused = _search(source, partial(recurring, of=of))
     rows = [
         (
             one.run,
@@ -96,9 +101,12 @@ def _distance(one: Recurring) -> str:
     return f"{period:.3g} loops" if one.in_loops else f"{period / 1e9:.3g} s"
 
 
-def surroundings(source: Source) -> tuple[Table, tuple[str, ...]]:
-    """What the sampler saw to be unusual around the highest values, and why a run could not be searched."""
-    found, refused = _search(source, find_unusual)
+def surroundings(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]:
+    """What the sampler saw to be unusual around the highest values, and why a run could not be searched.
+
+    `of` is as of `periods`.
+    """
+    found, refused = _search(source, partial(find_unusual, of=of))
     named = Counter(one.quantity for one in found).most_common(1)
     return Table(
         id="surroundings",

@@ -11,7 +11,7 @@ from rtrun.judgement.claims.reference import message_rows, oneshot_rows
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study, environment
 from rtrun.kinds.output import NON_MEASURING_THREADS
-from rtrun.plan.question import NONE_TOLERATED
+from rtrun.plan.question import NONE_TOLERATED, Measure
 from rtrun.report import causes, layers
 from rtrun.report.tables import Table, how, printable_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
@@ -24,8 +24,8 @@ def end_tables(study: Study) -> tuple[Table, ...]:
     tables = [
         *_causes(study),
         tracing_cost(study),
-        causes.periods(study.source)[0],
-        causes.surroundings(study.source)[0],
+        causes.periods(study.source, _judged(study))[0],
+        causes.surroundings(study.source, _judged(study))[0],
         _worst_cases(study),
         layers.table(study),
         _published(study),
@@ -36,7 +36,14 @@ def end_tables(study: Study) -> tuple[Table, ...]:
 def _causes(study: Study) -> tuple[Table, Table]:
     ranking, explained, refused = causes.ranked(study.source)
     table = causes.table(ranking, explained)
-    return replace(table, notes=(*table.notes, *thresholds(study.records), *refused)), causes.step_table(explained)
+    return replace(
+        table, notes=(*table.notes, *thresholds(study.records, _judged(study)), *refused)
+    ), causes.step_table(explained)
+
+
+def _judged(study: Study) -> Measure:
+    """The series that is judged; whatever a suite measures may be late."""
+    return study.question.of or "lateness"
 
 
 def _worst_cases(study: Study) -> Table:

@@ -1,24 +1,36 @@
 """What tracing costs: traced runs compared with their untraced twins, which were measured in turn with them."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 from rtfiles.errors import UsageError
-from rtfiles.output import printable
+from rtfiles.output import counted, printable
 from rtfiles.quantities import us
 from rtrun.analysis.comparison import ComparisonAnswer
+from rtrun.causes.measured import traced_series
 from rtrun.judgement.compare import Changed, compare_studies
 from rtrun.judgement.sides import names_of_sides, split
 from rtrun.judgement.study import Study, study
+from rtrun.plan.question import Measure, Question
 from rtrun.plan.run import UNTRACED
+from rtrun.plan.suites import measures
 from rtrun.plan.trace import PARAMETER, quantile
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
 
 
-def thresholds(records: Sequence[RunRecord]) -> Iterator[str]:
-    """The limits that warm-ups found, a sentence for each quantile that a campaign asks for."""
+def thresholds(records: Sequence[RunRecord], of: Measure | None) -> Iterator[str]:
+    """Which traces are of another series than `of` (None: any will do); and the limits that warm-ups found.
+
+    A sentence for each other series, and for each quantile that a campaign asks for.
+    """
+    kept = [one for one in records if one.parameters.get(PARAMETER) is not None and of in measures(one.suite)]
+    series = Counter(traced_series(one.suite, one.parameters) for one in kept)
+    for traced, number in series.items():
+        if traced != of:
+            yield f"Traces are of the {traced} in {counted(number, 'run')}, not of the {of}, which takes trace_of: {of}"
     measured = [one for one in records if quantile(one.trace) is not None and one.status is RunStatus.OK]
     for trace, alike in groupby(sorted(measured, key=lambda one: (one.trace, one.suite)), key=lambda one: one.trace):
         limits_us = sorted(int(one.parameters.get(PARAMETER) or 0) for one in alike)
@@ -28,12 +40,12 @@ def thresholds(records: Sequence[RunRecord]) -> Iterator[str]:
         yield f"Traced is what is above {trace} of a warm-up: {between} in {runs}"
 
 
-def tracing_cost_at(source: Source) -> tuple[Table | None, tuple[str, ...]]:
+def tracing_cost_at(source: Source, of: Measure | None) -> tuple[Table | None, tuple[str, ...]]:
     """The comparison for the runs at a path, None where no run has a twin; and why they cannot be compared."""
     try:
         if all(read_record(folder).trace != UNTRACED for folder in source.folders):
             return None, ()
-        return tracing_cost(study(source.path, bounds=False)), ()
+        return tracing_cost(study(source.path, Question(of=of), bounds=False)), ()
     except UsageError as error:
         return None, tuple(str(error).splitlines())
 

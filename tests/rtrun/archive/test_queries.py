@@ -6,7 +6,7 @@ import pyarrow.compute
 import pyarrow.parquet
 import pytest
 from archive.examples import answer_of, write_days
-from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_campaign, write_run
+from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_campaign, write_log_alone, write_run
 
 from rtrun.analysis.figures import PERCENTILES
 from rtrun.archive import queries
@@ -164,6 +164,14 @@ def test_lateness_and_jitter_have_histories_of_their_own(capsys, tmp_path):
     gate = ("gate", str(tmp_path / "build"), "--against", str(archive))
     assert main([*gate]) == main([*gate, "--of", "jitter"]) == 0
     capsys.readouterr()
+    # A log of 2014 holds the jitter alone.
+    write_log_alone(tmp_path / "2014", "log", "cyclic_timer_tests", cyclic_rows(latencies(3000, 9), 1000),
+                    {"policy": "RR", "frequency_hz": 1000}, asked=3000,
+                    target={"name": "board", "kernel_release": "6.1", "boot_id": "boot-1"})  # fmt: skip
+    both = archived(capsys, tmp_path / "2014", archived(capsys, tmp_path / "results", tmp_path / "both"))
+    assert sorted((p["series"], len(p["run_keys"])) for p in history(capsys, both, "--by", "kernel")) == [
+        ("jitter", 1), ("lateness", 6)
+    ]  # fmt: skip
     # Of runs of before the archive has the jitter alone: no lateness is held against it.
     for path in (archive / "histograms").rglob("*.parquet"):
         table = pyarrow.parquet.read_table(path)

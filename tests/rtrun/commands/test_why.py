@@ -1,5 +1,6 @@
 """rtrun why: the answer first, then the ranking, then each outlier."""
 
+import json
 import re
 
 import numpy as np
@@ -144,6 +145,30 @@ def test_a_period_needs_no_trace(suite, rows, parameters, period, tmp_path, caps
     out = capsys.readouterr().out
     assert "## Late values that come at a period" in out
     assert re.search(rf"\| 64 \| {period} \| 39 of 40 \|", out), out
+
+
+def test_the_series_that_is_judged_is_explained(tmp_path, capsys):
+    """Calls drift by milliseconds, and every 500th comes 0.3 ms late: its jitter is among the highest alone."""
+    drift = np.cumsum(np.random.default_rng(1).normal(0, 20_000, 20_000)).astype(np.int64)
+    late = 10_000_000 + drift + (np.arange(20_000) % 500 == 123) * 300_000
+    write_run(tmp_path, "001-run", "cyclic_timer_tests", [cyclic_rows(late, 20)], {"frequency_hz": 20},
+              asked=20_000, logs=False)  # fmt: skip
+    write_traced_run(tmp_path / "traced", {}, [1]).rename(tmp_path / "002-run")
+    found, other = "Late values that come at a period", "Traces are of the lateness in 1 run, not of the jitter, which"
+
+    def answers(*words):
+        assert main([*words]) == 0
+        out = capsys.readouterr().out
+        return [found in out, other in out]
+
+    assert answers("why", str(tmp_path)) == [False, False]
+    assert answers("why", str(tmp_path), "--of", "jitter") == [True, True]
+    goal = {"schema": 1, "until": {"of": "jitter", "deadline": "1ms", "probability": 0.1, "at_most": "1h"}}
+    (tmp_path / "goal.json").write_text(json.dumps(goal))
+    assert answers("why", str(tmp_path)) == [True, True]
+    assert answers("why", str(tmp_path), "--of", "lateness") == [False, False]
+    report = ("report", str(tmp_path), "--output", "-", "--format", "markdown")
+    assert [answers(*report)[0], answers(*report, "--of", "lateness")[0]] == [True, False]
 
 
 def test_without_a_period_none_is_said(tmp_path, capsys):

@@ -5,7 +5,15 @@ import shutil
 
 import numpy as np
 import pytest
-from report.campaigns import bursty, communication_rows, cyclic_rows, latencies, oneshot_rows, write_run
+from report.campaigns import (
+    bursty,
+    communication_rows,
+    cyclic_rows,
+    latencies,
+    oneshot_rows,
+    write_log_alone,
+    write_run,
+)
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.deadline import Answer
@@ -129,6 +137,14 @@ def test_ten_late_calls_in_a_row_are_ten_misses_of_the_grid(tmp_path):
         group = asked(tmp_path, tolerance=read_tolerance(tolerance))
         assert (group.verdict.misses, group.verdict.n) == (misses, 3998 - read_tolerance(tolerance).among + 1)
         assert f"P(more than {tolerance} with lateness > 400 us) " in verdict_line(group).text
+
+
+def test_the_jitter_of_a_log_is_not_pooled_with_the_lateness_of_samples(tmp_path):
+    values = latencies(500, 1)
+    write_cyclic(tmp_path, "new", values)
+    write_log_alone(tmp_path, "2014", "cyclic_timer_tests", cyclic_rows(values, 100), CYCLIC, asked=500)
+    groups = study(tmp_path).groups
+    assert {(group.series, group.runs) for group in groups} == {("lateness", ("new",)), ("jitter", ("2014",))}
 
 
 def test_skipped_periods_are_misses_and_stay_in_the_run(tmp_path):

@@ -86,10 +86,21 @@ def test_the_old_key_in_common_is_refused_with_what_to_write():
         runs_of(CYCLIC, common={"trace_threshold_us": 300})
 
 
+UNTIL = {"deadline": "400us", "probability": "1e-6", "at_most": "1h"}
+
+
+@pytest.mark.parametrize(
+    ("of", "common", "series"),
+    [({"of": "jitter"}, {}, "jitter"), ({}, {}, "lateness"), ({"of": "jitter"}, {"trace_of": "lateness"}, "lateness")],
+)
+def test_what_is_judged_is_what_traces_are_of(of, common, series):
+    (run,) = runs_of(CYCLIC, until=UNTIL | of, common=common, order="interleaved", seed=1)
+    assert run.parameters["trace_of"] == series
+
+
 def test_a_goal_takes_no_trace():
-    until = {"deadline": "400us", "probability": "1e-6", "at_most": "1h"}
     with pytest.raises(UsageError, match="until: takes no trace"):
-        runs_of({**CYCLIC, "trace": {"above": "1ms"}}, until=until, order="interleaved", seed=1)
+        runs_of({**CYCLIC, "trace": {"above": "1ms"}}, until=UNTIL, order="interleaved", seed=1)
 
 
 def test_a_twin_can_be_left_out():

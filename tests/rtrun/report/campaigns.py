@@ -130,6 +130,16 @@ def write_run(
     return folder
 
 
+def write_log_alone(root: Path, name: str, suite: str, rows: Int64s, parameters: dict[str, Any], **more: Any) -> Path:
+    """A run as the programs of 2014 leave one: without samples."""
+    folder = write_run(root, name, suite, [rows], parameters, **more)
+    for path in [folder / "run.json", *folder.glob("*_l*.npy"), *folder.glob("*_l*.json")]:
+        path.unlink()
+    (log,) = folder.glob("*.log")
+    write_record(folder, suite, [log.stem], parameters, **{key: more[key] for key in more if key != "asked"})
+    return folder
+
+
 def _begun_at(rows: Int64s, suite: str, run: str) -> Int64s:
     """The rows with the times of a run of its own: two runs never measure at the same ones."""
     of_times = {"oneshot_timer_tests": [0, 1, 4], "cyclic_timer_tests": [0]}.get(suite, [0, 1])[: rows.shape[1]]
