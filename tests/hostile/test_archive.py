@@ -59,6 +59,7 @@ def rewrite(path, **columns):
         ("runs", {"packages": "[" * 5000}),
         ("runs", {"packages": "[1]"}),
         ("runs", {"packages": 5}),
+        ("runs", {"off_rate": None}),
         ("histograms", {"count": -5}),
         ("histograms", {"count": None}),
         ("histograms", {"count": 2**62}),

@@ -55,9 +55,11 @@ def add_results(
     added: list[str] = []
     present: list[str] = []
     notes: list[str] = []
-    copies = _copies(source.folders)
+    # Attempts that were measured again tell how often the rate that was asked for was not kept.
+    folders = [*source.folders, *filter(_missed_its_rate, source.old)]
+    copies = _copies(folders)
     refused += copies.values()
-    for folder in source.folders:
+    for folder in folders:
         if folder in copies:
             continue
         try:
@@ -70,11 +72,17 @@ def add_results(
             refused += str(error).splitlines()[:1]
         except InfrastructureError as error:
             raise InfrastructureError(
-                f"{error}\n{len(added) + len(present)} of {len(source.folders)} runs are in the archive: "
+                f"{error}\n{len(added) + len(present)} of {len(folders)} runs are in the archive: "
                 "the same command adds the others"
             ) from error
-        on_added(len(added) + len(present), len(source.folders))
+        on_added(len(added) + len(present), len(folders))
     return Addition(added=tuple(added), present=tuple(present), refused=tuple(refused), notes=tuple(notes))
+
+
+def _missed_its_rate(folder: Path) -> bool:
+    with contextlib.suppress(UsageError):
+        return read_record(folder).is_off_rate
+    return False
 
 
 def _copies(folders: Sequence[Path]) -> dict[Path, str]:

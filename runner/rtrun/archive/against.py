@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -79,7 +80,7 @@ def _without(history: Course | None, build: Course) -> Course | None:
         return None
     own = {run.point.run_keys for run in build.runs}
     others = tuple(run for run in history.runs if run.point.run_keys not in own)
-    return Course(runs=others) if others else None
+    return replace(history, runs=others) if others else None
 
 
 def _case(

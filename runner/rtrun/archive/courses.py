@@ -1,5 +1,6 @@
 """The runs of a scenario by one series on one board in the order of time, with their figures and circumstances."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -20,6 +21,7 @@ PERCENTS: dict[Figure, float] = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
 # A percentile needs so many values beyond it in a run.
 _BEYOND = 20
 _TEXTS = ("kernel_release", "kernel_version", "commit", "image", "middleware_version", "governor", "clock_source")
+_OFF_RATE = "SELECT suite, parameters, platform, machine FROM runs WHERE off_rate"
 _NUMBERS = ("temperature_max_mc", "frequency_max_khz", "load_1min_max")
 
 
@@ -38,9 +40,13 @@ class ArchivedRun:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Course:
-    """Runs of one scenario on one board and platform, first to last, one at least, whatever the kernel."""
+    """Runs of one scenario on one board and platform, first to last, one at least, whatever the kernel.
+
+    `off_rate` counts others, left out because their publisher missed the rate that was asked for.
+    """
 
     runs: tuple[ArchivedRun, ...]
+    off_rate: int = 0
 
     @property
     def identity(self) -> tuple[str, str, str, str, str]:
@@ -112,7 +118,11 @@ def courses(archive: Archive, *, deadline_ns: int, of: Measure | None = None) ->
     origin = archive.store.address
     runs = [_run(points[row[0]], dict(zip(columns, row, strict=True)), origin) for row in rows if row[0] in points]
     runs.sort(key=lambda run: (*_identity(run), run.point.start_utc, run.point.label))
-    return [Course(runs=tuple(members)) for _, members in groupby(runs, _identity)]
+    missed = Counter(archive.connection.execute(_OFF_RATE).fetchall())
+    made = []
+    for (suite, _, *others), members in groupby(runs, _identity):
+        made.append(Course(runs=tuple(members), off_rate=missed[suite, *others]))
+    return made
 
 
 def _identity(run: ArchivedRun) -> tuple[str, str, str, str, str]:

@@ -34,7 +34,7 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
         names: dict[str, str] = {by: point.label, "board": point.machine, "kernel": point.kernel or "unknown"}
         table.add_row(
             *(Text(printable(names[heading])) for heading in leading),
-            str(len(point.run_keys)),
+            f"{len(point.run_keys)}{f', {point.off_rate} off rate' if point.off_rate else ''}",
             str(point.boots),
             grouped(point.n),
             *(time_us(point.percentiles_ns[p]) for p in _SHOWN),

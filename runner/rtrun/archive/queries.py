@@ -63,9 +63,10 @@ class Point:
     """Runs of one scenario on one board and kernel together, by one series of theirs; the scenario names it where
     another one is usual.
 
-    `run_keys` are their names in the archive. `n` counts what was asked for but for the start-up; `misses` are late or
-    never came, None where a histogram does not reach to the deadline. `unclear` of them lie in the bin of the deadline
-    and may have met it. A percentile or the highest value is None where it is among values known by number only.
+    `run_keys` are their names in the archive; `off_rate` counts others, which are left out because they missed the rate
+    that was asked for. `n` counts what was asked for but for the start-up; `misses` are late or never came, None where
+    a histogram does not reach to the deadline. `unclear` of them lie in the bin of the deadline and may have met it. A
+    percentile or the highest value is None where it is among values known by number only.
     """
 
     scenario: str
@@ -78,6 +79,7 @@ class Point:
     label: str
     start_utc: datetime | None
     run_keys: tuple[str, ...]
+    off_rate: int
     boots: int
     n: int
     misses: int | None
@@ -150,6 +152,7 @@ def _runs_view(files: str) -> str:
         *(valid(column, "VARCHAR", "{} IS NULL", "missing") for column in _TEXTS),
         *(f"CAST({column} AS VARCHAR) AS {column}" for column in _OPTIONAL_TEXTS),
         *(valid(column, kind, "NOT isfinite(CAST({} AS DOUBLE))", "no number") for column, kind in _NUMBERS.items()),
+        valid("off_rate", "BOOLEAN", "{} IS NULL", "missing"),
         valid("start_utc", "TIMESTAMP", "NOT {} BETWEEN TIMESTAMP '1900-01-01' AND TIMESTAMP '3000-01-01'", "no time"),
     ]
     source = f"read_parquet('{files}', hive_partitioning = true, hive_types_autocast = false)"
@@ -356,10 +359,13 @@ def _added_up(value: Int64s, width: Int64s, count: Int64s) -> tuple[Int64s, Int6
 _NOT_ONE_ROW = "SELECT file_name, num_rows FROM parquet_file_metadata('{files}') WHERE num_rows <> 1 LIMIT 1"
 _POINTS = """
 SELECT scenario, parameters, suite, machine, platform, kernel_release AS kernel, {label} AS label,
-       min(runs.start_utc) AS start_utc, list(run_key ORDER BY runs.start_utc, run_key) AS run_keys,
-       list(coalesce(boot_id, run_key) ORDER BY runs.start_utc, run_key) AS boot_ids,
-       list(runs.start_utc ORDER BY runs.start_utc, run_key) AS starts
-FROM runs WHERE status = 'ok'
+       min(runs.start_utc) FILTER (status = 'ok') AS start_utc,
+       list(run_key ORDER BY runs.start_utc, run_key) FILTER (status = 'ok') AS run_keys,
+       list(coalesce(boot_id, run_key) ORDER BY runs.start_utc, run_key) FILTER (status = 'ok') AS boot_ids,
+       list(runs.start_utc ORDER BY runs.start_utc, run_key) FILTER (status = 'ok') AS starts,
+       count(*) FILTER (off_rate) AS off_rate
+FROM runs WHERE status = 'ok' OR off_rate
 GROUP BY scenario, parameters, suite, machine, platform, kernel_release, kernel_version, {label}
+HAVING bool_or(status = 'ok')
 ORDER BY scenario, parameters, platform, {order}, label, kernel_version
 """

@@ -38,7 +38,7 @@ RUNS = pyarrow.schema(
     [
         *((name, pyarrow.string()) for name in (*_TEXTS, *_FACTS)),
         *((name, pyarrow.timestamp("us")) for name in ("start_utc", "end_utc")),
-        ("preempt_rt", pyarrow.bool_()),
+        *((name, pyarrow.bool_()) for name in ("preempt_rt", "off_rate")),
         *((name, pyarrow.int64()) for name in ("cpus", "clock_step_ns", "temperature_min_mc", "temperature_max_mc")),
         *((name, pyarrow.int64()) for name in ("frequency_min_khz", "frequency_max_khz")),
         *((name, pyarrow.float64()) for name in ("load_1min_min", "load_1min_max", "busy_percent")),
@@ -119,6 +119,7 @@ def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
         "start_utc": _utc(record.start_time),
         "end_utc": _utc(record.end_time),
         "preempt_rt": target.preempt_rt,
+        "off_rate": record.is_off_rate,
         "cpus": target.cpus,
         "clock_step_ns": target.clock.step_ns if target.clock else None,
         "temperature_min_mc": temperature[0],

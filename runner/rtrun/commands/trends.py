@@ -32,7 +32,10 @@ def run(args: argparse.Namespace) -> int:
         print_text(json.dumps(data, indent=1, allow_nan=False))
         return 0
     boots = sum(len(one.boots()) for one in known)
-    print_line(f"{counted(len(shown), 'change')} in {counted(len(known), 'course')}, of {counted(boots, 'boot')}")
+    missed = sum(one.off_rate for one in known)
+    left_out = f", without {counted(missed, 'run')} that missed the rate that was asked for" if missed else ""
+    rests_on = f"{counted(len(known), 'course')}, of {counted(boots, 'boot')}{left_out}"
+    print_line(f"{counted(len(shown), 'change')} in {rests_on}")
     for trend in shown:
         amount, *rest = as_text(trend, confidence=args.confidence)
         print_line(f"{'WORSE' if trend.is_worse else 'better'}  {trend.course.label}: {amount}")

@@ -62,6 +62,23 @@ def test_nothing_is_proven_where_a_run_missed_its_rate(results, name, capsys):
     assert (group["answer"], verdict["runs"], verdict["off_rate"], verdict["further"]) == ("NEEDS MORE", 2, 1, None)
 
 
+@pytest.mark.parametrize("name", ["002", "000.old-1"], ids=["not repeated", "repeated"])
+def test_an_archive_tells_how_many_runs_its_figures_are_without(results, tmp_path_factory, name, capsys):
+    missed(results, name)
+    archive = tmp_path_factory.mktemp("archive")
+    assert main(["archive", "add", str(results), "--to", str(archive)]) == 0
+    assert main(["history", str(archive), "--json"]) == main(["site", str(archive), "--out", str(archive)]) == 0
+    out = capsys.readouterr().out
+    (point,) = json.loads(out[out.index("{") : out.rindex("}") + 1])["points"]
+    assert (len(point["run_keys"]), point["off_rate"]) == (2, 1)
+    assert main(["history", str(archive)]) == main(["trends", str(archive)]) == 0
+    out = capsys.readouterr().out
+    assert " 2, 1 off rate " in out
+    assert "0 changes in 1 course, of 2 boots, without 1 run that missed the rate that was asked for\n" in out
+    (page,) = (page for page in archive.glob("*.html") if page.name != "index.html")
+    assert "2 runs on 2 boots since 2026-11-21, without 1 that missed the rate asked for." in page.read_text()
+
+
 def test_runs_of_another_kind_are_not_concerned(results, capsys):
     write(results, "002.old-1", 9, 800.0, status="invalid", reason="off by 20 %", condition="cpu80")
     write(results, "003.old-1", 8, 999.0, status="invalid", reason="stress ended in the middle of the run")
