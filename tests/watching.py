@@ -1,6 +1,8 @@
-"""The observer of a campaign that tests give: it remembers, and acts when a run begins."""
+"""What tests watch: the observer of a campaign, which remembers, and acts when a run begins; processes that end."""
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
 from rtrun.plan.run import Run
 
@@ -21,3 +23,13 @@ class Watching:
 
     def note(self, text: str) -> None:
         self.notes.append(text)
+
+
+def wait_for_end(pids: Iterable[str | int]) -> None:
+    """Wait until none of these processes runs any more."""
+    deadline = time.monotonic() + 60
+    for pid in pids:
+        status = Path(f"/proc/{pid}/status")
+        while status.exists() and "Z (zombie)" not in status.read_text():
+            assert time.monotonic() < deadline
+            time.sleep(0.02)

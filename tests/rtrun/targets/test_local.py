@@ -1,4 +1,4 @@
-"""This machine as a target: commands as sshd would run them."""
+"""This machine as a target: commands as sshd would run them, which test_every_connection.py shows for both."""
 
 import os
 import signal
@@ -6,7 +6,7 @@ import socket
 import subprocess
 import threading
 import time
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import pytest
 
@@ -17,9 +17,9 @@ from rtrun.targets.address import ThisMachine
 from rtrun.targets.config import connect, read_target
 from rtrun.targets.connection import Connection
 from rtrun.targets.deploy import ON_TARGET
-from rtrun.targets.errors import DeadlineExpired, TargetError
 from rtrun.targets.link import Link
 from rtrun.targets.restart import restart
+from watching import wait_for_end
 
 CONFIG = "schema: 1\nname: here\nkind: local\n"
 
@@ -27,44 +27,6 @@ CONFIG = "schema: 1\nname: here\nkind: local\n"
 @pytest.fixture
 def connection():
     return Connection(ThisMachine())
-
-
-def test_a_program_that_is_not_there(connection):
-    assert connection.run(["no-such-program"]).status == 127
-    with pytest.raises(TargetError, match=r"this machine: no-such-program failed with exit status 127: .*not found"):
-        connection.check(["no-such-program"])
-
-
-def test_much_on_all_three_streams(connection):
-    text = "x" * 3_000_000
-    done = connection.run(["sh", "-c", "tee /dev/stderr"], stdin=text)
-    assert (done.stdout, done.stderr) == (text, text)
-
-
-def test_a_command_that_reads_nothing(connection):
-    assert connection.run(["sh", "-c", "exec <&-; echo there"], stdin="x" * 3_000_000).stdout == "there\n"
-
-
-def wait_for_end(pids):
-    deadline = time.monotonic() + 60
-    for pid in pids:
-        status = Path(f"/proc/{pid}/status")
-        while status.exists() and "Z (zombie)" not in status.read_text():
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-
-
-def test_the_deadline_ends_everything_that_was_started(connection, tmp_path):
-    """Even where the command itself has ended."""
-    pids = tmp_path / "pids"
-    with pytest.raises(DeadlineExpired, match="this machine: sh took longer than 5 s and was ended"):
-        connection.run(["sh", "-c", f"echo $$ >{pids}; sleep 300 & echo $! >>{pids}"], deadline_s=5)
-    wait_for_end(pids.read_text().split())
-
-
-def test_too_much_output_ends_the_command(connection):
-    with pytest.raises(TargetError, match="cat printed more than 8 MiB and was ended"):
-        connection.check(["cat", "/dev/zero"])
 
 
 def test_ctrl_c_ends_the_command_and_does_not_reach_it(connection, tmp_path):
@@ -95,20 +57,6 @@ def test_ctrl_c_while_a_command_is_started_ends_it(connection, tmp_path, monkeyp
         connection.run(["sleep", "300"])
     assert started[0].returncode == -signal.SIGKILL
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_files_both_ways(connection, tmp_path):
-    (tmp_path / "up").write_bytes(bytes(range(256)) * 8192)
-    connection.upload(tmp_path / "up", PurePosixPath(tmp_path / "there"))
-    (tmp_path / "back").mkdir()
-    connection.download(PurePosixPath(tmp_path), {"there": 256 * 8192}, tmp_path / "back")
-    assert (tmp_path / "back" / "there").read_bytes() == (tmp_path / "up").read_bytes()
-    with pytest.raises(TargetError, match="more than the 10 bytes"):
-        connection.download(PurePosixPath(tmp_path), {"there": 10}, tmp_path / "back")
-    with pytest.raises(TargetError, match="this machine: cannot read"):
-        connection.download(PurePosixPath(tmp_path), {"nothing": 10}, tmp_path / "back")
-    with pytest.raises(TargetError, match="this machine: cannot write"):
-        connection.upload(tmp_path / "up", PurePosixPath(tmp_path / "no" / "folder"))
 
 
 def test_nothing_of_the_callers_environment(connection, monkeypatch):

@@ -1,17 +1,15 @@
-"""The SSH connection against a real sshd."""
+"""The SSH connection against a real sshd; what every connection does is in test_every_connection.py."""
 
 import socket
 import subprocess
 import threading
-import time
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
 
 import pytest
 
 from rtrun.targets.address import Address
-from rtrun.targets.connection import Connection, Listing, listing, parse_listing
-from rtrun.targets.errors import ConnectionLost, DeadlineExpired, TargetError
+from rtrun.targets.connection import Connection
+from rtrun.targets.errors import ConnectionLost, TargetError
 
 pytestmark = pytest.mark.sshd
 
@@ -23,71 +21,10 @@ def connection(sshd):
     connection.close()
 
 
-def test_large_output_on_both_streams(connection):
-    done = connection.run(
-        ["sh", "-c", "head -c 3000000 /dev/zero | tr '\\0' a; head -c 3000000 /dev/zero | tr '\\0' b >&2"]
-    )
-    assert (len(done.stdout), len(done.stderr)) == (3_000_000, 3_000_000)
-
-
-def test_standard_input(connection):
-    assert connection.check(["cat"], stdin="x" * 200_000) == "x" * 200_000
-
-
-def test_failure_names_the_command_and_what_it_said(connection):
-    with pytest.raises(TargetError, match=r"ls failed with exit status 2: .*no-such-file"):
-        connection.check(["ls", "/no-such-file"])
-
-
-def test_deadline_ends_everything_that_was_started(connection, tmp_path):
-    pids = tmp_path / "pids"
-    with pytest.raises(DeadlineExpired, match="sh took longer than 5 s and was ended"):
-        connection.run(["sh", "-c", f"echo $$ >{pids}; sleep 300 & echo $! >>{pids}; wait"], deadline_s=5)
-    deadline = time.monotonic() + 60
-    for pid in pids.read_text().split():
-        status = Path(f"/proc/{pid}/status")
-        while status.exists() and "Z (zombie)" not in status.read_text():
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-
-
 def test_no_delay_and_authenticated_cipher(connection):
     link = connection.shell.stream.carrier
     assert link.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) == 1
     assert connection.shell.transport.remote_cipher == "aes128-gcm@openssh.com"
-
-
-def test_files_both_ways(connection, tmp_path):
-    (tmp_path / "up").write_bytes(bytes(range(256)) * 4096)
-    connection.upload(tmp_path / "up", PurePosixPath(tmp_path / "there"))
-    (tmp_path / "back").mkdir()
-    connection.download(PurePosixPath(tmp_path), {"there": 256 * 4096}, tmp_path / "back")
-    assert (tmp_path / "back" / "there").read_bytes() == (tmp_path / "up").read_bytes()
-
-
-def test_more_than_the_target_has_told_is_refused(connection, tmp_path):
-    (tmp_path / "big").write_bytes(b"x" * 1001)
-    (tmp_path / "back").mkdir()
-    with pytest.raises(TargetError, match="more than the 1000 bytes that were expected"):
-        connection.download(PurePosixPath(tmp_path), {"big": 1000}, tmp_path / "back")
-
-
-def test_a_listing_has_the_regular_files_that_were_asked_for(connection, tmp_path):
-    (tmp_path / "file").write_bytes(b"12345")
-    (tmp_path / "a folder").mkdir()
-    (tmp_path / "link").symlink_to("/etc/passwd")
-    for number in range(3):
-        (tmp_path / f"trace-{number}").touch()
-        (tmp_path / "a folder" / f"trace-{number}").touch()
-
-    def listed(*names, matches_max=16):
-        command = listing(PurePosixPath(tmp_path), names, matches_max=matches_max)
-        return parse_listing(connection.check(command))
-
-    assert listed("file", "a folder", "link", "none") == Listing(sizes={"file": 5}, total=6)
-    assert listed("trace-*", "none*").sizes == dict.fromkeys((f"trace-{number}" for number in range(3)), 0)
-    assert len(listed("trace-*", matches_max=2).sizes) == 2
-    assert listed() == Listing(sizes={}, total=6)
 
 
 def test_nobody_listens(sshd):
