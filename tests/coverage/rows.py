@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
+from unittest.mock import patch
 
 import late_values
 import null_campaigns
@@ -80,8 +81,13 @@ def trials_of(values: Int64s, number: int, boot: str) -> Trials:
     return replace(count_misses(values, DEADLINE_NS), run=str(number), boot=boot, start_time=f"{number:04d}")
 
 
-def judged(trials: Sequence[Trials]) -> Verdict:
-    return judge(trials, Question(deadline_ns=DEADLINE_NS, probability=P * (1 - 1e-6)))
+QUESTION = Question(deadline_ns=DEADLINE_NS, probability=P * (1 - 1e-6))
+
+
+def judged(trials: Sequence[Trials], question: Question = QUESTION) -> Verdict:
+    """The verdict without its forecast, which no answer rests on, and which takes most of the time."""
+    with patch.object(deadline, "likely_further", lambda *_: None):
+        return judge(trials, question)
 
 
 def verdict_on(runs: Sequence[Int64s], *, one_boot: bool = True) -> Verdict:
@@ -160,12 +166,12 @@ def changes_under_the_slowest_load(n: int, rng: Rng) -> bool:
 
 def proven_at_any_look_in_bursts(length: int, rng: Rng) -> bool:
     """PROVEN after any round of a goal that asks for bursts of this length; a refutation ends it, too."""
-    question = Question(deadline_ns=DEADLINE_NS, probability=P * (1 - 1e-6), bursts=length)
+    question = replace(QUESTION, bursts=length)
     batches: list[Trials] = []
     for look in range(40):
         values = processes.bursts(250 * length, P, rng, length=float(length))
         batches.append(trials_of(values, look, "boot"))
-        answer = judge(batches, question).answer
+        answer = judged(batches, question).answer
         if answer in (Answer.PROVEN, Answer.REFUTED):
             return answer == Answer.PROVEN
     return False
@@ -261,16 +267,15 @@ def proven_by_lucky_runs(rng: Rng) -> bool:
 def proven_without_order(rng: Rng) -> bool:
     histogram = from_samples(processes.bursts(20_000, P, rng, length=5))
     trials = [count_misses_in_histogram(histogram, DEADLINE_NS)]
-    return judge(trials, Question(deadline_ns=DEADLINE_NS, probability=P)).answer == Answer.PROVEN
+    return judged(trials, replace(QUESTION, probability=P)).answer == Answer.PROVEN
 
 
 TWO_IN_A_ROW, THREE_OF_100 = read_tolerance("2 in a row"), read_tolerance("3 of 100")
 
 
 def proven_with_some_tolerated(make: Callable[[Rng], Int64s], tolerance: Tolerance, rng: Rng) -> bool:
-    question = Question(deadline_ns=DEADLINE_NS, probability=P * (1 - 1e-6), tolerance=tolerance)
     trials = replace(count_misses(make(rng), DEADLINE_NS, tolerance=tolerance), boot="boot")
-    return judge([trials], question).answer == Answer.PROVEN
+    return judged([trials], replace(QUESTION, tolerance=tolerance)).answer == Answer.PROVEN
 
 
 def proven_of_a_timer(of: Of, rng: Rng) -> bool:
@@ -296,7 +301,7 @@ def enough(process: processes.Process, rate: float, rng: Rng) -> bool | None:
     """Whether the number said to be likely enough was; None where none was said, or one too long to simulate."""
     n = 20_000
     first = process(n, rate, rng)
-    further_likely = verdict_on([first]).further_likely
+    further_likely = judge([trials_of(first, 0, "boot")], QUESTION).further_likely
     if further_likely is None or further_likely[0] != Answer.PROVEN or further_likely[1] > 400_000:
         return None
     whole = process(n + further_likely[1], rate, rng)
