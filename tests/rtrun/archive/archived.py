@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from report.campaigns import oneshot_rows, write_run
+from report.campaigns import oneshot_run
 
 from rtrun.analysis.histogram import from_samples
 from rtrun.archive.store import make_archive, write_file
@@ -80,16 +80,7 @@ def write_build(root: Path, *levels_us: float, late: int = 0, seed: int = 99, pl
     boots = values_of_boots(levels_us, np.random.default_rng(seed))
     for k, values in enumerate(run for boot in boots for run in boot):
         values[:late] = 500_000
-        write_run(
-            root,
-            f"{k:03d}-oneshot",
-            "oneshot_timer_tests",
-            [oneshot_rows(values, 1000)],
-            {name: value for name, value in PARAMETERS.items() if name != "repetitions"},
-            asked=N,
-            logs=False,
-            platform=platform,
-            start_time=f"2027-01-01T10:{k:02}:00Z",
-            target={"name": "board", "kernel_release": "6.6", "boot_id": f"boot {k // 2} of the build"},
-        )
+        target = {"name": "board", "kernel_release": "6.6", "boot_id": f"boot {k // 2} of the build"}
+        record = {"platform": platform, "start_time": f"2027-01-01T10:{k:02}:00Z", "target": target}
+        oneshot_run(root, f"{k:03d}-oneshot", values, **record)
     return root

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from report.campaigns import NOT_FIRED, latencies, oneshot_rows, write_run
+from report.campaigns import NOT_FIRED, latencies, oneshot_run
 
 PAGE = Path(__file__).parents[3] / "docs" / "archive.md"
 
@@ -13,17 +13,9 @@ def write_days(root: Path, days: int) -> Path:
     for day in range(days):
         values = latencies(500, day, 90.0 + day)
         values[4] = NOT_FIRED
-        write_run(
-            root,
-            f"{day:03d}-oneshot",
-            "oneshot_timer_tests",
-            [oneshot_rows(values, 1000)],
-            {"policy": "RR", "timeout_us": 1000, "busy_mode": 0},
-            asked=500,
-            logs=False,
-            start_time=f"2026-{10 + day // 2:02d}-0{1 + day % 2}T10:00:00+02:00",
-            target={"name": f"board-{day % 2}", "kernel_release": f"6.{day // 2}", "boot_id": f"boot-{day}"},
-        )
+        target = {"name": f"board-{day % 2}", "kernel_release": f"6.{day // 2}", "boot_id": f"boot-{day}"}
+        start = f"2026-{10 + day // 2:02d}-0{1 + day % 2}T10:00:00+02:00"
+        oneshot_run(root, f"{day:03d}-oneshot", values, start_time=start, target=target)
     return root
 
 

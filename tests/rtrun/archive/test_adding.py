@@ -14,18 +14,15 @@ import fsspec
 import pyarrow.parquet
 import pytest
 from fsspec.implementations.memory import MemoryFileSystem
-from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_run
+from report.campaigns import cyclic_run, latencies, oneshot_run
 
 from rtrun.archive import store
 from rtrun.cli import main
 
-PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
-
 
 def write_results(root: Path, runs: int = 3, **record: object) -> Path:
     for k in range(runs):
-        rows = oneshot_rows(latencies(400, k), 1000)
-        write_run(root, f"{k:03d}-oneshot", "oneshot_timer_tests", [rows], PARAMETERS, asked=400, logs=False, **record)
+        oneshot_run(root, f"{k:03d}-oneshot", latencies(400, k), **record)
     return root
 
 
@@ -70,8 +67,7 @@ def test_the_same_runs_added_again_change_nothing(capsys, results, archive):
 def test_new_runs_rewrite_no_file(results, archive):
     main(["archive", "add", str(results), "--to", str(archive)])
     before = contents(archive)
-    values = cyclic_rows(latencies(300, 9), 1000)
-    write_run(results, "009-cyclic", "cyclic_timer_tests", [values], {"frequency_hz": 1000}, asked=300, logs=False)
+    cyclic_run(results, "009-cyclic", latencies(300, 9), hz=1000)
     assert main(["archive", "add", str(results), "--to", str(archive)]) == 0
     after = contents(archive)
     assert {name: after[name] for name in before} == before

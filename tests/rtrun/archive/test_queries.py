@@ -6,7 +6,14 @@ import pyarrow.compute
 import pyarrow.parquet
 import pytest
 from archive.examples import answer_of, write_days
-from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_campaign, write_log_alone, write_run
+from report.campaigns import (
+    cyclic_rows,
+    cyclic_run,
+    latencies,
+    oneshot_run,
+    write_campaign,
+    write_log_alone,
+)
 
 from rtrun.analysis.figures import PERCENTILES
 from rtrun.archive import queries
@@ -87,9 +94,7 @@ def test_the_course_by_time_kernel_board_and_commit(capsys, tmp_path):
 def test_runs_of_a_point_are_pooled_by_their_counts(capsys, tmp_path):
     root = tmp_path / "results"
     for k, mean_us in enumerate((90.0, 190.0)):
-        rows = oneshot_rows(latencies(1000, k, mean_us, 0.5), 1000)
-        write_run(root, f"{k}", "oneshot_timer_tests", [rows], {"policy": "RR", "timeout_us": 1000, "busy_mode": 0},
-                  asked=1000, logs=False)  # fmt: skip
+        oneshot_run(root, f"{k}", latencies(1000, k, mean_us, 0.5))
     (point,) = history(capsys, archived(capsys, root, tmp_path / "archive"))
     assert (point["n"], len(point["run_keys"])) == (2000, 2)
     assert 89_000 < point["percentiles_ns"]["p50"] < 95_000 < 185_000 < point["percentiles_ns"]["p90"]
@@ -139,17 +144,8 @@ def write_timer(root, name, day):
     """A run of a cyclic timer on a boot of its own, ten calls of which are late in a row."""
     late = latencies(3000, day)
     late[1000:1010] += 1_000_000
-    return write_run(
-        root,
-        name,
-        "cyclic_timer_tests",
-        [cyclic_rows(late, 1000)],
-        {"policy": "RR", "frequency_hz": 1000},
-        asked=3000,
-        logs=False,
-        start_time=f"2026-10-{day:02d}T10:00:00Z",
-        target={"name": "board", "kernel_release": "6.1", "boot_id": f"boot-{day}"},
-    )
+    target = {"name": "board", "kernel_release": "6.1", "boot_id": f"boot-{day}"}
+    return cyclic_run(root, name, late, hz=1000, start_time=f"2026-10-{day:02d}T10:00:00Z", target=target)
 
 
 def test_lateness_and_jitter_have_histories_of_their_own(capsys, tmp_path):
@@ -181,7 +177,6 @@ def test_lateness_and_jitter_have_histories_of_their_own(capsys, tmp_path):
     assert main([*gate]) == 1
     assert "0 boots of it are in the archive" in capsys.readouterr().out
     assert main([*gate, "--of", "jitter"]) == 0
-    write_run(tmp_path / "other", "a", "oneshot_timer_tests", [oneshot_rows(latencies(500, 1), 1000)],
-              {"timeout_us": 1000, "busy_mode": 0}, asked=500, logs=False)  # fmt: skip
+    oneshot_run(tmp_path / "other", "a", latencies(500, 1))
     assert main(["gate", str(tmp_path / "other"), "--against", str(archive), "--of", "jitter"]) == 1
     assert "NOT ANALYSED" in (out := capsys.readouterr().out) and "it has no jitter" in out

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from archive.archived import N, write_build, write_course
-from report.campaigns import latencies, oneshot_rows, write_run
+from report.campaigns import latencies, oneshot_run, write_run
 
 from rtrun.cli import main
 from rtrun.targets.inspection.platform import Platform
@@ -149,9 +149,7 @@ def test_a_build_with_a_run_that_failed_does_not_pass(capsys, steady, tmp_path):
 
 def test_a_build_without_times_does_not_pass(capsys, steady, tmp_path):
     """An imported log has none, so it has no place in a course."""
-    rows = [oneshot_rows(latencies(N, 1), 1000)]
-    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
-    write_run(tmp_path / "results", "000-x", "oneshot_timer_tests", rows, parameters, asked=N, start_time="unknown")
+    oneshot_run(tmp_path / "results", "000-x", latencies(N, 1), start_time="unknown")
     status, output = gate(capsys, tmp_path / "results", steady)
     assert status == 1 and "000-x" in output and "it has no start time" in output
 

@@ -3,17 +3,15 @@
 import json
 import shutil
 
-from report.campaigns import latencies, oneshot_rows, write_run
+from report.campaigns import latencies, oneshot_run
 
 from rtrun.cli import main
 
-PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
 QUESTION = ["--deadline", "400us", "--probability", "1e-3"]
 
 
 def write(root, name, seed, **record):
-    rows = oneshot_rows(latencies(5000, seed), 1000)
-    return write_run(root, name, "oneshot_timer_tests", [rows], PARAMETERS, asked=5000, logs=False, **record)
+    return oneshot_run(root, name, latencies(5000, seed), **record)
 
 
 def test_a_copy_passes_no_gate_and_enters_no_archive(tmp_path, capsys):

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from report.campaigns import latencies, oneshot_rows, write_run
+from report.campaigns import latencies, oneshot_run
 
 from rtrun.analysis.deadline import Answer
 from rtrun.cli import main
@@ -13,7 +13,6 @@ from rtrun.judgement.study import study
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.question import Question
 
-PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
 TARGET = {"kernel_release": "6.1.0-rt", "kernel_version": "#1 SMP PREEMPT_RT", "cpus": 2, "governor": "performance"}
 QUESTION = Question(probability=1e-3)
 WORDS = ["--deadline", "400us", "--probability", "1e-3", "--confidence", "0.95"]
@@ -24,10 +23,7 @@ def write(root, board, boot="", *, late=0, n=2500, name=None, **target):
     values = latencies(n, sum(map(ord, board + boot)), 90.0)
     values[: 701 * late : 701] = 500_000
     facts = {"name": board, "boot_id": f"{board}{boot}", **TARGET, **target}
-    rows = [oneshot_rows(values, 1000)]
-    write_run(
-        root, name or f"001-{board}{boot}", "oneshot_timer_tests", rows, PARAMETERS, asked=n, logs=False, target=facts
-    )
+    oneshot_run(root, name or f"001-{board}{boot}", values, target=facts)
 
 
 def test_alike_boards_prove_together_what_none_proves_alone(tmp_path, capsys):

@@ -5,16 +5,13 @@ import re
 import xml.etree.ElementTree as ElementTree
 
 import pytest
-from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_run
+from report.campaigns import cyclic_run, latencies, oneshot_run
 
 from rtrun.cli import main
 
-PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
-
 
 def write_oneshot(root, name="a", n=5000, mean_us=90.0, seed=1, **more):
-    rows = [oneshot_rows(latencies(n, seed, mean_us), 1000)]
-    return write_run(root, name, "oneshot_timer_tests", rows, PARAMETERS, asked=n, logs=False, **more)
+    return oneshot_run(root, name, latencies(n, seed, mean_us), **more)
 
 
 def test_a_proof_passes(tmp_path, capsys):
@@ -28,8 +25,7 @@ def test_a_proof_passes(tmp_path, capsys):
 
 
 def test_a_log_without_order_passes_only_when_told_to(tmp_path, capsys):
-    rows = [oneshot_rows(latencies(5000, 1), 1000)]
-    folder = write_run(tmp_path, "a", "oneshot_timer_tests", rows, PARAMETERS, asked=5000)
+    folder = write_oneshot(tmp_path, logs=True)
     log = str(next(folder.glob("*measured.log")))
     assert main(["gate", log, "--probability", "1e-3"]) == 1
     assert "FAIL  PROVEN IF INDEPENDENT" in capsys.readouterr().out
@@ -213,8 +209,7 @@ def test_compare_refuses_what_could_be_matched_in_two_ways(tmp_path, capsys):
 
 def test_compare_needs_something_in_common(tmp_path, capsys):
     write_oneshot(tmp_path / "a")
-    rows = [cyclic_rows(latencies(500, 1), 100)]
-    write_run(tmp_path / "b", "x", "cyclic_timer_tests", rows, {"policy": "RR", "frequency_hz": 100}, asked=500)
+    cyclic_run(tmp_path / "b", "x", latencies(500, 1))
     assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 2
     assert "in common" in capsys.readouterr().err
 

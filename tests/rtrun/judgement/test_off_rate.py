@@ -3,13 +3,12 @@
 import json
 
 import pytest
-from report.campaigns import communication_rows, latencies, write_run
+from report.campaigns import latencies, message_run
 
 from rtrun.cli import main
 from rtrun.judgement.standings import standings
 from rtrun.judgement.study import study
 
-PARAMETERS = {"policy": "RR", "frequency_hz": 1000, "payload_bytes": 0, "subscribers": 1}
 QUESTION = ["--deadline", "400us", "--probability", "1e-3"]
 TOLD = "1 of 3 runs missed the rate that was asked for and are left out"
 
@@ -17,9 +16,7 @@ TOLD = "1 of 3 runs missed the rate that was asked for and are left out"
 def write(root, name, seed, achieved_hz, **record):
     rate = {"asked_hz": 1000, "achieved_hz": achieved_hz, "overruns": 1, "skipped": 2}
     programs = [{"name": "communication_tests_publisher", "argv": ["x"], "exit_status": 0, "rate": rate}]
-    rows = communication_rows(latencies(4000, seed), 1000)
-    record = {"programs": programs, "attempt": name, **record}
-    write_run(root, name, "communication_tests", [rows], PARAMETERS, asked=4000, logs=False, **record)
+    message_run(root, name, [latencies(4000, seed)], hz=1000, programs=programs, **{"attempt": name, **record})
 
 
 @pytest.fixture

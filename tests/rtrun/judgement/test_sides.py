@@ -4,7 +4,7 @@ import json
 import shutil
 
 import pytest
-from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_run
+from report.campaigns import at_minute, cyclic_run, latencies, oneshot_run
 
 from rtfiles.errors import UsageError
 from rtrun.cli import main
@@ -20,18 +20,9 @@ def write(root, variants, *, policies=("RR", "FIFO")):
             for policy in policies:
                 number += 1
                 run = f"{list(variants).index(name):03}-{policy}-{name}-r{repeat + 1}"
-                rows = cyclic_rows(latencies(2000, number, mean_us=mean_us), 100)
-                write_run(
-                    root,
-                    run,
-                    "cyclic_timer_tests",
-                    [rows],
-                    {"frequency_hz": 100, "policy": policy, **parameters},
-                    asked=2000,
-                    variant=name,
-                    start_time=f"2026-01-01T00:{number:02}:00+00:00",
-                    end_time=f"2026-01-01T00:{number:02}:30+00:00",
-                )
+                lateness = latencies(2000, number, mean_us=mean_us)
+                record = {"variant": name, "parameters": parameters, **at_minute(number)}
+                cyclic_run(root, run, lateness, policy=policy, logs=True, **record)
     return root
 
 
@@ -62,26 +53,12 @@ def write_kernels(root, repeats=5):
     for repeat in range(1, repeats + 1):
         for kernel in ("standard", "rt") if repeat % 2 else ("rt", "standard"):
             boot += 1
-            version = "#1 SMP PREEMPT_RT" if kernel == "rt" else "#1 SMP"
-            rows = oneshot_rows(latencies(2000, boot, mean_us=90 if kernel == "rt" else 180), 1000)
-            write_run(
-                root,
-                f"00{1 + (kernel == 'rt')}-{kernel}-r{repeat}",
-                "oneshot_timer_tests",
-                [rows],
-                {"timeout_us": 1000, "policy": "RR", "busy_mode": 0},
-                asked=2000,
-                kernel=kernel,
-                start_time=f"2026-01-01T00:{boot:02}:00+00:00",
-                end_time=f"2026-01-01T00:{boot:02}:30+00:00",
-                target={
-                    "name": "board",
-                    "kernel_release": "6.1",
-                    "kernel_version": version,
-                    "preempt_rt": kernel == "rt",
-                    "boot_id": f"boot-{boot}",
-                },
-            )
+            is_rt = kernel == "rt"
+            values = latencies(2000, boot, mean_us=90 if is_rt else 180)
+            target = {"name": "board", "kernel_release": "6.1", "preempt_rt": is_rt, "boot_id": f"boot-{boot}"}
+            target["kernel_version"] = "#1 SMP PREEMPT_RT" if is_rt else "#1 SMP"
+            name = f"00{1 + is_rt}-{kernel}-r{repeat}"
+            oneshot_run(root, name, values, logs=True, kernel=kernel, target=target, **at_minute(boot))
     return root
 
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from report.campaigns import (
     bursty,
-    communication_rows,
     cyclic_rows,
+    cyclic_run,
     latencies,
-    oneshot_rows,
+    message_run,
+    oneshot_run,
     write_log_alone,
     write_run,
 )
@@ -23,14 +24,6 @@ from rtrun.judgement.verdicts import verdict_line
 from rtrun.plan.question import Question, read_tolerance
 from rtrun.targets.inspection.platform import Platform
 
-ONESHOT = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
-
-
-def write_oneshot(root, name, values, **more):
-    return write_run(
-        root, name, "oneshot_timer_tests", [oneshot_rows(values, 1000)], ONESHOT, asked=values.size, **more
-    )
-
 
 def only(path, **question):
     (group,) = study(path, Question(**question)).groups
@@ -39,7 +32,7 @@ def only(path, **question):
 
 def test_runs_alike_are_one_group(tmp_path):
     for k in range(3):
-        write_oneshot(tmp_path, f"{k}", latencies(1000 * (k + 1), k))
+        oneshot_run(tmp_path, f"{k}", latencies(1000 * (k + 1), k), logs=True)
     # An option that the program did not have when the other runs were measured, not given.
     record = json.loads((tmp_path / "0" / "run.json").read_text())
     record["parameters"]["cpu_dma_latency_us"] = None
@@ -51,13 +44,13 @@ def test_runs_alike_are_one_group(tmp_path):
 
 @pytest.mark.parametrize("other", [{"name": "board", "kernel_release": "6.6"}, {"name": "another"}])
 def test_runs_on_another_board_or_kernel_are_another_group(tmp_path, other):
-    write_oneshot(tmp_path, "a", latencies(1000, 1))
-    write_oneshot(tmp_path, "b", latencies(1000, 2), target=other)
+    oneshot_run(tmp_path, "a", latencies(1000, 1), logs=True)
+    oneshot_run(tmp_path, "b", latencies(1000, 2), target=other, logs=True)
     assert [group.n for group in study(tmp_path).groups] == [1000, 1000]
 
 
 def test_enough_measurements_prove_a_deadline(tmp_path):
-    write_oneshot(tmp_path, "a", latencies(5000, 1), logs=False)
+    oneshot_run(tmp_path, "a", latencies(5000, 1))
     assert verdict_line(only(tmp_path, probability=1e-3)).answer == Answer.PROVEN
     line = verdict_line(only(tmp_path, probability=1e-6))
     assert line.answer == Answer.NEEDS_MORE and "(1 h 10 min)" in line.text
@@ -65,7 +58,7 @@ def test_enough_measurements_prove_a_deadline(tmp_path):
 
 
 def test_bursts_make_measurements_worth_less(tmp_path):
-    write_oneshot(tmp_path, "a", bursty(8000, 1), logs=False)
+    oneshot_run(tmp_path, "a", bursty(8000, 1))
     verdict = only(tmp_path, deadline_ns=110_000).verdict
     assert verdict is not None and verdict.design_effect > 3 and verdict.n_effective < 3000
 
@@ -73,7 +66,7 @@ def test_bursts_make_measurements_worth_less(tmp_path):
 def test_a_timer_that_never_fired_missed_its_deadline(tmp_path):
     values = latencies(2000, 1)
     values[[3, 77]] = -(2**63)
-    write_oneshot(tmp_path, "a", values, logs=False)
+    oneshot_run(tmp_path, "a", values)
     group = only(tmp_path)
     assert group.verdict is not None and (group.verdict.n, group.verdict.late, group.verdict.absent) == (2000, 0, 2)
     assert "2 never came" in verdict_line(group).text
@@ -83,9 +76,7 @@ def test_a_timer_that_never_fired_missed_its_deadline(tmp_path):
 def test_the_first_message_stands_apart_and_lost_ones_count(tmp_path):
     values = latencies(1000, 1, 220.0)
     values[0] = 900_000
-    rows = communication_rows(values, 100, lost=(5, 6, 7))
-    parameters = {"policy": "RR", "frequency_hz": 100, "payload_bytes": 0, "subscribers": 1}
-    write_run(tmp_path, "a", "communication_tests", [rows], parameters, asked=1000, logs=False)
+    message_run(tmp_path, "a", [values], lost=(5, 6, 7))
     group = only(tmp_path)
     (one,) = group.digests
     assert one.header.startup == (IndexedValue(value_ns=900_000, index=0),) and one.n == 996 and one.header.missing == 3
@@ -97,8 +88,7 @@ def test_the_first_message_stands_apart_and_lost_ones_count(tmp_path):
 def test_the_two_definitions_of_jitter_and_the_cluster(tmp_path):
     lateness = latencies(4000, 1)
     lateness[::8] -= 900_000
-    parameters = {"policy": "RR", "frequency_hz": 100}
-    write_run(tmp_path, "a", "cyclic_timer_tests", [cyclic_rows(lateness, 100)], parameters, asked=4000, logs=False)
+    cyclic_run(tmp_path, "a", lateness)
     analysed = study(tmp_path, Question(of="jitter"))
     (jitter,) = analysed.digests
     grid = next(one for one in analysed.others if one.header.series == "grid")
@@ -111,11 +101,6 @@ def test_the_two_definitions_of_jitter_and_the_cluster(tmp_path):
 CYCLIC = {"policy": "RR", "frequency_hz": 100}
 
 
-def write_cyclic(root, name, lateness, **more):
-    rows = cyclic_rows(lateness, 100)
-    return write_run(root, name, "cyclic_timer_tests", [rows], CYCLIC, asked=len(lateness), logs=False, **more)
-
-
 def asked(path, **question):
     (group,) = study(path, Question(**question)).groups
     return group
@@ -124,7 +109,7 @@ def asked(path, **question):
 def test_ten_late_calls_in_a_row_are_ten_misses_of_the_grid(tmp_path):
     late = latencies(4000, 1)
     late[2000:2010] += 1_000_000
-    write_cyclic(tmp_path, "a", late)
+    cyclic_run(tmp_path, "a", late)
     by_grid, by_jitter = asked(tmp_path), asked(tmp_path, of="jitter")
     assert (by_grid.series, by_grid.verdict.misses, by_grid.label) == ("lateness", 10, "cyclic_timer RR 100 Hz")
     assert (by_jitter.series, by_jitter.label) == ("jitter", "cyclic_timer jitter RR 100 Hz")
@@ -141,7 +126,7 @@ def test_ten_late_calls_in_a_row_are_ten_misses_of_the_grid(tmp_path):
 
 def test_the_jitter_of_a_log_is_not_pooled_with_the_lateness_of_samples(tmp_path):
     values = latencies(500, 1)
-    write_cyclic(tmp_path, "new", values)
+    cyclic_run(tmp_path, "new", values)
     write_log_alone(tmp_path, "2014", "cyclic_timer_tests", cyclic_rows(values, 100), CYCLIC, asked=500)
     groups = study(tmp_path).groups
     assert {(group.series, group.runs) for group in groups} == {("lateness", ("new",)), ("jitter", ("2014",))}
@@ -169,11 +154,11 @@ def test_no_answer_rests_on_a_grid_that_jumped_with_the_clock(tmp_path):
 
 
 def test_a_question_of_what_was_not_measured_is_refused(tmp_path):
-    write_oneshot(tmp_path / "both", "a", latencies(500, 1))
+    oneshot_run(tmp_path / "both", "a", latencies(500, 1), logs=True)
     with pytest.raises(UsageError, match=r"both: oneshot_timer_tests measures latency, not jitter$"):
         study(tmp_path / "both", Question(of="jitter"))
     assert asked(tmp_path / "both", of="lateness").verdict.question.of == "latency"
-    write_cyclic(tmp_path / "both", "b", latencies(500, 1))
+    cyclic_run(tmp_path / "both", "b", latencies(500, 1))
     analysed = study(tmp_path / "both", Question(of="jitter"))
     assert [group.series for group in analysed.groups] == ["jitter"]
     (text,) = analysed.left_out
@@ -192,9 +177,7 @@ def test_data_of_before_are_judged_by_a_grid_that_is_estimated_and_this_is_said(
 
 
 def test_five_subscribers_are_one_group_whose_messages_count_once(tmp_path):
-    outputs = [communication_rows(latencies(1000, k), 100) for k in range(5)]
-    parameters = {"policy": "RR", "frequency_hz": 100, "payload_bytes": 0, "subscribers": 5}
-    write_run(tmp_path, "a", "communication_tests", outputs, parameters, asked=1000, logs=False)
+    message_run(tmp_path, "a", [latencies(1000, k) for k in range(5)])
     group = only(tmp_path)
     assert len(group.digests) == 5 and len(group.blocks) == 1
     assert group.verdict is not None and group.verdict.n_effective == pytest.approx(999, rel=0.01)
@@ -208,9 +191,9 @@ def test_an_emulated_board_gets_no_verdict_and_no_worst_case(emulated):
 
 
 def test_what_cannot_be_analysed_is_told_and_the_rest_is(tmp_path):
-    write_oneshot(tmp_path, "good", latencies(500, 1))
-    write_oneshot(tmp_path, "failed", latencies(500, 2), status="failed", reason="the board rebooted")
-    cut = write_oneshot(tmp_path, "cut", latencies(500, 3))
+    oneshot_run(tmp_path, "good", latencies(500, 1), logs=True)
+    oneshot_run(tmp_path, "failed", latencies(500, 2), status="failed", reason="the board rebooted", logs=True)
+    cut = oneshot_run(tmp_path, "cut", latencies(500, 3), logs=True)
     data = next(cut.glob("*.npy"))
     data.write_bytes(data.read_bytes()[:-8])
     (tmp_path / "open").mkdir()
@@ -223,7 +206,7 @@ def test_what_cannot_be_analysed_is_told_and_the_rest_is(tmp_path):
 
 
 def test_logs_alone_are_read_as_histograms(tmp_path):
-    folder = write_oneshot(tmp_path, "a", latencies(3000, 1))
+    folder = oneshot_run(tmp_path, "a", latencies(3000, 1), logs=True)
     log = next(folder.glob("*.log"))
     alone = tmp_path / log.name
     shutil.copy(log, alone)
@@ -233,7 +216,7 @@ def test_logs_alone_are_read_as_histograms(tmp_path):
 
 
 def test_a_lone_npy_is_read_with_its_json(tmp_path):
-    folder = write_oneshot(tmp_path, "a", latencies(3000, 1))
+    folder = oneshot_run(tmp_path, "a", latencies(3000, 1), logs=True)
     assert only(next(folder.glob("*.npy"))).n == 3000
     assert only(folder).n == 3000
 
@@ -241,13 +224,13 @@ def test_a_lone_npy_is_read_with_its_json(tmp_path):
 @pytest.mark.parametrize("values", [np.full(500, 70_000), np.array([5_000]), -latencies(400, 1), np.full(300, 10**13)])
 def test_odd_series_are_reported_like_others(tmp_path, values):
     """All equal, one sample, negative only, values of hours."""
-    write_oneshot(tmp_path, "a", values.astype(np.int64), logs=False)
+    oneshot_run(tmp_path, "a", values.astype(np.int64))
     group = only(tmp_path)
     assert group.n == values.size and all(bound.refused for bound in group.bounds)
 
 
 def test_all_missing_is_a_miss_each_time(tmp_path):
-    write_oneshot(tmp_path, "a", np.full(100, -(2**63)), logs=False)
+    oneshot_run(tmp_path, "a", np.full(100, -(2**63)))
     group = only(tmp_path)
     assert group.n == 0 and group.verdict is not None and group.verdict.absent == 100
     assert verdict_line(group).answer == Answer.REFUTED
@@ -263,8 +246,8 @@ def test_nothing_to_examine_is_an_error(tmp_path):
 
 
 def test_a_record_with_names_that_leave_the_folder_is_refused(tmp_path):
-    folder = write_oneshot(tmp_path, "a", latencies(100, 1))
-    write_oneshot(tmp_path, "b", latencies(100, 1))
+    folder = oneshot_run(tmp_path, "a", latencies(100, 1), logs=True)
+    oneshot_run(tmp_path, "b", latencies(100, 1), logs=True)
     record = json.loads((folder / "run.json").read_text())
     (folder / "run.json").write_text(json.dumps(record | {"outputs": ["../b/x"]}))
     analysed = study(tmp_path)

@@ -140,6 +140,55 @@ def write_log_alone(root: Path, name: str, suite: str, rows: Int64s, parameters:
     return folder
 
 
+def oneshot_run(
+    root: Path,
+    name: str,
+    values: Int64s,
+    *,
+    policy: str = "RR",
+    timeout_us: int = 1000,
+    off_ns: int = 8000,
+    armed_after_ns: int = 0,
+    logs: bool = False,
+    **record: Any,
+) -> Path:
+    """Write a run of a one-shot timer with these latencies; `parameters` of `record` are on top of the usual ones."""
+    parameters = {"policy": policy, "timeout_us": timeout_us, "busy_mode": 0, **record.pop("parameters", {})}
+    rows = [oneshot_rows(values, timeout_us, off_ns, armed_after_ns)]
+    return write_run(root, name, "oneshot_timer_tests", rows, parameters, asked=values.size, logs=logs, **record)
+
+
+def cyclic_run(
+    root: Path, name: str, lateness: Int64s, *, policy: str = "RR", hz: int = 100, logs: bool = False, **record: Any
+) -> Path:
+    """Write a run of a cyclic timer with these latenesses; `parameters` as above."""
+    parameters = {"policy": policy, "frequency_hz": hz, **record.pop("parameters", {})}
+    rows = [cyclic_rows(lateness, hz)]
+    return write_run(root, name, "cyclic_timer_tests", rows, parameters, asked=lateness.size, logs=logs, **record)
+
+
+def message_run(
+    root: Path,
+    name: str,
+    outputs: list[Int64s],
+    *,
+    policy: str = "RR",
+    hz: int = 100,
+    lost: tuple[int, ...] = (),
+    logs: bool = False,
+    **record: Any,
+) -> Path:
+    """Write a run of messages, with the latencies of each subscriber."""
+    parameters = {"policy": policy, "frequency_hz": hz, "payload_bytes": 0, "subscribers": len(outputs)}
+    rows, asked = [communication_rows(values, hz, lost) for values in outputs], outputs[0].size
+    return write_run(root, name, "communication_tests", rows, parameters, asked=asked, logs=logs, **record)
+
+
+def at_minute(minute: int) -> dict[str, str]:
+    """The times of a run that began in this minute, for `record`."""
+    return {f"{what}_time": f"2026-01-01T00:{minute:02}:{s:02}+00:00" for what, s in (("start", 0), ("end", 30))}
+
+
 def _begun_at(rows: Int64s, suite: str, run: str) -> Int64s:
     """The rows with the times of a run of its own: two runs never measure at the same ones."""
     of_times = {"oneshot_timer_tests": [0, 1, 4], "cyclic_timer_tests": [0]}.get(suite, [0, 1])[: rows.shape[1]]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from report.campaigns import latencies, oneshot_rows, write_run
+from report.campaigns import latencies, oneshot_run
 
 from rtrun.judgement.claims.examination import Finding
 from rtrun.judgement.claims.examiners import Examined, examine_claims
@@ -20,9 +20,9 @@ ARMED_AFTER_NS = 7000
 
 
 def write_oneshot(root: Path, mean_us: float = 98.0, reported_off_ns: int = 0) -> Path:
-    rows = oneshot_rows(latencies(20_000, 1, mean_us, 8.0), 1000, reported_off_ns, ARMED_AFTER_NS)
-    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
-    return write_run(root, "001-oneshot", "oneshot_timer_tests", [rows], parameters, asked=20_000)
+    values = latencies(20_000, 1, mean_us, 8.0)
+    how = {"off_ns": reported_off_ns, "armed_after_ns": ARMED_AFTER_NS, "logs": True}
+    return oneshot_run(root, "001-oneshot", values, **how)
 
 
 def write_oneshot_of_2014(root: Path, mean_us: float) -> None:

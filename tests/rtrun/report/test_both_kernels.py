@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from report.campaigns import latencies, oneshot_rows, write_run
+from report.campaigns import latencies, oneshot_run
 
 from rtrun.judgement.claims.examination import Finding
 from rtrun.judgement.claims.examiners import examine_claims
@@ -24,19 +24,9 @@ def results(tmp_path_factory):
             values = latencies(200, 1)
             if run.kernel == "standard":
                 values[100] = 500_000
-            parameters = {"policy": run.parameters["policy"], "timeout_us": timeout_us, "busy_mode": 0}
-            write_run(
-                root,
-                run.name,
-                run.suite,
-                [oneshot_rows(values, timeout_us)],
-                parameters,
-                asked=200,
-                logs=False,
-                condition=run.condition,
-                kernel=run.kernel,
-                target={"name": "board", "kernel_release": f"6.1-{run.kernel}", "preempt_rt": run.kernel == "rt"},
-            )
+            target = {"name": "board", "kernel_release": f"6.1-{run.kernel}", "preempt_rt": run.kernel == "rt"}
+            record = {"condition": run.condition, "kernel": run.kernel, "target": target}
+            oneshot_run(root, run.name, values, policy=run.parameters["policy"], timeout_us=timeout_us, **record)
     return root
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from report.campaigns import latencies, oneshot_rows, write_run
+from report.campaigns import latencies, oneshot_run
 
 from rtrun.cli import main
 
@@ -109,15 +109,11 @@ def folder(campaign, tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     assert main(["report", str(campaign), "--output", str(folder / "report.html")]) == 0
     target = {"name": EVIL, "kernel_release": EVIL, "kernel_version": EVIL}
-    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
-    rows = [oneshot_rows(latencies(500, 1), 1000)]
     hostile = folder / "<b>results"
     for name in ("a<img src=y onerror=missing()>", "b"):
-        write_run(hostile, name, "oneshot_timer_tests", rows, {**parameters, "cpu": EVIL}, asked=500, logs=False,
-                  target=target)  # fmt: skip
+        oneshot_run(hostile, name, latencies(500, 1), parameters={"cpu": EVIL}, target=target)
     assert main(["report", str(hostile), "--deadline", "90us", "--output", str(folder / "hostile.html")]) == 0
-    write_run(folder / "one", "a", "oneshot_timer_tests", [oneshot_rows(latencies(1, 1), 1000)], parameters, asked=1,
-              logs=False)  # fmt: skip
+    oneshot_run(folder / "one", "a", latencies(1, 1))
     assert main(["report", str(folder / "one"), "--output", str(folder / "tiny.html")]) == 0
     (folder / "bad.html").write_text("<script>missing();</script>")
     (folder / "probe.html").write_text(PROBE)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from report.campaigns import latencies, oneshot_rows, write_run
+from report.campaigns import latencies, oneshot_run
 
 from rtrun.analysis.figures import figures_of_samples
 from rtrun.judgement.digest import pool_figures
@@ -19,14 +19,12 @@ from rtrun.results.importers.adopt import adopt
 from rtrun.targets.inspection.platform import Platform
 
 TOP = Path(__file__).parents[3]
-PARAMETERS = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
 LATENCIES_NS = (latencies(5000, 1), latencies(3000, 2, mean_us=120.0))
 
 
 def write(root: Path, **record) -> Path:
     for name, values in zip("ab", LATENCIES_NS, strict=True):
-        rows = [oneshot_rows(values, 1000)]
-        write_run(root, name, "oneshot_timer_tests", rows, PARAMETERS, asked=values.size, **record)
+        oneshot_run(root, name, values, logs=True, **record)
     return root
 
 
@@ -96,16 +94,14 @@ def test_worst_cases_take_one_line_unless_there_is_one(tmp_path):
 
 
 def test_an_emulated_board_says_nothing_about_a_deadline(tmp_path):
-    write_run(tmp_path, "a", "oneshot_timer_tests", [oneshot_rows(LATENCIES_NS[0], 1000)], PARAMETERS, asked=5000,
-              platform="emulated")  # fmt: skip
+    oneshot_run(tmp_path, "a", LATENCIES_NS[0], platform="emulated")
     written = contents_of(tmp_path)
     assert written.banner is not None and written.banner.startswith("EMULATED")
     assert written.answer == "No statement about the deadline of 400 us in any scenario: measured on an emulated board."
 
 
 def test_a_proof_from_a_virtual_machine_says_what_it_is_for(tmp_path):
-    write_run(tmp_path, "a", "oneshot_timer_tests", [oneshot_rows(LATENCIES_NS[0], 1000)], PARAMETERS, asked=5000,
-              platform="virtual")  # fmt: skip
+    oneshot_run(tmp_path, "a", LATENCIES_NS[0], platform="virtual")
     written = contents_of(tmp_path, probability=1e-2)
     assert written.banner == "VIRTUAL: verdicts are for this virtual machine on this host"
     assert ("platform", "virtual: stated by the test") in written.facts
@@ -134,11 +130,9 @@ def test_the_sections_that_hold_the_formulas_are_there(tmp_path):
 def test_no_text_holds_a_command_to_a_terminal(tmp_path):
     evil = "\x1b]0;x\x07\nFORGED line"
     target = {"name": evil, "kernel_release": evil, "kernel_version": evil}
-    rows = [oneshot_rows(LATENCIES_NS[0], 1000)]
     for name, parameters in (("a", {"cpu": evil}), ("b", {"condition": evil})):
-        write_run(tmp_path, name, "oneshot_timer_tests", rows, {**PARAMETERS, **parameters}, asked=5000, logs=False,
-                  target=target, run=evil)  # fmt: skip
-    write_run(tmp_path, "c", "oneshot_timer_tests", rows, PARAMETERS, asked=5000, status="failed", reason=evil)
+        oneshot_run(tmp_path, name, LATENCIES_NS[0], parameters=parameters, target=target, run=evil)
+    oneshot_run(tmp_path, "c", LATENCIES_NS[0], status="failed", reason=evil)
     written = contents_of(tmp_path)
     assert any("FORGED" in text for text in texts(written))
     assert [text for text in texts(written) if not text.isprintable()] == []

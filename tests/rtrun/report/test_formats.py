@@ -12,7 +12,7 @@ import xml.etree.ElementTree as ElementTree
 import pyarrow.parquet
 import pytest
 from plotly.offline import get_plotlyjs
-from report.campaigns import latencies, oneshot_rows, write_run
+from report.campaigns import latencies, oneshot_run
 
 from logs import LOGS_2014
 from rtrun.cli import main
@@ -77,11 +77,9 @@ def test_tables_agree_between_csv_and_parquet(capsysbinary, campaign):
 
 
 def test_a_cell_of_text_is_no_formula(capsysbinary, tmp_path):
-    rows = [oneshot_rows(latencies(300, 1) - 90_000, 1000)]
-    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
     formula = '=HYPERLINK("http://x")'
     for name, run in (("a", formula), ("b", "-1+1"), ("c", "plain")):
-        write_run(tmp_path, name, "oneshot_timer_tests", rows, parameters, asked=300, logs=False, run=run)
+        oneshot_run(tmp_path, name, latencies(300, 1) - 90_000, run=run)
     table = list(csv.DictReader(io.StringIO(write(capsysbinary, tmp_path, "csv").decode())))
     assert list(dict.fromkeys(row["run"] for row in table)) == [f"'{formula}", "'-1+1", "plain"]
     assert all(float(row["min_us"]) < 0 for row in table if row["series"] == "measured")
@@ -96,12 +94,9 @@ def test_junit_has_a_case_a_group(capsysbinary, campaign):
 
 def test_what_a_target_says_stays_text(capsysbinary, tmp_path):
     evil = "<script>alert(1)</script>\x1b]0;x\x07 \"'&|`*"
-    values = latencies(300, 1)
-    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0, "cpu": evil}
     target = {"name": evil, "kernel_version": evil, "clock": {"source": f"<b>{evil}", "event": None, "step_ns": None}}
-    rows = [oneshot_rows(values, 1000)]
-    write_run(tmp_path, "a", "oneshot_timer_tests", rows, parameters, asked=300, target=target, logs=False)
-    write_run(tmp_path, "b", "oneshot_timer_tests", rows, parameters, asked=300, status="failed", reason=evil)
+    oneshot_run(tmp_path, "a", latencies(300, 1), parameters={"cpu": evil}, target=target)
+    oneshot_run(tmp_path, "b", latencies(300, 1), parameters={"cpu": evil}, status="failed", reason=evil)
     page = write(capsysbinary, tmp_path, "html").decode()
     page = page.replace(get_plotlyjs(), "")
     assert "<script>alert" not in page and "<b>&lt;" not in page and "<b><" not in page and "&lt;script&gt;" in page
@@ -116,14 +111,11 @@ def test_what_a_target_says_stays_text(capsysbinary, tmp_path):
 @pytest.mark.parametrize("form", ["html", "markdown", "json", "junit", "lava", "csv", "parquet"])
 def test_no_format_holds_commands_to_a_terminal_or_half_characters(capsysbinary, tmp_path, form):
     evil = "\x1b]0;x\x07\nFORGED line"
-    parameters = {"policy": evil, "timeout_us": 1000, "busy_mode": 0}
-    rows = [oneshot_rows(latencies(300, 1), 1000)]
     target = {"name": evil, "kernel_version": evil}
     folder = tmp_path / os.fsdecode(b"results-\xff")
-    write_run(folder, "a", "oneshot_timer_tests", rows, {**parameters, "policy": "RR", "cpu": evil}, asked=300,
-              target=target, logs=False, run=evil, campaign="x")  # fmt: skip
-    write_run(folder, "b", "oneshot_timer_tests", rows, {**parameters, "policy": "RR"}, asked=300, status="failed",
-              reason=evil, campaign="x")  # fmt: skip
+    forged = {"parameters": {"cpu": evil}, "target": target, "run": evil}
+    oneshot_run(folder, "a", latencies(300, 1), campaign="x", **forged)
+    oneshot_run(folder, "b", latencies(300, 1), campaign="x", status="failed", reason=evil)
     content = write(capsysbinary, folder, form)
     if form not in ("html", "parquet"):
         assert b"\nFORGED" not in content and b"\x1b" not in content and b"\x07" not in content
@@ -133,10 +125,7 @@ def test_no_format_holds_commands_to_a_terminal_or_half_characters(capsysbinary,
 
 
 def test_a_reason_from_a_target_makes_no_line_of_its_own(capsysbinary, tmp_path):
-    rows = [oneshot_rows(latencies(300, 1), 1000)]
-    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
-    folder = write_run(tmp_path, "a", "oneshot_timer_tests", rows, parameters, asked=300, logs=False)
-    write_run(tmp_path, "b", "oneshot_timer_tests", rows, parameters, asked=300, logs=False)
+    folder, _ = (oneshot_run(tmp_path, name, latencies(300, 1)) for name in "ab")
     path = next(folder.glob("one*.json"))
     header = {"complete": False, "incomplete_reason": "left\nPROVEN  everything\x1b[2J"}
     path.write_text(json.dumps(json.loads(path.read_text()) | header))
@@ -152,9 +141,7 @@ def test_a_reason_from_a_target_makes_no_line_of_its_own(capsysbinary, tmp_path)
 
 
 def test_a_report_is_written_beside_the_results(capsys, tmp_path):
-    rows = [oneshot_rows(latencies(300, 1), 1000)]
-    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
-    folder = write_run(tmp_path, "a", "oneshot_timer_tests", rows, parameters, asked=300)
+    folder = oneshot_run(tmp_path, "a", latencies(300, 1), logs=True)
     assert main(["report", str(tmp_path)]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert (

@@ -1,7 +1,7 @@
 """What tracing costs: traced runs held against their untraced twins, in `rtrun why`, in the report and by `compare`."""
 
 import pytest
-from report.campaigns import cyclic_rows, latencies, write_run
+from report.campaigns import at_minute, cyclic_run, latencies
 
 from rtrun.cli import main
 
@@ -10,14 +10,10 @@ def write_pairs(root, *, cost_us, pairs=5, twins=True):
     """Pairs of an untraced run and a traced one whose jitter is wider; each traced one has a limit of its own."""
     for number in range(pairs):
         for place, trace in enumerate(("off", "p99.9") if twins else ("p99.9",)):
-            rows = cyclic_rows(latencies(4000, 2 * number + place, spread_us=8 + place * cost_us), 100)
+            lateness = latencies(4000, 2 * number + place, spread_us=8 + place * cost_us)
             minute = 2 * number + place
-            write_run(
-                root, f"{minute:03}-{trace}", "cyclic_timer_tests", [rows],
-                {"frequency_hz": 100, "trace_threshold_us": 40 + number if place or not twins else None},
-                asked=4000, trace=trace,
-                start_time=f"2026-01-01T00:{minute:02}:00+00:00", end_time=f"2026-01-01T00:{minute:02}:30+00:00",
-            )  # fmt: skip
+            limit = {"trace_threshold_us": 40 + number if place or not twins else None}
+            cyclic_run(root, f"{minute:03}-{trace}", lateness, parameters=limit, trace=trace, **at_minute(minute))
     return root
 
 

@@ -1,7 +1,7 @@
 """The goal of a folder of runs: what it may become after answers were seen."""
 
 import pytest
-from report.campaigns import latencies, oneshot_rows, write_run
+from report.campaigns import latencies, oneshot_run
 
 from rtfiles.errors import UsageError
 from rtrun.cli import main
@@ -14,8 +14,7 @@ def goal(**keys):
 
 
 def measure(results):
-    rows = oneshot_rows(latencies(500, 1), 1000)
-    write_run(results, "001", "oneshot_timer_tests", [rows], {"timeout_us": 1000}, asked=500, logs=False)
+    oneshot_run(results, "001", latencies(500, 1))
 
 
 def test_a_deadline_that_is_chosen_after_looking_is_refused(tmp_path, capsys):

@@ -3,7 +3,7 @@
 import subprocess
 
 import pytest
-from report.campaigns import cyclic_rows, latencies, oneshot_rows, write_log, write_run
+from report.campaigns import cyclic_run, latencies, oneshot_run, write_log
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.report.plots import pictures
@@ -58,8 +58,7 @@ def test_a_log_with_commands_is_not_drawn(log):
 def test_negative_values_are_drawn(tmp_path):
     lateness = latencies(2000, 1)
     lateness[::8] -= 900_000
-    rows = [cyclic_rows(lateness, 100)]
-    folder = write_run(tmp_path, "a", "cyclic_timer_tests", rows, {"policy": "RR", "frequency_hz": 100}, asked=2000)
+    folder = cyclic_run(tmp_path, "a", lateness, logs=True)
     (log,) = folder.glob("*.log")
     assert pictures.draw_all([log]) == []
     assert "set xrange [-" in pictures.script(pictures.read_log(log), "x.jpg")
@@ -82,7 +81,5 @@ def test_without_gnuplot_the_remedy_is_told(log, monkeypatch):
 
 
 def test_a_report_of_samples_without_logs_draws_nothing(tmp_path):
-    rows = [oneshot_rows(latencies(100, 1), 1000)]
-    parameters = {"policy": "RR", "timeout_us": 1000, "busy_mode": 0}
-    folder = write_run(tmp_path, "a", "oneshot_timer_tests", rows, parameters, asked=100, logs=False)
+    folder = oneshot_run(tmp_path, "a", latencies(100, 1))
     assert pictures.draw_all(folder.glob("*.log")) == []
