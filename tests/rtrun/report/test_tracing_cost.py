@@ -13,7 +13,8 @@ def write_pairs(root, *, cost_us, pairs=5, twins=True):
             lateness = latencies(4000, 2 * number + place, spread_us=8 + place * cost_us)
             minute = 2 * number + place
             limit = {"trace_threshold_us": 40 + number if place or not twins else None}
-            cyclic_run(root, f"{minute:03}-{trace}", lateness, parameters=limit, trace=trace, **at_minute(minute))
+            record = {"parameters": limit, "trace": trace, **at_minute(minute)}
+            cyclic_run(root, f"{minute:03}-{trace}", lateness, policy="0", **record)
     return root
 
 
