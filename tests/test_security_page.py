@@ -30,6 +30,7 @@ NO_LIMITS = {
         "rtrun.archive.queries._GRID_MAX",
         "rtrun.causes.control.WINDOWS_MAX",
         "rtrun.report.causes.REMEDIES_MAX",
+        "rtrun.validity.requirements.NAMED_MAX",
         "rtrun.kinds.rate.OFF_MAX",
     },
     "pauses between two attempts, and parts of a time that stands on the page": {

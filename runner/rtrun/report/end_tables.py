@@ -13,6 +13,7 @@ from rtrun.judgement.study import Study, environment
 from rtrun.kinds.output import NON_MEASURING_THREADS
 from rtrun.plan.question import NONE_TOLERATED, Measure
 from rtrun.report import causes, layers
+from rtrun.report.ranking import ranking
 from rtrun.report.tables import Table, how, printable_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
 
@@ -27,6 +28,7 @@ def end_tables(study: Study) -> tuple[Table, ...]:
         causes.periods(study.source, _judged(study))[0],
         causes.surroundings(study.source, _judged(study))[0],
         _worst_cases(study),
+        ranking(study),
         layers.table(study),
         _published(study),
     ]

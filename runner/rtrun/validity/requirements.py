@@ -11,6 +11,8 @@ from rtrun.validity.observations import APART_S, Observation, ThreadState, busy_
 
 # A program may take this long to get its policy. What is observed earlier is recorded, but makes no run invalid.
 STARTING_S = 10.0
+# Threads that a message names.
+NAMED_MAX = 5
 # Parameters that the sampler sees, whatever a program says of itself.
 _OBSERVED = ("policy", "priority", "cpu")
 
@@ -50,8 +52,13 @@ def measuring_threads(
 
 
 def _threads_of(record: Record) -> list[ThreadState]:
+    return [state for _, state in _named_threads(record)]
+
+
+def _named_threads(record: Record) -> list[tuple[str, ThreadState]]:
+    """The threads that measured, by the names that the program or its middleware gave them."""
     return [
-        (thread.policy, thread.priority, frozenset(thread.cpus))
+        (thread.name, (thread.policy, thread.priority, frozenset(thread.cpus)))
         for thread in record.in_effect.threads
         if thread.name not in NON_MEASURING_THREADS
     ]
@@ -86,7 +93,9 @@ def _wrong_threads(
     fits = _requirement_of(run)
     for output, record in records.items():
         if not fits(_threads_of(record)):
-            return f"{output}: asked for {_asked_words(asked)}, in effect was {_words_of(_threads_of(record))}"
+            others = [name for name, state in _named_threads(record) if not fits([state])]
+            where = f" (not so: {', '.join(others[:NAMED_MAX])})" if others else ""
+            return f"{output}: asked for {_asked_words(asked)}, in effect was {_words_of(_threads_of(record))}{where}"
     for program, after_s, threads in _counted(run, observations, records):
         if not fits(threads):
             return (

@@ -178,8 +178,9 @@ def message_run(
     logs: bool = False,
     **record: Any,
 ) -> Path:
-    """Write a run of messages, with the latencies of each subscriber."""
+    """Write a run of messages, with the latencies of each subscriber; `parameters` as above."""
     parameters = {"policy": policy, "frequency_hz": hz, "payload_bytes": 0, "subscribers": len(outputs)}
+    parameters |= record.pop("parameters", {})
     rows, asked = [communication_rows(values, hz, lost) for values in outputs], outputs[0].size
     return write_run(root, name, "communication_tests", rows, parameters, asked=asked, logs=logs, **record)
 

@@ -87,6 +87,20 @@ def test_a_policy_that_never_was(tmp_path):
     )
 
 
+def test_the_thread_of_a_middleware_that_is_not_as_asked_for_is_named(tmp_path):
+    record = read_json(write_cyclic(tmp_path), Record)
+    threads = record.in_effect.threads
+    of_middleware = [
+        threads[0].model_copy(update={"name": name, "policy": "OTHER", "priority": 0})
+        for name in ("dds.ev.0", "recvUC")
+    ]
+    in_effect = record.in_effect.model_copy(update={"threads": [*threads, *of_middleware]})
+    says = find_violation(run_of(), [], [], {"x": record.model_copy(update={"in_effect": in_effect})})
+    assert says.endswith("OTHER 0 on CPUs 0,1 (not so: dds.ev.0, recvUC)")
+    measuring = run_of(rt_scope="measuring-thread")
+    assert find_violation(measuring, [], [], {"x": record.model_copy(update={"in_effect": in_effect})}) is None
+
+
 def test_what_was_seen_is_told_however_short_the_run():
     run = run_of(priority=80, repetitions=30)
     assert wrong(run, sample(100, thread(2, 95)), sample(102)) == (
