@@ -37,6 +37,8 @@ NO_LIMITS = {
         "rtrun.targets.labgrid.places.POLL_S",
         "rtrun.targets.link.RETRY_S",
         "rtrun.targets.processes.POLL_S",
+        "rtrun.targets.processes._LONG_PAUSES_S",
+        "rtrun.targets.processes._SHORT_PAUSES_S",
         "rtrun.targets.processes.SLICE_S",
         "rtrun.targets.processes.WAIT_S",
         "rtrun.targets.restart.POLL_S",
