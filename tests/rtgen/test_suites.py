@@ -9,6 +9,7 @@ import pytest
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import cli, debian, suites
 from rtgen.board import sysroot
+from rtgen.checkout import checkout
 
 ELF_MACHINE = 18  # offset of e_machine
 EM_ARM = 40
@@ -21,6 +22,7 @@ def test_support_comes_first() -> None:
         "oneshot_timer_tests",
         "cyclic_timer_tests",
         "communication_tests",
+        "transport_tests",
     ]
 
 
@@ -66,13 +68,18 @@ def test_build(tmp_path: Path, machine: str) -> None:
     described.pop("build.json")
     assert record["files"] == described
     programs = sorted(path for path in described if path.startswith("lib/"))
+    messages = ["communication_tests_publisher", "communication_tests_subscriber"]
+    transports = [name for name, needed in suites.transports().items() if machine == "host" or not needed]
     assert programs == [
-        "lib/communication_tests/communication_tests_publisher",
-        "lib/communication_tests/communication_tests_subscriber",
+        *(f"lib/communication_tests/{program}" for program in messages),
         "lib/cyclic_timer_tests/cyclic_timer_tests",
         "lib/oneshot_timer_tests/oneshot_timer_tests",
         "lib/rt_tests_sampler/rt_tests_sampler",
+        *(f"lib/transport_tests/{program}_{transport}" for program in messages for transport in transports),
     ]
+    timers = ["oneshot_timer_tests", "cyclic_timer_tests"]
+    assert record["middlewares"] == dict.fromkeys(transports, messages) | {"roscpp": [*timers, *messages]}
+    assert set(record["not_built"]) == set(suites.transports()) - set(transports)
     for program in programs:
         is_arm = int.from_bytes((link / program).read_bytes()[ELF_MACHINE : ELF_MACHINE + 2], "little") == EM_ARM
         assert is_arm == (machine != "host")
@@ -83,6 +90,29 @@ def test_build(tmp_path: Path, machine: str) -> None:
         "oneshot_timer_tests.launch",
     ]
     assert (link / "suites.yml").read_bytes() == (suites.sources() / "suites.yml").read_bytes()
+
+
+def test_a_transport_whose_packages_are_missing_is_not_built_and_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "recipes-tests"
+    shutil.copytree(suites.sources(), copy)
+    fragment = copy / "transport_tests/zeromq/transport.cmake"
+    fragment.write_text(
+        fragment.read_text().replace("zmq", "no_such_library").replace("libno_such_library3", "libzmq3")
+    )
+    monkeypatch.setattr(suites, "sources", lambda: copy)
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["suites", "build"]) == 0
+    assert "\nzeromq is not among them: it needs libzmq3-dev\n" in capsys.readouterr().err
+    record = json.loads(Path("build/suites/host/build.json").read_text())
+    assert set(record["middlewares"]) == {"roscpp", *suites.transports()} - {"zeromq"}
+    assert record["not_built"] == {"zeromq": ["libzmq3-dev"]}
+
+
+def test_this_machine_is_set_up_with_the_packages_of_all_transports() -> None:
+    listed = (checkout() / "tools/apt-packages-all.txt").read_text().split()
+    assert {package for packages in suites.transports().values() for package in packages} <= set(listed)
 
 
 def test_second_build_is_the_same_and_compiles_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,6 +26,8 @@ def test_catkin_make_builds_and_installs_all(tmp_path: Path, monkeypatch: pytest
     output_of(builder.SYSTEM_PYTHON, str(shutil.which("catkin_make")), "-C", str(tmp_path), "-j2", *options, *launcher)
     output_of("make", "-C", "build", "install")
     programs = {f"{package}/{program}" for program, package in PROGRAMS.items()}
+    for name in builder.transports():
+        programs |= {f"transport_tests/communication_tests_{role}_{name}" for role in ("publisher", "subscriber")}
     installed = {str(path.relative_to("ros/lib")) for path in Path("ros/lib").glob("*_tests*/*_test*")}
     assert installed == programs | {"rt_tests_sampler/rt_tests_sampler"}
     for program in programs:

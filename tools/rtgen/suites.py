@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import shutil
 import tempfile
 from dataclasses import dataclass
@@ -22,8 +23,12 @@ SCHEMA = 1
 TOOLCHAIN_FILE = Path(__file__).with_name("debian.cmake")
 FLAGS = "-O2"
 SUPPORT = "rt_tests_support"
-# What observes a target while it measures, in C; every other package is a suite.
+# What observes a target while it measures, in C.
 SAMPLER = "rt_tests_sampler"
+# communication_tests through transports without ROS, a folder each; every other package is a suite.
+TRANSPORTS = "transport_tests"
+# The middleware whose programs have the plain names of suites.yml.
+FIRST_MIDDLEWARE = "roscpp"
 # The name of this machine among those that suites are built for.
 HOST = "host"
 
@@ -57,7 +62,14 @@ def sources() -> Path:
 
 def packages() -> list[str]:
     """The packages in the order of their dependencies."""
-    return [SUPPORT, SAMPLER, *read_yaml(sources() / "suites.yml")["suites"]]
+    return [SUPPORT, SAMPLER, *read_yaml(sources() / "suites.yml")["suites"], TRANSPORTS]
+
+
+def transports() -> dict[str, list[str]]:
+    """The packages of Debian that each transport needs, by its name; one whose packages are missing is not built."""
+    fragments = sorted((sources() / TRANSPORTS).glob("*/transport.cmake"))
+    lines = {path.parent.name: re.search(r"^set\(packages(.*)\)$", path.read_text(), re.M) for path in fragments}
+    return {name: line[1].split() if line else [] for name, line in lines.items()}
 
 
 def names() -> list[str]:
@@ -78,9 +90,12 @@ def toolchain(machine: str, suite: str | None) -> Toolchain:
             raise UsageError(f"--suite {suite} is for boards: {HOST} has the libraries that are installed on it")
         try:
             listing = run(["dpkg-query", "--show", *HOST_PACKAGES])
+            wanted = {package for packages in transports().values() for package in packages}
+            installed = run(["dpkg-query", "--show"]).splitlines()
         except InfrastructureError as error:
             raise InfrastructureError(f"{error}\n`tools/setup all` installs what this machine lacks") from error
-        return Toolchain("g++", FLAGS, None, None, None, (version("g++"), listing))
+        of_transports = [line for line in installed if line.split()[0].partition(":")[0] in wanted]
+        return Toolchain("g++", FLAGS, None, None, None, (version("g++"), listing, *of_transports))
     source = board_packages.source(suite)
     name = machines()[machine].architecture
     architecture = architectures()[name]
@@ -111,6 +126,7 @@ def build(machine: str, place: Path, suite: str | None = None) -> Path:
                 build_package(folder / package, Path(temporary), stage, tools)
             collect(stage, result)
         shutil.copyfile(folder / "suites.yml", result / "suites.yml")
+        built = middlewares(result)
         record = {
             "schema": SCHEMA,
             "machine": machine,
@@ -118,6 +134,8 @@ def build(machine: str, place: Path, suite: str | None = None) -> Path:
             "compiler": version(tools.compiler),
             "flags": tools.flags,
             "source_hash": source_hash,
+            "middlewares": built,
+            "not_built": {name: needed for name, needed in transports().items() if name not in built},
             "files": describe(result),
         }
         atomic.write_text(result / "build.json", json.dumps(record, indent=2) + "\n")
@@ -173,14 +191,25 @@ def collect(stage: Path, result: Path) -> None:
     """Copy from the stage the programs, the launch files, and the files by which rosrun and roslaunch find them."""
     (result / ".catkin").touch()
     for package in packages():
-        if package == SUPPORT:
-            continue
+        if not (stage / "lib" / package).is_dir():
+            continue  # the library has no programs
         shutil.copytree(stage / "lib" / package, result / "lib" / package)
         data = result / "share" / package
         data.mkdir(parents=True)
-        if package != SAMPLER:
+        if (stage / "share" / package / "launch").is_dir():
             shutil.copytree(stage / "share" / package / "launch", data / "launch")
         shutil.copyfile(stage / "share" / package / "package.xml", data / "package.xml")
+
+
+def middlewares(folder: Path) -> dict[str, list[str]]:
+    """The programs of suites.yml that a folder has for each middleware, of which all but roscpp's carry its name."""
+    names = sorted(path.name for path in folder.glob("lib/*/*"))
+    found: dict[str, list[str]] = {}
+    for suite in read_yaml(folder / "suites.yml")["suites"].values():
+        for program in suite["programs"]:
+            for name in [name for name in names if name == program or name.startswith(f"{program}_")]:
+                found.setdefault(name[len(program) + 1 :] or FIRST_MIDDLEWARE, []).append(program)
+    return dict(sorted(found.items()))
 
 
 def describe(folder: Path) -> dict[str, dict[str, int | str]]:

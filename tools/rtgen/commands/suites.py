@@ -20,11 +20,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the suites and print their folder."""
-    from rtfiles.output import noting_duration, print_line
+    """Build the suites, say what of them could not be built, and print their folder."""
+    import json
+
+    from rtfiles.output import noting_duration, print_line, print_note
     from rtgen.suites import build
 
     with noting_duration(f"building the suites for {args.machine}"):
         folder = build(args.machine, PLACE, args.suite)
+    for name, needed in json.loads((folder / "build.json").read_text())["not_built"].items():
+        print_note(f"{name} is not among them: it needs {' and '.join(needed)}")
     print_line(str(folder))
     return 0

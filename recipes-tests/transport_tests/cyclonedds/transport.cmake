@@ -1,0 +1,13 @@
+set(packages cyclonedds-dev cyclonedds-tools)
+find_package(CycloneDDS QUIET)
+find_program(idlc idlc)
+if(NOT CycloneDDS_FOUND OR NOT idlc)
+  set(missing TRUE)
+  return()
+endif()
+set(generated ${CMAKE_CURRENT_BINARY_DIR}/message.c ${CMAKE_CURRENT_BINARY_DIR}/message.h)
+add_custom_command(OUTPUT ${generated} COMMAND ${idlc} -o ${CMAKE_CURRENT_BINARY_DIR} ${folder}/message.idl
+                   DEPENDS ${folder}/message.idl)
+add_library(cyclonedds_message STATIC ${generated})
+target_link_libraries(cyclonedds_message CycloneDDS::ddsc)
+set(libraries cyclonedds_message)

@@ -1,0 +1,7 @@
+set(packages libfastrtps-dev)
+find_package(fastrtps QUIET)
+if(NOT fastrtps_FOUND)
+  set(missing TRUE)
+  return()
+endif()
+set(libraries fastrtps)

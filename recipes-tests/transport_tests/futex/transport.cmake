@@ -1,0 +1,2 @@
+set(packages)
+set(libraries rt)  # shm_open, before glibc 2.34

@@ -1,0 +1,8 @@
+set(packages libzmq3-dev)
+find_path(zeromq_headers zmq.h)
+find_library(zeromq_library zmq)
+if(NOT zeromq_headers OR NOT zeromq_library)
+  set(missing TRUE)
+  return()
+endif()
+set(libraries ${zeromq_library})
