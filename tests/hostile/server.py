@@ -1,6 +1,7 @@
 """A hostile SSH server on loopback. It speaks SSH as any server does, and then does one thing that none should do."""
 
 import contextlib
+import functools
 import json
 import socket
 import subprocess
@@ -63,13 +64,19 @@ def quietly(stream: Callable[[paramiko.Channel], None], channel: paramiko.Channe
         stream(channel)
 
 
+@functools.cache
+def host_key() -> paramiko.RSAKey:
+    """Made once: that takes as long as what is done with it."""
+    return paramiko.RSAKey.generate(2048)
+
+
 @contextlib.contextmanager
 def serving(
     behaviour: Callable[[paramiko.Channel, bytes], None] = honest,
     stream: Callable[[paramiko.Channel], None] | None = None,
 ) -> Iterator[tuple[int, str]]:
     """Serve on loopback; yield port and host key. `stream` serves every forwarded port."""
-    key = paramiko.RSAKey.generate(2048)
+    key = host_key()
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def accept() -> None:

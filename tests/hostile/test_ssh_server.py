@@ -37,9 +37,9 @@ ASK = (
 )
 
 
-@pytest.fixture
-def key(tmp_path):
-    path = tmp_path / "key"
+@pytest.fixture(scope="session")
+def key(tmp_path_factory):
+    path = tmp_path_factory.mktemp("key") / "key"
     paramiko.RSAKey.generate(2048).write_private_key_file(str(path))
     return path
 
