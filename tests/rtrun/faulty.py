@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from logs import LOGS_2014
+from rtrun.execution import campaign_runner
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.run import UNTRACED, Run
 from rtrun.targets.address import Address
 from rtrun.targets.config import Target
+from watching import Watching
 
 PROGRAM = """#!{python}
 import json, os, subprocess, sys, time
@@ -202,6 +204,11 @@ def runs_of(count: int, **parameters: Any) -> list[Run]:
     entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": [100 + n for n in range(count)]}
     runs = plan(Campaign(schema=1, name="test", runs=[entry | parameters]), "test")
     return [run for run in runs if run.trace != UNTRACED]
+
+
+def measure(target: Target, runs: list[Run], results: Path, watching: Watching | None = None) -> list[str]:
+    """Measure a campaign called test; the statuses of its runs."""
+    return list(campaign_runner.run_campaign(target, "test", runs, results, watching or Watching()).values())
 
 
 def record(results: Path, run: Run) -> dict[str, Any]:

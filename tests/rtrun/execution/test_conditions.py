@@ -1,7 +1,6 @@
 """Conditions on a target behind a real sshd, with real loads; the suite is one that goes wrong on request."""
 
 import gzip
-import json
 import os
 import re
 import signal
@@ -10,8 +9,9 @@ import time
 from pathlib import Path
 
 import pytest
+from faulty import measure, record
 
-from rtrun.execution import campaign_runner, preparation
+from rtrun.execution import preparation
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.reading import read_run
 from rtrun.targets.errors import TargetError
@@ -25,12 +25,12 @@ def target(ready_target):
     return ready_target
 
 
-def measure(target, tmp_path, **values):
+def measure_one(target, tmp_path, **values):
     """Run a campaign of one run and return its run.json."""
     entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": 10} | values
     (run,) = runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
-    campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching())
-    return json.loads((tmp_path / "results" / run.name / "run.json").read_text())
+    measure(target, runs, tmp_path / "results")
+    return record(tmp_path / "results", run)
 
 
 def session_of(target, name):
@@ -64,15 +64,15 @@ def when(condition, then):
 
 def test_a_load_runs_with_the_suite_and_ends_with_it(target, tmp_path, wishes):
     wishes.will("sleep 8")
-    record = measure(target, tmp_path, condition="cpu80")
-    assert (record["status"], record["reason"]) == ("ok", None)
-    assert record["condition"] == "cpu80"
-    assert record["requested"]["loads"] == {"stress": 1 + len(os.sched_getaffinity(0))}
-    assert record["in_effect"]["loads"]["stress"] >= record["requested"]["loads"]["stress"]
-    assert record["in_effect"]["policy"] == ["OTHER"] and record["in_effect"]["observations"] >= 2
-    assert record["in_effect"]["busy_percent"] > 60
-    assert {"name": "migration/0", "policy": "FIFO", "priority": 99} in record["in_effect"]["rivals"]
-    assert {"stress.stdout", "sampler.stdout"} <= set(record["files"])
+    found = measure_one(target, tmp_path, condition="cpu80")
+    assert (found["status"], found["reason"]) == ("ok", None)
+    assert found["condition"] == "cpu80"
+    assert found["requested"]["loads"] == {"stress": 1 + len(os.sched_getaffinity(0))}
+    assert found["in_effect"]["loads"]["stress"] >= found["requested"]["loads"]["stress"]
+    assert found["in_effect"]["policy"] == ["OTHER"] and found["in_effect"]["observations"] >= 2
+    assert found["in_effect"]["busy_percent"] > 60
+    assert {"name": "migration/0", "policy": "FIFO", "priority": 99} in found["in_effect"]["rivals"]
+    assert {"stress.stdout", "sampler.stdout"} <= set(found["files"])
     assert not list(Path(target.work_dir, "runs").rglob("*.pid")), "nothing stays"
     assert not [stat for stat in Path("/proc").glob("[0-9]*/environ") if runs_in(stat, target)]
 
@@ -115,10 +115,10 @@ def test_what_dies_in_the_middle_makes_its_run_invalid(target, tmp_path, wishes)
     runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
     wishes.will("sleep 3", "sleep 6", "sleep 3")
     watching = Watching(lambda number: when(beside_the_suite(target, dying[number][0]), dying[number][1]))
-    statuses = campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)
-    assert list(statuses.values()) == ["invalid"] * 3
+    statuses = measure(target, runs, tmp_path / "results", watching)
+    assert statuses == ["invalid"] * 3
     for run, (_, _, reason) in zip(runs, dying, strict=True):
-        assert reason in json.loads((tmp_path / "results" / run.name / "run.json").read_text())["reason"]
+        assert reason in record(tmp_path / "results", run)["reason"]
 
 
 # Prints what it would see in two days, but at once.
@@ -147,55 +147,55 @@ def test_what_is_observed_may_be_as_large_as_the_run_is_long(
     sampler.write_text(OBSERVES_MUCH.format(done=str(tmp_path / "done")))
     sampler.chmod(0o755)
     wishes.will(f"await {tmp_path / 'done'}")
-    record = measure(target, tmp_path, repetitions=repetitions, frequency_hz=frequency_hz, condition="memory")
-    size = record["files"]["sampler.stdout"]["size_bytes"]
+    found = measure_one(target, tmp_path, repetitions=repetitions, frequency_hz=frequency_hz, condition="memory")
+    size = found["files"]["sampler.stdout"]["size_bytes"]
     assert size > 16 * 1024 * 1024
-    assert record["status"] == status and record["in_effect"]["observations"] >= looks
+    assert found["status"] == status and found["in_effect"]["observations"] >= looks
     if status == "ok":
-        assert (record["reason"], record["refused"]) == (None, {})
+        assert (found["reason"], found["refused"]) == (None, {})
     else:
-        (said,) = record["refused"].values()
+        (said,) = found["refused"].values()
         assert said.endswith(f"at most {size} were expected: the rest was not taken")
-        assert record["reason"] == f"nobody saw what was in effect to the end: {said}"
+        assert found["reason"] == f"nobody saw what was in effect to the end: {said}"
 
 
 def test_a_run_without_sampler(target, tmp_path, wishes):
     wishes.will("sleep 2")
-    record = measure(target, tmp_path, sampler="none")
-    assert (record["status"], record["reason"], record["settings"]["sampler"]) == ("ok", None, "none")
-    assert record["run"].endswith("-samplernone"), "told from one with it"
-    assert "sampler.stdout" not in record["files"] and record["in_effect"]["observations"] == 0
+    found = measure_one(target, tmp_path, sampler="none")
+    assert (found["status"], found["reason"], found["settings"]["sampler"]) == ("ok", None, "none")
+    assert found["run"].endswith("-samplernone"), "told from one with it"
+    assert "sampler.stdout" not in found["files"] and found["in_effect"]["observations"] == 0
 
 
 def test_what_the_target_lacks_is_said_before_anything_is_measured(target, tmp_path, wishes, monkeypatch):
     monkeypatch.setattr(preparation.conditions, "needs", lambda *_: {"no-such-tool", "governor=warp", "sh"})
     with pytest.raises(TargetError, match="the target lacks the cpufreq governor warp, no-such-tool, which this"):
-        measure(target, tmp_path, condition="cpu80")
+        measure_one(target, tmp_path, condition="cpu80")
     assert wishes.calls() == []
 
 
 def test_a_load_that_does_not_start_is_an_error_of_the_target(target, tmp_path, wishes):
     with pytest.raises(TargetError, match=r"condition cpu80: stress does not run: .*taskset"):
-        measure(target, tmp_path, condition="cpu80", load_cpu="900")
+        measure_one(target, tmp_path, condition="cpu80", load_cpu="900")
     assert wishes.calls() == []
 
 
 def test_a_policy_that_is_not_in_effect_makes_the_run_invalid(target, tmp_path, wishes):
     wishes.will("no policy")
-    record = measure(target, tmp_path, policy="RR")
-    assert record["status"] == "invalid"
-    assert "asked for RR 95, in effect was OTHER 0" in record["reason"]
-    assert (record["requested"]["policy"], record["in_effect"]["policy"]) == ("RR", ["OTHER"])
+    found = measure_one(target, tmp_path, policy="RR")
+    assert found["status"] == "invalid"
+    assert "asked for RR 95, in effect was OTHER 0" in found["reason"]
+    assert (found["requested"]["policy"], found["in_effect"]["policy"]) == ("RR", ["OTHER"])
 
 
 def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
     entry = {"suite": "cyclictest", "policy": "RR", "priority": 80, "repetitions": 4000, "threads": 2}
     (run,) = runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
-    campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching())
-    record = json.loads((tmp_path / "results" / run.name / "run.json").read_text())
-    assert (record["status"], record["reason"]) == ("ok", None)
-    assert "--interval=1000" in record["programs"][0]["argv"] and "--policy=rr" in record["programs"][0]["argv"]
-    assert "RR" in record["in_effect"]["policy"] and 80 in record["in_effect"]["priority"]
+    measure(target, runs, tmp_path / "results")
+    found = record(tmp_path / "results", run)
+    assert (found["status"], found["reason"]) == ("ok", None)
+    assert "--interval=1000" in found["programs"][0]["argv"] and "--policy=rr" in found["programs"][0]["argv"]
+    assert "RR" in found["in_effect"]["policy"] and 80 in found["in_effect"]["priority"]
     printed = (tmp_path / "results" / run.name / "cyclictest.stdout").read_text()
     # cyclictest counts a value above its histogram apart: how many there are is up to how busy the machine is.
     counted = [re.search(rf"# {what}: (.*)", printed)[1].split() for what in ("Total", "Histogram Overflows")]
@@ -210,7 +210,7 @@ def test_hwlatdetect_where_the_kernel_has_no_such_tracer(target, tmp_path, monke
     (run,) = runs = plan(Campaign(schema=1, name="test", runs=[{"suite": "hwlatdetect", "duration_s": 3}]), "test")
     assert run.expected_s == 3
     with pytest.raises(TargetError, match="the target lacks CONFIG_HWLAT_TRACER in its kernel"):
-        campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching())
+        measure(target, runs, tmp_path / "results")
 
 
 def test_every_other_load_keeps_its_workers_and_the_cpus_that_it_was_given(target, tmp_path, wishes):
@@ -218,11 +218,11 @@ def test_every_other_load_keeps_its_workers_and_the_cpus_that_it_was_given(targe
     entry = {"suite": "cyclic_timer_tests", "repetitions": 10, "frequency_hz": 10}
     loads = [{"condition": ["memory", "io", "network", "irq"]}, {"condition": "hackbench", "load_cpu": "1"}]
     runs = plan(Campaign(schema=1, name="test", runs=[entry | load for load in loads]), "test")
-    campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", Watching())
-    records = [json.loads((tmp_path / "results" / run.name / "run.json").read_text()) for run in runs]
-    assert [(record["status"], record["reason"]) for record in records] == [("ok", None)] * 5
-    for record in records[:-1]:
-        assert record["in_effect"]["loads"]["stress"] >= record["requested"]["loads"]["stress"] > 1
+    measure(target, runs, tmp_path / "results")
+    records = [record(tmp_path / "results", run) for run in runs]
+    assert [(found["status"], found["reason"]) for found in records] == [("ok", None)] * 5
+    for found in records[:-1]:
+        assert found["in_effect"]["loads"]["stress"] >= found["requested"]["loads"]["stress"] > 1
     hackbench = records[-1]
     assert hackbench["requested"]["load_cpus"] == hackbench["in_effect"]["load_cpus"] == [1]
     assert hackbench["in_effect"]["loads"]["hackbench"] >= 41

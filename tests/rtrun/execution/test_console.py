@@ -3,13 +3,12 @@
 from dataclasses import replace
 
 import pytest
-from faulty import runs_of
+from faulty import measure, runs_of
 
 from ports import free_port
-from rtrun.execution import campaign_runner, run_execution
+from rtrun.execution import run_execution
 from rtrun.targets.errors import ConnectionLost
 from rtrun.targets.link import CONSOLE_END_BYTES, Link
-from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
 
@@ -32,5 +31,5 @@ def test_a_run_keeps_the_end_of_the_console(ready_target, tmp_path, wishes, cons
     monkeypatch.setattr(run_execution, "CONSOLE_LIMIT_BYTES", 5000)
     (run,) = runs_of(1)
     target = replace(ready_target, console=console)
-    assert campaign_runner.run_campaign(target, "test", [run], tmp_path / "results", Watching()) == {run.name: "ok"}
+    assert measure(target, [run], tmp_path / "results") == ["ok"]
     assert (tmp_path / "results" / run.name / "console.log").read_bytes() == b"y" * 5000

@@ -8,6 +8,7 @@ import signal
 import time
 from pathlib import Path
 
+import faulty
 import pytest
 from faulty import record, runs_of
 
@@ -45,12 +46,7 @@ def target(ready_target):
 
 @pytest.fixture
 def measure(tmp_path):
-    def measure(target, runs, watching=None):
-        return list(
-            campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching or Watching()).values()
-        )
-
-    return measure
+    return lambda target, runs, watching=None: faulty.measure(target, runs, tmp_path / "results", watching)
 
 
 @pytest.fixture
@@ -234,9 +230,8 @@ def test_a_run_of_another_campaign_is_not_disturbed(target, tmp_path, wishes, in
     (pid,) = Path(target.work_dir).rglob("cyclic_timer_tests.pid")
     for file in pid.parent.glob("*.pid"):
         os.killpg(int(file.read_text()), signal.SIGKILL)
-    assert list(campaign_runner.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching()).values()) == [
-        "ok"
-    ]
+    other = campaign_runner.run_campaign(target, "other", runs_of(1), tmp_path / "other", Watching())
+    assert list(other.values()) == ["ok"]
 
 
 @pytest.mark.parametrize("who", ["killed", "interrupted"])

@@ -5,11 +5,11 @@ import subprocess
 from dataclasses import replace
 
 import pytest
-from faulty import record
+from faulty import measure, record
 
 from conftest import BOOT_ID, seeing, serve
 from rtfiles.errors import UsageError
-from rtrun.execution import campaign_runner, preparation, run_execution
+from rtrun.execution import preparation, run_execution
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.targets.address import ThisMachine
 from rtrun.targets.errors import TargetError
@@ -65,10 +65,6 @@ def runs_of(repeats=1, kernels=("standard", "rt")):
     return plan(Campaign.model_validate({"schema": 1, "name": "test", "kernels": [*kernels], "runs": [entry]}), "test")
 
 
-def measure(target, runs, results, watching=None):
-    return campaign_runner.run_campaign(target, "test", runs, results, watching or Watching())
-
-
 def measured_on(results, runs):
     """Of each run the kernel that it was planned for, that it ran on, and its boot."""
     records = [record(results, run) for run in runs]
@@ -81,7 +77,7 @@ def measured_on(results, runs):
 def test_each_block_is_measured_on_its_kernel_and_on_a_boot_of_its_own(target, board, tmp_path, wishes):
     runs = runs_of(repeats=2)
     watching = Watching()
-    assert set(measure(target, runs, tmp_path / "results", watching).values()) == {"ok"}
+    assert set(measure(target, runs, tmp_path / "results", watching)) == {"ok"}
     assert measured_on(tmp_path / "results", runs) == [
         *[("standard", "standard", 1), ("rt", "rt", 2), ("rt", "rt", 3), ("standard", "standard", 4)],
     ]
@@ -97,13 +93,13 @@ def test_it_is_prepared_once_a_boot_that_is_measured_on(target, board, tmp_path,
     prepared, prepare = [], preparation.prepared
     monkeypatch.setattr(preparation, "prepared", lambda *words: prepared.append(len(board.boots)) or prepare(*words))
     runs = runs_of()
-    assert set(measure(target, runs, tmp_path / "results").values()) == {"ok"}
+    assert set(measure(target, runs, tmp_path / "results")) == {"ok"}
     assert prepared == [boot for _, _, boot in measured_on(tmp_path / "results", runs)]
 
 
 def test_a_target_that_runs_the_kernel_is_not_restarted(target, board, tmp_path, wishes):
     runs = runs_of(repeats=2, kernels=["standard"])
-    assert set(measure(replace(target, boot_kernel={}), runs, tmp_path / "results").values()) == {"ok"}
+    assert set(measure(replace(target, boot_kernel={}), runs, tmp_path / "results")) == {"ok"}
     assert board.boots == ["standard"]
 
 
@@ -118,7 +114,7 @@ def test_a_campaign_that_was_stopped_between_blocks_goes_on_with_the_next_kernel
         measure(target, runs, tmp_path / "results", Watching(stop))
     board.choose("standard")
     board.start()  # and meanwhile somebody restarted the board into the other kernel
-    assert set(measure(target, runs, tmp_path / "results").values()) == {"ok"}
+    assert set(measure(target, runs, tmp_path / "results")) == {"ok"}
     assert [kernels[:2] for kernels in measured_on(tmp_path / "results", runs)] == [
         *[("standard", "standard"), ("rt", "rt"), ("rt", "rt"), ("standard", "standard")],
     ]
@@ -145,7 +141,7 @@ def test_a_run_that_still_measures_is_picked_up_before_the_target_is_restarted(t
         with pytest.raises(Killed):
             measure(target, runs, tmp_path / "results")
     assert board.boots == ["standard", "rt"]
-    assert set(measure(target, runs, tmp_path / "results").values()) == {"ok"}
+    assert set(measure(target, runs, tmp_path / "results")) == {"ok"}
     assert board.boots == ["standard", "rt", "standard"]
     assert measured_on(tmp_path / "results", runs) == [("standard", "standard", 3), ("rt", "rt", 2)]
     assert len(wishes.calls()) == 3, "what measured was not begun anew"
@@ -196,7 +192,7 @@ def test_a_board_that_restarts_by_itself_into_its_other_kernel_is_restarted_into
     enter = Link.__enter__
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Link, "__enter__", lambda link: links.append(link) or enter(link))
-        assert set(measure(target, runs, tmp_path / "results", Watching(crash)).values()) == {"ok"}
+        assert set(measure(target, runs, tmp_path / "results", Watching(crash))) == {"ok"}
     assert [kernels[:2] for kernels in measured_on(tmp_path / "results", runs)] == [
         *[("standard", "standard"), ("rt", "rt")],
     ]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faulty import runs_of, write_files
+from faulty import measure, runs_of, write_files
 from proxy import proxy_to
 from written import write_npy
 
@@ -84,8 +84,8 @@ def test_a_cut_link_that_comes_back(proxied, tmp_path, wishes):
     proxy, target = proxied
     wishes.will("sleep 3")
     observer = break_and_mend(proxy.cut, proxy, 4.0)
-    statuses = campaign_runner.run_campaign(target, "test", runs_of(2), tmp_path / "results", observer)
-    assert list(statuses.values()) == ["ok", "ok"]
+    statuses = measure(target, runs_of(2), tmp_path / "results", observer)
+    assert statuses == ["ok", "ok"]
     assert len(wishes.calls()) == 2
     assert any("connecting again" in note for note in observer.notes)
 
@@ -95,8 +95,8 @@ def test_a_frozen_link_is_noticed_and_left(proxied, tmp_path, wishes, monkeypatc
     proxy, target = proxied
     wishes.will("sleep 4")
     observer = break_and_mend(proxy.freeze, proxy, 10.0)
-    statuses = campaign_runner.run_campaign(target, "test", runs_of(2), tmp_path / "results", observer)
-    assert list(statuses.values()) == ["ok", "ok"]
+    statuses = measure(target, runs_of(2), tmp_path / "results", observer)
+    assert statuses == ["ok", "ok"]
     assert len(wishes.calls()) == 2
 
 
@@ -108,12 +108,12 @@ def test_a_link_that_stays_cut_is_an_error_and_the_run_is_picked_up_later(proxie
     watching.at_start = lambda number: threading.Timer(1.0, proxy.cut).start() if number == 1 else None
     runs = runs_of(3)
     with pytest.raises(ConnectionLost, match="tried for 1 s"):
-        campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)
+        measure(target, runs, tmp_path / "results", watching)
     assert campaign_runner.count_finished(tmp_path / "results", runs) == 1
     proxy.mend()
     watching.at_start = lambda number: None
-    statuses = campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)
-    assert list(statuses.values()) == ["ok", "ok", "ok"]
+    statuses = measure(target, runs, tmp_path / "results", watching)
+    assert statuses == ["ok", "ok", "ok"]
     assert len(wishes.calls()) == 3, "the run went on without us and is not measured again"
 
 
@@ -122,10 +122,10 @@ def test_two_runners_do_not_mix(proxied, tmp_path, wishes):
 
     def act(number):
         with pytest.raises(UsageError, match="another rtrun is at work there"):
-            campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", Watching())
+            measure(target, runs_of(1), tmp_path / "results")
 
-    statuses = campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", Watching(act))
-    assert list(statuses.values()) == ["ok"]
+    statuses = measure(target, runs_of(1), tmp_path / "results", Watching(act))
+    assert statuses == ["ok"]
 
 
 def test_a_reboot_while_nobody_looked(ready_target, tmp_path, wishes):
@@ -136,7 +136,7 @@ def test_a_reboot_while_nobody_looked(ready_target, tmp_path, wishes):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        campaign_runner.run_campaign(target, "test", [run], results, Watching(stop))
+        measure(target, [run], results, Watching(stop))
     log = campaign_runner.journal.open_journal(results, "test", "", "")
     leftover = Path(target.work_dir) / "runs" / log.uid / run.name
     log.close()
@@ -144,7 +144,7 @@ def test_a_reboot_while_nobody_looked(ready_target, tmp_path, wishes):
     (leftover / "cyclic_timer_tests.boot_id").write_text("11111111-2222-3333-4444-555555555555\n")
     (leftover / "cyclic_timer_tests.stdout").write_text("\tINFO: as far as it came\n")
     write_npy(leftover / "cyclic_timer_tests_l10_fq100.npy.part", [(n,) for n in range(1, 7)], announced=11)
-    assert campaign_runner.run_campaign(target, "test", [run], results, Watching()) == {run.name: "ok"}
+    assert measure(target, [run], results) == ["ok"]
     kept = results / f"{run.name}.incomplete-1"
     assert np.load(kept / "cyclic_timer_tests_l10_fq100.npy").tolist() == [[n] for n in range(1, 7)]
     assert (kept / "cyclic_timer_tests.stdout").read_text() == "\tINFO: as far as it came\n"

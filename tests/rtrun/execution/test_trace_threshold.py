@@ -4,15 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from faulty import record, runs_of
+from faulty import measure, record, runs_of
 from report.campaigns import cyclic_rows, latencies, write_run
 
 from rtfiles.errors import UsageError
-from rtrun.execution import campaign_runner
 from rtrun.execution.trace_threshold import with_threshold_of_warm_up
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.reading import find_source
-from watching import Watching
 
 ENTRY = {"suite": "cyclic_timer_tests", "frequency_hz": 1000, "repetitions": 20_000}
 
@@ -67,8 +65,8 @@ def test_without_a_whole_warm_up_there_is_no_threshold(tmp_path):
 def test_a_campaign_finds_it_and_writes_it_down(ready_target, tmp_path, wishes):
     runs = runs_of(1, repetitions=1000, frequency_hz=2000, trace={"above": "p90"})
     warm_up, run = runs
-    statuses = campaign_runner.run_campaign(ready_target, "test", runs, tmp_path / "results", Watching())
-    assert list(statuses.values()) == ["ok", "ok"]
+    statuses = measure(ready_target, runs, tmp_path / "results")
+    assert statuses == ["ok", "ok"]
     # The stand-in's values are 500 us, 100 of them in the warm-up.
     assert wishes.calls() == ["100 2000 ok", "1000 2000 ok"]
     written = record(tmp_path / "results", run)
@@ -84,8 +82,8 @@ def test_a_campaign_finds_it_and_writes_it_down(ready_target, tmp_path, wishes):
 def test_a_warm_up_that_fails_costs_its_run_alone(ready_target, tmp_path, wishes):
     wishes.will("fail")
     runs = runs_of(2, repetitions=1000, trace={"above": "p90"})
-    statuses = campaign_runner.run_campaign(ready_target, "test", runs, tmp_path / "results", Watching())
-    assert list(statuses.values()) == ["failed", "incomplete", "ok", "ok"]
+    statuses = measure(ready_target, runs, tmp_path / "results")
+    assert statuses == ["failed", "incomplete", "ok", "ok"]
     # The same command measures both again.
-    statuses = campaign_runner.run_campaign(ready_target, "test", runs, tmp_path / "results", Watching())
-    assert list(statuses.values()) == ["ok"] * 4
+    statuses = measure(ready_target, runs, tmp_path / "results")
+    assert statuses == ["ok"] * 4

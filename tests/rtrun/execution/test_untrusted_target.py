@@ -8,6 +8,7 @@ import sqlite3
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
+import faulty
 import pytest
 from faulty import record, runs_of
 
@@ -32,10 +33,7 @@ def results(tmp_path):
 
 @pytest.fixture
 def measure(ready_target, results):
-    def measure(runs, target=ready_target):
-        return list(campaign_runner.run_campaign(target, "test", runs, results, Watching()).values())
-
-    return measure
+    return lambda runs, target=ready_target: faulty.measure(target, runs, results)
 
 
 def deep(key, value):
@@ -100,7 +98,7 @@ def test_traces_that_nobody_asked_for_stay_where_they_are(results, wishes, measu
 def test_a_folder_full_of_foreign_files_is_removed_and_told_of(ready_target, results, wishes):
     wishes.will("flood")
     runs, watching = runs_of(2), Watching()
-    assert list(campaign_runner.run_campaign(ready_target, "test", runs, results, watching).values()) == ["ok", "ok"]
+    assert faulty.measure(ready_target, runs, results, watching) == ["ok", "ok"]
     (note,) = watching.notes
     assert re.search(rf"{runs[0].name}: has 100\d\d files; those that are not of the run are removed with it$", note)
     assert not list(Path(ready_target.work_dir).glob("runs/*"))

@@ -5,9 +5,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from faulty import record, runs_of
+from faulty import measure, record, runs_of
 
-from rtrun.execution import campaign_runner
 from rtrun.targets import deploy, processes
 from rtrun.targets.deploy import ON_TARGET
 from rtrun.targets.errors import TargetError
@@ -34,7 +33,7 @@ def target(ready_target):
 def test_traces_come_with_the_run(target, tmp_path, watching, wishes, clock, kernels):
     wishes.will("traced 3 8")
     (run,) = runs = runs_of(1, trace={"above": "50us"}, clock=clock)
-    assert list(campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == ["ok"]
+    assert measure(target, runs, tmp_path / "results", watching) == ["ok"]
     traces = sorted(name for name in record(tmp_path / "results", run)["files"] if "trace" in name)
     assert traces == ["cyclic_timer_tests_l10_fq100-trace-3.txt", "cyclic_timer_tests_l10_fq100-trace-8.txt"]
     # The instance was there while the suite ran, on the clock of the samples.
@@ -45,18 +44,14 @@ def test_traces_come_with_the_run(target, tmp_path, watching, wishes, clock, ker
 def test_more_traces_than_a_suite_takes_are_not_pulled(target, tmp_path, watching, wishes):
     wishes.will("traced " + " ".join(map(str, range(40))))
     (run,) = runs = runs_of(1, break_trace_us=50)
-    campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)
+    measure(target, runs, tmp_path / "results", watching)
     assert len([name for name in record(tmp_path / "results", run)["files"] if "trace" in name]) == 16
 
 
 @pytest.mark.parametrize("wish", ["fail", "killed"])
 def test_a_suite_that_fails_leaves_no_trace_set_up(target, tmp_path, watching, wishes, wish):
     wishes.will(wish)
-    assert list(
-        campaign_runner.run_campaign(
-            target, "test", runs_of(1, trace={"above": "50us"}), tmp_path / "results", watching
-        ).values()
-    ) == ["failed"]
+    assert measure(target, runs_of(1, trace={"above": "50us"}), tmp_path / "results", watching) == ["failed"]
     assert not INSTANCE.exists()
 
 
@@ -72,10 +67,10 @@ def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watchin
     with monkeypatch.context() as patch:
         patch.setattr(processes, "wait", wait)
         with pytest.raises(type(error) if isinstance(error, Exception) else error):
-            campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching)
+            measure(target, runs, tmp_path / "results", watching)
     assert seen == [True]
     assert INSTANCE.exists() is (error is not KeyboardInterrupt), "what goes on goes on with its trace"
-    assert list(campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == ["ok"]
+    assert measure(target, runs, tmp_path / "results", watching) == ["ok"]
     assert not INSTANCE.exists()
     if error is not KeyboardInterrupt:
         assert len(wishes.calls()) == 1, "an error of ours is no reason to give up what measures"
@@ -83,7 +78,7 @@ def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watchin
 
 def test_what_a_killed_runner_left_is_gone_with_the_next_campaign(target, tmp_path, watching, wishes):
     subprocess.run([SCRIPT, "up", "mono"], check=True)
-    campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
+    measure(target, runs_of(1), tmp_path / "results", watching)
     assert not INSTANCE.exists()
 
 
@@ -110,7 +105,7 @@ def test_the_workload_of_osnoise_is_as_it_was(target, tmp_path, watching, wishes
         if words:
             subprocess.run([script, *words], check=True)
         else:
-            campaign_runner.run_campaign(target, "test", runs_of(1), tmp_path / "results", watching)
+            measure(target, runs_of(1), tmp_path / "results", watching)
         assert before in options.read_text().split() and not INSTANCE.exists()
 
 
@@ -153,7 +148,5 @@ def test_a_target_that_cannot_trace_says_so(target, tmp_path, watching, monkeypa
 def test_a_part_of_a_suite_that_was_killed_comes_as_samples(target, tmp_path, watching, wishes):
     wishes.will("part")
     (run,) = runs = runs_of(1)
-    assert list(campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching).values()) == [
-        "failed"
-    ]
+    assert measure(target, runs, tmp_path / "results", watching) == ["failed"]
     assert "cyclic_timer_tests_l10_fq100.npy" in record(tmp_path / "results", run)["files"]
