@@ -18,45 +18,49 @@ def stacked(chains: Sequence[Sequence[LayerBar]]) -> list[Plot]:
     widest_us = max(sum(bar.us for bar in chain) for chain in chains)
     hidden = {"visible": False, "fixedrange": True, "range": [len(chains) - 0.5, -0.6]}
     layout = {
-        "barmode": "relative",
-        "bargap": 0,
+        "barmode": "overlay",
         "height": 90 + 74 * len(chains),
-        "xaxis": {"title": {"text": "mean in us, layer by layer"}, "rangemode": "tozero"},
+        "xaxis": {"rangemode": "tozero"},
         "yaxis": hidden,
     }
     caption = (
-        "Means put upon one another, from the lowest layer on the left; the lines are intervals of what a layer adds. "
+        "Means in us put upon one another, from the lowest layer on the left; the lines are intervals of what a layer adds. "
         "Quantiles and shares of late values do not add up: they are in the table."
     )
-    data = [_part(row, place, bar) for row, chain in enumerate(chains) for place, bar in enumerate(chain)]
+    data = [part for row, chain in enumerate(chains) for part in _parts(row, chain)]
     data += [text for row, chain in enumerate(chains) for text in _texts(row, chain, widest_us)]
     return [Plot(caption=caption, data=data, layout=layout)]
 
 
-def _part(row: int, place: int, bar: LayerBar) -> Trace:
-    told = f"{bar.label}: {bar.us:.1f} us"
-    if place:
-        told = f"{bar.label} adds {bar.us:+.1f} us, {bar.low_us:+.1f} to {bar.high_us:+.1f} us"
-    return {
-        "type": "bar",
-        "orientation": "h",
-        "showlegend": False,
-        "y": [row],
-        "x": [round(bar.us, 3)],
-        "width": [_BAR],
-        "hovertext": [plain(told)],
-        "hovertemplate": "%{hovertext}<extra></extra>",
-        "marker": {"color": f"--series-{place % _COLOURS}"},
-        "error_x": {
-            "type": "data",
-            "symmetric": False,
-            "array": [round(bar.high_us - bar.us, 3)],
-            "arrayminus": [round(bar.us - bar.low_us, 3)],
-            "color": "--ink",
-            "thickness": 1.2,
-            "visible": place > 0,
-        },
-    }
+def _parts(row: int, chain: Sequence[LayerBar]) -> Iterator[Trace]:
+    """A bar for each layer, which begins where the one below ends."""
+    begin_us = 0.0
+    for place, bar in enumerate(chain):
+        told = f"{bar.label}: {bar.us:.1f} us"
+        if place:
+            told = f"{bar.label} adds {bar.us:+.1f} us, {bar.low_us:+.1f} to {bar.high_us:+.1f} us"
+        yield {
+            "type": "bar",
+            "orientation": "h",
+            "showlegend": False,
+            "y": [row],
+            "base": [round(begin_us, 3)],
+            "x": [round(bar.us, 3)],
+            "width": [_BAR],
+            "hovertext": [plain(told)],
+            "hovertemplate": "%{hovertext}<extra></extra>",
+            "marker": {"color": f"--series-{place % _COLOURS}"},
+            "error_x": {
+                "type": "data",
+                "symmetric": False,
+                "array": [round(bar.high_us - bar.us, 3)],
+                "arrayminus": [round(bar.us - bar.low_us, 3)],
+                "color": "--ink",
+                "thickness": 1.2,
+                "visible": place > 0,
+            },
+        }
+        begin_us += bar.us
 
 
 def _texts(row: int, chain: Sequence[LayerBar], widest_us: float) -> Iterator[Trace]:
