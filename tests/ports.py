@@ -1,4 +1,4 @@
-"""Ports that nobody uses, each given out once while its process lives, whichever test process of this machine asks."""
+"""Ports and domains that nobody uses, each given out once while its process lives, whichever test process asks."""
 
 import errno
 import random
@@ -6,20 +6,36 @@ import socket
 
 # Below those that the kernel gives to connections: none takes one before its server listens.
 PORTS = range(20_000, 32_000)
+# Of ROS 2: their ports are below those, too (7400 and 250 for each).
+DOMAINS = range(1, 100)
 _given: list[socket.socket] = []
+
+
+def _claim(what: str) -> bool:
+    """Whether it was free on this machine, and is ours from now on."""
+    # The name of a socket belongs to one process of the machine, and is free again when that ends.
+    claim = socket.socket(socket.AF_UNIX)
+    try:
+        claim.bind(f"\0meta-rt-tests-{what}")
+    except OSError:
+        claim.close()
+        return False
+    _given.append(claim)
+    return True
+
+
+def free_domain() -> int:
+    for domain in random.sample(DOMAINS, len(DOMAINS)):
+        if _claim(f"domain-{domain}"):
+            return domain
+    raise OSError(f"of domains {DOMAINS.start} to {DOMAINS.stop - 1} none is free")
 
 
 def free_port(host: str = "127.0.0.1") -> int:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for port in random.sample(PORTS, 1000):
-        # The name of a socket belongs to one process of the machine, and is free again when that ends.
-        claim = socket.socket(socket.AF_UNIX)
-        try:
-            claim.bind(f"\0meta-rt-tests-port-{port}")
-        except OSError:
-            claim.close()
+        if not _claim(f"port-{port}"):
             continue
-        _given.append(claim)
         with socket.socket(family) as probe:
             try:
                 probe.bind((host, port))

@@ -103,10 +103,14 @@ bool has(const std::string& text, const std::string& part) { return text.find(pa
 TEST(Middleware, ItsProgramsCarryItsName) {
   const auto program = rt_tests::described("communication_tests_publisher", "fake", "");
   EXPECT_EQ(program.executable(), "communication_tests_publisher_fake");
-  EXPECT_EQ(program.keys.back(), "awaited_subscribers");
+  EXPECT_TRUE(rt_tests::Options(program).has("awaited_subscribers"));
+  EXPECT_FALSE(rt_tests::Options(program).has("depth"));
+  const auto of_ros2 = rt_tests::described("communication_tests_publisher", "rcl", "");
+  EXPECT_TRUE(rt_tests::Options(of_ros2).has("awaited_subscribers"));
+  EXPECT_TRUE(rt_tests::Options(of_ros2).has("depth"));
   const auto of_2014 = rt_tests::described("communication_tests_publisher", "roscpp", "");
   EXPECT_EQ(of_2014.executable(), "communication_tests_publisher");
-  EXPECT_EQ(of_2014.keys.back(), "cpu_dma_latency_us");
+  EXPECT_EQ(rt_tests::Options(of_2014).values().back().option.key, std::string("cpu_dma_latency_us"));
   EXPECT_THROW(rt_tests::described("communication_tests_publisher_fake", "fake", ""), std::logic_error);
 }
 

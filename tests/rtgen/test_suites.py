@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from ros2 import wheels
 from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import cli, debian, suites
 from rtgen.board import sysroot
@@ -129,6 +130,34 @@ def test_what_was_built_is_for_every_user_and_replaces_what_was_built_before(tmp
     assert folder.parent == tmp_path and (folder / "build.json").is_file()
     assert all(path.stat().st_mode & 0o004 for path in (folder, *folder.rglob("*")))
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([f".host-arm-{'0' * 16}", folder.name, "host"])
+
+
+@pytest.mark.ros
+def test_a_ros2_is_built_for_with_a_ros_1_and_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    prefix = wheels.installed("kilted")
+    both = suites.build("host", tmp_path / "both", ros2=prefix)
+    monkeypatch.setattr(suites, "HOST_PACKAGES", ("no-package-of-this-name",))
+    with pytest.raises(InfrastructureError, match="tools/setup all"):
+        suites.build("host", tmp_path)
+    alone = suites.build("host", tmp_path / "alone", ros2=prefix)
+    programs = {folder: {path.name for path in folder.glob("lib/*/*")} for folder in (both, alone)}
+    own = {name for name in programs[both] if name.endswith("_rcl")}
+    assert programs[alone] == own | {"rt_tests_sampler"}
+    assert programs[both] == own | {name.removesuffix("_rcl") for name in own} | {"rt_tests_sampler"} and len(own) == 4
+    for folder in (both, alone):
+        record = json.loads((folder / "build.json").read_text())
+        assert record["ros2"] == {"prefix": str(prefix), "distro": "kilted", "rcl": record["ros2"]["rcl"]}
+        assert set(record["files"]) == {
+            str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file() and path.name != "build.json"
+        }
+
+
+def test_no_ros2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["suites", "build", "--ros2", str(tmp_path)]) == 2
+    expected = f"rtgen: --ros2 {tmp_path}: has no setup.sh: give the folder of a ROS 2, as /opt/ros/jazzy\n"
+    assert capsys.readouterr().err == expected
+    assert cli.main(["suites", "build", "--machine", "qemu-armv7", "--ros2", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.startswith(f"rtgen: --ros2 {tmp_path} is of this machine: build for host, or ")
 
 
 def test_a_change_is_built_and_a_mistake_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

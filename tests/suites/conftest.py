@@ -1,5 +1,6 @@
 """The suites, built natively, on a real ROS master; and what their outputs must have in common."""
 
+import contextlib
 import fcntl
 import json
 import os
@@ -39,6 +40,23 @@ def suites(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return builder.build("host", tmp_path_factory.mktemp("suites"))
 
 
+def options_of(program: str, middleware: str = "roscpp") -> dict[str, dict[str, Any]]:
+    """What suites.yml says of the options that a program takes through a middleware."""
+    known = read_yaml(builder.sources() / "suites.yml")
+    keys = known["suites"][PROGRAMS[program]]["programs"][program]
+    options = {key: known["options"][key] for key in keys if "flag" in known["options"][key]}
+    return {
+        key: option
+        for key, option in options.items()
+        if middleware in option.get("through", [middleware]) and middleware not in option.get("not_through", [])
+    }
+
+
+def defaults_of(program: str, middleware: str = "roscpp") -> dict[str, Any]:
+    """What a program was requested to do where nobody gave it an option."""
+    return {key: option["default"] for key, option in options_of(program, middleware).items()}
+
+
 def output_of(*command: str) -> str:
     """What a tool says; a failure shows it."""
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
@@ -66,9 +84,11 @@ class Bench:
     folder: Path
     environment: dict[str, str]
     started: list[subprocess.Popen[str]]
+    middleware: str = "roscpp"
 
     def start(self, program: str, *arguments: str, before: tuple[str, ...] = ()) -> "subprocess.Popen[str]":
-        (path,) = self.suites.glob(f"lib/*/{program}")
+        executable = program if self.middleware == "roscpp" else f"{program}_{self.middleware}"
+        (path,) = self.suites.glob(f"lib/*/{executable}")
         process = subprocess.Popen(
             [*before, str(path), *arguments],
             cwd=self.folder,
@@ -140,7 +160,13 @@ def bench(suites: Path, ros_master: int, tmp_path: Path) -> Iterator[Bench]:
     }
     folder = tmp_path / "out"
     folder.mkdir()
-    bench = Bench(suites, folder, environment, [])
+    with ended(Bench(suites, folder, environment, [])) as bench:
+        yield bench
+
+
+@contextlib.contextmanager
+def ended(bench: Bench) -> Iterator[Bench]:
+    """A bench whose programs have ended afterwards."""
     yield bench
     for process in bench.started:
         if process.poll() is None:

@@ -9,13 +9,11 @@ import subprocess
 import numpy as np
 import pytest
 
-from rtfiles.config import read_yaml
-from rtgen import suites as builder
-
 from .conftest import (
     Bench,
     check_outputs,
     check_that_skipped_periods_make_up_the_time,
+    defaults_of,
     end,
     is_measuring,
     wait_until,
@@ -48,11 +46,8 @@ def test_defaults(bench: Bench) -> None:
     # Each message was sent when its stamp says.
     achieved_hz = pytest.approx(499e9 / (rows[:, 0].max() - rows[:, 0].min()), rel=1e-6)
     assert (sent["rate"]["asked_hz"], sent["rate"]["achieved_hz"]) == (1000, achieved_hz)
-    known = read_yaml(builder.sources() / "suites.yml")
     for one, changed in ((record, {}), (sent, {"start_delay_s": 1})):
-        keys = known["suites"]["communication_tests"]["programs"][one["program"]]
-        defaults = {key: known["options"][key]["default"] for key in keys}
-        assert one["requested"] == defaults | {"repetitions": 500} | changed
+        assert one["requested"] == defaults_of(one["program"]) | {"repetitions": 500} | changed
 
 
 def test_a_publisher_that_cannot_keep_its_frequency_says_so(bench: Bench) -> None:

@@ -5,10 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rtfiles.config import read_yaml
-from rtgen import suites as builder
-
-from .conftest import PROGRAMS, Bench
+from .conftest import PROGRAMS, Bench, options_of
 
 NOTHING = ("--bounding-set=-all", "--inh-caps=-all", "--ambient-caps=-all")
 # Root without its capabilities, or with just one; and no limits that would do instead.
@@ -32,11 +29,9 @@ def test_help_and_suites_yml_agree(offline: Bench, program: str) -> None:
     ended = offline.run(program, "--help")
     assert (ended.status, ended.err) == (0, "")
     lines = dict(re.findall(r"^  (-{1,2}[\w-]+) (.*)$", ended.out, re.M))
-    known = read_yaml(builder.sources() / "suites.yml")
-    keys = known["suites"][PROGRAMS[program]]["programs"][program]
-    assert set(lines) == {known["options"][key]["flag"] for key in keys} | {"--help", "--version"}
-    for key in keys:
-        option = known["options"][key]
+    options = options_of(program)
+    assert set(lines) == {option["flag"] for option in options.values()} | {"--help", "--version"}
+    for option in options.values():
         takes, description = re.fullmatch(r"(\S+) +(.*)", lines[option["flag"]]).groups()  # type: ignore[union-attr]
         if option["type"] == "int":
             assert takes == f"{option['min']}..{option['max']}"

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rtfiles.config import read_yaml
-from rtgen import suites as builder
 from rtrun.targets.inspection.kernel_trace import read_events
 
 from .conftest import (
@@ -19,6 +17,7 @@ from .conftest import (
     Bench,
     check_outputs,
     check_that_skipped_periods_make_up_the_time,
+    defaults_of,
     end,
     is_measuring,
     series_of,
@@ -368,15 +367,13 @@ def test_full_disk(bench: Bench) -> None:
 
 
 def test_what_was_requested_is_what_suites_yml_says(bench: Bench) -> None:
-    known = read_yaml(builder.sources() / "suites.yml")
     for program, base in {
         "oneshot_timer_tests": "oneshot_timer_tests_l5_tm1000",
         "cyclic_timer_tests": "cyclic_timer_tests_l5_fq1000",
     }.items():
         assert bench.run(program, "-r", "5").status == 0
         requested = check_outputs(bench.folder, base)["requested"]
-        keys = known["suites"][program]["programs"][program]
-        assert requested == {key: known["options"][key]["default"] for key in keys} | {"repetitions": 5}
+        assert requested == defaults_of(program) | {"repetitions": 5}
 
 
 def test_blocks_survive_a_kill(bench: Bench) -> None:

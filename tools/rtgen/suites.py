@@ -1,4 +1,4 @@
-"""Build the packages of recipes-tests one after the other, for this machine or a board."""
+"""Build the packages of recipes-tests one after the other, for this machine and the ROS it has, or for a board."""
 
 import hashlib
 import json
@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from rtgen.process import run
 
 SCHEMA = 1
 TOOLCHAIN_FILE = Path(__file__).with_name("debian.cmake")
+ROS2_SCRIPT = Path(__file__).with_name("ros2.sh")
 FLAGS = "-O2"
 SUPPORT = "rt_tests_support"
 # What observes a target while it measures, in C.
@@ -44,7 +46,7 @@ ROS_LANG_DISABLE = "genlisp:genpy"
 class Toolchain:
     """The compiler and its flags, the architecture, sysroot and Debian's release of a board (None: this machine).
 
-    `identity` is what distinguishes them in the cache.
+    `identity` is what distinguishes them in the cache. `has_roscpp`: there is a ROS 1 to build for.
     """
 
     compiler: str
@@ -53,6 +55,7 @@ class Toolchain:
     sysroot: Path | None
     release: str | None
     identity: tuple[str, ...]
+    has_roscpp: bool = True
 
 
 def sources() -> Path:
@@ -77,25 +80,35 @@ def names() -> list[str]:
     return [HOST, *machines()]
 
 
-def toolchain(machine: str, suite: str | None) -> Toolchain:
+def toolchain(machine: str, suite: str | None, ros2: Path | None = None) -> Toolchain:
     """Find or make the tools of a machine's build.
 
-    A board's programs are linked against the packages of Debian's `suite` (None: this machine's own). Raises UsageError
-    for an unknown machine or suite, InfrastructureError when a tool or package is missing.
+    A board's programs are linked against the packages of Debian's `suite` (None: this machine's own). This machine
+    needs no ROS 1 where it has a ROS 2, in the folder `ros2`. Raises UsageError for an unknown machine, suite or ROS 2,
+    InfrastructureError when a tool or package is missing.
     """
     if machine not in names():
         raise UsageError(unknown("machine", machine, known=names()))
     if machine == HOST:
         if suite is not None:
             raise UsageError(f"--suite {suite} is for boards: {HOST} has the libraries that are installed on it")
+        for needed in ("setup.sh", "lib/librcl.so"):
+            if ros2 and not (ros2 / needed).exists():
+                raise UsageError(f"--ros2 {ros2}: has no {needed}: give the folder of a ROS 2, as /opt/ros/jazzy")
+        listing, compiler = "", version("g++")
+        wanted = {package for packages in transports().values() for package in packages}
         try:
             listing = run(["dpkg-query", "--show", *HOST_PACKAGES])
-            wanted = {package for packages in transports().values() for package in packages}
             installed = run(["dpkg-query", "--show"]).splitlines()
         except InfrastructureError as error:
-            raise InfrastructureError(f"{error}\n`tools/setup all` installs what this machine lacks") from error
+            if ros2 is None:
+                raise InfrastructureError(f"{error}\n`tools/setup all` installs what this machine lacks") from error
+            installed = []
         of_transports = [line for line in installed if line.split()[0].partition(":")[0] in wanted]
-        return Toolchain("g++", FLAGS, None, None, None, (version("g++"), listing, *of_transports))
+        identity = (compiler, listing, *of_transports)
+        return Toolchain("g++", FLAGS, None, None, None, identity, has_roscpp=bool(listing))
+    if ros2 is not None:
+        raise UsageError(f"--ros2 {ros2} is of this machine: build for {HOST}, or on the board itself (docs/ros2.md)")
     source = board_packages.source(suite)
     name = machines()[machine].architecture
     architecture = architectures()[name]
@@ -106,14 +119,15 @@ def toolchain(machine: str, suite: str | None) -> Toolchain:
     return Toolchain(compiler, flags, architecture, root, source.release, identity)
 
 
-def build(machine: str, place: Path, suite: str | None = None) -> Path:
+def build(machine: str, place: Path, suite: str | None = None, ros2: Path | None = None) -> Path:
     """Build for `host` or a board of Debian's suite; return `place`/<machine>, a link to a copy of it beside the link.
 
-    It is no link into the cache: that belongs to the user who builds, and others may run the suites. Takes about half
-    a minute; an unchanged build is taken from the cache. Raises UsageError as `toolchain` does and InfrastructureError
-    with the compiler's output.
+    With `ros2`, the folder of one on this machine, the programs on rcl, and on rclcpp where there is that, are built,
+    too; those on roscpp where there is a ROS 1. The link is none into the cache: that belongs to the user who builds,
+    and others may run the suites. Takes about half a minute, and as long again for a ROS 2; an unchanged build is taken
+    from the cache. Raises UsageError as `toolchain` does and InfrastructureError with the compiler's output.
     """
-    tools = toolchain(machine, suite)
+    tools = toolchain(machine, suite, ros2)
     folder = sources()
     inputs = [folder / name for name in (*packages(), "suites.yml")]
     source_hash = cache.digest(inputs)
@@ -122,11 +136,12 @@ def build(machine: str, place: Path, suite: str | None = None) -> Path:
     def build_in(result: Path) -> None:
         with tempfile.TemporaryDirectory(prefix="rtgen-suites-") as temporary:
             stage = Path(temporary) / "stage"
-            for package in packages():
+            built = packages() if tools.has_roscpp else [SUPPORT, SAMPLER]
+            for package in built:
                 build_package(folder / package, Path(temporary), stage, tools)
-            collect(stage, result)
+            collect(stage, result, built)
         shutil.copyfile(folder / "suites.yml", result / "suites.yml")
-        built = middlewares(result)
+        found = middlewares(result)
         record = {
             "schema": SCHEMA,
             "machine": machine,
@@ -134,14 +149,16 @@ def build(machine: str, place: Path, suite: str | None = None) -> Path:
             "compiler": version(tools.compiler),
             "flags": tools.flags,
             "source_hash": source_hash,
-            "middlewares": built,
-            "not_built": {name: needed for name, needed in transports().items() if name not in built},
+            "middlewares": found,
+            "not_built": {name: needed for name, needed in transports().items() if name not in found},
             "files": describe(result),
         }
         atomic.write_text(result / "build.json", json.dumps(record, indent=2) + "\n")
 
     # The record names the machine, so each machine needs an entry of its own.
     entry = cache.entry("suites", f"{machine}-{key}", build_in)
+    if ros2 is not None:
+        entry = with_ros2(entry, ros2)
     copy = place / f".{entry.name}"
     atomic.copy_folder(entry, copy)
     atomic.replace_link(place / machine, copy.name)
@@ -173,24 +190,53 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
             "META_SYSROOT": str(tools.sysroot),
             "META_WORK": str(temporary),
         }
-    if shutil.which("ccache"):
-        options |= {"CMAKE_C_COMPILER_LAUNCHER": "ccache", "CMAKE_CXX_COMPILER_LAUNCHER": "ccache"}
     definitions = [f"-D{name}={value}" for name, value in options.items()]
-    # The temporary folder's name changes with every build; ccache has to ignore it.
-    environment = {
-        **os.environ,
-        "CCACHE_BASEDIR": str(temporary),
-        "CCACHE_NOHASHDIR": "1",
-        "ROS_LANG_DISABLE": ROS_LANG_DISABLE,
-    }
-    run(["cmake", "-G", "Ninja", "-S", str(source), "-B", str(work), *definitions], environment=environment)
+    environment = _environment(temporary) | {"ROS_LANG_DISABLE": ROS_LANG_DISABLE, "ROS_VERSION": "1"}
+    run(["cmake", "-S", str(source), "-B", str(work), *definitions], environment=environment)
     run(["ninja", "-C", str(work), "install"], environment=environment)
 
 
-def collect(stage: Path, result: Path) -> None:
+def with_ros2(entry: Path, ros2: Path) -> Path:
+    """Another entry of the cache: what this one has, built for this machine, and the suites on its ROS 2.
+
+    Its record says under `ros2` what they were built with.
+    """
+    installed = cache.digest(sorted(ros2.glob("share/*/package.xml")))
+    key = cache.digest([entry.name, str(ros2), installed, ROS2_SCRIPT])
+
+    def build_in(result: Path) -> None:
+        shutil.copytree(entry, result, dirs_exist_ok=True)
+        suites = [package for package in packages() if package not in (SUPPORT, SAMPLER, TRANSPORTS)]
+        with tempfile.TemporaryDirectory(prefix="rtgen-suites-") as temporary:
+            work, stage = Path(temporary) / "work", Path(temporary) / "stage"
+            words: list[str | Path] = [ros2 / "setup.sh", sources(), work, stage, SUPPORT, *suites]
+            environment = _environment(Path(temporary)) | {"CFLAGS": FLAGS, "CXXFLAGS": FLAGS}
+            output = run(["sh", ROS2_SCRIPT, *words], environment=environment)
+            for package in suites:
+                shutil.copytree(stage / "lib" / package, result / "lib" / package, dirs_exist_ok=True)
+        record = json.loads((result / "build.json").read_text(encoding="utf-8"))
+        del record["files"]  # the last one again
+        record["middlewares"] = middlewares(result)
+        record["ros2"] = {"prefix": str(ros2)} | dict(line.split(" ", 1) for line in output.splitlines())
+        record["files"] = {name: each for name, each in describe(result).items() if name != "build.json"}
+        atomic.write_text(result / "build.json", json.dumps(record, indent=2) + "\n")
+
+    return cache.entry("suites", f"{HOST}-{key}", build_in)
+
+
+def _environment(temporary: Path) -> dict[str, str]:
+    """What CMake and the compilers are told of a build below a temporary folder."""
+    # Its name changes with every build; ccache has to ignore it.
+    environment = {**os.environ, "CMAKE_GENERATOR": "Ninja", "CCACHE_BASEDIR": str(temporary), "CCACHE_NOHASHDIR": "1"}
+    if shutil.which("ccache"):
+        environment |= {"CMAKE_C_COMPILER_LAUNCHER": "ccache", "CMAKE_CXX_COMPILER_LAUNCHER": "ccache"}
+    return environment
+
+
+def collect(stage: Path, result: Path, built: Sequence[str]) -> None:
     """Copy from the stage the programs, the launch files, and the files by which rosrun and roslaunch find them."""
     (result / ".catkin").touch()
-    for package in packages():
+    for package in built:
         if not (stage / "lib" / package).is_dir():
             continue  # the library has no programs
         shutil.copytree(stage / "lib" / package, result / "lib" / package)

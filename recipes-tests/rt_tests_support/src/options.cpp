@@ -50,6 +50,13 @@ void set(Options::Value& value, const std::string& text) {
 
 }  // namespace
 
+bool Option::is_taken_through(const std::string& middleware) const {
+  const auto names = [&](const std::vector<std::string>& list) {
+    return std::find(list.begin(), list.end(), middleware) != list.end();
+  };
+  return (through.empty() || names(through)) && !names(not_through);
+}
+
 const char* version() { return RT_TESTS_VERSION; }
 
 Options::Options(const Program& program) {
@@ -57,6 +64,7 @@ Options::Options(const Program& program) {
     const auto& all = all_options();
     const auto option = std::find_if(all.begin(), all.end(), [&](const Option& one) { return key == one.key; });
     if (option == all.end()) throw std::logic_error("no program takes an option '" + key + "'");
+    if (!option->is_taken_through(program.middleware)) continue;
     Value value;
     value.option = *option;
     if (option->fallback) set(value, option->fallback);

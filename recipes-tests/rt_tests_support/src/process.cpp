@@ -33,11 +33,21 @@ std::string limit_of(__rlimit_resource resource) {
   return limit.rlim_cur == RLIM_INFINITY ? "unlimited" : std::to_string(limit.rlim_cur);
 }
 
-void set_policy(const Options& options) {
+template <class Visit>
+void for_each_thread(Visit visit) {
+  DIR* folder = opendir("/proc/self/task");
+  if (!folder) throw Failure(std::string("/proc/self/task: ") + std::strerror(errno));
+  while (const dirent* item = readdir(folder)) {
+    if (item->d_name[0] != '.') visit(std::atoi(item->d_name));
+  }
+  closedir(folder);
+}
+
+void set_policy(const Options& options, int tid) {
   sched_param parameters{};
   parameters.sched_priority = static_cast<int>(options.number("priority"));
   const std::string& policy = options.text("policy");
-  if (sched_setscheduler(0, policy == "FIFO" ? SCHED_FIFO : SCHED_RR, &parameters) == 0) return;
+  if (sched_setscheduler(tid, policy == "FIFO" ? SCHED_FIFO : SCHED_RR, &parameters) == 0) return;
   const int reason = errno;
   throw Failure("cannot run with policy " + policy + " at priority " + options.text("priority") +
                 ": it needs the capability CAP_SYS_NICE or RLIMIT_RTPRIO of at least that (now " +
@@ -85,19 +95,10 @@ void set_affinity(const std::string& list) {
   cpu_set_t set;
   CPU_ZERO(&set);
   for (int cpu : parse_cpus(list, static_cast<int>(sysconf(_SC_NPROCESSORS_CONF)))) CPU_SET(cpu, &set);
-  if (sched_setaffinity(0, sizeof set, &set) != 0) {
+  for_each_thread([&](int tid) {
+    if (sched_setaffinity(tid, sizeof set, &set) == 0) return;
     throw Failure("cannot run on the CPUs '" + list + "': " + std::strerror(errno));
-  }
-}
-
-template <class Visit>
-void for_each_thread(Visit visit) {
-  DIR* folder = opendir("/proc/self/task");
-  if (!folder) throw Failure(std::string("/proc/self/task: ") + std::strerror(errno));
-  while (const dirent* item = readdir(folder)) {
-    if (item->d_name[0] != '.') visit(std::atoi(item->d_name));
-  }
-  closedir(folder);
+  });
 }
 
 std::string policy_name(int policy) {
@@ -117,7 +118,7 @@ cpu_set_t set_up_process(const Options& options) {
   const cpu_set_t all = current_cpus();
   if (!options.text("cpu").empty()) set_affinity(options.text("cpu"));
   if (is_realtime(options)) {
-    if (options.text("rt_scope") == "process") set_policy(options);
+    if (options.text("rt_scope") == "process") for_each_thread([&](int tid) { set_policy(options, tid); });
     lock_memory();
     touch_stack();
   }
@@ -131,7 +132,7 @@ cpu_set_t set_up_process(const Options& options) {
 void set_up_measuring_thread(const Options& options) {
   if (!is_realtime(options)) return;
   reserve_heap();
-  if (options.text("rt_scope") != "process") set_policy(options);
+  if (options.text("rt_scope") != "process") set_policy(options, 0);
 }
 
 void share_heap() {

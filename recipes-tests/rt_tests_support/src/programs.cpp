@@ -44,40 +44,34 @@ const std::vector<Option>& all_options() {
       {"cpu_dma_latency_us", "--cpu-dma-latency", Kind::integer, 0, 1000000, {},
        nullptr, "hold /dev/cpu_dma_latency at so many microseconds, as cyclictest does at 0"},
       {"awaited_subscribers", "--subscribers", Kind::integer, 0, 1000, {},
-       "0", "publisher: wait until so many subscribers are connected, at most 60 s"},
+       "0", "publisher: wait until so many subscribers are connected, at most 60 s", {}, {"roscpp"}},
       {"idle_timeout_s", "--idle-timeout", Kind::integer, 1, 86400, {},
        "10", "subscriber: end when nothing arrives for so many seconds"},
+      {"reliability", "--reliability", Kind::choice, 0, 0, {"reliable", "best_effort"},
+       "reliable", "quality of service: whether a lost message is sent again", {"rcl", "rclcpp"}},
+      {"depth", "--depth", Kind::integer, 1, 100000, {},
+       "1000", "quality of service: how many messages are kept", {"rcl", "rclcpp"}},
   };
   return options;
 }
 
 Program described(const std::string& name, const char* middleware, const char* purpose) {
-  struct Described {
-    Program program;
-    std::vector<std::string> not_on_roscpp;  // keys
+  const std::vector<Program> programs = {
+      {"oneshot_timer_tests", "oneshot_timer_tests", purpose,
+       {"policy", "repetitions", "prefix", "timeout_us", "busy_mode", "priority", "cpu", "clock", "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us", "cpu_dma_latency_us"},
+       {"start_ns", "end_ns", "measured_ns", "reported_ns", "armed_ns"}, middleware},
+      {"cyclic_timer_tests", "cyclic_timer_tests", purpose,
+       {"policy", "repetitions", "prefix", "frequency_hz", "priority", "cpu", "clock", "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us", "trace_of", "cpu_dma_latency_us"},
+       {"timestamp_ns", "expected_ns", "real_ns"}, middleware},
+      {"communication_tests", "communication_tests_publisher", purpose,
+       {"policy", "repetitions", "prefix", "frequency_hz", "payload_bytes", "start_delay_s", "priority", "cpu", "clock", "out_dir", "rt_scope", "cpu_dma_latency_us", "awaited_subscribers", "reliability", "depth"},
+       {}, middleware},
+      {"communication_tests", "communication_tests_subscriber", purpose,
+       {"policy", "repetitions", "prefix", "frequency_hz", "payload_bytes", "start_delay_s", "priority", "cpu", "clock", "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us", "cpu_dma_latency_us", "idle_timeout_s", "reliability", "depth"},
+       {"publication_ns", "reception_ns", "seq"}, middleware},
   };
-  std::vector<Described> programs = {
-      {{"oneshot_timer_tests", "oneshot_timer_tests", purpose,
-        {"policy", "repetitions", "prefix", "timeout_us", "busy_mode", "priority", "cpu", "clock", "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us", "cpu_dma_latency_us"},
-        {"start_ns", "end_ns", "measured_ns", "reported_ns", "armed_ns"}, middleware},
-       {}},
-      {{"cyclic_timer_tests", "cyclic_timer_tests", purpose,
-        {"policy", "repetitions", "prefix", "frequency_hz", "priority", "cpu", "clock", "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us", "trace_of", "cpu_dma_latency_us"},
-        {"timestamp_ns", "expected_ns", "real_ns"}, middleware},
-       {}},
-      {{"communication_tests", "communication_tests_publisher", purpose,
-        {"policy", "repetitions", "prefix", "frequency_hz", "payload_bytes", "start_delay_s", "priority", "cpu", "clock", "out_dir", "rt_scope", "cpu_dma_latency_us"},
-        {}, middleware},
-       {"awaited_subscribers"}},
-      {{"communication_tests", "communication_tests_subscriber", purpose,
-        {"policy", "repetitions", "prefix", "frequency_hz", "payload_bytes", "start_delay_s", "priority", "cpu", "clock", "out_dir", "rt_scope", "break_trace_us", "trace_threshold_us", "cpu_dma_latency_us", "idle_timeout_s"},
-        {"publication_ns", "reception_ns", "seq"}, middleware},
-       {}},
-  };
-  for (auto& [program, not_on_roscpp] : programs) {
-    if (name != program.name) continue;
-    if (!program.is_of_roscpp()) program.keys.insert(program.keys.end(), not_on_roscpp.begin(), not_on_roscpp.end());
-    return program;
+  for (const auto& program : programs) {
+    if (name == program.name) return program;
   }
   throw std::logic_error("suites.yml has no program '" + name + "'");
 }

@@ -36,7 +36,10 @@ void write_in_effect(Json& json, const Surroundings& surroundings) {
   json.field("clock_resolution_ns", clock_resolution_ns(surroundings.clock));
   json.field("clock_step_ns", surroundings.clock_step_ns);
   json.field("mlockall", surroundings.memory_locked);
-  json.field("cpu_dma_latency_us", surroundings.cpu_dma_latency_us).close();
+  json.field("cpu_dma_latency_us", surroundings.cpu_dma_latency_us);
+  json.key("facts").open('{');
+  for (const auto& [name, value] : surroundings.facts) json.field(name, value);
+  json.close().close();
 }
 
 void write_costs(Json& json, const std::optional<Costs>& costs) {

@@ -10,12 +10,15 @@ PLACE = Path("build/suites")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare ``build --machine NAME --suite SUITE``."""
+    """Declare ``build --machine NAME --suite SUITE --ros2 PREFIX``."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     build = actions.add_parser("build", help=f"build them into {PLACE}/MACHINE")
     build.add_argument("--machine", default="host", help="host, or a board of rtgen board (default: host)")
     build.add_argument(
         "--suite", help="Debian's suite that the board was built from, as trixie (default: this machine's own)"
+    )
+    build.add_argument(
+        "--ros2", type=Path, metavar="PREFIX", help="of this machine, as /opt/ros/jazzy: build the programs on it, too"
     )
 
 
@@ -27,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     from rtgen.suites import build
 
     with noting_duration(f"building the suites for {args.machine}"):
-        folder = build(args.machine, PLACE, args.suite)
+        folder = build(args.machine, PLACE, args.suite, args.ros2 and args.ros2.resolve())
     for name, needed in json.loads((folder / "build.json").read_text())["not_built"].items():
         print_note(f"{name} is not among them: it needs {' and '.join(needed)}")
     print_line(str(folder))

@@ -10,6 +10,7 @@
 //       Context(int argc, char* argv[], const Program& program, const Options& options);  // throws Failure
 //       bool ok();        // false: the middleware asks the program to end
 //       void shutdown();  // once, after the last measurement
+//       Facts facts();    // what is in effect of it, for the json
 //     };
 //
 //     // Calls call_back(expected_ns, real_ns) on the thread that calls spin(): when the call was due, and when it was made, as
@@ -48,6 +49,7 @@
 #include <cstdint>
 
 #include "rt_tests_support/options.h"
+#include "rt_tests_support/report.h"
 
 namespace rt_tests {
 
@@ -68,6 +70,7 @@ struct NoContext {
   NoContext(int, char*[], const Program&, const Options&) {}
   bool ok() const noexcept { return true; }
   void shutdown() {}
+  Facts facts() const { return {}; }
 };
 
 }  // namespace rt_tests

@@ -17,13 +17,17 @@ struct Option {
   std::vector<std::string> choices;
   const char* fallback;  // nullptr: none
   const char* help;
+  std::vector<std::string> through = {};      // the middlewares whose programs alone take it; none: of all
+  std::vector<std::string> not_through = {};  // but for those of these
+
+  bool is_taken_through(const std::string& middleware) const;
 };
 
 struct Program {
   const char* suite;
   const char* name;  // as in suites.yml
   const char* purpose;
-  std::vector<std::string> keys;          // the options it takes
+  std::vector<std::string> keys;          // the options it takes, those of other middlewares included
   std::vector<std::string> columns = {};  // of its samples, as in suites.yml
   const char* middleware = "roscpp";      // through which it measures
 

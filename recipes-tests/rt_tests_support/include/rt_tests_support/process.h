@@ -23,8 +23,9 @@ struct ThreadState {
 
 bool is_realtime(const Options& options);
 
-// Before ros::init, so that every later thread inherits it: affinity; with RR or FIFO memory locked and the stack
-// touched; policy and priority unless --rt-scope measuring-thread. Throws Failure that names the missing right.
+// Before the middleware starts, so that every later thread inherits it: affinity; with RR or FIFO memory locked and the stack
+// touched; policy and priority unless --rt-scope measuring-thread. Libraries may have started threads before main(), as
+// LTTng's does in programs of ROS 2: these get it, too. Throws Failure that names the missing right.
 // Returns the CPUs for threads that must not disturb the measurement: those that --cpu leaves free, or all CPUs of this
 // process if --cpu leaves none.
 cpu_set_t set_up_process(const Options& options);

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "rt_tests_support/json.h"
@@ -31,6 +32,9 @@ std::string policy_suffix(const Options& options);  // "", "-tnRTRR", "-tnRTFIFO
 // Throws UsageError if the folder cannot be written to.
 Destination destination(const Options& options, const std::string& base);
 
+// What is known of something, by name.
+using Facts = std::vector<std::pair<std::string, std::string>>;
+
 // What was in effect during the measurement, and what it cost.
 struct Surroundings {
   clockid_t clock;
@@ -38,6 +42,7 @@ struct Surroundings {
   std::string start_time;
   std::string end_time;
   std::vector<ThreadState> threads;
+  Facts facts;  // of the middleware
   bool memory_locked = false;
   std::optional<int32_t> cpu_dma_latency_us;
   std::optional<Costs> costs;  // none of a measurement that did not begin

@@ -24,7 +24,7 @@ def stacked(chains: Sequence[Sequence[LayerBar]]) -> list[Plot]:
         "yaxis": hidden,
     }
     caption = (
-        "Means in us put upon one another, from the lowest layer on the left. The lines are intervals of what each adds. "
+        "Means in us put upon one another, from the lowest layer on the left. Lines are intervals of what each adds. "
         "Quantiles and shares of late values do not add up: they are in the table."
     )
     data = [part for row, chain in enumerate(chains) for part in _parts(row, chain)]

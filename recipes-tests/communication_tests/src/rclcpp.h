@@ -1,0 +1,56 @@
+// rclcpp for publisher and subscriber.
+#pragma once
+
+#include "rt_tests_support/rclcpp.h"
+
+#include <exception>
+#include <string>
+
+#include "ros2.h"
+
+struct Rclcpp : rt_tests::Rclcpp {
+  static rclcpp::QoS quality_of(const rt_tests::Options& options) {
+    const rmw_qos_profile_t quality = ros2::quality_of(options);
+    return rclcpp::QoS(rclcpp::QoSInitialization::from_rmw(quality), quality);
+  }
+
+  class Publisher {
+   public:
+    Publisher(Context& context, const rt_tests::Options& options)
+        : message_(ros2::message_of(options)),
+          publisher_(context.node().create_publisher<ros2::Message>(ros2::topic, quality_of(options))) {}
+
+    bool publish(const rt_tests::Stamp& stamp) noexcept {
+      communication::write_stamp(stamp, message_.data.data());
+      try {
+        publisher_->publish(message_);
+        return true;
+      } catch (const std::exception& failure) {
+        problem_ = std::string("rclcpp: cannot publish: ") + failure.what();
+        return false;
+      }
+    }
+    std::string problem() const { return problem_; }
+    int64_t subscribers() const { return static_cast<int64_t>(publisher_->get_subscription_count()); }
+
+   private:
+    ros2::Message message_;
+    rclcpp::Publisher<ros2::Message>::SharedPtr publisher_;
+    std::string problem_;
+  };
+
+  template <class CallBack>
+  class Subscriber {
+   public:
+    Subscriber(Context& context, const rt_tests::Options& options, CallBack& call_back) : context_(context) {
+      subscription_ = context.node().create_subscription<ros2::Message>(
+          ros2::topic, quality_of(options), [&call_back](const ros2::Message& message) { ros2::deliver(message, call_back); });
+    }
+    void receive(int64_t limit_ns) { context_.spin(limit_ns); }
+    int64_t publishers() const { return static_cast<int64_t>(subscription_->get_publisher_count()); }
+
+   private:
+    Context& context_;
+    rclcpp::Subscription<ros2::Message>::SharedPtr subscription_;
+  };
+};

@@ -1,0 +1,38 @@
+// What rcl and rclcpp have in common for publisher and subscriber: the message, its topic and its quality of service.
+#pragma once
+
+#include <rmw/qos_profiles.h>
+
+#include <std_msgs/msg/u_int8_multi_array.hpp>
+
+#include "rt_tests_support/measure/wire.h"
+#include "rt_tests_support/options.h"
+
+namespace ros2 {
+
+// A type of ROS 2's own, so that the programs need no library of messages beside them; `data` has the fields of 2014's.
+using Message = std_msgs::msg::UInt8MultiArray;
+constexpr char topic[] = "communication_tests";
+
+inline Message message_of(const rt_tests::Options& options) {
+  Message message;
+  message.data.assign(communication::stamp_bytes + static_cast<std::size_t>(options.number("payload_bytes")), 0xff);
+  return message;
+}
+
+inline rmw_qos_profile_t quality_of(const rt_tests::Options& options) {
+  rmw_qos_profile_t quality = rmw_qos_profile_default;
+  quality.reliability = options.text("reliability") == "reliable" ? RMW_QOS_POLICY_RELIABILITY_RELIABLE
+                                                                  : RMW_QOS_POLICY_RELIABILITY_BEST_EFFORT;
+  quality.history = RMW_QOS_POLICY_HISTORY_KEEP_LAST;
+  quality.depth = static_cast<std::size_t>(options.number("depth"));
+  return quality;
+}
+
+// Others may publish on the topic, too: what is too short for a stamp is none of ours.
+template <class CallBack>
+void deliver(const Message& message, CallBack& call_back) {
+  if (message.data.size() >= communication::stamp_bytes) call_back(communication::read_stamp(message.data.data()));
+}
+
+}  // namespace ros2

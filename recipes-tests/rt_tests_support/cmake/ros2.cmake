@@ -1,0 +1,25 @@
+# A program on ROS 2: add_ros2_program(NAME SOURCE LIBRARY...) makes NAME_rcl of SOURCE_rcl.cpp, and NAME_rclcpp of
+# SOURCE_rclcpp.cpp where there is rclcpp. From Humble on: asked is what rcl has, not which release it is.
+find_package(ament_cmake REQUIRED)
+find_package(rcl REQUIRED)
+find_package(rclcpp QUIET)
+
+include(CheckCXXSymbolExists)
+set(CMAKE_REQUIRED_LIBRARIES rcl::rcl)
+foreach(function TIMER_INIT2 TIMER_CALL_WITH_INFO)
+  string(TOLOWER rcl_${function} symbol)
+  check_cxx_symbol_exists(${symbol} rcl/timer.h HAS_RCL_${function})
+  if(HAS_RCL_${function})
+    add_compile_definitions(RT_TESTS_RCL_${function})
+  endif()
+endforeach()
+
+function(add_ros2_program name source)
+  foreach(middleware rcl rclcpp)
+    if(${middleware}_FOUND)
+      add_executable(${name}_${middleware} ${source}_${middleware}.cpp)
+      target_link_libraries(${name}_${middleware} rt_tests_support::rt_tests_support ${middleware}::${middleware} ${ARGN})
+      install(TARGETS ${name}_${middleware} RUNTIME DESTINATION lib/${PROJECT_NAME})
+    endif()
+  endforeach()
+endfunction()

@@ -1,0 +1,243 @@
+"""The suites on ROS 2: with the wheels of one release; by `make test-ros2` of two, and on a ROS 2 of this machine."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ports import free_domain
+from ros2 import wheels
+from rtgen import suites as builder
+
+from .conftest import (
+    Bench,
+    Ended,
+    check_outputs,
+    check_that_skipped_periods_make_up_the_time,
+    defaults_of,
+    end,
+    ended,
+    is_measuring,
+    wait_until,
+)
+
+pytestmark = pytest.mark.ros
+
+# A ROS 2 of this machine, as /opt/ros/jazzy.
+PREFIX = os.environ.get("RT_TESTS_ROS2", "")
+OWN = [(PREFIX, name) for name in ("rcl", "rclcpp") if PREFIX and Path(PREFIX, f"lib/lib{name}.so").exists()]
+TIMERS = {"oneshot_timer_tests": "l200_tm1000", "cyclic_timer_tests": "l200_fq1000"}
+
+
+@pytest.fixture(
+    params=[("kilted", "rcl"), pytest.param(("jazzy", "rcl"), marks=pytest.mark.ros2), *OWN],
+    ids=lambda param: "-".join((Path(param[0]).name, param[1])),
+    scope="module",
+)
+def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
+    """The folder of a ROS 2, the suites built for it, and through which of its libraries they measure."""
+    release, middleware = request.param
+    prefix = Path(release) if release == PREFIX else wheels.installed(release)
+    return prefix, builder.build("host", tmp_path_factory.mktemp("suites"), ros2=prefix), middleware
+
+
+def set_up(prefix: Path) -> dict[str, str]:
+    """The environment that a ROS 2 sets up."""
+    command = ["sh", "-c", '. "$1" && env -0', "sh", str(prefix / "setup.sh")]
+    lines = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.rstrip("\0").split("\0")
+    return dict(line.split("=", 1) for line in lines)
+
+
+@pytest.fixture
+def bench(built: tuple[Path, Path, str], tmp_path: Path) -> Iterator[Bench]:
+    """As that of roscpp, in a domain of its own."""
+    prefix, suites, middleware = built
+    (tmp_path / "out").mkdir()
+    own = {"ROS_DOMAIN_ID": str(free_domain()), "ROS_LOG_DIR": str(tmp_path / "log")}
+    own["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    with ended(Bench(suites, tmp_path / "out", set_up(prefix) | own, [], middleware)) as bench:
+        yield bench
+
+
+def communicate(bench: Bench, *arguments: str, subscribers: int = 1) -> tuple[list[Ended], Ended]:
+    """Subscribers, of several each with its prefix, and one publisher that waits for them; what all of them said."""
+    own: list[list[str]] = [[]] if subscribers == 1 else [["-p", str(number)] for number in range(subscribers)]
+    receivers = [bench.start("communication_tests_subscriber", *arguments, *prefix) for prefix in own]
+    sender = bench.run("communication_tests_publisher", *arguments, "--subscribers", str(subscribers))
+    return [end(receiver) for receiver in receivers], sender
+
+
+def sent_by(bench: Bench, base: str) -> dict[str, Any]:
+    sent: dict[str, Any] = json.loads((bench.folder / f"{base}-publisher.json").read_text())
+    return sent
+
+
+def policies(record: dict[str, Any]) -> set[tuple[str, int]]:
+    return {(thread["policy"], thread["priority"]) for thread in record["in_effect"]["threads"]}
+
+
+@pytest.mark.parametrize("program", TIMERS)
+def test_timers_with_every_thread_at_the_policy(bench: Bench, program: str) -> None:
+    ended = bench.run(program, "-r", "200", "-s", "FIFO", "--priority", "80", "--cpu", "0")
+    assert (ended.status, ended.err) == (0, "")
+    base = f"{program}_{TIMERS[program]}-tnRTFIFO"
+    record = check_outputs(bench.folder, base, bench.middleware)
+    assert (record["complete"], record["counts"]["measured"], record["counts"]["not_fired"]) == (True, 200, 0)
+    asked = {"repetitions": 200, "policy": "FIFO", "priority": 80, "cpu": "0"}
+    assert record["requested"] == defaults_of(program, bench.middleware) | asked
+    threads = record["in_effect"]["threads"]
+    # Those of the RMW, and those that libraries started before the program began, as well.
+    assert len(threads) > 5 and policies(record) == {("FIFO", 80)}
+    assert {tuple(thread["cpus"]) for thread in threads} == {(0,)}
+    rows = np.load(bench.folder / f"{base}.npy")
+    if program == "cyclic_timer_tests":
+        expected, real = rows[:, 1], rows[:, 2]
+        assert (real >= expected).all() and (np.diff(expected) % 1_000_000 == 0).all(), "rcl's timers keep their grid"
+    else:
+        assert (rows[:, 3] >= 0).all(), "reported: no call before it was due"
+
+
+def test_what_is_in_effect_is_told(bench: Bench, built: tuple[Path, Path, str]) -> None:
+    assert bench.run("oneshot_timer_tests", "-r", "3").status == 0
+    facts = check_outputs(bench.folder, "oneshot_timer_tests_l3_tm1000", bench.middleware)["in_effect"]["facts"]
+    build = json.loads((built[1] / "build.json").read_text())["ros2"]
+    assert facts["ros_distro"] == build["distro"]
+    assert facts["rcl_version"] == build["rcl"]
+    assert facts["domain_id"] == bench.environment["ROS_DOMAIN_ID"]
+    assert facts["rmw"].startswith("rmw_") and re.fullmatch(r"\d+\.\d+\.\d+", facts["rmw_version"])
+    assert facts.get("rclcpp_version") == (build["rclcpp"] if bench.middleware == "rclcpp" else None)
+
+
+def test_a_timer_in_busy_mode(bench: Bench) -> None:
+    assert bench.run("oneshot_timer_tests", "-r", "50", "-t", "500", "-b", "1").status == 0
+    assert check_outputs(bench.folder, "oneshot_timer_tests_l50_tm500-bm", bench.middleware)["counts"]["measured"] == 50
+
+
+def test_a_timer_that_is_asked_for_too_much_counts_what_it_skips(bench: Bench) -> None:
+    assert bench.run("cyclic_timer_tests", "-r", "2000", "-f", "1000000").status == 0
+    record = check_outputs(bench.folder, "cyclic_timer_tests_l2000_fq1000000", bench.middleware)
+    check_that_skipped_periods_make_up_the_time(record["rate"], 2000)
+
+
+def test_messages_in_real_time(bench: Bench) -> None:
+    (receiver,), sender = communicate(bench, "-r", "300", "-f", "500", "-s", "FIFO", "-l", "1000")
+    assert (sender.status, sender.out, sender.err) == (0, "\tINFO: Done publishing...\n", "")
+    assert (receiver.status, receiver.err) == (0, "")
+    base = "ct_gnuplot_l300_fq500_pl1000-tnRTFIFO"
+    assert bench.files() == sorted([f"{base}-publisher.json", f"{base}.json", f"{base}.log", f"{base}.npy"])
+    record, sent = check_outputs(bench.folder, base, bench.middleware), sent_by(bench, base)
+    # The publisher waited for its subscriber, and none of a thousand kept messages is lost.
+    assert record["counts"] == {key: 300 if key in ("asked", "measured") else 0 for key in record["counts"]}
+    rows = np.load(bench.folder / f"{base}.npy")
+    assert rows[:, 2].tolist() == list(range(300))
+    assert (sent["complete"], sent["counts"]) == (True, {"asked": 300, "sent": 300})
+    achieved_hz = pytest.approx(299e9 / (rows[-1, 0] - rows[0, 0]), rel=1e-6)
+    assert (sent["rate"]["asked_hz"], sent["rate"]["achieved_hz"]) == (500, achieved_hz)
+    for one in (record, sent):
+        assert policies(one) == {("FIFO", 95)} and one["in_effect"]["facts"]["rmw"] != ""
+
+
+def test_several_subscribers_and_two_that_are_none(bench: Bench) -> None:
+    """Nothing comes to one in another domain, nor to one that wants lost messages again, which are not sent again."""
+    elsewhere = Bench(bench.suites, bench.folder, dict(bench.environment), bench.started, bench.middleware)
+    elsewhere.environment["ROS_DOMAIN_ID"] = str(free_domain())
+    deaf = {
+        "elsewhere": elsewhere.start("communication_tests_subscriber", "--idle-timeout", "5", "-p", "elsewhere"),
+        "wanting": bench.start("communication_tests_subscriber", "--idle-timeout", "5", "-p", "wanting"),
+    }
+    best_effort = ("--reliability", "best_effort", "--depth", "200")
+    receivers, sender = communicate(bench, "-r", "200", *best_effort, subscribers=3)
+    assert [one.status for one in (*receivers, sender)] == [0] * 4, sender.err
+    for number in range(3):
+        record = check_outputs(bench.folder, f"{number}ct_gnuplot_l200_fq1000_pl0", bench.middleware)
+        assert (record["requested"]["reliability"], record["requested"]["depth"]) == ("best_effort", 200)
+        assert record["counts"]["measured"] + record["counts"]["missing"] == 200
+    for name, process in deaf.items():
+        assert end(process).status == 0
+        record = check_outputs(bench.folder, f"{name}ct_gnuplot_l1000_fq1000_pl0", bench.middleware)
+        assert record["incomplete_reason"] == "nothing came for 5 s, no message came"
+
+
+def test_what_a_short_history_loses_is_counted(bench: Bench) -> None:
+    receiver = bench.start("communication_tests_subscriber", "-r", "3000", "-f", "1000", "--depth", "1")
+    sender = bench.start(
+        "communication_tests_publisher", "-r", "3000", "-f", "1000", "--depth", "1", "--subscribers", "1"
+    )
+    while receiver.poll() is None:  # it sleeps most of the time, while messages come of which one is kept
+        receiver.send_signal(signal.SIGSTOP)
+        time.sleep(0.3)
+        receiver.send_signal(signal.SIGCONT)
+        time.sleep(0.1)
+    assert (end(sender).status, end(receiver).status) == (0, 0)
+    record = check_outputs(bench.folder, "ct_gnuplot_l3000_fq1000_pl0", bench.middleware)
+    counts, rows = record["counts"], np.load(bench.folder / "ct_gnuplot_l3000_fq1000_pl0.npy")
+    assert record["complete"] and counts["missing"] > 100
+    assert counts["measured"] + counts["missing"] == 3000 and counts["duplicate"] == counts["out_of_order"] == 0
+    assert sorted({*rows[:, 2].tolist(), *record["indices"]["missing"]})[:1000] == list(range(1000))
+
+
+def test_publisher_killed(bench: Bench) -> None:
+    receiver = bench.start("communication_tests_subscriber", "-r", "100000", "--idle-timeout", "3")
+    sender = bench.start("communication_tests_publisher", "-r", "100000", "--subscribers", "1")
+    wait_until(lambda: is_measuring(sender), sender)
+    with pytest.raises(subprocess.TimeoutExpired):
+        sender.wait(2)
+    sender.kill()
+    assert end(receiver).status == 0
+    record = check_outputs(bench.folder, "ct_gnuplot_l100000_fq1000_pl0", bench.middleware)
+    assert record["complete"] is False
+    assert record["incomplete_reason"].startswith("nothing came for 3 s, last message seen: ")
+    last = int(record["incomplete_reason"].rsplit(" ", 1)[1])
+    assert 0 < record["counts"]["measured"] + record["counts"]["missing"] == last + 1 < 100000
+
+
+def test_publisher_stopped_before_its_last_message(bench: Bench) -> None:
+    receiver = bench.start("communication_tests_subscriber", "-r", "100000", "--idle-timeout", "20")
+    sender = bench.start("communication_tests_publisher", "-r", "100000", "--subscribers", "1")
+    wait_until(lambda: is_measuring(sender), sender)
+    with pytest.raises(subprocess.TimeoutExpired):
+        sender.wait(2)
+    sender.send_signal(signal.SIGINT)
+    stopped = end(sender)
+    assert (stopped.status, stopped.out) == (1, "")
+    assert re.fullmatch(r"\tERROR: ended by SIGINT after \d+ of 100000 messages\n", stopped.err)
+    assert sent_by(bench, "ct_gnuplot_l100000_fq1000_pl0")["incomplete_reason"] == "ended by SIGINT"
+    assert end(receiver).status == 0
+    record = check_outputs(bench.folder, "ct_gnuplot_l100000_fq1000_pl0", bench.middleware)
+    assert record["incomplete_reason"].startswith("the publisher left, last message seen: ")
+
+
+def test_subscriber_killed(bench: Bench) -> None:
+    receiver = bench.start("communication_tests_subscriber", "-r", "3000")
+    sender = bench.start("communication_tests_publisher", "-r", "3000", "--subscribers", "1")
+    wait_until(lambda: is_measuring(sender), sender)
+    with pytest.raises(subprocess.TimeoutExpired):
+        sender.wait(1)
+    receiver.kill()
+    assert end(sender) == Ended(0, "\tINFO: Done publishing...\n", "")
+    assert sent_by(bench, "ct_gnuplot_l3000_fq1000_pl0")["counts"] == {"asked": 3000, "sent": 3000}
+
+
+def test_a_publisher_that_waits_for_nobody_ends_on_a_signal(bench: Bench) -> None:
+    sender = bench.start("communication_tests_publisher", "--subscribers", "1")
+    wait_until(lambda: is_measuring(sender), sender)
+    sender.terminate()
+    assert end(sender) == Ended(1, "", "\tERROR: ended by SIGTERM after 0 of 1000 messages\n")
+
+
+@pytest.mark.parametrize("program", ["cyclic_timer_tests", "communication_tests_subscriber"])
+def test_an_rmw_that_is_not_installed(bench: Bench, program: str) -> None:
+    bench.environment["RMW_IMPLEMENTATION"] = "rmw_nobodys_cpp"
+    refused = bench.run(program, "-r", "10")
+    assert refused.status != 0 and refused.out == ""
+    (line,) = filter(None, refused.err.splitlines())
+    assert "rmw_nobodys_cpp" in line
+    assert bench.files() == []
