@@ -66,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
         "real-time threads": f"{len(state.rt_threads)} of {state.threads}",
         "free on disk": f"{equipment.free_bytes // 2**20} MiB in {target.work_dir}",
         **{name: _middleware(equipment.of(name), SERVICES[name], runs) for name, runs in services.items()},
+        **{name: one.version for name, one in equipment.middlewares.items() if name not in SERVICES and one.version},
         "suites": suites,
     }
     width = max(map(len, lines))

@@ -10,6 +10,7 @@ from rtfiles.invocation import as_called
 from rtrun.execution.middleware.known import SERVICES
 from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Variant
+from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.run import Run
 from rtrun.targets import deploy
 from rtrun.targets.errors import TargetError
@@ -52,6 +53,12 @@ class Prepared:
         for middleware in middlewares_of(run):
             if middleware in self.no_service:
                 return self.no_service[middleware]
+        looked_for = self.equipment.middlewares.get(run.middleware)
+        if run.middleware not in SERVICES and looked_for == inspection.Installed() and not self.setup:
+            return (
+                f"{self.link.target.address}: {middlewares()[run.middleware].summary} was not found on the target: "
+                "install it, or name the shell file that sets it up as ros_setup in the target file"
+            )
         own = [suites.executable(run.suite, program, run.parameters) for program in suites.suite(run.suite).programs]
         for program in (*own, *sorted(conditions.suites_programs(run.condition))):
             if program not in self.programs:

@@ -124,7 +124,7 @@ def _of_suite(
 ) -> tuple[tuple[tuple[Program, ...], ...], list[str]]:
     """Return the programs of the suite by stage, and the outputs they write."""
     suite, middleware = suites.suite(run.suite), middlewares()[run.middleware]
-    environment = _environment(prepared, run.middleware)
+    environment = (*_environment(prepared, run.middleware), *suites.environment(run.parameters))
     count = int(run.parameters.get("subscribers") or 1)
     outputs: list[str] = []
 

@@ -12,7 +12,7 @@ from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.run import UNTRACED, KernelName
-from rtrun.plan.suites import Value
+from rtrun.plan.suites import Value, options
 
 By = Literal["variant", "kernel", "trace", "middleware"]
 """What the two sides differ in: a circumstance of their runs."""
@@ -58,6 +58,8 @@ def split(study: Study, by: By | None = None, names: Sequence[str] = ()) -> tupl
         for key in {key for side in sides for group in side for key in group.parameters}
         if _values(sides[0], key).isdisjoint(_values(sides[1], key))
     }
+    if by == "middleware":  # what only one of the two knows
+        varying |= {key for key, one in options().items() if not all(map(one.is_taken_through, chosen))}
     first, second = (
         replace(
             study,

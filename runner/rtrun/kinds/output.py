@@ -36,6 +36,8 @@ class InEffect(Config):
     mlockall: bool
     cpu_dma_latency_us: CpuDmaLatencyUs | None = None
     """The lowest latency that any program held in /dev/cpu_dma_latency, or the kernel's default; None: not known."""
+    facts: dict[str, str] = Field(default_factory=dict)
+    """Of the middleware, as it says itself: versions, and parameters that are given by the environment."""
 
 
 class Uname(Config):

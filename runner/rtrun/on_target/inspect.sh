@@ -1,6 +1,10 @@
 #!/bin/sh
 # Print what the runner needs to know before it can use this target: one line "name value" for each fact.
-#   inspect.sh WORK_DIR
+#   inspect.sh WORK_DIR ROS_SETUP
+# The scripts of middlewares, which come after this in the same shell, look beside the file that sets up ROS; empty: where
+# their own packages are.
+# shellcheck disable=SC2034 # they read it
+ros_setup=${2-}
 for tool in setsid flock sha256sum md5sum chrt sed; do
     command -v $tool >/dev/null || echo "missing $tool"
 done

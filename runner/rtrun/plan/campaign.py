@@ -169,6 +169,10 @@ def _combinations(
         errors.append(_unknown_keys(where, refused, ("suite", *keys), f"{entry['suite']} takes"))
     merged = common | entry | (overrides or {})
     axes = {key: _axis(where / key, key, merged[key], errors) for key in merged if key in keys}
+    middlewares = [str(value) for value in axes.get("middleware", [suite.middleware])]
+    for unused in [key for key in takes if key in entry and not any(_is_taken(key, name) for name in middlewares)]:
+        through = ", ".join(suites.options()[unused].through)
+        errors.append(f"{where / unused}: is for middleware {through}, and this run's is {', '.join(middlewares)}")
     repeats = axes.pop("repeats", [1])
     if len(repeats) > 1:
         errors.append(f"{where / 'repeats'}: one whole number, not a list")
@@ -191,8 +195,10 @@ def _combinations(
         given = dict(zip(axes, values, strict=True))
         condition = str(given.get("condition", conditions.IDLE))
         taken = {key: given.get(key, settings[key].default) for key in conditions.settings_of(condition)}
+        middleware = str(given.get("middleware", suite.middleware))
         parameters = defaults | {key: value for key, value in given.items() if key in takes}
-        # Combinations that differ only in settings that the condition does not take are the same run.
+        parameters = {key: value for key, value in parameters.items() if _is_taken(key, middleware)}
+        # Combinations that differ only in what the condition or the middleware does not take are the same run.
         trace = str(given.get("trace") or "")
         if (key := (*parameters.values(), condition, *taken.values(), trace)) in seen:
             continue
@@ -217,6 +223,10 @@ def _takes(suite: suites.Suite) -> tuple[str, ...]:
     keys = [key for key in suite.parameters if key not in RESERVED]
     keys += ["subscribers"] if suite.repeated else []
     return (*keys, *([] if suite.is_baseline else ["middleware"]))
+
+
+def _is_taken(key: str, middleware: str) -> bool:
+    return key == "subscribers" or suites.options()[key].is_taken_through(middleware)
 
 
 def _given(takes: Sequence[str]) -> tuple[str, ...]:

@@ -36,15 +36,25 @@ class Option(Config):
     default: Value
     help: str
     flag: str = ""
+    environment: str = ""
+    """The variable by which it is given in place of a flag."""
+    through: Strings = ()
+    """The middlewares whose programs alone take it; none: those of all."""
+    not_through: Strings = ()
+    """The middlewares whose programs do not take it."""
     min: int = 0
     max: int = 0
     choices: Strings = ()
     pattern: str = ""
     """What a text must look like unless it is empty; none: any line."""
 
+    def is_taken_through(self, middleware: str) -> bool:
+        """Whether programs take it that measure through a middleware."""
+        return (not self.through or middleware in self.through) and middleware not in self.not_through
+
     @property
     def is_of_2014(self) -> bool:
-        """Whether the programs of 2014 have it: theirs have short flags, what came later has long ones."""
+        """Whether the programs of 2014 may have it: theirs have short flags, what came later has long ones."""
         return not self.flag.startswith("--")
 
     @property
@@ -92,8 +102,6 @@ class Suite(Config):
     measures: Annotated[tuple[Measure, ...], Field(strict=False, min_length=1)]
     """What a question may be of; of the first one where it names none."""
     programs: dict[str, Strings]
-    not_on_roscpp: dict[str, Strings] = Field(default_factory=dict)
-    """What a program takes besides, on every middleware but roscpp."""
     output: str
     logs: Strings
     columns: Strings
@@ -123,10 +131,6 @@ class Suite(Config):
     def middleware(self) -> str:
         """Through what it measures where nobody names another middleware."""
         return NONE if self.is_baseline else DEFAULT
-
-    def options_of(self, program: str, middleware: str) -> tuple[str, ...]:
-        """The keys of the options that a program takes that measures through a middleware."""
-        return self.programs[program] + (self.not_on_roscpp.get(program, ()) if middleware != DEFAULT else ())
 
     @property
     def stages(self) -> tuple[tuple[str, ...], ...]:
@@ -281,12 +285,20 @@ def argv(suite_name: str, program: str, parameters: Mapping[str, Value]) -> list
     if described.is_baseline:
         return [program, *described.always, *_explicit(suite_name, program, parameters)]
     words = [program]
-    for key in described.options_of(program, middleware_of(suite_name, parameters)):
+    middleware = middleware_of(suite_name, parameters)
+    for key in described.programs[program]:
         option = suites().options[key]
         value = parameters.get(key)
-        if value is not None and value != option.default:
+        if option.flag and option.is_taken_through(middleware) and value is not None and value != option.default:
             words += [option.flag, str(value)]
     return words
+
+
+def environment(parameters: Mapping[str, Value]) -> tuple[tuple[str, str], ...]:
+    """The parameters that programs are given by variables, as these."""
+    known = options()
+    given = {key: value for key, value in parameters.items() if key in known and value not in (None, "")}
+    return tuple((known[key].environment, str(value)) for key, value in given.items() if known[key].environment)
 
 
 def _explicit(baseline: str, program: str, parameters: Mapping[str, Value]) -> list[str]:

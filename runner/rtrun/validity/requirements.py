@@ -72,6 +72,7 @@ def find_violation(
     seen = while_measuring(observations)
     return (
         _wrong_threads(run, asked, observations, records)
+        or _wrong_facts(run, records)
         or _unseen_condition(run, background, asked, observations)
         or _wrong_loads(run, background, asked, seen)
         or _wrong_governor(asked, seen)
@@ -111,6 +112,16 @@ def _wrong_threads(
         return f"nobody saw {_asked_words(asked)} in effect: {_why_unseen(run, observations)}"
     seen = _words_of(state for threads in states for state in threads)
     return f"asked for {_asked_words(asked)}, in effect was {seen} in each of {len(states)} observations"
+
+
+def _wrong_facts(run: Run, records: Mapping[str, Record]) -> str | None:
+    """What a middleware says of itself, where a run asks for it."""
+    for output, record in records.items():
+        for key, fact in record.in_effect.facts.items():
+            asked = run.parameters.get(key)
+            if asked not in (None, "") and str(asked) != fact:
+                return f"{output}: asked for {key} {asked}, in effect was {fact or 'none'}"
+    return None
 
 
 def _unseen_condition(

@@ -39,6 +39,15 @@ def test_groups_of_two_variants_are_matched_though_a_setting_differs(tmp_path):
         assert not {"variant", "priority"} & set().union(*(group.parameters for group in side.groups))
 
 
+def test_what_one_middleware_alone_knows_tells_no_side_from_the_other(tmp_path):
+    ros2 = {"middleware": "rcl", "rmw": "rmw_x_cpp", "domain_id": 7}
+    whole = study(write(tmp_path / "runs", {"old": (90, {}), "new": (90, ros2)}), bounds=False)
+    (default,) = [g for g in whole.groups if (g.parameters["policy"], g.parameters["middleware"]) == ("RR", "rcl")]
+    default.parameters.pop("rmw")  # as the default of a run of the same campaign is left out
+    for side in split(whole, "middleware")[1]:
+        assert not ros2.keys() & set().union(*(group.parameters for group in side.groups))
+
+
 def test_compare_answers_for_the_variants_of_one_folder(tmp_path, capsys):
     root = write(tmp_path / "runs", {"old": (90, {}), "new": (90, {})}, policies=("RR",))
     assert main(["compare", str(root)]) == 0

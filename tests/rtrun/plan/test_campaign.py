@@ -6,6 +6,7 @@ import pytest
 
 from rtfiles.errors import UsageError
 from rtrun.cli import main
+from rtrun.plan import suites
 from rtrun.plan.campaign import read_campaign
 
 CAMPAIGNS = Path(__file__).parents[3] / "campaigns"
@@ -88,6 +89,10 @@ def test_a_run_wins_over_common(tmp_path):
             "runs: [{suite: communication_tests, subscribers: 0}]",
             "subscribers takes a whole number from 1 to 64, got 0",
         ),
+        (
+            "runs: [{suite: communication_tests, depth: 10}]",
+            "runs.0.depth: is for middleware rcl, rclcpp, and this run's is roscpp",
+        ),
         ("runs: []", "runs: takes 1 or more entries"),
         ("runs: 5", "runs: takes a list, got 5"),
         ("common: {speed: 5}\nruns: [{suite: cyclic_timer_tests}]", "common: unknown key 'speed', allowed: policy"),
@@ -101,6 +106,23 @@ def test_bad_campaigns_are_usage_errors_that_name_file_and_key(tmp_path, text, m
     with pytest.raises(UsageError, match=message) as caught:
         read_campaign(path)
     assert str(path) in str(caught.value)
+
+
+def test_what_a_middleware_does_not_take_makes_no_run_of_its_own(tmp_path):
+    run = "{suite: communication_tests, middleware: [roscpp, rcl], depth: [10, 1000], rmw: rmw_x_cpp}"
+    _, runs = read_campaign(write(tmp_path, f"common: {{domain_id: 7}}\nruns: [{run}]\n"))
+    assert [(run.middleware, run.parameters.get("depth")) for run in runs] == [
+        ("roscpp", None),
+        ("rcl", 10),
+        ("rcl", 1000),
+    ]
+    assert not {"depth", "reliability", "rmw", "domain_id"} & runs[0].parameters.keys()
+    assert dict(suites.environment(runs[0].parameters)) == {}
+    assert dict(suites.environment(runs[1].parameters)) == {"RMW_IMPLEMENTATION": "rmw_x_cpp", "ROS_DOMAIN_ID": "7"}
+    publishers = [suites.argv(run.suite, "communication_tests_publisher", run.parameters) for run in runs]
+    assert publishers == [
+        ["communication_tests_publisher", "-d", "1", *options] for options in ((), ("--depth", "10"), ())
+    ]
 
 
 def test_every_mistake_is_told_at_once(tmp_path):

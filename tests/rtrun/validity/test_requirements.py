@@ -125,6 +125,19 @@ def test_an_option_that_nobody_can_see_in_effect(option):
     assert find_unseen_option(run_of(repetitions=7), {}) is None, "known in 2014"
 
 
+def test_what_a_middleware_says_of_itself(tmp_path):
+    run = run_of(middleware="rcl", rmw="rmw_x_cpp", domain_id=7)
+    record = read_json(write_cyclic(tmp_path), Record)
+
+    def violation(**facts):
+        in_effect = record.in_effect.model_copy(update={"facts": facts})
+        return find_violation(run, [], [], {"x": record.model_copy(update={"in_effect": in_effect})})
+
+    assert violation() is None and violation(rmw="rmw_x_cpp", domain_id="7", rcl_version="1.2.3") is None
+    assert violation(rmw="rmw_y_cpp") == "x: asked for rmw rmw_x_cpp, in effect was rmw_y_cpp"
+    assert violation(domain_id="") == "x: asked for domain_id 7, in effect was none"
+
+
 def test_what_nobody_saw_is_not_taken_for_good():
     assert wrong(run_of(policy=0)) is None, "nothing was asked for"
     assert wrong(run_of(policy=0, cpu="1")).startswith("nobody saw OTHER 0 on CPUs 1 in effect")

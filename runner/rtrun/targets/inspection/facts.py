@@ -146,7 +146,7 @@ def inspect(link: "Link") -> Equipment:
     scripts = [SCRIPT.read_text(encoding="utf-8")]
     for name, path in MIDDLEWARE_SCRIPTS.items():
         scripts.append(f"echo '{_MIDDLEWARE}{name}'\n{path.read_text(encoding='utf-8')}")
-    output = link.check(["sh", "-s", str(target.work_dir)], stdin="".join([*scripts, "exit 0\n"]))
+    output = link.check(["sh", "-s", str(target.work_dir), target.setup or ""], stdin="".join([*scripts, "exit 0\n"]))
     own, *rest = re.split(rf"^{_MIDDLEWARE}(\w+)$", output, flags=re.MULTILINE)
     facts = _lines_by_name(own, _FACTS)
     found = {name: _lines_by_name(text, _INSTALLED) for name, text in zip(rest[::2], rest[1::2], strict=True)}
