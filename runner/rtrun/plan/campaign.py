@@ -169,20 +169,19 @@ def _combinations(
         errors.append(_unknown_keys(where, refused, ("suite", *keys), f"{entry['suite']} takes"))
     merged = common | entry | (overrides or {})
     axes = {key: _axis(where / key, key, merged[key], errors) for key in merged if key in keys}
-    middlewares = [str(value) for value in axes.get("middleware", [suite.middleware])]
-    for unused in [key for key in takes if key in entry and not any(_is_taken(key, name) for name in middlewares)]:
-        through = ", ".join(suites.options()[unused].through)
-        errors.append(f"{where / unused}: is for middleware {through}, and this run's is {', '.join(middlewares)}")
+    through = [str(value) for value in axes.get("middleware", [suite.middleware])]
+    for unused in [key for key in takes if key in entry and not any(_is_taken(key, name) for name in through)]:
+        of = ", ".join(suites.options()[unused].through)
+        errors.append(f"{where / unused}: is for middleware {of}, and this run's is {', '.join(through)}")
     repeats = axes.pop("repeats", [1])
     if len(repeats) > 1:
         errors.append(f"{where / 'repeats'}: one whole number, not a list")
     if not all(axes.values()) or not repeats:
         return
-    for name in axes.get("middleware", []):
-        if suite.kind not in (has := middlewares()[str(name)].kinds):
-            errors.append(
-                f"{where / 'middleware'}: {name} has no programs of {entry['suite']}, only of {', '.join(has)}"
-            )
+    for name in through:
+        if suite.kind and suite.kind not in (kinds := middlewares()[name].kinds):
+            has = ", ".join(kinds)
+            errors.append(f"{where / 'middleware'}: {name} measures {has}, not what {entry['suite']} does ({suite.kind})")
             return
     number = math.prod(map(len, axes.values())) * int(repeats[0] or 1)
     if number > RUNS_MAX:
