@@ -181,7 +181,7 @@ def _combinations(
     for name in through:
         if suite.kind and suite.kind not in (kinds := middlewares()[name].kinds):
             has = ", ".join(kinds)
-            errors.append(f"{where / 'middleware'}: {name} measures {has}, not what {entry['suite']} does ({suite.kind})")
+            errors.append(f"{where / 'middleware'}: {name} measures {has}, and {entry['suite']} is of {suite.kind}")
             return
     number = math.prod(map(len, axes.values())) * int(repeats[0] or 1)
     if number > RUNS_MAX:
