@@ -30,14 +30,21 @@ find_group() { read -r group <"$name.pid" && is_our_group "$group"; } 2>/dev/nul
 """
 )
 # Programs are looked for among the processes: whatever lies in the folders of runs, those are few. /proc shows the path
-# that has no links.
-LIVING = """
+# that has no links. Which files a process of another user has open it does not show, but how supervise.sh was called.
+LIVING = r"""
 # Print the locks below a folder whose programs live, each once.
 living() {
     below=$(cd "$1" 2>/dev/null && pwd -P) || return 0
-    LC_ALL=C ls -l /proc/[0-9]*/fd/9 2>/dev/null | while IFS= read -r line; do
-        lock=${line##* -> }
-        case $lock in "$below"/*.lock) echo "$lock" ;; esac
-    done | sort -u
+    {
+        LC_ALL=C ls -l /proc/[0-9]*/fd/9 2>/dev/null | while IFS= read -r line; do
+            lock=${line##* -> }
+            case $lock in "$below"/*.lock) echo "$lock" ;; esac
+        done
+        grep -lF "$below/" /proc/[0-9]*/cmdline 2>/dev/null | while IFS= read -r call; do
+            [ -r "${call%cmdline}fd" ] && continue
+            lock=$(tr '\0' '\n' <"$call" | sed -n '/\/supervise[.]sh$/{n;N;s,\n,/,;s,$,.lock,p;q;}')
+            case $lock in "$below"/*) flock -n -s "$lock" true || echo "$lock" ;; esac
+        done 2>/dev/null
+    } | sort -u
 }
 """

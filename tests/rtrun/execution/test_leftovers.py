@@ -1,5 +1,9 @@
 """What an earlier call left of a run on the target: when it is picked up, and when it is not."""
 
+import os
+import shutil
+import subprocess
+import tempfile
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
@@ -112,6 +116,26 @@ def test_what_lies_beside_it_is_not_read(begin, inspect, link, folder, monkeypat
     processes.give_up(link, remote)
     resumption.check_idle(link)
     assert not folder.exists()
+
+
+def test_a_program_of_another_user_is_seen(link):
+    """Its open files are not."""
+    if os.geteuid() != 0:
+        pytest.skip("only root can become another user")
+    remote = PurePosixPath(tempfile.mkdtemp()) / "runs/campaign/run"
+    Path(remote).mkdir(parents=True)
+    Path(remote.parents[2]).chmod(0o755)
+    command = ["setpriv", "--reuid=65534", "--clear-groups", "sh", "-c", resumption._BUSY, "sh", str(remote.parents[1])]
+
+    def seen():
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+
+    suite = Program(name="suite", argv=("sleep", "300"), deadline_s=300)
+    processes.start(link, PurePosixPath(deploy.ON_TARGET), remote, suite)
+    assert seen() == [f"{remote}/suite"]
+    processes.end(link, remote, "suite")
+    assert seen() == []
+    shutil.rmtree(remote.parents[2])
 
 
 def test_half_an_attempt_is_none(begin, folder, monkeypatch):
