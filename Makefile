@@ -10,7 +10,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --maxprocesses 8 --
 # Workers and the programs that they start find their modules compiled, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-yocto lock lint coverage bench setup setup-demo board suites clean
+.PHONY: demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-ros2 test-yocto lock lint coverage bench setup setup-demo board suites clean
 
 demo: setup-demo
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -18,7 +18,7 @@ demo: setup-demo
 
 # Its last line is pytest's summary: nothing is to be printed after it, neither here nor by .ci/run.
 test: setup
-	$(PYTEST) -m "not kernel and not slow and not boards"
+	$(PYTEST) -m "not kernel and not slow and not boards and not ros2"
 
 # What needs no board, no ROS master and no BitBake: for the loop of change and test.
 test-fast: setup
@@ -32,6 +32,10 @@ test-slow: setup
 # Every machine of `rtgen board machines`, booted and measured on: some minutes each, more when they are built first.
 test-boards: setup
 	$(BIN)/pytest -m boards
+
+# The suites on two releases of ROS 2, of PyPI's wheels, and on a ROS 2 of this machine, PREFIX, as /opt/ros/jazzy.
+test-ros2: setup
+	RT_TESTS_ROS2=$(abspath $(PREFIX)) $(BIN)/pytest tests/suites/test_ros2.py
 
 # Builds the kernel (five minutes on two idle cores) unless one of the same inputs is in the cache, and boots it.
 test-kernel: setup

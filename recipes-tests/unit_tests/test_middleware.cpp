@@ -26,6 +26,7 @@ struct Fake {
   struct Context : rt_tests::NoContext {
     using rt_tests::NoContext::NoContext;
     void shutdown() { ++shutdowns; }
+    rt_tests::Facts facts() const { return {{"version", "1.2.3"}}; }
   };
 
   template <class CallBack>
@@ -126,6 +127,7 @@ TEST(Middleware, TimersAreMeasuredAndOutputsAreThoseOfTheSuite) {
                            "cyclic_timer_tests_l20_fq1000"}) {
     const std::string json = folder / (std::string(name) + ".json");
     EXPECT_TRUE(has(json, "\"middleware\": \"fake\"")) << json;
+    EXPECT_TRUE(has(json, "\"version\": \"1.2.3\"")) << json;
     EXPECT_TRUE(has(json, "\"complete\": true") && has(json, "\"measured\": 20")) << json;
     EXPECT_FALSE(has(json, "\"costs\": null")) << json;
   }

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ports import free_domain
+from ports import free_domain, free_port
 from ros2 import wheels
 from rtgen import suites as builder
+from rtrun.cli import main
 
 from .conftest import (
     Bench,
@@ -241,3 +242,50 @@ def test_an_rmw_that_is_not_installed(bench: Bench, program: str) -> None:
     (line,) = filter(None, refused.err.splitlines())
     assert "rmw_nobodys_cpp" in line
     assert bench.files() == []
+
+
+CAMPAIGN = """
+schema: 1
+name: two
+order: interleaved
+seed: 7
+common: {{policy: FIFO, repetitions: 300, frequency_hz: 300, domain_id: {domain}}}
+runs:
+  - {{suite: communication_tests, middleware: [roscpp, {middleware}], subscribers: 2, depth: 300}}
+  - {{suite: cyclic_timer_tests, middleware: [roscpp, {middleware}]}}
+  - {{suite: oneshot_timer_tests, middleware: [roscpp, {middleware}]}}
+  - {{suite: cyclic_timer_tests, middleware: {middleware}, rmw: rmw_nobodys_cpp}}
+"""
+
+
+def test_a_campaign_on_ros_1_and_2(
+    built: tuple[Path, Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    prefix, suites, middleware = built
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    domain = free_domain()
+    Path("campaign.yml").write_text(CAMPAIGN.format(domain=domain, middleware=middleware))
+    Path("target.yml").write_text(
+        f"schema: 1\nname: here\nkind: local\nsuites: {suites}\nros_master_port: {free_port()}\n"
+        f"ros_setup: {prefix}/setup.sh\n"
+    )
+    assert main(["run", "campaign.yml", "--target", "target.yml"]) == 3
+    records = {path.parent.name[:3]: json.loads(path.read_text()) for path in Path("results/two").glob("*/run.json")}
+    assert {number for number, record in records.items() if record["status"] == "ok"} == set(records) - {"007"}
+    assert "rmw_nobodys_cpp" in records["007"]["reason"]
+    version = json.loads((suites / "build.json").read_text())["ros2"][middleware]
+    for number in ("002", "004", "006"):
+        assert records[number]["parameters"]["domain_id"] == domain
+        assert records[number]["target"]["middleware_version"] == version
+    assert "domain_id" not in records["001"]["parameters"]
+    capsys.readouterr()
+    assert main(["verdict", "results/two", "--deadline", "1s"]) in (0, 1)
+    assert f"middleware={middleware}" in capsys.readouterr().out
+    assert main(["report", "results/two", "--output", "report.html"]) == 0
+    assert f"middleware={middleware}" in Path("report.html").read_text()
+    capsys.readouterr()
+    assert main(["compare", "results/two", "--by", "middleware"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"A: roscpp, B: {middleware}\n") and "only in" not in out, out
+    assert all(suite in out for suite in ("communication", "cyclic_timer", "oneshot_timer"))

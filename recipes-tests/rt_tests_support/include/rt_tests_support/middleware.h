@@ -10,7 +10,7 @@
 //       Context(int argc, char* argv[], const Program& program, const Options& options);  // throws Failure
 //       bool ok();        // false: the middleware asks the program to end
 //       void shutdown();  // once, after the last measurement
-//       Facts facts();    // what is in effect of it, for the json
+//       Facts facts();    // what is in effect of it, for the json; only where there is something to say
 //     };
 //
 //     // Calls call_back(expected_ns, real_ns) on the thread that calls spin(): when the call was due, and when it was made, as
@@ -65,12 +65,24 @@ struct Stamp {
   bool last;
 };
 
+template <class Context>
+auto facts_of(Context& context, int) -> decltype(context.facts()) {
+  return context.facts();
+}
+template <class Context>
+Facts facts_of(Context&, long) {  // of one that says nothing
+  return {};
+}
+template <class Context>
+Facts facts_of(Context& context) {
+  return facts_of(context, 0);
+}
+
 // Of a middleware that has none.
 struct NoContext {
   NoContext(int, char*[], const Program&, const Options&) {}
   bool ok() const noexcept { return true; }
   void shutdown() {}
-  Facts facts() const { return {}; }
 };
 
 }  // namespace rt_tests

@@ -28,7 +28,6 @@ struct Roscpp {
     }
     bool ok() const { return ros::ok(); }
     void shutdown() { ros::shutdown(); }
-    Facts facts() const { return {}; }
 
    private:
     std::optional<ros::NodeHandle> node_;

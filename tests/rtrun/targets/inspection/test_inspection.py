@@ -134,16 +134,17 @@ def test_the_equipment_of_this_machine(link):
 @pytest.mark.sshd
 @pytest.mark.parametrize("library", ["rcl", "rclcpp"])
 def test_a_ros2_beside_the_file_that_sets_it_up(link, tmp_path, library):
+    """And suites that were built in a workspace on top of one: there, the library is elsewhere."""
     program = f"lib/cyclic_timer_tests/cyclic_timer_tests_{library}"
-    for name in (f"lib/lib{library}.so", f"share/{library}/package.xml", program):
+    link.target = replace(link.target, setup=f"{tmp_path}/setup.sh")
+    for name in (program, f"lib/lib{library}.so", f"share/{library}/package.xml"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("<version>1.2.3</version>\n")
-    (tmp_path / program).chmod(0o755)
-    link.target = replace(link.target, setup=f"{tmp_path}/setup.sh")
-    equipment = inspection.inspect(link)
+        (tmp_path / name).chmod(0o755)
+        equipment = inspection.inspect(link)
+        assert equipment.programs[f"cyclic_timer_tests_{library}"] == f"{tmp_path}/{program}"
     found = {name for name, one in equipment.middlewares.items() if one.version == "1.2.3"}
     assert found == {library} and equipment.of(library).setup == f"{tmp_path}/setup.sh"
-    assert equipment.programs[f"cyclic_timer_tests_{library}"] == f"{tmp_path}/{program}"
 
 
 @pytest.mark.sshd

@@ -77,7 +77,7 @@ int run_publisher(int argc, char* argv[]) {
   const rt_tests::CpuDmaLatency cpu_dma_latency(options);
   rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));
   typename Middleware::Context context(argc, argv, program, options);
-  surroundings.facts = context.facts();
+  surroundings.facts = rt_tests::facts_of(context);
   typename Middleware::Publisher publisher(context, options);
   rt_tests::set_up_measuring_thread(options);
   rt_tests::catch_stop_signals(nullptr);

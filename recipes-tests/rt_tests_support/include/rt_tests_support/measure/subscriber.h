@@ -61,7 +61,7 @@ int run_subscriber(int argc, char* argv[]) {
                   rt_tests::ns_per_s / options.number("frequency_hz"));
   Receptions receptions(session.samples);
   typename Middleware::Context context(argc, argv, program, options);
-  session.surroundings.facts = context.facts();
+  session.surroundings.facts = rt_tests::facts_of(context);
   const std::string ended_by = receive<Middleware>(options, session, receptions, context);
   session.tear_down();
   context.shutdown();
