@@ -4,15 +4,18 @@
 other programs take from QEMU meanwhile, the board accounts to what runs there: the host must be idle.
 """
 
+import os
 import re
 import subprocess
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 import rtgen.cli
 from rtrun.execution.preparation import SAMPLER
+from rtrun.plan import suites
 from rtrun.targets import deploy
 from rtrun.targets.config import connect, read_target
 from rtrun.targets.inspection import facts as inspection
@@ -24,6 +27,14 @@ LASTS_S = 60
 LIMIT_PERCENT = 1.0
 # The last line of `times` is of all children that were waited for: user and system time.
 COMMAND = f'mkdir -p "$1" && {{ timeout {LASTS_S} "$2" "$1" 95 "" >/dev/null; times; }}'
+
+# Runs of each suite with the sampler beside it, and as many without, in turn.
+PAIRS = 7
+RUNS = {
+    "oneshot_timer_tests": {"policy": "RR", "repetitions": 5000, "timeout_us": 1000},
+    "cyclic_timer_tests": {"policy": "RR", "repetitions": 5000, "frequency_hz": 1000},
+    "communication_tests": {"policy": "RR", "repetitions": 2500, "frequency_hz": 500},
+}
 
 pytestmark = [pytest.mark.qemu, pytest.mark.timeout(0)]
 
@@ -67,3 +78,44 @@ def test_cost(tmp_path, monkeypatch):
         print(f"\n{name}: {percent:.2f} % of a core", end="")
     print(f"\nemulated board: {threads} threads")
     assert costs["emulated board, program"] <= LIMIT_PERCENT
+
+
+def test_the_suites_beside_it(ros_master, tmp_path, monkeypatch):
+    """What observing costs the programs that are observed."""
+    monkeypatch.chdir(TOP)
+    assert rtgen.cli.main(["suites", "build", "--machine", "host"]) == 0
+    built = TOP / "build" / "suites" / "host" / "lib"
+    environment = os.environ | {"ROS_MASTER_URI": f"http://127.0.0.1:{ros_master}", "ROS_IP": "127.0.0.1"}
+
+    def start(argv: list[str]) -> "subprocess.Popen[bytes]":
+        return subprocess.Popen(argv, cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL)
+
+    def cpu_s(suite: str) -> float:
+        """Of all programs of a run of a suite."""
+        # A subscriber stands behind its publisher, and starts first.
+        programs = [
+            start([str(built / suite / program), *suites.argv(suite, program, RUNS[suite])[1:]])
+            for program in reversed(suites.suite(suite).programs)
+        ]
+        used_s = 0.0
+        for program in programs:
+            _, status, used = os.wait4(program.pid, 0)
+            assert status == 0
+            used_s += used.ru_utime + used.ru_stime
+        return used_s
+
+    for suite in RUNS:
+        taken: dict[bool, list[float]] = {True: [], False: []}
+        for number in range(2 * PAIRS):
+            observed = number % 2 == 0
+            with (
+                start([str(built / SAMPLER / SAMPLER), str(tmp_path), "95", ""])
+                if observed
+                else nullcontext() as beside
+            ):
+                taken[observed].append(cpu_s(suite))
+                if beside:
+                    beside.terminate()
+        # Whatever else runs makes CPU time longer.
+        without_s, with_s = (min(taken[observed]) for observed in (False, True))
+        print(f"\n{suite}: {without_s:.3f} s of CPU time, beside the sampler {with_s / without_s - 1:+.1%}", end="")
