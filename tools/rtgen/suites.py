@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +28,7 @@ SUPPORT = "rt_tests_support"
 SAMPLER = "rt_tests_sampler"
 # communication_tests through transports without ROS, a folder each; every other package is a suite.
 TRANSPORTS = "transport_tests"
+WITHOUT_ROS = (SUPPORT, SAMPLER, TRANSPORTS)
 # The middleware whose programs have the plain names of suites.yml.
 FIRST_MIDDLEWARE = "roscpp"
 # The name of this machine among those that suites are built for.
@@ -95,18 +95,16 @@ def toolchain(machine: str, suite: str | None, ros2: Path | None = None) -> Tool
         for needed in ("setup.sh", "lib/librcl.so"):
             if ros2 and not (ros2 / needed).exists():
                 raise UsageError(f"--ros2 {ros2}: has no {needed}: give the folder of a ROS 2, as /opt/ros/jazzy")
-        listing, compiler = "", version("g++")
         wanted = {package for packages in transports().values() for package in packages}
+        installed = run(["dpkg-query", "--show"]).splitlines()
+        of_transports = [line for line in installed if line.split()[0].partition(":")[0] in wanted]
+        compiler, listing = version("g++"), ""
         try:
             listing = run(["dpkg-query", "--show", *HOST_PACKAGES])
-            installed = run(["dpkg-query", "--show"]).splitlines()
         except InfrastructureError as error:
             if ros2 is None:
                 raise InfrastructureError(f"{error}\n`tools/setup all` installs what this machine lacks") from error
-            installed = []
-        of_transports = [line for line in installed if line.split()[0].partition(":")[0] in wanted]
-        identity = (compiler, listing, *of_transports)
-        return Toolchain("g++", FLAGS, None, None, None, identity, has_roscpp=bool(listing))
+        return Toolchain("g++", FLAGS, None, None, None, (compiler, listing, *of_transports), has_roscpp=bool(listing))
     if ros2 is not None:
         raise UsageError(f"--ros2 {ros2} is of this machine: build for {HOST}, or on the board itself (docs/ros2.md)")
     source = board_packages.source(suite)
@@ -136,12 +134,12 @@ def build(machine: str, place: Path, suite: str | None = None, ros2: Path | None
     def build_in(result: Path) -> None:
         with tempfile.TemporaryDirectory(prefix="rtgen-suites-") as temporary:
             stage = Path(temporary) / "stage"
-            built = packages() if tools.has_roscpp else [SUPPORT, SAMPLER]
-            for package in built:
-                build_package(folder / package, Path(temporary), stage, tools)
-            collect(stage, result, built)
+            for package in packages():
+                if tools.has_roscpp or package in WITHOUT_ROS:
+                    build_package(folder / package, Path(temporary), stage, tools)
+            collect(stage, result)
         shutil.copyfile(folder / "suites.yml", result / "suites.yml")
-        found = middlewares(result)
+        built = middlewares(result)
         record = {
             "schema": SCHEMA,
             "machine": machine,
@@ -149,8 +147,8 @@ def build(machine: str, place: Path, suite: str | None = None, ros2: Path | None
             "compiler": version(tools.compiler),
             "flags": tools.flags,
             "source_hash": source_hash,
-            "middlewares": found,
-            "not_built": {name: needed for name, needed in transports().items() if name not in found},
+            "middlewares": built,
+            "not_built": {name: needed for name, needed in transports().items() if name not in built},
             "files": describe(result),
         }
         atomic.write_text(result / "build.json", json.dumps(record, indent=2) + "\n")
@@ -206,7 +204,7 @@ def with_ros2(entry: Path, ros2: Path) -> Path:
 
     def build_in(result: Path) -> None:
         shutil.copytree(entry, result, dirs_exist_ok=True)
-        suites = [package for package in packages() if package not in (SUPPORT, SAMPLER, TRANSPORTS)]
+        suites = [package for package in packages() if package not in WITHOUT_ROS]
         with tempfile.TemporaryDirectory(prefix="rtgen-suites-") as temporary:
             work, stage = Path(temporary) / "work", Path(temporary) / "stage"
             words: list[str | Path] = [ros2 / "setup.sh", sources(), work, stage, SUPPORT, *suites]
@@ -233,10 +231,10 @@ def _environment(temporary: Path) -> dict[str, str]:
     return environment
 
 
-def collect(stage: Path, result: Path, built: Sequence[str]) -> None:
+def collect(stage: Path, result: Path) -> None:
     """Copy from the stage the programs, the launch files, and the files by which rosrun and roslaunch find them."""
     (result / ".catkin").touch()
-    for package in built:
+    for package in packages():
         if not (stage / "lib" / package).is_dir():
             continue  # the library has no programs
         shutil.copytree(stage / "lib" / package, result / "lib" / package)
