@@ -7,15 +7,12 @@ from rtrun.report.plots.charts import Plot, Trace, plain
 
 _COLOURS = 8  # --series-0 to --series-7
 _BAR = 0.36  # of the room that a chain has
-# A part that is a smaller share of the widest chain has no room for its name.
-_LEAST_NAMED = 0.06
 
 
 def stacked(chains: Sequence[Sequence[LayerBar]]) -> list[Plot]:
     """One plot with a bar for each chain of layers; none where there are no chains."""
     if not chains:
         return []
-    widest_us = max(sum(bar.us for bar in chain) for chain in chains)
     hidden = {"visible": False, "fixedrange": True, "range": [len(chains) - 0.5, -0.6]}
     layout = {
         "barmode": "overlay",
@@ -28,7 +25,7 @@ def stacked(chains: Sequence[Sequence[LayerBar]]) -> list[Plot]:
         "Quantiles and shares of late values do not add up: they are in the table."
     )
     data = [part for row, chain in enumerate(chains) for part in _parts(row, chain)]
-    data += [text for row, chain in enumerate(chains) for text in _texts(row, chain, widest_us)]
+    data += [text for row, chain in enumerate(chains) for text in _texts(row, chain)]
     return [Plot(caption=caption, data=data, layout=layout)]
 
 
@@ -63,25 +60,22 @@ def _parts(row: int, chain: Sequence[LayerBar]) -> Iterator[Trace]:
         begin_us += bar.us
 
 
-def _texts(row: int, chain: Sequence[LayerBar], widest_us: float) -> Iterator[Trace]:
-    """The name of the chain above its bar, and of each part below it."""
-    yield _text(0.0, row - _BAR / 2, "top right", chain[-1].label)
-    begin_us = 0.0
-    for place, bar in enumerate(chain):
-        if bar.us > _LEAST_NAMED * widest_us:
-            value = f"{bar.us:.0f}" if place == 0 else f"{bar.us:+.0f}"
-            yield _text(begin_us, row + _BAR / 2, "bottom right", f"{bar.short} {value}")
-        begin_us += bar.us
+def _texts(row: int, chain: Sequence[LayerBar]) -> Iterator[Trace]:
+    """The name of the chain above its bar, and what each of its parts is, in their order, below it."""
+    yield _text(row - _BAR / 2, "top right", chain[-1].label)
+    lowest, *above = chain
+    parts = [f"{lowest.short} {lowest.us:.0f}", *(f"{bar.short} {bar.us:+.0f}" for bar in above)]
+    yield _text(row + _BAR / 2, "bottom right", ", ".join(parts))
 
 
-def _text(x_us: float, y: float, position: str, text: str) -> Trace:
+def _text(y: float, position: str, text: str) -> Trace:
     return {
         "type": "scatter",
         "mode": "text",
         "showlegend": False,
         "hoverinfo": "skip",
         "cliponaxis": False,
-        "x": [round(x_us, 3)],
+        "x": [0],
         "y": [y],
         "text": [plain(text)],
         "textposition": position,
