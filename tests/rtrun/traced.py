@@ -11,6 +11,7 @@ from rtrun.causes.ftrace import parse
 from rtrun.results import run_directory
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
 from rtrun.targets.inspection.control_groups import ControlGroup
+from rtrun.targets.inspection.platform import Platform
 
 SPECIMENS = Path(__file__).parents[1] / "data" / "traces"
 OUTPUT = "cyclic_timer_tests_l2500_fq500-tnRTRR"
@@ -65,7 +66,8 @@ def write_traced_run(
     """
     is_message = output.startswith(("ct_", "1ct_"))
     suite = "communication_tests" if is_message else "cyclic_timer_tests"
-    rows = [(1_000_000, 1_100_000, 0), (3_000_000, 3_100_000, 1)] if is_message else [(1_000_000,), (3_000_000,)]
+    last = (0, 1) if is_message else (1_000_000, 3_000_000)
+    rows = [(1_000_000, 1_100_000, last[0]), (3_000_000, 3_100_000, last[1])]
     partial = folder / "partial"
     partial.mkdir(parents=True)
     path = write_output(
@@ -78,8 +80,9 @@ def write_traced_run(
     for index, text in traces.items():
         (partial / f"{output}-trace-{index}.txt").write_text(text)
     closing = RunRecord(
-        schema=1, run="001-run", campaign="campaign", suite=suite,
-        parameters={"policy": "RR", "frequency_hz": 500, "repetitions": 2, "trace_threshold_us": 100}, emulated=False,
+        schema=2, run="001-run", campaign="campaign", suite=suite,
+        parameters={"policy": "RR", "frequency_hz": 500, "repetitions": 2, "trace_threshold_us": 100},
+        platform=Platform.HARDWARE, platform_evidence="stated by the test",
         status=RunStatus.OK, reason=None, start_time="2026-11-21T10:00:00+00:00",
         end_time="2026-11-21T10:00:01+00:00", outputs=[output],
         programs=[ProgramRecord(name=suite, argv=[suite], exit_status=0, control_groups=list(control_groups))],

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtrun.plan import suites
+
 NOT_FIRED = -(2**63)
 OTHER = {"policy": "OTHER", "priority": 0}
 Rows = list[tuple[int, ...]] | NDArray[np.int64]
@@ -66,6 +68,8 @@ def write_output(
         "indices": {"not_fired": [], "missing": [], "duplicate": [], "out_of_order": []},
         "summary": {"x": {"n": 0, "min_ns": None, "mean_ns": None, "max_ns": None, "top": [], "lowest": []}},
         "files": {"logs": [f"{output}.log"] if logs is None else logs, "npy": f"{output}.npy"},
+        "columns": [*suites.suite(suite).columns],
+        "rate": dict.fromkeys(("asked_hz", "achieved_hz", "overruns", "skipped")),
         "traces": {"above_limit": 0, "files": []},
     }
     path = folder / f"{output}.json"
@@ -73,11 +77,8 @@ def write_output(
     return path
 
 
-def write_oneshot(folder: Path, armed_after_ns: int | None = None) -> Path:
-    """Four one-shot measurements of 1 ms, the third of which never fired.
-
-    `armed_after_ns` is the time from the start of each to the armed timer; None: samples of an earlier version.
-    """
+def write_oneshot(folder: Path, armed_after_ns: int = 7000) -> Path:
+    """Four one-shot measurements of 1 ms, each armed so long after its start, the third of which never fired."""
     rows = [
         (10, 1_050_010, 50_000, 58_000),
         (2_000_000, 3_060_000, 60_000, 67_500),
@@ -88,7 +89,7 @@ def write_oneshot(folder: Path, armed_after_ns: int | None = None) -> Path:
         folder,
         "oneshot_timer_tests_l4_tm1000-tnRTRR",
         "oneshot_timer_tests",
-        rows if armed_after_ns is None else [(*row, row[0] + armed_after_ns) for row in rows],
+        [(*row, row[0] + armed_after_ns) for row in rows],
         requested={"repetitions": 4, "timeout_us": 1000, "busy_mode": 0},
         asked=4,
         measured=3,
@@ -97,8 +98,8 @@ def write_oneshot(folder: Path, armed_after_ns: int | None = None) -> Path:
 
 
 def write_cyclic(folder: Path) -> Path:
-    """Four timestamps of a 7 kHz timer, whose period is no whole number of nanoseconds."""
-    rows = [(1000,), (143_857 + 500,), (286_714,), (429_571,)]
+    """Four calls of a 7 kHz timer, whose period is no whole number of nanoseconds."""
+    rows = [(1000, 0, 9), (143_857 + 500, 142_857, 142_866), (286_714, 285_714, 285_723), (429_571, 428_571, 428_580)]
     return write_output(
         folder,
         "cyclic_timer_tests_l3_fq7000-tnRTRR",

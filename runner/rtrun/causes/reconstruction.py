@@ -141,20 +141,27 @@ class _Builder:
                 if event.wakes is not None:
                     self.overslept_ns.pop(event.wakes, None)
             case TimerExpiry():
-                # All timers of one interrupt have the same `now`, which was read when it began.
-                if cpu.expiry is None or cpu.expiry.now_ns != event.now_ns:
-                    cpu.offset_ns = event.at_ns - event.now_ns
-                cpu.expiry = event
-                if (start := self.timers.get(event.timer)) is not None:
-                    cpu.note_late(start)
-                    if start.wakes is not None:
-                        self.overslept_ns[start.wakes] = event.at_ns
-            case Raise():
-                cpu.raises.setdefault(event.name, event)
+                self._expire(cpu, event)
             case Migration():
                 self._queue(event.pid, event.at_ns, event.to_cpu)
                 if event.pid in self.queues:
                     self._enqueue(event.pid, event.to_cpu)
+            case Current():
+                self.names.setdefault(event.pid, event.name)
+                if cpu.thread is None:
+                    cpu.thread = Occupant(Context.THREAD, event.name, event.pid, None)
+                    self.threads[event.pid].append(StateChange(event.at_ns, State.RUNNING, event.cpu))
+            case Lost():
+                self._lose(cpu, event)
+            case _:
+                self._remember(cpu, event)
+        cpu.last_ns = event.at_ns
+
+    def _remember(self, cpu: _Cpu, event: Event) -> None:
+        """What changes nothing at once, but says why something changes later."""
+        match event:
+            case Raise():
+                cpu.raises.setdefault(event.name, event)
             case Futex():
                 self.faults.discard(event.pid)
                 if event.operation is None:
@@ -172,14 +179,16 @@ class _Builder:
                 self.thawing.add(event.by_pid)
             case Frequency():
                 self.frequencies[event.of_cpu].append(event)
-            case Current():
-                self.names.setdefault(event.pid, event.name)
-                if cpu.thread is None:
-                    cpu.thread = Occupant(Context.THREAD, event.name, event.pid, None)
-                    self.threads[event.pid].append(StateChange(event.at_ns, State.RUNNING, event.cpu))
-            case Lost():
-                self._lose(cpu, event)
-        cpu.last_ns = event.at_ns
+
+    def _expire(self, cpu: _Cpu, event: TimerExpiry) -> None:
+        # All timers of one interrupt have the same `now`, which was read when it began.
+        if cpu.expiry is None or cpu.expiry.now_ns != event.now_ns:
+            cpu.offset_ns = event.at_ns - event.now_ns
+        cpu.expiry = event
+        if (start := self.timers.get(event.timer)) is not None:
+            cpu.note_late(start)
+            if start.wakes is not None:
+                self.overslept_ns[start.wakes] = event.at_ns
 
     def _switch(self, cpu: _Cpu, event: Switch) -> None:
         at_ns, number, pid, name, prio, state, next_pid, next_name, next_prio = event

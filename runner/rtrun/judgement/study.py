@@ -279,7 +279,7 @@ def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], basis: _Basis) -
     periods = [one.header.period_ns for one in alike if one.header.period_ns]
     # Subscribers of one run receive the same messages; threads of cyclictest only measure at the same time.
     side_by_side = len(alike) / len({one.run for one in alike})
-    verdict = judge(
+    return judge(
         trials,
         replace(question, of=first.of, tolerance=question.tolerance if first.main else NONE_TOLERATED),
         Circumstances(
@@ -290,8 +290,6 @@ def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], basis: _Basis) -
             off_rate=sum(basis.off_rate.get(kind, 0) for kind in kinds),
         ),
     )
-    assumes = dict.fromkeys(one.header.assumes for one in alike if one.header.assumes)
-    return replace(verdict, assumes=(*verdict.assumes, *assumes))
 
 
 def _clock_step_ns(alike: Sequence[Digest]) -> int | None:

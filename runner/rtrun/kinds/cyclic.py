@@ -29,12 +29,10 @@ def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedVa
     passed_ns = timestamp[1:] - timestamp[:1] if len(timestamp) else timestamp
     frequency_hz = _frequency_hz(record, path)
     period_ns = _grid_ns(1, frequency_hz)
-    grid = IndexedValues(values_ns=passed_ns - _grid_ns(index + 1, frequency_hz), index=index)
-    lateness = _lateness(columns, record, path, period_ns) if "expected_ns" in columns else _estimated(grid, period_ns)
     return {
-        "lateness": lateness,
+        "lateness": _lateness(columns, record, path, period_ns),
         "jitter": IndexedValues(values_ns=np.diff(timestamp) - period_ns, index=index),
-        "grid": grid,
+        "grid": IndexedValues(values_ns=passed_ns - _grid_ns(index + 1, frequency_hz), index=index),
     }
 
 
@@ -57,7 +55,7 @@ def _lateness(columns: Columns, record: Record, path: Path, period_ns: int) -> I
         raise UsageError(
             f"{path}: {total} periods were skipped: none with more than {MAX_ABSENT} is read; was the wall clock set?"
         )
-    if record.rate is not None and record.rate.skipped is not None:
+    if record.rate.skipped is not None:
         agree(path, "skipped", total, record.rate.skipped)
     # The loops of the calls, of which each has those that were skipped before it.
     loops = np.arange(values.size) + np.cumsum(skipped)
@@ -84,39 +82,6 @@ def _clock_was_set(offset: Int64s, period_ns: int) -> str:
     return (
         f"the wall clock, by which roscpp keeps its grid, was set by {most_ns / 1e6:.3g} ms while it was measured: "
         "measure again when it is not (NTP steps it after a boot), or ask for the jitter (--of jitter)"
-    )
-
-
-def _estimated(grid: IndexedValues, period_ns: int) -> IndexedValues:
-    """Lateness of samples that do not tell when calls were due, against a grid laid through the earliest ones.
-
-    Clocks drift: the grid is that of the first timestamp, tilted so that the earliest of the first quarter and of the
-    last are as late as one another, by 500 ppm at most. A call more than two periods late makes roscpp move its grid,
-    where to is not known.
-    """
-    values, quarter = grid.values_ns, grid.values_ns.size // 4
-    if not values.size:
-        return grid
-    late = values
-    # Twice: where the grid still falls or rises, the earliest calls are found at the ends of the quarters.
-    for _ in range(2):
-        first = int(np.argmin(late[: quarter or None]))
-        last = late.size - quarter + int(np.argmin(late[-quarter:])) if quarter else first
-        slope = (int(late[last]) - int(late[first])) / max(1, last - first)
-        limit = _NTP_DRIFT * period_ns
-        late = late - np.rint(min(max(slope, -limit), limit) * grid.index).astype(np.int64)
-    late = late - late.min()
-    undecidable = ""
-    if int(late.max()) > 2 * period_ns:
-        undecidable = (
-            "samples of an earlier version do not tell when calls were due, and one came more than two periods late, "
-            "after which roscpp moves its grid: measure again, or ask for the jitter (--of jitter)"
-        )
-    return IndexedValues(
-        values_ns=late,
-        index=grid.index,
-        assumes="a grid estimated from the earliest calls: these samples do not tell when calls were due",
-        undecidable=undecidable,
     )
 
 

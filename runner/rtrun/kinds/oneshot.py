@@ -19,16 +19,19 @@ def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedVa
     index = np.flatnonzero(fired)
     agree(path, "measured", len(index), counts.measured)
     agree(path, "not fired", len(fired) - len(index), counts.not_fired)
+    start, armed = columns["start_ns"], columns["armed_ns"][index]
     measured, reported = columns["measured_ns"][index], columns["reported_ns"][index]
-    check_times(path, columns["start_ns"], columns["end_ns"][index], measured, reported)
-    values = {"measured": measured, "reported": reported, "difference": reported - measured}
+    check_times(path, start, columns["end_ns"][index], measured, reported, armed)
+    # The programs of 2014 counted from after roscpp had armed the timer.
+    measured_2014 = measured - (armed - start[index])
+    values = {
+        "measured": measured,
+        "reported": reported,
+        "difference": reported - measured,
+        "measured_2014": measured_2014,
+        "difference_2014": reported - measured_2014,
+    }
     absent = np.flatnonzero(~fired)
-    if "armed_ns" in columns:
-        start, armed = columns["start_ns"][index], columns["armed_ns"][index]
-        check_times(path, armed)
-        # The programs of 2014 counted from after roscpp had armed the timer.
-        values["measured_2014"] = measured - (armed - start)
-        values["difference_2014"] = reported - values["measured_2014"]
     return {name: IndexedValues(values_ns=column, index=index, absent=absent) for name, column in values.items()}
 
 

@@ -154,11 +154,10 @@ class Record(ProgramHead):
     indices: Indices
     summary: dict[str, Summary]
     files: Files
-    columns: list[str] | None = None
-    """Of the npy; samples of earlier versions do not name theirs, which are those of suites.yml."""
-    rate: Rate | None = None
-    """None: samples of earlier versions."""
-    traces: Traces = Field(default_factory=lambda: Traces(above_limit=0, files=[]))
+    columns: list[str]
+    """Of the npy, as in suites.yml."""
+    rate: Rate
+    traces: Traces
 
 
 class SentCounts(Config):
@@ -189,11 +188,10 @@ class IndexedValues:
     """Values in nanoseconds and the index of each measurement, both of shape (n,).
 
     `absent`, int64 (a,), ascending, are the loops without a value, counted with them: what did not fire, is missing or
-    was skipped. `assumes` says what had to be assumed for the values, `undecidable` why no answer can rest on them.
+    was skipped. `undecidable` says why no answer can rest on the values.
     """
 
     values_ns: Int64s
     index: Int64s
     absent: Int64s = field(default_factory=no_values)
-    assumes: str = ""
     undecidable: str = ""

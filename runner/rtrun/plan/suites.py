@@ -105,8 +105,6 @@ class Suite(Config):
     output: str
     logs: Strings
     columns: Strings
-    added_columns: Strings = ()
-    """The last columns, which samples of earlier versions lack."""
     packages: Packages
     program_json: dict[str, str] = Field(default_factory=dict)
     """Of programs without samples: what stands between the output and ``.json`` in the name of the json they write."""

@@ -6,9 +6,9 @@ import time
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
@@ -33,7 +33,7 @@ from rtrun.plan.limits import (
     TimeNs,
 )
 from rtrun.plan.run import KernelName
-from rtrun.plan.suites import Parameters, Value, baselines, middleware_of, suite, suites
+from rtrun.plan.suites import Parameters, Value, middleware_of, suite, suites
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.targets.inspection.control_groups import ControlGroup
 from rtrun.targets.inspection.facts import Fact
@@ -77,8 +77,8 @@ class RunStatus(StrEnum):
 class ProgramRecord(Config):
     """A program that ran; no exit status: something else than the program ended it.
 
-    `control_groups` are those that it was in, and those above them; earlier versions recorded none. `rate`, `costs` and
-    `loops` are those of its json; None where it wrote none, or none that tells them.
+    `control_groups` are those that it was in, and those above them. `rate`, `costs` and `loops` are those of its json,
+    None without one, or where that does not tell them.
     """
 
     name: str
@@ -208,18 +208,6 @@ class RunRecord(Config):
     target: TargetFacts
     files: dict[Name, FileRecord]
 
-    @model_validator(mode="before")
-    @classmethod
-    def _read_schema_1(cls, data: Any) -> Any:
-        """Of the first schema, which had `emulated`, as the target file stated it."""
-        if not isinstance(data, dict) or data.get("schema") != 1:
-            return data
-        if not isinstance(data.get("emulated"), bool):
-            raise ValueError("emulated: true or false is needed in a record of schema 1")
-        platform = Platform.EMULATED if data["emulated"] else Platform.HARDWARE
-        kept = {key: value for key, value in data.items() if key != "emulated"}
-        return kept | {"schema": 2, "platform": platform, "platform_evidence": "stated, not found on the target"}
-
     @property
     def duration_s(self) -> float:
         """The time from begin to end, in seconds; 0 where it is unknown, or the clock was set back in between."""
@@ -247,23 +235,16 @@ class RunRecord(Config):
     def circumstances(self) -> dict[str, Value]:
         """The parameters, and what was there beside the suite where there was something: runs of one are alike.
 
-        Runs that keep the traces above one quantile are alike, though each has a threshold of its own. A baseline did
-        by itself what earlier versions did not tell it, and theirs was the one middleware that a suite had.
+        Runs that keep the traces above one quantile are alike, though each has a threshold of its own. A suite measured
+        through its own middleware where none was named.
         """
-        measured = baselines().suites.get(self.suite) if self.programs else None
         condition: dict[str, Value] = {} if self.condition == IDLE else {"condition": self.condition}
         settings = {key: value for key, value in self.settings.items() if value not in (None, "")}
         of_campaign: dict[str, Value] = {"variant": self.variant, "kernel": self.kernel, "trace": self.trace}
         parameters = {key: value for key, value in self.parameters.items() if key != TRACE_PARAMETER or not self.trace}
         if self.suite in suites().suites:
             parameters["middleware"] = middleware_of(self.suite, parameters)
-        return (
-            (measured.launch if measured else {})
-            | parameters
-            | condition
-            | settings
-            | {key: value for key, value in of_campaign.items() if value}
-        )
+        return parameters | condition | settings | {key: value for key, value in of_campaign.items() if value}
 
     def to_json(self) -> str:
         """The text of run.json: what was set, without what is left at its default."""

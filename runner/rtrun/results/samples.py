@@ -14,9 +14,8 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.known import called, kind_of
 from rtrun.kinds.output import IndexedValues, Record
-from rtrun.kinds.rows import disagree
 from rtrun.plan.question import Measure
-from rtrun.plan.suites import Suite, suite, suites
+from rtrun.plan.suites import suite, suites
 from rtrun.results.npy import read_header
 
 MAX_NPY_BYTES = 4 << 30
@@ -26,9 +25,8 @@ MAX_NPY_BYTES = 4 << 30
 class Samples:
     """The samples of one run of a program.
 
-    `series` are measured, reported and difference (one-shot; measured_2014 and difference_2014 too, unless the samples
-    are of an earlier version), lateness, jitter and grid (cyclic), or latency (communication, in the order of the
-    sequence numbers); the first of them is what the suite is about.
+    `series` are measured, reported, difference, measured_2014 and difference_2014 (one-shot), lateness, jitter and grid
+    (cyclic), or latency (communication, in the order of the sequence numbers); the first is what the suite is about.
     `columns`, each of shape (rows,), are mapped from the file, in the order of suites.yml.
     """
 
@@ -61,16 +59,17 @@ def read_samples(path: Path, record: Record | None = None) -> Samples:
         raise UsageError(
             f"{json_path}: counts: {counts.asked} asked for, but {counts.known} measured + not fired + missing"
         )
-    described = suite(record.suite)
-    rows = _read_rows(npy_path, described)
-    names = _column_names(record, described, npy_path, rows.shape[1])
-    columns = {name: rows[:, names.index(name)] for name in described.columns if name in names}
+    names = suite(record.suite).columns
+    if record.columns != [*names]:
+        raise UsageError(f"{json_path}: columns: {', '.join(record.columns)}, must be {', '.join(names)}")
+    rows = _read_rows(npy_path, names)
+    columns = {name: rows[:, place] for place, name in enumerate(names)}
     series = kind.series(columns, record, npy_path)
     return Samples(path=npy_path, record=record, columns=columns, series=series)
 
 
-def _read_rows(path: Path, described: Suite) -> Int64s:
-    """Map the rows, shape (rows, columns)."""
+def _read_rows(path: Path, names: Sequence[str]) -> Int64s:
+    """Map the rows, shape (rows, columns), of the columns of these names."""
     if path.exists() and not path.is_file():
         raise UsageError(f"{path}: not a regular file")
     try:
@@ -86,33 +85,13 @@ def _read_rows(path: Path, described: Suite) -> Int64s:
     shape = header.shape
     if header.dtype != "<i8":
         raise UsageError(f"{path}: values of type {header.dtype}, must be <i8 (int64)")
-    width = shape[1] if len(shape) == 2 else 1
-    if len(shape) not in (1, 2) or width not in (
-        len(described.columns),
-        len(described.columns) - len(described.added_columns),
-    ):
-        raise UsageError(
-            f"{path}: shape {shape}, must be (rows, {len(described.columns)}) of {', '.join(described.columns)}"
-        )
+    if len(shape) != 2 or shape[1] != len(names):
+        raise UsageError(f"{path}: shape {shape}, must be (rows, {len(names)}) of {', '.join(names)}")
     if header.fortran_order:
         raise UsageError(f"{path}: in Fortran order, must be in C order")
-    rows, expected = shape[0], header.start_bytes + 8 * shape[0] * width
+    rows, expected = shape[0], header.start_bytes + 8 * shape[0] * shape[1]
     if size != expected:
         raise UsageError(f"{path}: {size} bytes, {rows} rows take {expected}: cut off or not of one piece")
     if rows == 0:
-        return np.empty((0, width), dtype=np.int64)
-    return np.memmap(path, dtype="<i8", mode="r", offset=header.start_bytes, shape=(rows, width))
-
-
-def _column_names(record: Record, described: Suite, path: Path, width: int) -> Sequence[str]:
-    """The name of each column of the rows: what the json says, or what earlier versions wrote."""
-    if record.columns is None:
-        return described.columns[:width]
-    names = set(record.columns)
-    needed = set(described.columns) - set(described.added_columns)
-    if len(names) != len(record.columns) or len(names) != width or not needed <= names <= set(described.columns):
-        raise UsageError(
-            f"{disagree(path)}: columns: {', '.join(record.columns)} in the json, {width} in the rows;"
-            f" known: {', '.join(described.columns)}"
-        )
-    return record.columns
+        return np.empty(shape, dtype=np.int64)
+    return np.memmap(path, dtype="<i8", mode="r", offset=header.start_bytes, shape=shape)

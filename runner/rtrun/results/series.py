@@ -26,10 +26,6 @@ NOTE_2014 = (
     "measured counts from before the timer is armed; measured_2014 and difference_2014 count from after it, as the"
     " programs of 2014 and the logs do: a few microseconds less."
 )
-_WITHOUT_2014 = (
-    "samples of an earlier version, without a stamp from after the timer was armed: not compared with what was"
-    " published in 2014"
-)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -38,11 +34,10 @@ class Header:
 
     A file on its own has the file's name for `run`, no `target`, and the `parameters` that it tells. `of` is what a
     question calls this series, None for one that none is of; `main` says that the question is of it: it is the one that
-    is judged. `startup` are the values of the first loops, which are
-    in no figure. `missing`, `out_of_order`, `duplicate`, `not_fired` and `skipped` count what is no value. `incomplete`
-    says why fewer were measured than asked for. `assumes` says what had to be assumed for the values, `undecidable` why
-    no answer can rest on them; empty where nothing. `remarks` are sentences on what the file does not tell, or told
-    wrongly and was corrected.
+    is judged. `startup` are the values of the first loops, which are in no figure. `missing`, `out_of_order`,
+    `duplicate`, `not_fired` and `skipped` count what is no value. `incomplete` says why fewer were measured than asked
+    for, `undecidable` why no answer can rest on the values; empty where one can. `remarks` are sentences on what the
+    file does not tell, or told wrongly and was corrected.
     """
 
     run: str
@@ -64,7 +59,6 @@ class Header:
     clock_step_ns: int | None = None
     in_effect: InEffect | None = None
     incomplete: str | None = None
-    assumes: str = ""
     undecidable: str = ""
     remarks: tuple[str, ...] = ()
 
@@ -156,9 +150,7 @@ def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[Samp
                     clock_step_ns=record.in_effect.clock_step_ns or None,
                     in_effect=record.in_effect,
                     incomplete=None if record.complete else record.incomplete_reason or "no reason given",
-                    assumes=values.assumes,
                     undecidable=values.undecidable,
-                    remarks=(_WITHOUT_2014,) if name == "measured" and MEASURED_2014 not in samples.series else (),
                 ),
                 values_ns=np.ascontiguousarray(values.values_ns[head:]),
                 index=values.index[head:],

@@ -165,17 +165,6 @@ def test_a_question_of_what_was_not_measured_is_refused(tmp_path):
     assert text.endswith("oneshot_timer_tests measures latency, not jitter")
 
 
-def test_data_of_before_are_judged_by_a_grid_that_is_estimated_and_this_is_said(tmp_path):
-    rows = cyclic_rows(latencies(4000, 1), 100)[:, :1]
-    write_run(tmp_path / "old", "a", "cyclic_timer_tests", [rows], CYCLIC, asked=4000, logs=False)
-    assert "assumes a grid estimated from the earliest calls" in verdict_line(asked(tmp_path / "old")).text
-    rows[3000:] += 25_000_000
-    write_run(tmp_path / "moved", "a", "cyclic_timer_tests", [rows], CYCLIC, asked=4000, logs=False)
-    group = asked(tmp_path / "moved", deadline_ns=15_000_000)
-    assert group.verdict is None and "ask for the jitter (--of jitter)" in verdict_line(group).text
-    assert asked(tmp_path / "moved", deadline_ns=15_000_000, of="jitter").verdict.misses == 1
-
-
 def test_five_subscribers_are_one_group_whose_messages_count_once(tmp_path):
     message_run(tmp_path, "a", [latencies(1000, k) for k in range(5)])
     group = only(tmp_path)

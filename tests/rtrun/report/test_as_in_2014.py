@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from report.campaigns import latencies, oneshot_run
 
@@ -91,13 +90,3 @@ def test_compare_of_ours_is_by_ours_alone(tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_oneshot(tmp_path / name)
     assert "measured_2014" not in as_text(compared(tmp_path / "a", tmp_path / "b"))
-
-
-def test_samples_of_an_earlier_version_are_not_compared_with_2014(tmp_path: Path) -> None:
-    folder = write_oneshot(tmp_path)
-    path = next(folder.glob("*.npy"))
-    np.save(path, np.load(path)[:, :4])
-    analysed = study(path)
-    assert [group.series for group in analysed.groups] == ["measured"]
-    assert analysed.as_in_2014 == ()
-    assert "not compared with what was published in 2014" in analysed.groups[0].digests[0].header.remarks[0]
