@@ -57,7 +57,11 @@ runs:
   - {suite: communication_tests, repetitions: 50, frequency_hz: 50, subscribers: [1, 3], policy: FIFO}
   - {suite: cyclic_timer_tests, repetitions: 200, frequency_hz: 10, policy: RR, cpu: "1", irq_cpu: "0", nodes_hz: 20,
      condition: [cpu80, nodes]}
+  - {suite: communication_tests, repetitions: 50, frequency_hz: 50, payload_bytes: 200, subscribers: 2, policy: FIFO,
+     middleware: [roscpp, cyclonedds, zeromq, tcp, futex]}
 """
+# Threads that are the middleware's own, of each program.
+OWN_THREADS = {"zeromq": {"ZMQbg/IO/0", "ZMQbg/Reaper"}, "cyclonedds": {"recv", "recvUC", "tev", "gc"}}
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +118,32 @@ def test_figures_of_a_run_with_three_subscribers(measured, capsys):
     for result in results:
         assert {"n", "min_us", "mean_us", "max_us", "missing", "out_of_order", "top", "lowest"} <= set(result)
         assert result["n"] + len(result["startup"]) + result["missing"] == 50
+
+
+def test_messages_through_each_middleware_on_the_board(measured):
+    runs = [run for run in runs_of(measured) if run.parameters.get("payload_bytes") == 200]
+    assert [run.middleware for run in runs] == ["roscpp", "cyclonedds", "zeromq", "tcp", "futex"]
+    for run in runs:
+        folder, record = measured / "results" / "test" / run.name, read_record(measured, run)
+        assert record["status"] == "ok"
+        (sent,) = [json.loads(path.read_text()) for path in folder.glob("*-publisher.json")]
+        received = [json.loads((folder / f"{output}.json").read_text()) for output in record["outputs"]]
+        assert len(received) == 2
+        for record in received:
+            assert sent["counts"]["sent"] == record["counts"]["measured"] + record["counts"]["missing"] == 50
+        for record in (sent, *received):
+            assert record["middleware"] == run.middleware
+            threads = record["in_effect"]["threads"]
+            assert {(thread["policy"], thread["priority"]) for thread in threads} == {("FIFO", 95)}
+            assert {thread["name"] for thread in threads} >= OWN_THREADS.get(run.middleware, set())
+
+
+def test_the_report_says_emulated(measured, tmp_path, capsys):
+    page = tmp_path / "report.html"
+    assert rtrun.cli.main(["report", str(measured / "results" / "test"), "--output", str(page)]) == 0
+    banner = "EMULATED: not a real-time statement"
+    assert banner in capsys.readouterr().out and banner in page.read_text()
+    assert "middleware=cyclonedds" in page.read_text()
 
 
 def test_conditions_on_the_board_and_what_was_in_effect(measured):

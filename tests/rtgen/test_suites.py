@@ -55,6 +55,8 @@ def test_programs_have_the_time_of_their_libraries(
     tools = suites.toolchain("qemu-armv7", suite)
     assert tools.flags == f"{suites.FLAGS}{expected}"
     assert (tools.release, tools.sysroot) == (suite, tmp_path / "armhf" / suite)
+    # What generates code for a transport runs here: it is built again once that is installed.
+    assert any(line.startswith("cyclonedds-tools\t") for line in tools.identity)
 
 
 @pytest.mark.parametrize("machine", ["host", "qemu-armv7"])
@@ -70,7 +72,7 @@ def test_build(tmp_path: Path, machine: str) -> None:
     assert record["files"] == described
     programs = sorted(path for path in described if path.startswith("lib/"))
     messages = ["communication_tests_publisher", "communication_tests_subscriber"]
-    transports = [name for name, needed in suites.transports().items() if machine == "host" or not needed]
+    transports = [name for name in suites.transports() if machine == "host" or name != "fastdds"]
     assert programs == [
         *(f"lib/communication_tests/{program}" for program in messages),
         "lib/cyclic_timer_tests/cyclic_timer_tests",
@@ -112,8 +114,9 @@ def test_a_transport_whose_packages_are_missing_is_not_built_and_that_is_said(
 
 
 def test_this_machine_is_set_up_with_the_packages_of_all_transports() -> None:
-    listed = (checkout() / "tools/apt-packages-all.txt").read_text().split()
-    assert {package for packages in suites.transports().values() for package in packages} <= set(listed)
+    lists = [checkout() / "tools" / name for name in ("apt-packages.txt", "apt-packages-all.txt")]
+    listed = {package for path in lists for package in path.read_text().split()}
+    assert {package for packages in suites.transports().values() for package in packages} <= listed
 
 
 def test_second_build_is_the_same_and_compiles_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

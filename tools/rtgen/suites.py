@@ -75,6 +75,16 @@ def transports() -> dict[str, list[str]]:
     return {name: line[1].split() if line else [] for name, line in lines.items()}
 
 
+def installed_for_transports() -> list[str]:
+    """Name and version of what this machine has of the transports' packages; nothing where it is no Debian."""
+    wanted = {package for packages in transports().values() for package in packages}
+    try:
+        installed = run(["dpkg-query", "--show"]).splitlines()
+    except InfrastructureError:
+        return []
+    return [line for line in installed if line.split()[0].partition(":")[0] in wanted]
+
+
 def names() -> list[str]:
     """The known machines: this one, and those of `rtgen board`."""
     return [HOST, *machines()]
@@ -95,16 +105,14 @@ def toolchain(machine: str, suite: str | None, ros2: Path | None = None) -> Tool
         for needed in ("setup.sh", "lib/librcl.so"):
             if ros2 and not (ros2 / needed).exists():
                 raise UsageError(f"--ros2 {ros2}: has no {needed}: give the folder of a ROS 2, as /opt/ros/jazzy")
-        wanted = {package for packages in transports().values() for package in packages}
-        installed = run(["dpkg-query", "--show"]).splitlines()
-        of_transports = [line for line in installed if line.split()[0].partition(":")[0] in wanted]
-        compiler, listing = version("g++"), ""
+        listing, compiler = "", version("g++")
         try:
             listing = run(["dpkg-query", "--show", *HOST_PACKAGES])
         except InfrastructureError as error:
             if ros2 is None:
                 raise InfrastructureError(f"{error}\n`tools/setup all` installs what this machine lacks") from error
-        return Toolchain("g++", FLAGS, None, None, None, (compiler, listing, *of_transports), has_roscpp=bool(listing))
+        identity = (compiler, listing, *installed_for_transports())
+        return Toolchain("g++", FLAGS, None, None, None, identity, has_roscpp=bool(listing))
     if ros2 is not None:
         raise UsageError(f"--ros2 {ros2} is of this machine: build for {HOST}, or on the board itself (docs/ros2.md)")
     source = board_packages.source(suite)
@@ -113,7 +121,8 @@ def toolchain(machine: str, suite: str | None, ros2: Path | None = None) -> Tool
     compiler = f"{architecture.triplet}-g++"
     flags = " ".join([FLAGS, *board_packages.packages().releases[source.release].flags])
     root = sysroot.build(name, source)
-    identity = (version(compiler), repr(architecture), str(root))
+    # A transport's generator of code runs on this machine; one that is missing may be there at the next build.
+    identity = (version(compiler), repr(architecture), str(root), *installed_for_transports())
     return Toolchain(compiler, flags, architecture, root, source.release, identity)
 
 
