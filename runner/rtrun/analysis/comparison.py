@@ -18,7 +18,7 @@ from rtrun.analysis.intervals import clopper_pearson
 ROUNDS = 999
 SEED = 20140715
 QUANTILES = (0.5, 0.9, 0.99, 0.999, 0.9999)
-# From so many runs a side on, whole runs are resampled: then what differs between boots is in the interval.
+# With so many runs on each side whole runs are resampled: then the interval has in it what differs between boots.
 _RUNS_AS_UNITS = 5
 _LEAST_UNITS = 5
 # A quantile needs so many values beyond it in each set.

@@ -128,7 +128,7 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     effect, assumes = _effect(runs, misses, constancy.clusters, question, measured.measurements_per_event)
     lower, upper = anytime_interval(misses / effect, n / effect, confidence)
     if unclear := sum(run.unclear for run in runs):
-        # What may have met the deadline counts against a proof, and not for the contrary.
+        # What may have met the deadline counts as late for a proof, and as in time for a refutation.
         lower = anytime_lower((misses - unclear) / effect, n / effect, confidence)
         assumes = (*assumes, f"{unclear} values in the same bin of a log as the deadline are late")
     is_constant = constancy.change is None and not measured.off_rate

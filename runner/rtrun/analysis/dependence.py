@@ -144,7 +144,7 @@ def burst_starts(positions: Int64s, theta: float) -> Int64s:
     between = min(gaps.size, max(0, math.floor(theta * positions.size) - 1))
     if between == 0:
         return np.zeros(1, np.int64)
-    # A tie at the shortest gap between bursts would make the choice arbitrary: then only longer gaps count.
+    # Several gaps may be as long as the shortest one between bursts. Which of them to take would be arbitrary: none is.
     shortest = np.partition(gaps, gaps.size - between)[gaps.size - between]
     if np.count_nonzero(gaps >= shortest) > between and shortest < gaps.max():
         shortest += 1

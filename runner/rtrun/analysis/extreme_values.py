@@ -277,7 +277,7 @@ def stays_the_same(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[A
             )
         )
     follow, follow_p = rank_correlation(peaks[:-1], peaks[1:])
-    # A constant half has no rank correlation: NaN, and nothing that depends.
+    # Peaks that are all alike have no rank correlation (NaN), and do not depend on one another.
     p = follow_p if math.isfinite(follow_p) else 1.0
     checks.append(
         Assumption(

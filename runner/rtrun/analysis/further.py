@@ -69,7 +69,7 @@ def plan_measurements(question: Question, *, rate: float = 0.0) -> tuple[bool, i
         return None if total is None else (True, total)
 
     def decided(total: int) -> bool:
-        # The quantile of the Poisson number of misses on the side that delays the answer.
+        # The number of misses (Poisson) that is unfavourable: many for a proof, few for a refutation.
         if rate < question.probability:
             misses = effect * math.ceil(max(0.0, float(pdtrik(LIKELY, rate * total / effect))))
             return proves(misses, total, effect, question)
@@ -92,7 +92,7 @@ def likely_further(misses: int, n: int, effect: float, question: Question) -> tu
     k, scale = misses / effect, 1 / effect
     rng = np.random.default_rng(SEED)
     rates = rng.gamma(k + 0.5, 1 / (n * scale), _COURSES)
-    # When the bursts to come arrive, in effective measurements from the first one on, and none before the first.
+    # When each of the bursts to come arrives, counted in effective measurements from the first one of all.
     arrivals = n * scale + np.cumsum(rng.exponential(size=(_COURSES, _BURSTS_TO_COME)), axis=1) / rates[:, None]
     before = np.column_stack((np.full(_COURSES, n * scale), arrivals[:, :-1]))
     counts = k + np.arange(_BURSTS_TO_COME, dtype=np.float64)
@@ -119,7 +119,7 @@ def _proven_from(counts: Floats, effect: float, question: Question) -> Floats:
     def is_proof(totals: Floats) -> Bools:
         unseen = -np.expm1(np.log(alpha / 2) / (totals * effect)) if several else 0.0
         target = np.maximum(question.probability - question.bursts * unseen, 0.0)
-        # The upper end is below the target where so few misses, at that rate, have a chance below the level.
+        # The interval ends below the target if, at the target's rate, so few misses have a chance below the level.
         return np.asarray(betaincc(counts + 1, np.maximum(totals - counts, 1e-9), target) < levels)
 
     return _boundary(is_proof, counts + 1, np.full(counts.size, UNATTAINABLE / effect))

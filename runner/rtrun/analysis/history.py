@@ -16,11 +16,12 @@ GATES_A_YEAR = 365
 # The margin is so many spreads of a boot at least. With less a year of gates has more false alarms than stated where
 # boots have a long upper tail or drift: a test at 1 in 7300 extrapolates from some hundred boots (docs/archive.md).
 LEAST_MARGIN = 2.0
-# One boot in many may be a bad one that no history has shown yet. So a build is worse only if its other boots are, too;
-# that the first was is no reason any more to doubt them at the level of a year.
+# A boot may be bad in a way that is rare, and that the history has not shown yet. So a build is worse only if its other
+# boots are worse, too. For these one test is made, at its own level: the first boot has already passed that of a year.
 LEVEL_OF_OTHERS = 0.1
 NOTICED = 0.9
-# Rates of misses differ by so much from boot to boot at least (standard deviation): hardly any miss shows none.
+# Rates of misses are taken to differ by at least so much from boot to boot (standard deviation). A history with hardly
+# any miss would show no difference.
 _RATES_DIFFER = 0.6
 
 
@@ -135,7 +136,7 @@ def compare_misses(history: Boots, build: Boots, *, level: float) -> Against:
     against = compare_figure(_shares(history), _shares(build), margin=0.0, level=level)
     *others, worst = sorted(build, key=lambda boot: boot[1] / boot[0])
     measured = sum(n for n, _ in build)
-    # The fewest misses that are too many, by both.
+    # The fewest misses that are too many by both tests.
     few, many = 0, measured + 1
     while many - few > 1:
         middle = (few + many) // 2

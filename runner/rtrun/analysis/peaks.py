@@ -25,8 +25,8 @@ from rtrun.analysis.extreme_values import (
 )
 from rtrun.analysis.histogram import Int64s
 
-# More would make the interval shorter, but wrong where the tail is only nearly a GPD: with 4000 of 200 000 normal
-# values the truth lay above it in half of the simulated cases, whatever the tests of fit said.
+# More peaks would make the interval shorter, but wrong where the tail is only nearly a GPD. With 4000 of 200 000 normal
+# values the truth lay above the interval in half of the simulated cases, though the tests of fit passed.
 _MOST_PEAKS = 1_000
 _LEAST_INDEX = 0.05
 

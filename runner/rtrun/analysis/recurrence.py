@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 from rtrun.analysis.histogram import Int64s
 
 ALPHA = 0.002
-# A period is this many times a loop at least, is seen this often, and this share of its cycles have an event.
-LEAST_LOOPS = 20
-# One that is an eighth of the run is seen eight times; the frequency that fits these best may be a little lower.
+LEAST_LOOPS = 20  # that a period has
+# Cycles of a period in a run. An eighth of the run has eight; the frequency that fits best may be a little lower.
 LEAST_CYCLES = 7.5
-LEAST_COVERED = 0.6
-# Of the highest values these numbers are tried, each twice the one before: as many as there are periods are found
-# among few others. The highest of all keeps the search short.
+LEAST_COVERED = 0.6  # of the cycles have an event
+# So many of the highest values are tried, and twice as many each time: one of the numbers is near that of the cycles.
+# The last one keeps the search short.
 _LEAST_COUNT = 8
 _COUNT_MAX = 1 << 16
-# With n events, periods are tried of which n / 4 to 2 n fit into the run.
+# With n events those periods are tried that fit n / 4 to 2 n times into the run.
 _FEWER, _MORE = 4, 2
-# So at least n / 8 events come at a period that covers half of its cycles, with a power of n / 64; with some loss by
-# the width of bins, less is not looked at.
+# If half of the cycles have an event, these are n / 8 events at least, with a power of n / 64. The width of bins takes
+# some of it. What has less is not looked at.
 _LEAST_POWER = 0.01
-# Zeros behind the data: without them a frequency between two that are tried keeps only 40 % of its power.
+# So many times as long as the data the transform is, with zeros behind them: without zeros a frequency between two that
+# are tried keeps 40 % of its power only.
 _PADDED = 2
-# The width of a bin takes little of the power of a period that has this many.
+# A period of so many bins keeps most of its power.
 _BINS_OF_PERIOD = 8
 _ARCS = (1 / 2, 1 / 8, 1 / 32, 1 / 128)  # of a period
 _NEAR = (0.15, 0.05, 0.02)  # of a period
@@ -71,14 +71,14 @@ def find_recurrence(places: Int64s, *, begin: int, end: int, values: int, search
     loop = max(1, (end - begin) // values)
     counts = list(counts_tried(values))
     found = [_find(np.sort(places[:count]) - begin, end - begin, loop) for count in counts]
-    # Chances too small for a number are 0: then what has more of its periods covered says more.
+    # Chances that are too small for a float are 0. Among these the period wins that has events in more of its cycles.
     best = min((one for one in found if one), key=lambda one: (one.p_value, -one.covered / one.cycles), default=None)
     if best is None:
         return None
     p_value = min(1.0, best.p_value * len(counts) * searches)
     if p_value > ALPHA:
         return None
-    # The surest count may be lower than the number of periods: the one that shows most of them is told.
+    # The count with the best chance may be lower than the number of cycles: the count is told that covers most of them.
     alike = (one for one in found if one and abs(one.period - best.period) < min(_NEAR) * best.period)
     return replace(max(alike, key=lambda one: (one.covered / one.cycles, -one.late)), p_value=p_value)
 

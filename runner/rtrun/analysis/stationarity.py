@@ -6,11 +6,11 @@ import numpy as np
 
 from rtrun.analysis.histogram import Int64s
 
-# Below this chance a change counts as seen; a few misses tell little, so that theirs is seen sooner.
+# Below this chance something counts as a change. Few misses tell little, so for them the chance may be higher.
 SIGNIFICANT = 0.01
 SIGNIFICANT_OF_MISSES = 0.05
 PARTS = 8
-# Events are compared from piece to piece, too: no burst is as long as a piece, and no change is taken for a burst.
+# Events are also compared from piece to piece. A piece is longer than any burst, so a change is not taken for a burst.
 PIECES = 64
 SEED = 20140715
 _PERMUTATIONS = 999
@@ -163,14 +163,14 @@ def test_of_order(counts: Int64s, loops: Int64s) -> tuple[float, str]:
     j = 2 ** np.arange(max(1, (m // 2).bit_length()))
 
     is_first = np.arange(m)[:, None] < j
-    # What each unit adds to each sum, (m, sums); a sum's standard deviation is the same for all of them.
+    # The weight of each unit in each sum, shape (m, sums), scaled so that all sums have the same standard deviation.
     ends = np.concatenate((is_first, is_first[::-1]), axis=1) / np.sqrt(np.tile(j * (m - j), 2))
     observed = rest @ ends
     best = int(observed.argmax())
     number, is_last = int(np.tile(j, 2)[best]), best >= j.size
     inside = int(counts[m - number :].sum() if is_last else counts[:number].sum())
     p_value = 1.0
-    # No permutations for what is no sign: less than two standard deviations of the sum.
+    # Less than two standard deviations are no sign of a change, and need no permutations.
     if observed[best] > 2 * np.sqrt((rest**2).sum() / (m * (m - 1))):
         rng = np.random.default_rng(SEED)
         highest = (rng.permuted(np.tile(rest, (_PERMUTATIONS, 1)), axis=1) @ ends).max(axis=1)

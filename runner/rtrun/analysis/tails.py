@@ -20,7 +20,7 @@ Parameters = tuple[float, ...]
 _SHAPES = (-1.0, 1.0)
 _NEAR_LIMIT = 0.1
 _GROUPS = 400
-# Finite, so that a simplex search can still subtract.
+# The cost of parameters that cannot be. It is finite, because the simplex search subtracts costs.
 _EXCLUDED = 1e200
 
 
@@ -75,7 +75,7 @@ def fit(family: Family, sample: Sample) -> tuple[Parameters, float]:
     shape, scale, *location = family.start(sample.edges + sample.step / 2, sample.counts)
 
     def parameters(free: Sequence[float]) -> Parameters:
-        # The location in units of the first scale: one tolerance does for all.
+        # The location moves in units of the first scale, so that one tolerance does for all parameters.
         moved = [first + scale * by for first, by in zip(location, free[2:], strict=True)]
         return (free[0], math.exp(min(free[1], 60.0)), *moved)
 
@@ -89,7 +89,8 @@ def fit(family: Family, sample: Sample) -> tuple[Parameters, float]:
             found, lowest = _lowest(cost, begin, step=0.1, tolerance=1e-6)
             if lowest < least - 1e-9:
                 best, least = found, lowest
-            # At the limit of the shapes a search may stop too early. Elsewhere, all begin in one valley (simulated).
+            # At the limit of the shapes a search may stop too early. Elsewhere each begin leads to the same minimum, as
+            # simulations showed.
             if _SHAPES[0] + _NEAR_LIMIT < best[0] < _SHAPES[1] - _NEAR_LIMIT:
                 break
     return parameters(best), least
@@ -165,7 +166,7 @@ def profile_interval(
                 begin = min(begins(level, near), key=lambda free: cost(np.array(free)))
                 found, lowest = _lowest(cost, begin, step=0.02, tolerance=1e-5)
                 drop = lowest - least
-                # Far beyond, where measured values may be excluded, only the sign is of use.
+                # Far beyond the end only the sign is of use: measured values may be impossible there.
                 seen[level] = min(math.sqrt(max(drop, 0.0)), 3 * limit) - limit
                 if seen[level] <= 0:
                     near = family.with_level(level, chance, found)
@@ -181,7 +182,7 @@ def profile_interval(
             value = beyond(outer)
             if value > 0:
                 return float(brentq(beyond, inner, outer, xtol=abs(outer - inner) / 1024))
-            # A little beyond where a straight line has the end.
+            # The next step goes a little beyond the place where a straight line would have the end.
             distance = abs(outer - point)
             width = distance * min(4.0, max(0.1, 1.1 * limit / max(value + limit, 1e-9) - 1))
             inner = outer
@@ -216,7 +217,7 @@ def _gpd_log_sf(x: Float64s, p: Parameters) -> Float64s:
     shape, scale = p[0], p[1]
     if abs(shape) < 1e-8:
         return -x / scale
-    # Above the end of a distribution with one: log 0 over a negative shape is minus infinity.
+    # With a negative shape the distribution has an end, beyond which log 0 over the shape gives minus infinity.
     out: Float64s = np.log(np.maximum(1 + x * (shape / scale), 0.0)) * (-1 / shape)
     return out
 
@@ -248,7 +249,7 @@ def _gev_log_cdf(x: Float64s, p: Parameters) -> Float64s:
     z = (x - location) / scale
     if abs(shape) < 1e-8:
         return -np.exp(-z)
-    # Beyond the end of a distribution with one: log 0 over the shape, 1 or 0 as it must be.
+    # Beyond the end of a distribution log 0 over the shape gives a probability of 1 or 0, as it must be.
     out: Float64s = -np.exp(np.log(np.maximum(1 + shape * z, 0.0)) * (-1 / shape))
     return out
 

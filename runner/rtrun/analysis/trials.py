@@ -64,13 +64,13 @@ def windowed(values_ns: Int64s, absent: Int64s, tolerance: Tolerance) -> tuple[I
     loops, size = values_ns.size + absent.size, tolerance.among
     if loops < size:
         return _NONE, _NONE
-    # Of places in the order of the values, as rank_filter computes in floating point.
+    # rank_filter computes in floating point, so it gets the places of the values in their order.
     heights, places = np.unique(values_ns, return_inverse=True)
     every = np.full(loops, heights.size)
     came = np.ones(loops, bool)
     came[absent] = False
     every[came] = places
-    # rank_filter centers its window: the first whole one is at size // 2.
+    # Its window is centered: the first whole one is at size // 2.
     decides = rank_filter(every, rank=-tolerance.misses - 1, size=size)[size // 2 :][: loops - size + 1]
     never = decides == heights.size
     return heights[decides[~never]], np.flatnonzero(never).astype(np.int64)
@@ -103,7 +103,7 @@ def count_misses(
         limit = np.partition(values_ns, values_ns.size - level_events)[values_ns.size - level_events]
         high = np.flatnonzero(values_ns >= limit).astype(np.int64)
         level = locate(high, values_ns.size)
-        # A level that a quarter of all values reaches says nothing on the high ones.
+        # If a quarter of all values reach the level, they are no high ones.
         if 4 * high.size >= values_ns.size:
             high = _NONE
     stride = max(1, -(-misses.size // _MOST_PLACES))

@@ -68,7 +68,7 @@ def gate_against(
 
 
 def _without_values(opened: Archive, builds: Sequence[Course], of: Measure | None) -> list[tuple[str, str]]:
-    """The runs that have a place in a history, but nothing that the question is of, and why they are in no course."""
+    """The runs with a start time, but without values of the series that is asked about, so in no course; and why."""
     known = {key for build in builds for run in build.runs for key in run.point.run_keys}
     placed = opened.connection.execute(_PLACED).fetchall()
     return [(run, f"it has no {of or 'values'}") for key, run in placed if key not in known]

@@ -23,7 +23,7 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
     print_line(points[0].scenario)
     print_banner(Platform(points[0].platform))
     table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False, pad_edge=False)
-    # What a row is of stands first, and only once.
+    # The column that --by names stands first, and not a second time among the others.
     leading = {"kernel": ("kernel", "board"), "board": ("board", "kernel")}.get(by, (by, "board", "kernel"))
     for heading in leading:
         table.add_column(heading, no_wrap=True)

@@ -60,7 +60,7 @@ def _line(metric: str, course: Course, value: float, **labels: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    # Of the control characters the format takes all but the line's end; a terminal would obey them.
+    # The format allows every control character but the line's end. A terminal would obey them.
     return printable(text).replace("\\", "\\\\").replace('"', '\\"')
 
 

@@ -116,7 +116,7 @@ def connected(store: Store) -> Iterator[Archive]:
 
     if not find_files(store, "runs"):
         raise UsageError(f"{store.address}: there are no runs in this archive")
-    # Without a folder for what does not fit into the memory.
+    # What does not fit into memory is an error: it is not written into a folder.
     connection = duckdb.connect(
         config={"autoinstall_known_extensions": False, "memory_limit": _MEMORY, "temp_directory": ""}
     )
@@ -292,7 +292,7 @@ def _read_bins(store: Store, path: str, footer: "FileMetaData") -> dict[str, _Bi
 
 
 def _check_bins(value: Int64s, width: Int64s, count: Int64s) -> None:
-    """Raise ValueError where a number is none that `histogram_table` writes."""
+    """Raise ValueError for a number that `histogram_table` never writes."""
     for name, column, lowest, highest in (
         ("value_ns", value[value != _NONE], -TIME_MAX_NS, TIME_MAX_NS),
         ("bin_ns", width[width != _NONE], 1, TIME_MAX_NS),

@@ -8,7 +8,7 @@ from rtrun.causes.events import Event
 from rtrun.causes.timeline import Timeline
 
 WINDOWS_MAX = 200
-# Long windows are fewer, but not fewer than these.
+# Windows are looked for in so long a time, and for longer until there are so many.
 CONTROL_NS, WINDOWS_WANTED = 50_000_000, 20
 
 

@@ -16,11 +16,11 @@ from rtrun.causes.parts import Cause, Kind, Part
 from rtrun.causes.reconstruction import NORMAL_PRIO
 from rtrun.causes.timeline import IDLE_PID, Occupant, Span, State, StateChange, Timeline, Waker, Why
 
-# The longest way from one thread to the one that woke it: a trace in a circle ends there.
+# From a thread it is gone back to the one that woke it, at most so many times: in a trace they may form a circle.
 STEPS_MAX = 10_000
 TIMER = "the timer's own"
 IDLE = "idle"
-# A fault has no event at its end: between two that follow this closely the thread does little else.
+# A fault has no event at its end. A thread whose faults follow one another this closely does little else.
 BETWEEN_FAULTS_NS = 50_000
 
 
@@ -182,7 +182,8 @@ class _Walk:
             return False
         if slept.why is not Why.UNKNOWN:
             return True
-        # Without the events of futex: it had begun with this period's work, and not its own program woke it.
+        # Without events of futexes a lock shows by two signs: the thread had begun the work of this period, and another
+        # program woke it.
         return slept.at_ns > self.due_ns and waker.pid not in self.own and self.pid in self.own
 
     def _cause(self, kind: Kind, pid: int, name: str = "") -> Cause:
@@ -239,7 +240,7 @@ class _Walk:
         elif other == prio:
             kind = Kind.EQUAL
         elif prio >= NORMAL_PRIO and not self._printed(who.pid, span.end_ns):
-            # The scheduler shares the CPU among them; real-time throttling is of no concern to either.
+            # Neither has a real-time priority: the scheduler shares the CPU among them, and throttles none.
             kind = Kind.SHARED
         elif who.throttled or self._was_chosen(who.pid, since_ns, span.end_ns):
             kind = Kind.THROTTLED

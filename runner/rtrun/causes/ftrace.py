@@ -37,9 +37,9 @@ from rtrun.causes.events import (
     Wake,
 )
 
-# Those of 16 CPUs whose buffers hold 512 KiB each.
+# So many events are in the buffers of 16 CPUs, of 512 KiB each.
 EVENTS_MAX = 200_000
-# Timers that were started before the events that are read.
+# So many timers are kept that were started before the first event that is read.
 TIMERS_MAX = 10_000
 PIECE_BYTES = 1 << 16
 # Arguments of switches and wake-ups that are kept as they were read, since a trace repeats them, and their length.

@@ -34,7 +34,7 @@ def _with_group(part: Part, prio: int | None, rt_group: str, quota_group: str) -
     if part.cause.kind is Kind.THROTTLED and rt_group:
         return replace(part, cause=Cause(kind=Kind.GROUP, name=rt_group))
     is_normal = prio is not None and prio >= NORMAL_PRIO
-    # The event of a CPU that goes idle may be before the throttling: it stays idle then without another one.
+    # A CPU may have gone idle before its group was throttled. It then stays idle, and no event says why.
     left_idle = part.cause.kind is Kind.IDLE_EXIT and part.length_ns > IDLE_EXIT_MAX_NS and part.state is State.WAITING
     if part.cause.kind is Kind.GROUP or (left_idle and is_normal and quota_group):
         return replace(part, cause=Cause(kind=Kind.GROUP, name=quota_group or part.cause.name))

@@ -144,7 +144,7 @@ def _explain(
     place = bisect_left(trace.events, (outlier.due_ns,))
     if pid is None or place == len(trace.events) or trace.events[place].at_ns > outlier.at_ns:
         return Explained(outlier=outlier, control=Windows(), note=NOT_RECORDED)
-    # In a container threads are known by name alone, which those of publisher and subscriber have in common.
+    # In a container threads are known by name alone. Those of publisher and subscriber have the same names.
     known = pid in threads
     own = frozenset(threads) if known else _with_name(order, set(threads.values()))
     parts = cut(order, pid=pid, own=own, due_ns=outlier.due_ns, at_ns=outlier.at_ns)

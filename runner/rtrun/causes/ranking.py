@@ -11,10 +11,10 @@ from rtrun.causes.parts import Cause, Kind, Part
 
 # Kinds that name nobody.
 NAMELESS = frozenset({Kind.UNEXPLAINED, Kind.PROGRAM, Kind.OUTSIDE, Kind.OWN_SLEEP})
-# Who has the CPU then, has it at other times too without harm: only the time beyond that counts.
+# These have the CPU at other times, too, when nothing is late: only the time beyond what they have then counts.
 _FREQUENT = frozenset({Kind.HIGHER, Kind.DEADLINE, Kind.EQUAL, Kind.SHARED, Kind.INTERRUPT, Kind.SOFTIRQ})
-# Who had the CPU while the kernel could not be interrupted or preempted may be innocent, on a virtual machine that was
-# not run by its host above all. It counts by the share of the time in which it does not have the CPU anyway.
+# Who had the CPU while the kernel could not be interrupted or preempted may be innocent: the host may have stopped a
+# virtual machine. So it counts for less, the more of the time it has the CPU anyway.
 _CIRCUMSTANTIAL = frozenset({Kind.TIMER_LATE, Kind.NOT_PREEMPTED, Kind.CONSOLE})
 BY_CHANCE = 0.01
 

@@ -62,7 +62,8 @@ class _Cpu:
     queued: set[int] = field(default_factory=set)
     queued_normal: set[int] = field(default_factory=set)
     spans: list[Span] = field(default_factory=list)
-    # The first span of the trace, or after lost events; by thread the softirq that ended since, but began before.
+    # The place of the first span since the trace began or events were lost; and by thread the softirq that began before
+    # that and ended after it.
     first_known: int = 0
     began_before: dict[int, Span] = field(default_factory=dict)
     late_ns: list[tuple[int, int]] = field(default_factory=list)
@@ -114,10 +115,10 @@ class _Builder:
         self.consoles_ns: dict[int, list[int]] = defaultdict(list)
         self.frequencies: dict[int, list[Frequency]] = defaultdict(list)
         self.stops: list[Signal] = []
-        # By the thread that did it, until that sleeps: whom it woke, and whether it let a control group go on.
+        # Of each thread, until it sleeps: whom it woke; and the threads that let a control group go on.
         self.woke: dict[int, list[int]] = defaultdict(list)
         self.thawing: set[int] = set()
-        # Threads that still slept when the timer until which they slept had expired, and when it did.
+        # Threads that slept on after their timer had expired, and when that was.
         self.overslept_ns: dict[int, int] = {}
         self.lost: list[Lost] = []
         self.has_waking = False

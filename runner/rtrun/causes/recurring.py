@@ -12,7 +12,7 @@ from rtrun.causes.measured import read_measured
 from rtrun.plan.question import Measure
 from rtrun.results.record import RunRecord
 
-# Of a shorter run the highest values are no rare ones.
+# In a shorter run the highest values are not rare.
 VALUES_AT_LEAST = 1000
 CLEARLY = 0.01
 

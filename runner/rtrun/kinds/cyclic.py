@@ -57,7 +57,7 @@ def _lateness(columns: Columns, record: Record, path: Path, period_ns: int) -> I
         )
     if record.rate.skipped is not None:
         agree(path, "skipped", total, record.rate.skipped)
-    # The loops of the calls, of which each has those that were skipped before it.
+    # The loop of each call, counted with the periods that were skipped before it.
     loops = np.arange(values.size) + np.cumsum(skipped)
     return IndexedValues(
         values_ns=values,

@@ -17,7 +17,7 @@ def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedVa
     counts = record.counts
     check_times(path, publication, reception)
     is_in_order = bool(np.all(arrived[1:] > arrived[:-1]))
-    # As a rule nothing is to be sorted, which takes longer than all the figures.
+    # Most samples are in order. To sort them would take longer than all the figures.
     seq, order = (arrived, slice(None)) if is_in_order else np.unique(arrived, return_index=True)
     first, last = (int(seq[0]), int(seq[-1])) if seq.size else (0, -1)
     if first < 0 or last >= counts.asked:
@@ -29,7 +29,7 @@ def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedVa
             f"{disagree(path)}: seq: {len(arrived) - len(seq)} numbers stand in the rows again, which hold each once"
         )
     agree(path, "measured", len(seq), counts.measured)
-    # Whoever did not see the last message knows only of the gaps between those that came.
+    # A subscriber that did not see the last message knows of the gaps between those that came only.
     missing = range(last + 1 - len(seq), counts.asked - len(seq) + 1)
     if counts.missing not in (missing[-1:] if record.complete else missing):
         agree(path, "missing", missing[-1], counts.missing)

@@ -60,7 +60,7 @@ class Counts(Config):
 
     @property
     def known(self) -> int:
-        """How many became something."""
+        """How many have an outcome."""
         return self.measured + self.not_fired + self.missing
 
     @property
@@ -70,7 +70,7 @@ class Counts(Config):
 
 
 class Indices(Config):
-    """Indices of what the counts count, the first 1000 of each."""
+    """The indices of what each of the counts counts, the first 1000."""
 
     not_fired: list[Count]
     missing: list[Count]

@@ -9,7 +9,7 @@ OFF_MAX = 0.01
 
 
 class Rate(Config):
-    """How often a program did what it does, in hertz, and how often it did not keep up; None where nothing is periodic.
+    """The rate of a program in hertz, asked for and achieved, and how often it did not keep up; None if not periodic.
 
     `overruns` came more than a period late, `skipped` are periods in which nothing came.
     """

@@ -79,7 +79,7 @@ class Text:
     lists: dict[str, tuple[IndexedValue, ...]] = field(default_factory=dict)
     values: "array[int]" = field(default_factory=lambda: array("q"))
     numbers: "array[int]" = field(default_factory=lambda: array("q"))
-    last: dict[str, int] = field(default_factory=dict)  # the last bin, by "" and "#"
+    last: dict[str, int] = field(default_factory=dict)  # the last bin, by what stands in front of it: "" or "#"
     lines: int = 0
 
 

@@ -174,7 +174,7 @@ class Observed(Config):
 
 
 class RunRecord(Config):
-    """run.json; `outputs` are the names, without ending, of what the programs wrote."""
+    """run.json. `outputs` are the names of what the programs wrote, without their endings."""
 
     schema_number: Literal[2] = Field(alias="schema")
     run: str
@@ -221,14 +221,14 @@ class RunRecord(Config):
 
     @property
     def is_off_rate(self) -> bool:
-        """Whether it is invalid, and a program that only sends missed the rate that was asked for."""
+        """Whether the run is invalid, and its publisher missed the rate that was asked for."""
         return self.status is RunStatus.INVALID and any(
             rate.off > OFF_MAX for name, rate in self.rates.items() if name in suite(self.suite).program_json
         )
 
     @property
     def preempt_rt(self) -> bool:
-        """Whether the kernel was PREEMPT_RT; true where nobody has asked it."""
+        """Whether the kernel was PREEMPT_RT; true, too, where that is not known, as of an imported file."""
         return self.target.preempt_rt is not False
 
     @property

@@ -121,7 +121,7 @@ def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[Samp
     sample_series = []
     told: set[Measure | None] = set()
     for name, values in samples.series.items():
-        # Of two series by one name the first is meant: the other one is that of 2014.
+        # A question's "latency" may be two series of a one-shot timer. The first is meant, the second is that of 2014.
         known = None if called(name) in told else called(name)
         told.add(known)
         loops = startup_loops(name)
