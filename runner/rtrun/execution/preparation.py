@@ -139,7 +139,7 @@ def prepared(
 
 def middlewares_of(run: Run) -> set[str]:
     """The names of those whose programs a run starts."""
-    return {run.middleware, conditions.conditions().conditions[run.condition].middleware}
+    return {run.middleware, conditions.middleware_of_loads(run.condition)}
 
 
 def _deploy_suites(link: Link, folder: Path) -> dict[str, str]:

@@ -210,7 +210,7 @@ def _start_background(work: _Work) -> None:
     """Start what the condition asks for. Raises TargetError when a program of it ends at once."""
     link, prepared = work.link, work.prepared
     programs = [each.program for each in work.programs.background]
-    setup = prepared.setup_of(conditions.conditions().conditions[work.run.condition].middleware)
+    setup = prepared.setup_of(conditions.middleware_of_loads(work.run.condition))
     processes.start(link, prepared.scripts, work.remote, *programs, setup=setup)
     time.sleep(work.run.settle_s)
     for name in processes.list_ended(link, work.remote, [program.name for program in programs]):

@@ -85,7 +85,7 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
         cpus=prepared.equipment.cpus,
         programs=prepared.programs,
         scripts=prepared.scripts,
-        environment=_environment(prepared, conditions.conditions().conditions[run.condition].middleware),
+        environment=_environment(prepared, conditions.middleware_of_loads(run.condition)),
         expected_s=run.expected_s,
         deadline_s=deadline_s,
     )

@@ -31,7 +31,7 @@ UNLIKE_IDLE = (
 
 @dataclass(frozen=True, kw_only=True)
 class LayerPair:
-    """A layer, the one above it, and what that adds; `refused` within says why that is not known."""
+    """A layer, the one above it, and what that adds; `attribution` says why where that is not known."""
 
     below: Group
     above: Group
@@ -40,9 +40,9 @@ class LayerPair:
 
 def layer_pairs(study: Study) -> tuple[LayerPair, ...]:
     """Every two groups that differ in the layer alone; none on an emulated board, whose times say nothing."""
-    groups = () if study.platform is Platform.EMULATED else study.groups
+    differing = differing_in_layer(() if study.platform is Platform.EMULATED else study.groups)
     pairs = []
-    for below, above in differing_in_layer(groups):
+    for below, above in differing:
         if _awake_us(below) == _awake_us(above):
             attribution = attribute(
                 below.blocks,
@@ -50,7 +50,7 @@ def layer_pairs(study: Study) -> tuple[LayerPair, ...]:
                 late_above_ns=study.question.deadline_ns,
                 confidence=study.question.confidence,
             )
-        elif any(_awake_us(below) == _awake_us(other) for low, other in differing_in_layer(groups) if low is below):
+        elif any(_awake_us(below) == _awake_us(other) for low, other in differing if low is below):
             continue
         else:
             attribution = Attribution(added=(), refused=UNLIKE_IDLE)

@@ -122,6 +122,11 @@ def needs(name: str, settings: Mapping[str, Value]) -> set[str]:
     return tools | {f"{key}={settings[key]}" for key in conditions().pinned if settings.get(key)}
 
 
+def middleware_of_loads(name: str) -> str:
+    """The middleware of the suites' own programs that a condition starts."""
+    return conditions().conditions[name].middleware
+
+
 def suites_programs(name: str) -> set[str]:
     """The suites' own executables that a condition starts."""
     loads = conditions().conditions[name].loads.values()

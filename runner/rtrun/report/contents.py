@@ -9,9 +9,11 @@ from rtfiles.output import printable
 from rtfiles.quantities import duration, grouped
 from rtrun.analysis.deadline import Answer
 from rtrun.judgement.claims.examiners import bear_on_claims
+from rtrun.judgement.layers import layer_pairs
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import WORST_FIRST, boots_in_words
 from rtrun.report.end_tables import end_tables, worst_cases_in_short
+from rtrun.report.layers import LayerBar, stacks
 from rtrun.report.scenarios import Scenario, scenarios
 from rtrun.report.tables import Table, how
 from rtrun.report.terminal import banner_of
@@ -23,7 +25,7 @@ class Contents:
     """A report: the answer, what it rests on, every scenario, then what is looked up.
 
     `worst` is the scenario with the highest value, None where nothing was measured. `facts` are (what, value).
-    `remarks` are what has no table of its own, a line each.
+    `stacks` are the layers put upon one another. `remarks` are what has no table of its own, a line each.
     """
 
     title: str
@@ -35,13 +37,14 @@ class Contents:
     facts: tuple[tuple[str, str], ...]
     scenarios: tuple[Scenario, ...]
     tables: tuple[Table, ...]
+    stacks: tuple[tuple[LayerBar, ...], ...]
     remarks: tuple[str, ...]
     left_out: tuple[str, ...]
 
 
 def contents(study: Study) -> Contents:
     """Put a study into words."""
-    made = scenarios(study)
+    made, pairs = scenarios(study), layer_pairs(study)
     measured = [one for one in made if one.figures.max_ns is not None]
     return Contents(
         title=printable(f"Real-time report: {study.source.path.resolve().name}"),
@@ -52,7 +55,8 @@ def contents(study: Study) -> Contents:
         question=_question(study),
         facts=tuple(_facts(study)),
         scenarios=made,
-        tables=end_tables(study),
+        tables=end_tables(study, pairs),
+        stacks=stacks(pairs),
         remarks=tuple(printable(text) for text in (worst_cases_in_short(study), _claims(study)) if text),
         left_out=tuple(map(printable, study.left_out)),
     )

@@ -1,6 +1,7 @@
 """The tables behind the scenarios: worst cases, layers, published figures, environment, reproduction."""
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import replace
 
 from rtfiles.output import counted
@@ -9,6 +10,7 @@ from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.worst_case import disagreement
 from rtrun.judgement.claims.reference import message_rows, oneshot_rows
 from rtrun.judgement.groups import Group
+from rtrun.judgement.layers import LayerPair
 from rtrun.judgement.study import Study, environment
 from rtrun.kinds.output import NON_MEASURING_THREADS
 from rtrun.plan.question import NONE_TOLERATED, Measure
@@ -20,8 +22,8 @@ from rtrun.report.tracing_cost import thresholds, tracing_cost
 WORST_CASE = "Worst case by extreme value theory"
 
 
-def end_tables(study: Study) -> tuple[Table, ...]:
-    """What stands behind the scenarios, each table with what came out of it."""
+def end_tables(study: Study, pairs: Sequence[LayerPair]) -> tuple[Table, ...]:
+    """What stands behind the scenarios, each table with what came out of it; `pairs` are those of its layers."""
     tables = [
         *_causes(study),
         tracing_cost(study),
@@ -29,7 +31,7 @@ def end_tables(study: Study) -> tuple[Table, ...]:
         causes.surroundings(study.source, _judged(study))[0],
         _worst_cases(study),
         ranking(study),
-        layers.table(study),
+        layers.table(pairs, study.question.confidence),
         _published(study),
     ]
     return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)

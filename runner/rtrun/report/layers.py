@@ -1,12 +1,12 @@
 """What each layer adds: the table, and the picture of layers put upon one another."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtfiles.output import counted
 from rtrun.analysis.layers import LATE, QUANTILES, Added
 from rtrun.judgement.groups import Group
-from rtrun.judgement.layers import LayerPair, chains, layer_pairs
-from rtrun.judgement.study import Study
+from rtrun.judgement.layers import LayerPair, chains
 from rtrun.plan.middleware.description import NONE
 from rtrun.plan.suites import middleware_of
 from rtrun.report.tables import Table, how
@@ -15,9 +15,8 @@ TABLE = "layers"
 _FIGURES = ("mean", *QUANTILES, LATE)
 
 
-def table(study: Study) -> Table:
+def table(pairs: Sequence[LayerPair], confidence: float) -> Table:
     """A row for each pair of layers, with what the upper one adds to each figure and its interval."""
-    pairs = layer_pairs(study)
     return Table(
         id=TABLE,
         title="What each layer adds",
@@ -26,7 +25,7 @@ def table(study: Study) -> Table:
         outcome=f"{counted(len(pairs), 'pair')} of layers compared",
         numbers=9,
         notes=(
-            f"In brackets: {100 * study.question.confidence:g} % confidence intervals.",
+            f"In brackets: {100 * confidence:g} % confidence intervals.",
             "Means are added up from layer to layer; quantiles and P(late) of layers do not add up.",
             how("Comparison"),
         ),
@@ -57,14 +56,16 @@ class LayerBar:
     high_us: float
 
 
-def stacks(study: Study) -> list[list[LayerBar]]:
+def stacks(pairs: Sequence[LayerPair]) -> tuple[tuple[LayerBar, ...], ...]:
     """Each chain of layers from the lowest one on."""
-    return [
-        [LayerBar(label=chain[0].below.label, short=_short(chain[0].below), us=mean, low_us=mean, high_us=mean)]
-        + [_bar(pair) for pair in chain]
-        for chain in chains(layer_pairs(study))
+    return tuple(
+        (
+            LayerBar(label=chain[0].below.label, short=_short(chain[0].below), us=mean, low_us=mean, high_us=mean),
+            *map(_bar, chain),
+        )
+        for chain in chains(pairs)
         if (mean := _mean_us(chain[0].below)) is not None
-    ]
+    )
 
 
 def _bar(pair: LayerPair) -> LayerBar:

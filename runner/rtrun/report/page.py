@@ -41,7 +41,7 @@ def html(study: Study, contents: Contents) -> str:
     return environment.get_template("page.html.j2").render(
         contents=contents,
         cards=cards,
-        pictures={layers.TABLE: figures(stacked(layers.stacks(study)))},
+        pictures={layers.TABLE: figures(stacked(contents.stacks))},
         failed=sum(card["style"] == "refuted" for card in cards),
         opened=_OPENED,
         choices={key: values for key, values in choices.items() if len(values) > 1},

@@ -1,9 +1,12 @@
 """Which middleware keeps the deadline best: groups that differ in nothing but the middleware, the best one first."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from rtfiles.output import counted
 from rtfiles.quantities import time_us
+from rtrun.analysis.deadline import Verdict
+from rtrun.analysis.figures import Figures
 from rtrun.judgement.digest import pool_figures
 from rtrun.judgement.groups import Group, format_parameters
 from rtrun.judgement.study import Study
@@ -18,8 +21,8 @@ _QUANTILES = (50.0, 99.0, 99.99)
 def ranking(study: Study) -> Table:
     """A row for each middleware of each comparison; none where there is but one, or an emulated board's times."""
     groups = () if study.platform is Platform.EMULATED else study.groups
-    compared = [alike for alike in _alike_but_for_the_middleware(groups) if len(alike) > 1]
-    rows = [_row(place, group) for alike in compared for place, group in enumerate(sorted(alike, key=_rank), start=1)]
+    compared = [[*map(_ranked, alike)] for alike in _alike_but_for_the_middleware(groups) if len(alike) > 1]
+    rows = [_row(place, one) for alike in compared for place, one in enumerate(sorted(alike, key=_rank), start=1)]
     return Table(
         id="ranking",
         title="Middlewares ranked",
@@ -45,11 +48,21 @@ def ranking(study: Study) -> Table:
     )
 
 
-def _alike_but_for_the_middleware(groups: Sequence[Group]) -> list[list[Group]]:
-    alike: dict[tuple[str, ...], list[Group]] = {}
+@dataclass(frozen=True, kw_only=True)
+class _Ranked:
+    """What a middleware is ranked by."""
+
+    group: Group
+    verdict: Verdict
+    answer: str
+    figures: Figures
+
+
+def _alike_but_for_the_middleware(groups: Sequence[Group]) -> list[list[tuple[Group, Verdict]]]:
+    alike: dict[tuple[str, ...], list[tuple[Group, Verdict]]] = {}
     for group in groups:
         if group.n and group.verdict and "middleware" in group.parameters:
-            alike.setdefault((group.target, _what(group)), []).append(group)
+            alike.setdefault((group.target, _what(group)), []).append((group, group.verdict))
     return list(alike.values())
 
 
@@ -59,23 +72,25 @@ def _what(group: Group) -> str:
     return f"{group.suite.removesuffix('_tests')} {format_parameters(others)}"
 
 
-def _rank(group: Group) -> tuple[float, ...]:
-    assert group.verdict is not None
-    line = verdict_line(group)
-    p99_ns = pool_figures(group.digests).percentiles_ns.get(99.0)
-    return (-severity(line.answer, None)[0], group.verdict.upper, float("inf") if p99_ns is None else p99_ns)
+def _ranked(judged: tuple[Group, Verdict]) -> _Ranked:
+    group, verdict = judged
+    answer, figures = verdict_line(group).answer, pool_figures(group.digests)
+    return _Ranked(group=group, verdict=verdict, answer=answer, figures=figures)
 
 
-def _row(place: int, group: Group) -> tuple[str, ...]:
-    assert group.verdict is not None
-    figures, verdict = pool_figures(group.digests), group.verdict
+def _rank(one: _Ranked) -> tuple[float, ...]:
+    p99_ns = one.figures.percentiles_ns.get(99.0)
+    return (-severity(one.answer, None)[0], one.verdict.upper, float("inf") if p99_ns is None else p99_ns)
+
+
+def _row(place: int, one: _Ranked) -> tuple[str, ...]:
     return (
-        _what(group) if place == 1 else "",
+        _what(one.group) if place == 1 else "",
         str(place),
-        middleware_of(group.suite, group.parameters),
-        verdict_line(group).answer,
-        f"{verdict.misses} of {verdict.n}",
-        f"{verdict.upper:.2g}",
-        *(time_us(figures.percentiles_ns.get(quantile)) for quantile in _QUANTILES),
-        time_us(figures.max_ns),
+        middleware_of(one.group.suite, one.group.parameters),
+        one.answer,
+        f"{one.verdict.misses} of {one.verdict.n}",
+        f"{one.verdict.upper:.2g}",
+        *(time_us(one.figures.percentiles_ns.get(quantile)) for quantile in _QUANTILES),
+        time_us(one.figures.max_ns),
     )

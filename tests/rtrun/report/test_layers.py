@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from report.campaigns import communication_rows, latencies, oneshot_rows, write_run
 
-from rtrun.judgement.layers import differing_in_layer
+from rtrun.judgement.layers import differing_in_layer, layer_pairs
 from rtrun.judgement.study import study
 from rtrun.report.layers import table
 
@@ -32,9 +32,14 @@ def write(tmp_path):
     return write_layers
 
 
+def table_of(root):
+    analysed = study(root, bounds=False)
+    return table(layer_pairs(analysed), analysed.question.confidence)
+
+
 def pairs(root):
     """The lower and the upper group of each row of the table."""
-    return {(row[0], row[1]) for row in table(study(root, bounds=False)).rows}
+    return {(row[0], row[1]) for row in table_of(root).rows}
 
 
 TIMER = {"policy": "RR", "timeout_us": 10_000, "busy_mode": 0}
@@ -52,11 +57,11 @@ AWAKE = {"cpu_dma_latency_us": 0}
 def test_idle_cpus_must_have_been_alike(write, tmp_path):
     """Of two groups above, the one that is alike is paired; where none is, the table says why."""
     write("a", TIMER | AWAKE, MESSAGES)
-    made = table(study(tmp_path, bounds=False))
+    made = table_of(tmp_path)
     (row,) = made.rows
     assert "refused: idle CPUs were kept awake in one and not in the other" in row[-1]
     write("b", TIMER | AWAKE, MESSAGES | AWAKE)
-    made = table(study(tmp_path, bounds=False))
+    made = table_of(tmp_path)
     assert {row[-1].partition(":")[0] for row in made.rows} != {"refused"}
     assert {row[:2] for row in made.rows} == {(made.rows[0][0], made.rows[0][1])}
     assert "cpu_dma_latency_us=0" in made.rows[0][1]
