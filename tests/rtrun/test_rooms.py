@@ -14,8 +14,8 @@ from rtrun.plan.suites import suites
 
 # docs/house.md names them in this order.
 ROOMS = (
-    "plan", "targets", "analysis", "kinds", "results", "validity", "causes", "execution", "judgement", "report",
-    "archive", "commands", "cli",
+    "plan", "targets", "analysis", "probes", "kinds", "results", "validity", "causes", "flows", "execution",
+    "judgement", "report", "archive", "commands", "cli",
 )  # fmt: skip
 
 

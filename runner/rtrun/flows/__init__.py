@@ -1,0 +1,1 @@
+"""Which messages, timers and callbacks were there? Read from the hits of probes."""

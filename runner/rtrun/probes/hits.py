@@ -1,0 +1,59 @@
+"""What the probes saw: the types that pass from a target's trace to whoever reads messages and timers from it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Hit(NamedTuple):
+    """A probed function was called, or returned.
+
+    `at_ns` is of CLOCK_MONOTONIC. `pid` is 0 where the process of the thread is not known. `event` is its name in the
+    probes' data, `values` are the arguments by the names that they have there.
+    """
+
+    at_ns: int
+    cpu: int
+    pid: int
+    tid: int
+    event: str
+    values: Mapping[str, int | str]
+
+
+class Gap(NamedTuple):
+    """A time in which hits are missing: the kernel lost events, or the probes rested because there were too many.
+
+    `from_ns` and `until_ns` are of CLOCK_MONOTONIC. What was seen on both sides of it may not be joined.
+    """
+
+    from_ns: int
+    until_ns: int
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ProgramThread:
+    """A thread of an observed program, as the kernel shows it."""
+
+    tid: int
+    name: str
+    policy: str
+    priority: int
+    cpus: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ObservedProgram:
+    """A process that maps a library with probes; `start_ticks` tells it from a later one of the same pid.
+
+    `locked_bytes` is its locked memory (VmLck). `libraries` are those with probes that it maps, by their paths as the
+    target has them.
+    """
+
+    pid: int
+    start_ticks: int
+    name: str
+    argv: tuple[str, ...]
+    locked_bytes: int
+    libraries: tuple[str, ...]
+    threads: tuple[ProgramThread, ...]
