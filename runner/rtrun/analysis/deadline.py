@@ -26,6 +26,7 @@ class Answer(StrEnum):
     REFUTED = "REFUTED"
     NEEDS_MORE = "NEEDS MORE"
     NO_STATEMENT = "not a real-time statement"
+    NO_DEADLINE = "no deadline"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

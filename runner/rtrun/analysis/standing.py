@@ -9,7 +9,7 @@ from rtrun.analysis.deadline import Answer, Verdict
 class Standing:
     """A group of runs alike and its verdict so far; without one, `undecidable` says why none is possible.
 
-    `measured_s` is the time that its runs took, in seconds.
+    `has_deadline`: there is a question to answer. `measured_s` is the time that its runs took, in seconds.
     """
 
     label: str
@@ -17,12 +17,15 @@ class Standing:
     verdict: Verdict | None
     undecidable: str | None
     measured_s: float
+    has_deadline: bool = True
     boards: frozenset[str] = frozenset()
     """The names of the boards that it was measured on."""
 
     @property
     def answer(self) -> Answer:
         """The answer of the verdict."""
+        if not self.has_deadline:
+            return Answer.NO_DEADLINE
         return Answer.NO_STATEMENT if self.verdict is None else self.verdict.answer
 
     @property

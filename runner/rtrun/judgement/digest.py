@@ -77,21 +77,25 @@ class Digest:
         return self.n + len(self.header.startup) + self.header.missing + self.header.not_fired + self.header.skipped
 
 
-def digest(series: Series, question: Question) -> Digest:
-    """Reduce a series; its verdict is prepared for the deadline and the tolerance of the question."""
+NO_DEADLINE = "no deadline was given for it: --deadline"
+
+
+def digest(series: Series, question: Question | None) -> Digest:
+    """Reduce a series; its verdict is prepared for the deadline and the tolerance of the question, if it has one."""
     header = series.header
-    tolerance = question.tolerance if header.main else NONE_TOLERATED
+    tolerance = question.tolerance if question and header.main else NONE_TOLERATED
     trials: Trials | None = None
     tail: Tail | None = None
     blocks: Blocks | None = None
     course: ThinnedSeries | None = None
-    undecidable = header.undecidable or None
+    undecidable = header.undecidable or (None if question else NO_DEADLINE)
     histogram = from_samples(series.values_ns) if isinstance(series, SampleSeries) else series.histogram
     if header.main or header.series in MAIN_2014:
         if isinstance(series, SampleSeries):
-            trials = count_misses(series.values_ns, question.deadline_ns, series.absent, tolerance)
+            if question:
+                trials = count_misses(series.values_ns, question.deadline_ns, series.absent, tolerance)
             blocks = cut(series.values_ns) if series.values_ns.size else None
-        else:
+        elif question:
             counted = _count_without_order(series, question.deadline_ns, tolerance)
             trials, undecidable = (counted, undecidable) if isinstance(counted, Trials) else (None, counted)
             blocks = split_randomly(histogram) if histogram.values_ns.size else None

@@ -63,7 +63,9 @@ def gate(
     ]
     members = {id(member) for group in study.pooled for member in group.members}
     judged = [
-        _case(group, study.name(group), passing, platform, is_member=id(group) in members) for group in study.answers
+        _case(group, study.name(group), passing, platform, is_member=id(group) in members)
+        for group in study.answers
+        if group.question
     ]
     cases += sorted(judged, key=lambda case: severity(case.answer, case.worst_ns))
     cases += [

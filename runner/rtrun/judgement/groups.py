@@ -11,7 +11,7 @@ from rtrun.analysis.histogram import Histogram, merge
 from rtrun.analysis.trials import Trials
 from rtrun.judgement.digest import Digest
 from rtrun.kinds.known import ELSE_IN_2014
-from rtrun.plan.question import Measure
+from rtrun.plan.question import Measure, Question
 from rtrun.plan.suites import NOT_TELLING, Value, measures, options
 from rtrun.results.record import RunRecord
 from rtrun.targets.inspection.platform import Platform
@@ -36,7 +36,8 @@ _TELLING = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscriber
 class Group:
     """Runs of one suite with the same parameters on the same target; outputs of one run stand together.
 
-    A group of several boards has a group of each of them as `members`.
+    `question` is what is asked of them; None: they have no deadline. A group of several boards has a group of each of
+    them as `members`.
     """
 
     suite: str
@@ -44,6 +45,7 @@ class Group:
     of: Measure | None = None
     target: str
     parameters: dict[str, Value]
+    question: Question | None
     digests: tuple[Digest, ...]
     trials: tuple[Trials, ...]
     verdict: Verdict | None

@@ -35,6 +35,7 @@ def _standing(group: Group, label: str, times_s: dict[str, float]) -> Standing:
         runs=group.runs,
         verdict=group.verdict,
         undecidable=group.undecidable,
+        has_deadline=group.question is not None,
         measured_s=sum(times_s.get(run, 0.0) for run in group.runs),
         boards=frozenset(group.boards),
     )

@@ -69,6 +69,20 @@ class Study:
         return replace(self.question, of=of.pop() if len(of) == 1 else None)
 
     @property
+    def deadlines_ns(self) -> tuple[int, ...]:
+        """The deadlines that its groups have, ascending; that of the question where none has one."""
+        return tuple(sorted({group.question.deadline_ns for group in self.groups if group.question})) or (
+            self.question.deadline_ns,
+        )
+
+    @property
+    def miss(self) -> str:
+        """What counts as a miss, in words."""
+        if len(self.deadlines_ns) > 1:
+            return f"{self.asked.of or 'value'} > its deadline"
+        return replace(self.asked, deadline_ns=self.deadlines_ns[0]).miss
+
+    @property
     def as_in_2014(self) -> tuple[Group, ...]:
         """The groups that compare with the publications of 2014: measured_2014 of one-shot, jitter of cyclic timers."""
         return tuple(group for group in (*self.groups, *self.groups_2014) if group.series in MAIN_2014)
@@ -135,6 +149,11 @@ class _Basis:
     records: Mapping[str, RunRecord]
     off_rate: Mapping[str, int]
 
+    def asked(self, alike: Sequence[Digest]) -> Question | None:
+        """What is asked of runs alike; None where they have no deadline."""
+        record = self.records.get(alike[0].run)
+        return record.asked(self.question) if record else self.question
+
 
 @dataclass(frozen=True, kw_only=True)
 class _DigestedRun:
@@ -164,11 +183,12 @@ def _read_run(
         return _DigestedRun(left_out=(f"{record.run}: {record.status}: {record.reason or 'no reason given'}",))
     digests, incomplete = [], {}
     try:
+        asked = record.asked(question)
         for series in reading.read_series(folder, record, question.of):
             if series.header.incomplete:
                 incomplete[series.header.output] = series.header.incomplete
             else:
-                digests.append(digest(series, question))
+                digests.append(digest(series, asked))
     except UsageError as error:
         return _DigestedRun(left_out=(str(error),))
     if known is not None:
@@ -201,14 +221,15 @@ def _check_of(path: Path, records: Iterable[RunRecord], question: Question) -> N
 def _grouped(digests: Sequence[Digest], basis: _Basis, *, bounds: bool) -> tuple[Group, ...]:
     by_key: dict[str, list[Digest]] = {}
     for one in digests:
-        by_key.setdefault(_key(one), []).append(one)
+        by_key.setdefault(_key(one, basis), []).append(one)
     alike = showing_progress([*by_key.values()], "judging group")
     groups = [_group(members, basis, bounds=bounds) for members in alike]
     return tuple(sorted(groups, key=lambda group: (group.suite, group.target)))
 
 
-def _key(one: Digest) -> str:
-    return json.dumps([one.header.target, *_scenario(one)])
+def _key(one: Digest, basis: _Basis) -> str:
+    asked = basis.asked([one])
+    return json.dumps([one.header.target, asked.deadline_ns if asked else None, *_scenario(one)])
 
 
 def _scenario(one: Digest) -> list[Any]:
@@ -256,16 +277,18 @@ def _group(alike: Sequence[Digest], basis: _Basis, *, bounds: bool) -> Group:
     first, records = alike[0].header, basis.records
     trials = tuple(_located(one.trials, one.run, records.get(one.run)) for one in alike if one.trials is not None)
     undecidable = next((one.undecidable for one in alike if one.undecidable), None)
-    worst_cases, no_bound = _bounds(alike, basis.question) if bounds else ((), None)
+    asked = basis.asked(alike)
+    worst_cases, no_bound = _bounds(alike, asked) if bounds and asked else ((), None)
     return Group(
         suite=first.suite,
         series=first.series,
         of=first.of,
         target=first.target,
         parameters=telling_parameters(first.parameters),
+        question=asked,
         digests=tuple(alike),
         trials=trials,
-        verdict=_verdict(alike, trials, basis) if trials and undecidable is None else None,
+        verdict=_verdict(alike, trials, asked, basis) if trials and asked and undecidable is None else None,
         undecidable=undecidable,
         bounds=worst_cases,
         no_bound=no_bound,
@@ -273,8 +296,8 @@ def _group(alike: Sequence[Digest], basis: _Basis, *, bounds: bool) -> Group:
     )
 
 
-def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], basis: _Basis) -> Verdict:
-    first, question = alike[0].header, basis.question
+def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], question: Question, basis: _Basis) -> Verdict:
+    first = alike[0].header
     kinds = {_kind(one.header.target, one.header.suite, one.header.parameters) for one in alike}
     periods = [one.header.period_ns for one in alike if one.header.period_ns]
     # Subscribers of one run receive the same messages; threads of cyclictest only measure at the same time.

@@ -13,7 +13,10 @@ from rtrun.plan.question import NONE_TOLERATED
 # Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5
 # In this order a reader has to see the answers.
-WORST_FIRST = (Answer.REFUTED, Answer.NEEDS_MORE, Answer.IF_INDEPENDENT, Answer.PROVEN, Answer.NO_STATEMENT)
+WORST_FIRST = (
+    *(Answer.REFUTED, Answer.NEEDS_MORE, Answer.IF_INDEPENDENT, Answer.PROVEN),
+    *(Answer.NO_STATEMENT, Answer.NO_DEADLINE),
+)
 
 
 def severity(answer: str, worst_ns: int | None) -> tuple[int, float]:
@@ -34,7 +37,8 @@ def verdict_line(group: Group, name: str = "") -> VerdictLine:
     """The verdict of a group in one line; `name` is what it is called, its label where none is given."""
     verdict, about = group.verdict, printable(name or group.label)
     if verdict is None:
-        return VerdictLine(answer=Answer.NEEDS_MORE, about=about, text=group.undecidable or "nothing was measured")
+        answer = Answer.NEEDS_MORE if group.question else Answer.NO_DEADLINE
+        return VerdictLine(answer=answer, about=about, text=group.undecidable or "nothing was measured")
     return VerdictLine(answer=verdict.answer, about=about, text=_numbers(verdict, group))
 
 

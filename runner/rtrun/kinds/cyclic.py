@@ -8,7 +8,7 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.kind import Columns, MeasurementKind
+from rtrun.kinds.kind import Columns, LogForm, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record, no_values
 from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, without
 from rtrun.plan.limits import WALL_TIME_MAX_NS
@@ -111,8 +111,10 @@ KIND = MeasurementKind(
     # The first two periods.
     startup={"lateness": 2, "jitter": 2, "grid": 2},
     layer_below="cyclictest",
-    suite_2014="cyclic_timer_tests",
-    main_2014="jitter",
-    log_summary=re.compile(r"with a total of ([0-9]{1,12}) measurements"),
-    log_series={"": "jitter"},
+    logs=LogForm(
+        suite="cyclic_timer_tests",
+        main="jitter",
+        summary=re.compile(r"with a total of ([0-9]{1,12}) measurements"),
+        series={"": "jitter"},
+    ),
 )

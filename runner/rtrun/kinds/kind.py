@@ -13,6 +13,22 @@ Columns = Mapping[str, Int64s]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class LogForm:
+    """The logs that a suite wrote in 2014 and writes still, gnuplot scripts with the data in them.
+
+    `main` is the series that the suite was about in 2014. `summary` is the line that says how many were asked for,
+    `series` the series of a log by what its name ends with; `missing_as_value`: a missing message stands there as a
+    value of -1 us.
+    """
+
+    suite: str
+    main: str
+    summary: re.Pattern[str]
+    series: Mapping[str, str]
+    missing_as_value: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class MeasurementKind:
     """A kind of measurement.
 
@@ -24,9 +40,7 @@ class MeasurementKind:
     `startup` says of how many loops at the start of a run the values of a series stand apart, as in the thesis.
     `layer_below` is the baseline, or the kind, that measures what this one's values are on top of.
 
-    `main_2014` is the series that the suite was about in 2014. In logs of that form `log_summary` is the line that says
-    how many were asked for, `log_series` the series of a log by what its name ends with; `missing_as_value`: a missing
-    message stands there as a value of -1 us.
+    `logs` is the form of its logs of 2014; None: there were none.
     """
 
     series: Callable[[Columns, Record, Path], dict[str, IndexedValues]]
@@ -34,8 +48,4 @@ class MeasurementKind:
     times: Callable[[Columns, IndexedValues], Int64s]
     startup: Mapping[str, int] = field(default_factory=dict)
     layer_below: str = ""
-    suite_2014: str
-    main_2014: str
-    log_summary: re.Pattern[str]
-    log_series: Mapping[str, str] = field(default_factory=dict)
-    missing_as_value: bool = False
+    logs: LogForm | None = None

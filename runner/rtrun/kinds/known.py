@@ -1,24 +1,34 @@
 """The kinds of measurement that there are, by the names that suites.yml has for them."""
 
-from rtrun.kinds import cyclic, messages, oneshot
-from rtrun.kinds.kind import MeasurementKind
+from rtrun.kinds import cyclic, interval, messages, oneshot, spans, timer
+from rtrun.kinds.kind import LogForm, MeasurementKind
 from rtrun.plan.question import Measure
-from rtrun.plan.suites import suites
+from rtrun.plan.suites import described_suites
 
-KINDS: dict[str, MeasurementKind] = {"oneshot": oneshot.KIND, "cyclic": cyclic.KIND, "messages": messages.KIND}
-OF_2014: dict[str, MeasurementKind] = {kind.suite_2014: kind for kind in KINDS.values()}
-"""The same by the suite whose logs had their form in 2014."""
+KINDS: dict[str, MeasurementKind] = {
+    "oneshot": oneshot.KIND,
+    "cyclic": cyclic.KIND,
+    "messages": messages.KIND,
+    "timer": timer.KIND,
+    "callback": spans.CALLBACK,
+    "interval": interval.KIND,
+    "path": spans.PATH,
+}
+LOGS: dict[str, LogForm] = {kind.logs.suite: kind.logs for kind in KINDS.values() if kind.logs}
+"""The form of the logs of each suite that wrote some in 2014."""
 
 
 def kind_of(suite: str) -> MeasurementKind | None:
     """The kind of a suite by its name; None for one that is not known, and for what writes no samples."""
-    described = suites().suites.get(suite)
+    described = described_suites().get(suite)
     return KINDS.get(described.kind) if described and described.kind else None
 
 
-MAIN_2014 = frozenset(kind.main_2014 for kind in KINDS.values())
+MAIN_2014 = frozenset(form.main for form in LOGS.values())
 """The series that the suites were about in 2014."""
-ELSE_IN_2014 = frozenset(kind.main_2014 for kind in KINDS.values() if kind.main_2014 != next(iter(kind.called)))
+ELSE_IN_2014 = frozenset(
+    kind.logs.main for kind in KINDS.values() if kind.logs and kind.logs.main != next(iter(kind.called))
+)
 """Those of which today's suites are about another one."""
 
 

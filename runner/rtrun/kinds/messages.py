@@ -7,7 +7,7 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.kind import Columns, MeasurementKind
+from rtrun.kinds.kind import Columns, LogForm, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record, no_values
 from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, disagree, without
 
@@ -61,9 +61,11 @@ KIND = MeasurementKind(
     # The first message.
     startup={"latency": 1},
     layer_below="oneshot",
-    suite_2014="communication_tests",
-    main_2014="latency",
-    log_summary=re.compile(r"Amount messages: ([0-9]{1,12})\b"),
-    log_series={"": "latency"},
-    missing_as_value=True,
+    logs=LogForm(
+        suite="communication_tests",
+        main="latency",
+        summary=re.compile(r"Amount messages: ([0-9]{1,12})\b"),
+        series={"": "latency"},
+        missing_as_value=True,
+    ),
 )

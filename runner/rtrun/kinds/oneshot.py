@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.kind import Columns, MeasurementKind
+from rtrun.kinds.kind import Columns, LogForm, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record
 from rtrun.kinds.rows import agree, check_times
 
@@ -44,8 +44,10 @@ KIND = MeasurementKind(
     called={"measured": "latency", "measured_2014": "latency"},
     times=_times,
     layer_below="cyclictest",
-    suite_2014="oneshot_timer_tests",
-    main_2014="measured_2014",
-    log_summary=re.compile(r"with a loop length of ([0-9]{1,12}) "),
-    log_series={"measured": "measured_2014", "reported": "reported", "diff": "difference_2014"},
+    logs=LogForm(
+        suite="oneshot_timer_tests",
+        main="measured_2014",
+        summary=re.compile(r"with a loop length of ([0-9]{1,12}) "),
+        series={"measured": "measured_2014", "reported": "reported", "diff": "difference_2014"},
+    ),
 )

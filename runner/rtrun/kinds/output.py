@@ -33,7 +33,8 @@ class InEffect(Config):
     clock: str
     clock_resolution_ns: ClockStepNs
     clock_step_ns: ClockStepNs
-    mlockall: bool
+    mlockall: bool | None
+    """None: not known, as of programs that ran already."""
     cpu_dma_latency_us: CpuDmaLatencyUs | None = None
     """The lowest latency that any program held in /dev/cpu_dma_latency, or the kernel's default; None: not known."""
     facts: dict[str, str] = Field(default_factory=dict)
@@ -133,7 +134,7 @@ class ProgramHead(Config):
     suite: str
     program: str
     middleware: str = "roscpp"
-    """Through which it measured; samples of earlier versions, which knew no other, do not say."""
+    """Through which it measured; that of 2014 where it does not say."""
     version: str
     complete: bool
     incomplete_reason: str | None
@@ -144,7 +145,7 @@ class ProgramHead(Config):
     start_time: str
     end_time: str
     costs: Costs | None = None
-    """None: nothing was measured, or samples of an earlier version."""
+    """None: nothing was measured, or it does not say."""
 
 
 class Record(ProgramHead):

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s, pieces
@@ -26,6 +27,16 @@ def check_times(path: Path, *columns: Int64s) -> None:
             part = np.ascontiguousarray(column[piece])  # a row after the other in the file: a copy is searched faster
             if int(part.min()) < -TIME_MAX_NS or int(part.max()) > TIME_MAX_NS:
                 raise UsageError(f"{path}: a time beyond {TIME_MAX_NS} ns cannot be")
+
+
+def within_segments(segment: Int64s | None, rows: int) -> NDArray[np.bool_]:
+    """Of each row but the first whether it follows the one before it without a gap, shape (rows - 1,).
+
+    `segment`, shape (rows,), numbers what was seen without a gap; None: there was none.
+    """
+    if segment is None:
+        return np.ones(max(rows - 1, 0), dtype=bool)
+    return np.asarray(segment[1:] == segment[:-1])
 
 
 def without(present: Int64s, number: int) -> Int64s:

@@ -2,12 +2,12 @@
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 Of = Literal["lateness", "jitter"]
 """The values that a question may name. Lateness is how late something came that was due: every latency is one."""
-Measure = Literal["latency", "lateness", "jitter"]
+Measure = Literal["latency", "lateness", "jitter", "duration", "interval", "reaction"]
 """What a suite measures."""
 
 # So many loops are looked at together at most: a second at 1 kHz.
@@ -67,6 +67,8 @@ class Question:
     confidence: float = 0.95
     boots: int = 1
     bursts: int = 1
+    is_deadline_stated: bool = field(default=False, compare=False)
+    """Whether somebody named the deadline: it then comes before those that runs were measured for."""
 
     @property
     def covered(self) -> str:

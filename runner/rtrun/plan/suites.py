@@ -24,9 +24,14 @@ Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
 
 SUITES_FILE = Path(__file__).with_name("suites.yml")
 BASELINES_FILE = Path(__file__).with_name("baselines.yml")
+OBSERVED_FILE = Path(__file__).with_name("observed.yml")
 
 # Options that do not change what is measured: runs that differ in them only are alike.
 NOT_TELLING = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s", "trace_of")
+
+
+Subject = Literal["started", "attached"]
+"""What a run measures: programs that it starts, or programs that run already."""
 
 
 class Option(Config):
@@ -89,23 +94,24 @@ class Option(Config):
 class Packages(Config):
     """ROS packages a suite needs to build and to run."""
 
-    build: Strings
-    run: Strings
+    build: Strings = ()
+    run: Strings = ()
 
 
 class Suite(Config):
-    """One suite: its programs, the parameters each takes, and what it writes."""
+    """One suite: its programs, the parameters each takes, and what it writes; or what is observed of other programs."""
 
     summary: str
-    kind: Literal["oneshot", "cyclic", "messages"] | None = None
+    kind: Literal["oneshot", "cyclic", "messages", "timer", "callback", "interval", "path"] | None = None
     """How its samples are read (rtrun.kinds); None: it writes none, as a baseline."""
+    subject: Subject = "started"
     measures: Annotated[tuple[Measure, ...], Field(strict=False, min_length=1)]
     """What a question may be of; of the first one where it names none."""
-    programs: dict[str, Strings]
-    output: str
-    logs: Strings
+    programs: dict[str, Strings] = Field(default_factory=dict)
+    output: str = ""
+    logs: Strings = ()
     columns: Strings
-    packages: Packages
+    packages: Packages = Packages()
     program_json: dict[str, str] = Field(default_factory=dict)
     """Of programs without samples: what stands between the output and ``.json`` in the name of the json they write."""
     repeated: str | None = None
@@ -183,8 +189,20 @@ def baselines() -> Suites:
     return loaded
 
 
-def _check_options(described_suites: Suites, known: Mapping[str, Option]) -> None:
-    for name, described in described_suites.suites.items():
+@functools.cache
+def observed() -> Suites:
+    """What can be observed of programs that run already, read once."""
+    return load(OBSERVED_FILE, Suites)
+
+
+@functools.cache
+def described_suites() -> dict[str, Suite]:
+    """All whose samples and figures can be read, by name: suites, baselines, and what is observed."""
+    return suites().suites | baselines().suites | observed().suites
+
+
+def _check_options(of: Suites, known: Mapping[str, Option]) -> None:
+    for name, described in of.suites.items():
         for key in described.parameters:
             if key not in known:
                 raise UsageError(f"suites.{name}: {unknown('option', key, known=known)}")
@@ -202,8 +220,8 @@ def options() -> dict[str, Option]:
 
 
 def suite(name: str) -> Suite:
-    """The suite or baseline of this name. Raises UsageError that lists the known ones."""
-    known = suites().suites | baselines().suites
+    """The suite or baseline of this name, or what is observed. Raises UsageError that lists the known ones."""
+    known = described_suites()
     if name not in known:
         raise UsageError(unknown("suite", name, known=known))
     return known[name]
@@ -229,7 +247,7 @@ def executable(suite_name: str, program: str, parameters: Mapping[str, Value]) -
 
 def measures(name: str) -> tuple[Measure, ...]:
     """What a suite, a baseline or another program measures; of a program that is not known it is a latency."""
-    known = suites().suites | baselines().suites
+    known = described_suites()
     return known[name].measures if name in known else ("latency",)
 
 

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rtfiles.output import printable
+from rtfiles.output import counted, printable
 from rtfiles.quantities import duration, grouped
 from rtrun.analysis.deadline import Answer
 from rtrun.judgement.claims.examiners import bear_on_claims
@@ -67,24 +67,32 @@ def _question(study: Study) -> str:
     boots = f", on at least {asked.boots} boots" if asked.boots > 1 else ""
     bursts = f", covering {asked.covered}" if asked.bursts > 1 else ""
     return (
-        f"Is P({asked.miss}) below {asked.probability:g}{boots}{bursts}? "
+        f"Is P({study.miss}) below {asked.probability:g}{boots}{bursts}? "
         f"Confidence {100 * asked.confidence:g} %, two-sided. {how('Deadline')}"
     )
 
 
 def _answer(study: Study, made: Sequence[Scenario]) -> str:
     """The answer to the question in one sentence."""
-    counts, total = Counter(one.answer for one in made), len(made)
-    summary = ", ".join(f"{answer} {counts[answer]} of {total}" for answer in WORST_FIRST if counts[answer])
-    deadline = f"the deadline of {study.question.deadline_ns / 1000:g} us"
-    if not made:
+    counts = Counter(one.answer for one in made)
+    total = len(made) - counts[Answer.NO_DEADLINE]
+    summary = ", ".join(
+        f"{answer} {counts[answer]} of {total}"
+        for answer in WORST_FIRST
+        if counts[answer] and answer is not Answer.NO_DEADLINE
+    )
+    first_ns, *others_ns = study.deadlines_ns
+    deadline = "its deadline" if others_ns else f"the deadline of {first_ns / 1000:g} us"
+    if made and not total:
+        text = f"No deadline was given for any of {counted(len(made), 'scenario')}: --deadline TIME"
+    elif not made:
         text = f"Nothing was measured that {deadline} could be held against"
     elif counts[Answer.REFUTED]:
         text = f"{deadline.capitalize()} is not met: {summary}"
     elif counts[Answer.PROVEN] + counts[Answer.IF_INDEPENDENT] == total:
         condition = ", if measurements are independent" if counts[Answer.IF_INDEPENDENT] else ""
         text = (
-            f"{deadline.capitalize()} is met in {_all(total)}{condition}: P({study.asked.miss}) is below "
+            f"{deadline.capitalize()} is met in {_all(total)}{condition}: P({study.miss}) is below "
             f"{study.question.probability:g} at {100 * study.question.confidence:g} % confidence, "
             f"{_for_which_boots(made)}"
         )

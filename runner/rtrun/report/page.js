@@ -24,7 +24,8 @@ function drawOverview() {
   const beside = wide.matches && !root.classList.contains("paper");
   overview.hidden = rows.length === 0;
   if (!rows.length) return;
-  const positive = rows.flatMap((row) => Object.values(row.us)).filter((value) => value > 0).concat(all.deadline_us);
+  const limits = rows.flatMap((row) => row.deadline_us ?? []);
+  const positive = rows.flatMap((row) => Object.values(row.us)).filter((value) => value > 0).concat(limits);
   const low = Math.min(...positive) / 1.5, high = Math.max(...positive) * 1.5;
   const at = (value) => value === null ? null : Math.max(value, low);
   const tone = (row) => colour(`--${row.style}`), place = rows.map((_, k) => k), traces = [];
@@ -44,8 +45,9 @@ function drawOverview() {
         symbol: rows.map((row) => below(row) ? "triangle-left" : symbol) } });
     traces.push({ type: "scatter", mode: "markers", name, x: [null], y: [null], marker: { ...mixed, symbol, size: 9, line: { ...mixed, width: 2 } } });
   }
-  traces.push({ type: "scatter", mode: "lines", name: `deadline ${all.deadline_us} us`, x: [all.deadline_us, all.deadline_us],
-    y: [-0.6, rows.length - 0.4], line: { color: colour("--ink"), dash: "dash", width: 1.5 }, hovertemplate: `deadline ${all.deadline_us} us<extra></extra>` });
+  const limit = new Set(limits).size === 1 ? `deadline ${limits[0]} us` : "deadline";
+  if (limits.length) traces.push({ type: "scatter", mode: "lines", name: limit, x: rows.flatMap((row) => [row.deadline_us, row.deadline_us, null]),
+    y: place.flatMap((k) => [k - 0.6, k + 0.6, null]), line: { color: colour("--ink"), dash: "dash", width: 1.5 }, hovertemplate: "deadline %{x} us<extra></extra>" });
   const most = beside ? 60 : Math.max(20, Math.floor((overview.clientWidth - 20) / 7.2));
   const labels = rows.map((row) => inLines(`${row.mark} ${row.label}`, most));
   const tallest = 15 * Math.max(...labels.map((lines) => lines.length));

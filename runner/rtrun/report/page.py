@@ -18,6 +18,7 @@ _ANSWERS: dict[str, tuple[str, str]] = {
     "NEEDS MORE": ("more", "?"),
     "REFUTED": ("refuted", "✗"),
     "not a real-time statement": ("none", "–"),
+    "no deadline": ("none", "–"),
 }
 _OPENED = 3  # cards of failed scenarios that are open from the start
 _PICTURED = {"median": 50.0, "p99": 99.0, "p99.99": 99.99}
@@ -35,7 +36,6 @@ def html(study: Study, contents: Contents) -> str:
         for key in ("suite", "policy", "condition", "answer")
     }
     overview = {
-        "deadline_us": study.question.deadline_ns / 1000,
         "rows": [_row(scenario) for scenario in contents.scenarios if scenario.figures.max_ns is not None],
     }
     return environment.get_template("page.html.j2").render(
@@ -53,7 +53,7 @@ def html(study: Study, contents: Contents) -> str:
 
 def _card(study: Study, scenario: Scenario) -> dict[str, Any]:
     style, mark = _ANSWERS[scenario.answer]
-    drawn = plots(scenario, deadline_ns=study.question.deadline_ns, probability=study.question.probability)
+    drawn = plots(scenario, probability=study.question.probability)
     return {
         "scenario": scenario,
         "style": style,
@@ -70,6 +70,7 @@ def _row(scenario: Scenario) -> dict[str, Any]:
     values_us = [None if value_ns is None else value_ns / 1000 for value_ns in values_ns]
     return {
         "id": scenario.id,
+        "deadline_us": scenario.group.question and scenario.group.question.deadline_ns / 1000,
         "label": scenario.label,
         "answer": scenario.answer,
         "style": style,

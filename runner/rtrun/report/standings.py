@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def question(study: Study) -> str:
     """What the answers are to."""
     return (
-        f"P({study.asked.miss}) below {study.question.probability:g}, "
+        f"P({study.miss}) below {study.question.probability:g}, "
         f"confidence {study.question.confidence:g}, on at least {_count(study.question.boots, 'boot', '')}, "
         f"covering {study.question.covered}"
     )

@@ -17,7 +17,7 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import IndexedValue
-from rtrun.kinds.known import OF_2014
+from rtrun.kinds.known import LOGS
 from rtrun.plan.limits import TIME_MAX_NS
 
 MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
@@ -175,8 +175,8 @@ def _read_comment(lines: _Lines, text: Text, line: str) -> None:
     if match := _BOUNDS.search(line):
         label = line[: match.start()].strip()
         text.summaries[_LABELS.get(label, "latency")] = _printed(match, lines.number)
-    for suite, kind in OF_2014.items():
-        if match := kind.log_summary.search(line):
+    for suite, form in LOGS.items():
+        if match := form.summary.search(line):
             text.suite = suite
             text.counts["asked"] = (int(match[1]), lines.number)
     for name, pattern in COUNTS.items():

@@ -14,7 +14,7 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import LISTED, IndexedValue
 from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.known import OF_2014
+from rtrun.kinds.known import LOGS
 from rtrun.plan.limits import COUNT_MAX
 from rtrun.plan.suites import LogFacts, Value, read_log_name
 from rtrun.results.gnuplot_lines import COUNTS, Printed, Text, read_text
@@ -57,7 +57,7 @@ def read_log(path: Path) -> Log:
 
 def _interpret(path: Path, text: Text) -> Log:
     if not text.suite:
-        raise UsageError(f"{path}:{text.lines}: no log of a suite: the summary is none of {', '.join(OF_2014)}")
+        raise UsageError(f"{path}:{text.lines}: no log of a suite: the summary is none of {', '.join(LOGS)}")
     name = read_log_name(path.name) or read_log_name(f"{Path(text.output).name}.log")
     if name and name.suite != text.suite:
         raise UsageError(f"{path}: named as a log of {name.suite}, but its summary is one of {text.suite}")
@@ -71,7 +71,7 @@ def _interpret(path: Path, text: Text) -> Log:
     if padding := sum(len(entries) - len(lists[key]) for key, entries in text.lists.items()):
         remarks.append(f"{padding} entries that pad the lists of top and lowest values, as in 2014, are left out")
     is_missing = value_us == SENTINEL_US
-    sentinels = int(count[is_missing].sum()) if OF_2014[text.suite].missing_as_value else 0
+    sentinels = int(count[is_missing].sum()) if LOGS[text.suite].missing_as_value else 0
     # In 2014 a missing message stood among the values, and a timer that did not fire was repeated: the bins then hold
     # as many as were asked for. The missing messages were told only if no value was below theirs.
     if total == asked and sentinels and number["missing"]:
@@ -114,7 +114,7 @@ def _interpret(path: Path, text: Text) -> Log:
 
 
 def _series(suite: str, name: LogFacts | None) -> str:
-    known = OF_2014[suite].log_series
+    known = LOGS[suite].series
     return known.get(name.log if name else "", next(iter(known.values())))
 
 

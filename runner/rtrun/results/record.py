@@ -3,6 +3,7 @@
 import hashlib
 import os
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +13,7 @@ from pydantic import AfterValidator, Field
 
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
-from rtrun.kinds.output import Costs
+from rtrun.kinds.output import Costs, Thread
 from rtrun.kinds.rate import OFF_MAX, Rate
 from rtrun.plan.conditions import IDLE, Settings
 from rtrun.plan.limits import (
@@ -24,6 +25,7 @@ from rtrun.plan.limits import (
     FrequencyKhz,
     LoadAverage,
     Percent,
+    Pid,
     Priority,
     Range,
     RtRuntimeUs,
@@ -32,8 +34,9 @@ from rtrun.plan.limits import (
     TemperatureMc,
     TimeNs,
 )
+from rtrun.plan.question import Question
 from rtrun.plan.run import KernelName
-from rtrun.plan.suites import Parameters, Value, middleware_of, suite, suites
+from rtrun.plan.suites import Parameters, Subject, Value, middleware_of, suite, suites
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.targets.inspection.control_groups import ControlGroup
 from rtrun.targets.inspection.facts import Fact
@@ -75,15 +78,19 @@ class RunStatus(StrEnum):
 
 
 class ProgramRecord(Config):
-    """A program that ran; no exit status: something else than the program ended it.
+    """A program that ran; no exit status: something else than the program ended it, or it ran on.
 
-    `control_groups` are those that it was in, and those above them. `rate`, `costs` and `loops` are those of its json,
-    None without one, or where that does not tell them.
+    `pid`, `threads` and `locked_bytes`, its locked memory, are those of a program that ran already. `control_groups`
+    are those that it was in, and those above them. `rate`, `costs` and `loops` are those of its json, None without one,
+    or where that does not tell them.
     """
 
     name: str
     argv: list[str]
-    exit_status: ExitStatus | None
+    exit_status: ExitStatus | None = None
+    pid: Pid | None = None
+    threads: list[Thread] = Field(default_factory=list)
+    locked_bytes: Count | None = None
     control_groups: list[ControlGroup] = Field(default_factory=list)
     rate: Rate | None = None
     costs: Costs | None = None
@@ -181,7 +188,10 @@ class RunRecord(Config):
     campaign: str
     attempt: str = ""
     suite: str
+    subject: Subject = "started"
     parameters: Parameters
+    deadline_ns: TimeNs | None = None
+    """What it was measured for; None: nothing of its own."""
     condition: str = IDLE
     settings: Settings = Field(default_factory=dict)
     repeat: Count = 1
@@ -201,12 +211,18 @@ class RunRecord(Config):
     in_effect: Observed = Field(default_factory=Observed)
     start_time: Moment
     end_time: Moment
-    programs: list[ProgramRecord]
+    programs: list[ProgramRecord] = Field(default_factory=list)
     outputs: list[Name]
     refused: dict[str, str] = Field(default_factory=dict)
     """Files that were not taken from the target, name to reason."""
     target: TargetFacts
     files: dict[Name, FileRecord]
+
+    def asked(self, question: Question) -> Question | None:
+        """What is asked of it: the deadline is its own unless somebody named one; None: what is observed has none."""
+        if question.is_deadline_stated or (self.subject == "started" and self.deadline_ns is None):
+            return question
+        return replace(question, deadline_ns=self.deadline_ns) if self.deadline_ns else None
 
     @property
     def duration_s(self) -> float:

@@ -15,7 +15,7 @@ from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.known import called, kind_of
 from rtrun.kinds.output import IndexedValues, Record
 from rtrun.plan.question import Measure
-from rtrun.plan.suites import suite, suites
+from rtrun.plan.suites import described_suites, suite
 from rtrun.results.npy import read_header
 
 MAX_NPY_BYTES = 4 << 30
@@ -53,7 +53,7 @@ def read_samples(path: Path, record: Record | None = None) -> Samples:
     record = record or read_json(json_path, Record)
     kind = kind_of(record.suite)
     if kind is None:
-        raise UsageError(f"{json_path}: suite: unknown suite {record.suite!r}, known: {', '.join(suites().suites)}")
+        raise UsageError(f"{json_path}: suite: unknown suite {record.suite!r}, known: {', '.join(described_suites())}")
     counts = record.counts
     if counts.known > counts.asked:
         raise UsageError(

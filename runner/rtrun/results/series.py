@@ -14,7 +14,7 @@ from rtrun.analysis.histogram import Histogram, Int64s
 from rtrun.kinds.known import MAIN_2014, called, startup_loops
 from rtrun.kinds.output import InEffect
 from rtrun.plan.question import Measure
-from rtrun.plan.suites import Value, judged, measures
+from rtrun.plan.suites import Value, judged, measures, suite
 from rtrun.results.gnuplot_log import Log
 from rtrun.results.importers.histogram_file import Imported
 from rtrun.results.samples import Samples
@@ -124,7 +124,7 @@ def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[Samp
         # A question's "latency" may be two series of a one-shot timer. The first is meant, the second is that of 2014.
         known = None if called(name) in told else called(name)
         told.add(known)
-        loops = startup_loops(name)
+        loops = startup_loops(name) if suite(record.suite).subject == "started" else 0
         absent = values.absent
         head = min(loops - int(np.searchsorted(absent, loops)), values.values_ns.size)
         sample_series.append(

@@ -40,13 +40,13 @@ class Plot:
     layout: dict[str, Any]
 
 
-def plots(scenario: Scenario, *, deadline_ns: int, probability: float) -> list[Plot]:
+def plots(scenario: Scenario, *, probability: float) -> list[Plot]:
     """Every plot of a scenario; none where it has no values."""
     group = scenario.group
     shown = [one for one in group.digests if one.histogram.values_ns.size]
     if not shown:
         return []
-    limit_us = deadline_ns / 1000
+    limit_us = group.question.deadline_ns / 1000 if group.question else None
     what = f"{group.series} in us"
     scale = scale_of(merge(one.histogram for one in shown), limit_us)
     drawn = [_histograms(shown, scale, what, limit_us)]
@@ -80,13 +80,18 @@ def _line(k: int, name: str, x: Any, y: Any, text: Sequence[str], **more: Any) -
     } | more
 
 
-def _limit(limit_us: float, x: Any, y: Any) -> Trace:
+def _limit(limit_us: float | None, scale: Scale, across: Sequence[float], *, is_upright: bool) -> list[Trace]:
+    """The line of the deadline, between the two places `across` its axis; none where there is no deadline."""
+    if limit_us is None:
+        return []
     name = f"deadline {limit_us:g} us"
+    place = float(scale.place(limit_us))
+    x, y = ([place, place], across) if is_upright else (across, [place, place])
     line = {"color": "--ink", "dash": "dash", "width": 1.5}
-    return _line(0, name, x, y, [name, name]) | {"line": line}
+    return [_line(0, name, x, y, [name, name]) | {"line": line}]
 
 
-def _histograms(shown: Sequence[Digest], scale: Scale, what: str, limit_us: float) -> Plot:
+def _histograms(shown: Sequence[Digest], scale: Scale, what: str, limit_us: float | None) -> Plot:
     edges = scale.edges_us(_BINS)
     named = [(label, one.histogram) for label, one in zip(output_labels(shown), shown, strict=True)]
     if len(named) > _COLOURS:
@@ -102,8 +107,7 @@ def _histograms(shown: Sequence[Digest], scale: Scale, what: str, limit_us: floa
         top = max(top, float(counts.max()))
         text = [f"{_count(counts[i])} from {edges[i]:g} us to {edges[j]:g} us" for i, j in _pairs(keep, edges.size - 1)]
         data.append(_line(k, name, scale.place(edges[keep]), np.maximum(counts[keep], _EMPTY), text))
-    place = float(scale.place(limit_us))
-    data.append(_limit(limit_us, [place, place], [_EMPTY, top]))
+    data += _limit(limit_us, scale, [_EMPTY, top], is_upright=True)
     layout = {"xaxis": scale.axis(what), "yaxis": _log("count")}
     return Plot(caption="How often each value occurred.", data=data, layout=layout)
 
@@ -132,7 +136,7 @@ def _exceedance(
     slow: Sequence[Digest],
     scale: Scale,
     what: str,
-    limit_us: float,
+    limit_us: float | None,
     probability: float,
 ) -> Plot:
     group = scenario.group
@@ -148,8 +152,7 @@ def _exceedance(
         if bound.refused is None and bound.method == "GPD" and bound.high_ns is not None:
             data += _tail(bound, scale)
             floor = min(floor, bound.probability)
-    place = float(scale.place(limit_us))
-    data.append(_limit(limit_us, [place, place], [floor, 1.0]))
+    data += _limit(limit_us, scale, [floor, 1.0], is_upright=True)
     ends = [min(min(trace["x"]) for trace in data), max(max(trace["x"]) for trace in data)]
     name = f"P = {probability:g}, asked for"
     line = {"color": "--ink", "dash": "dot", "width": 1.5}
@@ -203,7 +206,7 @@ def _tail(bound: Bound, scale: Scale) -> list[Trace]:
     return [fitted, dot | {"mode": "markers", "marker": {"color": "--series-2", "size": 9, "symbol": "diamond"}}]
 
 
-def _course(one: Digest, scale: Scale, what: str, limit_us: float) -> Plot:
+def _course(one: Digest, scale: Scale, what: str, limit_us: float | None) -> Plot:
     course = one.course
     assert course is not None
     skipped, size = len(one.header.startup), len(course.low_ns)
@@ -234,8 +237,7 @@ def _course(one: Digest, scale: Scale, what: str, limit_us: float) -> Plot:
         [f"{value:g} us in loop {index}" for index, value in listed],
     )
     data.append(dots | {"mode": "markers", "marker": {"color": "--series-1", "size": 9, "symbol": "circle-open"}})
-    place = float(scale.place(limit_us))
-    data.append(_limit(limit_us, [skipped, skipped + max(1, size * course.width - 1)], [place, place]))
+    data += _limit(limit_us, scale, [skipped, skipped + max(1, size * course.width - 1)], is_upright=False)
     layout = {"xaxis": {"title": {"text": "loop"}}, "yaxis": scale.axis(what)}
     return Plot(
         caption=f"{caption} of {one.header.output} in {one.run}, where the highest value is.", data=data, layout=layout

@@ -69,13 +69,14 @@ class Scale:
         return axis
 
 
-def scale_of(histogram: Histogram, limit_us: float) -> Scale:
-    """The axis for these values and a limit that is drawn with them. The histogram holds at least one value."""
+def scale_of(histogram: Histogram, limit_us: float | None) -> Scale:
+    """The axis for these values, one at least, and a limit that is drawn with them, if there is one."""
     below = np.cumsum(histogram.counts)
     ranks = np.ceil(np.array(_CENTRAL) * below[-1]).astype(np.int64)
     first, last = histogram.values_ns[np.searchsorted(below, np.clip(ranks, 1, below[-1]))] / 1000
-    low = min(float(histogram.values_ns[0]) / 1000, limit_us)
-    high = max(float(histogram.values_ns[-1] + histogram.bin_ns) / 1000, limit_us)
+    limits = () if limit_us is None else (limit_us,)
+    low = min((float(histogram.values_ns[0]) / 1000, *limits))
+    high = max((float(histogram.values_ns[-1] + histogram.bin_ns) / 1000, *limits))
     division = Division.LINEAR
     if last - first < _VISIBLE_SHARE * (high - low):
         division = Division.LOG if low >= 1 else Division.SIGNED

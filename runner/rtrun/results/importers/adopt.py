@@ -37,7 +37,8 @@ def adopt(
     if path.suffix == ".log" and b"# Plot data for gnuplot" in read_bytes(path, max_bytes=MAX_SIZE_BYTES):
         log = read_log(path)
         kind = kind_of(log.suite)
-        endings = {series: f"-{ending}" for ending, series in kind.log_series.items() if ending} if kind else {}
+        named = kind.logs.series if kind and kind.logs else {}
+        endings = {series: f"-{ending}" for ending, series in named.items() if ending}
         output = next(
             (path.stem.removesuffix(each) for each in endings.values() if path.stem.endswith(each)), path.stem
         )

@@ -1,0 +1,54 @@
+"""A timer of a program that runs already: how late its calls came on its own grid, and the jitter of its periods."""
+
+from pathlib import Path
+
+import numpy as np
+
+from rtfiles.errors import UsageError
+from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.kind import Columns, MeasurementKind
+from rtrun.kinds.output import IndexedValues, Record, no_values
+from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, within_segments, without
+
+UNKNOWN_NS = -1
+"""In place of the time at which a call was due, where that is not known."""
+_NOT_KNOWN = "when the timer was due is not known: ask for the jitter (--of jitter)"
+
+
+def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
+    """Lateness of each call and jitter of each period, but for the first call of what was seen without a gap."""
+    called, period_ns = np.asarray(columns["timestamp_ns"]), _period_ns(record, path)
+    check_times(path, called)
+    row = np.flatnonzero(within_segments(columns["segment"], called.size)) + 1
+    agree(path, "measured periods", row.size, record.counts.measured)
+    jitter = IndexedValues(values_ns=called[row] - called[row - 1] - period_ns, index=row)
+    return {"lateness": _lateness(columns, row, period_ns, path), "jitter": jitter}
+
+
+def _lateness(columns: Columns, row: Int64s, period_ns: int, path: Path) -> IndexedValues:
+    """How late each call is on the grid of the timer, whose periods without a call are absent."""
+    due, real = np.asarray(columns["expected_ns"]), np.asarray(columns["real_ns"])
+    check_times(path, due, real)
+    if np.any(due == UNKNOWN_NS):
+        return IndexedValues(values_ns=no_values(), index=no_values(), undecidable=_NOT_KNOWN)
+    # To the nearest period: the grid of a timer has steps of whole ones, but for the rounding of its clock.
+    skipped = np.maximum((due[row] - due[row - 1] + period_ns // 2) // period_ns - 1, 0)
+    if (total := int(skipped.sum(dtype=np.float64))) > MAX_ABSENT:
+        raise UsageError(f"{path}: {total} periods were skipped: none with more than {MAX_ABSENT} is read")
+    loops = np.arange(row.size) + np.cumsum(skipped)
+    absent = without(loops, int(loops[-1]) + 1) if total else no_values()
+    return IndexedValues(values_ns=(real - due)[row], index=row, absent=absent)
+
+
+def _period_ns(record: Record, path: Path) -> int:
+    period_ns = record.requested.get("period_ns")
+    if not isinstance(period_ns, int) or not 0 < period_ns < 1 << 62:
+        raise UsageError(f"{path.with_suffix('.json')}: requested.period_ns: a whole number above 0, got {period_ns!r}")
+    return period_ns
+
+
+def _times(columns: Columns, values: IndexedValues) -> Int64s:
+    return np.asarray(columns["timestamp_ns"][values.index])
+
+
+KIND = MeasurementKind(series=_series, called={"lateness": "lateness", "jitter": "jitter"}, times=_times)
