@@ -117,8 +117,8 @@ def _match(a: Sequence[Group], b: Sequence[Group]) -> _Match:
         targets = [" and ".join(_origin_text(group) for group in side) for side in (a, b)]
         return _Match(ambiguous=f"{a[0].label}: {targets[0]} in A, {targets[1]} in B: no target is in both")
     only_a, only_b = (
-        tuple(_label(group, of_several=len(side) > 1) for group in side if all(group is not each for each in matched))
-        for side, matched in ((a, [x for x, _ in pairs]), (b, [y for _, y in pairs]))
+        tuple(_label(group, of_several=len(side) > 1) for group in side if group.key not in matched)
+        for side, matched in ((a, {x.key for x, _ in pairs}), (b, {y.key for _, y in pairs}))
     )
     return _Match(pairs=pairs, only_a=only_a, only_b=only_b)
 

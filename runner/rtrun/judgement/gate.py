@@ -61,9 +61,8 @@ def gate(
         Case(about=text.split(":", 1)[0], answer="NOT ANALYSED", text=text.split(":", 1)[-1].strip(), passed=False)
         for text in study.left_out
     ]
-    members = {id(member) for group in study.pooled for member in group.members}
     judged = [
-        _case(group, study.name(group), passing, platform, is_member=id(group) in members)
+        _case(group, study.name(group), passing, platform, is_member=group.key in study.members)
         for group in study.answers
         if group.question
     ]

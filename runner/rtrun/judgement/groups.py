@@ -1,8 +1,10 @@
 """Runs of one suite that were asked for the same way: what they measured, and what it was measured on."""
 
 import functools
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from rtrun.analysis.blocks import Blocks, add_outputs
 from rtrun.analysis.deadline import Verdict
@@ -54,6 +56,11 @@ class Group:
     no_bound: str | None
     records: tuple[RunRecord, ...]
     members: tuple["Group", ...] = ()
+
+    @functools.cached_property
+    def key(self) -> str:
+        """Tells it from every other group of a study."""
+        return key_of(self.target, self.digests[0])
 
     @property
     def boards(self) -> tuple[str, ...]:
@@ -108,6 +115,17 @@ class Group:
     def histogram(self) -> Histogram:
         """All counts: the digests of a group have bins of one width."""
         return merge(one.histogram for one in self.digests)
+
+
+def key_of(target: str, one: Digest) -> str:
+    """The same for all digests of a group, which is of this target."""
+    return json.dumps([target, *scenario(one)])
+
+
+def scenario(one: Digest) -> list[Any]:
+    """What was measured, wherever that was."""
+    header = one.header
+    return [header.suite, header.series, one.histogram.bin_ns, sorted(telling_parameters(header.parameters).items())]
 
 
 def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:

@@ -50,7 +50,7 @@ def layer_pairs(study: Study) -> tuple[LayerPair, ...]:
                 late_above_ns=study.question.deadline_ns,
                 confidence=study.question.confidence,
             )
-        elif any(_awake_us(below) == _awake_us(other) for low, other in differing if low is below):
+        elif any(_awake_us(below) == _awake_us(other) for low, other in differing if low.key == below.key):
             continue
         else:
             attribution = Attribution(added=(), refused=UNLIKE_IDLE)
@@ -63,14 +63,12 @@ def chains(pairs: Sequence[LayerPair]) -> tuple[tuple[LayerPair, ...], ...]:
     known = [pair for pair in pairs if pair.attribution.added]
 
     def upward(group: Group) -> list[tuple[LayerPair, ...]]:
-        found = [(pair, *rest) for pair in known if pair.below is group for rest in upward(pair.above)]
+        found = [(pair, *rest) for pair in known if pair.below.key == group.key for rest in upward(pair.above)]
         return found or [()]
 
-    lowest: list[Group] = []
-    for pair in known:
-        if all(pair.below is not other.above for other in known) and all(pair.below is not group for group in lowest):
-            lowest.append(pair.below)
-    return tuple(chain for group in lowest for chain in upward(group) if chain)
+    upper = {pair.above.key for pair in known}
+    lowest = {pair.below.key: pair.below for pair in known if pair.below.key not in upper}
+    return tuple(chain for group in lowest.values() for chain in upward(group) if chain)
 
 
 def differing_in_layer(groups: Sequence[Group]) -> list[tuple[Group, Group]]:

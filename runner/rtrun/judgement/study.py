@@ -1,6 +1,7 @@
 """A folder of runs, examined: groups of runs alike with their verdicts, and all that the formats write down."""
 
 import contextlib
+import functools
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,7 +16,7 @@ from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
 from rtrun.judgement.digest import Digest, digest
-from rtrun.judgement.groups import Group, slowest, telling_parameters
+from rtrun.judgement.groups import Group, key_of, scenario, slowest, telling_parameters
 from rtrun.kinds.known import MAIN_2014
 from rtrun.plan.question import NONE_TOLERATED, THESIS, Question
 from rtrun.plan.suites import Value, judged, measures
@@ -46,9 +47,13 @@ class Study:
     @property
     def answers(self) -> tuple[Group, ...]:
         """What is answered: alike boards together first, each followed by its boards, then what is of one board."""
-        members = {id(member) for group in self.pooled for member in group.members}
-        alone = [group for group in self.groups if id(group) not in members]
+        alone = [group for group in self.groups if group.key not in self.members]
         return (*(each for group in self.pooled for each in (group, *group.members)), *alone)
+
+    @functools.cached_property
+    def members(self) -> frozenset[str]:
+        """The keys of the groups of single boards that are pooled."""
+        return frozenset(member.key for group in self.pooled for member in group.members)
 
     def name(self, group: Group) -> str:
         """The label of a group, with its board where the study has several."""
@@ -221,22 +226,10 @@ def _check_of(path: Path, records: Iterable[RunRecord], question: Question) -> N
 def _grouped(digests: Sequence[Digest], basis: _Basis, *, bounds: bool) -> tuple[Group, ...]:
     by_key: dict[str, list[Digest]] = {}
     for one in digests:
-        by_key.setdefault(_key(one, basis), []).append(one)
+        by_key.setdefault(key_of(one.header.target, one), []).append(one)
     alike = showing_progress([*by_key.values()], "judging group")
     groups = [_group(members, basis, bounds=bounds) for members in alike]
     return tuple(sorted(groups, key=lambda group: (group.suite, group.target)))
-
-
-def _key(one: Digest, basis: _Basis) -> str:
-    asked = basis.asked([one])
-    return json.dumps([one.header.target, asked.deadline_ns if asked else None, *_scenario(one)])
-
-
-def _scenario(one: Digest) -> list[Any]:
-    """What was measured, wherever that was."""
-    header = one.header
-    telling = telling_parameters(header.parameters)
-    return [header.suite, header.series, one.histogram.bin_ns, sorted(telling.items())]
 
 
 def _read_old(source: Source) -> Iterator[RunRecord]:
@@ -265,7 +258,7 @@ def _pooled(groups: Sequence[Group], basis: _Basis) -> Iterator[Group]:
     alike: dict[str, list[Group]] = {}
     for group in groups:
         if group.boards and all(record.programs for record in group.records):
-            alike.setdefault(json.dumps([_scenario(group.digests[0]), group.environment]), []).append(group)
+            alike.setdefault(json.dumps([scenario(group.digests[0]), group.environment]), []).append(group)
     for members in alike.values():
         if len({board for group in members for board in group.boards}) > 1:
             digests = [one for group in members for one in group.digests]

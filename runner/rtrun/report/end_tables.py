@@ -88,7 +88,7 @@ def _bounds_outcome(study: Study) -> str:
     """In how many scenarios a bound may be given, and the highest one."""
     given = _given_bounds(study)
     highest_ns, label = max(((high_ns, group.label) for high_ns, group in given), default=(0.0, ""))
-    scenarios = len({id(group) for _, group in given})
+    scenarios = len({group.key for _, group in given})
     return f"a bound in {scenarios} of {len(study.groups)} scenarios, the highest {us(highest_ns)} us for {label}"
 
 
@@ -117,7 +117,7 @@ def _bound(bound: Bound) -> tuple[str, str]:
 def _published(study: Study) -> Table:
     of_table, others = oneshot_rows(), message_rows()
     matched = [(row, group) for group in study.as_in_2014 for row in (*of_table, *others) if row.is_like(group)]
-    measured = sum(any(row is each for each, _ in matched) for row in of_table)
+    measured = sum(any(map(row.is_like, study.as_in_2014)) for row in of_table)
     columns_here, columns_there = ("min us", "mean us", "max us"), ("2014 min us", "2014 mean us", "2014 max us")
     return Table(
         id="published",

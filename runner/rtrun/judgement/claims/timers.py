@@ -41,7 +41,7 @@ def oneshot_sub_millisecond(study: Study) -> ClaimResult:
         words.append(f"{format_parameters(group.parameters)}: {sooner} of {group.n} latencies below {least // 1000} us")
         for pair in pairs(select(study.as_in_2014, ONESHOT), "timeout_us", 1000, group.parameters["timeout_us"]):
             comparison = compared(pair, study.question.confidence)
-            if comparison is not None and pair[1] is group:
+            if comparison is not None and pair[1].key == group.key:
                 shift = comparison.shifts[0]
                 grown.append(0.5 * least < shift.low_ns and shift.high_ns < 1.5 * least)
                 words.append(f"beside 1 ms {describe_shift(shift, study.question.confidence)}")
