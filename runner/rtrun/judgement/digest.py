@@ -14,11 +14,14 @@ from rtrun.analysis.histogram import Histogram, Int64s, from_samples, merge
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.kinds.known import MAIN_2014
 from rtrun.plan.question import NONE_TOLERATED, Question, Tolerance
-from rtrun.results.series import Header, HistogramSeries, SampleSeries, Series
+from rtrun.results.series import Header, HistogramSeries, Series
 
 _COLUMNS = 240
 # Half of the 1 ms by which the thesis found the negative cluster set off (section 4.2.2).
 CLUSTER_BELOW_NS = -500_000
+
+
+NO_DEADLINE = "no deadline was given for it: --deadline"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,23 +46,11 @@ class ThinnedSeries:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Digest:
-    """One series of one run.
-
-    Main series have all fields; those of 2014 beside a main series have no tail and no course, and tolerate no miss;
-    the others have only figures, cluster and ``mean_abs_ns``.
-    """
+    """One series of one run."""
 
     header: Header
     figures: Figures
-    mean_abs_ns: float | None
-    max_abs_ns: int | None
-    cluster: Cluster | None
     histogram: Histogram
-    trials: Trials | None
-    undecidable: str | None
-    tail: Tail | None
-    blocks: Blocks | None
-    course: ThinnedSeries | None
 
     @property
     def run(self) -> str:
@@ -76,44 +67,58 @@ class Digest:
         """Measurements asked for, as far as they are known: with the start-up, and those that have no value."""
         return self.n + len(self.header.startup) + self.header.missing + self.header.not_fired + self.header.skipped
 
+    @property
+    def cluster(self) -> Cluster | None:
+        """Its negative cluster; None: the series is not one that has such."""
+        return _cluster(self.histogram) if self.header.series in ("jitter", "grid") else None
 
-NO_DEADLINE = "no deadline was given for it: --deadline"
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class JudgedDigest(Digest):
+    """A series that a verdict is given of: the main one, or that of 2014 beside it, which tolerates no miss.
+
+    `question` is what is asked of it; None: it has no deadline. `undecidable` says why there are no `trials`. Only a main series whose values have an order has `tail` and `course`.
+    """
+
+    question: Question | None
+    trials: Trials | None
+    undecidable: str | None
+    blocks: Blocks | None
+    tail: Tail | None = None
+    course: ThinnedSeries | None = None
 
 
 def digest(series: Series, question: Question | None) -> Digest:
-    """Reduce a series; its verdict is prepared for the deadline and the tolerance of the question, if it has one."""
-    header = series.header
+    """Reduce a series; its verdict is prepared for the deadline and the tolerance of the question, if there is one."""
+    header, figures = series.header, series.figures()
+    histogram = series.histogram if isinstance(series, HistogramSeries) else from_samples(series.values_ns)
+    if not header.main and header.series not in MAIN_2014:
+        return Digest(header=header, figures=figures, histogram=histogram)
     tolerance = question.tolerance if question and header.main else NONE_TOLERATED
-    trials: Trials | None = None
-    tail: Tail | None = None
-    blocks: Blocks | None = None
-    course: ThinnedSeries | None = None
     undecidable = header.undecidable or (None if question else NO_DEADLINE)
-    histogram = from_samples(series.values_ns) if isinstance(series, SampleSeries) else series.histogram
-    if header.main or header.series in MAIN_2014:
-        if isinstance(series, SampleSeries):
-            if question:
-                trials = count_misses(series.values_ns, question.deadline_ns, series.absent, tolerance)
-            blocks = cut(series.values_ns) if series.values_ns.size else None
-        elif question:
-            counted = _count_without_order(series, question.deadline_ns, tolerance)
-            trials, undecidable = (counted, undecidable) if isinstance(counted, Trials) else (None, counted)
-            blocks = split_randomly(histogram) if histogram.values_ns.size else None
-    if header.main and isinstance(series, SampleSeries) and series.values_ns.size:
-        tail, course = tail_of(series.values_ns), _course(series.values_ns)
-    magnitude = np.abs(histogram.values_ns) if header.series.startswith("difference") and histogram.n else None
-    return Digest(
+    if isinstance(series, HistogramSeries):
+        counted = _count_without_order(series, question.deadline_ns, tolerance) if question else NO_DEADLINE
+        return JudgedDigest(
+            header=header,
+            figures=figures,
+            histogram=histogram,
+            question=question,
+            trials=counted if isinstance(counted, Trials) else None,
+            undecidable=undecidable if isinstance(counted, Trials) else counted,
+            blocks=split_randomly(histogram) if histogram.values_ns.size else None,
+        )
+    values_ns = series.values_ns
+    has_order = header.main and values_ns.size > 0
+    return JudgedDigest(
         header=header,
-        figures=series.figures(),
-        mean_abs_ns=None if magnitude is None else float(np.average(magnitude, weights=histogram.counts)),
-        max_abs_ns=None if magnitude is None else int(magnitude.max()),
-        cluster=_cluster(histogram) if header.series in ("jitter", "grid") else None,
+        figures=figures,
         histogram=histogram,
-        trials=trials,
+        question=question,
+        trials=count_misses(values_ns, question.deadline_ns, series.absent, tolerance) if question else None,
         undecidable=undecidable,
-        tail=tail,
-        blocks=blocks,
-        course=course,
+        blocks=cut(values_ns) if values_ns.size else None,
+        tail=tail_of(values_ns) if has_order else None,
+        course=_course(values_ns) if has_order else None,
     )
 
 

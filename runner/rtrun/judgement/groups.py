@@ -11,7 +11,7 @@ from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.analysis.trials import Trials
-from rtrun.judgement.digest import Digest
+from rtrun.judgement.digest import Digest, JudgedDigest
 from rtrun.kinds.known import ELSE_IN_2014
 from rtrun.plan.question import Measure, Question
 from rtrun.plan.suites import NOT_TELLING, Value, measures, options
@@ -48,7 +48,7 @@ class Group:
     target: str
     parameters: dict[str, Value]
     question: Question | None
-    digests: tuple[Digest, ...]
+    digests: tuple[JudgedDigest, ...]
     trials: tuple[Trials, ...]
     verdict: Verdict | None
     undecidable: str | None
@@ -153,9 +153,9 @@ def format_parameters(parameters: dict[str, Value]) -> str:
     return " ".join(words)
 
 
-def slowest(alike: Sequence[Digest]) -> list[Digest]:
+def slowest(alike: Sequence[JudgedDigest]) -> list[JudgedDigest]:
     """Of each run the output with the highest value: subscribers of one run peak with the same messages."""
-    worst: dict[str, Digest] = {}
+    worst: dict[str, JudgedDigest] = {}
     for one in alike:
         known = worst.get(one.run)
         if known is None or (one.figures.max_ns or 0) > (known.figures.max_ns or 0):

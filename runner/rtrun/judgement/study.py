@@ -15,7 +15,7 @@ from rtrun.analysis.deadline import Circumstances, Verdict, judge
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
-from rtrun.judgement.digest import Digest, digest
+from rtrun.judgement.digest import Digest, JudgedDigest, digest
 from rtrun.judgement.groups import Group, key_of, scenario, slowest, telling_parameters
 from rtrun.kinds.known import MAIN_2014
 from rtrun.plan.question import NONE_TOLERATED, THESIS, Question
@@ -93,7 +93,7 @@ class Study:
         return tuple(group for group in (*self.groups, *self.groups_2014) if group.series in MAIN_2014)
 
     @property
-    def digests(self) -> tuple[Digest, ...]:
+    def digests(self) -> tuple[JudgedDigest, ...]:
         """Main series of all runs."""
         return tuple(one for group in self.groups for one in group.digests)
 
@@ -127,15 +127,15 @@ def study(
         records={record.run: record for record in records.values()},
         off_rate=_off_rate([*records.values(), *_read_old(source)]),
     )
-    others = tuple(one for one in digests if not one.header.main)
-    groups = _grouped([one for one in digests if one.header.main], basis, bounds=bounds)
+    judged_digests = [one for one in digests if isinstance(one, JudgedDigest)]
+    groups = _grouped([one for one in judged_digests if one.header.main], basis, bounds=bounds)
     return Study(
         source=source,
         question=question,
         groups=groups,
         pooled=tuple(_pooled(groups, basis)),
-        groups_2014=_grouped([one for one in others if one.header.series in MAIN_2014], basis, bounds=False),
-        others=others,
+        groups_2014=_grouped([one for one in judged_digests if not one.header.main], basis, bounds=False),
+        others=tuple(one for one in digests if not one.header.main),
         records=tuple(records.values()),
         left_out=(
             *(f"{name}: incomplete, it has no run.json: nothing in it is analysed" for name in source.incomplete),
@@ -197,7 +197,10 @@ def _read_run(
     except UsageError as error:
         return _DigestedRun(left_out=(str(error),))
     if known is not None:
-        known[folder] = tuple(replace(one, tail=None, blocks=None, course=None) for one in digests)
+        known[folder] = tuple(
+            replace(one, tail=None, blocks=None, course=None) if isinstance(one, JudgedDigest) else one
+            for one in digests
+        )
     left_out = (f"{record.run}: {output} is incomplete: {reason}" for output, reason in incomplete.items())
     return _DigestedRun(digests=tuple(digests), left_out=tuple(left_out))
 
@@ -223,8 +226,8 @@ def _check_of(path: Path, records: Iterable[RunRecord], question: Question) -> N
         raise UsageError(f"{path}: {'; '.join(wrong.values())}")
 
 
-def _grouped(digests: Sequence[Digest], basis: _Basis, *, bounds: bool) -> tuple[Group, ...]:
-    by_key: dict[str, list[Digest]] = {}
+def _grouped(digests: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> tuple[Group, ...]:
+    by_key: dict[str, list[JudgedDigest]] = {}
     for one in digests:
         by_key.setdefault(key_of(one.header.target, one), []).append(one)
     alike = showing_progress([*by_key.values()], "judging group")
@@ -266,7 +269,7 @@ def _pooled(groups: Sequence[Group], basis: _Basis) -> Iterator[Group]:
             yield replace(pooled, target=", ".join(group.target for group in members), members=tuple(members))
 
 
-def _group(alike: Sequence[Digest], basis: _Basis, *, bounds: bool) -> Group:
+def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Group:
     first, records = alike[0].header, basis.records
     trials = tuple(_located(one.trials, one.run, records.get(one.run)) for one in alike if one.trials is not None)
     undecidable = next((one.undecidable for one in alike if one.undecidable), None)
@@ -321,7 +324,7 @@ def _located(trials: Trials, run: str, record: RunRecord | None) -> Trials:
     return replace(trials, run=run, boot=boot, board=record.target.name, start_time=record.start_time)
 
 
-def _bounds(alike: Sequence[Digest], question: Question) -> tuple[tuple[Bound, ...], str | None]:
+def _bounds(alike: Sequence[JudgedDigest], question: Question) -> tuple[tuple[Bound, ...], str | None]:
     if alike[0].header.platform is Platform.EMULATED:
         return (), "measured on an emulated board"
     tails = [one.tail for one in slowest(alike)]

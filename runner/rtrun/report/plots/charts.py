@@ -15,7 +15,7 @@ from rtfiles.output import printable
 from rtfiles.quantities import grouped
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
-from rtrun.judgement.digest import Digest
+from rtrun.judgement.digest import Digest, JudgedDigest
 from rtrun.judgement.groups import slowest
 from rtrun.report.plots.scale import Division, Scale, rounded, scale_of
 from rtrun.report.scenarios import Scenario, output_labels
@@ -206,7 +206,7 @@ def _tail(bound: Bound, scale: Scale) -> list[Trace]:
     return [fitted, dot | {"mode": "markers", "marker": {"color": "--series-2", "size": 9, "symbol": "diamond"}}]
 
 
-def _course(one: Digest, scale: Scale, what: str, limit_us: float | None) -> Plot:
+def _course(one: JudgedDigest, scale: Scale, what: str, limit_us: float | None) -> Plot:
     course = one.course
     assert course is not None
     skipped, size = len(one.header.startup), len(course.low_ns)
