@@ -142,10 +142,8 @@ def _open_journal(results: Path, name: str, runs: Sequence[Run], targets: Sequen
         if set(targets).isdisjoint(log.targets):
             held = ", ".join(log.targets)
             raise UsageError(f"{results}: holds runs on the target {held}, not {', '.join(targets)}: {remedy}")
-        if not campaign_digest.is_digest_of(log.plan, runs):
-            raise UsageError(f"{results}: holds another campaign, its file has changed since: {remedy}")
         if log.plan != digest:
-            log.replace_plan(digest)
+            raise UsageError(f"{results}: holds another campaign, its file has changed since: {remedy}")
         yield log
 
 

@@ -109,10 +109,6 @@ class Journal:
             raise UsageError(f"{self.path}: {error}: {_REMEDY}") from error
         return spent_s
 
-    def replace_plan(self, plan: str) -> None:
-        """Record the digest of the runs in its present form. Raises InfrastructureError."""
-        self._write("UPDATE campaign SET plan = ?", (plan,))
-
     def _read(self, query: str) -> list[tuple[Any, ...]]:
         try:
             with self.lock:

@@ -11,19 +11,17 @@ from rtrun.execution.journal import NAME, open_journal
 
 
 def open_in(folder):
-    log = open_journal(folder, "test", "2:plan", "board")
+    log = open_journal(folder, "test", "1:plan", "board")
     log.close()
     return log
 
 
 def test_it_is_known_again(tmp_path):
     first = open_in(tmp_path)
-    again = open_journal(tmp_path, "other", "3:plan", "elsewhere")
-    assert (again.uid, again.plan, again.targets) == (first.uid, "2:plan", ("board",))
-    again.replace_plan("3:plan")
+    again = open_journal(tmp_path, "other", "1:other", "elsewhere")
+    assert (again.uid, again.plan, again.targets) == (first.uid, "1:plan", ("board",))
     again.note("now", "001-run", "closed", "half of a character \ud800")
     again.close()
-    assert open_in(tmp_path).plan == "3:plan"
     with sqlite3.connect(tmp_path / NAME) as database:
         assert database.execute("SELECT what, reason FROM event").fetchall() == [
             ("closed", "half of a character \\ud800")
@@ -41,7 +39,7 @@ def test_a_damaged_file_is_an_error_with_a_remedy(tmp_path, data):
 
 
 def test_a_damaged_page_is_found_when_it_is_read(tmp_path):
-    with closing(open_journal(tmp_path, "test", "2:plan", "board")) as log:
+    with closing(open_journal(tmp_path, "test", "1:plan", "board")) as log:
         for _ in range(200):
             log.note("2026-11-21T10:00:00+00:00", "001-run", "measuring", "a reason")
         log.database.execute("PRAGMA journal_mode=DELETE")
@@ -50,7 +48,7 @@ def test_a_damaged_page_is_found_when_it_is_read(tmp_path):
         file.seek(start * 4096)
         file.write(b"\xff" * 4096)
     with (
-        closing(open_journal(tmp_path, "test", "2:plan", "board")) as log,
+        closing(open_journal(tmp_path, "test", "1:plan", "board")) as log,
         pytest.raises(UsageError, match=r"malformed: the journal is damaged: .*--fresh"),
     ):
         log.spent_s(datetime.now(UTC))
