@@ -14,6 +14,7 @@ from rtrun.judgement.study import Study
 from rtrun.kinds.known import KINDS, kind_of
 from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.suites import middleware_of, options, suite
+from rtrun.results.series import period_of
 from rtrun.targets.inspection.platform import Platform
 
 # Parameters of a layer alone; all others must be the same in both.
@@ -104,7 +105,8 @@ def _is_one_event(group: Group) -> bool:
 
 def _differ_in_layer_alone(low: Group, high: Group) -> bool:
     """Whether two groups with real-time policy are alike in all else: target, priority, condition, period."""
-    alike = low.target == high.target and _others(low) == _others(high) and _period_us(low) == _period_us(high)
+    periods_ns = [period_of(group.parameters) for group in (low, high)]
+    alike = low.target == high.target and _others(low) == _others(high) and periods_ns[0] == periods_ns[1]
     means_known = all(one.figures.mean_ns is not None for group in (low, high) for one in group.digests)
     one_thread = low.parameters.get("threads", 1) == 1
     return alike and means_known and one_thread and is_rt(high) and bool(low.blocks and high.blocks)
@@ -123,13 +125,3 @@ def _others(group: Group) -> dict[str, object]:
         for key, value in group.parameters.items()
         if key not in _OF_A_LAYER and value not in (None, "") and not (key in known and value == known[key].default)
     }
-
-
-def _period_us(group: Group) -> float | None:
-    """Time between two measurements as asked for."""
-    for key in ("timeout_us", "interval_us"):
-        value = group.parameters.get(key)
-        if isinstance(value, int):
-            return float(value)
-    frequency = group.parameters.get("frequency_hz")
-    return 1e6 / frequency if isinstance(frequency, int) and frequency else None

@@ -3,6 +3,7 @@
 The start-up values are set apart here, so that they stand apart in all that is said of the series.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -232,11 +233,11 @@ def series_of_histogram(imported: Imported, of: Measure | None = None) -> Histog
     )
 
 
-def period_of(parameters: dict[str, Value]) -> float | None:
+def period_of(parameters: Mapping[str, Value]) -> float | None:
     """How long one measurement takes at least, in ns, from the parameters; None when they do not tell."""
-    timeout_us, frequency_hz = parameters.get("timeout_us"), parameters.get("frequency_hz")
-    if isinstance(timeout_us, int) and timeout_us > 0:
-        return timeout_us * 1e3
-    if isinstance(frequency_hz, int) and frequency_hz > 0:
-        return 1e9 / frequency_hz
-    return None
+    for key in ("timeout_us", "interval_us"):
+        value = parameters.get(key)
+        if isinstance(value, int) and value > 0:
+            return value * 1e3
+    frequency_hz = parameters.get("frequency_hz")
+    return 1e9 / frequency_hz if isinstance(frequency_hz, int) and frequency_hz > 0 else None
