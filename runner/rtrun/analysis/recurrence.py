@@ -154,8 +154,8 @@ def _period(events: Int64s, frequency: float) -> float:
         cycles = np.round(turns)
         chosen = abs(turns - cycles) < near
         half = int(chosen.sum()) // 2
-        apart = cycles[chosen][-half:] - cycles[chosen][:half]
-        slopes = (events[chosen][-half:] - events[chosen][:half])[apart > 0] / apart[apart > 0]
+        distance = cycles[chosen][-half:] - cycles[chosen][:half]
+        slopes = (events[chosen][-half:] - events[chosen][:half])[distance > 0] / distance[distance > 0]
         if not slopes.size:
             break
         frequency = 1 / float(np.median(slopes))

@@ -172,7 +172,7 @@ def _lost(header: Header) -> list[str]:
             else f"{count} timers did not fire, they are in no figure"
         )
     if header.skipped and header.main:
-        lines.append(f"{counted(header.skipped, 'period')} skipped, in no figure: roscpp was two periods behind")
+        lines.append(f"{counted(header.skipped, 'period')} skipped, in no figure: the timer was too far behind")
     if header.duplicate:
         lines.append(f"{header.duplicate} messages came again, only the first arrival counts")
     return lines

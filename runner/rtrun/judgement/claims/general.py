@@ -169,12 +169,12 @@ def rr_equals_fifo(study: Study) -> ClaimResult:
         return no_runs("pair of runs with RR and FIFO")
     alike = [all(s.within_margin for s in c.shifts) for _, c in compared_pairs]
     significant = holm([c.p_value for _, c in compared_pairs], 1 - study.question.confidence)
-    apart = [
+    differing = [
         c.answer == ComparisonAnswer.DIFFERENT and beyond_chance and not within
         for (_, c), beyond_chance, within in zip(compared_pairs, significant, alike, strict=True)
     ]
-    finding = Finding.REFUTED if any(apart) else Finding.CONFIRMED if all(alike) else Finding.UNDECIDED
-    if any(apart) and any(c.units == "blocks" for _, c in compared_pairs):
+    finding = Finding.REFUTED if any(differing) else Finding.CONFIRMED if all(alike) else Finding.UNDECIDED
+    if any(differing) and any(c.units == "blocks" for _, c in compared_pairs):
         # One boot or run may differ from the next whatever the policy: too few runs to blame the policy.
         finding = Finding.UNDECIDED
     return ClaimResult(
