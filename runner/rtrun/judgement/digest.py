@@ -77,7 +77,8 @@ class Digest:
 class JudgedDigest(Digest):
     """A series that a verdict is given of: the main one, or that of 2014 beside it, which tolerates no miss.
 
-    `question` is what is asked of it; None: it has no deadline. `undecidable` says why there are no `trials`. Only a main series whose values have an order has `tail` and `course`.
+    `question` is what is asked of it; None: it has no deadline. `undecidable` says why there are no `trials`. Only a
+    main series whose values have an order has `tail` and `course`.
     """
 
     question: Question | None

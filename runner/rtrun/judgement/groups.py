@@ -11,7 +11,7 @@ from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.analysis.trials import Trials
-from rtrun.judgement.digest import Digest, JudgedDigest
+from rtrun.judgement.digest import JudgedDigest
 from rtrun.kinds.known import ELSE_IN_2014
 from rtrun.plan.question import Measure, Question
 from rtrun.plan.suites import NOT_TELLING, Value, measures, options
@@ -117,15 +117,16 @@ class Group:
         return merge(one.histogram for one in self.digests)
 
 
-def key_of(target: str, one: Digest) -> str:
+def key_of(target: str, one: JudgedDigest) -> str:
     """The same for all digests of a group, which is of this target."""
     return json.dumps([target, *scenario(one)])
 
 
-def scenario(one: Digest) -> list[Any]:
-    """What was measured, wherever that was."""
-    header = one.header
-    return [header.suite, header.series, one.histogram.bin_ns, sorted(telling_parameters(header.parameters).items())]
+def scenario(one: JudgedDigest) -> list[Any]:
+    """What was measured for which deadline, wherever that was."""
+    header, deadline_ns = one.header, one.question and one.question.deadline_ns
+    telling = sorted(telling_parameters(header.parameters).items())
+    return [header.suite, header.series, deadline_ns, one.histogram.bin_ns, telling]
 
 
 def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:

@@ -154,11 +154,6 @@ class _Basis:
     records: Mapping[str, RunRecord]
     off_rate: Mapping[str, int]
 
-    def asked(self, alike: Sequence[Digest]) -> Question | None:
-        """What is asked of runs alike; None where they have no deadline."""
-        record = self.records.get(alike[0].run)
-        return record.asked(self.question) if record else self.question
-
 
 @dataclass(frozen=True, kw_only=True)
 class _DigestedRun:
@@ -273,7 +268,7 @@ def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Gro
     first, records = alike[0].header, basis.records
     trials = tuple(_located(one.trials, one.run, records.get(one.run)) for one in alike if one.trials is not None)
     undecidable = next((one.undecidable for one in alike if one.undecidable), None)
-    asked = basis.asked(alike)
+    asked = alike[0].question
     worst_cases, no_bound = _bounds(alike, asked) if bounds and asked else ((), None)
     return Group(
         suite=first.suite,

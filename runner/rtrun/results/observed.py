@@ -1,0 +1,86 @@
+"""What was observed of programs that run already, written as the output of a suite: ``<output>.npy`` and ``.json``."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rtfiles import atomic
+from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.output import Counts, Files, Indices, InEffect, Record, Thread, Traces, Uname
+from rtrun.kinds.rate import Rate
+from rtrun.plan.suites import Value, suite
+
+CLOCK = "CLOCK_MONOTONIC"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Stream:
+    """One thing that was observed: a pair of publisher and subscriber, a timer, a callback, a topic, a path of topics.
+
+    `suite` is its entry in observed.yml, which names the `columns`, each int64 of shape (rows,). `parameters` tell it
+    from every other stream of the target. `asked` is how many of its values should be there, as far as that is known,
+    `measured` how many are, `missing` how many never came.
+    """
+
+    suite: str
+    parameters: Mapping[str, Value]
+    columns: Mapping[str, Int64s]
+    asked: int
+    measured: int
+    missing: int = 0
+    duplicate: int = 0
+    out_of_order: int = 0
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Observer:
+    """What all streams of an observation share; the times are in ISO 8601."""
+
+    version: str
+    host: str
+    kernel: Uname
+    start_time: str
+    end_time: str
+
+
+def write_stream(folder: Path, output: str, stream: Stream, observer: Observer, threads: Sequence[Thread]) -> None:
+    """Write the samples of a stream, and the json beside them. `threads` are those of the programs it is of."""
+    names = suite(stream.suite).columns
+    rows = np.stack([np.asarray(stream.columns[name], dtype="<i8") for name in names], axis=1)
+    with (folder / f"{output}.npy").open("wb") as file:
+        np.lib.format.write_array(file, np.ascontiguousarray(rows), version=(1, 0))
+    record = Record(
+        schema=1,
+        suite=stream.suite,
+        program=stream.suite,
+        middleware="",
+        version=observer.version,
+        complete=True,
+        incomplete_reason=None,
+        requested=dict(stream.parameters),
+        in_effect=InEffect(
+            threads=list(threads), clock=CLOCK, clock_resolution_ns=1, clock_step_ns=1, mlockall=None, facts={}
+        ),
+        host=observer.host,
+        kernel=observer.kernel,
+        start_time=observer.start_time,
+        end_time=observer.end_time,
+        counts=Counts(
+            asked=stream.asked,
+            measured=stream.measured,
+            not_fired=0,
+            missing=stream.missing,
+            duplicate=stream.duplicate,
+            out_of_order=stream.out_of_order,
+        ),
+        indices=Indices(not_fired=[], missing=[], duplicate=[], out_of_order=[]),
+        summary={},
+        files=Files(logs=[], npy=f"{output}.npy"),
+        columns=list(names),
+        rate=Rate(asked_hz=None, achieved_hz=stream.rate_hz, overruns=None, skipped=None),
+        traces=Traces(above_limit=0, files=[]),
+    )
+    atomic.write_text(folder / f"{output}.json", record.model_dump_json(by_alias=True, indent=2) + "\n")

@@ -1,0 +1,163 @@
+"""Streams of programs that ran already, written as runs: every command that reads results takes them as any other.
+
+Each stream has a deadline of its own or none; one that somebody names comes before them.
+"""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from written import write_record
+
+from rtrun.cli import main
+from rtrun.kinds.output import Thread, Uname
+from rtrun.kinds.timer import UNKNOWN_NS
+from rtrun.results.observed import Observer, Stream, write_stream
+
+PERIOD_NS = 10_000_000
+N = 6000
+OBSERVER = Observer(
+    version="0.1.0",
+    host="robot",
+    kernel=Uname(release="6.1.0-rt", version="#1 SMP PREEMPT_RT", machine="aarch64"),
+    start_time="2026-11-21T10:00:00Z",
+    end_time="2026-11-21T10:01:00Z",
+)
+THREADS = [Thread(tid=7, name="controller", policy="OTHER", priority=0, cpus=[0])]
+AT_NS = 10**12 + PERIOD_NS * np.arange(N, dtype=np.int64)
+LATE_NS = 100_000 + np.random.default_rng(1).integers(0, 20_000, N)
+
+
+def write(root, name, stream, **changed):
+    folder = root / name
+    folder.mkdir(parents=True)
+    write_stream(folder, name, stream, OBSERVER, THREADS)
+    parameters = dict(stream.parameters)
+    programs = [{"name": "controller", "argv": ["controller"], "pid": 7, "threads": [THREADS[0].model_dump()]}]
+    write_record(folder, stream.suite, [name], parameters, **{"subject": "attached", "programs": programs, **changed})
+
+
+def messages(lost=()):
+    seq = np.setdiff1d(np.arange(N), lost)
+    columns = {"publication_ns": AT_NS[seq], "reception_ns": (AT_NS + LATE_NS)[seq], "seq": seq}
+    parameters = {"topic": "/cmd_vel", "publisher": "/controller", "subscriber": "/base"}
+    return Stream(
+        suite="observed_messages", parameters=parameters, columns=columns, asked=N, measured=seq.size, missing=len(lost)
+    )
+
+
+def timer(*, known=True, segments=1, skipped=0):
+    """A timer in segments with a gap of a second between them; within the last one periods without a call."""
+    segment = np.arange(N) * segments // N
+    due = AT_NS + segment * 10**9
+    due[-10:] += skipped * PERIOD_NS
+    columns = {
+        "timestamp_ns": due + LATE_NS,
+        "expected_ns": due if known else np.full(N, UNKNOWN_NS),
+        "real_ns": due + LATE_NS,
+        "segment": segment,
+    }
+    parameters = {"node": "/controller", "timer": 1, "period_ns": PERIOD_NS}
+    return Stream(
+        suite="observed_timers", parameters=parameters, columns=columns, asked=N - segments, measured=N - segments
+    )
+
+
+def spans(suite, begin_ns=AT_NS, **parameters):
+    columns = {"begin_ns": begin_ns, "end_ns": begin_ns + LATE_NS}
+    return Stream(suite=suite, parameters=parameters, columns=columns, asked=N, measured=N)
+
+
+def interval():
+    columns = {"timestamp_ns": AT_NS, "segment": np.zeros(N, np.int64)}
+    return Stream(
+        suite="observed_intervals", parameters={"topic": "/scan"}, columns=columns, asked=N - 1, measured=N - 1
+    )
+
+
+@pytest.fixture
+def results(tmp_path):
+    write(tmp_path, "a", messages(), deadline_ns=5_000_000)
+    write(tmp_path, "b", timer(segments=3), deadline_ns=50_000)
+    write(tmp_path, "c", spans("observed_callbacks", callback="0x1"), deadline_ns=1_000_000)
+    write(tmp_path, "d", spans("observed_paths", AT_NS - 1000, path="/scan,/cmd_vel"))
+    write(tmp_path, "e", interval())
+    return tmp_path
+
+
+@pytest.fixture
+def rtrun(capsys):
+    """Run a command; returns its status and what it printed."""
+
+    def run(*words):
+        status = main([str(word) for word in words])
+        return status, capsys.readouterr().out
+
+    return run
+
+
+def answers(rtrun, results, *options):
+    """What is said of each group, by suite."""
+    groups = json.loads(rtrun("verdict", results, "--json", *options)[1])["groups"]
+    return {each["group"].split(" ")[0]: each for each in groups}
+
+
+def test_each_stream_is_held_against_its_own_deadline(rtrun, results):
+    seen = {suite: each["answer"] for suite, each in answers(rtrun, results, "--probability", "0.01").items()}
+    assert seen == {
+        "observed_messages": "PROVEN",
+        "observed_timers": "REFUTED",
+        "observed_callbacks": "PROVEN",
+        "observed_paths": "no deadline",
+        "observed_intervals": "no deadline",
+    }
+
+
+def test_a_deadline_that_is_named_comes_before_them(rtrun, results):
+    seen = answers(rtrun, results, "--probability", "0.01", "--deadline", "110us")
+    assert {suite for suite, each in seen.items() if each["answer"] == "no deadline"} == set()
+    assert {each["answer"] for each in seen.values()} == {"REFUTED"}
+
+
+def test_the_gate_asks_of_what_has_a_deadline(rtrun, results):
+    status, printed = rtrun("gate", results, "--probability", "0.01")
+    assert status == 1 and "observed_timers" in printed and "observed_paths" not in printed
+    shutil.rmtree(results / "b")
+    assert rtrun("gate", results, "--probability", "0.01")[0] == 0
+    for folder in "ac":
+        shutil.rmtree(results / folder)
+    assert rtrun("gate", results)[0] == 1, "nothing that has a deadline is no pass"
+
+
+@pytest.mark.parametrize(
+    ("stream", "misses", "undecidable"),
+    [
+        (messages(lost=(5, 6, 7)), 3, None),
+        (timer(segments=3), 0, None),
+        (timer(segments=3, skipped=4), 4, None),
+        (timer(known=False), None, "not known: ask for the jitter"),
+    ],
+)
+def test_what_is_lost_is_a_miss_and_what_was_not_observed_is_none(rtrun, tmp_path, stream, misses, undecidable):
+    """Between segments nothing was observed: no period is skipped there, and no jitter spans it."""
+    write(tmp_path, "a", stream, deadline_ns=1_000_000)
+    (group,) = json.loads(rtrun("verdict", tmp_path, "--json")[1])["groups"]
+    if undecidable:
+        assert undecidable in group["missing"]
+        return
+    assert group["verdict"]["late"] + group["verdict"]["absent"] == misses
+
+
+def test_all_else_takes_them(rtrun, results, tmp_path_factory):
+    """show, compare, report, archive and history."""
+    shown = json.loads(rtrun("show", results, "--json")[1])
+    series = {result["series"] for run in shown["runs"] for result in run["results"]}
+    assert series == {"latency", "lateness", "jitter", "duration", "reaction", "interval"}
+    page = tmp_path_factory.mktemp("page") / "report.html"
+    assert rtrun("report", results, "--output", page)[0] == 0
+    assert "Its deadline is not met" in page.read_text()
+    archive = tmp_path_factory.mktemp("archive")
+    assert rtrun("archive", "add", results, "--to", archive)[0] == 0
+    assert "observed_messages topic=/cmd_vel" in rtrun("history", archive, "--by", "commit")[1]
+    assert rtrun("compare", results, results)[0] == 0
