@@ -37,10 +37,10 @@ def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedVa
 
 
 def _lateness(columns: Columns, record: Record, path: Path, period_ns: int) -> IndexedValues:
-    """How late each call is against the grid that roscpp keeps, whose skipped periods are absent.
+    """How late each call is against the grid that the middleware keeps, whose skipped periods are absent.
 
-    roscpp moves its grid when it is two periods behind: what it moves it by beyond whole periods is lateness of the
-    call there, and the whole periods are skipped. So nothing is made up for by moving the grid.
+    roscpp moves its grid when it is two periods behind, rcl when it is one: what it moves it by beyond whole periods
+    is lateness of the call there, and the whole periods are skipped. So nothing is made up for by moving the grid.
     """
     expected, real = np.asarray(columns["expected_ns"]), np.asarray(columns["real_ns"])
     for column in (expected, real):
@@ -68,7 +68,7 @@ def _lateness(columns: Columns, record: Record, path: Path, period_ns: int) -> I
 
 
 def _clock_was_set(offset: Int64s, period_ns: int) -> str:
-    """Why calls are neither late nor in time: roscpp's grid jumped with the wall clock; empty where it did not.
+    """Why calls are neither late nor in time: the timer's grid jumped with the wall clock; empty where it did not.
 
     `offset`, int64 (n,), is the wall clock less that of the timestamps, a little less where a thread was interrupted
     between the two stamps of a call. So its highest value among a few calls shows whether one of the clocks was set.
@@ -80,7 +80,7 @@ def _clock_was_set(offset: Int64s, period_ns: int) -> str:
     if most_ns <= max(_LEAST_STEP_NS, period_ns) + _NTP_DRIFT * period_ns * _FEW_CALLS:
         return ""
     return (
-        f"the wall clock, by which roscpp keeps its grid, was set by {most_ns / 1e6:.3g} ms while it was measured: "
+        f"the wall clock, by which the timer keeps its grid, was set by {most_ns / 1e6:.3g} ms while it was measured: "
         "measure again when it is not (NTP steps it after a boot), or ask for the jitter (--of jitter)"
     )
 

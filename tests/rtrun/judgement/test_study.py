@@ -149,7 +149,7 @@ def test_no_answer_rests_on_a_grid_that_jumped_with_the_clock(tmp_path):
     write_run(tmp_path, "a", "cyclic_timer_tests", [rows], CYCLIC, asked=4000, logs=False)
     group = asked(tmp_path)
     assert group.verdict is None
-    assert "the wall clock, by which roscpp keeps its grid, was set by 3.6e+06 ms" in verdict_line(group).text
+    assert "the wall clock, by which the timer keeps its grid, was set by 3.6e+06 ms" in verdict_line(group).text
     assert asked(tmp_path, of="jitter").verdict.misses == 0
 
 
