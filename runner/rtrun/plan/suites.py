@@ -344,9 +344,8 @@ def output_name(suite_name: str, parameters: Mapping[str, Value]) -> str:
     )
 
 
-def log_names(suite_name: str, parameters: Mapping[str, Value]) -> list[str]:
-    """The names of the logs a run with these parameters writes."""
-    output = output_name(suite_name, parameters)
+def log_names(suite_name: str, output: str) -> list[str]:
+    """The names of the logs that an output of a suite has."""
     return [f"{output}-{log}.log" for log in suite(suite_name).logs] or [f"{output}.log"]
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import Figures
 from rtrun.plan.question import Measure
-from rtrun.plan.suites import suite
+from rtrun.plan.suites import log_names
 from rtrun.plan.trace import WARM_UP
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
@@ -110,7 +110,7 @@ def _series_of_output(folder: Path, record: RunRecord, output: str, of: Measure 
             check_file(folder, record, output + ending)
         yield from series_of_samples(read_samples(folder / f"{output}.npy"), of)
     else:
-        logs = [name for name in log_names(record, output) if name in record.files]
+        logs = [name for name in log_names(record.suite, output) if name in record.files]
         if not logs:
             raise UsageError(f"{folder / FILE}: neither samples nor log of the output {output!r} among its files")
         for name in logs:
@@ -122,11 +122,6 @@ def target_of(record: RunRecord) -> str:
     """The target in a few words: runs on another board or kernel are never pooled with these."""
     facts = (record.target.name, record.target.kernel_release, record.target.kernel_version)
     return ", ".join(word for word in facts if isinstance(word, str) and word)
-
-
-def log_names(record: RunRecord, output: str) -> list[str]:
-    """The names of the logs that an output of this run's suite has."""
-    return [f"{output}-{log}.log" for log in suite(record.suite).logs] or [f"{output}.log"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -25,10 +25,12 @@ def test_argv_leaves_out_defaults_none_and_what_the_program_does_not_take() -> N
 
 
 def test_names_are_those_of_2014() -> None:
-    assert log_names("oneshot_timer_tests", {"policy": "FIFO", "busy_mode": 1, "prefix": "a/b_"}) == [
+    output = output_name("oneshot_timer_tests", {"policy": "FIFO", "busy_mode": 1, "prefix": "a/b_"})
+    assert log_names("oneshot_timer_tests", output) == [
         f"a/b_oneshot_timer_tests_l1000_tm1000-tnRTFIFO-bm-{log}.log" for log in ("measured", "reported", "diff")
     ]
-    assert log_names("cyclic_timer_tests", {"repetitions": 7}) == ["cyclic_timer_tests_l7_fq1000.log"]
+    output = output_name("cyclic_timer_tests", {"repetitions": 7})
+    assert log_names("cyclic_timer_tests", output) == ["cyclic_timer_tests_l7_fq1000.log"]
     assert output_name("communication_tests", {"payload_bytes": 10000}) == "ct_gnuplot_l1000_fq1000_pl10000"
 
 
@@ -42,7 +44,7 @@ def test_names_are_those_of_2014() -> None:
 )
 def test_a_log_name_gives_back_its_parameters(name: str, prefix: str, **parameters: str | int) -> None:
     given_parameters = {key: value for key, value in parameters.items() if key in suite(name).parameters}
-    for log_name in log_names(name, given_parameters | {"prefix": prefix}):
+    for log_name in log_names(name, output_name(name, given_parameters | {"prefix": prefix})):
         facts = read_log_name(log_name)
         assert facts is not None
         assert facts.suite == name
