@@ -64,10 +64,9 @@ def add_results(
             continue
         try:
             record = verify(folder)
-            if _add_run(folder, record, store, origin, samples, notes):
-                added.append(record.run)
-            else:
-                present.append(record.run)
+            run = _add_run(folder, record, store, origin, samples)
+            (added if run.is_new else present).append(record.run)
+            notes += run.notes
         except UsageError as error:
             refused += str(error).splitlines()[:1]
         except InfrastructureError as error:
@@ -94,8 +93,14 @@ def _copies(folders: Sequence[Path]) -> dict[Path, str]:
     return find_copies(records)
 
 
-def _add_run(folder: Path, record: RunRecord, store: Store, origin: Origin, samples: bool, notes: list[str]) -> bool:
-    """Add one run; False when all of it is there already."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _AddedRun:
+    is_new: bool
+    """False: all of it was there already."""
+    notes: tuple[str, ...]
+
+
+def _add_run(folder: Path, record: RunRecord, store: Store, origin: Origin, samples: bool) -> _AddedRun:
     key = key_of(folder)
     tables = ["runs"]
     if record.status is RunStatus.OK:
@@ -103,6 +108,7 @@ def _add_run(folder: Path, record: RunRecord, store: Store, origin: Origin, samp
     names = {table: f"{table}/{partition_of(record)}/{key}.parquet" for table in tables}
     missing = [table for table in tables if not has_whole_table(store, names[table])]
     judged: list[Series] = []
+    notes: list[str] = []
     if "histograms" in missing or "samples" in missing:
         for series in read_series(folder, record):
             if series.header.main and series.header.incomplete:
@@ -116,4 +122,4 @@ def _add_run(folder: Path, record: RunRecord, store: Store, origin: Origin, samp
             "runs": lambda: run_table(key, record, origin),
         }[table]()
         write_file(store, names[table], as_parquet(rows))
-    return bool(missing)
+    return _AddedRun(is_new=bool(missing), notes=tuple(notes))

@@ -60,12 +60,13 @@ def judge(
     ended before it, name to exit status. `is_timed`: times mean something on the target; a publisher that misses its
     rate makes the run invalid then.
     """
-    records: dict[str, Record] = {}
+    records: Mapping[str, Record] = {}
     observations: list[Observation] = []
     reason: str | None
     status, reason = _of_programs(folder, programs, exits) or (RunStatus.OK, None)
     if status is RunStatus.OK:
-        status, reason = _of_outputs(folder, run, outputs, refused, records) or (RunStatus.OK, None)
+        records, failed = _of_outputs(folder, run, outputs, refused)
+        status, reason = failed or (RunStatus.OK, None)
     senders, unreadable = _senders(folder, run, refused)
     heads = _by_writer(run, programs, outputs, records) | senders
     if status is RunStatus.OK and unreadable:
@@ -118,7 +119,7 @@ def _other_middleware(run: Run, heads: Mapping[str, Record | SenderRecord]) -> s
 
 
 def _senders(folder: Path, run: Run, refused: Mapping[str, str]) -> tuple[dict[str, SenderRecord], str | None]:
-    """The json of programs without samples, by program, and why one cannot be read. Earlier versions wrote none."""
+    """The json of programs without samples, by program, and why one cannot be read. Those of 2014 wrote none."""
     senders: dict[str, SenderRecord] = {}
     for program, name in suites.program_json_names(run.suite, run.parameters).items():
         if name in refused:
@@ -154,39 +155,44 @@ def _of_programs(folder: Path, programs: Sequence[Program], exits: Sequence[Exit
 
 
 def _of_outputs(
-    folder: Path, run: Run, outputs: Sequence[str], refused: Mapping[str, str], records: dict[str, Record]
-) -> tuple[RunStatus, str] | None:
-    """Say what is wrong with the outputs, and put what is known of them into `records`."""
+    folder: Path, run: Run, outputs: Sequence[str], refused: Mapping[str, str]
+) -> tuple[Mapping[str, Record], tuple[RunStatus, str] | None]:
+    """The json of outputs up to the first that something is wrong with, by output, and what that is."""
+    records: dict[str, Record] = {}
     if suites.suite(run.suite).is_baseline:
         printed = f"{run.suite}.stdout"
         wrong = refused.get(printed) or baselines.check_baseline_output(run, read_text(folder / printed))
-        return (RunStatus.INVALID, wrong) if wrong else None
+        return records, (RunStatus.INVALID, wrong) if wrong else None
     for output in outputs:
         names = (f"{output}.json", f"{output}.npy")
         if reasons := [why for name, why in refused.items() if name in names or _is_log(name, output)]:
-            return RunStatus.FAILED, reasons[0]
+            return records, (RunStatus.FAILED, reasons[0])
         missing = [name for name in names if not (folder / name).exists()]
         log_paths = [path for path in sorted(folder.glob("*.log")) if _is_log(path.name, output)]
         # The programs of 2014 write logs and nothing else.
         if missing and not (len(missing) == 2 and log_paths):
-            return RunStatus.FAILED, f"{missing[0]} is missing though its program ended with exit status 0"
+            return records, (
+                RunStatus.FAILED,
+                f"{missing[0]} is missing though its program ended with exit status 0",
+            )
         status = RunStatus.FAILED
         try:
             logs = [read_log(path) for path in log_paths]
             if missing:
                 if unseen := requirements.find_unseen_option(run, {}):
-                    return RunStatus.INVALID, f"{output}: {unseen}"
+                    return records, (RunStatus.INVALID, f"{output}: {unseen}")
                 continue
             record = records[output] = read_json(folder / names[0], Record)
             status = RunStatus.INVALID
             read_samples(folder / names[0], record)
         except UsageError as error:
-            return status, str(error).replace(f"{folder}/", "")
+            return records, (status, str(error).replace(f"{folder}/", ""))
         if wrong := _asked_otherwise(run, record) or find_count_mismatch(record, logs):
-            return RunStatus.INVALID, f"{output}: {wrong}"
+            return records, (RunStatus.INVALID, f"{output}: {wrong}")
         if not record.complete:
-            return RunStatus.INCOMPLETE, f"{output}: {record.incomplete_reason or 'ended before all was measured'}"
-    return None
+            reason = record.incomplete_reason or "ended before all was measured"
+            return records, (RunStatus.INCOMPLETE, f"{output}: {reason}")
+    return records, None
 
 
 def _asked_otherwise(run: Run, record: Record) -> str | None:

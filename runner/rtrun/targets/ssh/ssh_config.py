@@ -50,7 +50,6 @@ class _Lookup:
     user: str | None
     """The user that the target file names."""
     settings: dict[str, list[str]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
 
     def first(self, keyword: str) -> str | None:
         return self.settings.get(keyword, [None])[0]
@@ -90,8 +89,6 @@ def _address(
         raise UsageError(f"{file}: ProxyJump leads in a circle: {' -> '.join((*before, alias))}")
     lookup = _Lookup(alias=alias, user=user)
     _read(file, lookup, is_active=True, depth=0)
-    for note in lookup.notes:
-        print_note(f"rtrun: {note}")
     if lookup.first("proxycommand") not in (None, "none") and lookup.first("proxyjump") is None:
         raise UsageError(
             f"{file}: ProxyCommand for {alias}: rtrun runs no command to connect; write ProxyJump instead, "
@@ -204,7 +201,7 @@ def _is_matched(words: list[str], lookup: _Lookup, where: str) -> bool:
             "localuser": _local_user(),
         }
         if criterion not in values:
-            lookup.notes.append(f"{where}: Match {criterion} is not evaluated: the lines under it are left out")
+            print_note(f"rtrun: {where}: Match {criterion} is not evaluated: the lines under it are left out")
             return False
         patterns = (argument or next(remaining, "")).split(",")
         if _is_named(patterns, values[criterion]) == word.startswith("!"):
