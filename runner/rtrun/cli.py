@@ -8,6 +8,7 @@ from rtfiles.start import start
 
 # In the order of --help.
 COMMANDS = (
+    "quick",
     "plan",
     "run",
     "new_target",

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     targets = read_targets(args.target, args.targets, args.lg_env)
     results: Path = args.results or Path("results") / campaign.name
     if args.fresh:
-        results = _fresh(results)
+        results = fresh(results)
     run_directory.make_results(results)
     if campaign.until is None:
         status = _measure(campaign, runs, targets, args, results)
@@ -107,7 +107,8 @@ def _measure(
     return InfrastructureError.exit_status if bad else 0
 
 
-def _fresh(results: Path) -> Path:
+def fresh(results: Path) -> Path:
+    """The folder, or the first of its name and a number that is not there."""
     if not results.exists():
         return results
     number = 2

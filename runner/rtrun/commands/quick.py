@@ -1,0 +1,188 @@
+"""``rtrun quick``: a first answer without a file, from what a target has to measure with."""
+
+import argparse
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rtrun.commands._question import time_argument
+
+if TYPE_CHECKING:
+    from rtrun.judgement.study import Study
+    from rtrun.targets.inspection.rt_readiness import CheckResult
+    from rtrun.targets.link import Link
+
+NAME = "quick"
+HELP = "a first answer in a minute, without a file: which P(miss) is proven, what was worst, and why"
+POLICY = "FIFO"
+NO_REAL_TIME = "0"
+# What a target file names relative to itself.
+_PATHS = ("suites", "board", "key", "known_hosts", "environment")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what `quick` takes."""
+    parser.add_argument("--deadline", type=time_argument, required=True, metavar="TIME", help="with its unit, as 1ms")
+    parser.add_argument(
+        "--target", default="", metavar="USER@HOST|TARGET.yml", help="what to measure on [this machine]"
+    )
+    parser.add_argument(
+        "--for",
+        type=time_argument,
+        default=60 * 10**9,
+        dest="for_ns",
+        metavar="TIME",
+        help="how long to measure [1min]",
+    )
+    parser.add_argument("--suite", action="append", default=[], metavar="SUITE", help="measure it alone, or these")
+    parser.add_argument("--middleware", default="roscpp", metavar="NAME", help="of the suites [roscpp]")
+    parser.add_argument(
+        "--policy", choices=["0", "RR", "FIFO"], help=f"scheduling policy, 0: none [{POLICY}, if you may]"
+    )
+    parser.add_argument("--suites", type=Path, metavar="FOLDER", help="of rtgen suites build [build/suites/host]")
+    parser.add_argument("--results", type=Path, default=Path("results/quick"), metavar="FOLDER", help="[results/quick]")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, and print what was proven. 0: it was measured, 3: the target is out of reach, or lacks something."""
+    import yaml
+
+    from rtfiles import atomic
+    from rtfiles.output import console, print_line, print_status
+    from rtrun.commands._boards import TargetFile, measure_on
+    from rtrun.commands._link import linked
+    from rtrun.commands.run import fresh
+    from rtrun.execution import progress
+    from rtrun.judgement.study import study
+    from rtrun.plan.campaign import read_campaign
+    from rtrun.plan.question import Question
+    from rtrun.results import run_directory
+    from rtrun.results.record import RunStatus
+    from rtrun.targets.config import parse_target
+    from rtrun.targets.inspection import rt_readiness
+
+    data = _target(args)
+    results = fresh(args.results)
+    config = parse_target(data, args.target or "quick")
+    print_status(f"asking {config.name} what it is")
+    with linked(config, results) as link:
+        findings = rt_readiness.judge(rt_readiness.read_checks(), rt_readiness.read_facts(link))
+        campaign = _campaign(link, args)
+    print_status("")
+    run_directory.make_results(results)
+    for name, content in (("target.yml", data), ("campaign.yml", campaign)):
+        atomic.write_text(results / name, yaml.safe_dump(content, sort_keys=False))
+    planned, runs = read_campaign(results / "campaign.yml")
+    with progress.showing(runs, console()) as shown:
+        statuses = measure_on(
+            [TargetFile(config=config, folder=results)], planned.name, runs, results, shown, variants={}
+        )
+    asked = Question(deadline_ns=args.deadline, is_deadline_stated=True)
+    _print(study(results, asked, bounds=False), findings, results)
+    bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
+    for line in bad:
+        print_line(line)
+    return 3 if bad else 0
+
+
+def _target(args: argparse.Namespace) -> dict[str, Any]:
+    """What the target file says that `--target` names or stands for; its paths mean the same anywhere."""
+    from rtfiles.config import read_yaml
+    from rtfiles.errors import UsageError
+
+    suites = args.suites or (Path("build/suites/host") if not args.target else None)
+    if args.target.endswith((".yml", ".yaml")):
+        if args.suites:
+            raise UsageError("--suites: a target file names them itself, as suites")
+        read = read_yaml(Path(args.target))
+        folder = Path(args.target).parent.absolute()
+        return {key: str(folder / value) if key in _PATHS and value else value for key, value in dict(read).items()}
+    user, _, host = args.target.rpartition("@")
+    if args.target and not host:
+        raise UsageError(f"--target {args.target}: takes USER@HOST, or a target file that ends with .yml")
+    data = {"schema": 1, "name": re.sub(r"[^A-Za-z0-9._-]+", "-", host).strip("-._") or "this-machine"}
+    data |= {"kind": "ssh", "host": host} if host else {"kind": "local"}
+    data |= {"user": user} if user else {}
+    return data | ({"suites": str(suites.absolute())} if suites and suites.is_dir() else {})
+
+
+def _campaign(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
+    """What is measured on the target. Raises TargetError where it has nothing to measure with."""
+    from rtfiles.errors import UsageError
+    from rtfiles.invocation import as_called
+    from rtfiles.output import print_note
+    from rtrun.plan import quick
+    from rtrun.targets.deploy import ON_TARGET
+    from rtrun.targets.errors import TargetError
+    from rtrun.targets.inspection import facts as inspection
+
+    equipment = inspection.inspect(link)
+    programs = dict(equipment.programs)
+    if folder := link.target.suites:
+        inspection.check_suites(folder, link.target, equipment)
+        programs |= {path.name: str(path) for path in (folder / "lib").glob("*/*") if path.is_file()}
+    missing = (ON_TARGET / "missing.sh").read_text(encoding="utf-8")
+    lacks = link.check(["sh", "-s", quick.BASELINE, f"rt_priority={quick.PRIORITY}"], stdin=missing).splitlines()
+    baselines = [] if quick.BASELINE in lacks else [quick.BASELINE]
+    found = [*baselines, *quick.measurable(programs, args.middleware)]
+    if not found:
+        raise TargetError(
+            f"{link.target.address}: nothing to measure with: install rt-tests (cyclictest), or the suites "
+            f"({as_called('rtgen')} suites build, then --suites FOLDER)"
+        )
+    if unknown := [name for name in args.suite if name not in found]:
+        raise UsageError(f"--suite {unknown[0]}: not there through {args.middleware}, found: {', '.join(found)}")
+    may_real_time = not [line for line in lacks if line != quick.BASELINE]
+    if not may_real_time and args.policy is None:
+        print_note("rtrun: measures without a real-time policy, for which this user has no right there")
+    return quick.campaign(
+        [name for name in found if not args.suite or name in args.suite],
+        middleware=args.middleware,
+        policy=args.policy or (POLICY if may_real_time else NO_REAL_TIME),
+        duration_s=args.for_ns / 1e9,
+        traced_above_ns=args.deadline if _can_trace(link) else None,
+    )
+
+
+def _can_trace(link: "Link") -> bool:
+    return link.run(["sh", "-c", "[ -w /sys/kernel/tracing/instances ]"]).status == 0
+
+
+def _print(study: "Study", findings: "list[CheckResult]", results: Path) -> None:
+    """What was proven, what was late and why, what stands in the way of real time, and how to go on."""
+    import shlex
+
+    from rtfiles.invocation import as_called
+    from rtfiles.output import console, print_line
+    from rtfiles.quantities import grouped, time_us
+    from rtrun.report import causes
+    from rtrun.report.screen import fitted
+    from rtrun.report.terminal import print_banner
+    from rtrun.targets.inspection import rt_readiness
+
+    print_banner(study.platform)
+    rows, without = [], []
+    for group in study.groups:
+        verdict = group.verdict
+        why = group.undecidable
+        if verdict is not None:
+            why = verdict.refused or (f"it did not stay the same: {verdict.change.text}" if verdict.change else None)
+        without += [f"{group.label}: no P: {why}"] if why else []
+        bound = "-" if verdict is None or why else f"{verdict.upper:.2g}"
+        misses, worst_ns = (verdict.misses, verdict.worst_ns) if verdict else ("-", None)
+        rows.append((group.label, grouped(group.n), str(misses), bound, time_us(worst_ns)))
+    confidence = f"{100 * study.question.confidence:g} % confidence"
+    print_line(f"What this proves of P({study.miss}), at {confidence}, for this one boot:")
+    screen = console()
+    screen.print(fitted(("measured", "n", "misses", "P is below", "worst us"), rows, range(1, 5), screen.width))
+    for text in (*without, *(f"not analysed: {text}" for text in study.left_out)):
+        print_line(text)
+    ranking, explained, _ = causes.ranked(study.source)
+    if explained:
+        print_line(f"why it was late: {causes.table(ranking, explained).outcome}")
+    grave = [each.check.name for each in rt_readiness.grave_faults(findings)]
+    folder, call = shlex.quote(str(results)), as_called("rtrun")
+    explain = f"; {call} check-rt --target {folder}/target.yml says why, and the remedy"
+    print_line(f"in the way of real time: {', '.join(grave) + explain if grave else 'nothing grave'}")
+    print_line(f"next: {call} report {folder}")
+    print_line(f"to measure again: {call} run {folder}/campaign.yml --target {folder}/target.yml --fresh")

@@ -1,0 +1,52 @@
+"""The campaign of `rtrun quick`: what a target has to measure with, for as long as somebody wants to wait."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rtrun.plan import suites
+from rtrun.plan.middleware.description import NONE
+
+NAME = "quick"
+BASELINE = "cyclictest"
+PRIORITY = suites.options()["priority"].default
+# A period of 1 ms: what cyclictest takes by default, and a usual rate of control loops.
+PERIOD_US = 1000
+# The kinds in the order in which they are measured: what wakes up first, messages last.
+_ORDER = ("cyclic", "oneshot", "messages")
+
+
+def measurable(programs: Mapping[str, str], middleware: str) -> list[str]:
+    """The suites that a target can measure through a middleware, from the paths of its programs by name."""
+    known = {name: one for name, one in suites.suites().suites.items() if one.kind in _ORDER}
+    found = [
+        name
+        for name, one in known.items()
+        if all(suites.executable(name, program, {"middleware": middleware}) in programs for program in one.programs)
+    ]
+    return sorted(found, key=lambda name: _ORDER.index(str(known[name].kind)))
+
+
+def campaign(
+    names: Sequence[str], *, middleware: str, policy: str, duration_s: float, traced_above_ns: int | None
+) -> dict[str, Any]:
+    """A campaign, as its file has it, of these suites and baselines, each for its part of the time.
+
+    `traced_above_ns`: the first suite is measured once more, with the kernel's trace of values above that.
+    """
+    traced = next((name for name in names if traced_above_ns is not None and name != BASELINE), None)
+    runs = [_run(name, middleware, duration_s / (len(names) + (traced is not None))) for name in names]
+    if traced is not None and traced_above_ns is not None:
+        runs[names.index(traced)]["trace"] = {"above": f"{max(1, traced_above_ns // 1000)}us"}
+    return {"schema": 1, "name": NAME, "common": {"policy": policy}, "runs": runs}
+
+
+def _run(name: str, middleware: str, share_s: float) -> dict[str, Any]:
+    described = suites.suite(name)
+    repetitions = max(100, int(share_s * 1e6 / PERIOD_US))
+    run: dict[str, Any] = {"suite": name, "repetitions": repetitions}
+    for key, value in (("frequency_hz", 1_000_000 // PERIOD_US), ("timeout_us", PERIOD_US), ("interval_us", PERIOD_US)):
+        if key in described.parameters:
+            run[key] = value
+    if described.middleware != NONE:
+        run["middleware"] = middleware
+    return run

@@ -1,0 +1,61 @@
+"""`rtrun quick` on this machine: without any file, from what it finds to a first answer, and files to go on from."""
+
+import re
+import shutil
+
+import pytest
+
+from rtrun.cli import main
+
+# It may use the trace of this machine's kernel.
+pytestmark = [pytest.mark.ros, pytest.mark.trace]
+
+
+@pytest.fixture
+def quick(tmp_path, monkeypatch, capsys):
+    """Call it in an empty folder; returns its status, what it printed, and the errors."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words):
+        status = main(["quick", *map(str, words)])
+        return status, *capsys.readouterr()
+
+    return call
+
+
+def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suites, tmp_path):
+    status, printed, _ = quick("--deadline", "60s", "--for", "6s", "--suites", suites)
+    assert status == 0, printed
+    (heading,) = [line for line in printed.splitlines() if line.startswith("What this proves of P(value > 6e+07 us)")]
+    rows = [re.split(r" {2,}", line.strip()) for line in printed.split(heading)[1].splitlines()[3:]]
+    measured = {row[0].split(" ")[0]: row for row in rows if len(row) == 5}
+    assert measured.keys() >= {"cyclic_timer", "oneshot_timer", "communication"}
+    assert ("cyclictest" in measured) == (shutil.which("cyclictest") is not None)
+    # Beside other tests a row may not stay the same: then no P is claimed, and it is said why.
+    assert all(f"{row[0]}: no P: " in printed if row[3] == "-" else 0 < float(row[3]) < 1 for row in measured.values())
+    assert "in the way of real time: " in printed
+    results = tmp_path / "results" / "quick"
+    assert main(["plan", str(results / "campaign.yml")]) == 0
+    assert main(["probe", "--target", str(results / "target.yml")]) == 0
+    # The same command once more keeps what was measured; another choice is another campaign.
+    status, printed, _ = quick("--deadline", "1ms", "--for", "1s", "--suites", suites, "--suite", "oneshot_timer_tests")
+    assert status == 0 and "report results/quick-2" in printed
+    runs = {path.parent.name.partition("_l")[0] for path in tmp_path.glob("results/quick-2/*/run.json")}
+    assert runs <= {f"{number:03}-oneshot_timer_tests" for number in (1, 2)} and runs
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--suite", "cyclic"], "--suite cyclic: not there through roscpp, found: "),
+        (["--suite", "oneshot_timer_tests", "--middleware", "rcl"], "not there through rcl, found: "),
+        (["--target", "none.yml"], "none.yml: "),
+        (["--target", "a.yml", "--suites", "there"], "--suites: a target file names them itself"),
+        (["--target", "root@"], "--target root@: takes USER@HOST, or a target file"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_is_measured(quick, suites, tmp_path, words, message):
+    given = [] if "--target" in words else ["--suites", suites]
+    status, _, errors = quick("--deadline", "1ms", *given, *words)
+    assert status == 2 and message in errors
+    assert not (tmp_path / "results").exists()
