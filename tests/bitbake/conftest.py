@@ -26,7 +26,7 @@ def yocto() -> Iterator[Yocto]:
     """The checkouts that `make test-yocto` was given."""
     given = os.environ.get("RT_TESTS_LAYERS")
     assert given, "give the checkouts: make test-yocto LAYERS=DIR"
-    yocto = open_checkouts(Path(given).resolve())
+    yocto = open_checkouts(Path(given).resolve(), os.environ.get("RT_TESTS_PROFILE"))
     print(f"\nprofile {yocto.name}, machine {yocto.machine}: {yocto.top}")
     yield yocto
     print(f"\n{yocto.summary()}")

@@ -9,7 +9,7 @@ import rtgen.suites
 from bitbake.yocto import Yocto
 from rtgen import debian
 from rtgen.board import sysroot
-from rtgen.layer.render import suite_recipes
+from rtgen.layer.recipes import recipes_of
 
 TOOLS = "cmake ninja g++ " + " ".join(
     f"arm-linux-gnueabihf-{tool}"
@@ -46,7 +46,7 @@ GOOGLETEST = Path("/usr/src/googletest")  # of Debian's package
 
 def build_suites(yocto: Yocto) -> Path:
     """Fetch, unpack, patch, configure, compile and install each suite's recipe alone; return the build folder."""
-    build = yocto.top / "build-suites"
+    build = yocto.work / "build-suites"
     shutil.rmtree(build, ignore_errors=True)
     # To be added to: links would do so to the one in the cache.
     stage = build / "sysroot"
@@ -56,12 +56,12 @@ def build_suites(yocto: Yocto) -> Path:
     (build / "classes").mkdir()
     (build / "classes" / "without-pseudo.bbclass").write_text(WITHOUT_PSEUDO)
     _install_googletest(build / "googletest", stage)
-    for suite in suite_recipes(yocto.profile):
-        (recipe,) = yocto.layer.glob(f"recipes-tests/*/{suite['package']}_*.bb")
-        task = "install_ptest_base" if suite["unit_tests"] else "install"
+    for suite in recipes_of(yocto.profile, yocto.release):
+        (recipe,) = yocto.layer.glob(f"recipes-tests/*/{suite.name}_*.bb")
+        task = "install_ptest_base" if suite.unit_tests else "install"
         yocto.run("bitbake", "-b", str(recipe), "-c", task, build=build)
         # Stands for do_populate_sysroot.
-        shutil.copytree(work_folder(build, suite["package"]) / "image", stage, symlinks=True, dirs_exist_ok=True)
+        shutil.copytree(work_folder(build, suite.name) / "image", stage, symlinks=True, dirs_exist_ok=True)
     return build
 
 

@@ -146,7 +146,7 @@ def create(
 
 def variables_of(yocto: Yocto, machine: str) -> dict[str, str]:
     """The image's variables for a machine; no other recipe is parsed."""
-    build = yocto.top / "build-cards"
+    build = yocto.work / "build-cards"
     yocto.configure(build, machine)
     (recipe,) = yocto.layer.glob(f"recipes-core/*/{yocto.profile.image.name}.bb")
     return yocto.variables(f"--buildfile={recipe}", names=VARIABLES, build=build)

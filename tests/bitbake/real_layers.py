@@ -18,7 +18,7 @@ import pytest
 from bitbake.debian_tools import work_folder
 from rtfiles.config import read_yaml
 from rtgen.checkout import checkout
-from rtgen.layer.render import suite_recipes
+from rtgen.layer.recipes import recipes_of
 from rtgen.profile import load_machines
 
 pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(7200)]
@@ -43,13 +43,13 @@ def licence_is_as_recorded(variables: dict[str, str]) -> bool:
 
 def test_recipes_resolve(yocto):
     assert licence_is_as_recorded(yocto.variables("packagegroup-rt-tests", names=("LIC_FILES_CHKSUM",)))
-    for suite in suite_recipes(yocto.profile):
-        recipe = suite["package"]
+    for suite in recipes_of(yocto.profile, yocto.release):
+        recipe = suite.name
         variables = yocto.variables(recipe, names=("S", "SRC_URI", "LIC_FILES_CHKSUM", "FILE", "DEPENDS", "PV"))
         assert variables["FILE"].startswith(str(yocto.layer)), recipe
         assert variables["S"].endswith("/" + recipe.replace("-", "_"))
         assert "${" not in "".join(variables.values())
-        assert {*suite["build"]} <= set(variables["DEPENDS"].split())
+        assert {*suite.build} <= set(variables["DEPENDS"].split())
         assert licence_is_as_recorded(variables)
 
 
@@ -59,7 +59,7 @@ def test_create_spdx_and_cve_check_find_what_they_need(yocto):
         pytest.skip("dora has neither")
     core, *_ = yocto.kas(yocto.machine)[0]
     classes = [name for name in ("create-spdx", "cve-check") if (core / "classes" / f"{name}.bbclass").is_file()]
-    build = yocto.top / "build-sbom"
+    build = yocto.work / "build-sbom"
     yocto.configure(build, yocto.machine, f'INHERIT += "{" ".join(classes)}"')
     licences = json.loads((core / "files" / "spdx-licenses.json").read_text())["licenses"]
     ours = sorted(yocto.layer.glob("recipes-*/*/*.bb"))
@@ -78,7 +78,7 @@ def test_graph_of_the_image(yocto):
     yocto.run("bitbake", "-g", yocto.profile.image.name)
     recipes = set((yocto.build / "pn-buildlist").read_text().split())
     kernel = yocto.profile.machines[yocto.machine].kernel.recipe
-    suites = [suite["package"] for suite in suite_recipes(yocto.profile)]
+    suites = [suite.name for suite in recipes_of(yocto.profile, yocto.release)]
     wanted = {re.sub("^util-linux-.*", "util-linux", package) for package in yocto.profile.image.packages}
     assert {*suites, "packagegroup-rt-tests", kernel, "openssh", *wanted} <= recipes
     if yocto.machine.startswith("pandaboard"):
@@ -100,7 +100,7 @@ def test_kernel_and_image_of_a_machine(yocto, machine):
     """Each without all other recipes, which takes seconds, on the layers that kas would take for the machine."""
     machine_of_profile, known = described(yocto, machine), load_machines()[machine]
     kernel, image, modern = machine_of_profile.kernel, yocto.profile.image, yocto.release.modern
-    build = yocto.top / "build-kernels" if modern else yocto.build
+    build = yocto.work / "build-kernels" if modern else yocto.build
     mask = [rf'BBMASK = "/(?!{kernel.recipe}_)[^/]*[.]bb(append)?$"'] if modern else []
     yocto.configure(build, machine, *mask)
 
@@ -137,7 +137,7 @@ def test_kernel_and_image_of_a_machine(yocto, machine):
 
 def graph(yocto, machine, mask):
     """The recipes and the tasks of a machine's image."""
-    build, image = yocto.top / "build-machines", yocto.profile.image.name
+    build, image = yocto.work / "build-machines", yocto.profile.image.name
     yocto.configure(build, machine, mask)
     (build / "task-depends.dot").unlink(missing_ok=True)
     # What is masked may be missed by recipes that BitBake considers and does not take, as those of an SDK.
@@ -166,7 +166,7 @@ def needed(yocto, mask):
 def test_graph_of_a_machine(yocto, machine, needed):
     kernel = described(yocto, machine).kernel
     recipes, tasks = graph(yocto, machine, f'BBMASK = "{yocto.mask_of_all_but(needed, machine)}"')
-    suites = {suite["package"] for suite in suite_recipes(yocto.profile)}
+    suites = {suite.name for suite in recipes_of(yocto.profile, yocto.release)}
     assert {*suites, "packagegroup-rt-tests", kernel.recipe, "openssh", "rt-tests", "stress-ng"} <= recipes
     assert len(tasks) > 1000
     yocto.note(machine, recipes=str(len(recipes)), tasks=str(len(tasks)))
@@ -174,7 +174,7 @@ def test_graph_of_a_machine(yocto, machine, needed):
 
 def test_dry_run_of_the_image(yocto, mask):
     """BitBake's queue goes through every task; each parses its recipe once more."""
-    build, image = yocto.top / "build-machines", yocto.profile.image.name
+    build, image = yocto.work / "build-machines", yocto.profile.image.name
     yocto.configure(build, yocto.machine, mask)
     output = yocto.run("bitbake", "-n", image, build=build)
     counted = re.search(r"Attempted (\d+) tasks of which \d+ didn't need to be rerun and all succeeded", output)
@@ -186,8 +186,8 @@ def test_dry_run_of_the_image(yocto, mask):
 def test_suites_are_fetched_and_unpacked(yocto):
     if yocto.profile.suites:
         pytest.skip("the originals of 2014 are in a git repository, and BB_NO_NETWORK is set")
-    for suite in suite_recipes(yocto.profile):
-        recipe = suite["package"]
+    for suite in recipes_of(yocto.profile, yocto.release):
+        recipe = suite.name
         yocto.run("bitbake", "-c", "clean", recipe)
         yocto.run("bitbake", "-c", "unpack", recipe)
         source = Path(yocto.variables(recipe, names=("S",))["S"])
@@ -196,8 +196,8 @@ def test_suites_are_fetched_and_unpacked(yocto):
 
 
 def test_suites_are_compiled_and_installed(yocto, built_suites):
-    for suite in suite_recipes(yocto.profile):
-        work = work_folder(built_suites, suite["package"])
+    for suite in recipes_of(yocto.profile, yocto.release):
+        work = work_folder(built_suites, suite.name)
         tasks = {path.suffixes[0][1:] for path in work.glob("temp/log.do_*")}
         assert {"do_patch", "do_configure", "do_compile", "do_install"} <= tasks
     for suite, described in read_yaml(checkout() / "recipes-tests/suites.yml")["suites"].items():
@@ -210,7 +210,7 @@ def test_suites_are_compiled_and_installed(yocto, built_suites):
 
 @pytest.mark.skipif("RT_TESTS_CHECK_LAYER" not in os.environ, reason="takes half an hour: RT_TESTS_CHECK_LAYER=1 asks")
 def test_yocto_check_layer(yocto, needed):
-    build = yocto.top / "build-check"
+    build = yocto.work / "build-check"
     # The machines that need no layer of their own; qemuarm is openembedded-core's.
     machines = [yocto.profile.default_machine, "qemuarm"]
     core, *others = yocto.shared_layers

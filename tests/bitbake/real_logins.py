@@ -162,7 +162,7 @@ def make_root(tree: Path, core: Path, server: str, init: str) -> None:
 
 def run_rootfs_functions(yocto: Yocto, tree: Path, *settings: str) -> None:
     """Let BitBake run the image's rootfs functions on the root file system in `tree`, with more lines of local.conf."""
-    build = yocto.top / "build-logins"
+    build = yocto.work / "build-logins"
     (build / "classes").mkdir(parents=True, exist_ok=True)
     (build / "classes/rootfs-functions.bbclass").write_text(ROOTFS_FUNCTIONS)
     (build / "programs").mkdir(exist_ok=True)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rtgen.layer.render import suite_recipes
+from rtgen.layer.recipes import CLIENTS, recipes_of
 from rtgen.profile import load_machines, load_profile, profile_names
 
 pytestmark = pytest.mark.bitbake
@@ -15,25 +15,30 @@ VARIABLES = ["SRC_URI", "S", "DEPENDS", "IMAGE_INSTALL", "COMPATIBLE_MACHINE", "
 
 @pytest.mark.parametrize(("name", "machine"), CASES)
 def test_recipes_resolve_and_the_kernel_takes_the_fragment(make_build, name, machine):
-    profile, _ = load_profile(name)
+    profile, release = load_profile(name)
     kernel, facts = profile.machines[machine].kernel, load_machines()[machine]
     on = "" if facts.layer == "meta-rt-tests" else f'MACHINE_FEATURES:append:{machine} = " preempt-rt"\n'
     # BitBake 2.19 is fatal on the underscore syntax of dora; the renderings differ in the separator only.
     build = make_build(
         name, machine, separator=":", local=f'{on}PREFERRED_PROVIDER_virtual/kernel = "{kernel.recipe}"\n'
     )
-    recipes = build.bitbake(variables=VARIABLES)["recipes"]
+    suites = {suite.name: suite for suite in recipes_of(profile, release)}
+    recipes = build.bitbake(variables=[*VARIABLES, *(f"RDEPENDS:{name}" for name in suites)])["recipes"]
 
-    suites = [suite["package"] for suite in suite_recipes(profile)]
     ours = {*suites, "packagegroup-rt-tests", profile.image.name}
     assert ours <= set(recipes)
     for recipe in ours:
         assert not recipes[recipe]["skipped"], recipe
         assert recipes[recipe]["unexpanded"] == [], recipe
-    for suite in suites:
-        of_ros = suite not in ("rt-tests-support", "rt-tests-sampler")
-        assert ("rt-tests-support" in recipes[suite]["variables"]["DEPENDS"].split()) == of_ros
-        assert recipes[suite]["variables"]["S"].endswith("/" + suite.replace("-", "_"))
+    clients = CLIENTS[release.ros_distros[profile.ros_distro].version]
+    for name, suite in suites.items():
+        variables = recipes[name]["variables"]
+        needs = (variables["DEPENDS"] or "").split()
+        assert needs == list(suite.build)
+        assert ("rt-tests-support" in needs) == (name not in ("rt-tests-support", "rt-tests-sampler"))
+        if name in ("oneshot-timer-tests", "cyclic-timer-tests", "communication-tests"):
+            assert {*clients} <= {*needs} and {*clients} <= {*variables[f"RDEPENDS:{name}"].split()}
+        assert variables["S"].endswith("/" + name.replace("-", "_"))
     install = recipes[profile.image.name]["variables"]["IMAGE_INSTALL"].split()
     assert {"packagegroup-rt-tests", "openssh-sftp-server", *profile.image.packages} <= set(install)
 

@@ -4,6 +4,7 @@ What they install for one release measures on the emulated board.
 """
 
 import json
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -13,11 +14,12 @@ import pytest
 import rtgen.cli
 import rtgen.suites
 import rtrun.cli
+from ros2 import wheels
 from rtgen import debian
 from rtgen.board import sysroot
 from rtgen.checkout import checkout
 from rtgen.commands import DEFAULT_PROFILE
-from rtgen.layer.render import suite_recipes
+from rtgen.layer.recipes import recipes_of
 from rtgen.profile import load_profile
 
 pytestmark = [pytest.mark.bitbake, pytest.mark.timeout(1200)]
@@ -29,6 +31,8 @@ PROGRAMS = {
     "cyclic-timer-tests": ["cyclic_timer_tests"],
     "communication-tests": ["communication_tests_publisher", "communication_tests_subscriber"],
 }
+ARM = ("32-bit", "ARM", "EABI5")  # words of file(1)
+WITHOUT_A_LIBRARY = ["futex", "tcp", "udp", "unix"]
 
 
 def tools() -> str:
@@ -43,33 +47,68 @@ def tasks(*recipes: str) -> list[list[str]]:
     return [[recipe, task] for recipe in recipes for task in TASKS]
 
 
-def build_suites(make_build, name, machine):
-    """Build the suites of a profile for a machine, check what is installed, and return the build."""
-    build = make_build(name, machine, local=tools())
-    suites = [suite["package"] for suite in suite_recipes(load_profile(name)[0])]
-    files = build.bitbake(tasks=tasks(*suites))["files"]
-    for suite, programs in PROGRAMS.items():
+def build_suites(make_build, name, machine, local, clients, kind):
+    """Build the suites of a profile for a machine, check what is installed, and return the build.
+
+    `clients`: what the names of the suites' programs end with. `kind`: words of file(1) about each program.
+    """
+    build = make_build(name, machine, local=local)
+    profile, release = load_profile(name)
+    prefix = f"/opt/ros/{profile.ros_distro}"
+    files = build.bitbake(tasks=tasks(*(suite.name for suite in recipes_of(profile, release))))["files"]
+    transports = [f"_{name}" for name in [*WITHOUT_A_LIBRARY, *release.ros_distros[profile.ros_distro].transports]]
+    wanted = {suite: [program + client for program in PROGRAMS[suite] for client in clients] for suite in PROGRAMS}
+    wanted["transport-tests"] = [program + name for program in PROGRAMS["communication-tests"] for name in transports]
+    wanted["rt-tests-sampler"] = ["rt_tests_sampler"]
+    for suite, programs in wanted.items():
         package = suite.replace("-", "_")
-        for program in programs:
-            path = f"/opt/ros/noetic/lib/{package}/{program}"
-            assert files[suite][path] == suite
+        installed = {path for path, of in files[suite].items() if path.startswith(f"{prefix}/lib/") and of == suite}
+        assert installed == {f"{prefix}/lib/{package}/{program}" for program in programs}
+        for path in installed:
             binary = next(build.folder.glob(f"tmp/work/{suite}/*/image{path}"))
-            kind = subprocess.run(["file", "-b", binary], capture_output=True, text=True, check=True).stdout
-            assert "ELF 32-bit" in kind and "ARM" in kind and "EABI5" in kind
-        assert files[suite][f"/opt/ros/noetic/share/{package}/package.xml"] == suite
-        launch = [path for path in files[suite] if path.endswith(".launch")]
-        assert launch and all(files[suite][path] == suite for path in launch)
+            said = subprocess.run(["file", "-b", binary], capture_output=True, text=True, check=True).stdout
+            assert all(word in said for word in ("ELF", *kind)), said
+        assert files[suite][f"{prefix}/share/{package}/package.xml"] == suite
     for of_suite in files.values():
         assert [path for path, package in of_suite.items() if not package] == []
     library = [path for path, package in files["rt-tests-support"].items() if package == "rt-tests-support"]
     assert not [path for path in library if path.endswith((".a", ".h", ".so"))]
-    assert files["rt-tests-support"]["/opt/ros/noetic/lib/librt_tests_support.a"] == "rt-tests-support-staticdev"
+    assert files["rt-tests-support"][f"{prefix}/lib/librt_tests_support.a"] == "rt-tests-support-staticdev"
+    for suite in PROGRAMS:
+        launch = [path for path in files[suite] if path.endswith(".launch")]
+        assert bool(launch) == (clients == [""]) and all(files[suite][path] == suite for path in launch)
     return build
 
 
 def test_fetch_to_install(make_build):
     """Of wrynose, which unpacks into UNPACKDIR; scarthgap, below, unpacks into WORKDIR as kirkstone does."""
-    build_suites(make_build, "wrynose-noetic", "pandaboard-es")
+    build_suites(make_build, "wrynose-noetic", "pandaboard-es", tools(), [""], ARM)
+
+
+def tools_of_this_machine(prefix):
+    """Lines for local.conf: this machine's compiler and a ROS 2 in place of a board's; the wheels have no rclcpp."""
+    return (
+        f'stub_setup = ". {prefix}/setup.sh"\nstub_compiler = "-DPython3_EXECUTABLE={rtgen.suites.SYSTEM_PYTHON}"\n'
+        "EXTRA_OECMAKE:remove = \"-DCMAKE_REQUIRE_FIND_PACKAGE_rclcpp='ON'\"\n"
+    )
+
+
+@pytest.mark.ros
+def test_on_ros_2(make_build):
+    """What is installed is where the runner looks. A recipe does without no client library."""
+    local = tools_of_this_machine(wheels.installed("kilted"))
+    build = build_suites(make_build, "wrynose-lyrical", "qemux86-64", local, ["_rcl"], ("x86-64",))
+    stage = build.folder / "tmp/stage/opt/ros/lyrical"
+    script = f". {Path(rtrun.__file__).parent}/on_target/middleware/rcl.sh"
+    environment = os.environ | {"ros_setup": str(stage / "setup.sh")}
+    said = subprocess.run(["sh", "-c", script], env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout
+    names = [f"{program}_rcl" for programs in PROGRAMS.values() for program in programs] + ["rt_tests_sampler"]
+    assert sorted(Path(line.removeprefix("program ")).name for line in said.splitlines()) == sorted(names)
+
+    conf = build.folder / "conf/local.conf"
+    conf.write_text(conf.read_text().replace("EXTRA_OECMAKE:remove", "UNUSED"))
+    done = build.try_bitbake(tasks=tasks("cyclic-timer-tests"))
+    assert done.returncode != 0 and "rclcpp" in done.stderr
 
 
 CAMPAIGN = """schema: 1
@@ -78,14 +117,14 @@ common: {repetitions: 20, policy: RR}
 runs:
   - {suite: oneshot_timer_tests}
   - {suite: cyclic_timer_tests, frequency_hz: 50}
-  - {suite: communication_tests, frequency_hz: 50}
+  - {suite: communication_tests, frequency_hz: 50, middleware: [roscpp, zeromq]}
 """
 
 
 @pytest.mark.qemu
 @pytest.mark.ros
 def test_programs_of_the_recipes_measure_on_the_board(make_build, tmp_path, monkeypatch):
-    build = build_suites(make_build, DEFAULT_PROFILE, "qemuarm")
+    build = build_suites(make_build, DEFAULT_PROFILE, "qemuarm", tools(), [""], ARM)
     suites = tmp_path / "suites"
     suites.mkdir()
     rtgen.suites.collect(build.folder / "tmp" / "stage" / "opt" / "ros" / "noetic", suites)
@@ -100,7 +139,7 @@ def test_programs_of_the_recipes_measure_on_the_board(make_build, tmp_path, monk
     (tmp_path / "campaign.yml").write_text(CAMPAIGN)
     assert rtrun.cli.main(["run", "campaign.yml", "--target", "target.yml"]) == 0
     records = [json.loads(path.read_text()) for path in (tmp_path / "results" / "recipes").glob("*/run.json")]
-    assert len(records) == 3
+    assert len(records) == 4
     assert {record["status"] for record in records} == {"ok"}
 
 

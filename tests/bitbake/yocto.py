@@ -24,7 +24,7 @@ NEEDS = re.compile(r'(?:(?<!TEST_)DEPENDS|RRECOMMENDS|PACKAGECONFIG)[^\s="]*\s*[
 
 @dataclass(frozen=True)
 class Yocto:
-    """A profile's checkouts and a build folder beside them."""
+    """A profile's checkouts, and a folder with its builds beside them."""
 
     top: Path
     name: str
@@ -34,12 +34,16 @@ class Yocto:
     """By machine: what was seen of it, by column of the summary."""
 
     @property
+    def work(self) -> Path:
+        return self.top / self.name
+
+    @property
     def build(self) -> Path:
-        return self.top / "build"
+        return self.work / "build"
 
     @property
     def layer(self) -> Path:
-        return self.top / "rendered" / "meta-rt-tests"
+        return self.work / "rendered" / "meta-rt-tests"
 
     @property
     def machine(self) -> str:
@@ -225,8 +229,8 @@ class Yocto:
     def _python2(self) -> Path:
         python = os.environ.get("RT_TESTS_PYTHON2") or shutil.which("python2.7")
         assert python, "BitBake 1.20 needs Python 2.7: give its path in RT_TESTS_PYTHON2"
-        folder = self.top / "python2"
-        folder.mkdir(exist_ok=True)
+        folder = self.work / "python2"
+        folder.mkdir(parents=True, exist_ok=True)
         for name in ("python", "python2", "python2.7"):
             if not (folder / name).exists():
                 (folder / name).symlink_to(python)
@@ -243,22 +247,25 @@ def _beginnings(words: set[str]) -> set[str]:
     return {"-".join(split[:end]) for word in words for split in [word.split("-")] for end in range(1, 9)}
 
 
-def open_checkouts(top: Path) -> Yocto:
+def open_checkouts(top: Path, wanted: str | None = None) -> Yocto:
     """Find the profile whose commits are checked out, render it, and configure a build of its first machine.
 
-    Fails with the commits that differ from those of the profile that comes nearest, where none fits.
+    `wanted` says which, where several have these commits. Fails with the commits that differ from those of the profile
+    that comes nearest, where none fits.
     """
-    profiles = {name: load_profile(name) for name in profile_names()}
+    profiles = {name: load_profile(name) for name in ([wanted] if wanted else profile_names())}
     differences = {name: _differences(top, profile) for name, (profile, _) in profiles.items()}
-    name = min(differences, key=lambda name: len(differences[name]))
+    name, *others = sorted(differences, key=lambda name: len(differences[name]))
     assert not differences[name], f"{top} holds no profile's checkouts, {name} comes nearest:\n" + "\n".join(
         differences[name]
     )
+    fitting = [name, *(other for other in others if not differences[other])]
+    assert len(fitting) == 1, f"{top} fits {', '.join(fitting)}: name one of them in RT_TESTS_PROFILE"
     profile, release = profiles[name]
-    # Another checkout of this repository may have linked its own sources there.
-    (top / "rendered" / "recipes-tests").unlink(missing_ok=True)
-    output.write(render(name, profile, release), top / "rendered")
     yocto = Yocto(top, name, profile, release)
+    # Another checkout of this repository may have linked its own sources there.
+    (yocto.work / "rendered" / "recipes-tests").unlink(missing_ok=True)
+    output.write(render(name, profile, release), yocto.work / "rendered")
     yocto.configure(yocto.build, yocto.machine)
     return yocto
 

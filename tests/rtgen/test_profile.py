@@ -32,8 +32,11 @@ def changed(tmp_path: Path, *changes: tuple[str, object], base: str = DEFAULT_PR
     return file
 
 
-def test_four_profiles_load():
-    assert profile_names() == ["kirkstone-noetic", "scarthgap-noetic", "thesis-2014", "wrynose-noetic"]
+def test_every_profile_loads():
+    assert profile_names() == [
+        "kirkstone-noetic", "scarthgap-humble", "scarthgap-jazzy", "scarthgap-noetic", "thesis-2014", "wrynose-lyrical",
+        "wrynose-noetic",
+    ]  # fmt: skip
     for name in profile_names():
         profile, release = load_profile(name)
         assert profile.ros_distro in release.ros_distros
@@ -67,7 +70,7 @@ def test_thesis_profile_has_every_version_of_table_3_2_1():
     ("changes", "message"),
     [
         ([("release", "dunfel")], "release: unknown release 'dunfel', known: kirkstone, scarthgap, wrynose, dora"),
-        ([("ros_distro", "hydro")], "ros_distro: 'hydro' is not supported with scarthgap, allowed: noetic"),
+        ([("ros_distro", "hydro")], "ros_distro: 'hydro' is not supported with scarthgap, allowed: noetic, humble"),
         ([("machines/beagleboard", {"kernel": {"recipe": "linux-yocto-rt", "version": "6.6", "rt": "branch"},
                                     "serial_console": {"device": "ttyS2", "baud": 115200}})],
          "machines.beagleboard: 'beagleboard' is not supported with scarthgap, allowed: pandaboard-es, qemuarm"),
@@ -78,6 +81,7 @@ def test_thesis_profile_has_every_version_of_table_3_2_1():
         ([("repositories/meta-ros/commit", "G" * 40)], "is not a commit of 40 lower-case hex digits"),
         ([("repositories/meta-ros/url", "/home/me/meta-ros")], "is not an http(s) or git address"),
         ([("repositories/meta-ros", None)], "repositories: no repository has the layer 'meta-ros1-noetic'"),
+        ([("ros_distro", "jazzy")], "no repository has the layer 'meta-ros2-jazzy', scarthgap needs it"),
         ([("machine", "qemuarm")], "unknown key 'machine', did you mean 'machines'? allowed: schema, summary, release"),
         ([("image/packages", ["htop; rm -rf /"])], "image.packages.0: 'htop; rm -rf /' is not a name"),
         ([("machines/pandaboard-es/serial_console/baud", "115200")], "machines.pandaboard-es.serial_console.baud: "),
@@ -156,7 +160,7 @@ def test_a_key_given_twice(tmp_path):
 
 
 def test_an_unknown_name():
-    with pytest.raises(UsageError, match="unknown profile 'dora', known: kirkstone-noetic,"):
+    with pytest.raises(UsageError, match="unknown profile 'dora', known: kirkstone-noetic, scarthgap-humble,"):
         load_profile("dora")
 
 
@@ -194,7 +198,7 @@ def test_list_derive_and_show(tmp_path, capsys):
     assert main(["profiles"]) == 0
     out = capsys.readouterr().out.splitlines()
     assert len(out) == len(profile_names())
-    assert "(default)" in out[1]
+    assert [line.split()[0] for line in out if "(default)" in line] == [DEFAULT_PROFILE]
 
     mine = tmp_path / "mine.yml"
     assert main(["new-profile", str(mine), "--from", "kirkstone-noetic"]) == 0

@@ -12,10 +12,11 @@ import pytest
 import yaml
 
 from rtfiles.errors import UsageError
+from rtgen import suites
 from rtgen.checkout import checkout
 from rtgen.cli import main
 from rtgen.kconfig import data as kconfig
-from rtgen.layer import output, programs
+from rtgen.layer import output, programs, recipes
 from rtgen.layer import render as layer
 from rtgen.layer.render import SymbolicLink, is_ours
 from rtgen.profile import Release, load_machines, load_profile, load_releases, profile_names
@@ -194,6 +195,54 @@ def test_old_and_new_syntax():
         for path, content in tree.items():
             if path.suffix in (".bb", ".bbappend", ".inc", ".bbclass") and isinstance(content, str):
                 assert not re.search(wrong, content, re.MULTILINE), path
+
+
+def test_what_follows_the_distribution_of_ros():
+    noetic, jazzy, lyrical = (tree_of(name) for name in ("scarthgap-noetic", "scarthgap-jazzy", "wrynose-lyrical"))
+    recipe = SUITES / "communication-tests_0.1.0.bb"
+    assert 'DEPENDS = "catkin-native message-generation message-runtime roscpp rt-tests-support"' in text(
+        noetic, recipe
+    )
+    assert 'DEPENDS = "ament-cmake-native rcl rclcpp rt-tests-support std-msgs"' in text(jazzy, recipe)
+    assert 'RDEPENDS:${PN} += "rcl rclcpp std-msgs"' in text(jazzy, recipe)
+    assert "inherit ros_distro_jazzy ros_component ros_ament_cmake\n" in text(jazzy, recipe)
+    for tree, distro in ((noetic, "noetic"), (jazzy, "jazzy")):
+        support = text(tree, SUITES / "rt-tests-support_0.1.0.bb")
+        assert f"inherit ros_distro_{distro} ros_component ros_cmake ptest\n" in support
+    transports = SUITES / "transport-tests_0.1.0.bb"
+    assert 'DEPENDS = "fastrtps rt-tests-support zeromq"' in text(jazzy, transports)
+    assert 'DEPENDS = "rt-tests-support zeromq"' in text(lyrical, transports)
+    assert "-DTRANSPORTS='fastdds;futex;tcp;udp;unix;zeromq'" in text(jazzy, transports)
+    case = "meta-rt-tests/lib/oeqa/runtime/cases/rt_tests.py"
+    assert "middleware: [roscpp]" in text(noetic, case) and "middleware: [rcl, rclcpp]" in text(jazzy, case)
+    image = "meta-rt-tests/recipes-core/images/rt-tests-image.bb"
+    assert "inherit core-image ros_distro_jazzy ros2_image " in text(jazzy, image)
+    layers = re.search(r'LAYERDEPENDS_rt-tests-layer = "(.*)"', text(jazzy, "meta-rt-tests/conf/layer.conf"))
+    assert layers and {"ros2-layer", "ros2-jazzy-layer"} <= {*layers[1].split()} and "ros1" not in layers[1]
+
+
+def test_every_transport_of_a_release_has_a_folder():
+    used = {
+        name for release in load_releases().values() for ros in release.ros_distros.values() for name in ros.transports
+    }
+    assert used <= {name for name, debian in suites.transports().items() if debian}
+
+
+@pytest.mark.parametrize(
+    ("condition", "version", "holds"),
+    [(None, 1, True), ("$ROS_VERSION == 2", 2, True), ("$ROS_VERSION == 2", 1, False), ("$ROS_VERSION != 2", 1, True)],
+)
+def test_conditions_of_a_package(tmp_path, condition, version, holds):
+    said = f' condition="{condition}"' if condition else ""
+    (tmp_path / "package.xml").write_text(f"<package><depend{said}>a</depend><exec_depend>b</exec_depend></package>")
+    needs = recipes.read_dependencies(tmp_path / "package.xml", version)
+    assert (needs.build, needs.run) == ((("a",), ("a", "b")) if holds else ((), ("b",)))
+
+
+def test_a_condition_that_nobody_reads(tmp_path):
+    (tmp_path / "package.xml").write_text('<package><depend condition="$ROS_DISTRO == jazzy">a</depend></package>')
+    with pytest.raises(UsageError, match=r"package\.xml: condition '\$ROS_DISTRO == jazzy': only \$ROS_VERSION == 2"):
+        recipes.read_dependencies(tmp_path / "package.xml", 2)
 
 
 def test_what_follows_the_release():

@@ -70,6 +70,13 @@ class KernelRecipe(Config):
     collection: str | None = None
 
 
+class RosDistro(Config):
+    """A ROS distribution in the layers of a release; releases.yml explains each key."""
+
+    version: Literal[1, 2]
+    transports: dict[str, RecipeName] = Field(default={})
+
+
 class Release(Config):
     """The facts of a Yocto release that a layer depends on; releases.yml explains each.
 
@@ -80,7 +87,7 @@ class Release(Config):
     modern: bool
     separator: Literal[":", "_"]
     unpack_folder: str
-    ros_distros: Strings
+    ros_distros: dict[str, RosDistro]
     kernels: dict[str, KernelRecipe]
     own_suites: bool
     machines: Strings
@@ -90,6 +97,15 @@ class Release(Config):
     wks_folder: str | None
     own_u_boot: bool
     key_types: Annotated[tuple[KeyType, ...], Field(strict=False, min_length=1)]
+
+    def with_layers_of(self, distro: str) -> Self:
+        """The release whose layers are those of images with one of its ROS distributions."""
+        version = self.ros_distros[distro].version
+
+        def filled(names: Strings) -> Strings:
+            return tuple(name.format(version=version, distro=distro) for name in names)
+
+        return self.model_copy(update={"layers": filled(self.layers), "layer_depends": filled(self.layer_depends)})
 
 
 class Releases(Config):
@@ -264,10 +280,17 @@ def load_profile(name: str) -> tuple[Profile, Release]:
     if profile.release not in releases:
         raise UsageError(f"{path}: release: {unknown('release', profile.release, known=releases)}")
     release = releases[profile.release]
+    if profile.ros_distro not in release.ros_distros:
+        raise UsageError(f"{path}: {_unsupported('ros_distro', profile.ros_distro, profile, release.ros_distros)}")
+    release = release.with_layers_of(profile.ros_distro)
     problems = _misfits(profile, release)
     if problems:
         raise UsageError("\n".join(f"{path}: {problem}" for problem in problems))
     return profile, release
+
+
+def _unsupported(key: str, value: str, profile: Profile, allowed: Iterable[str]) -> str:
+    return f"{key}: {value!r} is not supported with {profile.release}, allowed: {', '.join(allowed)}"
 
 
 def _misfits(profile: Profile, release: Release) -> list[str]:
@@ -276,9 +299,8 @@ def _misfits(profile: Profile, release: Release) -> list[str]:
 
     def check(key: str, value: str, allowed: tuple[str, ...]) -> None:
         if value not in allowed:
-            problems.append(f"{key}: {value!r} is not supported with {profile.release}, allowed: {', '.join(allowed)}")
+            problems.append(_unsupported(key, value, profile, allowed))
 
-    check("ros_distro", profile.ros_distro, release.ros_distros)
     layers = {
         layer: name for name, repository in profile.repositories.items() for layer in repository.layer_names(name)
     }

@@ -8,10 +8,8 @@ LIC_FILES_CHKSUM = "file://${COMMON_LICENSE_DIR}/BSD-3-Clause;md5=550794465ba0ec
 # In no database of vulnerabilities: a product of this name there would be other software.
 CVE_PRODUCT = ""
 
-DEPENDS = "catkin-native"
-
 SRC_URI = "file://${ROS_BPN}"
 
 S = "${WORKDIR}/${ROS_BPN}"
 
-inherit ros_distro_noetic ros_component ros_catkin
+inherit ros_distro_noetic ros_component ros_cmake

@@ -8,15 +8,14 @@ LIC_FILES_CHKSUM = "file://${COMMON_LICENSE_DIR}/BSD-3-Clause;md5=550794465ba0ec
 # In no database of vulnerabilities: a product of this name there would be other software.
 CVE_PRODUCT = ""
 
-DEPENDS = "catkin-native"
-DEPENDS += "${@bb.utils.contains("PTEST_ENABLED", "1", "googletest", "", d)}"
+DEPENDS = "${@bb.utils.contains("PTEST_ENABLED", "1", "googletest", "", d)}"
 
 SRC_URI = "file://${ROS_BPN}"
 SRC_URI += "${@bb.utils.contains("PTEST_ENABLED", "1", "file://unit_tests", "", d)}"
 
 S = "${WORKDIR}/${ROS_BPN}"
 
-inherit ros_distro_noetic ros_component ros_catkin ptest
+inherit ros_distro_noetic ros_component ros_cmake ptest
 
 # The library is static: its package for the target is empty.
 ALLOW_EMPTY:${PN} = "1"

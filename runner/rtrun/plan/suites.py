@@ -91,13 +91,6 @@ class Option(Config):
         raise ValueError(f"takes {self.allowed}, got {value!r}{',' if hint else ''}{hint}")
 
 
-class Packages(Config):
-    """ROS packages a suite needs to build and to run."""
-
-    build: Strings = ()
-    run: Strings = ()
-
-
 class Suite(Config):
     """One suite: its programs, the parameters each takes, and what it writes; or what is observed of other programs."""
 
@@ -111,7 +104,6 @@ class Suite(Config):
     output: str = ""
     logs: Strings = ()
     columns: Strings
-    packages: Packages = Packages()
     program_json: dict[str, str] = Field(default_factory=dict)
     """Of programs without samples: what stands between the output and ``.json`` in the name of the json they write."""
     repeated: str | None = None

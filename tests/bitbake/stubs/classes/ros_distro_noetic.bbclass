@@ -1,6 +1,2 @@
 ROS_DISTRO = "noetic"
-ros_prefix = "/opt/ros/${ROS_DISTRO}"
-FILES:${PN}-dbg = "${ros_prefix}/lib/*/.debug"
-FILES:${PN}-staticdev = "${ros_prefix}/lib/*.a"
-FILES:${PN}-dev = "${ros_prefix}/include ${ros_prefix}/lib/pkgconfig ${ros_prefix}/share/${ROS_BPN}/cmake"
-FILES:${PN} = "${ros_prefix}"
+inherit ros-distro-stub

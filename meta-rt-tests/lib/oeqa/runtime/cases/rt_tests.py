@@ -16,7 +16,7 @@ from oeqa.runtime.case import OERuntimeTestCase
 
 CAMPAIGN = """schema: 1
 name: testimage
-common: {repetitions: 50, policy: RR}
+common: {repetitions: 50, policy: RR, middleware: [roscpp]}
 runs:
   - {suite: oneshot_timer_tests}
   - {suite: cyclic_timer_tests, frequency_hz: 50}

@@ -1,0 +1,1 @@
+# stands for openembedded-core's or meta-ros'

@@ -1,0 +1,2 @@
+stub_prefix = "${ros_prefix}"
+inherit cmake-stub

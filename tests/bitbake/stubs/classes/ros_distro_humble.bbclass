@@ -1,0 +1,2 @@
+ROS_DISTRO = "humble"
+inherit ros-distro-stub

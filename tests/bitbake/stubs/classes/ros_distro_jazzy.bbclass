@@ -1,0 +1,2 @@
+ROS_DISTRO = "jazzy"
+inherit ros-distro-stub

@@ -1,0 +1,2 @@
+ROS_DISTRO = "lyrical"
+inherit ros-distro-stub
