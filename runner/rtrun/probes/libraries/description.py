@@ -1,0 +1,126 @@
+"""What is known of each library with probes without a target: `<name>.yml` beside this module.
+
+A probe is what the kernel places at a function (Documentation/trace/uprobetracer.rst): the arguments it records are
+written as tracefs takes them, for each architecture.
+"""
+
+import functools
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from rtfiles.config import Config, load, matching
+
+ARCHITECTURES = ("x86_64", "aarch64", "armv7")
+Architecture = Literal["x86_64", "aarch64", "armv7"]
+
+# What the kernel is asked to read: a register, a place in memory or the value returned, and its type.
+Fetch = Annotated[
+    str,
+    matching(
+        r"[%$+()\w]{2,60}:(?:[sux](?:8|16|32|64)|string)",
+        "an argument as tracefs takes it, with its type, as +0(%di):u64",
+    ),
+]
+_Name = Annotated[str, matching("[a-z][a-z0-9_]{0,23}", "a name in small letters")]
+
+
+class Halves(Config):
+    """A number of 64 bits that two registers hold."""
+
+    low: Fetch
+    high: Fetch
+
+
+class Seconds(Config):
+    """A time in nanoseconds, of its seconds and its nanoseconds."""
+
+    seconds: Fetch
+    nanoseconds: Fetch
+
+
+class Named(Config):
+    """A number that stands for a name; one that has none gives no value."""
+
+    number: Fetch
+    names: dict[Annotated[int, Field(strict=False)], str]
+
+
+class Reduced(Config):
+    """A number that is too large by so much; never below 0."""
+
+    number: Fetch
+    less: int
+
+
+class Bytes(Config):
+    """Bytes of a message from its byte number `at` on, as a number; those beyond the value `of` count as 0."""
+
+    number: Fetch
+    at: int
+    of: str
+
+
+Argument = Fetch | Halves | Seconds | Named | Reduced | Bytes
+
+
+class Beside(Config):
+    """Another library of the same process, and a symbol in it that tells one release from another."""
+
+    library: str
+    symbol: str
+
+
+class Probe(Config):
+    """A function whose calls, or returns, are an event.
+
+    A probe at the return changes the return address on the stack: an exception of C++ that passes through the function
+    then ends the program. Such probes are placed only where they were asked for.
+    """
+
+    event: _Name
+    symbols: Annotated[tuple[str, ...], Field(strict=False, min_length=1)]
+    """The first of these that the library has, as it stands in its table."""
+    at_return: bool = False
+    only_with: Beside | None = None
+    only_without: Beside | None = None
+    constants: dict[_Name, str | int] = Field(default_factory=dict)
+    """Values that every hit has."""
+    arguments: dict[Architecture, dict[_Name, Argument]] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check_arguments(self) -> "Probe":
+        for values in self.arguments.values():
+            for name, argument in values.items():
+                if isinstance(argument, Bytes) and argument.of not in values:
+                    raise ValueError(f"{name}: there is no argument {argument.of!r}")
+        return self
+
+
+class Library(Config):
+    """A library whose functions tell what programs do."""
+
+    summary: str
+    file: str
+    """Regular expression of the file's name."""
+    without: str
+    """What it means when one of the symbols is not there."""
+    probes: Annotated[tuple[Probe, ...], Field(strict=False)]
+
+    def is_file(self, path: str) -> bool:
+        """Whether a path is that of this library."""
+        return re.fullmatch(self.file, path.rpartition("/")[2], re.ASCII) is not None
+
+
+@functools.cache
+def libraries() -> Mapping[str, Library]:
+    """Every library with probes by its name."""
+    return {path.stem: load(path, Library) for path in sorted(Path(__file__).parent.glob("*.yml"))}
+
+
+def events() -> tuple[str, ...]:
+    """The events that there are, each once."""
+    return tuple(dict.fromkeys(probe.event for library in libraries().values() for probe in library.probes))

@@ -1,0 +1,217 @@
+"""Which probes observe which libraries of a target: symbols of its own files, resolved here and kept in the cache."""
+
+import hashlib
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+from rtfiles import cache
+from rtfiles.untrusted import read_bytes, whole_number
+from rtrun.probes.libraries.description import Argument, Bytes, Halves, Named, Probe, Reduced, Seconds, libraries
+from rtrun.probes.programs import FoundProgram, MappedLibrary
+from rtrun.probes.symbols import FILE_BYTES_MAX, LibrarySymbols, NotProbed, read_symbols
+from rtrun.targets.errors import TargetError
+
+if TYPE_CHECKING:
+    from rtrun.targets.link import Link
+
+KIND = "probed-libraries"
+# A board's checksums of some MiB from an SD card.
+LOOK_S = 120.0
+# Since 5.3 several probes may be one event, and the kernel knows a second probe at the same place of the same file.
+_SHARED_SINCE = (5, 3)
+# The file as the kernel shows it to us, if that is the one that is mapped: a program in a container, or in a folder of
+# its own, sees others by this path, and the file may have been replaced. tracefs takes no blanks in a path.
+_LOOK = r"""
+cat /proc/sys/kernel/osrelease
+while IFS=' ' read -r pid range path; do
+    mapped=/proc/$pid/map_files/$range
+    for file in "$path" "/proc/$pid/root$path" "$mapped"; do
+        case $file in *[[:blank:]]*) continue ;; esac
+        [ "$file" -ef "$mapped" ] && break
+    done
+    size=$(wc -c <"$file") && digest=$(sha256sum <"$file") && echo "$pid $range $size ${digest%% *} $file"
+done 2>/dev/null
+exit 0
+"""
+_LOOKED = re.compile(r"(\d{1,7}) ([0-9a-f]{1,16}-[0-9a-f]{1,16}) (\d{1,20}) ([0-9a-f]{64}) (/\S{1,4200})", re.ASCII)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlacedProbe:
+    """A probe as it is to be placed: `name` is that of its event in the target's trace, `line` what tracefs is told.
+
+    The line is as watch_probes.sh takes it, without the group: ``p NAME PLACE ARGUMENT...``.
+    """
+
+    name: str
+    line: str
+    event: str
+    arguments: Mapping[str, Argument]
+    constants: Mapping[str, str | int]
+    path: str
+    """The library's, as its programs have it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RefusedProbe:
+    """A probe that is not placed; `event` is empty where no probe of this library is."""
+
+    path: str
+    event: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Placement:
+    """The probes for some programs."""
+
+    probes: tuple[PlacedProbe, ...]
+    refused: tuple[RefusedProbe, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _File:
+    """A library's file on the target, as it can be opened there."""
+
+    size_bytes: int
+    sha256: str
+    path: str
+
+
+def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str], returns: bool = False) -> Placement:
+    """Resolve the probes for the libraries of these programs; only their files are read from the target.
+
+    `events` are canonical names; those at returns of functions are placed with `returns` alone. Raises TargetError.
+    """
+    # One process for each file.
+    users: dict[tuple[str, int], tuple[FoundProgram, MappedLibrary]] = {}
+    for program in found:
+        for each in program.mapped:
+            users.setdefault((each.device, each.inode), (program, each))
+    release, files = _look(link, users.values())
+    is_shared = release >= _SHARED_SINCE
+    resolved = {file.sha256: _resolve(link, file) for file in files.values()}
+
+    def symbols_of(each: MappedLibrary) -> LibrarySymbols | NotProbed:
+        if each.is_deleted:
+            return NotProbed("its file was replaced while the program runs: restart the program")
+        file = files.get((each.device, each.inode))
+        return resolved[file.sha256] if file is not None else NotProbed("its file cannot be read; that takes root")
+
+    probes: list[PlacedProbe] = []
+    refused: list[RefusedProbe] = []
+    numbers: dict[str, int] = {}
+    for key, (program, mapped) in users.items():
+        symbols = symbols_of(mapped)
+        if isinstance(symbols, NotProbed):
+            refused.append(RefusedProbe(path=mapped.path, event="", reason=symbols.reason))
+            continue
+        file = files[key]
+        number = numbers.setdefault(file.sha256 if is_shared else str(key), len(numbers))
+        library = libraries()[mapped.library]
+        for index, probe in enumerate(library.probes):
+            if probe.event not in events or (probe.at_return and not returns):
+                continue
+            is_for = _is_for(probe, {each.library: symbols_of(each) for each in program.mapped})
+            if isinstance(is_for, NotProbed):
+                refused.append(RefusedProbe(path=mapped.path, event=probe.event, reason=is_for.reason))
+            if is_for is not True:
+                continue
+            name = f"{probe.event}_{number}_{index}"
+            line = _line(probe, symbols, name, file.path, library.without)
+            if isinstance(line, NotProbed):
+                refused.append(RefusedProbe(path=mapped.path, event=probe.event, reason=line.reason))
+                continue
+            probes.append(
+                PlacedProbe(
+                    name=name,
+                    line=line,
+                    event=probe.event,
+                    arguments=probe.arguments[symbols.architecture],
+                    constants=probe.constants,
+                    path=mapped.path,
+                )
+            )
+    return Placement(probes=tuple(probes), refused=tuple(refused))
+
+
+def _is_for(probe: Probe, symbols: Mapping[str, LibrarySymbols | NotProbed]) -> bool | NotProbed:
+    """Whether a probe is for the release that a program's libraries are of."""
+    for beside, expected in ((probe.only_with, True), (probe.only_without, False)):
+        if beside is None:
+            continue
+        other = symbols.get(beside.library, NotProbed("the program does not map it"))
+        if isinstance(other, NotProbed):
+            return NotProbed(f"its arguments differ between releases, which {beside.library} tells: {other.reason}")
+        if (beside.symbol in other.offsets) is not expected:
+            return False
+    return True
+
+
+def _line(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without: str) -> str | NotProbed:
+    """What tracefs is told of a probe."""
+    values = probe.arguments.get(symbols.architecture)
+    if values is None:
+        return NotProbed(f"nothing is known of its arguments on {symbols.architecture}")
+    symbol = next((each for each in probe.symbols if each in symbols.offsets), None)
+    if symbol is None:
+        return NotProbed(f"it has no function {probe.symbols[0]}: {without}")
+    offset = symbols.offsets[symbol]
+    if isinstance(offset, NotProbed):
+        return NotProbed(f"{symbol}: {offset.reason}")
+    words: list[str] = []
+    for value, argument in values.items():
+        if isinstance(argument, Halves):
+            words += [f"{value}_low={argument.low}", f"{value}_high={argument.high}"]
+        elif isinstance(argument, Seconds):
+            words += [f"{value}_s={argument.seconds}", f"{value}_ns={argument.nanoseconds}"]
+        elif isinstance(argument, Named | Reduced | Bytes):
+            words.append(f"{value}={argument.number}")
+        else:
+            words.append(f"{value}={argument}")
+    kind = "r" if probe.at_return else "p"
+    return " ".join([kind, name, f"{path}:{offset:#x}", *words])
+
+
+def _look(
+    link: "Link", users: Collection[tuple[FoundProgram, MappedLibrary]]
+) -> tuple[tuple[int, ...], dict[tuple[str, int], _File]]:
+    """Ask for the kernel's release, and for the files that these processes map, by device and inode."""
+    asked = {(program.program.pid, each.range): each for program, each in users if not each.is_deleted}
+    stdin = "".join(f"{pid} {each.range} {each.path}\n" for (pid, _), each in asked.items())
+    first, *lines = link.check(["sh", "-c", _LOOK], deadline_s=LOOK_S, stdin=stdin).splitlines() or [""]
+    release = tuple(int(number) for number in re.findall(r"\d{1,4}", first, re.ASCII)[:2])
+    files = {}
+    for line in lines:
+        match = _LOOKED.fullmatch(line)
+        key = (int(match[1]), match[2]) if match is not None else None
+        if match is None or key not in asked:
+            raise TargetError(f"{link.target.address}: no answer about a library: {line[:80]!r}")
+        each, path = asked[key], match[5]
+        mapped = f"/proc/{key[0]}/map_files/{each.range}"
+        if path not in (each.path, f"/proc/{key[0]}/root{each.path}", mapped):
+            raise TargetError(f"{link.target.address}: asked about {each.path}, it answers about {path[:200]!r}")
+        size_bytes = whole_number(match[3], lowest=0, highest=2**62)
+        files[each.device, each.inode] = _File(size_bytes=size_bytes, sha256=match[4], path=path)
+    return release, files
+
+
+def _resolve(link: "Link", file: _File) -> LibrarySymbols | NotProbed:
+    """Find all functions that any probe may need in a file of the target, which is brought here once."""
+    if file.size_bytes > FILE_BYTES_MAX:
+        return NotProbed(f"it has {file.size_bytes} bytes; a library has {FILE_BYTES_MAX} at most")
+
+    def download(folder: Path) -> None:
+        path = PurePosixPath(file.path)
+        link.do(lambda connection: connection.download(path.parent, {path.name: file.size_bytes}, folder))
+        data = read_bytes(folder / path.name, max_bytes=FILE_BYTES_MAX)
+        if hashlib.sha256(data).hexdigest() != file.sha256:
+            raise TargetError(f"{link.target.address}: {file.path} changed while it was read")
+        (folder / path.name).rename(folder / "library")
+
+    known = libraries().values()
+    names = {symbol for library in known for probe in library.probes for symbol in probe.symbols}
+    return read_symbols(cache.entry(KIND, file.sha256, download) / "library", names)

@@ -1,0 +1,103 @@
+"""Where in a library's file a function begins, read from the file itself, which comes from a target.
+
+A probe is placed at an offset of the file. Where that is not certain there is a reason instead: a probe at any other
+place makes programs compute wrongly.
+"""
+
+import io
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
+
+from rtfiles.errors import UsageError
+from rtfiles.untrusted import read_bytes
+from rtrun.probes.libraries.description import Architecture
+
+FILE_BYTES_MAX = 64 * 1024 * 1024
+# libroscpp has 5000.
+SYMBOLS_MAX = 200_000
+# The machine of ELF's header, its class in bits.
+_ARCHITECTURES: dict[tuple[str, int], Architecture] = {
+    ("EM_X86_64", 64): "x86_64",
+    ("EM_AARCH64", 64): "aarch64",
+    ("EM_ARM", 32): "armv7",
+}
+_EXECUTABLE = 1
+
+
+@dataclass(frozen=True, slots=True)
+class NotProbed:
+    """Why there is no probe at a function."""
+
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LibrarySymbols:
+    """The functions of one file that were looked for: the offset of each, or why it has none.
+
+    Names that are not in here are not in the file.
+    """
+
+    architecture: Architecture
+    offsets: dict[str, int | NotProbed]
+
+
+def read_symbols(path: Path, names: Collection[str]) -> LibrarySymbols | NotProbed:
+    """Find functions in the table of dynamic symbols, which every library has. Nothing is raised for any file."""
+    try:
+        data = read_bytes(path, max_bytes=FILE_BYTES_MAX)
+    except UsageError as error:
+        return NotProbed(str(error))
+    try:
+        return _read(ELFFile(io.BytesIO(data)), len(data), names)
+    except Exception as error:
+        # pyelftools raises what Python raises of a damaged file: its own, of struct, of lists, of memory.
+        return NotProbed(f"no library that can be read: {type(error).__name__}: {str(error)[:120]}")
+
+
+def _read(file: ELFFile, size_bytes: int, names: Collection[str]) -> LibrarySymbols | NotProbed:
+    machine, bits = str(file.header["e_machine"]), file.elfclass
+    architecture = _ARCHITECTURES.get((machine, bits)) if file.little_endian else None
+    if architecture is None:
+        order = "little-endian" if file.little_endian else "big-endian"
+        known = ", ".join(_ARCHITECTURES.values())
+        return NotProbed(f"its architecture is {machine}, {bits} bits, {order}; probes are known for {known}")
+    segments = [
+        (each["p_vaddr"], each["p_offset"], each["p_filesz"])
+        for each in file.iter_segments("PT_LOAD")
+        if each["p_flags"] & _EXECUTABLE
+    ]
+    table = next((each for each in file.iter_sections("SHT_DYNSYM") if isinstance(each, SymbolTableSection)), None)
+    if table is None:
+        return NotProbed("it has no table of dynamic symbols: its section headers were stripped")
+    if table.num_symbols() > SYMBOLS_MAX or table["sh_size"] > size_bytes:
+        return NotProbed(f"its table claims {table.num_symbols()} symbols, more than any library has")
+    offsets: dict[str, int | NotProbed] = {}
+    for symbol in table.iter_symbols():
+        name = symbol.name
+        if name not in names or symbol["st_shndx"] == "SHN_UNDEF":
+            continue
+        offset = _offset(symbol["st_value"], symbol["st_info"]["type"], segments)
+        if name in offsets and offsets[name] != offset:
+            offset = NotProbed("its table has two functions of this name")
+        offsets[name] = offset
+    return LibrarySymbols(architecture=architecture, offsets=offsets)
+
+
+def _offset(value: int, kind: str, segments: Collection[tuple[int, int, int]]) -> int | NotProbed:
+    """The offset in the file of an address, in the part of the file that is executed."""
+    if kind != "STT_FUNC":
+        return NotProbed(f"it is no plain function ({kind})")
+    if value % 2:
+        return NotProbed(
+            f"its address {value:#x} is odd: Thumb code, where the kernel may take a probe that makes the program "
+            "compute wrongly; build the library as ARM code (-marm)"
+        )
+    found = [value - address + offset for address, offset, size in segments if address <= value < address + size]
+    if len(found) != 1:
+        return NotProbed(f"its address {value:#x} is in {len(found)} executable parts of the file, not in one")
+    return found[0]
