@@ -10,10 +10,11 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import IO
 
 from rtrun.targets.address import ThisMachine
 from rtrun.targets.errors import DeadlineExpired, TargetError
-from rtrun.targets.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, Collector, TooMuch
+from rtrun.targets.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, POLL_S, Collector, TooMuch
 
 PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 
@@ -31,7 +32,13 @@ class LocalShell:
         """Nothing is open."""
 
     def execute(
-        self, argv: Sequence[str], stdin: Iterable[bytes], take: Callable[[bytes], None], deadline_s: float
+        self,
+        argv: Sequence[str],
+        stdin: Iterable[bytes],
+        take: Callable[[bytes], None],
+        deadline_s: float,
+        *,
+        is_over: Callable[[], bool] | None = None,
     ) -> tuple[int, str]:
         """As `Shell.execute`."""
         deadline = time.monotonic() + deadline_s
@@ -40,7 +47,7 @@ class LocalShell:
             process = self._start(argv)
         try:
             release()
-            _exchange(process, stdin, take, stderr, deadline)
+            _exchange(process, stdin, take, stderr, deadline, is_over)
             process.wait(max(0.0, deadline - time.monotonic()))
         except BaseException as error:
             # With all that it started. Its number belongs to it as long as nobody has waited for it.
@@ -132,6 +139,7 @@ def _exchange(
     take_stdout: Callable[[bytes], None],
     take_stderr: Callable[[bytes], None],
     deadline: float,
+    is_over: Callable[[], bool] | None,
 ) -> None:
     """Write and read until both outputs have ended. Raises TimeoutExpired at the deadline (monotonic seconds)."""
     assert process.stdin is not None and process.stdout is not None and process.stderr is not None
@@ -145,6 +153,10 @@ def _exchange(
             remaining_s = deadline - time.monotonic()
             if remaining_s <= 0:
                 raise subprocess.TimeoutExpired(process.args, 0)
+            if is_over is not None and not process.stdin.closed:
+                remaining_s = min(remaining_s, POLL_S)
+                if is_over():
+                    _close_stdin(process.stdin, selector)
             for key, _ in selector.select(remaining_s):
                 if key.fileobj is process.stdin:
                     pending = pending or next(chunks, b"")
@@ -156,12 +168,20 @@ def _exchange(
                     pending = pending[written:]
                     if written:
                         continue
-                    selector.unregister(process.stdin)
-                    process.stdin.close()
+                    if is_over is None:
+                        _close_stdin(process.stdin, selector)
+                    else:
+                        selector.unregister(process.stdin)
                 elif data := os.read(key.fd, CHUNK_BYTES):
                     key.data(data)
                 else:
                     selector.unregister(key.fileobj)
+
+
+def _close_stdin(stdin: IO[bytes], selector: selectors.BaseSelector) -> None:
+    with contextlib.suppress(KeyError):
+        selector.unregister(stdin)
+    stdin.close()
 
 
 def _shut_down(stream: socket.socket) -> None:

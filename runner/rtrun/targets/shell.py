@@ -7,17 +7,26 @@ from typing import Any, Protocol
 CHUNK_BYTES = 32768
 # What a command may print. The largest that is read whole is the kernel's configuration with some 300 KiB.
 OUTPUT_BYTES_MAX = 8 * 1024 * 1024
+# How often a command that waits for the end of its standard input is looked after.
+POLL_S = 0.2
 
 
 class Shell(Protocol):
     """Runs commands on a target, each within its deadline. Every transport failure is a `ConnectionLost`."""
 
     def execute(
-        self, argv: Sequence[str], stdin: Iterable[bytes], take: Callable[[bytes], None], deadline_s: float
+        self,
+        argv: Sequence[str],
+        stdin: Iterable[bytes],
+        take: Callable[[bytes], None],
+        deadline_s: float,
+        *,
+        is_over: Callable[[], bool] | None = None,
     ) -> tuple[int, str]:
         """Run a command, hand what it prints to `take`, and return its exit status and its standard error.
 
-        Raises DeadlineExpired once what was started has been killed; TargetError when `take` raises TooMuch.
+        Its standard input ends after `stdin`, or stays open until `is_over`, which is asked every POLL_S. Raises
+        DeadlineExpired once what was started has been killed; TargetError when `take` raises TooMuch.
         """
 
     def open_port(self, port: int, deadline_s: float) -> AbstractContextManager[Any]:

@@ -16,7 +16,7 @@ from rtrun.plan.limits import PID_MAX
 from rtrun.targets import groups
 from rtrun.targets.address import Address
 from rtrun.targets.errors import ConnectionLost, DeadlineExpired, TargetError
-from rtrun.targets.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, Collector, TooMuch
+from rtrun.targets.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, POLL_S, Collector, TooMuch
 from rtrun.targets.ssh.transport import FORBIDDEN, connect, reason, shutting_down
 
 # All that a window holds: paramiko moves what is left in its buffer, up to 2 MiB, each time a part of it is taken.
@@ -112,7 +112,13 @@ class SshShell:
             channel.close()
 
     def execute(
-        self, argv: Sequence[str], stdin: Iterable[bytes], take: Callable[[bytes], None], deadline_s: float
+        self,
+        argv: Sequence[str],
+        stdin: Iterable[bytes],
+        take: Callable[[bytes], None],
+        deadline_s: float,
+        *,
+        is_over: Callable[[], bool] | None = None,
     ) -> tuple[int, str]:
         """Run a command, hand what it prints to `take`, and return its exit status and its standard error."""
         deadline = time.monotonic() + deadline_s
@@ -129,8 +135,9 @@ class SshShell:
                 with contextlib.suppress(OSError):
                     for chunk in stdin:
                         channel.sendall(chunk)
-                    channel.shutdown_write()
-                ended = self._read(channel, deadline, stdout, stderr)
+                    if is_over is None:
+                        channel.shutdown_write()
+                ended = self._read(channel, deadline, stdout, stderr, is_over)
                 # A status that comes as the time is up may stand before output that was not read.
                 status = channel.recv_exit_status() if ended and channel.exit_status_ready() else None
             except TooMuch as error:
@@ -152,12 +159,20 @@ class SshShell:
         deadline: float,
         stdout: Callable[[bytes], None],
         stderr: Callable[[bytes], None],
+        is_over: Callable[[], bool] | None,
     ) -> bool:
         """Read both streams until they end and the exit status is there, or the deadline (monotonic seconds) passes.
 
-        Return whether they ended.
+        Once it is over, standard input is ended. Return whether the streams ended.
         """
         while (remaining_s := deadline - time.monotonic()) > 0:
+            if is_over is not None:
+                if is_over():
+                    is_over = None
+                    with contextlib.suppress(OSError):
+                        channel.shutdown_write()
+                else:
+                    remaining_s = min(remaining_s, POLL_S)
             # Asked before the buffers: what arrives in between is read in the next turn.
             ended = channel.eof_received or channel.closed
             chunks = (
@@ -172,7 +187,7 @@ class SshShell:
             self.stream.unread_bytes = 0
             if ended:
                 # The exit status may come before or after the end of the streams.
-                channel.status_event.wait(remaining_s)
+                channel.status_event.wait(deadline - time.monotonic())
                 return True
             select.select([channel], [], [], remaining_s)
         return False
