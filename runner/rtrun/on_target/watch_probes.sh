@@ -1,0 +1,319 @@
+#!/bin/sh
+# Place probes in a trace of their own, print what they record once a second, and take everything off when the standard
+# input ends: the runner was killed, or the link was cut. probes/stream.py reads what is printed.
+#
+#   watch_probes.sh SECONDS BUFFER_KB LIMIT PATTERN [EVENT...]
+#       SECONDS    after which everything is taken off in any case
+#       BUFFER_KB  of memory for each CPU
+#       LIMIT      events in a second; above it the probes rest for a share of the time
+#       PATTERN    for find_programs.sh beside this file
+#       EVENT      of the kernel, below `events` in tracefs, recorded as well; left out where the kernel does not have it
+#
+# Standard input: a line "p NAME PLACE ARGUMENT..." for each probe (r: at the return), "watch PID..." for the programs
+# whose threads are to be told, "go"; then nothing, as long as the probes are to stay.
+#
+# The names of trace and probes tell which process takes them off: "rtrun-observe-" and "rtrun_observe_", then its
+# namespace, pid and start time. What a killed one has left is removed at the next start; other names are left alone.
+set -u
+case $1 in
+inside) shift ;;
+*)
+    command -v setsid >/dev/null || { echo "observing needs the program setsid on the target" >&2; exit 3; }
+    # In a session of its own: whoever kills a command kills its group, and this one has to live on to clean up.
+    exec 3<&0
+    setsid "$0" inside "$@" <&3 3<&- &
+    inside=$!
+    trap 'kill -TERM $inside' TERM HUP INT
+    wait $inside
+    status=$?
+    # A signal ends `wait` early.
+    [ $status -le 128 ] || { wait $inside; status=$?; }
+    exit $status
+    ;;
+esac
+seconds=$1 buffer_kb=$2 limit=$3 pattern=$4
+shift 4
+events=$*
+scripts=${0%/*}
+tracing=/sys/kernel/tracing
+# Whoever reads may go away: a failed print ends what prints, not this.
+trap '' PIPE
+
+fail() {
+    echo "$1" >&2
+    exit 3
+}
+
+# The start time of a process, in ticks since the boot: field 22 of proc(5).
+started() {
+    read -r stat <"/proc/$1/stat" || return 0
+    # shellcheck disable=SC2086 # numbers
+    set -- ${stat##*) }
+    shift 19
+    echo "$1"
+} 2>/dev/null
+
+# Whether the process in a name has ended. Processes of another namespace cannot be seen from here.
+is_gone() {
+    case $1 in
+    "${namespace}"_[0-9]*_[0-9]*) ;;
+    *) return 1 ;;
+    esac
+    rest=${1#*_}
+    [ "$(started "${rest%_*}")" != "${rest#*_}" ]
+}
+
+# Take off what has a name. Of several tries: what still reads a page keeps its trace busy.
+remove() {
+    old=$tracing/instances/rtrun-observe-$1
+    if [ -d "$old" ]; then
+        echo 0 >"$old/tracing_on"
+        echo 0 >"$old/events/enable"
+        for _ in 1 2 3 4 5 6 7 8 9 10; do
+            rmdir "$old" && break
+            sleep 0.1
+        done
+    fi
+    sed -n "s,^[pr][0-9]*:\(rtrun_observe_$1/[^ ]*\) .*,-:\1,p" $tracing/uprobe_events | sort -u | while read -r line; do
+        echo "$line" >>$tracing/uprobe_events
+    done
+    ! [ -d "$old" ] && ! grep -q ":rtrun_observe_$1/" $tracing/uprobe_events
+} 2>/dev/null
+
+remove_leftovers() {
+    {
+        for each in $tracing/instances/rtrun-observe-*; do echo "${each##*/rtrun-observe-}"; done
+        sed -n 's,^[pr][0-9]*:rtrun_observe_\([^/]*\)/.*,\1,p' $tracing/uprobe_events
+    } | sort -u | while read -r old_name; do
+        if is_gone "$old_name"; then remove "$old_name"; fi
+    done
+}
+
+mark() {
+    echo "rtrun $1" >"$instance/trace_marker"
+} 2>/dev/null
+
+# Of the buffer of a CPU: entries, overrun, bytes, dropped, read.
+statistics() {
+    while IFS=: read -r key value; do
+        case $key in
+        entries) entries=${value# } ;;
+        overrun) overrun=${value# } ;;
+        bytes) bytes=${value# } ;;
+        "dropped events") dropped=${value# } ;;
+        "read events") read=${value# } ;;
+        esac
+    done <"$1/stats"
+}
+
+# Only what is there already is read: to read more would be to wait for it. Of a page there are at most $data_bytes.
+print_cpu() {
+    statistics "$1"
+    total=$((total + entries + read + overrun))
+    if [ "$overrun $dropped" != "0 0" ]; then echo "lost ${1##*/cpu} $overrun $dropped"; fi
+    [ "$entries" -gt 0 ] || return 0
+    goal=$((entries + read))
+    echo "pages ${1##*/cpu}" || exit 1
+    for _ in 1 2 3 4 5 6 7 8; do
+        pages=1
+        # Old kernels may count bytes below zero.
+        if [ ${#bytes} -lt 12 ] && [ "$bytes" -gt "$data_bytes" ]; then pages=$((bytes / data_bytes)); fi
+        [ $pages -le $((buffer_kb * 1024 / data_bytes + 1)) ] || pages=1
+        dd if="$1/trace_pipe_raw" bs=$page_bytes count=$pages 2>/dev/null || exit 1
+        statistics "$1"
+        if [ "$entries" -eq 0 ] || [ "$read" -ge $goal ]; then break; fi
+    done
+    echo "rtrun end pages" || exit 1
+}
+
+# How far CLOCK_REALTIME is ahead of CLOCK_MONOTONIC.
+print_realtime() {
+    sed -n '/^ clock 1:/,/offset/{s,^ *\.offset: *\(-\{0\,1\}[0-9]*\) nsecs.*,realtime \1,p;/offset/q;}' /proc/timer_list
+} 2>/dev/null
+
+print_formats() {
+    for file; do
+        [ -r "$file" ] || continue
+        echo "format ${file#"$instance/events/"}"
+        cat "$file"
+        echo "rtrun end format"
+    done
+}
+
+# Programs whose threads have changed, and programs that are new: a library may be loaded seconds after the start.
+print_programs() {
+    asked=
+    still=
+    for pid in $watched; do
+        if [ -d "/proc/$pid" ]; then
+            still="$still $pid"
+            set -- "/proc/$pid"/task/*
+            eval "[ \"\${tasks_$pid-}\" = \"\$*\" ]" || asked="$asked /proc/$pid"
+            eval "tasks_$pid=\$*"
+        else
+            echo "ended $pid"
+        fi
+    done
+    watched=$still
+    set -- /proc/[0-9]*
+    if [ "$*" != "$processes" ]; then
+        for process; do
+            case " $processes " in *" $process "*) ;; *) young="$young $process:8" ;; esac
+        done
+        processes=$*
+    fi
+    older=
+    for each in $young; do
+        process=${each%:*} age=${each#*:}
+        [ -d "$process" ] || continue
+        case " $watched " in *" ${process#/proc/} "*) continue ;; esac
+        asked="$asked $process"
+        if [ "$age" -gt 0 ]; then older="$older $process:$((age - 1))"; fi
+    done
+    young=$older
+    [ -n "$asked" ] || return 0
+    # shellcheck disable=SC2086 # names without blanks
+    answer=$("$scripts/find_programs.sh" "$pattern" $asked)
+    [ -n "$answer" ] || return 0
+    echo "programs"
+    printf '%s\n' "$answer"
+    echo "rtrun end programs"
+    for process in $asked; do
+        pid=${process#/proc/}
+        case " $watched " in *" $pid "*) continue ;; esac
+        case $answer in *"program $pid
+"*) watched="$watched $pid" ;; esac
+    done
+}
+
+# Above the limit the events are switched off for so long that the mean is below it.
+rest_above_limit() {
+    rate=$((total - before))
+    before=$total
+    [ $rate -gt "$limit" ] || return 0
+    pause=$((rate / limit))
+    [ $pause -le 10 ] || pause=10
+    mark rests
+    echo 0 >"$instance/events/enable"
+    sleep $pause >/dev/null &
+    wait $!
+    enable_events
+    mark observes
+}
+
+enable_events() {
+    for each in $events "$group"; do
+        if [ -e "$instance/events/$each/enable" ]; then echo 1 >"$instance/events/$each/enable"; fi
+    done
+} 2>/dev/null
+
+print_rounds() {
+    is_ended=
+    trap 'is_ended=1' USR1
+    number=0
+    before=0
+    young=
+    set -- /proc/[0-9]*
+    processes=$*
+    while :; do
+        total=0
+        number=$((number + 1))
+        mark "round $number"
+        echo "round $number" || exit 1
+        print_realtime
+        for cpu in "$instance"/per_cpu/cpu*; do print_cpu "$cpu"; done
+        [ -z "$is_ended" ] || break
+        print_programs
+        rest_above_limit
+        sleep 1 >/dev/null &
+        wait $!
+    done
+}
+
+# The last events are printed first, unless nobody reads any more.
+take_off() {
+    trap '' TERM HUP INT
+    trap - EXIT
+    if [ -n "$printer" ]; then
+        echo 0 >"$instance/tracing_on"
+        kill -USR1 "$printer"
+        { sleep 5; kill -TERM 0; } >/dev/null &
+        killer=$!
+        wait "$printer"
+        kill -KILL $killer
+    fi 2>/dev/null
+    if remove "$name"; then echo "done"; else echo "left $name"; fi
+    # Whatever still sleeps: this group is ours alone.
+    kill -TERM 0
+}
+
+[ -d $tracing/instances ] || mount -t tracefs tracefs $tracing 2>/dev/null ||
+    fail "no kernel trace: it needs CONFIG_FTRACE, tracefs on $tracing, and root"
+[ -w $tracing/trace_marker ] || fail "no kernel trace: observing takes root"
+[ -e $tracing/uprobe_events ] || fail "no probes: the target's kernel is built without CONFIG_UPROBE_EVENTS"
+namespace=$(readlink /proc/self/ns/pid)
+namespace=${namespace##*[}
+namespace=${namespace%]}
+name=${namespace:-0}_$$_$(started $$)
+namespace=${namespace:-0}
+group=rtrun_observe_$name
+instance=$tracing/instances/rtrun-observe-$name
+printer=
+remove_leftovers
+mkdir "$instance" 2>/dev/null || fail "no kernel trace: $instance cannot be made; are there too many already?"
+trap take_off EXIT
+trap 'exit 3' TERM HUP
+echo mono >"$instance/trace_clock" || fail "no kernel trace: the kernel has no trace clock mono"
+echo "$buffer_kb" >"$instance/buffer_size_kb" 2>/dev/null ||
+    fail "no kernel trace: there is no memory for $buffer_kb kB for each CPU"
+echo "rtrun observes"
+echo "header_page"
+cat "$instance/events/header_page"
+echo "rtrun end header_page"
+data_bytes=$(sed -n 's,.*field: *char data;.*size:\([0-9]*\);.*,\1,p' "$instance/events/header_page")
+page_bytes=$((data_bytes + $(sed -n 's,.*field: *char data;.*offset:\([0-9]*\);.*,\1,p' "$instance/events/header_page")))
+
+watched=
+is_told=
+while read -r word one rest; do
+    case $word in
+    p | r)
+        # Never by > alone: it would remove the probes of everybody.
+        if ! { echo "$word:$group/$one $rest" >>$tracing/uprobe_events; } 2>/dev/null; then
+            reason=$(sed -n 's,.* trace_uprobe: error: ,,p' $tracing/error_log 2>/dev/null | tail -n 1)
+            case $reason in
+            # The same file, which another container sees by another name.
+            *"exact same probe"*) ;;
+            *) echo "refused $one ${reason:-the kernel does not take it}" && continue ;;
+            esac
+        fi
+        if ! { echo 1 >"$instance/events/$group/$one/enable"; } 2>/dev/null; then
+            echo "refused $one the kernel cannot place a probe on the instruction there"
+            { echo "-:$group/$one" >>$tracing/uprobe_events; } 2>/dev/null
+            continue
+        fi
+        echo "placed $one"
+        print_formats "$instance/events/$group/$one/format"
+        ;;
+    watch) watched="$one $rest" ;;
+    go) is_told=1 && break ;;
+    esac
+done
+[ -n "$is_told" ] || exit 3
+for event in $events; do
+    if [ -e "$instance/events/$event/format" ]; then
+        print_formats "$instance/events/$event/format"
+    else
+        print_formats "$instance/events/$event"/*/format
+    fi
+done
+print_formats "$tracing/events/ftrace/print/format"
+enable_events
+mark observes
+echo "ready"
+print_rounds &
+printer=$!
+{ sleep "$seconds"; kill -TERM $$; } >/dev/null 2>&1 &
+# The end of the standard input is what this waits for.
+while read -r _; do :; done
+exit 0

@@ -1,0 +1,203 @@
+"""An observation: probes are placed on the programs of a target, and what they see is streamed until it is over."""
+
+import contextlib
+import queue
+import threading
+import time
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
+
+from rtrun.probes.hits import Gap
+from rtrun.probes.placement import PlacedProbe, Placement, RefusedProbe
+from rtrun.probes.programs import FoundProgram, pattern
+from rtrun.probes.stream import RESTED, Batch, Ready, WatchReader
+from rtrun.targets.errors import TargetError
+from rtrun.targets.shell import POLL_S
+
+if TYPE_CHECKING:
+    from rtrun.targets.connection import Connection
+    from rtrun.targets.link import Link
+
+LIMIT_PER_S = 40_000
+# To place fifty probes on a slow board, and to take them off again.
+SET_UP_S = 120.0
+# Of a caller who wants no more of it.
+END_S = 30.0
+# An event with its topic takes less; a second of the limit fits twice.
+_EVENT_BYTES = 100
+_BUFFER_KB = (512, 65536)
+# Of the kernel's own events, with every change of threads, more are written.
+_BUFFER_KERNEL_KB = 4096
+# Pieces of up to 2 MiB that arrived and were not taken yet: the target waits then.
+_PIECES_MAX = 64
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Began:
+    """The probes are placed, and hits are recorded from now on."""
+
+    placed: tuple[PlacedProbe, ...]
+    refused: tuple[RefusedProbe, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Finished:
+    """The observation is over, and everything was taken off the target where `is_clean`.
+
+    `lost_events` are those that the kernel says it has lost. The gaps of all batches say when.
+    """
+
+    lost_events: int
+    rests: int
+    reconnections: int
+    is_clean: bool
+
+
+Observed = Began | Batch | Finished
+
+
+def observe(
+    link: "Link",
+    scripts: PurePosixPath,
+    placement: Placement,
+    programs: Sequence[FoundProgram],
+    *,
+    for_s: float,
+    kernel_events: Collection[str] = (),
+    limit_per_s: int = LIMIT_PER_S,
+) -> Iterator[Observed]:
+    """Place probes on a target, and yield what they see: `Began`, a `Batch` about once a second, `Finished`.
+
+    `programs` are those whose threads are told with their processes; others that use the same libraries are found while
+    it lasts. `kernel_events` are as in trace_events.yml. After `for_s` seconds, or when the caller closes the iterator,
+    everything is taken off; the watchdog on the target does that, too, when the connection breaks or this process is
+    killed. A lost connection is made anew, and a gap tells how long nothing was seen.
+
+    Meanwhile nobody else may use the link. Raises TargetError: no right, no probes in the kernel, or no answer.
+    """
+    watching = _Watching(link, scripts, placement, programs, for_s, tuple(kernel_events), limit_per_s)
+    thread = threading.Thread(target=watching.run, name="observe", daemon=True)
+    thread.start()
+    try:
+        yield from watching.results()
+    finally:
+        watching.is_over.set()
+        watching.let_end(thread)
+
+
+class _Watching:
+    """The call of watch_probes.sh in a thread of its own, and what it prints, read by the caller's thread."""
+
+    def __init__(
+        self,
+        link: "Link",
+        scripts: PurePosixPath,
+        placement: Placement,
+        programs: Sequence[FoundProgram],
+        for_s: float,
+        kernel_events: tuple[str, ...],
+        limit_per_s: int,
+    ) -> None:
+        self._link, self._placement = link, placement
+        self._probes = {probe.name: probe for probe in placement.probes}
+        self._pids = {thread.tid: each.program.pid for each in programs for thread in each.program.threads}
+        buffer_kb = min(max(limit_per_s * 2 * _EVENT_BYTES // 1024, _BUFFER_KB[0]), _BUFFER_KB[1])
+        buffer_kb += _BUFFER_KERNEL_KB if kernel_events else 0
+        self._end_s = time.monotonic() + for_s
+        self._arguments = (str(buffer_kb), str(limit_per_s), pattern(), *kernel_events)
+        self._script = str(scripts / "watch_probes.sh")
+        watched = " ".join(str(each.program.pid) for each in programs)
+        lines = [*(probe.line for probe in placement.probes), *([f"watch {watched}"] if watched else []), "go", ""]
+        self._stdin = "\n".join(lines).encode()
+        self.is_over = threading.Event()
+        self._connection: Connection | None = None
+        self._pieces: queue.Queue[bytes | WatchReader | BaseException | None] = queue.Queue(_PIECES_MAX)
+
+    def run(self) -> None:
+        """Call the script until it is over; pass on a reader for each call, its output, at last None or an error."""
+        try:
+            self._link.do(self._call)
+            self._put(None)
+        except BaseException as error:
+            self._put(error)
+
+    def _call(self, connection: "Connection") -> None:
+        if self._is_time_over():
+            return
+        reader = WatchReader(self._probes, str(connection.address), self._pids)
+        self._put(reader)
+        self._connection = connection
+        left_s = max(0.0, self._end_s - time.monotonic())
+        argv = [self._script, str(round(left_s + SET_UP_S)), *self._arguments]
+        status, stderr = connection.shell.execute(
+            argv, [self._stdin], self._put, left_s + 2 * SET_UP_S, is_over=self._is_time_over
+        )
+        if status != 0:
+            text = stderr.strip().rpartition("\n")[2][:300] or f"watch_probes.sh ended with exit status {status}"
+            raise TargetError(f"{connection.address}: {text}")
+
+    def _is_time_over(self) -> bool:
+        return self.is_over.is_set() or time.monotonic() >= self._end_s
+
+    def _put(self, piece: "bytes | WatchReader | BaseException | None") -> None:
+        if piece == b"":
+            return
+        while True:
+            with contextlib.suppress(queue.Full):
+                self._pieces.put(piece, timeout=POLL_S)
+                return
+            if self.is_over.is_set():
+                # Nobody takes them any more.
+                with contextlib.suppress(queue.Empty):
+                    self._pieces.get_nowait()
+
+    def let_end(self, thread: threading.Thread) -> None:
+        """Wait for the end of the call; break its connection when the target does not let it end."""
+        thread.join(END_S)
+        if thread.is_alive() and self._connection is not None:
+            self._connection.interrupt()
+            thread.join(END_S)
+
+    def results(self) -> Iterator[Observed]:
+        """What the script prints, read."""
+        reader: WatchReader | None = None
+        calls = lost = rests = 0
+        seen_ns = 0
+        while True:
+            piece = self._pieces.get()
+            if isinstance(piece, BaseException):
+                raise piece
+            if isinstance(piece, bytes) and reader is not None:
+                read: Iterable[Ready | Batch] = reader.feed(piece)
+            else:
+                # The call has ended.
+                read = (reader.rest(),) if reader is not None and reader.begin_ns else ()
+            for each in read:
+                if isinstance(each, Batch):
+                    gap_ns, seen_ns = seen_ns, max(seen_ns, each.until_ns)
+                    if reader is not None and 0 < gap_ns < reader.begin_ns:
+                        gap = Gap(gap_ns, reader.begin_ns, "the connection to the target was lost")
+                        each = replace(each, gaps=(gap, *each.gaps))
+                    rests += sum(gap.reason == RESTED for gap in each.gaps)
+                    yield each
+                elif calls == 1:
+                    yield self._began(each)
+            if isinstance(piece, bytes):
+                continue
+            lost += reader.lost if reader is not None else 0
+            if piece is None:
+                is_clean = reader is not None and reader.is_done
+                yield Finished(lost_events=lost, rests=rests, reconnections=max(0, calls - 1), is_clean=is_clean)
+                return
+            reader, calls = piece, calls + 1
+
+    def _began(self, ready: Ready) -> Began:
+        refused = (
+            RefusedProbe(path=self._probes[name].path, event=self._probes[name].event, reason=reason)
+            for name, reason in ready.refused.items()
+        )
+        return Began(
+            placed=tuple(self._probes[name] for name in ready.placed), refused=(*self._placement.refused, *refused)
+        )
