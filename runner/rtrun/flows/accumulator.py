@@ -1,0 +1,94 @@
+"""From the hits of probes to messages, timers, callbacks and paths, while they come in."""
+
+from collections.abc import Callable, Iterable, Sequence
+from operator import itemgetter
+
+from rtrun.flows.calls import CallRecord
+from rtrun.flows.living import LivingPrograms
+from rtrun.flows.paths import PathRecord
+from rtrun.flows.recorder import FlowRecorder
+from rtrun.flows.situation import Situation
+from rtrun.flows.threads import ObservedThread
+from rtrun.flows.timers import ClockOffsets
+from rtrun.flows.topics import TopicRecord
+from rtrun.probes.hits import Gap, Hit, ObservedProgram
+
+HORIZON_NS = 10 * 10**9
+
+
+class FlowAccumulator:
+    """Reads messages, timers, callbacks and paths from hits, about once a second for hours.
+
+    `observe` is told the programs that run before their hits are fed, `offset` how other clocks lie, and `feed` the
+    hits. Hits of a feed are later than those of the feeds before it, and a gap comes no later than the hits after it.
+    `begin_ns` is when the probes were there.
+
+    A publication that nobody took within `horizon_ns` is forgotten: what takes it later is unmatched. `paths` are
+    topics in the order of their messages. What is finished takes 48 bytes a message, 16 a call.
+    """
+
+    def __init__(
+        self,
+        *,
+        begin_ns: int,
+        paths: Sequence[Sequence[str]] = (),
+        horizon_ns: int = HORIZON_NS,
+        recorder: FlowRecorder | None = None,
+    ) -> None:
+        self.begin_ns = begin_ns
+        self.newest_ns = begin_ns
+        self.gaps: list[Gap] = []
+        self.in_gaps = 0
+        """Hits within gaps, which are left out."""
+        self.situation = Situation(begin_ns)
+        self.offsets = ClockOffsets()
+        self.paths = PathRecord(paths)
+        self.topics = TopicRecord(self.situation, self.paths, horizon_ns, recorder)
+        self.calls = CallRecord(self.situation, recorder)
+        self._programs = LivingPrograms()
+        self._handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
+            **self.topics.handlers,
+            **self.calls.handlers,
+            "wait": lambda _hit, thread: thread.waits(),
+            "guard_trigger": lambda _hit, thread: thread.triggers_guard(),
+        }
+
+    def observe(self, programs: Iterable[ObservedProgram]) -> None:
+        """These are the programs now, all of them: others have ended, and a pid may be that of a new one."""
+        self._programs.observe(programs)
+
+    def offset(self, clock: str, at_ns: int, offset_ns: int) -> None:
+        """A clock other than that of the hits was `offset_ns` ahead of it at a time on that; ``system`` is realtime."""
+        self.situation.offsets_ns[clock] = offset_ns
+        self.offsets.add(clock, at_ns, offset_ns)
+
+    def feed(self, items: Iterable[Hit | Gap]) -> None:
+        """Read hits, and gaps between them, in any order among themselves. A hit that comes too late makes a gap."""
+        handlers, thread_of, situation = self._handlers, self._programs.thread, self.situation
+        for item in sorted(items, key=itemgetter(0)):
+            if isinstance(item, Gap):
+                self._cut(item)
+                continue
+            at_ns = item.at_ns
+            if at_ns < self.newest_ns:
+                self._cut(Gap(at_ns, self.newest_ns, "hits came out of order"))
+            if at_ns < situation.blind_until_ns:
+                self.in_gaps += 1
+                continue
+            self.newest_ns = at_ns
+            thread = thread_of(item.pid, item.tid)
+            if (handler := handlers.get(item.event)) is not None:
+                handler(item, thread)
+            else:
+                thread.does_else()
+        self.topics.expire(self.newest_ns)
+
+    def finish(self) -> None:
+        """No more hits come: what waited for later ones is decided."""
+        self.topics.cut()
+
+    def _cut(self, gap: Gap) -> None:
+        self.gaps.append(gap)
+        self.situation.cut(gap.until_ns)
+        self.topics.cut()
+        self._programs.cut()

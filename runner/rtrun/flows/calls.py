@@ -1,0 +1,193 @@
+"""Timers and callbacks: what hits of their calls say."""
+
+from collections.abc import Callable
+
+from rtrun.flows.messages import Endpoint, Reception
+from rtrun.flows.programs import LivingThing, numbered
+from rtrun.flows.recorder import FlowRecorder
+from rtrun.flows.situation import FAULT, Situation
+from rtrun.flows.threads import CallbackLog, LivingCallback, ObservedThread, OpenCallback
+from rtrun.flows.timers import LEAST_CALLS, LivingTimer, TimerLog
+from rtrun.flows.topics import key_of
+from rtrun.flows.values import NOT_SEEN_NS
+from rtrun.probes.hits import Hit
+
+_NESTED_MAX = 64  # callbacks in one another: more were left by exceptions, and never end
+
+
+class CallRecord:
+    """The timers and callbacks of an observation."""
+
+    def __init__(self, situation: Situation, recorder: FlowRecorder | None) -> None:
+        self.timers: dict[tuple[str, int | None, str | None, int], TimerLog] = {}
+        """By label, period, clock and number among those that are alike in these."""
+        self.callbacks: dict[tuple[str, str, int, int], CallbackLog] = {}
+        """By label, subject, number among the callbacks that are alike in these, and number of the thread."""
+        self.handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
+            "callback_begin": self._begin,
+            "callback_message": self._tell_message,
+            "callback_end": self._end,
+            "callback_added": self._add_callback,
+            "timer_init": self._init_timer,
+            "timer_linked": self._link_timer,
+            "timer_call": self._call_timer,
+        }
+        self._situation = situation
+        self._recorder = recorder
+
+    # Timers.
+
+    def _init_timer(self, hit: Hit, thread: ObservedThread) -> None:
+        thread.does_else()
+        self._made(hit, thread)
+
+    def _made(self, hit: Hit, thread: ObservedThread) -> LivingTimer | None:
+        handle, period_ns, clock = (hit.values.get(key) for key in ("timer", "period_ns", "clock"))
+        if handle is None:
+            self._situation.unreadable += 1
+            return None
+        timers = thread.process.timers
+        if handle in timers:
+            timers[handle].is_replaced = True
+        timer = timers[handle] = LivingTimer(
+            thread.process, period_ns if isinstance(period_ns, int) else None, clock if isinstance(clock, str) else None
+        )
+        return timer
+
+    def _link_timer(self, hit: Hit, thread: ObservedThread) -> None:
+        thread.does_else()
+        timer = thread.process.timers.get(hit.values.get("timer", ""))
+        if timer is None:
+            self._situation.unreadable += 1
+        else:
+            timer.node = hit.values.get("node")
+
+    def _call_timer(self, hit: Hit, thread: ObservedThread) -> None:
+        values = hit.values
+        timer = thread.process.timers.get(values.get("timer", ""))
+        period_ns = values.get("period_ns")
+        if timer is None or (period_ns is not None and timer.period_ns not in (None, period_ns)):
+            # A timer that is given another period is another one from then on.
+            timer = self._made(hit, thread)
+            if timer is None:
+                thread.does_else()
+                return
+        if timer.log is None:
+            timer.period_ns = timer.period_ns if not isinstance(period_ns, int) else period_ns
+            clock = values.get("clock")
+            timer.clock = clock if isinstance(clock, str) else timer.clock
+        thread.calls_timer(timer)
+        expected = values.get("expected_ns")
+        call = (hit.at_ns, expected if isinstance(expected, int) else NOT_SEEN_NS, self._situation.epoch)
+        if timer.log is not None:
+            timer.log.add(*call[:2], timer, call[2])
+            return
+        timer.early.append(call)
+        if len(timer.early) >= LEAST_CALLS:
+            timer.log = self._log_of(timer)
+            for at_ns, expected_ns, epoch in timer.early:
+                timer.log.add(at_ns, expected_ns, timer, epoch)
+            timer.early.clear()
+
+    def _log_of(self, timer: LivingTimer) -> TimerLog:
+        alike = (timer.process.node(timer.node), timer.period_ns, timer.clock)
+        number = self._situation.numbering.number(("timer", *alike), timer)
+        return self.timers.setdefault((*alike, number), TimerLog(*alike, number))
+
+    # Callbacks.
+
+    def _add_callback(self, hit: Hit, thread: ObservedThread) -> None:
+        """A timer or subscription is given a callback."""
+        thread.does_else()
+        handle = hit.values.get("callback")
+        if handle is None:
+            self._situation.unreadable += 1
+            return
+        callbacks, process = thread.process.callbacks, thread.process
+        if handle in callbacks:
+            callbacks[handle].is_replaced = True
+        made = callbacks[handle] = LivingCallback(process)
+        made.owner = process.timers.get(hit.values.get("timer", "")) or process.subscribers.get(
+            hit.values.get("endpoint", "")
+        )
+
+    def _begin(self, hit: Hit, thread: ObservedThread) -> None:
+        thread.has_callbacks = True
+        cause, thread.cause = thread.cause, None
+        handle = hit.values.get("callback")
+        topic = hit.values.get("topic", "")
+        if handle is None or not isinstance(topic, str):
+            self._situation.unreadable += 1
+            return
+        callback = thread.process.callbacks.get(handle)
+        if callback is None:
+            callback = thread.process.callbacks[handle] = LivingCallback(thread.process)
+        message = None
+        if topic and topic != FAULT:
+            callback.owner = callback.owner or thread.process.by_topic.get(topic)
+        elif callback.is_of(cause) and isinstance(cause, Reception):
+            message = cause
+        if len(thread.callbacks) >= _NESTED_MAX:
+            thread.callbacks.clear()
+        thread.callbacks.append(OpenCallback(callback, hit.at_ns, topic, message))
+
+    def _tell_message(self, hit: Hit, thread: ObservedThread) -> None:
+        """roscpp reads the bytes of a message in the callback that is about it."""
+        key = key_of(hit.values)
+        if thread.callbacks and isinstance(key, tuple):
+            opened = thread.callbacks[-1]
+            endpoint = thread.process.by_topic.get(opened.topic)
+            if endpoint is not None:
+                thread.callbacks[-1] = opened._replace(message=endpoint.recent.get(key))
+
+    def _end(self, hit: Hit, thread: ObservedThread) -> None:
+        thread.cause = None
+        handle = hit.values.get("callback")
+        opened = None
+        # Those above it ended by an exception.
+        while thread.callbacks and opened is None:
+            opened = thread.callbacks.pop()
+            if handle is not None and thread.process.callbacks.get(handle) is not opened.callback:
+                opened = None
+        if opened is None:
+            return
+        callback = opened.callback
+        if opened.message is not None:
+            opened.message.ended(hit.at_ns)
+        callback.calls += 1
+        log = callback.logs.get(thread)
+        if log is not None:
+            log.begins.append(opened.begin_ns)
+            log.ends.append(hit.at_ns)
+        else:
+            callback.early.append((thread, opened.begin_ns, hit.at_ns))
+            if callback.is_ready:
+                self._name(callback)
+        if self._recorder is not None:
+            name = callback.named[1] if callback.named else opened.topic or "callback"
+            self._recorder.callback(name, thread.process.pid, thread.tid, hit.cpu, opened.begin_ns, hit.at_ns)
+
+    def _name(self, callback: LivingCallback) -> None:
+        numbering = self._situation.numbering
+        if callback.named is None:
+            callback.named = _named(callback, callback.owner)
+            callback.number = numbering.number(("callback", *callback.named), callback)
+        for thread, begin_ns, end_ns in callback.early:
+            log = callback.logs.get(thread)
+            if log is None:
+                alike = (*callback.named, callback.number)
+                number = numbering.number(("thread", *alike), thread)
+                log = self.callbacks.setdefault((*alike, number), CallbackLog(*alike, number))
+                callback.logs[thread] = log
+            log.begins.append(begin_ns)
+            log.ends.append(end_ns)
+        callback.early.clear()
+
+
+def _named(callback: LivingCallback, owner: LivingThing | None) -> tuple[str, str]:
+    """The label of a callback's node, and what it is the callback of."""
+    if isinstance(owner, LivingTimer) and owner.log is not None:
+        return owner.log.label, numbered(owner.log.name, owner.log.number)
+    if isinstance(owner, Endpoint):
+        return owner.end.label, owner.topic
+    return callback.process.label, ""

@@ -1,0 +1,62 @@
+"""The processes and threads that live while programs are observed."""
+
+from collections.abc import Iterable
+
+from rtrun.flows.programs import LivingProcess
+from rtrun.flows.threads import ObservedThread
+from rtrun.probes.hits import ObservedProgram
+
+
+class LivingPrograms:
+    """The processes and threads that hits come from."""
+
+    def __init__(self) -> None:
+        self.processes: dict[int, LivingProcess] = {}
+        self.threads: dict[int, ObservedThread] = {}
+
+    def observe(self, programs: Iterable[ObservedProgram]) -> None:
+        """These are the programs now, all of them: others have ended, and a pid may be that of a new one."""
+        listed = {program.pid: program for program in programs}
+        for pid, process in list(self.processes.items()):
+            program = listed.get(pid)
+            if program is None:
+                # Its last hits may still come. It is dropped the next time.
+                if not process.is_alive:
+                    self._drop(process)
+                process.is_alive = False
+            elif process.program is None or _is_other(process.program, program):
+                self._drop(process)
+        for pid, program in listed.items():
+            process = self.processes.setdefault(pid, LivingProcess(pid, program))
+            process.is_alive, process.program = True, program
+        for thread in list(self.threads.values()):
+            program = listed.get(thread.process.pid)
+            if program and program.threads and all(thread.tid != one.tid for one in program.threads):
+                thread.has_ended = True
+                del self.threads[thread.tid]
+
+    def thread(self, pid: int, tid: int) -> ObservedThread:
+        """The thread of a hit. Pid 0 is a process that is not known: that of the thread's other hits, or its own."""
+        thread = self.threads.get(tid)
+        if thread is None or (pid and thread.process.pid != pid):
+            pid = pid or -tid
+            process = self.processes.setdefault(pid, LivingProcess(pid, None))
+            thread = self.threads[tid] = ObservedThread(tid, process)
+        return thread
+
+    def _drop(self, process: LivingProcess) -> None:
+        process.is_alive = False
+        del self.processes[process.pid]
+        self.threads = {tid: thread for tid, thread in self.threads.items() if thread.process is not process}
+
+    def cut(self) -> None:
+        """Hits are missing."""
+        for thread in self.threads.values():
+            thread.cut()
+        for process in self.processes.values():
+            for endpoint in process.by_topic.values():
+                endpoint.recent.clear()
+
+
+def _is_other(earlier: ObservedProgram, now: ObservedProgram) -> bool:
+    return (earlier.start_ticks, earlier.argv) != (now.start_ticks, now.argv)

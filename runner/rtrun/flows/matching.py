@@ -1,0 +1,238 @@
+"""Which publication a received message is: by the time stamp of its source, or by its first bytes and length.
+
+A stamp names one message; the same bytes may be published again. So bytes are matched where order alone decides it:
+from a moment on at which none of these bytes can have been on their way, as many were received as were published.
+Two things are taken for granted: nothing is on its way for longer than the horizon, and no program that is not observed
+publishes the same bytes on a topic as one that is.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Protocol
+
+from rtrun.flows.messages import End, Payload, Publication, Reception
+from rtrun.flows.situation import Situation
+
+# A stamp is carried as a fraction of a second with 32 bits, and comes out a nanosecond beside what went in.
+_STAMP_ROUNDING_NS = (-2, -1, 1, 2)
+# Times of a realtime clock, 2014 to 2039: no part of a double that anyone sends looks like them.
+_REALTIME_S = range(1_400_000_000, 2_200_000_000)
+
+
+def has_header(payload: Payload) -> bool:
+    """Whether a message begins as one with a header does: a number, and the time at which it was made."""
+    return payload[0] >> 32 in _REALTIME_S and payload[1] < 10**9
+
+
+class Fates(Protocol):
+    """Who is told what became of a received message."""
+
+    def matched(self, reception: Reception, publication: Publication) -> None: ...
+    def ambiguous(self, reception: Reception, candidates: Sequence[Publication]) -> None: ...
+    def duplicate(self, reception: Reception, publication: Publication) -> None: ...
+    def unmatched(self, reception: Reception) -> None: ...
+    def forgotten(self, publication: Publication) -> None: ...
+
+
+class StampMatching:
+    """Messages of one topic by the time stamp that their publisher gave them."""
+
+    def __init__(self, fates: Fates, horizon_ns: int) -> None:
+        self._fates = fates
+        self._horizon_ns = horizon_ns
+        self._open: dict[int, list[Publication]] = {}
+        self._oldest: deque[tuple[int, int]] = deque()
+
+    def publish(self, key: int, publication: Publication) -> None:
+        self.expire(publication.at_ns)
+        if (others := self._open.get(key)) is not None:
+            others.append(publication)
+        else:
+            self._open[key] = [publication]
+        self._oldest.append((publication.at_ns, key))
+
+    def receive(self, key: int, reception: Reception) -> None:
+        self.expire(reception.at_ns)
+        is_open = self._open
+        candidates = is_open.get(key, [])
+        for step in _STAMP_ROUNDING_NS:
+            if key + step in is_open:
+                candidates = candidates + is_open[key + step]
+        if len(candidates) == 1:
+            (publication,) = candidates
+            if reception.endpoint.end in publication.takers:
+                self._fates.duplicate(reception, publication)
+            else:
+                self._fates.matched(reception, publication)
+        elif candidates:
+            self._fates.ambiguous(reception, candidates)
+        else:
+            self._fates.unmatched(reception)
+
+    def expire(self, now_ns: int) -> None:
+        """Forget what was published longer ago than the horizon."""
+        oldest, before_ns = self._oldest, now_ns - self._horizon_ns
+        while oldest and oldest[0][0] < before_ns:
+            for publication in self._open.pop(oldest.popleft()[1], ()):
+                self._fates.forgotten(publication)
+
+    def cut(self) -> None:
+        """Forget everything: what comes next may not be joined with what was."""
+        for publications in self._open.values():
+            for publication in publications:
+                self._fates.forgotten(publication)
+        self._open.clear()
+        self._oldest.clear()
+
+
+class _SameBytes:
+    """The publications with one payload, and the receptions of it that are not matched yet, by subscriber.
+
+    `is_early`: one from before the begin may have been on its way when it was first seen. So a match is `held` until
+    the payload was not seen again for the horizon. `is_unclear`, or a subscriber in `unclear`: order decides nothing.
+    """
+
+    __slots__ = ("done", "held", "is_early", "is_unclear", "last_ns", "published", "unclear", "waiting")
+
+    def __init__(self, is_early: bool) -> None:
+        self.is_early = is_early
+        self.is_unclear = False
+        self.last_ns = 0
+        self.published: list[Publication] = []
+        self.waiting: dict[End, list[Reception]] = {}
+        self.unclear: set[End] = set()
+        self.done: dict[End, int] = {}
+        """How many of those published no longer can be what a subscriber receives."""
+        self.held: dict[End, tuple[Reception, Publication]] = {}
+
+
+class PayloadMatching:
+    """Messages of one topic by their payload; those from before the begin, or in a gap, were not seen."""
+
+    def __init__(self, fates: Fates, horizon_ns: int, situation: Situation) -> None:
+        self._fates = fates
+        self._horizon_ns = horizon_ns
+        self._situation = situation
+        self._open: dict[Payload, _SameBytes] = {}
+        self._oldest: deque[tuple[int, Payload]] = deque()
+
+    def publish(self, key: Payload, publication: Publication) -> None:
+        same = self._seen(key, publication.at_ns)
+        same.published.append(publication)
+        if same.is_early and len(same.published) > 1:
+            self._make_unclear(same)
+
+    def receive(self, key: Payload, reception: Reception) -> None:
+        same = self._seen(key, reception.at_ns)
+        end = reception.endpoint.end
+        candidates = len(same.published) - same.done.get(end, 0)
+        if not candidates:
+            # Of a publisher that is not observed, or published before: so may be the next ones with these bytes.
+            self._fates.unmatched(reception)
+            self._make_unclear(same)
+        elif same.is_unclear or end in same.unclear:
+            self._give_up(same, end, [reception])
+        elif same.is_early:
+            same.done[end] = 1
+            same.held[end] = (reception, same.published[0])
+        else:
+            waiting = same.waiting.setdefault(end, [])
+            waiting.append(reception)
+            if len(waiting) == candidates:
+                self._resolve(same, end)
+
+    def _seen(self, key: Payload, at_ns: int) -> _SameBytes:
+        self.expire(at_ns)
+        same = self._open.get(key)
+        if same is None:
+            same = self._open[key] = _SameBytes(self._is_early(key, at_ns))
+        same.last_ns = at_ns
+        self._oldest.append((at_ns, key))
+        return same
+
+    def _is_early(self, key: Payload, at_ns: int) -> bool:
+        """Whether the same bytes may have been published before the begin, and be on their way."""
+        begin_ns = self._situation.blind_until_ns
+        if at_ns >= begin_ns + self._horizon_ns:
+            return False
+        # Bytes that begin with the time at which they were made, or have it behind a number, were not made before.
+        words = key[0] & 0xFFFFFFFF, key[0] >> 32, key[1]
+        times = [second * 10**9 + nanosecond for second, nanosecond in pairwise(words) if nanosecond < 10**9]
+        offsets = self._situation.offsets_ns.values()
+        return not any(begin_ns <= time_ns - offset_ns <= at_ns for time_ns in times for offset_ns in offsets)
+
+    def _resolve(self, same: _SameBytes, end: End) -> None:
+        """As many were received as were published: each is the one at its place, if one publisher sent them all."""
+        candidates = same.published[same.done.get(end, 0) :]
+        if len(candidates) > 1 and len({publication.endpoint for publication in candidates}) > 1:
+            self._give_up(same, end, same.waiting.pop(end))
+            return
+        same.done[end] = len(same.published)
+        for reception, publication in zip(same.waiting.pop(end), candidates, strict=True):
+            self._fates.matched(reception, publication)
+
+    def _make_unclear(self, same: _SameBytes) -> None:
+        same.is_unclear = True
+        for reception, publication in same.held.values():
+            self._fates.ambiguous(reception, [publication])
+        same.held.clear()
+        for end in list(same.waiting):
+            self._give_up(same, end, same.waiting.pop(end))
+
+    def _give_up(self, same: _SameBytes, end: End, receptions: Sequence[Reception]) -> None:
+        """Any of the open publications may be any of these."""
+        candidates = same.published[same.done.get(end, 0) :]
+        same.unclear.add(end)
+        same.done[end] = len(same.published)
+        for number, reception in enumerate(receptions):
+            self._fates.ambiguous(reception, () if number else candidates)
+
+    def expire(self, now_ns: int) -> None:
+        """Forget what was published longer ago than the horizon.
+
+        An unclear payload stays so until it was not seen for that long.
+        """
+        oldest, before_ns = self._oldest, now_ns - self._horizon_ns
+        while oldest and oldest[0][0] < before_ns:
+            _, key = oldest.popleft()
+            same = self._open.get(key)
+            if same is None:
+                continue
+            if same.last_ns < before_ns:
+                del self._open[key]
+                self._settle(same)
+            elif same.published and same.published[0].at_ns < before_ns:
+                self._drop_first(same)
+
+    def _drop_first(self, same: _SameBytes) -> None:
+        for end in [*same.waiting]:
+            if not same.done.get(end, 0):
+                self._give_up(same, end, same.waiting.pop(end))
+        publication = same.published.pop(0)
+        for end, (reception, of) in list(same.held.items()):
+            if of is publication:
+                del same.held[end]
+                self._fates.matched(reception, publication)
+        # Who did not receive it may have received it in place of another one.
+        same.unclear.update(end for end, done in same.done.items() if not done)
+        same.done = {end: max(0, done - 1) for end, done in same.done.items()}
+        self._fates.forgotten(publication)
+
+    def _settle(self, same: _SameBytes) -> None:
+        """Decide what may be decided of a payload that is not seen any more."""
+        for reception, publication in same.held.values():
+            self._fates.matched(reception, publication)
+        for end in [*same.waiting]:
+            self._give_up(same, end, same.waiting.pop(end))
+        for publication in same.published:
+            self._fates.forgotten(publication)
+
+    def cut(self) -> None:
+        """Forget everything: what comes next may not be joined with what was."""
+        for same in self._open.values():
+            # Whether what is held would have come again is not known.
+            self._make_unclear(same)
+            self._settle(same)
+        self._open.clear()
+        self._oldest.clear()

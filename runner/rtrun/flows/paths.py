@@ -1,0 +1,53 @@
+"""Paths of topics: how long after the first message of a path the one came that its last topic had from it."""
+
+from array import array
+from collections.abc import Sequence
+
+from rtrun.flows.messages import End, Publication, Reception
+
+_Hop = tuple[int, int]
+"""A path by its place among them, and the place of a topic on it."""
+
+
+class PathLog:
+    """Messages of a publisher at the end of a path: from when to when; of `unknown` ones no first message is known."""
+
+    __slots__ = ("begins", "ends", "unknown")
+
+    def __init__(self) -> None:
+        self.begins: array[int] = array("q")
+        self.ends: array[int] = array("q")
+        self.unknown = 0
+
+
+class PathRecord:
+    """Follows messages along the paths that were asked for, each of two topics at least."""
+
+    def __init__(self, paths: Sequence[Sequence[str]]) -> None:
+        self.paths = tuple(tuple(path) for path in paths)
+        self.logs: dict[tuple[int, End], PathLog] = {}
+        self._hops: dict[str, list[_Hop]] = {}
+        for number, path in enumerate(self.paths):
+            for place, topic in enumerate(path):
+                self._hops.setdefault(topic, []).append((number, place))
+
+    def published(self, publication: Publication, handled: Reception | None) -> None:
+        """A message was published, in the callback of a received one or of none that is known."""
+        for number, place in self._hops.get(publication.endpoint.topic, ()):
+            path = self.paths[number]
+            begin_ns = publication.at_ns if place == 0 else self._begin(path, number, place, handled)
+            if begin_ns is not None:
+                publication.begins[number, place] = begin_ns
+            if place == len(path) - 1:
+                log = self.logs.setdefault((number, publication.endpoint.end), PathLog())
+                if begin_ns is None:
+                    log.unknown += 1
+                else:
+                    log.begins.append(begin_ns)
+                    log.ends.append(publication.at_ns)
+
+    @staticmethod
+    def _begin(path: Sequence[str], number: int, place: int, handled: Reception | None) -> int | None:
+        if handled is None or handled.publication is None or handled.endpoint.topic != path[place - 1]:
+            return None
+        return handled.publication.begins.get((number, place - 1))

@@ -1,0 +1,119 @@
+"""Observed processes while they live, and names for what is in them that outlast a restart."""
+
+import re
+from collections.abc import Hashable, Sequence
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Protocol
+
+from rtrun.probes.hits import ObservedProgram
+
+if TYPE_CHECKING:
+    from rtrun.flows.messages import Endpoint
+    from rtrun.flows.threads import LivingCallback
+    from rtrun.flows.timers import LivingTimer
+
+_REMAPPED = re.compile(r"(?:[^:=]*:)?__(node|name|ns):=(.*)", re.DOTALL)
+_INTERPRETER = re.compile(r"python[0-9.]*")
+
+Handle = int | str
+"""What tells one thing from another in its process: a pointer."""
+
+
+class LivingProcess:
+    """A process from its first hit to its end. `label` names its node, or the program where no node is known."""
+
+    __slots__ = (
+        "by_topic", "callbacks", "is_alive", "label", "names_of_nodes", "pid", "program",
+        "publishers", "subscribers", "timers",
+    )  # fmt: skip
+
+    def __init__(self, pid: int, program: ObservedProgram | None) -> None:
+        self.pid = pid
+        self.program = program
+        self.label = f"process {pid}" if program is None else label_of(program)
+        self.is_alive = True
+        self.names_of_nodes: dict[Handle, str] = {}
+        self.publishers: dict[Handle, Endpoint] = {}
+        self.subscribers: dict[Handle, Endpoint] = {}
+        self.by_topic: dict[str, Endpoint] = {}
+        """Subscriptions of roscpp, which has one for a topic."""
+        self.timers: dict[Handle, LivingTimer] = {}
+        self.callbacks: dict[Handle, LivingCallback] = {}
+
+    def node(self, handle: Handle | None) -> str:
+        """The name of a node that was seen to begin; the process' own for any other."""
+        return self.label if handle is None else self.names_of_nodes.get(handle, self.label)
+
+
+class LivingThing:
+    """A publisher, subscription, timer or callback of a process, from its first hit until its pointer means another."""
+
+    __slots__ = ("is_replaced", "process")
+
+    def __init__(self, process: LivingProcess) -> None:
+        self.process = process
+        self.is_replaced = False
+
+    @property
+    def is_alive(self) -> bool:
+        return self.process.is_alive and not self.is_replaced
+
+
+class _Mortal(Protocol):
+    @property
+    def is_alive(self) -> bool: ...
+
+
+class Numbering:
+    """Numbers things that nothing else tells apart: each gets the lowest number that no living one has.
+
+    So what begins again after a restart has its old number, and two that live at the same time never share one.
+    """
+
+    def __init__(self) -> None:
+        self._owners: dict[Hashable, list[_Mortal]] = {}
+
+    def number(self, alike: Hashable, owner: _Mortal) -> int:
+        """The number of a new owner, from 1."""
+        owners = self._owners.setdefault(alike, [])
+        for place, earlier in enumerate(owners):
+            if not earlier.is_alive:
+                owners[place] = owner
+                return place + 1
+        owners.append(owner)
+        return len(owners)
+
+
+def numbered(label: str, number: int) -> str:
+    """A name, with the number where it is not the first."""
+    return label if number == 1 else f"{label}#{number}"
+
+
+def label_of(program: ObservedProgram) -> str:
+    """The full name of the node as the command line gives it, else the name of the program or of its script."""
+    told: dict[str, set[str]] = {}
+    for word in program.argv:
+        if match := _REMAPPED.fullmatch(word):
+            told.setdefault("ns" if match[1] == "ns" else "name", set()).add(match[2])
+    names, spaces = told.get("name", set()), told.get("ns", {""})
+    if len(names) == len(spaces) == 1:
+        name = f"{next(iter(spaces)).strip('/')}/{next(iter(names))}"
+        return name if name.startswith("/") else f"/{name}"
+    return _script(program.argv) or program.name
+
+
+def _script(argv: Sequence[str]) -> str:
+    if not argv:
+        return ""
+    name = PurePosixPath(argv[0]).name
+    if not _INTERPRETER.fullmatch(name):
+        return name
+    words = list(argv[1:])
+    if "-m" in words[:-1]:
+        return words[words.index("-m") + 1]
+    return next((PurePosixPath(word).name for word in words if not word.startswith("-")), name)
+
+
+def full_name(name: str, namespace: str) -> str:
+    """A node's name with its namespace: /robot/controller."""
+    return f"/{namespace.strip('/')}/{name}".replace("//", "/")

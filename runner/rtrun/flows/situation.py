@@ -1,0 +1,27 @@
+"""What all that reads hits needs to know of the observation so far."""
+
+from rtrun.flows.programs import Numbering
+
+HITS_CLOCK = "steady"
+"""The clock of the hits, CLOCK_MONOTONIC. How another one lies to it has to be told."""
+FAULT = "(fault)"
+"""The kernel's word for a text that it could not read."""
+
+
+class Situation:
+    """Where an observation stands. `epoch` counts the gaps: what was seen in two epochs may not be joined."""
+
+    def __init__(self, begin_ns: int) -> None:
+        self.epoch = 0
+        self.blind_until_ns = begin_ns
+        """The end of the last gap, or the begin."""
+        self.numbering = Numbering()
+        self.offsets_ns = {HITS_CLOCK: 0}
+        """How far each clock was ahead of that of the hits when it was last read."""
+        self.unreadable = 0
+        """Hits without what they should tell."""
+
+    def cut(self, until_ns: int) -> None:
+        """Hits are missing until a time."""
+        self.epoch += 1
+        self.blind_until_ns = max(until_ns, self.blind_until_ns)

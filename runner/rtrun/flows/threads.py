@@ -1,0 +1,141 @@
+"""What a thread is about: the message or timer that it handles, and the callbacks that it is in."""
+
+from array import array
+from typing import NamedTuple
+
+from rtrun.flows.messages import Reception
+from rtrun.flows.programs import LivingProcess, LivingThing
+from rtrun.flows.timers import LivingTimer
+
+Cause = Reception | LivingTimer
+_CALLS_WITHOUT_CAUSE = 8
+
+
+class CallbackLog:
+    """The calls of a callback on one thread, over all restarts of its program."""
+
+    __slots__ = ("begins", "ends", "label", "number", "subject", "thread")
+
+    def __init__(self, label: str, subject: str, number: int, thread: int) -> None:
+        self.label = label
+        self.subject = subject
+        self.number = number
+        self.thread = thread
+        self.begins: array[int] = array("q")
+        self.ends: array[int] = array("q")
+
+
+class LivingCallback(LivingThing):
+    """A callback of a living process. It has a subject once it is known of what it is, or will not be known.
+
+    `owner` is the subscription or timer whose callback it is; `is_mixed`: it was called after several, so what it
+    handles is not known.
+    """
+
+    __slots__ = ("calls", "early", "is_mixed", "logs", "named", "number", "owner")
+
+    def __init__(self, process: LivingProcess) -> None:
+        super().__init__(process)
+        self.owner: LivingThing | None = None
+        self.is_mixed = False
+        self.named: tuple[str, str] | None = None
+        """The label of its node, and what it is the callback of."""
+        self.number = 0
+        self.calls = 0
+        self.early: list[tuple[ObservedThread, int, int]] = []
+        self.logs: dict[ObservedThread, CallbackLog] = {}
+
+    def is_of(self, cause: Cause | None) -> bool:
+        """Whether a call directly after `cause` handles that; learns whose callback it is from the first one."""
+        if cause is None:
+            return False
+        owner = cause.endpoint if isinstance(cause, Reception) else cause
+        if self.owner is None:
+            self.owner = owner
+        elif self.owner is not owner:
+            self.is_mixed = True
+        return not self.is_mixed
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it can be named: its subject is known, or was never seen in several calls."""
+        known = self.owner is not None and (not isinstance(self.owner, LivingTimer) or self.owner.log is not None)
+        return known or self.calls >= _CALLS_WITHOUT_CAUSE
+
+
+class OpenCallback(NamedTuple):
+    """A callback that has begun: `message` is what it handles, where that is certain."""
+
+    callback: LivingCallback
+    begin_ns: int
+    topic: str
+    message: Reception | None
+
+
+class ObservedThread:
+    """A thread of a living process, between two gaps.
+
+    What it is about, `cause`, is what it took or the timer that it called last, until it does something else. A message
+    that it publishes belongs to the message in whose callback it does so (`handled`):
+
+    - where callbacks are seen, between begin and end of one that began directly after its message was taken;
+    - in rclpy, which triggers a guard condition before and after each callback, between the two;
+    - else, where it is seen to wait, after the only message that it took since then.
+    """
+
+    __slots__ = ("callbacks", "cause", "has_callbacks", "has_ended", "process", "taken", "tid", "triggers")
+
+    def __init__(self, tid: int, process: LivingProcess) -> None:
+        self.tid = tid
+        self.process = process
+        self.has_ended = False
+        self.cut()
+
+    @property
+    def is_alive(self) -> bool:
+        return self.process.is_alive and not self.has_ended
+
+    def cut(self) -> None:
+        """Hits are missing: nothing is known of what it does."""
+        self.cause: Cause | None = None
+        self.callbacks: list[OpenCallback] = []
+        self.has_callbacks = False
+        self.triggers: int | None = None
+        """Since the last message was taken; None: it was never seen to trigger, so it may be no rclpy."""
+        self.taken: int | None = None
+        """Messages since it last waited, None: it was never seen to wait, or did something else since."""
+
+    def takes(self, reception: Reception) -> None:
+        self.cause = reception
+        if self.taken is not None:
+            self.taken += 1
+        if self.triggers is not None:
+            self.triggers = 0
+
+    def calls_timer(self, timer: LivingTimer) -> None:
+        self.cause = timer
+        self.taken = None
+
+    def waits(self) -> None:
+        self.cause = None
+        self.taken = 0
+
+    def triggers_guard(self) -> None:
+        self.triggers = 1 if self.triggers is None else self.triggers + 1
+
+    def does_else(self) -> None:
+        """Something that is neither a publication nor one of the above."""
+        self.cause = None
+        self.taken = None
+
+    @property
+    def handled(self) -> Reception | None:
+        """The message in whose callback the thread is now; None where that is not certain."""
+        if self.callbacks:
+            return self.callbacks[-1].message
+        cause = self.cause
+        if self.has_callbacks or not isinstance(cause, Reception):
+            return None
+        if self.triggers is not None:
+            return cause if self.triggers == 1 else None
+        return cause if self.taken == 1 else None

@@ -1,0 +1,176 @@
+"""Both ends of each topic: what hits of publishing and taking say, and names for who does it."""
+
+from collections.abc import Callable, Mapping
+
+from rtrun.flows.matching import PayloadMatching, StampMatching, has_header
+from rtrun.flows.messages import End, Endpoint, MessageRecord, Payload, Publication, Reception
+from rtrun.flows.paths import PathRecord
+from rtrun.flows.programs import Handle, LivingProcess, full_name, numbered
+from rtrun.flows.recorder import FlowRecorder
+from rtrun.flows.situation import FAULT, Situation
+from rtrun.flows.threads import ObservedThread
+from rtrun.probes.hits import Hit
+
+PUBLISHER, SUBSCRIBER = "publisher", "subscriber"
+_PREFIX_BYTES = 4  # roscpp publishes a message with its length in front, which is counted with it
+_RECENT_MAX = 4096  # messages of a subscription of roscpp that wait for their callback
+_KEY_BYTES = 12
+
+
+class TopicRecord(MessageRecord):
+    """The publishers and subscribers of an observation, and their messages."""
+
+    def __init__(self, situation: Situation, paths: PathRecord, horizon_ns: int, recorder: FlowRecorder | None) -> None:
+        super().__init__()
+        self.ends: dict[tuple[str, str, str], End] = {}
+        """By role, topic and label."""
+        self.handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
+            "publish": self._publish,
+            "take": self._take,
+            "node_init": self._init_node,
+            "publisher_init": lambda hit, thread: self._init(hit, thread, PUBLISHER, thread.process.publishers),
+            "subscription_init": lambda hit, thread: self._init(hit, thread, SUBSCRIBER, thread.process.subscribers),
+        }
+        self._situation = situation
+        self._paths = paths
+        self._horizon_ns = horizon_ns
+        self._recorder = recorder
+        self._by_stamp: dict[str, StampMatching] = {}
+        self._by_bytes: dict[str, PayloadMatching] = {}
+
+    def expire(self, now_ns: int) -> None:
+        """Forget what was published too long ago."""
+        for matching in self._matchings():
+            matching.expire(now_ns)
+
+    def cut(self) -> None:
+        """Hits are missing: decide what may be decided, and begin anew."""
+        for matching in self._matchings():
+            matching.cut()
+        self.unlink()
+
+    def _matchings(self) -> list[StampMatching | PayloadMatching]:
+        return [*self._by_stamp.values(), *self._by_bytes.values()]
+
+    def matched(self, reception: Reception, publication: Publication) -> None:
+        super().matched(reception, publication)
+        if self._recorder is not None:
+            self._recorder.message(publication, reception)
+
+    def _publish(self, hit: Hit, thread: ObservedThread) -> None:
+        key = key_of(hit.values, _PREFIX_BYTES)
+        process = thread.process
+        endpoint = self._endpoint_of(hit, process, PUBLISHER, process.publishers)
+        if endpoint is None or key is None:
+            self._situation.unreadable += 1
+            return
+        at_ns = hit.at_ns
+        index = endpoint.end.add(at_ns, endpoint, self._situation.epoch)
+        publication = Publication(endpoint, index, at_ns, hit.tid, hit.cpu)
+        if self._paths.paths:
+            self._paths.published(publication, thread.handled)
+        if isinstance(key, int):
+            self._stamped(endpoint.topic).publish(key, publication)
+        else:
+            self._unstamped(endpoint.topic).publish(key, publication)
+
+    def _take(self, hit: Hit, thread: ObservedThread) -> None:
+        if not hit.values.get("taken", 1):
+            thread.cause = None
+            return
+        key = key_of(hit.values)
+        process = thread.process
+        endpoint = self._endpoint_of(hit, process, SUBSCRIBER, process.subscribers)
+        if endpoint is None or key is None:
+            self._situation.unreadable += 1
+            thread.does_else()
+            return
+        endpoint.end.add(hit.at_ns, endpoint, self._situation.epoch)
+        reception = Reception(endpoint, hit.at_ns, hit.tid, hit.cpu)
+        if isinstance(key, int):
+            self._stamped(endpoint.topic).receive(key, reception)
+            thread.takes(reception)
+            return
+        # Another thread calls back. It tells by the bytes which message that is about.
+        self._unstamped(endpoint.topic).receive(key, reception)
+        process.by_topic[endpoint.topic] = endpoint
+        endpoint.recent[key] = None if key in endpoint.recent else reception
+        if len(endpoint.recent) > _RECENT_MAX:
+            endpoint.recent.popitem(last=False)
+
+    def _endpoint_of(
+        self, hit: Hit, process: LivingProcess, role: str, known: dict[Handle, Endpoint]
+    ) -> Endpoint | None:
+        topic = hit.values.get("topic")
+        if not isinstance(topic, str) or topic in ("", FAULT):
+            return None
+        handle = hit.values.get("endpoint", topic)
+        endpoint = known.get(handle)
+        if endpoint is not None and endpoint.topic == topic:
+            return endpoint
+        return self._made(process, role, topic, handle, known)
+
+    def _made(
+        self,
+        process: LivingProcess,
+        role: str,
+        topic: str,
+        handle: Handle,
+        known: dict[Handle, Endpoint],
+        node: Handle | None = None,
+        begin_ns: int | None = None,
+    ) -> Endpoint:
+        if handle in known:
+            known[handle].is_replaced = True
+        endpoint = known[handle] = Endpoint(process, topic, begin_ns)
+        label = process.node(node)
+        label = numbered(label, self._situation.numbering.number((role, topic, label), endpoint))
+        endpoint.end = self.ends.setdefault((role, topic, label), End(topic, label))
+        return endpoint
+
+    def _stamped(self, topic: str) -> StampMatching:
+        matching = self._by_stamp.get(topic)
+        if matching is None:
+            matching = self._by_stamp[topic] = StampMatching(self, self._horizon_ns)
+        return matching
+
+    def _unstamped(self, topic: str) -> PayloadMatching:
+        matching = self._by_bytes.get(topic)
+        if matching is None:
+            matching = PayloadMatching(self, self._horizon_ns, self._situation)
+            self._by_bytes[topic] = matching
+        return matching
+
+    def _init(self, hit: Hit, thread: ObservedThread, role: str, known: dict[Handle, Endpoint]) -> None:
+        handle, topic = hit.values.get("endpoint"), hit.values.get("topic")
+        thread.does_else()
+        if handle is None or not isinstance(topic, str) or topic in ("", FAULT):
+            self._situation.unreadable += 1
+        else:
+            self._made(thread.process, role, topic, handle, known, hit.values.get("node"), hit.at_ns)
+
+    def _init_node(self, hit: Hit, thread: ObservedThread) -> None:
+        node, name, namespace = (hit.values.get(key, "") for key in ("node", "name", "namespace"))
+        thread.does_else()
+        if not node or not isinstance(name, str) or not isinstance(namespace, str) or name in ("", FAULT):
+            self._situation.unreadable += 1
+        else:
+            thread.process.names_of_nodes[node] = full_name(name, "" if namespace == FAULT else namespace)
+
+
+def key_of(values: Mapping[str, int | str], prefix_bytes: int = 0) -> int | Payload | None:
+    """What tells a message from others: its source's time stamp, or its bytes; None where the hit has neither.
+
+    What lies behind a short message in memory is no part of it. `prefix_bytes` are counted in the length alone.
+    """
+    stamp = values.get("source_ns")
+    if isinstance(stamp, int):
+        return stamp
+    key0, key1, size = values.get("key0"), values.get("key1"), values.get("size")
+    if not isinstance(key0, int) or not isinstance(key1, int) or not isinstance(size, int) or size < prefix_bytes:
+        return None
+    size -= prefix_bytes
+    if size < _KEY_BYTES:
+        return key0 & (1 << 8 * min(size, 8)) - 1, key1 & (1 << 8 * max(size - 8, 0)) - 1, size
+    # roscpp writes the number of a message with a header, in front of the stamp, after it was seen to be published.
+    return (key0 >> 32 << 32 if has_header((key0, key1, size)) else key0), key1, size

@@ -1,0 +1,199 @@
+"""Callbacks, and what was published in them: a message belongs to another one only where that is certain."""
+
+import pytest
+from made_flows import MS, S, gap, hit, node, program, publish, publish_bytes, take, take_bytes
+
+from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.flows.recorder import FlowRecorder
+from rtrun.flows.streams import streams
+from rtrun.flows.values import NOT_SEEN_NS, StreamKind
+
+PATH = ("/scan", "/objects", "/cmd")
+SCAN, OBJECTS = 0xA0, 0xA1
+
+
+def begin(at_ns, callback=0xF0, pid=2, tid=None, **values):
+    return hit(at_ns, "callback_begin", pid=pid, tid=tid, callback=callback, **values)
+
+
+def end(at_ns, callback=0xF0, pid=2, tid=None):
+    return hit(at_ns, "callback_end", pid=pid, tid=tid, callback=callback)
+
+
+def event(at_ns, name, pid=2, tid=None, **values):
+    return hit(at_ns, name, pid=pid, tid=tid, **values)
+
+
+def sent(at_ns, topic="/scan", pid=1, endpoint=SCAN, tid=None):
+    return publish(at_ns, topic, pid=pid, endpoint=endpoint, tid=tid)
+
+
+def got(at_ns, stamp_ns, topic="/scan", pid=2, endpoint=0xB0, tid=None, taken=1):
+    return take(at_ns, stamp_ns, topic, pid=pid, endpoint=endpoint, tid=tid, taken=taken)
+
+
+def out(at_ns, pid=2, tid=None):
+    return publish(at_ns, "/objects", pid=pid, endpoint=OBJECTS, tid=tid)
+
+
+def of_kind(observed, kind):
+    return [stream for stream in streams(observed) if stream.kind is kind]
+
+
+def accumulate(hits, paths=(("/scan", "/objects"),), recorder=None):
+    observed = FlowAccumulator(begin_ns=0, paths=paths, recorder=recorder)
+    observed.observe([node(1, "lidar"), node(2, "detector"), node(3, "driver")])
+    observed.feed(hits)
+    observed.finish()
+    return observed
+
+
+def reactions(observed):
+    """Times from the first message of the path to the last, and how many of the last ones came from nothing known."""
+    made = of_kind(observed, StreamKind.PATH)
+    if not made:
+        return [], 0
+    (stream,) = made
+    return (stream.columns["end_ns"] - stream.columns["begin_ns"]).tolist(), stream.counts["unknown"]
+
+
+A, B = [sent(100), sent(110)], [got(200, 100), got(300, 110)]
+OTHER = [sent(105, "/map", endpoint=0xA7), got(250, 105, "/map", endpoint=0xB7)]
+SEVERAL = [
+    # rclcpp: callbacks are seen.
+    ("in the callback", [A[0], B[0], begin(210), out(220), out(230), end(240)], [120, 130], 0),
+    ("after the callback", [A[0], B[0], begin(210), end(215), out(220)], [], 1),
+    ("a timer's callback", [A[0], B[0], begin(210), end(215), event(216, "timer_call", timer=1), begin(217, 0xF1),
+                            out(220), end(230, 0xF1)], [], 1),
+    ("a service's callback", [A[0], B[0], begin(210), end(215), begin(217, 0xF1), out(220), end(230, 0xF1)], [], 1),
+    ("a callback in a callback", [A[0], B[0], begin(210), *OTHER[:1], begin(251, 0xF1), out(252), end(253, 0xF1),
+                                  out(254), end(255)], [154], 1),
+    ("another thread", [A[0], B[0], begin(210), out(220, tid=9), end(240)], [], 1),
+    ("something between", [A[0], B[0], event(205, "request_take"), begin(210), out(220), end(240)], [], 1),
+    ("a callback of several", [*A, B[0], begin(210), out(220), end(240), *OTHER, begin(260), out(270), end(280)],
+     [120], 1),
+    ("nothing was taken", [A[0], got(200, 100, taken=0), begin(210), out(220), end(240)], [], 1),
+    ("an exception", [A[0], B[0], begin(210), begin(212, 0xF1), out(214), end(240), out(250)], [], 2),
+    # rclpy: a guard condition is triggered before and after each callback.
+    ("rclpy", [A[0], B[0], event(210, "guard_trigger"), out(220), event(230, "guard_trigger"), out(240)], [120], 1),
+    ("rclpy again", [*A, B[0], event(210, "guard_trigger"), event(230, "guard_trigger"), B[1], out(305),
+                     event(310, "guard_trigger"), out(320)], [210], 1),
+    # C: it is seen to wait.
+    ("rcl", [event(150, "wait"), A[0], B[0], out(220), event(230, "wait"), out(240)], [120], 1),
+    ("rcl, wait not seen", [A[0], B[0], out(220)], [], 1),
+    ("rclc takes all first", [event(150, "wait"), *A, B[0], B[1], out(320), out(330)], [], 2),
+    ("rcl, timer first", [event(150, "wait"), A[0], event(160, "timer_call", timer=1), B[0], out(220)], [], 1),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("hits", "expected", "unknown"), [row[1:] for row in SEVERAL], ids=[row[0] for row in SEVERAL])
+def test_what_is_published_in_a_callback(hits, expected, unknown):
+    assert reactions(accumulate(hits)) == (expected, unknown)
+
+
+def test_a_path_of_three_topics():
+    hits = []
+    for start in range(0, 1000 * MS, 10 * MS):
+        hits += [
+            sent(start),
+            got(start + MS, start), begin(start + MS + 1), out(start + 2 * MS), end(start + 3 * MS),
+            got(start + 4 * MS, start + 2 * MS, "/objects", 3), begin(start + 4 * MS + 1, pid=3),
+            publish(start + 5 * MS, "/cmd", pid=3), end(start + 6 * MS, pid=3),
+        ]  # fmt: skip
+    observed = accumulate(hits, [PATH])
+    assert reactions(observed) == ([5 * MS] * 100, 0)
+    (path,) = of_kind(observed, StreamKind.PATH)
+    assert path.identity == {"path": "/scan,/objects,/cmd", "publisher": "/driver"}
+    # Without the messages between, nothing is known.
+    missing = [one for one in hits if one.values.get("topic") != "/objects" or one.event != "take"]
+    observed = accumulate(missing, [PATH])
+    assert reactions(observed) == ([], 100)
+    assert of_kind(observed, StreamKind.PATH)[0].remarks == ("path unknown: 100 % of 100 messages at its end",)
+
+
+def test_a_gap_ends_what_was_begun():
+    missed = gap(0, 0)._replace(from_ns=215, until_ns=218)
+    observed = accumulate([A[0], B[0], begin(210), missed, out(220), end(240)])
+    assert reactions(observed) == ([], 1)
+    (messages,) = of_kind(observed, StreamKind.MESSAGES)
+    assert "callback_end_ns" not in messages.columns
+
+
+def test_ends_of_callbacks_stand_beside_their_messages():
+    hits = [*A, B[0], begin(210), end(240), B[1]]
+    (messages,) = of_kind(accumulate(hits), StreamKind.MESSAGES)
+    assert messages.columns["callback_end_ns"].tolist() == [240, NOT_SEEN_NS]
+
+
+def test_roscpp_tells_by_the_bytes_what_a_callback_is_about():
+    one, two = (1, 2, 30), (3, 4, 30)
+    start = 11 * S
+    hits = [
+        publish_bytes(start, one, "/scan"), publish_bytes(start + 10, two, "/scan"),
+        take_bytes(start + 100, one, "/scan", tid=7), take_bytes(start + 110, two, "/scan", tid=7),
+        begin(start + 200, topic="/scan"), event(start + 205, "callback_message", key0=1, key1=2, size=30),
+        publish_bytes(start + 210, (9, 9, 40), "/objects", pid=2, endpoint=OBJECTS), end(start + 220),
+        begin(start + 300, topic="/scan"),
+        publish_bytes(start + 310, (8, 9, 40), "/objects", pid=2, endpoint=OBJECTS), end(start + 320),
+    ]  # fmt: skip
+    observed = accumulate(hits)
+    assert reactions(observed) == ([210], 1)
+    (messages,) = of_kind(observed, StreamKind.MESSAGES)
+    assert messages.columns["callback_end_ns"].tolist() == [start + 220, NOT_SEEN_NS]
+    (callback,) = of_kind(observed, StreamKind.CALLBACK)
+    assert callback.identity == {"node": "/detector", "callback": "/scan", "thread": 1}
+
+
+def test_durations_by_callback_and_thread():
+    hits = []
+    for start in range(0, 100 * MS, 10 * MS):
+        thread = 20 + start // (10 * MS) % 2
+        hits += [
+            sent(start), got(start + MS, start, tid=thread), begin(start + MS + 1, tid=thread),
+            end(start + 2 * MS + thread, tid=thread),
+            event(start + 3 * MS, "timer_call", tid=22, timer=0xC0, period_ns=10 * MS),
+            begin(start + 3 * MS + 1, 0xF1, tid=22), end(start + 3 * MS + 500, 0xF1, tid=22),
+            begin(start + 4 * MS, 0xF2), end(start + 4 * MS + 9, 0xF2),
+        ]  # fmt: skip
+    recorder = FlowRecorder(25)
+    made = of_kind(accumulate(hits, recorder=recorder), StreamKind.CALLBACK)
+    found = {
+        (one.identity["callback"], one.identity["thread"]): set(
+            (one.columns["end_ns"] - one.columns["begin_ns"]).tolist()
+        )
+        for one in made
+    }
+    assert found == {
+        ("/scan", 1): {MS + 19},
+        ("/scan", 2): {MS + 20},
+        ("timer 10 ms", 1): {499},
+        ("unknown", 1): {9},
+    }
+    assert sum(one.counts["measured"] for one in made) == 30
+    assert len(recorder.messages) + len(recorder.callbacks) == 25 and recorder.left_out == 15
+
+
+@pytest.mark.parametrize(
+    ("argv", "label"),
+    [
+        (["/opt/talker", "--ros-args", "-r", "__node:=chatty", "-r", "__ns:=/front"], "/front/chatty"),
+        (["/opt/talker", "--ros-args", "--remap", "talker:__node:=chatty"], "/chatty"),
+        (["/opt/talker", "__name:=chatty", "__log:=/x"], "/chatty"),
+        (["/opt/container", "a:__node:=one", "b:__node:=two"], "container"),
+        (["/usr/bin/python3", "-u", "/opt/lib/talker.py", "x"], "talker.py"),
+        (["python3.11", "-m", "package.talker"], "package.talker"),
+        (["./bin/talker", "x:=y"], "talker"),
+        (["python3"], "python3"),
+        ([], "comm"),
+    ],
+)
+def test_names_of_programs(argv, label):
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([program(1, argv)])
+    observed.feed([publish(1)])
+    assert streams(observed)[0].identity["node"] == label
+
+
+def test_a_thread_of_an_unknown_process_is_one_of_the_process_that_its_other_hits_name():
+    observed = accumulate([sent(10), sent(20)._replace(pid=0), sent(30, tid=99)._replace(pid=0)], ())
+    assert [stream.identity["node"] for stream in streams(observed)] == ["/lidar", "process -99"]

@@ -1,0 +1,345 @@
+"""Messages of a system whose every message is known: what is said of each is true, and the numbers add up."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from made_flows import (
+    BEGIN_NS,
+    MS,
+    WALL_NS,
+    S,
+    System,
+    gap,
+    hit,
+    listener,
+    node,
+    publish,
+    publish_bytes,
+    take,
+    take_bytes,
+    talker,
+)  # fmt: skip
+
+from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.flows.streams import streams
+from rtrun.flows.values import StreamKind
+
+PAIR = {"topic": "/a", "publisher": "/talker", "subscriber": "/listener"}
+
+
+def messages(observed):
+    """The streams of messages by the labels of their ends."""
+    made = [stream for stream in streams(observed) if stream.kind is StreamKind.MESSAGES]
+    return {(one.identity["publisher"], one.identity["subscriber"]): one for one in made}
+
+
+def ends(observed):
+    made = [stream for stream in streams(observed) if stream.kind is StreamKind.INTERVALS]
+    return {(one.identity["end"], one.identity["node"]): one for one in made}
+
+
+def check(observed, truth, *, is_complete=True):
+    """Every row is a true message, nothing that came counts as lost, and the numbers add up."""
+    received = Counter()
+    for pair, stream in messages(observed).items():
+        taken, counts = truth.taken[pair], stream.counts
+        published_ns, reception_ns, seq = (stream.columns[key] for key in ("publication_ns", "reception_ns", "seq"))
+        rows = list(zip(published_ns.tolist(), reception_ns.tolist(), strict=True))
+        assert all(taken_ns == taken[at_ns][0] for at_ns, taken_ns in rows), "a row that is no message"
+        assert len({at_ns for at_ns, _ in rows}) == len(rows) == counts["received"]
+        assert np.all(np.diff(reception_ns) >= 0)
+        assert counts["out_of_order"] == np.count_nonzero(np.diff(published_ns) < 0)
+        total = counts["received"] + counts["lost"] + counts["ambiguous"] + counts["undecided"]
+        assert total == counts["published"] == len(truth.published[pair[0]])
+        assert min(counts.values()) >= 0
+        # What is missing between the numbers is what was lost, for whoever reads the columns alone.
+        order = np.argsort(published_ns)
+        assert np.all(np.diff(seq[order]) >= 1) and (not rows or seq.min() == 0)
+        assert (seq.max() + 1 if rows else 0) - len(rows) == counts["lost"]
+        never = [at_ns for at_ns in truth.published[pair[0]] if not taken.get(at_ns)]
+        gone = sum(np.searchsorted(np.sort(published_ns), at_ns) not in (0, len(rows)) for at_ns in never)
+        assert counts["lost"] <= gone
+        received[pair[1]] += counts["received"]
+        if is_complete:
+            seen = set(truth.published[pair[0]])
+            of_both = {at_ns: times[0] for at_ns, times in taken.items() if at_ns in seen}
+            assert dict(rows) == of_both and counts["lost"] == gone
+    for (role, label), stream in ends(observed).items():
+        counts = stream.counts
+        if role == "subscriber":
+            assert counts["received"] == received[label]
+            decided = ("received", "duplicate", "ambiguous", "historic", "unmatched", "waiting")
+            assert sum(counts[key] for key in decided) == counts["messages"] == truth.takes[label]
+            assert counts["waiting"] == 0
+        else:
+            assert counts["messages"] == len(truth.published[label])
+
+
+def test_stamped_messages_that_are_lost_doubled_delayed_and_reordered():
+    system = System([talker(), listener()], loss=0.05, doubled=0.03, slow=0.02, latency_ns=5 * MS)
+    observed, truth = system.observe()
+    check(observed, truth)
+    counts = messages(observed)["/talker", "/listener"].counts
+    assert min(counts[key] for key in ("lost", "duplicate", "out_of_order", "undecided")) > 0
+    # Published before the begin, taken after it.
+    assert ends(observed)["subscriber", "/listener"].counts["unmatched"] == sum(
+        len(times)
+        for at_ns, times in truth.taken["/talker", "/listener"].items()
+        if at_ns not in truth.published["/talker"]
+    )
+
+
+def test_stamps_that_differ_by_rounding():
+    check(*System([talker(), listener()], stamp_error_ns=2).observe())
+
+
+def test_several_publishers_and_subscribers_of_a_topic():
+    lives = [talker(), talker("/other", 3, period_ns=7 * MS), listener(), listener("/logger", 4)]
+    observed, truth = System(lives, loss=0.02, slow=0.01).observe()
+    check(observed, truth)
+    assert len(messages(observed)) == 4
+
+
+def test_a_program_that_restarts_is_measured_on():
+    """With its pointers, and with its pid: only the start of the process tells."""
+    half = BEGIN_NS + 10 * S
+    lives = [
+        talker(until_ns=half),
+        talker(from_ns=half + 2 * S, start_ticks=1300),
+        listener(until_ns=half + 5 * S),
+        listener(pid=9, from_ns=half + 6 * S, start_ticks=1900),
+    ]
+    observed, truth = System(lives, loss=0.05).observe()
+    check(observed, truth, is_complete=False)
+    (stream,) = messages(observed).values()
+    assert dict(stream.identity) == PAIR
+    times = stream.columns["reception_ns"]
+    assert times.min() < half < half + 2 * S < times.max()
+    # Nobody was there for 100 messages: they are not lost.
+    assert stream.counts["undecided"] > 90
+    assert 0.02 < stream.counts["lost"] / stream.counts["published"] < 0.08
+    # The time between the last message before the restart and the first one after it is no interval.
+    publisher = ends(observed)["publisher", "/talker"]
+    assert np.diff(publisher.columns["timestamp_ns"])[publisher.cuts - 1].max() > S
+
+
+def test_two_programs_of_one_name_are_told_apart():
+    lives = [talker(), listener(), listener(pid=5)]
+    observed, _ = System(lives).observe()
+    assert set(messages(observed)) == {("/talker", "/listener"), ("/talker", "/listener#2")}
+
+
+def test_nothing_is_joined_across_a_gap():
+    system = System([talker(), listener()], latency_ns=30 * MS, loss=0.02)
+    cut = gap(7, 9)
+    observed, truth = system.observe([cut])
+    check(observed, truth, is_complete=False)
+    columns = messages(observed)["/talker", "/listener"].columns
+    across = (columns["publication_ns"] < cut.from_ns) & (columns["reception_ns"] >= cut.until_ns)
+    assert not across.any() and len(columns["seq"]) > 1500
+    # All of the second half was seen, and only losses of the transport count.
+    assert messages(observed)["/talker", "/listener"].counts["lost"] < 60
+    assert ends(observed)["publisher", "/talker"].cuts.size == 1
+
+
+def test_hits_within_a_gap_and_late_ones_are_left_out():
+    observed = FlowAccumulator(begin_ns=0)
+    observed.feed([publish(10), take(20, 10), gap(0, 1)._replace(from_ns=100, until_ns=200), publish(150)])
+    assert observed.in_gaps == 1
+    observed.feed([publish(300), take(310, 300)])
+    observed.feed([publish(305), take(320, 305)])
+    assert observed.gaps[-1].from_ns == 305 and observed.gaps[-1].until_ns == 310
+    observed.finish()
+    (stream,) = messages(observed).values()
+    assert stream.columns["reception_ns"].tolist() == [20, 310]
+    assert stream.counts["lost"] == 0
+
+
+@pytest.mark.parametrize("loss", [0, 0.05])
+def test_payloads_that_differ(loss):
+    system = System([talker(payloads=10**9), listener()], is_ordered=True, loss=loss, latency_ns=5 * MS)
+    system.until_ns = BEGIN_NS + 21 * S  # what comes in the first ten seconds is decided after them
+    check(*system.observe())
+
+
+@pytest.mark.parametrize("is_told", [False, True])
+def test_payloads_that_begin_with_their_time_are_matched_at_once(is_told):
+    """roscpp writes the number of a message with a header after the probe saw it."""
+    observed = FlowAccumulator(begin_ns=BEGIN_NS)
+    if is_told:
+        observed.offset("system", BEGIN_NS, WALL_NS)
+    for number in range(100):
+        at_ns = BEGIN_NS + number * MS
+        second, nanosecond = divmod(at_ns + WALL_NS, S)
+        sent, came = ((first + (second << 32), nanosecond, 100) for first in (0, number))
+        observed.feed([publish_bytes(at_ns, sent), take_bytes(at_ns + 5, came)])
+        # On the clock of the hits, without a number in front.
+        second, nanosecond = divmod(at_ns, S)
+        own = second + (nanosecond << 32), number, 100
+        observed.feed([publish_bytes(at_ns + 10, own, "/b", endpoint=1), take_bytes(at_ns + 20, own, "/b", endpoint=1)])
+    observed.finish()
+    of = {stream.identity["topic"]: stream.counts for stream in streams(observed) if stream.kind == "messages"}
+    assert of["/a"]["received"] == 100 * is_told and of["/b"]["received"] == 100
+
+
+@pytest.mark.parametrize("latency_ns", [MS, 15 * MS, 40 * MS])
+def test_the_same_payload_of_a_program_that_ran_before_is_never_guessed(latency_ns):
+    """A message of before the begin may be on its way all the time: what is taken is then never what is just sent."""
+    system = System([talker(payloads=1), listener()], is_ordered=True, latency_ns=latency_ns)
+    observed, truth = system.observe()
+    check(observed, truth, is_complete=False)
+    assert messages(observed)["/talker", "/listener"].counts["ambiguous"] > 1900
+
+
+def test_the_same_payload_is_matched_from_its_first_message_to_its_first_loss():
+    starts = BEGIN_NS + 11 * S
+    for loss, latency_ns, least in ((0, 15 * MS, 0.95), (0.02, MS, 0.001)):
+        system = System(
+            [talker(payloads=1, from_ns=starts), listener()], is_ordered=True, loss=loss, latency_ns=latency_ns,
+            until_ns=starts + 9 * S,
+        )  # fmt: skip
+        observed, truth = system.observe()
+        check(observed, truth, is_complete=False)
+        counts = messages(observed)["/talker", "/listener"].counts
+        assert counts["received"] >= least * counts["published"]
+        # Without a loss only what was on its way at the end.
+        assert (counts["ambiguous"] > 100) == (loss > 0)
+
+
+def test_a_payload_of_two_publishers_is_not_told_apart():
+    starts = BEGIN_NS + 11 * S
+    lives = [talker(payloads=1, from_ns=starts), talker("/other", 3, payloads=1, from_ns=starts), listener()]
+    observed, truth = System(lives, is_ordered=True, latency_ns=25 * MS, until_ns=starts + 5 * S).observe()
+    check(observed, truth, is_complete=False)
+    assert ends(observed)["subscriber", "/listener"].counts["ambiguous"] > 100
+
+
+def test_what_lies_behind_a_short_payload_does_not_count():
+    observed = FlowAccumulator(begin_ns=0, horizon_ns=1000)
+    observed.feed(
+        [
+            publish_bytes(2000, (0xFFFFFF05, 0x1111, 1)),
+            take_bytes(2100, (0xEEEEEE05, 0x2222, 1)),
+            publish_bytes(2200, (5, 0x33445566, 10)),
+            take_bytes(2300, (5, 0x77885566, 10)),
+        ]
+    )
+    observed.finish()
+    (stream,) = messages(observed).values()
+    assert stream.columns["reception_ns"].tolist() == [2100, 2300]
+
+
+def test_stamps_of_two_publishers_that_cannot_be_told_apart():
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "talker"), node(3, "other"), node(2, "listener")])
+    observed.feed([publish(100, stamp=50), publish(101, stamp=51, pid=3), take(200, 50 - 1_700_000_000 * S)])
+    observed.feed([publish(300), publish(350, pid=3), take(400, 300), take(500, 310)])
+    observed.finish()
+    counts = messages(observed)["/talker", "/listener"].counts
+    assert (counts["received"], counts["ambiguous"], counts["lost"]) == (1, 1, 0)
+
+
+def test_messages_published_before_a_subscription_was_made_have_no_latency():
+    observed = FlowAccumulator(begin_ns=0)
+    made = hit(1000, "subscription_init", pid=2, endpoint=0xB0, node=1, topic="/a", depth=1)
+    observed.feed([publish(100), made, take(1100, 100), publish(1200), take(1300, 1200)])
+    observed.finish()
+    (stream,) = messages(observed).values()
+    assert stream.columns["publication_ns"].tolist() == [1200]
+    assert ends(observed)["subscriber", "process 2"].counts["historic"] == 1
+
+
+def test_nodes_are_named_by_their_beginning():
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "container")])
+    observed.feed(
+        [
+            hit(1, "node_init", node=7, name="camera", namespace="/front"),
+            hit(2, "publisher_init", endpoint=0xA0, node=7, topic="/a", depth=1),
+            publish(3),
+            hit(4, "publisher_init", endpoint=0xA0, node=8, topic="/b", depth=1),
+            publish(5, "/b"),
+        ]
+    )
+    assert set(ends(observed)) == {("publisher", "/front/camera"), ("publisher", "/container")}
+
+
+def test_hits_that_cannot_be_read_are_counted():
+    observed = FlowAccumulator(begin_ns=0)
+    observed.feed(
+        [
+            publish(1, "(fault)"),
+            hit(2, "publish", endpoint=1, topic="/a"),
+            hit(3, "take", endpoint=1, topic="/a", taken=1),
+            hit(4, "timer_call"),
+            hit(5, "callback_begin"),
+            hit(6, "subscription_init", node=1),
+            hit(7, "node_init", node=1, name="(fault)"),
+            hit(8, "timer_linked", timer=5, node=1),
+            hit(9, "callback_added"),
+            hit(10, "callback_end"),
+            publish_bytes(11, (1, 2, -4)),
+        ]
+    )
+    assert observed.situation.unreadable == 10
+    assert messages(observed) == {}
+
+
+def test_names_that_are_alike_when_printed_stay_two():
+    observed = FlowAccumulator(begin_ns=0)
+    observed.feed([publish(1, "/\x1b"), publish(2, "/\x1c", endpoint=2)])
+    made = [tuple(stream.identity.items()) for stream in streams(observed)]
+    assert len(set(made)) == 2 and all("\x1b" not in str(one) for one in made)
+
+
+def test_unmatched_publications_are_forgotten_after_the_horizon():
+    observed = FlowAccumulator(begin_ns=0, horizon_ns=1000)
+    observed.feed([publish(at_ns) for at_ns in range(0, 100_000, 10)])
+    assert ends(observed)["publisher", "process 1"].counts["never_taken"] == 9899
+    assert sum(len(matching._open) for matching in observed.topics._matchings()) <= 101
+
+
+@st.composite
+def systems(draw):
+    """Programs that begin and end at any time; those with payloads in place of stamps double nothing."""
+    payloads = draw(st.sampled_from([0, 1, 2, 30, 10**9]))
+    lives = []
+    for pid in range(1, draw(st.integers(2, 5)) + 1):
+        times = {
+            "from_ns": BEGIN_NS + draw(st.integers(-20, 30)) * S // 10,
+            "until_ns": BEGIN_NS + draw(st.integers(5, 50)) * S // 10,
+        }
+        if draw(st.booleans()):
+            period_ns = draw(st.sampled_from([20, 50, 300])) * MS
+            lives.append(talker(f"/talker{pid}", pid, payloads=payloads, period_ns=period_ns, **times))
+        else:
+            lives.append(listener(f"/listener{pid}", pid, **times))
+    return System(
+        lives,
+        seed=draw(st.integers(0, 2**32)),
+        loss=draw(st.sampled_from([0, 0.05, 0.5])),
+        doubled=0 if payloads else draw(st.sampled_from([0, 0.1])),
+        slow=draw(st.sampled_from([0, 0.1])),
+        is_ordered=payloads > 0 or draw(st.booleans()),
+        latency_ns=draw(st.sampled_from([MS // 10, 10 * MS, 100 * MS])),
+        until_ns=BEGIN_NS + draw(st.integers(5, 50)) * S // 10,
+    )
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    system=systems(),
+    gaps=st.lists(st.tuples(st.integers(0, 50), st.integers(1, 10)), max_size=2),
+    chunk_ns=st.sampled_from([S // 10, S, 100 * S]),
+)
+def test_counts_always_add_up(system, gaps, chunk_ns):
+    """Whatever programs begin, end and lose: every row is true, and each message is counted once."""
+    observed, truth = system.observe(
+        [gap(from_ds / 10, (from_ds + length_ds) / 10) for from_ds, length_ds in gaps],
+        horizon_ns=3 * S,
+        chunk_ns=chunk_ns,
+    )
+    check(observed, truth, is_complete=False)
