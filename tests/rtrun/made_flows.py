@@ -11,7 +11,6 @@ MS = 10**6
 S = 10**9
 BEGIN_NS = 5_000 * S
 WALL_NS = 1_700_000_000 * S
-PREFIX_BYTES = 4
 
 
 def program(pid, argv=("/opt/lib/talker",), start_ticks=100, threads=()):
@@ -48,7 +47,7 @@ def take(at_ns, stamp_at_ns, topic="/a", *, pid=2, endpoint=0xB0, taken=1, tid=N
 
 def publish_bytes(at_ns, payload, topic="/a", *, pid=1, endpoint=0xA0, tid=None):
     key0, key1, size = payload
-    values = {"key0": key0, "key1": key1, "size": size + PREFIX_BYTES}
+    values = {"key0": key0, "key1": key1, "size": size}
     return hit(at_ns, "publish", pid=pid, tid=tid, endpoint=endpoint, topic=topic, **values)
 
 

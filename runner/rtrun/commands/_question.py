@@ -16,7 +16,7 @@ T = TypeVar("T")
 CONFIDENCE = THESIS.confidence
 
 
-def _argument(read: Callable[[object], T]) -> Callable[[str], T]:
+def argument(read: Callable[[object], T]) -> Callable[[str], T]:
     """Let argparse say what is wrong with a value, in the words of the one who reads it."""
 
     def read_argument(text: str) -> T:
@@ -28,8 +28,8 @@ def _argument(read: Callable[[object], T]) -> Callable[[str], T]:
     return read_argument
 
 
-time_argument = _argument(read_time_ns)
-probability_argument = _argument(read_probability)
+time_argument = argument(read_time_ns)
+probability_argument = argument(read_probability)
 
 
 def add_question(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +38,7 @@ def add_question(parser: argparse.ArgumentParser) -> None:
     add_of(parser, "default: that of the campaign's goal, else lateness")
     parser.add_argument(
         "--tolerate",
-        type=_argument(read_tolerance),
+        type=argument(read_tolerance),
         metavar="MISSES",
         help=f"misses that do not count, as '2 in a row' or '3 of 100' [{goal} none]",
     )

@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
 def print_answers(study: "Study") -> None:
     """Print the answers of a study as a table."""
-    from rtfiles.output import console, print_line
+    from rtfiles.output import console, counted, print_line
     from rtrun.judgement.boards import differences, spread
     from rtrun.judgement.standings import standings
     from rtrun.report.standings import question, reasons, table
@@ -48,9 +48,13 @@ def print_answers(study: "Study") -> None:
 
     print_banner(study.platform)
     print_line(question(study))
-    groups = standings(study)
+    every = standings(study)
+    groups = [each for each in every if each.has_deadline]
     screen = console()
-    screen.print(table(groups, screen.width))
+    if groups:
+        screen.print(table(groups, screen.width))
+    if without := len(every) - len(groups):
+        print_line(f"{counted(without, 'group')} without a deadline: --deadline TIME gives all of them one")
     for text in reasons(groups):
         print_line(text)
     for group in study.pooled:

@@ -12,7 +12,6 @@ from rtrun.flows.threads import ObservedThread
 from rtrun.probes.hits import Hit
 
 PUBLISHER, SUBSCRIBER = "publisher", "subscriber"
-_PREFIX_BYTES = 4  # roscpp publishes a message with its length in front, which is counted with it
 _RECENT_MAX = 4096  # messages of a subscription of roscpp that wait for their callback
 _KEY_BYTES = 12
 
@@ -58,7 +57,7 @@ class TopicRecord(MessageRecord):
             self._recorder.message(publication, reception)
 
     def _publish(self, hit: Hit, thread: ObservedThread) -> None:
-        key = key_of(hit.values, _PREFIX_BYTES)
+        key = key_of(hit.values)
         process = thread.process
         endpoint = self._endpoint_of(hit, process, PUBLISHER, process.publishers)
         if endpoint is None or key is None:
@@ -158,18 +157,17 @@ class TopicRecord(MessageRecord):
             thread.process.names_of_nodes[node] = full_name(name, "" if namespace == FAULT else namespace)
 
 
-def key_of(values: Mapping[str, int | str], prefix_bytes: int = 0) -> int | Payload | None:
+def key_of(values: Mapping[str, int | str]) -> int | Payload | None:
     """What tells a message from others: its source's time stamp, or its bytes; None where the hit has neither.
 
-    What lies behind a short message in memory is no part of it. `prefix_bytes` are counted in the length alone.
+    What lies behind a short message in memory is no part of it.
     """
     stamp = values.get("source_ns")
     if isinstance(stamp, int):
         return stamp
     key0, key1, size = values.get("key0"), values.get("key1"), values.get("size")
-    if not isinstance(key0, int) or not isinstance(key1, int) or not isinstance(size, int) or size < prefix_bytes:
+    if not isinstance(key0, int) or not isinstance(key1, int) or not isinstance(size, int) or size < 0:
         return None
-    size -= prefix_bytes
     if size < _KEY_BYTES:
         return key0 & (1 << 8 * min(size, 8)) - 1, key1 & (1 << 8 * max(size - 8, 0)) - 1, size
     # roscpp writes the number of a message with a header, in front of the stamp, after it was seen to be published.

@@ -11,6 +11,9 @@ from rtrun.kinds.kind import Columns, LogForm, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record, no_values
 from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, disagree, without
 
+NOT_SEEN_NS = -(2**63)
+"""In place of a time that nothing has seen."""
+
 
 def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
     publication, reception, arrived = columns["publication_ns"], columns["reception_ns"], columns["seq"]
@@ -36,7 +39,14 @@ def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedVa
     falls = 0 if is_in_order else int(np.count_nonzero(arrived[1:] < arrived[:-1]))
     agree(path, "out of order", falls, counts.out_of_order)
     absent = _absent(seq, counts.asked, path) if counts.missing else no_values()
-    return {"latency": IndexedValues(values_ns=(reception - publication)[order], index=seq, absent=absent)}
+    series = {"latency": IndexedValues(values_ns=(reception - publication)[order], index=seq, absent=absent)}
+    if "callback_end_ns" in columns:
+        end = columns["callback_end_ns"]
+        handled = np.flatnonzero((end != NOT_SEEN_NS)[order])
+        values = (end - publication)[order][handled]
+        check_times(path, values)
+        series["handled"] = IndexedValues(values_ns=values, index=seq[handled])
+    return series
 
 
 def _absent(index: Int64s, asked: int, path: Path) -> Int64s:

@@ -4,7 +4,7 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
@@ -67,7 +67,7 @@ def observe(
     for_s: float,
     kernel_events: Collection[str] = (),
     limit_per_s: int = LIMIT_PER_S,
-) -> Iterator[Observed]:
+) -> Generator[Observed, None, None]:
     """Place probes on a target, and yield what they see: `Began`, a `Batch` about once a second, `Finished`.
 
     `programs` are those whose threads are told with their processes; others that use the same libraries are found while

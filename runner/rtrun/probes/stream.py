@@ -5,6 +5,7 @@ script: hits in the order of time, of all CPUs together.
 """
 
 import re
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
@@ -36,12 +37,15 @@ _TIMER_CALL = "timer_call"
 class Batch:
     """What a second brought, complete up to `until_ns`, in the order of time.
 
+    Events are recorded since `begin_ns`, which is 0 where that is not known yet.
+
     `kernel` are the kernel's own events: their names have a slash, as sched/sched_switch, their values are those of
     their format, and `common_flags` and `common_preempt_count`. `realtime_offset_ns` is how far CLOCK_REALTIME is ahead
     of CLOCK_MONOTONIC, None where the target does not show it. `programs` are those that are new or whose threads have
     changed; `ended` are pids. Times are of CLOCK_MONOTONIC.
     """
 
+    begin_ns: int
     until_ns: int
     hits: tuple[Hit, ...]
     kernel: tuple[Hit, ...]
@@ -275,8 +279,8 @@ class WatchReader:
         if until_ns is None:
             # The mark was lost: what is read is given with the next.
             until_ns = -1
-        hits, self._hits = _cut(self._hits, until_ns)
-        kernel, self._kernel = _cut(self._kernel, until_ns)
+        hits, self._hits = _cut(self._hits, self.begin_ns, until_ns)
+        kernel, self._kernel = _cut(self._kernel, self.begin_ns, until_ns)
         # In the order of time, of all CPUs: the thread of a timer goes from one to another.
         for hit in hits:
             if hit.event == _TIMER_CALL and isinstance(hit.values, dict):
@@ -284,6 +288,7 @@ class WatchReader:
         gaps = tuple(sorted(gap for gap in self._gaps if gap.until_ns <= until_ns))
         self._gaps = [gap for gap in self._gaps if gap.until_ns > until_ns]
         batch = Batch(
+            begin_ns=self.begin_ns,
             until_ns=max(until_ns, 0),
             hits=hits,
             kernel=kernel,
@@ -296,10 +301,9 @@ class WatchReader:
         return batch
 
 
-def _cut(hits: list[Hit], until_ns: int) -> tuple[tuple[Hit, ...], list[Hit]]:
-    """Those up to a time, in the order of time, and the others."""
+def _cut(hits: list[Hit], begin_ns: int, until_ns: int) -> tuple[tuple[Hit, ...], list[Hit]]:
+    """Those between two times, in the order of time, and the later ones; before the first not all probes were there."""
     hits.sort(key=itemgetter(0))
-    count = len(hits)
-    while count and hits[count - 1].at_ns > until_ns:
-        count -= 1
-    return tuple(hits[:count]), hits[count:]
+    first = bisect_left(hits, begin_ns, key=itemgetter(0))
+    last = bisect_right(hits, until_ns, lo=first, key=itemgetter(0))
+    return tuple(hits[first:last]), hits[last:]

@@ -16,7 +16,7 @@ CLOCK = "CLOCK_MONOTONIC"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Stream:
+class ObservedOutput:
     """One thing that was observed: a pair of publisher and subscriber, a timer, a callback, a topic, a path of topics.
 
     `suite` is its entry in observed.yml, which names the `columns`, each int64 of shape (rows,). `parameters` tell it
@@ -33,10 +33,11 @@ class Stream:
     duplicate: int = 0
     out_of_order: int = 0
     rate_hz: float | None = None
+    clock_step_ns: int = 1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Observer:
+class Provenance:
     """What all streams of an observation share; the times are in ISO 8601."""
 
     version: str
@@ -46,7 +47,9 @@ class Observer:
     end_time: str
 
 
-def write_stream(folder: Path, output: str, stream: Stream, observer: Observer, threads: Sequence[Thread]) -> None:
+def write_stream(
+    folder: Path, output: str, stream: ObservedOutput, provenance: Provenance, threads: Sequence[Thread]
+) -> None:
     """Write the samples of a stream, and the json beside them. `threads` are those of the programs it is of."""
     names = suite(stream.suite).columns
     rows = np.stack([np.asarray(stream.columns[name], dtype="<i8") for name in names], axis=1)
@@ -57,17 +60,22 @@ def write_stream(folder: Path, output: str, stream: Stream, observer: Observer, 
         suite=stream.suite,
         program=stream.suite,
         middleware="",
-        version=observer.version,
+        version=provenance.version,
         complete=True,
         incomplete_reason=None,
         requested=dict(stream.parameters),
         in_effect=InEffect(
-            threads=list(threads), clock=CLOCK, clock_resolution_ns=1, clock_step_ns=1, mlockall=None, facts={}
+            threads=list(threads),
+            clock=CLOCK,
+            clock_resolution_ns=1,
+            clock_step_ns=stream.clock_step_ns,
+            mlockall=None,
+            facts={},
         ),
-        host=observer.host,
-        kernel=observer.kernel,
-        start_time=observer.start_time,
-        end_time=observer.end_time,
+        host=provenance.host,
+        kernel=provenance.kernel,
+        start_time=provenance.start_time,
+        end_time=provenance.end_time,
         counts=Counts(
             asked=stream.asked,
             measured=stream.measured,

@@ -11,13 +11,14 @@ import pytest
 from written import write_record
 
 from rtrun.cli import main
+from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.kinds.output import Thread, Uname
 from rtrun.kinds.timer import UNKNOWN_NS
-from rtrun.results.observed import Observer, Stream, write_stream
+from rtrun.results.observed import ObservedOutput, Provenance, write_stream
 
 PERIOD_NS = 10_000_000
 N = 6000
-OBSERVER = Observer(
+PROVENANCE = Provenance(
     version="0.1.0",
     host="robot",
     kernel=Uname(release="6.1.0-rt", version="#1 SMP PREEMPT_RT", machine="aarch64"),
@@ -32,7 +33,7 @@ LATE_NS = 100_000 + np.random.default_rng(1).integers(0, 20_000, N)
 def write(root, name, stream, **changed):
     folder = root / name
     folder.mkdir(parents=True)
-    write_stream(folder, name, stream, OBSERVER, THREADS)
+    write_stream(folder, name, stream, PROVENANCE, THREADS)
     parameters = dict(stream.parameters)
     programs = [{"name": "controller", "argv": ["controller"], "pid": 7, "threads": [THREADS[0].model_dump()]}]
     write_record(folder, stream.suite, [name], parameters, **{"subject": "attached", "programs": programs, **changed})
@@ -40,9 +41,11 @@ def write(root, name, stream, **changed):
 
 def messages(lost=()):
     seq = np.setdiff1d(np.arange(N), lost)
-    columns = {"publication_ns": AT_NS[seq], "reception_ns": (AT_NS + LATE_NS)[seq], "seq": seq}
+    # Every second callback was not seen to end.
+    end = np.where(seq % 2, NOT_SEEN_NS, AT_NS[seq] + 500_000)
+    columns = {"publication_ns": AT_NS[seq], "reception_ns": (AT_NS + LATE_NS)[seq], "seq": seq, "callback_end_ns": end}
     parameters = {"topic": "/cmd_vel", "publisher": "/controller", "subscriber": "/base"}
-    return Stream(
+    return ObservedOutput(
         suite="observed_messages", parameters=parameters, columns=columns, asked=N, measured=seq.size, missing=len(lost)
     )
 
@@ -59,19 +62,19 @@ def timer(*, known=True, segments=1, skipped=0):
         "segment": segment,
     }
     parameters = {"node": "/controller", "timer": 1, "period_ns": PERIOD_NS}
-    return Stream(
+    return ObservedOutput(
         suite="observed_timers", parameters=parameters, columns=columns, asked=N - segments, measured=N - segments
     )
 
 
 def spans(suite, begin_ns=AT_NS, **parameters):
     columns = {"begin_ns": begin_ns, "end_ns": begin_ns + LATE_NS}
-    return Stream(suite=suite, parameters=parameters, columns=columns, asked=N, measured=N)
+    return ObservedOutput(suite=suite, parameters=parameters, columns=columns, asked=N, measured=N)
 
 
 def interval():
     columns = {"timestamp_ns": AT_NS, "segment": np.zeros(N, np.int64)}
-    return Stream(
+    return ObservedOutput(
         suite="observed_intervals", parameters={"topic": "/scan"}, columns=columns, asked=N - 1, measured=N - 1
     )
 
@@ -153,7 +156,7 @@ def test_all_else_takes_them(rtrun, results, tmp_path_factory):
     """show, compare, report, archive and history."""
     shown = json.loads(rtrun("show", results, "--json")[1])
     series = {result["series"] for run in shown["runs"] for result in run["results"]}
-    assert series == {"latency", "lateness", "jitter", "duration", "reaction", "interval"}
+    assert series == {"latency", "handled", "lateness", "jitter", "duration", "reaction", "interval"}
     page = tmp_path_factory.mktemp("page") / "report.html"
     assert rtrun("report", results, "--output", page)[0] == 0
     assert "Its deadline is not met" in page.read_text()

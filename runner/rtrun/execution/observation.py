@@ -1,0 +1,355 @@
+"""Programs that run already are observed, and what was measured of them becomes runs like any other."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from rtfiles import atomic
+from rtfiles.output import counted
+from rtrun.analysis.histogram import Int64s
+from rtrun.execution import clock_record
+from rtrun.execution.board import Clock, utc_now
+from rtrun.execution.run_execution import STATED
+from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.flows.programs import label_of
+from rtrun.flows.recorder import FlowRecorder
+from rtrun.flows.streams import streams
+from rtrun.flows.values import Stream, StreamKind, differences
+from rtrun.kinds.messages import NOT_SEEN_NS
+from rtrun.kinds.output import Thread, Uname
+from rtrun.kinds.timer import UNKNOWN_NS
+from rtrun.plan.observation import ObservationPlan
+from rtrun.plan.suites import Value
+from rtrun.probes import session
+from rtrun.probes.hits import ObservedProgram
+from rtrun.probes.libraries.description import events
+from rtrun.probes.placement import Placement, place
+from rtrun.probes.programs import FoundProgram, find_programs
+from rtrun.probes.session import Began, Finished
+from rtrun.results import run_directory
+from rtrun.results.observed import ObservedOutput, Provenance, write_stream
+from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
+from rtrun.targets import deploy
+from rtrun.targets.errors import TargetError
+from rtrun.targets.inspection import facts as inspection
+from rtrun.targets.inspection import platform_signs
+from rtrun.targets.inspection.platform import KnownPlatform
+from rtrun.targets.link import Link
+
+SUITE = "observation"
+_SUITES = {
+    StreamKind.MESSAGES: "observed_messages",
+    StreamKind.TIMER: "observed_timers",
+    StreamKind.CALLBACK: "observed_callbacks",
+    StreamKind.INTERVALS: "observed_intervals",
+    StreamKind.PATH: "observed_paths",
+}
+# Parameters that name programs.
+_PARTIES = ("publisher", "subscriber", "node")
+# A number and what tells streams apart, in a name that file systems take.
+_NAME_MAX = 100
+GRAPH = "graph.json"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Watched:
+    """A target with the programs to observe, and the probes for them."""
+
+    link: Link
+    scripts: PurePosixPath
+    state: inspection.TargetState
+    equipment: inspection.Equipment
+    platform: KnownPlatform
+    found: tuple[FoundProgram, ...]
+    placement: Placement
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Observation:
+    """What was observed: the flows, the programs that were there at any time, what was placed, and how it ended."""
+
+    flows: FlowAccumulator
+    programs: tuple[ObservedProgram, ...]
+    began: Began
+    finished: Finished | None
+    start_time: str
+    end_time: str
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is missing in it, a sentence each."""
+        lines = [f"no probe {each.event or 'at all'} in {each.path}: {each.reason}" for each in self.began.refused]
+        if self.finished and self.finished.lost_events:
+            lines.append(f"{counted(self.finished.lost_events, 'event')} lost by the kernel: what was then is left out")
+        if self.finished and self.finished.rests:
+            lines.append(f"{counted(self.finished.rests, 'rest')} of the probes: more events than the limit")
+        if self.finished and not self.finished.is_clean:
+            lines.append("the probes were not seen to be taken off: the next call takes off what is left")
+        return tuple(dict.fromkeys(lines))
+
+
+def watch(link: Link) -> Watched:
+    """Look at a target without changing it, and resolve the probes for its programs. Raises TargetError."""
+    scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
+    found = find_programs(link, scripts)
+    return Watched(
+        link=link,
+        scripts=scripts,
+        state=inspection.read_state(link, scripts / "state.sh"),
+        equipment=inspection.inspect(link),
+        platform=platform_signs.find_platform(link),
+        found=found,
+        placement=place(link, found, events=events(), returns=True),
+    )
+
+
+def observe(
+    watched: Watched,
+    plan: ObservationPlan,
+    *,
+    on_second: Callable[[FlowAccumulator, int], None],
+    recorder: FlowRecorder | None = None,
+    now: Clock = utc_now,
+) -> Observation:
+    """Observe for the time of the plan, or until Ctrl-C, which ends it as its time does.
+
+    `on_second` is called about once a second with the flows so far and the time of CLOCK_MONOTONIC up to which they
+    are complete. Raises TargetError where there is nothing to observe, or the target cannot be observed.
+    """
+    if not watched.placement.probes:
+        why = "; ".join(dict.fromkeys(f"{each.path}: {each.reason}" for each in watched.placement.refused))
+        nothing = "no program runs there that uses ROS" if not watched.found else f"no probe can be placed: {why}"
+        raise TargetError(f"{watched.link.target.address}: {nothing}")
+    alive = {each.program.pid: each.program for each in watched.found}
+    seen = {(each.pid, each.start_ticks): each for each in alive.values()}
+    flows: FlowAccumulator | None = None
+    began, finished = Began(placed=(), refused=()), None
+    start_time = now().isoformat()
+    stream = session.observe(watched.link, watched.scripts, watched.placement, watched.found, for_s=plan.for_s)
+    try:
+        for each in stream:
+            if isinstance(each, Began):
+                began = each
+            elif isinstance(each, Finished):
+                finished = each
+            elif each.begin_ns:
+                if flows is None:
+                    flows = FlowAccumulator(begin_ns=each.begin_ns, paths=plan.paths, recorder=recorder)
+                    flows.observe(alive.values())
+                for pid in each.ended:
+                    alive.pop(pid, None)
+                for program in each.programs:
+                    alive[program.program.pid] = program.program
+                    seen[program.program.pid, program.program.start_ticks] = program.program
+                if each.ended or each.programs:
+                    flows.observe(alive.values())
+                if each.realtime_offset_ns is not None:
+                    flows.offset("system", each.until_ns, each.realtime_offset_ns)
+                flows.feed([*each.hits, *each.gaps])
+                on_second(flows, each.until_ns)
+    except KeyboardInterrupt:
+        stream.close()
+    if flows is None:
+        raise TargetError(f"{watched.link.target.address}: the probes were placed, but nothing was recorded")
+    flows.finish()
+    return Observation(
+        flows=flows,
+        programs=tuple(seen.values()),
+        began=began,
+        finished=finished,
+        start_time=start_time,
+        end_time=now().isoformat(),
+    )
+
+
+def write(results: Path, watched: Watched, plan: ObservationPlan, observation: Observation) -> tuple[str, ...]:
+    """Write a run for each stream, one for each deadline of what was not seen, and one of the observation itself.
+
+    Returns what was left out, a sentence each. Raises InfrastructureError where they cannot be written.
+    """
+    run_directory.make_results(results)
+    number = _next_number(results)
+    names: set[str] = set()
+    left_out: list[str] = []
+    outputs = []
+    for stream in streams(observation.flows):
+        output = _output(stream)
+        if output is None:
+            left_out.append(f"{' '.join(map(str, stream.identity.values()))}: too few calls to be measured")
+            continue
+        left_out += (f"{' '.join(map(str, stream.identity.values()))}: {remark}" for remark in stream.remarks)
+        outputs.append(output)
+        _write_run(results / _name(number, output, names), watched, plan, observation, output)
+    for deadline in plan.deadlines:
+        if not any(deadline.is_of(output.suite, output.parameters) for output in outputs):
+            reason = f"nothing was seen of {deadline.words}"
+            left_out.append(reason)
+            nothing = ObservedOutput(
+                suite=deadline.suite, parameters={deadline.key: deadline.name}, columns={}, asked=0, measured=0
+            )
+            _write_run(results / _name(number, nothing, names), watched, plan, observation, nothing, reason=reason)
+    _write_observation(results / f"{number:03}", watched, observation)
+    return tuple(left_out)
+
+
+def _next_number(results: Path) -> int:
+    taken = [int(match[1]) for path in results.iterdir() if (match := re.match(r"([0-9]{1,9})(?![0-9])", path.name))]
+    return max(taken, default=0) + 1
+
+
+def _name(number: int, output: ObservedOutput, taken: set[str]) -> str:
+    """A name for a run that no other has."""
+    words = [output.suite.removeprefix("observed_"), *(str(value) for value in output.parameters.values())]
+    plain = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join(words)).strip("-")[:_NAME_MAX]
+    name, again = f"{number:03}-{plain}", 1
+    while name in taken:
+        again += 1
+        name = f"{number:03}-{plain}-{again}"
+    taken.add(name)
+    return name
+
+
+def _output(stream: Stream) -> ObservedOutput | None:
+    """A stream as its samples hold it; None where it has not one value."""
+    columns: dict[str, Int64s] = dict(stream.columns)
+    parameters: dict[str, Value] = dict(stream.identity)
+    first = next(iter(columns.values()))
+    rows = first.size
+    lost = stream.counts.get("lost", 0)
+    measured = rows
+    if stream.kind in (StreamKind.TIMER, StreamKind.INTERVALS):
+        segment = np.zeros(rows, np.int64)
+        segment[stream.cuts[stream.cuts < rows]] = 1
+        columns["segment"] = np.cumsum(segment)
+        measured = differences(first, stream.cuts).size
+    if stream.kind is StreamKind.TIMER and measured:
+        parameters["period_ns"] = stream.period_ns or int(np.median(differences(first, stream.cuts)))
+        columns.setdefault("expected_ns", np.full(rows, UNKNOWN_NS))
+        columns.setdefault("real_ns", first)
+    if stream.kind is StreamKind.MESSAGES:
+        columns.setdefault("callback_end_ns", np.full(rows, NOT_SEEN_NS))
+    if not measured:
+        return None
+    passed_ns = int(first[-1] - first[0])
+    return ObservedOutput(
+        suite=_SUITES[stream.kind],
+        parameters=parameters,
+        columns=columns,
+        asked=measured + lost,
+        measured=measured,
+        missing=lost,
+        duplicate=stream.counts.get("duplicate", 0),
+        out_of_order=stream.counts.get("out_of_order", 0),
+        rate_hz=(rows - 1) * 1e9 / passed_ns if rows > 1 and passed_ns > 0 else None,
+    )
+
+
+def _write_run(
+    folder: Path,
+    watched: Watched,
+    plan: ObservationPlan,
+    observation: Observation,
+    output: ObservedOutput,
+    *,
+    reason: str | None = None,
+) -> None:
+    """Write and close the run of a stream; with a `reason` one that failed."""
+    parties = {str(output.parameters[key]) for key in _PARTIES if key in output.parameters}
+    programs = [each for each in observation.programs if label_of(each) in parties] or list(observation.programs)
+    deadline_ns = next(
+        (each.deadline_ns for each in plan.deadlines if each.is_of(output.suite, output.parameters)), None
+    )
+    name = folder.name
+    record = _record(watched, observation, name, output.suite, programs)
+    record = record.model_copy(
+        update={"run": name, "parameters": dict(output.parameters), "deadline_ns": deadline_ns, "outputs": [name]}
+    )
+    with run_directory.filling(folder) as partial:
+        if reason is None:
+            state = watched.state
+            step_ns = clock_record.record(state, []).step_ns or 1
+            provenance = Provenance(
+                version=version("meta-rt-tests"),
+                host=_text(state.host),
+                kernel=Uname(
+                    release=_text(state.kernel_release),
+                    version=_text(state.kernel_version),
+                    machine=_text(state.machine),
+                ),
+                start_time=observation.start_time,
+                end_time=observation.end_time,
+            )
+            threads = [_thread(thread) for program in programs for thread in program.threads]
+            write_stream(partial, name, replace(output, clock_step_ns=step_ns), provenance, threads)
+        else:
+            record = record.model_copy(update={"status": RunStatus.FAILED, "reason": reason, "outputs": []})
+        run_directory.close(partial, folder, record)
+
+
+def _record(
+    watched: Watched, observation: Observation, name: str, suite: str, programs: Sequence[ObservedProgram]
+) -> RunRecord:
+    target = watched.link.target
+    return RunRecord(
+        schema=2,
+        run=name,
+        campaign=name.partition("-")[0],
+        suite=suite,
+        subject="attached",
+        parameters={},
+        platform=watched.platform.platform,
+        platform_evidence=watched.platform.evidence,
+        status=RunStatus.OK,
+        reason=None,
+        start_time=observation.start_time,
+        end_time=observation.end_time,
+        programs=[
+            ProgramRecord(
+                name=each.name,
+                argv=list(each.argv),
+                pid=each.pid,
+                threads=[_thread(thread) for thread in each.threads],
+                locked_bytes=each.locked_bytes,
+            )
+            for each in programs
+        ],
+        outputs=[],
+        target=TargetFacts(
+            name=target.place or target.name,
+            address=str(target.address),
+            preempt_rt=inspection.is_preempt_rt(watched.state),
+            cpus=watched.equipment.cpus,
+            clock=clock_record.record(watched.state, []),
+            **{name: getattr(watched.state, name) for name in STATED},
+        ),
+        files={},
+    )
+
+
+def _thread(thread: "object") -> Thread:
+    return Thread.model_validate(thread, from_attributes=True, strict=False)
+
+
+def _text(fact: inspection.Fact) -> str:
+    return " ".join(fact) if isinstance(fact, list) else fact or ""
+
+
+def _write_observation(folder: Path, watched: Watched, observation: Observation) -> None:
+    """Write the run of the observation itself: which probes were placed, what is missing."""
+    import json
+
+    graph = {
+        "schema": 1,
+        "placed": [{"event": each.event, "path": each.path} for each in observation.began.placed],
+        "refused": [
+            {"event": each.event, "path": each.path, "reason": each.reason} for each in observation.began.refused
+        ],
+        "remarks": list(observation.remarks),
+    }
+    with run_directory.filling(folder) as partial:
+        atomic.write_text(partial / GRAPH, json.dumps(graph, indent=1))
+        run_directory.close(partial, folder, _record(watched, observation, folder.name, SUITE, observation.programs))
