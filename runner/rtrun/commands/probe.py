@@ -66,7 +66,11 @@ def run(args: argparse.Namespace) -> int:
         "real-time threads": f"{len(state.rt_threads)} of {state.threads}",
         "free on disk": f"{equipment.free_bytes // 2**20} MiB in {target.work_dir}",
         **{name: _middleware(equipment.of(name), SERVICES[name], runs) for name, runs in services.items()},
-        **{name: one.version for name, one in equipment.middlewares.items() if name not in SERVICES and one.version},
+        **{
+            name: " or ".join(one.several) or one.version
+            for name, one in equipment.middlewares.items()
+            if name not in SERVICES and (one.several or one.version)
+        },
         "suites": suites,
     }
     width = max(map(len, lines))
@@ -77,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _middleware(installed: "Installed", service: "Service", runs: bool) -> str:
     """What the target has of a middleware, in one line."""
+    if installed.several:
+        return " or ".join(installed.several)
     if installed.server is None:
         return "not found"
     answers = "answers" if runs else "does not answer, a campaign starts one"

@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 import pytest
 from faulty import measure, record, runs_of, write_files
 
+from conftest import seeing, serve
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.cli import main
 from rtrun.execution import campaign_runner, preparation, run_programs
@@ -95,6 +96,30 @@ WRONG = {
     "miscounted": ("invalid", "10 asked for, but 11 measured + not fired + missing"),
     "commands": ("failed", "kept as {output}.log.refused: {output}.log:1: no log of a suite: no suite writes the"),
 }
+
+
+@pytest.fixture
+def two_ros2(ready_target, tmp_path):
+    """The target, with two ROS 2 below /opt/ros of which its file names none."""
+    setups = []
+    for distro in ("humble", "jazzy"):
+        library = tmp_path / "opt" / "ros" / distro / "lib" / "librcl.so"
+        library.parent.mkdir(parents=True)
+        library.touch()
+        setups.append(library.parents[1] / "setup.sh")
+        setups[-1].touch()
+    (tmp_path / "sshd").mkdir()
+    with serve(tmp_path / "sshd", seeing({"/opt": tmp_path / "opt"})) as server:
+        yield replace(ready_target, address=server.address)
+
+
+def test_several_ros2_stop_only_what_needs_one(two_ros2, tmp_path, watching):
+    runs = runs_of(1, middleware=["roscpp", "rcl"])
+    several = "several ROS (/opt/ros/humble/setup.sh, /opt/ros/jazzy/setup.sh): put one into the target file as"
+    assert measure(two_ros2, runs, tmp_path / "results", watching) == ["ok", "incomplete"]
+    assert several in watching.ends[-1][1]
+    with pytest.raises(TargetError, match="several ROS"):
+        measure(two_ros2, runs[1:], tmp_path / "alone", watching)
 
 
 def test_runs_that_go_wrong_are_closed_with_the_reason_and_the_campaign_goes_on(target, tmp_path, watching, wishes):

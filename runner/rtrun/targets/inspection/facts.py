@@ -115,6 +115,8 @@ class Installed:
 
     setup: str | None = None
     """The shell file that sets it up for its programs."""
+    several: tuple[str, ...] = ()
+    """The shell files where there are several, of which the target file names none."""
     server: str | None = None
     """The program that must run beside them."""
     version: str | None = None
@@ -185,12 +187,10 @@ def _lines_by_name(text: str, known: Collection[str]) -> dict[str, list[str]]:
 
 
 def _installed(target: "Target", facts: Mapping[str, Sequence[str]]) -> Installed:
-    """What a target has of a middleware. Raises TargetError where it has several, and its file names none."""
+    """What a target has of a middleware; of several, where its file names none, the files that set them up."""
     setups = facts.get("setup", [])
     if target.setup is None and len(setups) > 1:
-        raise TargetError(
-            f"{target.address}: several ROS ({', '.join(setups)}): put one into the target file as ros_setup"
-        )
+        return Installed(several=tuple(setups))
     setup = target.setup or (setups[0] if setups else None)
     servers = facts.get("server", [])
     root = str(PurePosixPath(setup).parent) + "/" if setup else ""
