@@ -12,6 +12,7 @@ COMMANDS = (
     "plan",
     "run",
     "new_target",
+    "build_suites",
     "probe",
     "check_rt",
     "show",

@@ -5,6 +5,8 @@ import json
 import os
 import re
 import shutil
+import subprocess
+import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +23,8 @@ from rtgen.process import run
 
 SCHEMA = 1
 TOOLCHAIN_FILE = Path(__file__).with_name("debian.cmake")
-ROS2_SCRIPT = Path(__file__).with_name("ros2.sh")
+# The script below sources() that builds packages with a ROS of the machine.
+ROS_SCRIPT = "build.sh"
 FLAGS = "-O2"
 SUPPORT = "rt_tests_support"
 # What observes a target while it measures, in C.
@@ -175,6 +178,13 @@ def build(machine: str, place: Path, suite: str | None = None, ros2: Path | None
     return place / machine
 
 
+def build_on(target: Path) -> int:
+    """Let the runner build them on the target of this file, which it reaches; return its exit status."""
+    return subprocess.run(
+        [sys.executable, "-m", "rtrun.cli", "build-suites", str(sources()), "--target", str(target)], check=False
+    ).returncode
+
+
 def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) -> None:
     """Configure, compile and install one package into the stage, where later packages find it."""
     work = temporary / source.name
@@ -209,16 +219,17 @@ def with_ros2(entry: Path, ros2: Path) -> Path:
     Its record says under `ros2` what they were built with.
     """
     installed = cache.digest(sorted(ros2.glob("share/*/package.xml")))
-    key = cache.digest([entry.name, str(ros2), installed, ROS2_SCRIPT])
+    script = sources() / ROS_SCRIPT
+    key = cache.digest([entry.name, str(ros2), installed, script])
 
     def build_in(result: Path) -> None:
         shutil.copytree(entry, result, dirs_exist_ok=True)
         suites = [package for package in packages() if package not in WITHOUT_ROS]
         with tempfile.TemporaryDirectory(prefix="rtgen-suites-") as temporary:
             work, stage = Path(temporary) / "work", Path(temporary) / "stage"
-            words: list[str | Path] = [ros2 / "setup.sh", sources(), work, stage, SUPPORT, *suites]
+            words: list[str | Path] = [ros2 / "setup.sh", work, stage, SUPPORT, *suites]
             environment = _environment(Path(temporary)) | {"CFLAGS": FLAGS, "CXXFLAGS": FLAGS}
-            output = run(["sh", ROS2_SCRIPT, *words], environment=environment)
+            output = run(["sh", script, *words], environment=environment)
             for package in suites:
                 shutil.copytree(stage / "lib" / package, result / "lib" / package, dirs_exist_ok=True)
         record = json.loads((result / "build.json").read_text(encoding="utf-8"))

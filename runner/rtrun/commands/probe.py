@@ -72,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
             if name not in SERVICES and (one.several or one.version)
         },
         "suites": suites,
+        **({"built with": ", ".join(map(" ".join, equipment.built_with.items()))} if equipment.built_with else {}),
     }
     width = max(map(len, lines))
     for name, value in lines.items():

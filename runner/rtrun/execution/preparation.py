@@ -13,7 +13,6 @@ from rtrun.plan.campaign import Variant
 from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.run import Run
 from rtrun.targets import deploy
-from rtrun.targets.config import Target
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import facts as inspection
 from rtrun.targets.inspection import platform_signs
@@ -54,7 +53,7 @@ class Prepared:
         for middleware in middlewares_of(run):
             if middleware in self.no_service:
                 return self.no_service[middleware]
-            if not self.setup and (several := several_of(self.link.target, self.equipment, middleware)):
+            if not self.setup and (several := inspection.several_of(self.link.target, self.equipment, middleware)):
                 return several
         looked_for = self.equipment.middlewares.get(run.middleware)
         if run.middleware not in SERVICES and looked_for == inspection.Installed() and not self.setup:
@@ -111,7 +110,7 @@ def prepared(
         priority = _highest_priority(runs)
         above = priority + 1 if priority else None
         for name in sorted({name for run in runs for name in middlewares_of(run)} & SERVICES.keys()):
-            if several := several_of(target, equipment, name):
+            if several := inspection.several_of(target, equipment, name):
                 no_service[name] = several
                 continue
             service = SERVICES[name].running(link, scripts, equipment.of(name), owner, above, may_run_go_on)
@@ -141,13 +140,6 @@ def prepared(
         if lacking and all(lacking):
             raise TargetError(str(lacking[0]))
         yield ready
-
-
-def several_of(target: Target, equipment: inspection.Equipment, middleware: str) -> str | None:
-    """Say that a target has several of a middleware, of which its file names none; None where it is otherwise."""
-    setups = equipment.of(middleware).several
-    several = f"{target.address}: several ROS ({', '.join(setups)}): put one into the target file as ros_setup"
-    return several if setups else None
 
 
 def middlewares_of(run: Run) -> set[str]:

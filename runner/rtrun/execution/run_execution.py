@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from rtfiles.errors import InfrastructureError
 from rtfiles.untrusted import MIB, read_end
@@ -25,7 +26,7 @@ from rtrun.plan.program import Exit
 from rtrun.plan.run import Run
 from rtrun.results import run_directory
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
-from rtrun.targets import processes
+from rtrun.targets import building, processes
 from rtrun.targets.connection import parse_listing
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import control_groups
@@ -364,6 +365,13 @@ def _program_record(
     )
 
 
+def _built_with(work: _Work) -> dict[str, Any]:
+    """The fact of the target that tells what the suites were built with, where they were built there."""
+    built = f"{work.link.target.work_dir / building.BUILT}/"
+    used = any(program.argv[0].startswith(built) for program in work.programs.of_suite)
+    return {"suites_built_with": dict(work.prepared.equipment.built_with)} if used else {}
+
+
 def _record(
     work: _Work,
     partial: Path,
@@ -412,6 +420,7 @@ def _record(
             cpus=work.prepared.equipment.cpus,
             clock=clock_record.record(attempt.before, clock_record.steps_seen(partial, outputs, verdict.records)),
             setup=work.setup,
+            **_built_with(work),
             middleware_version=work.prepared.equipment.of(run.middleware).version,
             **{name: getattr(attempt.before, name) for name in STATED},
         ),

@@ -8,9 +8,11 @@ ros_setup=${2-}
 for tool in setsid flock sha256sum md5sum chrt sed; do
     command -v $tool >/dev/null || echo "missing $tool"
 done
-for program in /usr/lib/*_tests/*_tests*; do
+# Those that build_suites.sh built come before others.
+for program in "$1"/built/lib/*_tests/*_tests* "$1/built/lib/rt_tests_sampler/rt_tests_sampler" /usr/lib/*_tests/*_tests*; do
     [ -x "$program" ] && echo "program $program"
 done
+head -n 32 "$1/built/built_with" 2>/dev/null | sed 's/^/built /'
 # The runner removes folders in its working folder: it must be new, empty, or known by the mark. One of a version without
 # a mark is known by its names.
 mark=$1/.rt-tests

@@ -132,6 +132,8 @@ class TargetFacts(Config):
     """Of the middleware that the run measured through."""
     setup: Fact = None
     """The shell file that set that up for the run."""
+    suites_built_with: dict[str, str] = Field(default_factory=dict)
+    """Of suites that were built on the target: what they were built with, as docs/targets.md tells."""
     clock: Clock | None = None
 
 

@@ -44,7 +44,7 @@ _PRUNE = (
     + """
 cd "$1" || exit 1
 [ -z "$(living runs)" ] || exit 0
-for kind in scripts suites; do
+for kind in scripts suites sources; do
     ls -t "$kind" 2>/dev/null | tail -n "+$(($2 + 1))" | while read -r tree; do rm -rf "$kind/$tree"; done
 done
 # Of no tree. One of today may be that of another runner, which is about to make a tree of it.

@@ -10,27 +10,36 @@ PLACE = Path("build/suites")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare ``build --machine NAME --suite SUITE --ros2 PREFIX``."""
+    """Declare ``build --machine NAME --suite SUITE --ros2 PREFIX --on TARGET.yml``."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     build = actions.add_parser("build", help=f"build them into {PLACE}/MACHINE")
-    build.add_argument("--machine", default="host", help="host, or a board of rtgen board (default: host)")
+    build.add_argument("--machine", help="host, or a board of rtgen board (default: host)")
     build.add_argument(
         "--suite", help="Debian's suite that the board was built from, as trixie (default: this machine's own)"
     )
     build.add_argument(
         "--ros2", type=Path, metavar="PREFIX", help="of this machine, as /opt/ros/jazzy: build the programs on it, too"
     )
+    build.add_argument(
+        "--on", type=Path, metavar="TARGET.yml", help="build them there, with the target's own compiler and ROS"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the suites, say what of them could not be built, and print their folder."""
+    """Build the suites, say what of them could not be built, and print their folder, or what a target built with."""
     import json
 
+    from rtfiles.errors import UsageError
     from rtfiles.output import noting_duration, print_line, print_note
-    from rtgen.suites import build
+    from rtgen.suites import HOST, build, build_on
 
-    with noting_duration(f"building the suites for {args.machine}"):
-        folder = build(args.machine, PLACE, args.suite, args.ros2 and args.ros2.resolve())
+    if args.on:
+        if args.machine or args.suite or args.ros2:
+            raise UsageError("--on goes without --machine, --suite and --ros2: the target has what it has")
+        return build_on(args.on)
+    machine = args.machine or HOST
+    with noting_duration(f"building the suites for {machine}"):
+        folder = build(machine, PLACE, args.suite, args.ros2 and args.ros2.resolve())
     for name, needed in json.loads((folder / "build.json").read_text())["not_built"].items():
         print_note(f"{name} is not among them: it needs {' and '.join(needed)}")
     print_line(str(folder))

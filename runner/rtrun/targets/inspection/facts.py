@@ -42,13 +42,16 @@ _KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -
 POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
 # What inspect.sh prints a line of.
 _CODE_NAME = re.compile("[a-z]{1,32}")
-_FACTS = frozenset(("missing", "foreign", "readonly", "program", "elf", "debian", "cpus", "free_kib"))
+_FACTS = frozenset(("missing", "foreign", "readonly", "program", "elf", "debian", "cpus", "free_kib", "built"))
 # What the script of a middleware prints a line of.
 _INSTALLED = frozenset(("setup", "server", "version", "program"))
 # Stands before what the script of a middleware prints.
 _MIDDLEWARE = "== middleware "
 # A version of a middleware, as 1.17.0.
 VERSION_MAX = 64
+# What is read of the file that says what suites were built with.
+BUILT_WITH_MAX, BUILT_WITH_CHARACTERS = 32, 200
+_NAME = re.compile("[a-z][a-z0-9_]{0,63}")
 # Sections of state.sh kept as one text. Every other one is one value, or a list when it has several lines.
 _TEXTS = ("cpuinfo", "memory", "os_release")
 
@@ -129,6 +132,8 @@ class Equipment:
     middlewares: Mapping[str, Installed]
     programs: dict[str, str]
     """Executable name to path, of suites installed on the target."""
+    built_with: Mapping[str, str]
+    """What suites were built with that were built on the target; nothing where there are none."""
     cpus: int
     free_bytes: int
     architecture: str | None
@@ -169,6 +174,7 @@ def inspect(link: "Link") -> Equipment:
     return Equipment(
         middlewares={name: _installed(target, one) for name, one in found.items()},
         programs={PurePosixPath(path).name: path for path in reversed(programs)},
+        built_with=_built_with(facts.get("built", [])),
         cpus=_count(facts.get("cpus"), lowest=1, highest=CPUS_MAX),
         free_bytes=_count(facts.get("free_kib"), lowest=0, highest=SIZE_MAX_BYTES // 1024) * 1024,
         architecture=architecture.name(_header(facts.get("elf", []))),
@@ -201,12 +207,25 @@ def _installed(target: "Target", facts: Mapping[str, Sequence[str]]) -> Installe
     )
 
 
+def several_of(target: "Target", equipment: Equipment, middleware: str) -> str | None:
+    """Say that a target has several of a middleware, of which its file names none; None where it is otherwise."""
+    setups = equipment.of(middleware).several
+    several = f"{target.address}: several ROS ({', '.join(setups)}): put one into the target file as ros_setup"
+    return several if setups else None
+
+
 def _count(values: Sequence[str] | None, *, lowest: int, highest: int) -> int:
     """The number that the target reports, or the lowest where it reports none."""
     try:
         return whole_number(values[0], lowest=lowest, highest=highest) if values else lowest
     except ValueError:
         return lowest
+
+
+def _built_with(lines: Sequence[str]) -> dict[str, str]:
+    """What build_suites.sh noted, a line ``name value`` each."""
+    pairs = (line.partition(" ")[::2] for line in lines[:BUILT_WITH_MAX])
+    return {name: value[:BUILT_WITH_CHARACTERS] for name, value in pairs if _NAME.fullmatch(name) and value}
 
 
 def _header(lines: Sequence[str]) -> bytes:

@@ -1,0 +1,74 @@
+"""The suites built on a target, by its own compiler and for the ROS that it has."""
+
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+from rtfiles.errors import UsageError
+from rtrun.plan.program import Program
+from rtrun.targets import deploy, groups, processes
+from rtrun.targets.errors import TargetError
+from rtrun.targets.inspection import facts as inspection
+from rtrun.targets.link import OUT_OF_REACH, Link
+
+NAME = "build"
+# The folder of the suites in that of the target's work.
+BUILT = "built"
+SCRIPT = "build_suites.sh"
+# A slow board with one CPU takes half an hour.
+BUILD_S = 3 * 3600.0
+END_GRACE_S = 60.0
+# Lines of what went wrong that are shown.
+SHOWN_LINES = 16
+SHOWN_CHARACTERS = 8000
+# The middlewares that a shell file sets up, of which the target may have several.
+OF_ROS = ("roscpp", "rcl")
+_LIVING_RUNS = groups.LIVING + 'cd "$1" && living runs'
+
+
+def build(link: Link, sources: Path) -> Mapping[str, str]:
+    """Copy the sources of the suites, the folder recipes-tests, to the target and build them there.
+
+    Campaigns use what was built in place of other suites on the target. Return what it was built with, name to value.
+    Raises UsageError where the target file names other suites, TargetError with what the target lacks, or the
+    compiler's lines.
+    """
+    target = link.target
+    if target.suites is not None:
+        raise UsageError(
+            f"{target.name}: its target file names {target.suites} as suites, which campaigns copy to the target: "
+            "leave that out to measure with what is built there"
+        )
+    if not (sources / "build.sh").is_file():
+        raise UsageError(f"{sources}: has no build.sh: give the folder recipes-tests of this project")
+    equipment = inspection.inspect(link)
+    for name in OF_ROS:
+        if several := inspection.several_of(target, equipment, name):
+            raise TargetError(several)
+    setups = [target.setup] if target.setup else [equipment.of(name).setup for name in OF_ROS]
+    if living := link.check(["sh", "-c", _LIVING_RUNS, "sh", str(target.work_dir)]).split():
+        raise TargetError(f"{target.address}: a campaign measures there ({living[0]}): building would disturb it")
+    scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
+    copied = deploy.deploy(link, sources, "sources")
+    folder = target.work_dir / "building"
+    words = [str(copied), str(folder), str(target.work_dir / BUILT), *filter(None, setups)]
+    program = Program(name=NAME, argv=(str(scripts / SCRIPT), *words), deadline_s=BUILD_S)
+    processes.give_up(link, folder)
+    try:
+        link.check(["mkdir", "-p", str(folder)])
+        processes.start(link, scripts, folder, program)
+        ended = processes.wait(link, folder, NAME, deadline_s=BUILD_S + END_GRACE_S)
+        if ended.status != 0:
+            raise TargetError(f"{target.address}: {_last_words(link, folder)}")
+    except OUT_OF_REACH:
+        raise
+    except BaseException:
+        processes.give_up(link, folder)
+        raise
+    processes.give_up(link, folder)
+    return inspection.inspect(link).built_with
+
+
+def _last_words(link: Link, folder: PurePosixPath) -> str:
+    """What the script said was wrong."""
+    said = link.run(["tail", "-n", str(SHOWN_LINES), str(folder / f"{NAME}.stderr")]).stdout
+    return said.strip()[:SHOWN_CHARACTERS] or "building the suites was ended before it was done"
