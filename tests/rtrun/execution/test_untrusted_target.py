@@ -14,7 +14,6 @@ from faulty import record, runs_of
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.execution import campaign_runner, download, run_execution
-from rtrun.plan import campaign_digest
 from rtrun.results import run_directory
 from rtrun.targets.errors import TargetError
 from watching import Watching
@@ -132,18 +131,6 @@ def test_a_results_folder_of_another_target_is_refused_even_when_finished(result
     with pytest.raises(UsageError, match="holds runs on the target loopback, not other"):
         campaign_runner.find_unfinished(results, "test", runs, "other")
     assert campaign_runner.find_unfinished(results, "test", runs, "loopback") == []
-
-
-def test_a_journal_with_a_digest_of_before_resumes(results, wishes, measure):
-    runs = runs_of(2)
-    measure(runs)
-    shutil.rmtree(results / runs[1].name)
-    with sqlite3.connect(results / "journal.sqlite") as database:
-        database.execute("UPDATE campaign SET plan = ?", (campaign_digest._digest_1(runs),))
-    assert measure(runs) == ["ok", "ok"]
-    assert len(wishes.calls()) == 3
-    with sqlite3.connect(results / "journal.sqlite") as database:
-        assert database.execute("SELECT plan FROM campaign").fetchall() == [(campaign_digest.digest(runs),)]
 
 
 def test_the_journal_tells_the_life_of_each_run(results, wishes, measure):
