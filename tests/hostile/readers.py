@@ -23,7 +23,7 @@ from rtgen.kconfig import fragment, verify
 from rtgen.profile import load_profile
 from rtrun import cli
 from rtrun.execution import journal, resumption
-from rtrun.execution.middleware import ros_master
+from rtrun.execution.middleware import roscpp
 from rtrun.plan.campaign import Campaign, plan, read_campaign
 from rtrun.plan.goal import Goal
 from rtrun.report import causes
@@ -498,7 +498,7 @@ READERS: dict[str, Reader] = {
     ),
     "platform": of_answer(platform_signs.find_platform, PLATFORM),
     "facts": of_file(_check_facts, "facts", FACTS),
-    "master": of_file(expecting_value_error(ros_master._parse_reply), "reply", REPLY),
+    "master": of_file(expecting_value_error(roscpp._parse_reply), "reply", REPLY),
     "observations": of_file(_observe, "sampler.stdout", OBSERVED.encode()),
     "baseline": Reader(read=_baseline, seeds=[{"cyclictest.stdout": CYCLICTEST}]),
     "part": of_file(_part, "x.npy.part", *_contents(SUITES, "*.npy")),

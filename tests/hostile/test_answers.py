@@ -10,7 +10,7 @@ import pytest
 
 from rtfiles.errors import UsageError
 from rtrun.execution import journal, resumption
-from rtrun.execution.middleware import ros_master
+from rtrun.execution.middleware import roscpp
 from rtrun.targets.errors import TargetError
 from rtrun.targets.labgrid import places as labgrid
 
@@ -56,9 +56,9 @@ def test_an_acquisition_that_never_ends_is_ended_and_given_back(tmp_path, monkey
 
 @pytest.mark.parametrize(("pid", "read"), [(True, None), ("12", None), (12, 12)])
 def test_the_process_id_of_a_master_is_a_number(monkeypatch, pid, read):
-    monkeypatch.setattr(ros_master, "call", lambda *_: pid)
+    monkeypatch.setattr(roscpp, "call", lambda *_: pid)
     link = SimpleNamespace(target=SimpleNamespace(master_port=1), do=lambda action: action(None))
-    assert ros_master.ask_pid(link) is read
+    assert roscpp.ask_pid(link) is read
 
 
 @pytest.mark.parametrize("name", ["x" * 5000, "..", ".hidden", "a/b", "a\0b"])

@@ -32,8 +32,8 @@ STATE = (
     "with Link(target, print) as link: inspection.read_state(link, PurePosixPath('/state.sh'))"
 )
 ASK = (
-    "from rtrun.execution.middleware import ros_master\n"
-    "with Link(target, print) as link: assert ros_master.ask_pid(link) is None"
+    "from rtrun.execution.middleware import roscpp\n"
+    "with Link(target, print) as link: assert roscpp.ask_pid(link) is None"
 )
 
 

@@ -20,7 +20,7 @@ from conftest import seeing, serve
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.cli import main
 from rtrun.execution import campaign_runner, preparation, run_programs
-from rtrun.execution.middleware import ros_master
+from rtrun.execution.middleware import roscpp
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.reading import read_run
 from rtrun.targets.errors import TargetError, TargetGone
@@ -224,11 +224,11 @@ def test_a_master_that_is_there_is_used_and_left_alone(target, tmp_path, watchin
     state = json.loads((tmp_path / "results" / runs[0].name / "target.json").read_text())
     assert state["own_service"] is False
     with Link(target, watching.notes.append) as link:
-        assert ros_master.ask_pid(link) is not None
+        assert roscpp.ask_pid(link) is not None
 
 
 def test_a_port_that_is_no_master(bare_target, tmp_path, watching, wishes, monkeypatch):
-    monkeypatch.setattr(ros_master, "START_S", 3.0)
+    monkeypatch.setattr(roscpp, "START_S", 3.0)
     with socket.create_server(("127.0.0.1", bare_target.master_port)) as server:
         threading.Thread(target=answer_junk, args=(server,), daemon=True).start()
         with pytest.raises(TargetError, match="taken by a program that does not answer as a ROS master"):
@@ -236,7 +236,7 @@ def test_a_port_that_is_no_master(bare_target, tmp_path, watching, wishes, monke
 
 
 def test_a_board_that_is_slow_to_boot_is_slow_to_start_a_master(bare_target, tmp_path, watching, wishes, monkeypatch):
-    monkeypatch.setattr(ros_master, "START_S", 0.0)
+    monkeypatch.setattr(roscpp, "START_S", 0.0)
     target = replace(bare_target, boot_s=60)
     assert measure(target, runs_of(1), tmp_path / "results", watching) == ["ok"]
 

@@ -1,6 +1,7 @@
 """Every gap between two steps of a run in which the runner or the link may stop: what is found there afterwards."""
 
 import contextlib
+import dataclasses
 import json
 import os
 import shutil
@@ -13,7 +14,8 @@ import pytest
 from faulty import record, runs_of
 
 from rtrun.execution import board, campaign_runner, run_execution, run_programs
-from rtrun.execution.middleware import ros_master
+from rtrun.execution.middleware import roscpp
+from rtrun.execution.middleware.known import SERVICES
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results import run_directory
 from rtrun.targets import processes
@@ -148,7 +150,8 @@ def test_a_publisher_does_not_go_on_without_its_subscriber(
         (folder / f"communication_tests_{name}").write_text(f"#!/bin/sh\n{does}\n")
         (folder / f"communication_tests_{name}").chmod(0o755)
     if not before:
-        monkeypatch.setattr(ros_master, "count_subscribers", lambda *_: 1)
+        connected = dataclasses.replace(SERVICES["roscpp"], count_subscribers=lambda *_: 1)
+        monkeypatch.setitem(SERVICES, "roscpp", connected)
         monkeypatch.setattr(run_execution.processes, "WAIT_S", 1.0)
     entries = [{"suite": "communication_tests", "repetitions": 10}, {"suite": "cyclic_timer_tests", "repetitions": 10}]
     runs = plan(Campaign(schema=1, name="test", runs=entries), "test")
@@ -316,7 +319,7 @@ def test_a_run_does_not_begin_without_a_master(target, wishes, interrupt):
         runs_of(1),
         lambda _: answers.pop() if answers else None,
         TargetError,
-        module=ros_master,
+        module=roscpp,
         name="ask_pid",
         match="the ROS master died",
     )
