@@ -21,7 +21,7 @@ NO_LIMITS = {
         "rtfiles.untrusted.INT64_MAX",
         "rtrun.plan.campaign.PRIORITY_MAX",
         *(f"rtrun.plan.limits.{name}" for name in ("COUNT_MAX", "RT_PRIORITY_MAX", "EXIT_STATUS_MAX")),
-        "rtrun.validity.counts.LISTED_MAX",
+        "rtrun.validity.outcome.LISTED_MAX",
     },
     "what is printed or computed at most": {
         "rtrun.analysis.recurrence._COUNT_MAX",

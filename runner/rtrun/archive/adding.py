@@ -20,8 +20,7 @@ from rtrun.archive.tables import (
     run_table,
     sample_table,
 )
-from rtrun.results.copies import find_copies
-from rtrun.results.reading import find_source, read_series
+from rtrun.results.reading import find_copies, find_source, read_series
 from rtrun.results.record import RunRecord, RunStatus, read_record, verify
 from rtrun.results.series import Series
 

@@ -63,9 +63,8 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles import atomic
     from rtfiles.errors import UsageError
     from rtrun.judgement.gate import gate
-    from rtrun.report.answers import print_answers
     from rtrun.report.formats import junit
-    from rtrun.report.screen import print_styled
+    from rtrun.report.screen import print_answers, print_styled
     from rtrun.report.terminal import print_banner
     from rtrun.targets.inspection.platform import Platform
 

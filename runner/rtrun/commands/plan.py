@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import counted, print_line, print_text
     from rtrun.plan.campaign import read_campaign
-    from rtrun.plan.kernels import blocks
+    from rtrun.plan.run import blocks
 
     campaign, runs = read_campaign(args.campaign)
     if args.assume_rate is not None and campaign.until is None:
@@ -201,7 +201,7 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
     """The plan as docs/formats.md has it."""
     from dataclasses import asdict
 
-    from rtrun.plan.kernels import blocks
+    from rtrun.plan.run import blocks
 
     goal, restarts = campaign.until, len(blocks(runs)) - 1
     slowest_s = _slowest_load_s(goal, runs, forecasts) if goal else None

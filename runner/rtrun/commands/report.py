@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import print_bytes, print_line, print_note, print_status
     from rtrun.judgement import gate
-    from rtrun.report import answers, formats, page
+    from rtrun.report import formats, page, screen
     from rtrun.report.contents import contents
     from rtrun.report.plots import pictures
 
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     if written.banner:
         print_line(written.banner)
     print_line(written.answer)
-    answers.print_answers(judged.cases, judged=False)
+    screen.print_answers(judged.cases, judged=False)
     print_line(str(output))
     return 0
 

@@ -11,10 +11,8 @@ from rtrun.execution import journal
 from rtrun.execution.allotment import NextRound, rounds_of_blocks
 from rtrun.execution.board import Clock, Observer, Session, measure_rounds, utc_now
 from rtrun.execution.farm import Board, measure_on_boards
-from rtrun.plan import campaign_digest
 from rtrun.plan.campaign import Variant
-from rtrun.plan.kernels import blocks
-from rtrun.plan.run import Run
+from rtrun.plan.run import Run, blocks, digest_of
 from rtrun.results import run_directory
 from rtrun.results.record import RunStatus, is_finished
 from rtrun.targets.config import Target
@@ -136,7 +134,7 @@ def _session(
 @contextlib.contextmanager
 def _open_journal(results: Path, name: str, runs: Sequence[Run], targets: Sequence[str]) -> Iterator[journal.Journal]:
     """Open the journal of these results. Raises UsageError when it is of another campaign, or of other targets."""
-    digest = campaign_digest.digest(runs)
+    digest = digest_of(runs)
     with contextlib.closing(journal.open_journal(results, name, digest, *targets)) as log:
         remedy = "give another folder with --results, or --fresh"
         if set(targets).isdisjoint(log.targets):

@@ -11,8 +11,7 @@ from rich.text import Text
 
 from rtfiles.output import print_line, print_note, print_status
 from rtfiles.quantities import duration
-from rtrun.plan.kernels import blocks
-from rtrun.plan.run import RESTART_S, Run
+from rtrun.plan.run import RESTART_S, Run, blocks
 from rtrun.results.record import RunStatus
 
 

@@ -21,7 +21,6 @@ from rtrun.kinds.known import MAIN_2014
 from rtrun.plan.question import NONE_TOLERATED, THESIS, Question
 from rtrun.plan.suites import Value, judged, measures
 from rtrun.results import reading
-from rtrun.results.copies import find_copies
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
 from rtrun.targets.inspection.platform import Platform
@@ -114,7 +113,7 @@ def study(
     """
     source = reading.find_source(path)
     records, refused = _read_records(source.folders)
-    copies = find_copies(records)
+    copies = reading.find_copies(records)
     records = {folder: record for folder, record in records.items() if folder not in copies}
     _check_of(path, records.values(), question)
     runs = [_read_run(folder, record, question, known) for folder, record in records.items()]

@@ -14,10 +14,9 @@ from rtfiles.errors import UsageError
 from rtfiles.wording import unknown
 from rtrun.plan import conditions, suites
 from rtrun.plan.goal import Goal
-from rtrun.plan.kernels import order_by_kernel
 from rtrun.plan.limits import Seed
 from rtrun.plan.middleware.description import middlewares
-from rtrun.plan.run import KernelName, Run, interleave, label, never_observed
+from rtrun.plan.run import KernelName, Run, interleave, label, never_observed, order_by_kernel
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.plan.trace import SERIES as TRACE_SERIES
 from rtrun.plan.trace import read_trace, too_few, traced, with_warm_ups

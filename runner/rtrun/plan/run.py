@@ -1,10 +1,14 @@
-"""One planned run: what is measured, how long that takes, what it is called, and the order of several."""
+"""One planned run: what is measured, how long that takes, what it is called.
+
+Of several: their order, what is measured together, and the digest by which they are known again.
+"""
 
 import hashlib
 import itertools
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Literal
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, replace
+from typing import Any, Literal
 
 from rtrun.plan import conditions, suites
 
@@ -27,6 +31,8 @@ LOADS_S = 0.7
 # Of one restart of the target, where nothing better is known: it shuts down, boots, and is prepared for runs anew. A
 # small board takes half of it, the firmware of a server more.
 RESTART_S = 60.0
+# Increased when the canonical form changes, or the default of a field or an option: a default is not in the form.
+DIGEST_VERSION = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,6 +115,70 @@ def interleave(runs: Iterable[Run], seed: int) -> tuple[Run, ...]:
 def _measured(run: Run) -> str:
     """What a run measures, the same in each of its repeats."""
     return repr(replace(run, name="", repeat=1, seed=None))
+
+
+def order_by_kernel(runs: Sequence[Run], kernels: Sequence[KernelName]) -> tuple[Run, ...]:
+    """Order runs by repeat, and those of one repeat by kernel; otherwise they keep their order.
+
+    From one repeat to the next the order of the kernels is reversed (standard, rt, rt, standard): a steady drift of the
+    target then moves the results of both by nearly the same. With less than two kernels nothing changes.
+    """
+    if len(kernels) < 2:
+        return tuple(runs)
+    numbers = {kernel: number for number, kernel in enumerate(kernels)}
+
+    def place(run: Run) -> tuple[int, int]:
+        number = numbers[run.kernel] if run.kernel else 0
+        return run.repeat, number if run.repeat % 2 else -number
+
+    return tuple(sorted(runs, key=place))
+
+
+def blocks(runs: Sequence[Run], *, is_shared: bool = False) -> list[tuple[Run, ...]]:
+    """The runs in their order, divided into what is measured together, on one board and one boot.
+
+    A block is one repeat on one kernel: what differs from boot to boot is not taken for an effect of the kernel then.
+    The runs of a campaign with less than two kernels are one block. Where boards share a campaign (`is_shared`), a
+    block is one repeat on all kernels, so that what is compared is measured on the same board; a campaign of one
+    repeat is shared out run by run.
+    """
+    if is_shared:
+        by_repeat: dict[object, list[Run]] = {}
+        # A run that keeps traces is compared with its twin, and takes its limit from its warm-up.
+        is_whole = any(run.repeat > 1 or run.trace for run in runs)
+        for run in runs:
+            by_repeat.setdefault(run.repeat if is_whole else run.name, []).append(run)
+        return [tuple(block) for block in by_repeat.values()]
+    if len({run.kernel for run in runs}) < 2:
+        return [tuple(runs)]
+    return [tuple(block) for _, block in itertools.groupby(runs, key=lambda run: (run.repeat, run.kernel))]
+
+
+def digest_of(runs: Sequence[Run]) -> str:
+    """The digest of the canonical form of these runs, ``<version>:<SHA-256>``.
+
+    The form holds, of each run, the fields that are not at their default, and of its parameters and settings
+    those that are not at the default of their option. So a field or an option that is added later changes no digest.
+    """
+    forms = json.dumps([_canonical(run) for run in runs], sort_keys=True)
+    return f"{DIGEST_VERSION}:{hashlib.sha256(forms.encode()).hexdigest()}"
+
+
+def _canonical(run: Run) -> dict[str, Any]:
+    form: dict[str, Any] = {}
+    for each in fields(run):
+        value = getattr(run, each.name)
+        default = each.default_factory() if each.default_factory is not MISSING else each.default
+        if value != default:
+            form[each.name] = dict(value) if isinstance(value, Mapping) else value
+    form["parameters"] = _without_defaults(run.parameters, suites.defaults_of(run.suite))
+    settings = {key: option.default for key, option in conditions.conditions().settings.items()}
+    form["settings"] = _without_defaults(run.settings, settings)
+    return form
+
+
+def _without_defaults(values: Mapping[str, suites.Value], defaults: Mapping[str, suites.Value]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if key not in defaults or value != defaults[key]}
 
 
 def never_observed(run: Run) -> str | None:

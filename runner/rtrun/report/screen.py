@@ -1,11 +1,13 @@
-"""Tables for a terminal: in columns where no word has to be broken for it, else a line for each cell."""
+"""Tables for a terminal: in columns where no word has to be broken for it, else a line for each cell; the answers."""
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rtfiles.output import console, printable
+from rtfiles.output import console, print_line, printable
+from rtfiles.quantities import grouped, us
 from rtrun.analysis.deadline import Answer
+from rtrun.judgement.gate import Case
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -107,3 +109,36 @@ def _listed(headings: Sequence[str], rows: "Sequence[Sequence[Text]]") -> "Table
             if cell.plain:
                 made.add_row(heading, cell)
     return made
+
+
+def print_answers(cases: Sequence[Case], *, judged: bool) -> None:
+    """Print the table, with whether each case passes where they are `judged`, then a line for each reason.
+
+    Why there is no answer is printed once where it is the same for all.
+    """
+    if not cases:
+        return
+    screen = console()
+    screen.print(_table(cases, judged=judged, width=screen.width))
+    print_line()
+    refusals = {case.refused for case in cases}
+    refused = refusals.pop() if len(cases) > 1 and len(refusals) == 1 else None
+    if refused:
+        print_line(f"no scenario has an answer: {refused}")
+    for case in cases:
+        print_line(f"{case.about}: {case.text.removeprefix(f'{refused}; ')}")
+
+
+def _table(cases: Sequence[Case], *, judged: bool, width: int) -> "Table":
+    headings = (*["gate"] * judged, "answer", "scenario", "n", "misses", "worst us")
+    rows = [
+        (
+            *["pass" if case.passed else "FAIL"] * judged,
+            case.answer,
+            case.about,
+            *("-" if count is None else grouped(count) for count in (case.n, case.misses)),
+            "-" if case.worst_ns is None else us(case.worst_ns),
+        )
+        for case in cases
+    ]
+    return fitted(headings, rows, range(len(headings) - 3, len(headings)), width)

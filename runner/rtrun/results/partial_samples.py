@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtrun.results.npy import read_header
+from rtrun.results.samples import read_header
 
 ENDING = ".npy.part"
 MAX_COLUMNS = 99

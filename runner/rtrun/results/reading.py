@@ -4,7 +4,7 @@ Whatever prints or judges results, terminal or report, takes them from here.
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from rtrun.plan.trace import WARM_UP
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
 from rtrun.results.record import FILE, RunRecord, RunStatus, check_file, is_closed, read_record
-from rtrun.results.samples import read_samples
+from rtrun.results.samples import EMPTY_BYTES, read_samples
 from rtrun.results.series import Header, Series, period_of, series_of_histogram, series_of_log, series_of_samples
 
 _PUT_ASIDE = re.compile(rf"^\.|\.old-[0-9]+$|{re.escape(WARM_UP)}$")
@@ -181,3 +181,30 @@ def read_runs(folder: Path) -> Runs:
         except UsageError as error:
             refused.append(str(error))
     return Runs(folder=folder, runs=tuple(runs), incomplete=source.incomplete, refused=tuple(refused))
+
+
+def find_copies(records: Mapping[Path, RunRecord]) -> dict[Path, str]:
+    """Which of these run directories hold what another one holds: each with a line that names both.
+
+    They have the same attempt, or the same samples, of which two measurements never make the same. Samples without a
+    measurement are alike in all runs, and so may histograms be.
+    """
+    holders: dict[tuple[str, str], list[Path]] = {}
+    for folder, record in records.items():
+        marks = [("attempt", record.attempt)] if record.attempt else []
+        marks += [
+            ("samples", file.sha256)
+            for name, file in record.files.items()
+            if name.endswith(".npy") and file.size_bytes > EMPTY_BYTES
+        ]
+        for mark in dict.fromkeys(marks):
+            holders.setdefault(mark, []).append(folder)
+    copies: dict[Path, str] = {}
+    for (what, _), folders in holders.items():
+        for folder in folders if len(folders) > 1 else []:
+            other = next(each for each in folders if each != folder)
+            alike = "are of the same attempt" if what == "attempt" else "hold the same samples"
+            copies.setdefault(
+                folder, f"{folder.name}: a copy? it and {other.name} {alike}, and neither counts: remove the copy"
+            )
+    return copies

@@ -1,6 +1,6 @@
 """What became of a run, from the files that were pulled back."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,11 +12,10 @@ from rtrun.plan import suites
 from rtrun.plan.conditions import Background
 from rtrun.plan.program import Exit, Program
 from rtrun.plan.run import Run
-from rtrun.results.gnuplot_log import read_log
+from rtrun.results.gnuplot_log import Log, read_log
 from rtrun.results.record import Observed, RunStatus
 from rtrun.results.samples import read_samples
 from rtrun.validity import baselines, requirements
-from rtrun.validity.counts import find_count_mismatch
 from rtrun.validity.observations import (
     DISK_FULL,
     SAMPLER,
@@ -27,6 +26,8 @@ from rtrun.validity.observations import (
     summarize,
     while_measuring,
 )
+
+LISTED_MAX = 1000  # The suites list so many indices of each kind at most.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,6 +194,28 @@ def _of_outputs(
             reason = record.incomplete_reason or "ended before all was measured"
             return records, (RunStatus.INCOMPLETE, f"{output}: {reason}")
     return records, None
+
+
+def find_count_mismatch(record: Record, logs: Iterable[Log] = ()) -> str | None:
+    """Say what does not add up in a record and the logs beside it, or None when all of it does.
+
+    What was asked for was measured, did not fire, or is missing; of an incomplete record there may be less (never more,
+    as `read_samples` has it).
+    A message that came twice was received once, and counts as duplicate apart.
+    """
+    counts = record.counts
+    if record.complete and counts.known != counts.asked:
+        return f"{counts.asked} asked for, but {counts.known} measured + not fired + missing"
+    for kind, indices in record.indices:
+        count = getattr(counts, kind)
+        if len(indices) != min(count, LISTED_MAX):
+            return f"{count} {kind.replace('_', ' ')}, but {len(indices)} indices of them"
+        if any(index >= counts.asked for index in indices):
+            return f"an index {kind.replace('_', ' ')} lies outside 0 to {counts.asked - 1}"
+    for log in logs:
+        if (n := int(log.count.sum())) != counts.measured:
+            return f"{counts.measured} measured, but {n} in the log {log.path.name}"
+    return None
 
 
 def _asked_otherwise(run: Run, record: Record) -> str | None:

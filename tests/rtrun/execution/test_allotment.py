@@ -10,7 +10,7 @@ import pytest
 from faulty import runs_of
 
 from rtrun.execution.allotment import Allotment, Round, rounds_of_blocks
-from rtrun.plan.kernels import blocks
+from rtrun.plan.run import blocks
 
 
 def allot(runs, boards, owners, done, divided=None):

@@ -9,7 +9,7 @@ from rtfiles.errors import UsageError
 from rtrun.execution.campaign_runner import has_rounds
 from rtrun.execution.journal import open_journal
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.plan.campaign_digest import digest
+from rtrun.plan.run import digest_of
 
 
 def at(seconds):
@@ -46,7 +46,7 @@ def test_what_is_no_time_is_refused(log):
 
 def test_a_pause_between_two_calls_takes_nothing_from_a_goal(tmp_path):
     groups = plan(Campaign(schema=1, name="test", runs=[{"suite": "cyclic_timer_tests"}]), "test")
-    with closing(open_journal(tmp_path, "test", digest(groups), "board")) as log:
+    with closing(open_journal(tmp_path, "test", digest_of(groups), "board")) as log:
         log.begin_session("2026-01-01T00:00:00+00:00")
         log.note("2026-01-01T00:00:15+00:00", groups[0].name, "closed")
     spent = []

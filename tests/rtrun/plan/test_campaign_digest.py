@@ -7,8 +7,7 @@ import pytest
 
 from rtrun.plan import suites
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.plan.campaign_digest import digest
-from rtrun.plan.run import Run
+from rtrun.plan.run import Run, digest_of
 from rtrun.plan.suites import Option
 
 DIGEST = "1:460e44bad51c66814997697dbc01cf7bcb76c07d20a7705288aac94c3286e7d3"
@@ -21,7 +20,7 @@ def runs_of(**values):
 
 def test_the_canonical_form_does_not_change():
     """Whoever changes it makes every campaign another one: increase the version."""
-    assert digest(runs_of()) == DIGEST
+    assert digest_of(runs_of()) == DIGEST
 
 
 def test_a_field_added_with_its_default_changes_nothing():
@@ -38,28 +37,28 @@ def test_a_field_added_with_its_default_changes_nothing():
     runs = runs_of()
     fields = [field.name for field in dataclasses.fields(Run)]
     same = [later(**{name: getattr(run, name) for name in fields}) for run in runs]
-    assert digest(same) == digest(runs)
-    assert digest([dataclasses.replace(run, variant="other") for run in same]) != digest(runs)
+    assert digest_of(same) == digest_of(runs)
+    assert digest_of([dataclasses.replace(run, variant="other") for run in same]) != digest_of(runs)
 
 
 def test_an_option_added_with_its_default_changes_nothing(monkeypatch):
     runs = runs_of()
     added = Option(type="int", min=0, max=9, default=3, help="added later", flag="--added")
     options = suites.options() | {"added": added}
-    before = digest(runs)
+    before = digest_of(runs)
     monkeypatch.setattr(suites, "options", lambda: options)
-    assert digest([dataclasses.replace(run, parameters={**run.parameters, "added": 3}) for run in runs]) == before
-    assert digest([dataclasses.replace(run, parameters={**run.parameters, "added": 4}) for run in runs]) != before
+    assert digest_of([dataclasses.replace(run, parameters={**run.parameters, "added": 3}) for run in runs]) == before
+    assert digest_of([dataclasses.replace(run, parameters={**run.parameters, "added": 4}) for run in runs]) != before
 
 
 @pytest.mark.parametrize("change", [{"repetitions": 1001}, {"policy": "RR"}, {"condition": "idle"}, {"repeats": 2}])
 def test_another_campaign_has_another_digest(change):
-    assert digest(runs_of(**change)) != digest(runs_of())
+    assert digest_of(runs_of(**change)) != digest_of(runs_of())
 
 
 def test_what_cyclictest_did_by_itself_changes_nothing():
     entry = {"suite": "cyclictest", "cpu_dma_latency_us": [0, None]}
     awake, asleep = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
     before = {key: value for key, value in awake.parameters.items() if key != "cpu_dma_latency_us"}
-    assert digest([awake]) == digest([dataclasses.replace(awake, parameters=before)])
-    assert digest([awake]) != digest([dataclasses.replace(asleep, name=awake.name)])
+    assert digest_of([awake]) == digest_of([dataclasses.replace(awake, parameters=before)])
+    assert digest_of([awake]) != digest_of([dataclasses.replace(asleep, name=awake.name)])

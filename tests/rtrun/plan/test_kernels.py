@@ -7,7 +7,7 @@ import pytest
 from rtfiles.errors import UsageError
 from rtrun.cli import main
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.plan.kernels import blocks
+from rtrun.plan.run import blocks
 
 ENTRY = {"suite": "cyclic_timer_tests", "frequency_hz": [100, 200]}
 

@@ -4,7 +4,7 @@ import pytest
 
 from rtfiles.errors import UsageError
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.plan.campaign_digest import digest
+from rtrun.plan.run import digest_of
 
 CYCLIC = {"suite": "cyclic_timer_tests", "frequency_hz": 1000, "repetitions": 20_000}
 
@@ -116,4 +116,4 @@ def test_a_baseline_in_the_same_campaign_ignores_a_common_trace():
 def test_a_campaign_without_traces_is_the_one_that_it_was():
     (plain,) = runs_of(CYCLIC)
     assert plain.trace == ""
-    assert digest([plain]) != digest(runs_of({**CYCLIC, "trace": {"above": "1ms"}}))
+    assert digest_of([plain]) != digest_of(runs_of({**CYCLIC, "trace": {"above": "1ms"}}))

@@ -7,7 +7,7 @@ from logs import LOGS_2014
 from rtfiles.config import read_json
 from rtrun.kinds.output import Record
 from rtrun.results.gnuplot_log import read_log
-from rtrun.validity.counts import find_count_mismatch
+from rtrun.validity.outcome import find_count_mismatch
 
 
 @pytest.fixture
