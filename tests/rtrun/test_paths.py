@@ -1,0 +1,72 @@
+"""docs/house.md, Two paths through the runner: whose functions a campaign and its report run is what the page names."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import rtrun
+
+TOP = Path(__file__).parents[2]
+# Functions alone: a module that is only imported, for a type or a number, need not be read.
+FOLLOWED = """
+import sys, threading
+
+opened = set()
+
+
+def follow(frame, event, _):
+    # Neither bodies of modules and classes nor what dataclasses write.
+    code = frame.f_code
+    is_function = code.co_flags & 0x01 and not code.co_qualname.startswith("<")
+    if event == "call" and is_function and code.co_filename.endswith(".py"):
+        opened.add(frame.f_globals.get("__name__", ""))
+
+
+from rtrun.cli import main
+threading.setprofile(follow)
+sys.setprofile(follow)
+status = main(sys.argv[2:])
+sys.setprofile(None)
+with open(sys.argv[1], "w") as file:
+    print(*sorted(opened), sep="\\n", file=file)
+sys.exit(status)
+"""
+
+
+def named(command):
+    """The modules that the table of a command names."""
+    section = (TOP / "docs/house.md").read_text().partition("## Two paths through the runner")[2].partition("\n## ")[0]
+    table = section.partition(f"\n`rtrun {command}`")[2].partition("\n`rtrun ")[0]
+    return re.findall(r"`([\w/]+)`", table)
+
+
+def followed(folder, *argv):
+    done = subprocess.run([sys.executable, "-c", FOLLOWED, "opened", *argv], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    names = (folder / "opened").read_text().split()
+    return {name.removeprefix("rtrun.").replace(".", "/") for name in names if name.startswith("rtrun.")}
+
+
+@pytest.mark.parametrize("command", ["run", "report"])
+def test_every_module_that_is_named_is_there_once(command):
+    names = named(command)
+    assert len(names) == len(set(names)) > 50
+    assert [name for name in names if not (Path(rtrun.__file__).parent / f"{name}.py").is_file()] == []
+
+
+@pytest.mark.ros
+def test_whoever_follows_a_campaign_and_its_report_reads_what_is_named(tmp_path, suites_folder, wishes, ros_master):
+    (tmp_path / "campaign.yml").write_text(
+        "schema: 1\nname: tiny\nruns: [{suite: cyclic_timer_tests, repetitions: 100, frequency_hz: 100}]\n"
+    )
+    (tmp_path / "target.yml").write_text(
+        f"schema: 1\nname: here\nkind: local\nsuites: {suites_folder}\nwork_dir: {tmp_path}/work\n"
+        f"ros_master_port: {ros_master}\n"
+    )
+    opened = followed(tmp_path, "run", "campaign.yml", "--target", "target.yml", "--results", "results")
+    assert opened - set(named("run")) == set() and {"plan/campaign", "kinds/cyclic", "report/terminal"} <= opened
+    opened = followed(tmp_path, "report", "results")
+    assert opened - set(named("report")) == set() and {"judgement/study", "report/page"} <= opened
