@@ -17,6 +17,7 @@ import pytest
 
 from bitbake.debian_tools import work_folder
 from rtfiles.config import read_yaml
+from rtgen import suites as builder
 from rtgen.checkout import checkout
 from rtgen.layer.recipes import recipes_of
 from rtgen.profile import load_machines
@@ -79,7 +80,7 @@ def test_graph_of_the_image(yocto):
     recipes = set((yocto.build / "pn-buildlist").read_text().split())
     kernel = yocto.profile.machines[yocto.machine].kernel.recipe
     suites = [suite.name for suite in recipes_of(yocto.profile, yocto.release)]
-    wanted = {re.sub("^util-linux-.*", "util-linux", package) for package in yocto.profile.image.packages}
+    wanted = {re.sub("^(util-linux|python3)-.*", r"\1", package) for package in yocto.profile.image.packages}
     assert {*suites, "packagegroup-rt-tests", kernel, "openssh", *wanted} <= recipes
     if yocto.machine.startswith("pandaboard"):
         assert ("u-boot-panda" if yocto.release.own_u_boot else "u-boot") in recipes
@@ -200,12 +201,24 @@ def test_suites_are_compiled_and_installed(yocto, built_suites):
         work = work_folder(built_suites, suite.name)
         tasks = {path.suffixes[0][1:] for path in work.glob("temp/log.do_*")}
         assert {"do_patch", "do_configure", "do_compile", "do_install"} <= tasks
-    for suite, described in read_yaml(checkout() / "recipes-tests/suites.yml")["suites"].items():
-        for program in described["programs"]:
-            image = work_folder(built_suites, suite.replace("_", "-")) / "image"
-            binary = image / "opt" / "ros" / "noetic" / "lib" / suite / program
-            kind = subprocess.run(["file", "-b", binary], capture_output=True, text=True, check=True).stdout
-            assert "ELF 32-bit" in kind and "ARM" in kind and "EABI5" in kind
+    ros, prefix = yocto.ros, Path("opt/ros", yocto.profile.ros_distro, "lib")
+    programs = [
+        path
+        for suite in recipes_of(yocto.profile, yocto.release)
+        for path in (work_folder(built_suites, suite.name) / "image" / prefix).glob("*/*")
+    ]
+    described = read_yaml(checkout() / "recipes-tests/suites.yml")["suites"]
+    # The wheels have no rclcpp.
+    client = "" if ros.version == 1 else "_rcl"
+    wanted = {f"{suite}/{name}{client}" for suite, said in described.items() for name in said["programs"]}
+    transports = [name for name, debian in builder.transports().items() if name in ros.transports or not debian]
+    names = described["communication_tests"]["programs"]
+    wanted |= {f"transport_tests/{program}_{transport}" for program in names for transport in transports}
+    assert {f"{path.parent.name}/{path.name}" for path in programs} == {*wanted, "rt_tests_sampler/rt_tests_sampler"}
+    for path in programs:
+        kind = subprocess.run(["file", "-b", path], capture_output=True, text=True, check=True).stdout
+        words = ("32-bit", "ARM", "EABI5") if ros.version == 1 else ("64-bit", "x86-64")
+        assert all(word in kind for word in ("ELF", *words)), kind
 
 
 @pytest.mark.skipif("RT_TESTS_CHECK_LAYER" not in os.environ, reason="takes half an hour: RT_TESTS_CHECK_LAYER=1 asks")

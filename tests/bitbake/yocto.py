@@ -11,7 +11,7 @@ import yaml
 
 from rtgen.layer import output
 from rtgen.layer.render import render
-from rtgen.profile import Profile, Release, load_profile, profile_names
+from rtgen.profile import Profile, Release, RosDistro, load_profile, profile_names
 
 KEY = "ssh-ed25519 AAAA"
 # What BitBake reports about recipes that are masked.
@@ -44,6 +44,10 @@ class Yocto:
     @property
     def layer(self) -> Path:
         return self.work / "rendered" / "meta-rt-tests"
+
+    @property
+    def ros(self) -> RosDistro:
+        return self.release.ros_distros[self.profile.ros_distro]
 
     @property
     def machine(self) -> str:

@@ -12,6 +12,7 @@ from rtfiles import cache
 
 HERE = Path(__file__).parent
 KIND = "ros2-wheels"
+DISTROS = tuple(path.stem for path in HERE.glob("*.txt"))
 # What is no path of the machine that runs us, in CMake's files of the wheels: that of Python and NumPy, for messages in
 # Python, and a library that stands among the wheels' own.
 NOT_HERE = {r'/opt/python/[^";]*': "${_IMPORT_PREFIX}/include", "/usr/lib64/libtinyxml2.so": "dl"}
