@@ -51,11 +51,13 @@ def read_head(page: bytes, layout: PageLayout) -> Page:
     """Read the head of a page. Raises ValueError."""
     if len(page) != layout.size_bytes:
         raise ValueError(f"a page of {len(page)} bytes in place of {layout.size_bytes}")
-    begin_ns, commit = _HEAD[layout.commit_bytes].unpack_from(page)
+    begin_ns, whole = _HEAD[layout.commit_bytes].unpack_from(page)
+    # The kernel adds the upper bits as numbers with a sign.
+    commit, upper = whole & 0xFFFFFFFF, whole >> 32
     length = commit & _LENGTH
     end = layout.data_offset + length
-    if commit >> 32 or end > layout.size_bytes or begin_ns >= _TIME_MAX_NS:
-        raise ValueError(f"a page that claims {commit & ~(_MISSED | _MISSED_COUNTED)} bytes of events")
+    if upper not in (0, 0xFFFFFFFF) or end > layout.size_bytes or begin_ns >= _TIME_MAX_NS:
+        raise ValueError(f"a page that claims {length} bytes of events from {begin_ns} ns on")
     lost = None
     if commit & _MISSED_COUNTED:
         if end + layout.commit_bytes > layout.size_bytes:

@@ -25,9 +25,9 @@ LIMIT_PER_S = 40_000
 SET_UP_S = 120.0
 # Of a caller who wants no more of it.
 END_S = 30.0
-# An event with its topic takes less; a second of the limit fits twice.
+# An event with its topic takes less; a second of the limit fits twice, and some of more than that.
 _EVENT_BYTES = 100
-_BUFFER_KB = (512, 65536)
+_BUFFER_KB = (2048, 65536)
 # Of the kernel's own events, with every change of threads, more are written.
 _BUFFER_KERNEL_KB = 4096
 # Pieces of up to 2 MiB that arrived and were not taken yet: the target waits then.

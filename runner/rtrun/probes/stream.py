@@ -6,7 +6,7 @@ script: hits in the order of time, of all CPUs together.
 
 import re
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 
@@ -279,8 +279,10 @@ class WatchReader:
         if until_ns is None:
             # The mark was lost: what is read is given with the next.
             until_ns = -1
-        hits, self._hits = _cut(self._hits, self.begin_ns, until_ns)
-        kernel, self._kernel = _cut(self._kernel, self.begin_ns, until_ns)
+        # While probes are switched on or off one after the other, one end of a message is seen, and the other is not.
+        silent = [(0, self.begin_ns), *((gap.from_ns, gap.until_ns) for gap in self._gaps if gap.reason == RESTED)]
+        hits, self._hits = _cut(self._hits, until_ns, silent)
+        kernel, self._kernel = _cut(self._kernel, until_ns, silent)
         # In the order of time, of all CPUs: the thread of a timer goes from one to another.
         for hit in hits:
             if hit.event == _TIMER_CALL and isinstance(hit.values, dict):
@@ -301,9 +303,11 @@ class WatchReader:
         return batch
 
 
-def _cut(hits: list[Hit], begin_ns: int, until_ns: int) -> tuple[tuple[Hit, ...], list[Hit]]:
-    """Those between two times, in the order of time, and the later ones; before the first not all probes were there."""
+def _cut(hits: list[Hit], until_ns: int, silent: Sequence[tuple[int, int]]) -> tuple[tuple[Hit, ...], list[Hit]]:
+    """Those up to a time, in the order of time, without those of silent times; and those that are later."""
     hits.sort(key=itemgetter(0))
-    first = bisect_left(hits, begin_ns, key=itemgetter(0))
-    last = bisect_right(hits, until_ns, lo=first, key=itemgetter(0))
-    return tuple(hits[first:last]), hits[last:]
+    for from_ns, before_ns in silent:
+        first, last = bisect_left(hits, from_ns, key=itemgetter(0)), bisect_left(hits, before_ns, key=itemgetter(0))
+        del hits[first:last]
+    count = bisect_right(hits, until_ns, key=itemgetter(0))
+    return tuple(hits[:count]), hits[count:]

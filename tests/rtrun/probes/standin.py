@@ -1,0 +1,93 @@
+"""Programs for the tests of probes: a stand-in with the functions that are probed; and what is in the trace."""
+
+import contextlib
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+from rtrun.probes.libraries.description import events
+from rtrun.probes.placement import place
+from rtrun.probes.programs import FoundProgram, find_programs
+from rtrun.probes.session import Observed, observe
+from rtrun.targets.deploy import ON_TARGET
+from rtrun.targets.link import Link
+
+TRACING = Path("/sys/kernel/tracing")
+SCRIPTS = PurePosixPath(ON_TARGET)
+SOURCE = Path(__file__).with_name("standin.c")
+LIBRARIES = ("tracetools", "rcl")
+
+
+def build(folder: Path) -> Path:
+    """Compile the stand-in with its libraries into a folder."""
+    folder.mkdir(exist_ok=True)
+    for name in LIBRARIES:
+        library = ["-shared", "-fPIC", f"-DLIBRARY_{name}", "-o", f"{folder}/lib{name}.so"]
+        subprocess.run(["cc", "-O2", *library, SOURCE], check=True)
+    links = [f"-L{folder}", *(f"-l{name}" for name in LIBRARIES), "-Wl,--no-as-needed,-rpath,$ORIGIN"]
+    subprocess.run(["cc", "-O1", "-o", folder / "standin", SOURCE, *links[-1:], *links[:-1]], check=True)
+    return folder / "standin"
+
+
+@contextlib.contextmanager
+def running(*argv: object, **more: object) -> "Iterator[subprocess.Popen[str]]":
+    """A program that is ended with the context."""
+    with subprocess.Popen([str(word) for word in argv], stdout=subprocess.PIPE, text=True, **more) as process:  # type: ignore[call-overload]
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def find(link: Link, *pids: int) -> tuple[FoundProgram, ...]:
+    """Those of these processes that can be observed, once all of them can: a library is loaded after the start."""
+    deadline = time.monotonic() + 30
+    while True:
+        found = tuple(each for each in find_programs(link, SCRIPTS) if each.program.pid in pids)
+        if len(found) == len(pids):
+            return found
+        assert time.monotonic() < deadline, found
+        time.sleep(0.1)
+
+
+def observed(
+    link: Link, *pids: int, for_s: float = 3600, limit_per_s: int = 40_000, **more: object
+) -> Iterator[Observed]:
+    """What is seen of these processes."""
+    found = find(link, *pids)
+    placement = place(link, found, events=events())
+    return observe(link, SCRIPTS, placement, found, for_s=for_s, limit_per_s=limit_per_s, **more)  # type: ignore[arg-type]
+
+
+def left() -> list[str]:
+    """What observations have left in this machine's trace."""
+    probes = (TRACING / "uprobe_events").read_text().splitlines()
+    names = {line.partition(" ")[0] for line in probes if "rtrun_observe" in line}
+    return sorted({path.name for path in TRACING.glob("instances/rtrun-observe-*")} | names)
+
+
+def wait_until_nothing_is_left() -> None:
+    """A watchdog needs some tenths of a second; a busy machine has more time."""
+    deadline = time.monotonic() + 30
+    while left():
+        assert time.monotonic() < deadline, left()
+        time.sleep(0.05)
+
+
+def skip_without_trace() -> None:
+    """Skip where this user, or this kernel, has no probes."""
+    if not os.access(TRACING / "uprobe_events", os.W_OK):
+        pytest.skip("no probes here: they take root, and tracefs with uprobe_events")
+
+
+def tell(line: str) -> None:
+    """Add a line to the probes of this machine; opened to be written anew, the file would lose all others."""
+    handle = os.open(TRACING / "uprobe_events", os.O_WRONLY | os.O_APPEND)
+    try:
+        os.write(handle, f"{line}\n".encode())
+    finally:
+        os.close(handle)

@@ -1,0 +1,273 @@
+"""Probes on programs that run: what they see, and that nothing of them is left, whatever happens."""
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from probes import standin as standins
+from probes.standin import SCRIPTS, TRACING, find, left, observed, running, tell, wait_until_nothing_is_left
+from proxy import proxy_to
+
+from rtrun.probes.libraries.description import events
+from rtrun.probes.placement import place
+from rtrun.probes.session import Batch, Began, Finished, observe
+from rtrun.targets.errors import TargetError
+from rtrun.targets.link import Link
+
+pytestmark = [pytest.mark.trace, pytest.mark.timeout(120)]
+RUNNER = """
+    import sys
+    from pathlib import Path, PurePosixPath
+    from probes.standin import observed
+    from rtrun.targets.address import Address, ThisMachine
+    from rtrun.targets.config import Target
+    from rtrun.targets.link import Link
+    address = {address!r}
+    target = Target(name="t", address=address, suites=None, work_dir=PurePosixPath("/x"), setup=None, master_port=1,
+                    reconnect_s=0, boot_s=0, console=None, failure=lambda: None)
+    with Link(target, print) as link:
+        for each in observed(link, {pid}):
+            print(type(each).__name__, flush=True)
+"""
+
+
+@pytest.fixture(params=["local", "sshd"])
+def link(request, loopback):
+    """To this machine, in both ways."""
+    if request.param == "local":
+        yield request.getfixturevalue("here")
+        return
+    standins.skip_without_trace()
+    with Link(loopback, print) as link:
+        yield link
+
+
+def values_of(results, event):
+    return [hit for each in results if isinstance(each, Batch) for hit in each.hits if hit.event == event]
+
+
+def test_every_message_is_seen_at_both_ends(link, standin):
+    with running(standin, 1000, 3000) as process:
+        results = []
+        stream = observed(link, process.pid)
+        for each in stream:
+            results.append(each)
+            if len(results) == 6:
+                break
+        stream.close()
+    assert isinstance(results[0], Began)
+    assert {probe.event for probe in results[0].placed} == {"publish", "take", "timer_call"}
+    assert {each.reason.partition(":")[2][:17] for each in results[0].refused} == {" it was built wit"}
+    published, taken = values_of(results, "publish"), values_of(results, "take")
+    numbers = [hit.values["source_ns"] for hit in published]
+    assert numbers == list(range(numbers[0], 3000))
+    assert [hit.values["source_ns"] for hit in taken][-len(numbers) :] == numbers and len(taken) - len(numbers) <= 1
+    assert {(hit.pid, hit.tid, hit.values["topic"]) for hit in (*published, *taken)} == {
+        (process.pid, process.pid, "/a")
+    }
+    times = [hit.at_ns for each in results if isinstance(each, Batch) for hit in each.hits]
+    assert times == sorted(times)
+    # The first call has nothing to compare with.
+    calls = values_of(results, "timer_call")
+    assert "expected_ns" not in calls[0].values and calls[0].values["clock"] == "steady"
+    late_ns = [hit.at_ns - hit.values["expected_ns"] for hit in calls[1:]]
+    assert min(late_ns) > 0 and sorted(late_ns)[len(late_ns) // 2] < 10**6
+    assert left() == []
+
+
+def test_the_end_of_the_time(link, standin):
+    with running(standin, 100, 10**6) as process:
+        *_, last = observed(link, process.pid, for_s=1.5)
+    assert last == Finished(lost_events=0, rests=0, reconnections=0, is_clean=True)
+    assert left() == []
+
+
+@pytest.mark.parametrize("way", ["local", "sshd"])
+def test_a_killed_runner_leaves_nothing(way, loopback, here, standin, request, tmp_path):
+    address = here.target.address if way == "local" else loopback.address
+    with running(standin, 1000, 10**9) as process:
+        code = textwrap.dedent(RUNNER.format(address=address, pid=process.pid))
+        code = f"from pathlib import PosixPath\n{code}"
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+        for number in range(6):
+            with subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE) as runner:
+                # At the beginning, while probes are placed, and later.
+                if number % 3:
+                    for _ in range(number):
+                        assert runner.stdout.readline()
+                else:
+                    while not left():
+                        time.sleep(0.01)
+                runner.kill()
+            wait_until_nothing_is_left()
+    assert process.returncode in (-signal.SIGKILL, None)
+
+
+def test_a_cut_link(sshd, loopback, standin):
+    standins.skip_without_trace()
+    with proxy_to(sshd.port) as proxy, running(standin, 200, 10**9) as process:
+        target = replace(loopback, address=replace(loopback.address, port=proxy.port), reconnect_s=30)
+        with Link(target, print) as link:
+            results, before = [], []
+            stream = observed(link, process.pid)
+            for each in stream:
+                results.append(each)
+                if len(results) == 4:
+                    before = left()
+                    proxy.cut()
+                    wait_until_nothing_is_left()
+                    proxy.mend()
+                gaps = [gap for each in results if isinstance(each, Batch) for gap in each.gaps]
+                if gaps and len(results) > 8:
+                    break
+            assert left() and before and not set(before) & set(left())
+            stream.close()
+    assert [gap.reason for gap in gaps] == ["the connection to the target was lost"]
+    missing = [hit for hit in values_of(results, "publish") if gaps[0].from_ns < hit.at_ns < gaps[0].until_ns]
+    assert not missing and gaps[0].until_ns > gaps[0].from_ns
+    wait_until_nothing_is_left()
+
+
+def test_leftovers_of_the_dead_alone_are_removed(here, standin):
+    """Neither what a living one has, nor what others have, whatever their names look like."""
+    namespace = str(Path("/proc/self/ns/pid").readlink())[5:-1]
+    start = Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19]
+    living, dead = f"{namespace}_{os.getpid()}_{start}", f"{namespace}_{os.getpid()}_1"
+    elsewhere = f"1_{os.getpid()}_1"
+    instances = [f"rtrun-observe-{name}" for name in (living, dead, elsewhere)] + ["rtrun-observer", "others"]
+    groups = [f"rtrun_observe_{name}" for name in (living, dead, elsewhere)] + ["others"]
+    with running(standin, 100, 10**9) as process:
+        (found,) = find(here, process.pid)
+        place_of = place(here, [found], events=["take"]).probes[0].line.split()[2]
+        try:
+            for name in instances:
+                (TRACING / "instances" / name).mkdir()
+            for group in groups:
+                tell(f"p:{group}/x {place_of}")
+                (TRACING / "instances" / instances[1] / "events" / group / "x" / "enable").write_text("1")
+            *_, last = observed(here, process.pid, for_s=0.5)
+            assert last.is_clean
+            assert {path.name for path in (TRACING / "instances").iterdir()} >= {*instances} - {instances[1]}
+            assert not (TRACING / "instances" / instances[1]).exists()
+            kept = (TRACING / "uprobe_events").read_text()
+            assert [group for group in groups if f":{group}/x" in kept] == [groups[0], *groups[2:]]
+        finally:
+            for name in instances:
+                if (TRACING / "instances" / name).exists():
+                    (TRACING / "instances" / name / "events/enable").write_text("0")
+                    (TRACING / "instances" / name).rmdir()
+            for group in groups:
+                if (TRACING / "events" / group).exists():
+                    tell(f"-:{group}/x")
+
+
+def test_two_at_once(here, loopback, standin):
+    """Each sees everything, and takes off its own alone."""
+    with running(standin, 500, 10**9) as process, Link(loopback, print) as other:
+        first, second = observed(here, process.pid), observed(other, process.pid)
+        assert isinstance(next(first), Began) and isinstance(next(second), Began)
+        first.close()
+        assert len([name for name in left() if name.startswith("rtrun-observe-")]) == 1
+        batches = [next(second) for _ in range(3)]
+        numbers = [hit.values["source_ns"] for hit in values_of(batches, "take")]
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers))) and len(numbers) > 500
+        second.close()
+    wait_until_nothing_is_left()
+
+
+def test_above_the_limit_the_probes_rest(here, standin):
+    with running(standin, 4000, 10**9) as process:
+        results = list(observed(here, process.pid, for_s=8, limit_per_s=2000))
+    gaps = [gap for each in results if isinstance(each, Batch) for gap in each.gaps]
+    assert gaps and {gap.reason for gap in gaps} == {"the probes rested: too many events"}
+    taken = values_of(results, "take")
+    assert all(gap.until_ns - gap.from_ns > 10**9 for gap in gaps)
+    numbers = [hit.values["source_ns"] for hit in taken]
+    jumps = [b.at_ns for a, b in itertools.pairwise(taken) if b.values["source_ns"] != a.values["source_ns"] + 1]
+    assert numbers and all(any(gap.from_ns < at < gap.until_ns + 10**8 for gap in gaps) for at in jumps)
+    assert results[-1].rests == len(gaps) and results[-1].is_clean
+
+
+def test_a_program_that_starts_later(here, standin):
+    """It has another pid, and the probes on the file see it."""
+    with running(standin, 100, 10**9) as first:
+        stream = observed(here, first.pid)
+        assert isinstance(next(stream), Began)
+        next(stream)
+        with running(standin, 100, 10**9) as second:
+            results = [next(stream) for _ in range(4)]
+            pids = {hit.pid for hit in values_of(results, "take")}
+            programs = [found.program.pid for each in results for found in each.programs]
+        assert {first.pid, second.pid} <= pids and second.pid in programs
+        second_ended = [pid for _ in range(3) for pid in next(stream).ended]
+        assert second.pid in second_ended
+        stream.close()
+
+
+def test_kernel_events_beside(here, standin):
+    with running(standin, 100, 10**9) as process:
+        results = list(observed(here, process.pid, for_s=2, kernel_events=["sched/sched_switch", "no/such"]))
+    switches = [hit for each in results if isinstance(each, Batch) for hit in each.kernel]
+    assert {hit.event for hit in switches} == {"sched/sched_switch"}
+    woken = [hit for hit in switches if hit.values["next_pid"] == process.pid]
+    assert woken and {hit.values["next_comm"] for hit in woken} == {"standin"}
+    assert {hit.pid for hit in switches if hit.tid == process.pid} == {process.pid}
+
+
+def test_a_library_of_a_mount_namespace(here, standin, tmp_path):
+    """As in a container: by its path this machine has another file, or none."""
+    moved = tmp_path / "inside"
+    moved.mkdir()
+    script = f"mount --bind {standin.parent} {moved} && exec {moved}/standin 100 1000000"
+    with running("unshare", "--mount", "sh", "-c", script) as process:
+        *results, last = observed(here, process.pid, for_s=2)
+    assert values_of(results, "take") and last.is_clean
+    assert any(probe.path.startswith(str(moved)) for probe in results[0].placed)
+
+
+def test_a_library_that_was_replaced(here, tmp_path):
+    program = standins.build(tmp_path / "replaced")
+    with running(program, 100, 10**9) as process:
+        find(here, process.pid)
+        (program.parent / "libtracetools.so").unlink()
+        (began, *_, last) = observed(here, process.pid, for_s=0.5)
+    assert [(Path(each.path).name, each.reason) for each in began.refused] == [
+        ("libtracetools.so", "its file was replaced while the program runs: restart the program")
+    ]
+    assert [probe.event for probe in began.placed] == ["timer_call"] and last.is_clean
+
+
+def test_a_probe_that_the_kernel_refuses(here, standin):
+    """The others are placed all the same."""
+    with running(standin, 100, 10**9) as process:
+        found = find(here, process.pid)
+        placement = place(here, found, events=events())
+        bad = replace(placement.probes[0], line=placement.probes[0].line.replace("%di", "%nonsense"))
+        placement = replace(placement, probes=(bad, *placement.probes[1:]))
+        began, *_ = observe(here, SCRIPTS, placement, found, for_s=0.5)
+    (refused,) = [each for each in began.refused if each.event == bad.event]
+    assert "egister" in refused.reason or "does not take it" in refused.reason
+    assert len(began.placed) == len(placement.probes) - 1
+
+
+def test_no_right_to_it(here, loopback, standin, tmp_path):
+    """The reason is one line."""
+    with running(standin, 100, 10**9) as process:
+        found = find(here, process.pid)
+        placement = place(here, found, events=events())
+        script = tmp_path / "watch_probes.sh"
+        # Where there is no tracefs, and none can be mounted.
+        text = (
+            (Path(str(SCRIPTS)) / "watch_probes.sh").read_text().replace("/sys/kernel/tracing", str(tmp_path / "none"))
+        )
+        script.write_text(text)
+        script.chmod(0o755)
+        with pytest.raises(TargetError, match=r"this machine: no kernel trace: it needs CONFIG_FTRACE"):
+            list(observe(here, tmp_path, placement, found, for_s=5))
