@@ -69,7 +69,7 @@ class Watched:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Observation:
+class ObservationResult:
     """What was observed: the flows, the programs that were there at any time, what was placed, and how it ended."""
 
     flows: FlowAccumulator
@@ -114,7 +114,7 @@ def observe(
     on_second: Callable[[FlowAccumulator, int], None],
     recorder: FlowRecorder | None = None,
     now: Clock = utc_now,
-) -> Observation:
+) -> ObservationResult:
     """Observe for the time of the plan, or until Ctrl-C, which ends it as its time does.
 
     `on_second` is called about once a second with the flows so far and the time of CLOCK_MONOTONIC up to which they
@@ -156,7 +156,7 @@ def observe(
     if flows is None:
         raise TargetError(f"{watched.link.target.address}: the probes were placed, but nothing was recorded")
     flows.finish()
-    return Observation(
+    return ObservationResult(
         flows=flows,
         programs=tuple(seen.values()),
         began=began,
@@ -166,7 +166,7 @@ def observe(
     )
 
 
-def write(results: Path, watched: Watched, plan: ObservationPlan, observation: Observation) -> tuple[str, ...]:
+def write(results: Path, watched: Watched, plan: ObservationPlan, observation: ObservationResult) -> tuple[str, ...]:
     """Write a run for each stream, one for each deadline of what was not seen, and one of the observation itself.
 
     Returns what was left out, a sentence each. Raises InfrastructureError where they cannot be written.
@@ -252,7 +252,7 @@ def _write_run(
     folder: Path,
     watched: Watched,
     plan: ObservationPlan,
-    observation: Observation,
+    observation: ObservationResult,
     output: ObservedOutput,
     *,
     reason: str | None = None,
@@ -291,7 +291,7 @@ def _write_run(
 
 
 def _record(
-    watched: Watched, observation: Observation, name: str, suite: str, programs: Sequence[ObservedProgram]
+    watched: Watched, observation: ObservationResult, name: str, suite: str, programs: Sequence[ObservedProgram]
 ) -> RunRecord:
     target = watched.link.target
     return RunRecord(
@@ -338,7 +338,7 @@ def _text(fact: inspection.Fact) -> str:
     return " ".join(fact) if isinstance(fact, list) else fact or ""
 
 
-def _write_observation(folder: Path, watched: Watched, observation: Observation) -> None:
+def _write_observation(folder: Path, watched: Watched, observation: ObservationResult) -> None:
     """Write the run of the observation itself: which probes were placed, what is missing."""
     import json
 

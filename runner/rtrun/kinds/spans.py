@@ -1,5 +1,6 @@
 """Spans: how long something took that has a begin and an end, as a callback, or the reaction along a path of topics."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,25 +10,21 @@ from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.kind import Columns, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record
 from rtrun.kinds.rows import agree, check_times
-from rtrun.plan.question import Measure
 
 
-def _kind(measure: Measure) -> MeasurementKind:
-    def series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
-        begin, end = columns["begin_ns"], columns["end_ns"]
-        check_times(path, begin, end)
-        agree(path, "measured", len(begin), record.counts.measured)
-        values = np.asarray(end - begin)
-        if values.size and int(values.min()) < 0:
-            raise UsageError(f"{path}: row {int(values.argmin())} ends before it begins")
-        return {measure: IndexedValues(values_ns=values, index=np.arange(values.size))}
-
-    return MeasurementKind(series=series, called={measure: measure}, times=_times)
+def _series(name: str, columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
+    begin, end = columns["begin_ns"], columns["end_ns"]
+    check_times(path, begin, end)
+    agree(path, "measured", len(begin), record.counts.measured)
+    values = np.asarray(end - begin)
+    if values.size and int(values.min()) < 0:
+        raise UsageError(f"{path}: row {int(values.argmin())} ends before it begins")
+    return {name: IndexedValues(values_ns=values, index=np.arange(values.size))}
 
 
 def _times(columns: Columns, values: IndexedValues) -> Int64s:
     return np.asarray(columns["end_ns"][values.index])
 
 
-CALLBACK = _kind("duration")
-PATH = _kind("reaction")
+CALLBACK = MeasurementKind(series=partial(_series, "duration"), called={"duration": "duration"}, times=_times)
+PATH = MeasurementKind(series=partial(_series, "reaction"), called={"reaction": "reaction"}, times=_times)

@@ -73,7 +73,7 @@ class Placement:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _File:
+class _LibraryFile:
     """A library's file on the target, as it can be opened there."""
 
     size_bytes: int
@@ -178,7 +178,7 @@ def _line(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without: 
 
 def _look(
     link: "Link", users: Collection[tuple[FoundProgram, MappedLibrary]]
-) -> tuple[tuple[int, ...], dict[tuple[str, int], _File]]:
+) -> tuple[tuple[int, ...], dict[tuple[str, int], _LibraryFile]]:
     """Ask for the kernel's release, and for the files that these processes map, by device and inode."""
     asked = {(program.program.pid, each.range): each for program, each in users if not each.is_deleted}
     stdin = "".join(f"{pid} {each.range} {each.path}\n" for (pid, _), each in asked.items())
@@ -195,11 +195,11 @@ def _look(
         if path not in (each.path, f"/proc/{key[0]}/root{each.path}", mapped):
             raise TargetError(f"{link.target.address}: asked about {each.path}, it answers about {path[:200]!r}")
         size_bytes = whole_number(match[3], lowest=0, highest=2**62)
-        files[each.device, each.inode] = _File(size_bytes=size_bytes, sha256=match[4], path=path)
+        files[each.device, each.inode] = _LibraryFile(size_bytes=size_bytes, sha256=match[4], path=path)
     return release, files
 
 
-def _resolve(link: "Link", file: _File) -> LibrarySymbols | NotProbed:
+def _resolve(link: "Link", file: _LibraryFile) -> LibrarySymbols | NotProbed:
     """Find all functions that any probe may need in a file of the target, which is brought here once."""
     if file.size_bytes > FILE_BYTES_MAX:
         return NotProbed(f"it has {file.size_bytes} bytes; a library has {FILE_BYTES_MAX} at most")
