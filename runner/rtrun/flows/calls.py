@@ -149,7 +149,8 @@ class CallRecord:
             opened = thread.callbacks.pop()
             if handle is not None and thread.process.callbacks.get(handle) is not opened.callback:
                 opened = None
-        if opened is None:
+        # roscpp returns another result when it was another thread's turn, or there was no message left.
+        if opened is None or hit.values.get("result", 0):
             return
         callback = opened.callback
         if opened.message is not None:

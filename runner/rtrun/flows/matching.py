@@ -101,7 +101,7 @@ class _SameBytes:
         self.last_ns = 0
         self.published: list[Publication] = []
         self.waiting: dict[End, list[Reception]] = {}
-        self.unclear: set[End] = set()
+        self.unclear: frozenset[End] = frozenset()
         self.done: dict[End, int] = {}
         """How many of those published no longer can be what a subscriber receives."""
         self.held: dict[End, tuple[Reception, Publication]] = {}
@@ -136,6 +136,9 @@ class PayloadMatching:
         elif same.is_early:
             same.done[end] = 1
             same.held[end] = (reception, same.published[0])
+        elif candidates == 1 and end not in same.waiting:
+            same.done[end] = len(same.published)
+            self._fates.matched(reception, same.published[-1])
         else:
             waiting = same.waiting.setdefault(end, [])
             waiting.append(reception)
@@ -165,7 +168,7 @@ class PayloadMatching:
     def _resolve(self, same: _SameBytes, end: End) -> None:
         """As many were received as were published: each is the one at its place, if one publisher sent them all."""
         candidates = same.published[same.done.get(end, 0) :]
-        if len(candidates) > 1 and len({publication.endpoint for publication in candidates}) > 1:
+        if len({publication.endpoint for publication in candidates}) > 1:
             self._give_up(same, end, same.waiting.pop(end))
             return
         same.done[end] = len(same.published)
@@ -183,7 +186,7 @@ class PayloadMatching:
     def _give_up(self, same: _SameBytes, end: End, receptions: Sequence[Reception]) -> None:
         """Any of the open publications may be any of these."""
         candidates = same.published[same.done.get(end, 0) :]
-        same.unclear.add(end)
+        same.unclear |= {end}
         same.done[end] = len(same.published)
         for number, reception in enumerate(receptions):
             self._fates.ambiguous(reception, () if number else candidates)
@@ -215,7 +218,7 @@ class PayloadMatching:
                 del same.held[end]
                 self._fates.matched(reception, publication)
         # Who did not receive it may have received it in place of another one.
-        same.unclear.update(end for end, done in same.done.items() if not done)
+        same.unclear |= {end for end, done in same.done.items() if not done}
         same.done = {end: max(0, done - 1) for end, done in same.done.items()}
         self._fates.forgotten(publication)
 

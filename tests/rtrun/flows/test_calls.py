@@ -135,6 +135,7 @@ def test_roscpp_tells_by_the_bytes_what_a_callback_is_about():
         publish_bytes(start + 210, (9, 9, 40), "/objects", pid=2, endpoint=OBJECTS), end(start + 220),
         begin(start + 300, topic="/scan"),
         publish_bytes(start + 310, (8, 9, 40), "/objects", pid=2, endpoint=OBJECTS), end(start + 320),
+        begin(start + 400, topic="/scan"), event(start + 410, "callback_end", callback=0xF0, result=1),
     ]  # fmt: skip
     observed = accumulate(hits)
     assert reactions(observed) == ([210], 1)
@@ -142,6 +143,8 @@ def test_roscpp_tells_by_the_bytes_what_a_callback_is_about():
     assert messages.columns["callback_end_ns"].tolist() == [start + 220, NOT_SEEN_NS]
     (callback,) = of_kind(observed, StreamKind.CALLBACK)
     assert callback.identity == {"node": "/detector", "callback": "/scan", "thread": 1}
+    # The last one called nothing, as roscpp said.
+    assert callback.columns["end_ns"].tolist() == [start + 220, start + 320]
 
 
 def test_durations_by_callback_and_thread():

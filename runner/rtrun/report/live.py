@@ -1,0 +1,100 @@
+"""What is measured of observed programs, as it stands now: a table that is drawn anew, lines, or JSON."""
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Self
+
+from rtfiles.output import console, counted, print_line
+from rtfiles.quantities import duration, grouped, time_us
+from rtrun.flows.live import LiveRow, Snapshot, worst_first
+from rtrun.flows.values import StreamKind
+from rtrun.report.screen import fitted
+
+if TYPE_CHECKING:
+    from rich.console import Group
+    from rich.live import Live
+
+_HEADINGS = ("what", "of", "number", "rate/Hz", "median/us", "p99/us", "worst/us", "lost", "misses")
+_SHOWN = (StreamKind.MESSAGES, StreamKind.TIMER, StreamKind.PATH)
+_ROUND_THE_TABLE = 5  # lines of a screen that the table leaves free
+
+
+def live_table(snapshot: Snapshot, width: int, height: int) -> "Group":
+    """Messages, timers and paths for a screen of this size, those with misses first, and what is missing."""
+    from rich.console import Group
+    from rich.text import Text
+
+    rows = worst_first(row for row in snapshot.rows if row.kind in _SHOWN)
+    fitting = max(1, height - _ROUND_THE_TABLE - len(snapshot.remarks))
+    lines = [f"{duration(snapshot.observed_s)} observed"]
+    if len(rows) > fitting:
+        lines.append(f"{counted(len(rows) - fitting, 'more stream')} not shown")
+    shown = fitted(_HEADINGS, [_cells(row) for row in rows[:fitting]], range(2, len(_HEADINGS)), width)
+    return Group(shown, *(Text(line, no_wrap=True) for line in (*lines, *snapshot.remarks)))
+
+
+def _cells(row: LiveRow) -> tuple[str, ...]:
+    misses = "-"
+    if row.misses is not None:
+        misses = f"{grouped(row.misses)} > {time_us(row.deadline_ns)}"
+    return (
+        row.name,
+        row.of,
+        grouped(row.n),
+        f"{row.rate_hz:.4g}",
+        time_us(row.median_ns),
+        time_us(row.p99_ns),
+        time_us(row.worst_ns),
+        "-" if row.lost is None else grouped(row.lost),
+        misses,
+    )
+
+
+def live_line(snapshot: Snapshot) -> str:
+    """The same in a line: how much there is, and the worst of each stream that has a deadline."""
+    rows = [row for row in snapshot.rows if row.kind in _SHOWN]
+    messages = [row for row in rows if row.kind is StreamKind.MESSAGES]
+    parts = [
+        f"{duration(snapshot.observed_s)}: {counted(sum(row.n for row in messages), 'message')}",
+        f"{sum(row.lost or 0 for row in messages)} lost",
+        counted(sum(row.kind is StreamKind.TIMER for row in rows), "timer"),
+    ]
+    parts += [
+        f"{row.name} ({row.of}): worst {time_us(row.worst_ns)} us, misses {row.misses}"
+        for row in rows
+        if row.misses is not None
+    ]
+    return ", ".join((*parts, *snapshot.remarks))
+
+
+def live_json(snapshot: Snapshot) -> str:
+    """The same as one JSON object in a line, for programs."""
+    return json.dumps(asdict(snapshot))
+
+
+class LiveView:
+    """Shows snapshots: on a terminal a table in its place, elsewhere a line for each, or JSON."""
+
+    def __init__(self, *, as_json: bool = False) -> None:
+        self._console = console()
+        self._as_json = as_json
+        self._live: Live | None = None
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal and not self._as_json:
+            from rich.live import Live
+
+            self._live = Live(console=self._console, auto_refresh=False, transient=True)
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.__exit__(None, None, None)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show how it stands."""
+        if self._live is not None:
+            self._live.update(live_table(snapshot, self._console.width, self._console.height), refresh=True)
+        else:
+            print_line(live_json(snapshot) if self._as_json else live_line(snapshot))

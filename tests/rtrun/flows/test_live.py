@@ -1,0 +1,122 @@
+"""The live view: its figures against those of all values, and its table, lines and JSON."""
+
+import io
+import json
+import random
+
+import numpy as np
+import pytest
+from made_flows import MS, S, gap, hit, node, publish, take
+from rich.console import Console
+
+from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.flows.live import FlowDeadline, LiveFigures
+from rtrun.flows.streams import streams
+from rtrun.flows.values import StreamKind, differences
+from rtrun.report.live import LiveView, live_json, live_line, live_table
+
+DEADLINES = [
+    FlowDeadline.of("/a", 5 * MS),
+    FlowDeadline.of("timer:/talker", 100_000),
+    FlowDeadline.of("/a,/b", 6 * MS),
+    FlowDeadline.of("/nobody", 1),
+]
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """Ten snapshots, a second from each other, and the accumulator after them."""
+    chance = random.Random(1)
+    observed = FlowAccumulator(begin_ns=0, paths=[("/a", "/b")])
+    observed.observe([node(1, "talker"), node(2, "relay")])
+    live = LiveFigures(observed, DEADLINES)
+    snapshots = []
+    for second in range(10):
+        hits = [gap(0, 0)._replace(from_ns=4 * S, until_ns=4 * S + 500 * MS)] * (second == 4)
+        observed.offset("system", second * S, second)
+        for at_ns in range(second * S, (second + 1) * S, 10 * MS):
+            late_ns = round(chance.expovariate(1 / 40_000))
+            told = {"timer": 7, "period_ns": 10 * MS, "clock": "system", "expected_ns": at_ns + at_ns // S}
+            hits += [hit(at_ns + late_ns, "timer_call", **told)]
+            sent_ns = at_ns + late_ns + 1000
+            taken_ns = sent_ns + round(chance.expovariate(1 / MS)) + 1
+            hits += [publish(sent_ns)]
+            if chance.random() < 0.98:
+                hits += [
+                    take(taken_ns, sent_ns),
+                    hit(taken_ns + 1, "callback_begin", pid=2, callback=9),
+                    publish(taken_ns + 2, "/b", pid=2, endpoint=0xA1),
+                    hit(taken_ns + 3, "callback_end", pid=2, callback=9),
+                ]
+        observed.feed([one for one in hits if one[0] < (second + 1) * S])
+        snapshots.append(live.snapshot((second + 1) * S))
+    observed.offset("system", 10 * S, 9)
+    snapshots.append(live.snapshot(10 * S + 1))
+    return observed, snapshots
+
+
+def values_of(stream):
+    columns = stream.columns
+    if stream.kind is StreamKind.MESSAGES:
+        return columns["reception_ns"] - columns["publication_ns"]
+    if stream.kind is StreamKind.TIMER:
+        return columns["real_ns"] - columns["expected_ns"]
+    if stream.kind is StreamKind.INTERVALS:
+        return differences(columns["timestamp_ns"], stream.cuts)
+    return columns["end_ns"] - columns["begin_ns"]
+
+
+def test_figures_are_those_of_all_values(seen):
+    observed, snapshots = seen
+    made = {kind: [one for one in streams(observed) if one.kind is kind] for kind in StreamKind}
+    rows = snapshots[-1].rows
+    assert len(rows) == sum(map(len, made.values()))
+    for kind, of_kind in made.items():
+        for stream, row in zip(of_kind, (row for row in rows if row.kind is kind), strict=True):
+            values = values_of(stream)
+            assert row.worst_ns == values.max()
+            for part, estimate in ((0.5, row.median_ns), (0.99, row.p99_ns)):
+                exact = np.quantile(values, part, method="inverted_cdf")
+                assert exact <= estimate + 1 <= exact * 1.017 + 2
+            if kind in (StreamKind.MESSAGES, StreamKind.TIMER, StreamKind.PATH):
+                assert row.misses == np.count_nonzero(values > row.deadline_ns)
+            if kind is StreamKind.MESSAGES:
+                assert row.lost == stream.counts["lost"] > 0
+    assert {row.deadline_ns for row in rows if row.kind is StreamKind.INTERVALS} == {None}
+
+
+def test_rates_are_of_the_last_second(seen):
+    _, snapshots = seen
+    timer = [next(row.rate_hz for row in one.rows if row.kind is StreamKind.TIMER) for one in snapshots[:10]]
+    assert timer[2] == 100 and timer[4] == pytest.approx(50, abs=2) and timer[9] == 100
+    assert snapshots[4].remarks == ("1 gap of 0.5 s together: the kernel lost events",)
+
+
+def test_the_table_fits_its_screen(seen):
+    _, snapshots = seen
+    for width, height in ((100, 24), (60, 24), (100, 7)):
+        screen = Console(width=width, height=height, record=True, file=io.StringIO())
+        screen.print(live_table(snapshots[9], width, height))
+        text = screen.export_text()
+        assert max(map(len, text.splitlines())) <= width
+        assert "10 s observed" in text and "1 gap" in text
+        assert ("more stream" in text) == (height == 7)
+    assert "/talker to /relay" in text or "timer 10 ms" in text
+
+
+def test_a_line_and_json(seen, capsys):
+    _, snapshots = seen
+    line = live_line(snapshots[9])
+    assert line.startswith("10 s: ") and " lost, 1 timer, /a (/talker to /relay): worst " in line
+    assert json.loads(live_json(snapshots[9]))["rows"][0]["name"] == "/a"
+    for as_json in (False, True):
+        with LiveView(as_json=as_json) as view:
+            view.show(snapshots[9])
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == line and json.loads(printed[1])["observed_s"] == 10
+
+
+def test_nothing_is_seen_yet():
+    snapshot = LiveFigures(FlowAccumulator(begin_ns=0)).snapshot(0)
+    assert live_line(snapshot) == "0 s: 0 messages, 0 lost, 0 timers"
+    Console(file=io.StringIO()).print(live_table(snapshot, 80, 24))
