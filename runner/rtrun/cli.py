@@ -11,6 +11,7 @@ COMMANDS = (
     "quick",
     "plan",
     "run",
+    "observe",
     "new_target",
     "build_suites",
     "probe",

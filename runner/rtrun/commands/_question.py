@@ -16,7 +16,7 @@ T = TypeVar("T")
 CONFIDENCE = THESIS.confidence
 
 
-def argument(read: Callable[[object], T]) -> Callable[[str], T]:
+def argument(read: Callable[[str], T]) -> Callable[[str], T]:
     """Let argparse say what is wrong with a value, in the words of the one who reads it."""
 
     def read_argument(text: str) -> T:

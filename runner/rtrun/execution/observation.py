@@ -15,14 +15,15 @@ from rtrun.execution import clock_record
 from rtrun.execution.board import Clock, utc_now
 from rtrun.execution.run_execution import STATED
 from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.flows.live import LiveFigures, Snapshot
 from rtrun.flows.programs import label_of
 from rtrun.flows.recorder import FlowRecorder
 from rtrun.flows.streams import streams
-from rtrun.flows.values import Stream, StreamKind, differences
+from rtrun.flows.values import Stream, differences
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.kinds.output import Thread, Uname
 from rtrun.kinds.timer import UNKNOWN_NS
-from rtrun.plan.observation import ObservationPlan
+from rtrun.plan.observation import ObservationPlan, StreamKind
 from rtrun.plan.suites import Value
 from rtrun.probes import session
 from rtrun.probes.hits import ObservedProgram
@@ -41,13 +42,6 @@ from rtrun.targets.inspection.platform import KnownPlatform
 from rtrun.targets.link import Link
 
 SUITE = "observation"
-_SUITES = {
-    StreamKind.MESSAGES: "observed_messages",
-    StreamKind.TIMER: "observed_timers",
-    StreamKind.CALLBACK: "observed_callbacks",
-    StreamKind.INTERVALS: "observed_intervals",
-    StreamKind.PATH: "observed_paths",
-}
 # Parameters that name programs.
 _PARTIES = ("publisher", "subscriber", "node")
 # A number and what tells streams apart, in a name that file systems take.
@@ -111,14 +105,14 @@ def observe(
     watched: Watched,
     plan: ObservationPlan,
     *,
-    on_second: Callable[[FlowAccumulator, int], None],
+    on_second: Callable[[Snapshot], None],
     recorder: FlowRecorder | None = None,
     now: Clock = utc_now,
 ) -> ObservationResult:
     """Observe for the time of the plan, or until Ctrl-C, which ends it as its time does.
 
-    `on_second` is called about once a second with the flows so far and the time of CLOCK_MONOTONIC up to which they
-    are complete. Raises TargetError where there is nothing to observe, or the target cannot be observed.
+    `on_second` is called about once a second with the figures so far. Raises TargetError where there is nothing to
+    observe, or the target cannot be observed.
     """
     if not watched.placement.probes:
         why = "; ".join(dict.fromkeys(f"{each.path}: {each.reason}" for each in watched.placement.refused))
@@ -127,6 +121,7 @@ def observe(
     alive = {each.program.pid: each.program for each in watched.found}
     seen = {(each.pid, each.start_ticks): each for each in alive.values()}
     flows: FlowAccumulator | None = None
+    figures: LiveFigures | None = None
     began, finished = Began(placed=(), refused=()), None
     start_time = now().isoformat()
     stream = session.observe(watched.link, watched.scripts, watched.placement, watched.found, for_s=plan.for_s)
@@ -137,9 +132,10 @@ def observe(
             elif isinstance(each, Finished):
                 finished = each
             elif each.begin_ns:
-                if flows is None:
-                    flows = FlowAccumulator(begin_ns=each.begin_ns, paths=plan.paths, recorder=recorder)
+                if flows is None or figures is None:
+                    flows = FlowAccumulator(begin_ns=each.begin_ns, paths=plan.followed, recorder=recorder)
                     flows.observe(alive.values())
+                    figures = LiveFigures(flows, plan.deadlines)
                 for pid in each.ended:
                     alive.pop(pid, None)
                 for program in each.programs:
@@ -150,7 +146,7 @@ def observe(
                 if each.realtime_offset_ns is not None:
                     flows.offset("system", each.until_ns, each.realtime_offset_ns)
                 flows.feed([*each.hits, *each.gaps])
-                on_second(flows, each.until_ns)
+                on_second(figures.snapshot(each.until_ns))
     except KeyboardInterrupt:
         stream.close()
     if flows is None:
@@ -186,10 +182,14 @@ def write(results: Path, watched: Watched, plan: ObservationPlan, observation: O
         _write_run(results / _name(number, output, names), watched, plan, observation, output)
     for deadline in plan.deadlines:
         if not any(deadline.is_of(output.suite, output.parameters) for output in outputs):
-            reason = f"nothing was seen of {deadline.words}"
+            reason = f"nothing was seen of {deadline.kind} {deadline.name}"
             left_out.append(reason)
             nothing = ObservedOutput(
-                suite=deadline.suite, parameters={deadline.key: deadline.name}, columns={}, asked=0, measured=0
+                suite=deadline.kind.suite,
+                parameters={deadline.kind.named_by: deadline.name},
+                columns={},
+                asked=0,
+                measured=0,
             )
             _write_run(results / _name(number, nothing, names), watched, plan, observation, nothing, reason=reason)
     _write_observation(results / f"{number:03}", watched, observation)
@@ -236,7 +236,7 @@ def _output(stream: Stream) -> ObservedOutput | None:
         return None
     passed_ns = int(first[-1] - first[0])
     return ObservedOutput(
-        suite=_SUITES[stream.kind],
+        suite=stream.kind.suite,
         parameters=parameters,
         columns=columns,
         asked=measured + lost,

@@ -12,29 +12,11 @@ from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.messages import MessagePair
 from rtrun.flows.situation import HITS_CLOCK
 from rtrun.flows.timers import ClockOffsets, TimerLog
-from rtrun.flows.values import NOT_SEEN_NS, StreamKind, int64s
+from rtrun.flows.values import NOT_SEEN_NS, int64s
+from rtrun.plan.observation import StreamDeadline, StreamKind
 
 _BINS_OF_OCTAVE = 64
 _OCTAVES = 64
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class FlowDeadline:
-    """A value of a stream above `limit_ns` is a miss: of messages by their topic, of timers by node, of a path by its
-    topics.
-    """
-
-    kind: StreamKind
-    name: str
-    limit_ns: int
-
-    @classmethod
-    def of(cls, selector: str, limit_ns: int) -> "FlowDeadline":
-        """From how a user names it: ``/cmd_vel``, ``timer:/controller``, ``/scan,/objects``."""
-        kind, colon, name = selector.partition(":")
-        if colon and kind == StreamKind.TIMER:
-            return cls(kind=StreamKind.TIMER, name=name, limit_ns=limit_ns)
-        return cls(kind=StreamKind.PATH if "," in selector else StreamKind.MESSAGES, name=selector, limit_ns=limit_ns)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -125,9 +107,9 @@ class _Current:
 class LiveFigures:
     """Takes snapshots of an accumulator, each from what came since the one before."""
 
-    def __init__(self, observed: FlowAccumulator, deadlines: Sequence[FlowDeadline] = ()) -> None:
+    def __init__(self, observed: FlowAccumulator, deadlines: Sequence[StreamDeadline] = ()) -> None:
         self._observed = observed
-        self._limits = {(deadline.kind, deadline.name): deadline.limit_ns for deadline in deadlines}
+        self._limits = {(deadline.kind, deadline.name): deadline.deadline_ns for deadline in deadlines}
         self._shown: dict[object, _Shown] = {}
         self._at_ns = observed.begin_ns
 

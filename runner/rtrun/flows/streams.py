@@ -14,7 +14,8 @@ from rtrun.flows.programs import numbered
 from rtrun.flows.threads import CallbackLog
 from rtrun.flows.timers import ClockOffsets, TimerLog, known_period_ns, lateness, skipped_periods
 from rtrun.flows.topics import PUBLISHER
-from rtrun.flows.values import Stream, StreamKind, int64s
+from rtrun.flows.values import Stream, int64s
+from rtrun.plan.observation import StreamKind
 
 Identity = dict[str, str | int]
 

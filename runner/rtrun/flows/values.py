@@ -3,25 +3,15 @@
 from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 
 import numpy as np
 
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.output import no_values
+from rtrun.plan.observation import StreamKind
 
 NOT_SEEN_NS = -(2**63)
 """Stands for a time that no probe saw."""
-
-
-class StreamKind(StrEnum):
-    """What a stream is made of."""
-
-    MESSAGES = "messages"
-    TIMER = "timer"
-    CALLBACK = "callback"
-    INTERVALS = "intervals"
-    PATH = "path"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

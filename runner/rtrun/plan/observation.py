@@ -2,53 +2,57 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 from rtrun.plan.quantities import read_time_ns
 from rtrun.plan.suites import Value
 
-# How a stream is named by what its deadline is of: its entry in observed.yml, and the parameter that has the name.
-_NAMED = {
-    "": ("observed_messages", "topic"),
-    "timer": ("observed_timers", "node"),
-    "callback": ("observed_callbacks", "node"),
-    "interval": ("observed_intervals", "topic"),
-    "path": ("observed_paths", "path"),
-}
+
+class StreamKind(StrEnum):
+    """What a stream is made of; the word that stands before the name of one, but for messages."""
+
+    MESSAGES = "messages"
+    TIMER = "timer"
+    CALLBACK = "callback"
+    INTERVALS = "interval"
+    PATH = "path"
+
+    @property
+    def suite(self) -> str:
+        """Its entry in observed.yml."""
+        return "observed_messages" if self is StreamKind.MESSAGES else f"observed_{self}s"
+
+    @property
+    def named_by(self) -> str:
+        """The parameter of a stream by which it is named."""
+        return {"timer": "node", "callback": "node", "path": "path"}.get(self, "topic")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StreamDeadline:
-    """A deadline of every stream of a suite of observed.yml whose parameter `key` is `name`."""
+    """A deadline of every stream of a kind and a name: of a topic, of a node, or of the topics of a path."""
 
-    suite: str
-    key: str
+    kind: StreamKind
     name: str
     deadline_ns: int
 
     def is_of(self, suite: str, parameters: Mapping[str, Value]) -> bool:
         """Whether a stream has it."""
-        return suite == self.suite and parameters.get(self.key) == self.name
-
-    @property
-    def words(self) -> str:
-        """What it is of."""
-        what = {suite: word for word, (suite, _) in _NAMED.items()}[self.suite]
-        return f"{what or 'topic'} {self.name}"
+        return suite == self.kind.suite and parameters.get(self.kind.named_by) == self.name
 
 
 def read_stream_deadline(text: str) -> StreamDeadline:
-    """Read ``/cmd_vel=5ms``, or ``timer:/controller=200us`` with one of the words of `_NAMED`. Raises ValueError."""
+    """Read ``/cmd_vel=5ms``, ``/scan,/cmd_vel=9ms`` of a path, or ``timer:/controller=200us``. Raises ValueError."""
     what, equals, time = text.rpartition("=")
     word, colon, name = what.partition(":")
     if not colon:
-        word, name = ("path", what) if "," in what else ("", what)
-    if not equals or not name or word not in _NAMED:
-        words = ", ".join(word for word in _NAMED if word)
+        word, name = (StreamKind.PATH if "," in what else StreamKind.MESSAGES), what
+    if not equals or not name or word not in [*StreamKind]:
+        words = ", ".join(StreamKind)
         raise ValueError(
             f"{text[:60]!r}: takes TOPIC=TIME, as /cmd_vel=5ms, or one of {words} before it, as timer:/node=200us"
         )
-    suite, key = _NAMED[word]
-    return StreamDeadline(suite=suite, key=key, name=name, deadline_ns=read_time_ns(time))
+    return StreamDeadline(kind=StreamKind(word), name=name, deadline_ns=read_time_ns(time))
 
 
 def read_path(text: str) -> tuple[str, ...]:
@@ -61,8 +65,14 @@ def read_path(text: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObservationPlan:
-    """How long to observe, in seconds, and what for."""
+    """How long to observe, in seconds, and what for; the paths of deadlines are followed, too."""
 
     for_s: float
     deadlines: Sequence[StreamDeadline] = ()
     paths: Sequence[tuple[str, ...]] = ()
+
+    @property
+    def followed(self) -> tuple[tuple[str, ...], ...]:
+        """Every path that is followed, each once."""
+        of_deadlines = (tuple(each.name.split(",")) for each in self.deadlines if each.kind is StreamKind.PATH)
+        return tuple(dict.fromkeys((*self.paths, *of_deadlines)))

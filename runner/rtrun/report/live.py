@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Self
 from rtfiles.output import console, counted, print_line
 from rtfiles.quantities import duration, grouped, time_us
 from rtrun.flows.live import LiveRow, Snapshot, worst_first
-from rtrun.flows.values import StreamKind
+from rtrun.plan.observation import StreamKind
 from rtrun.report.screen import fitted
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ from made_flows import MS, S, gap, hit, node, program, publish, publish_bytes, t
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.recorder import FlowRecorder
 from rtrun.flows.streams import streams
-from rtrun.flows.values import NOT_SEEN_NS, StreamKind
+from rtrun.flows.values import NOT_SEEN_NS
+from rtrun.plan.observation import StreamKind
 
 PATH = ("/scan", "/objects", "/cmd")
 SCAN, OBJECTS = 0xA0, 0xA1

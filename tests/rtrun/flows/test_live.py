@@ -10,16 +10,17 @@ from made_flows import MS, S, gap, hit, node, publish, take
 from rich.console import Console
 
 from rtrun.flows.accumulator import FlowAccumulator
-from rtrun.flows.live import FlowDeadline, LiveFigures
+from rtrun.flows.live import LiveFigures
 from rtrun.flows.streams import streams
-from rtrun.flows.values import StreamKind, differences
+from rtrun.flows.values import differences
+from rtrun.plan.observation import StreamKind, read_stream_deadline
 from rtrun.report.live import LiveView, live_json, live_line, live_table
 
 DEADLINES = [
-    FlowDeadline.of("/a", 5 * MS),
-    FlowDeadline.of("timer:/talker", 100_000),
-    FlowDeadline.of("/a,/b", 6 * MS),
-    FlowDeadline.of("/nobody", 1),
+    read_stream_deadline("/a=5ms"),
+    read_stream_deadline("timer:/talker=100us"),
+    read_stream_deadline("/a,/b=6ms"),
+    read_stream_deadline("/nobody=1ns"),
 ]
 
 

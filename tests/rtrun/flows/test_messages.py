@@ -25,7 +25,7 @@ from made_flows import (
 
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.streams import streams
-from rtrun.flows.values import StreamKind
+from rtrun.plan.observation import StreamKind
 
 PAIR = {"topic": "/a", "publisher": "/talker", "subscriber": "/listener"}
 

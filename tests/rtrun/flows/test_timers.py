@@ -6,7 +6,7 @@ from made_flows import MS, S, gap, hit, node
 
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.streams import streams
-from rtrun.flows.values import StreamKind
+from rtrun.plan.observation import StreamKind
 
 PERIOD_NS = 10 * MS
 

@@ -1,0 +1,111 @@
+"""``rtrun observe``: programs that run already, measured as they are."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rtrun.commands._question import argument, time_argument
+from rtrun.plan.observation import read_path, read_stream_deadline
+
+if TYPE_CHECKING:
+    pass
+
+if TYPE_CHECKING:
+    from rtrun.execution.observation import Watched
+
+NAME = "observe"
+HELP = "measure nodes that run already, unmodified: messages, timers, callbacks, reaction times"
+# Messages and callbacks that a file for Perfetto holds: it is read whole by a browser.
+DRAWN_MAX = 200_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what `observe` takes."""
+    parser.add_argument("--target", type=Path, required=True, metavar="TARGET.yml")
+    parser.add_argument(
+        "--for", type=time_argument, default=60 * 10**9, dest="for_ns", metavar="TIME", help="how long [1min]"
+    )
+    parser.add_argument("--list", action="store_true", help="say what runs there and can be measured; measure nothing")
+    parser.add_argument(
+        "--deadline",
+        type=argument(read_stream_deadline),
+        action="append",
+        default=[],
+        metavar="STREAM=TIME",
+        help="of messages /cmd_vel=5ms, of a path /a,/b=9ms; timer:/node=1ms, callback:/node=1ms, interval:/scan=50ms",
+    )
+    parser.add_argument(
+        "--path",
+        type=argument(read_path),
+        action="append",
+        default=[],
+        metavar="/A,/B",
+        help="topics whose reaction time is measured, from the first to the last",
+    )
+    parser.add_argument("--results", type=Path, metavar="FOLDER", help="[results/<name of the target>]")
+    parser.add_argument("--json", action="store_true", help="print a JSON object a second, for programs")
+    parser.add_argument(
+        "--perfetto", type=Path, metavar="FILE", help="write messages and callbacks for ui.perfetto.dev"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Observe, show it while it lasts, keep it. 0: it was observed, 3: out of reach, or it cannot be observed."""
+    import shlex
+
+    from rtfiles import atomic
+    from rtfiles.invocation import as_called
+    from rtfiles.output import print_line, print_status
+    from rtrun.commands._link import linked
+    from rtrun.execution import observation
+    from rtrun.flows.recorder import FlowRecorder
+    from rtrun.plan.observation import ObservationPlan
+    from rtrun.report.flow_trace import flow_trace
+    from rtrun.report.live import LiveView
+    from rtrun.targets.config import read_target
+
+    config = read_target(args.target)
+    plan = ObservationPlan(for_s=args.for_ns / 1e9, deadlines=args.deadline, paths=args.path)
+    print_status(f"asking {config.name} what runs there")
+    with linked(config, args.target.parent) as link:
+        watched = observation.watch(link)
+        print_status("")
+        if args.list:
+            _print_list(watched)
+            return 0
+        recorder = FlowRecorder(DRAWN_MAX) if args.perfetto else None
+        with LiveView(as_json=args.json) as view:
+            observed = observation.observe(watched, plan, on_second=view.show, recorder=recorder)
+        results = args.results or Path("results") / config.name
+        left_out = observation.write(results, watched, plan, observed)
+    if recorder is not None:
+        atomic.write_text(args.perfetto, flow_trace(recorder, observed.programs))
+    if not args.json:
+        for text in (*observed.remarks, *left_out):
+            print_line(text)
+        folder, call = shlex.quote(str(results)), as_called("rtrun")
+        print_line(f"next: {call} report {folder}; {call} verdict {folder}")
+    return 0
+
+
+def _print_list(watched: "Watched") -> None:
+    """Each program, what stands in the way of real time in it, and what can be measured of it."""
+    from rtfiles.output import counted, print_line
+    from rtrun.flows.programs import label_of
+
+    events: dict[str, set[str]] = {}
+    for probe in watched.placement.probes:
+        events.setdefault(probe.path, set()).add(probe.event)
+    if not watched.found:
+        print_line("no program runs there that uses ROS")
+    for each in watched.found:
+        program = each.program
+        real_time = [thread for thread in program.threads if thread.priority]
+        print_line(
+            f"{label_of(program)} (pid {program.pid}): {counted(len(program.threads), 'thread')}, "
+            f"{len(real_time)} of them real-time, {'memory locked' if program.locked_bytes else 'memory not locked'}"
+        )
+        for path in program.libraries:
+            print_line(f"  {path}: {', '.join(sorted(events.get(path, ()))) or 'nothing can be measured'}")
+    for refused in watched.placement.refused:
+        print_line(f"no probe {refused.event or 'at all'} in {refused.path}: {refused.reason}")
