@@ -2,14 +2,18 @@
 
 import json
 import os
+import shutil
 
 import pytest
 
 from ports import free_port
 from rtrun.cli import main
+from rtrun.judgement.gate import ALLOCATIONS, gate
+from rtrun.judgement.study import study
 
 pytestmark = pytest.mark.ros
 
+ALLOCATED_BY_LOOP = "allocations_of_measuring_thread"
 CAMPAIGN = """
 schema: 1
 name: here
@@ -53,3 +57,55 @@ def test_a_campaign_on_this_machine(suites, tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     assert main(["check-rt", "--target", "target.yml"]) in (0, 1)
     assert capsys.readouterr().out.startswith("here (this machine): ")
+
+
+ALLOCATING = """
+schema: 1
+name: allocating
+common: {repetitions: 100, frequency_hz: 50, policy: FIFO}
+runs:
+  - {suite: communication_tests, middleware: [roscpp, futex], subscribers: 2, allocations: [null, counted]}
+  - {suite: cyclic_timer_tests, allocations: counted}
+"""
+
+
+def test_allocations_are_counted_apart_from_times(suites, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    (tmp_path / "campaign.yml").write_text(ALLOCATING)
+    (tmp_path / "target.yml").write_text(
+        f"schema: 1\nname: here\nkind: local\nsuites: {suites}\nros_master_port: {free_port()}\n"
+    )
+    assert main(["run", "campaign.yml", "--target", "target.yml"]) == 0, capsys.readouterr()
+    results = tmp_path / "results/allocating"
+    made = {True: {}, False: {}}
+    for path in results.glob("*/run.json"):
+        record = json.loads(path.read_text())
+        is_counted = record["parameters"].get("allocations") == "counted"
+        for program in record["programs"]:
+            costs = program["costs"]
+            assert is_counted == (costs.get("allocations") is not None) == ("frees" in costs)
+            name = (record["parameters"].get("middleware", "roscpp"), program["name"])
+            made[is_counted][name] = [costs.get(key) for key in ("allocations", "frees", ALLOCATED_BY_LOOP)]
+    assert len(made[True]) == 7 and len(made[False]) == 6
+    for (middleware, name), (allocations, frees, by_loop) in made[True].items():
+        if middleware == "futex":
+            assert (allocations, frees, by_loop) == (0, 0, 0), name
+        else:  # each message, and each call of a timer, has some; not all are the loop's own
+            assert allocations > 90 and frees > 90 and 0 <= by_loop <= allocations, name
+    capsys.readouterr()
+    # Their times are in no answer.
+    assert main(["verdict", str(results), "--deadline", "1s", "--probability", "0.5"]) in (0, 1)
+    said = capsys.readouterr().out
+    assert "cyclic_timer" not in said and "allocations" not in said and said.count("middleware=futex") >= 1, said
+    assert main(["report", str(results), "--output", "report.html"]) == 0
+    assert "4 of 7 programs allocated memory while measuring" in (tmp_path / "report.html").read_text()
+    for most, failing in ((0, 4), (10**6, 0)):
+        cases = [case for case in gate(study(results), max_allocations=most).cases if case.answer == ALLOCATIONS]
+        assert len(cases) == 7 and sum(not case.passed for case in cases) == failing, cases
+    # Alone they prove nothing of time.
+    for path in results.glob("*/run.json"):
+        if json.loads(path.read_text())["parameters"]["allocations"] is None:
+            shutil.rmtree(path.parent)
+    (case,) = (case for case in gate(study(results), max_allocations=10**6).cases if not case.passed)
+    assert case.text == "no run was measured but those that count allocations, whose times are not judged"

@@ -1,6 +1,7 @@
 #include "rt_tests_support/process.h"
 
 #include <dirent.h>
+#include <dlfcn.h>
 #include <fcntl.h>
 #include <link.h>
 #include <malloc.h>
@@ -214,16 +215,30 @@ std::vector<ThreadState> read_threads() {
 }
 
 Costs costs_so_far() {
+  std::optional<Allocations> allocations;
+  static const auto count =
+      reinterpret_cast<void (*)(int64_t*, int64_t*, int64_t*)>(dlsym(RTLD_DEFAULT, "rt_tests_allocations"));
+  if (count) {
+    allocations.emplace();
+    count(&allocations->allocations, &allocations->frees, &allocations->of_measuring_thread);
+  }
   rusage used{};
   getrusage(RUSAGE_SELF, &used);
   const auto ns = [](const timeval& time) { return int64_t{time.tv_sec} * ns_per_s + time.tv_usec * ns_per_us; };
-  return {used.ru_minflt, used.ru_majflt, used.ru_nvcsw, used.ru_nivcsw, ns(used.ru_utime) + ns(used.ru_stime)};
+  return {used.ru_minflt, used.ru_majflt, used.ru_nvcsw, used.ru_nivcsw, ns(used.ru_utime) + ns(used.ru_stime),
+          allocations};
 }
 
 Costs operator-(const Costs& later, const Costs& earlier) {
+  auto allocations = later.allocations;
+  if (allocations && earlier.allocations) {
+    allocations->allocations -= earlier.allocations->allocations;
+    allocations->frees -= earlier.allocations->frees;
+    allocations->of_measuring_thread -= earlier.allocations->of_measuring_thread;
+  }
   return {later.minor_faults - earlier.minor_faults, later.major_faults - earlier.major_faults,
           later.voluntary_switches - earlier.voluntary_switches,
-          later.involuntary_switches - earlier.involuntary_switches, later.cpu_time_ns - earlier.cpu_time_ns};
+          later.involuntary_switches - earlier.involuntary_switches, later.cpu_time_ns - earlier.cpu_time_ns, allocations};
 }
 
 void require_memory(int64_t bytes) {

@@ -50,7 +50,12 @@ void write_costs(Json& json, const std::optional<Costs>& costs) {
   }
   json.open('{').field("minor_faults", costs->minor_faults).field("major_faults", costs->major_faults);
   json.field("voluntary_switches", costs->voluntary_switches);
-  json.field("involuntary_switches", costs->involuntary_switches).field("cpu_time_ns", costs->cpu_time_ns).close();
+  json.field("involuntary_switches", costs->involuntary_switches).field("cpu_time_ns", costs->cpu_time_ns);
+  if (const auto& counted = costs->allocations) {
+    json.field("allocations", counted->allocations).field("frees", counted->frees);
+    json.field("allocations_of_measuring_thread", counted->of_measuring_thread);
+  }
+  json.close();
 }
 
 void write_series(Json& json, const Series& series) {

@@ -38,6 +38,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="fail where a program had more page faults while it measured, as 0 [not asked]",
     )
     parser.add_argument(
+        "--max-allocations",
+        type=int,
+        metavar="N",
+        help="fail where a program allocated memory more often while it measured, as 0; of runs with allocations: "
+        "counted [not asked]",
+    )
+    parser.add_argument(
         "--against",
         metavar="ARCHIVE",
         help="ask instead whether the runs are worse than their history in this archive",
@@ -79,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
             assume_independent=args.assume_independent,
             platform=Platform(args.platform),
             max_page_faults=args.max_page_faults,
+            max_allocations=args.max_allocations,
         )
         print_banner(analysed.platform)
     print_styled("passed" if judged.passed else "failed")
@@ -100,10 +108,12 @@ def _against(args: argparse.Namespace) -> "Gate":
     from rtrun.archive.store import open_archive
     from rtrun.targets.inspection.platform import Platform
 
-    of_deadline = (args.probability, args.confidence, args.tolerate, args.assume_independent, args.max_page_faults)
+    limits = (args.max_page_faults, args.max_allocations)
+    of_deadline = (args.probability, args.confidence, args.tolerate, args.assume_independent, *limits)
     if any(each not in (None, False) for each in of_deadline):
         raise UsageError(
-            "--probability, --confidence, --tolerate, --assume-independent, --max-page-faults: go without --against"
+            "--probability, --confidence, --tolerate, --assume-independent, --max-page-faults, "
+            "--max-allocations: go without --against"
         )
     asked = question(args, args.results)
     return gate_against(

@@ -62,7 +62,8 @@ class Prepared:
                 "install it, or name the shell file that sets it up as ros_setup in the target file"
             )
         own = [suites.executable(run.suite, program, run.parameters) for program in suites.suite(run.suite).programs]
-        for program in (*own, *sorted(conditions.suites_programs(run.condition))):
+        preloading = [SAMPLER] if suites.preloaded(run.parameters) else []  # it has the libraries beside it
+        for program in (*own, *sorted(conditions.suites_programs(run.condition)), *preloading):
             if program not in self.programs:
                 return (
                     f"{self.link.target.address}: {program} is not installed on the target: "

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 from rtrun.execution import download
+from rtrun.execution.preparation import SAMPLER as SAMPLER_PROGRAM
 from rtrun.execution.preparation import Prepared
 from rtrun.plan import conditions, suites
 from rtrun.plan.middleware.description import middlewares
@@ -125,6 +126,9 @@ def _of_suite(
     """Return the programs of the suite by stage, and the outputs they write."""
     suite, middleware = suites.suite(run.suite), middlewares()[run.middleware]
     environment = (*_environment(prepared, run.middleware), *suites.environment(run.parameters))
+    if libraries := suites.preloaded(run.parameters):
+        folder = PurePosixPath(prepared.programs[SAMPLER_PROGRAM]).parent
+        environment = (*environment, ("LD_PRELOAD", " ".join(str(folder / name) for name in libraries)))
     count = int(run.parameters.get("subscribers") or 1)
     outputs: list[str] = []
 

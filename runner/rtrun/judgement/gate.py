@@ -12,6 +12,8 @@ from rtrun.plan.suites import suites
 from rtrun.results.record import RunRecord
 from rtrun.targets.inspection.platform import Platform, weakest
 
+ALLOCATIONS = "ALLOCATIONS"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
@@ -46,6 +48,7 @@ def gate(
     assume_independent: bool = False,
     platform: Platform = Platform.HARDWARE,
     max_page_faults: int | None = None,
+    max_allocations: int | None = None,
 ) -> Gate:
     """Judge a study. Only a proof passes: neither too little data nor an emulated board is one.
 
@@ -54,7 +57,7 @@ def gate(
     Of boards that are alike the answer for all of them counts; that of a single board fails only if it is refuted.
     A run that failed, is incomplete or was refused does not pass: what it hides is not known. An attempt that a restart
     of the target cut off is named, and passes when its run was measured again. With `max_page_faults` no program of
-    a suite may have had more while it measured.
+    a suite may have had more while it measured, with `max_allocations` none of those that counted them.
     """
     passing = {Answer.PROVEN, Answer.IF_INDEPENDENT} if assume_independent else {Answer.PROVEN}
     cases = [
@@ -73,6 +76,13 @@ def gate(
     ]
     if max_page_faults is not None:
         cases += [case for record in study.records for case in _page_faults(record, max_page_faults)]
+    if max_allocations is not None:
+        counted_cases = [case for record in study.records for case in _allocations(record, max_allocations)]
+        text = "nobody counted them: give a campaign allocations: [null, counted]"
+        cases += counted_cases or [Case(about="allocations", answer=ALLOCATIONS, text=text, passed=False)]
+        if not study.answers:
+            text = "no run was measured but those that count allocations, whose times are not judged"
+            cases.append(Case(about="deadline", answer="NOT ANALYSED", text=text, passed=False))
     return Gate(cases=tuple(cases))
 
 
@@ -84,6 +94,14 @@ def _page_faults(record: RunRecord, most: int) -> Iterator[Case]:
             had = "it does not tell how many it had" if faults is None else counted(faults, "page fault")
             text = f"{had} while it measured, {most} allowed"
             yield Case(about=f"{record.run} {program.name}", answer="PAGE FAULTS", text=text, passed=False)
+
+
+def _allocations(record: RunRecord, most: int) -> Iterator[Case]:
+    """A case for each program of a suite that counted its allocations."""
+    for program in record.programs:
+        if program.costs and (made := program.costs.allocations) is not None:
+            text = f"{counted(made, 'allocation')} while it measured, {most} allowed"
+            yield Case(about=f"{record.run} {program.name}", answer=ALLOCATIONS, text=text, passed=made <= most)
 
 
 def why_not_accepted(measured: Platform, accepted: Platform) -> str | None:

@@ -19,7 +19,7 @@ from rtrun.judgement.digest import Digest, JudgedDigest, digest
 from rtrun.judgement.groups import Group, key_of, scenario, slowest, telling_parameters
 from rtrun.kinds.known import MAIN_2014
 from rtrun.plan.question import NONE_TOLERATED, THESIS, Question
-from rtrun.plan.suites import Value, judged, measures
+from rtrun.plan.suites import ALLOCATIONS, Value, judged, measures
 from rtrun.results import reading
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
@@ -180,6 +180,8 @@ def _read_run(
         return _DigestedRun(digests=known[folder])
     if record.status is not RunStatus.OK:
         return _DigestedRun(left_out=(f"{record.run}: {record.status}: {record.reason or 'no reason given'}",))
+    if record.parameters.get(ALLOCATIONS):
+        return _DigestedRun()  # counting is in its times
     digests, incomplete = [], {}
     try:
         asked = record.asked(question)

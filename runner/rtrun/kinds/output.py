@@ -120,6 +120,10 @@ class Costs(Config):
     voluntary_switches: Count
     involuntary_switches: Count
     cpu_time_ns: CpuTimeNs
+    allocations: Count | None = None
+    """Calls of malloc and its relatives; None: they were not counted."""
+    frees: Count | None = None
+    allocations_of_measuring_thread: Count | None = None
 
     @property
     def page_faults(self) -> int:

@@ -275,6 +275,8 @@ def _check_goal(campaign: Campaign, runs: Sequence[Run], where: Place, errors: l
         errors.append(f"{where}: give order: interleaved and a seed: its rounds are drawn with it")
     if any(run.repeat > 1 for run in runs):
         errors.append(f"{where}: takes no repeats: each round is one")
+    if any(run.parameters.get(suites.ALLOCATIONS) for run in runs):
+        errors.append(f"{where}: takes no allocations: counting them costs time, and would be in the answer")
     if any(run.trace for run in runs):
         errors.append(f"{where}: takes no trace: tracing costs time, and would be in the answer")
     if campaign.kernels and len(campaign.kernels) > 1:

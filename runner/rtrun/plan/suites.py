@@ -22,6 +22,9 @@ from rtrun.plan.question import Measure
 Value = str | int | None
 Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
 
+ALLOCATIONS = "allocations"
+"""The parameter of runs that count allocations. Counting costs time: their times are not judged."""
+
 SUITES_FILE = Path(__file__).with_name("suites.yml")
 BASELINES_FILE = Path(__file__).with_name("baselines.yml")
 OBSERVED_FILE = Path(__file__).with_name("observed.yml")
@@ -43,6 +46,8 @@ class Option(Config):
     flag: str = ""
     environment: str = ""
     """The variable by which it is given in place of a flag."""
+    preload: str = ""
+    """The library of rt_tests_sampler that is preloaded into the programs where it has a value."""
     through: Strings = ()
     """The middlewares whose programs alone take it; none: those of all."""
     not_through: Strings = ()
@@ -307,6 +312,13 @@ def environment(parameters: Mapping[str, Value]) -> tuple[tuple[str, str], ...]:
     known = options()
     given = {key: value for key, value in parameters.items() if key in known and value not in (None, "")}
     return tuple((known[key].environment, str(value)) for key, value in given.items() if known[key].environment)
+
+
+def preloaded(parameters: Mapping[str, Value]) -> tuple[str, ...]:
+    """The libraries of rt_tests_sampler that these parameters have preloaded into programs."""
+    known = options()
+    given = [key for key, value in parameters.items() if key in known and value not in (None, "")]
+    return tuple(known[key].preload for key in given if known[key].preload)
 
 
 def _explicit(baseline: str, program: str, parameters: Mapping[str, Value]) -> list[str]:

@@ -33,6 +33,7 @@ def end_tables(study: Study, pairs: Sequence[LayerPair]) -> tuple[Table, ...]:
         ranking(study),
         layers.table(pairs, study.question.confidence),
         _published(study),
+        _allocations(study),
     ]
     return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)
 
@@ -136,6 +137,29 @@ def _here(group: Group) -> tuple[str, str, str]:
     means = [(d.figures.mean_ns * d.n, d.n) for d in group.digests if d.figures.mean_ns is not None]
     mean = sum(total for total, _ in means) / sum(n for _, n in means) if means else None
     return time_us(min(lows, default=None)), time_us(mean), time_us(max(highs, default=None))
+
+
+def _allocations(study: Study) -> Table:
+    """How often the programs of runs that count it allocated and freed memory, beside their page faults."""
+    rows = []
+    for record in study.records:
+        for program in record.programs:
+            costs, loops = program.costs, program.loops
+            if costs is None or costs.allocations is None:
+                continue
+            counts = (costs.allocations, costs.frees, costs.allocations_of_measuring_thread, costs.page_faults)
+            each = f"{costs.allocations / loops:.3g}" if loops else "-"
+            rows.append((record.run, program.name, *("-" if one is None else str(one) for one in counts), each))
+    some = sum(row[2] != "0" for row in rows)
+    columns = ("run", "program", "allocations", "frees", "in the measuring thread", "page faults", "allocations a loop")
+    notes = (
+        "Of all threads of a program while it measured: calls of malloc and its relatives, and of free. These runs "
+        "count them, which costs time: their times are in no figure and no answer.",
+    )
+    outcome = f"{some} of {counted(len(rows), 'program')} allocated memory while measuring"
+    return Table(
+        id="allocations", title="Allocations", columns=columns, rows=rows, outcome=outcome, numbers=2, notes=notes
+    )
 
 
 def _environment(study: Study) -> Table:

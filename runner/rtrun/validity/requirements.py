@@ -73,6 +73,7 @@ def find_violation(
     return (
         _wrong_threads(run, asked, observations, records)
         or _wrong_facts(run, records)
+        or _uncounted(run, records)
         or _unseen_condition(run, background, asked, observations)
         or _wrong_loads(run, background, asked, seen)
         or _wrong_governor(asked, seen)
@@ -121,6 +122,14 @@ def _wrong_facts(run: Run, records: Mapping[str, Record]) -> str | None:
             asked = run.parameters.get(key)
             if asked not in (None, "") and str(asked) != fact:
                 return f"{output}: asked for {key} {asked}, in effect was {fact or 'none'}"
+    return None
+
+
+def _uncounted(run: Run, records: Mapping[str, Record]) -> str | None:
+    """A program that did not count allocations, where a run asks for that."""
+    for output, record in records.items() if run.parameters.get(suites.ALLOCATIONS) else ():
+        if record.costs is None or record.costs.allocations is None:
+            return f"{output}: allocations were not counted: the library for that was not preloaded"
     return None
 
 

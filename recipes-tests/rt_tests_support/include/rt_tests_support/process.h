@@ -66,11 +66,18 @@ void give_up_realtime();
 
 std::vector<ThreadState> read_threads();  // every thread of this process
 
+// The calls by which threads asked for memory, and gave it back.
+struct Allocations {
+  int64_t allocations = 0, frees = 0;  // of all threads
+  int64_t of_measuring_thread = 0;     // allocations of the one that asks
+};
+
 // What all threads of this process cost together, those that ended included.
 struct Costs {
   int64_t minor_faults = 0, major_faults = 0;  // page faults: without and with reading from a disk
   int64_t voluntary_switches = 0, involuntary_switches = 0;
   int64_t cpu_time_ns = 0;  // user and system
+  std::optional<Allocations> allocations;  // where the library of rt_tests_sampler that counts them is preloaded
 };
 Costs costs_so_far();
 Costs operator-(const Costs& later, const Costs& earlier);
