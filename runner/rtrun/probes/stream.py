@@ -88,7 +88,7 @@ class WatchReader:
         """Since when events are recorded; 0 before that is known."""
         self._placed: list[str] = []
         self._refused: dict[str, str] = {}
-        self._last_ns = 0
+        self._last_ns = self._until_ns = 0
         self._probes, self._origin = probes, origin
         self._pids = dict(pids)
         self._data = bytearray()
@@ -123,6 +123,8 @@ class WatchReader:
 
     def rest(self) -> Batch:
         """What is left when the output has ended."""
+        if self._rests_ns is not None:
+            self._end_rest(max(self._rests_ns, self._last_ns) + 1)
         return self._batch(None)
 
     def _take(self) -> Iterator[Ready | Batch]:
@@ -267,18 +269,24 @@ class WatchReader:
         elif word == "rests":
             self._rests_ns = at_ns
         elif word == "observes":
-            if self._rests_ns is not None:
-                self._gaps.append(Gap(min(self._rests_ns, at_ns), at_ns, RESTED))
-            self._rests_ns = None
+            if self.begin_ns:
+                self._end_rest(at_ns)
             self.begin_ns = self.begin_ns or at_ns
+
+    def _end_rest(self, until_ns: int) -> None:
+        """Since its mark, or where that was lost, since the end of the batch before."""
+        from_ns = self._rests_ns if self._rests_ns is not None else self._until_ns
+        self._gaps.append(Gap(min(from_ns, until_ns), until_ns, RESTED))
+        self._rests_ns = None
 
     def _batch(self, number: int | None) -> Batch:
         """What is complete by the end of a round, or all there is: later events of some CPUs are still to come."""
-        until_ns = self._round_ns.get(number) if number is not None else max(self._last_ns, self.begin_ns)
+        until_ns = self._round_ns.get(number) if number is not None else max(self._last_ns + 1, self._until_ns)
         self._round_ns.clear()
         if until_ns is None:
             # The mark was lost: what is read is given with the next.
-            until_ns = -1
+            until_ns = self._until_ns
+        self._until_ns = until_ns
         # While probes are switched on or off one after the other, one end of a message is seen, and the other is not.
         silent = [(0, self.begin_ns), *((gap.from_ns, gap.until_ns) for gap in self._gaps if gap.reason == RESTED)]
         hits, self._hits = _cut(self._hits, until_ns, silent)
@@ -291,7 +299,7 @@ class WatchReader:
         self._gaps = [gap for gap in self._gaps if gap.until_ns > until_ns]
         batch = Batch(
             begin_ns=self.begin_ns,
-            until_ns=max(until_ns, 0),
+            until_ns=until_ns,
             hits=hits,
             kernel=kernel,
             gaps=gaps,

@@ -1,0 +1,225 @@
+"""The output of watch_probes.sh: pages of the ring buffer as the kernel makes them, and anything else."""
+
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rtrun.probes.formats import EventFormat
+from rtrun.probes.libraries.description import libraries
+from rtrun.probes.placement import PlacedProbe
+from rtrun.probes.ring_buffer import PageLayout, read_events, read_head
+from rtrun.probes.stream import Batch, Ready, WatchReader
+from rtrun.probes.timers import TimerChecks
+from rtrun.probes.values import converter
+from rtrun.targets.errors import TargetError
+
+HEADER = """\tfield: u64 timestamp;\toffset:0;\tsize:8;\tsigned:0;
+\tfield: local_t commit;\toffset:8;\tsize:{size};\tsigned:1;
+\tfield: int overwrite;\toffset:8;\tsize:1;\tsigned:1;
+\tfield: char data;\toffset:{data};\tsize:{left};\tsigned:1;
+"""
+HEADERS = {64: HEADER.format(size=8, data=16, left=4080), 32: HEADER.format(size=4, data=12, left=4084)}
+COMMON = """format:
+\tfield:unsigned short common_type;\toffset:0;\tsize:2;\tsigned:0;
+\tfield:unsigned char common_flags;\toffset:2;\tsize:1;\tsigned:0;
+\tfield:unsigned char common_preempt_count;\toffset:3;\tsize:1;\tsigned:0;
+\tfield:int common_pid;\toffset:4;\tsize:4;\tsigned:1;
+"""
+TAKE = f"""name: take_0_1
+ID: 1500
+{COMMON}
+\tfield:unsigned long __probe_ip;\toffset:8;\tsize:8;\tsigned:0;
+\tfield:s64 source_ns;\toffset:16;\tsize:8;\tsigned:1;
+\tfield:u8 taken;\toffset:24;\tsize:1;\tsigned:0;
+\tfield:__data_loc char[] topic;\toffset:25;\tsize:4;\tsigned:1;
+
+print fmt: "(%lx)", REC->__probe_ip
+"""
+PRINT = f"""name: print
+ID: 5
+{COMMON}
+\tfield:unsigned long ip;\toffset:8;\tsize:8;\tsigned:0;
+\tfield:char buf[];\toffset:16;\tsize:0;\tsigned:0;
+"""
+PROBE = PlacedProbe(
+    name="take_0_1", line="", event="take", constants={}, path="/x",
+    arguments={"source_ns": "%dx:s64", "taken": "%cx:u8", "topic": "+0(%di):string"},
+)  # fmt: skip
+
+
+def take(number, topic=b"/a\0", tid=7):
+    body = struct.pack("<HBBiQqBI", 1500, 0, 0, tid, 0, number, 1, (len(topic) << 16) | 29) + topic
+    return body + bytes(-len(body) % 4)
+
+
+def mark(text):
+    body = struct.pack("<HBBiQ", 5, 0, 0, 7, 0) + f"rtrun {text}\n\0".encode()
+    return body + bytes(-len(body) % 4)
+
+
+def event(delta_ns, body):
+    if len(body) <= 112:
+        return struct.pack("<I", delta_ns << 5 | len(body) // 4) + body
+    return struct.pack("<II", delta_ns << 5, len(body) + 4) + body
+
+
+def page(begin_ns, data, *, flags=0, lost=b"", bits=64):
+    commit = len(data) | flags
+    if flags and bits == 64:
+        # As the kernel adds it: a negative number.
+        commit |= 0xFFFFFFFF << 32
+    head = struct.pack("<QQ" if bits == 64 else "<QI", begin_ns, commit)
+    return (head + data + lost).ljust(4096, b"\0")
+
+
+def extend(ns):
+    return struct.pack("<II", (ns & (1 << 27) - 1) << 5 | 30, ns >> 27)
+
+
+def stamp(ns):
+    return struct.pack("<II", (ns & (1 << 27) - 1) << 5 | 31, (ns & (1 << 59) - 1) >> 27)
+
+
+@pytest.mark.parametrize("bits", [64, 32])
+def test_events_of_a_page(bits):
+    layout = PageLayout.of(HEADERS[bits])
+    begin_ns = (1 << 59) + 1000
+    data = b"".join([
+        event(0, take(1)), event(5, take(2, topic=b"/" + b"t" * 200 + b"\0")),
+        struct.pack("<II", 1 << 5 | 29, 8) + bytes(4),  # discarded
+        extend(10**12), event(3, take(3)), stamp(begin_ns + 3 * 10**12), event(0, take(4)),
+        struct.pack("<I", 29),  # the rest is empty
+    ])  # fmt: skip
+    content = page(begin_ns, data, bits=bits)
+    reader = EventFormat(TAKE)
+    seen = [
+        (at_ns, reader.values(content, start, size))
+        for at_ns, start, size in read_events(content, layout, read_head(content, layout))
+    ]
+    assert [(at_ns - begin_ns, values["source_ns"]) for at_ns, values in seen] == [
+        (0, 1), (5, 2), (10**12 + 8, 3), (3 * 10**12, 4)
+    ]  # fmt: skip
+    assert [len(values["topic"]) for _, values in seen] == [2, 201, 2, 2]
+    assert seen[0][1] == {"source_ns": 1, "taken": 1, "topic": "/a"}
+
+
+@pytest.mark.parametrize(
+    ("flags", "lost", "count"), [(0, b"", None), (1 << 31, b"", None), (3 << 30, struct.pack("<Q", 42), 42)]
+)
+def test_lost_events(flags, lost, count):
+    layout = PageLayout.of(HEADERS[64])
+    head = read_head(page(5, event(0, take(1)), flags=flags, lost=lost), layout)
+    assert (head.has_lost, head.lost, head.length) == (bool(flags), count, 4 + len(take(1)))
+
+
+def output(*rounds, end=b"done\n"):
+    head = f"rtrun observes\nheader_page\n{HEADERS[64]}rtrun end header_page\nplaced take_0_1\n"
+    formats = {"rtrun_observe_1_2_3/take_0_1": TAKE, "ftrace/print": PRINT}
+    told = "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in formats.items())
+    return (head + told + "ready\n").encode() + b"".join(rounds) + end
+
+
+def a_round(number, **pages):
+    lines = [f"round {number}\nrealtime 100\n".encode()]
+    for cpu, content in pages.items():
+        lines.append(f"pages {cpu.removeprefix('cpu')}\n".encode() + content + b"rtrun end pages\n")
+    return b"".join(lines)
+
+
+BEGUN = event(0, mark("observes")) + event(10, mark("round 1")) + event(100, take(3))
+RESTED = event(0, mark("rests")) + event(50, take(4)) + event(450, mark("observes")) + event(20, mark("round 3"))
+ROUNDS = (
+    a_round(1, cpu0=page(1000, BEGUN)),
+    # Of this CPU an event comes that was before what the other has shown.
+    a_round(
+        2,
+        cpu0=page(2000, event(0, mark("round 2"))),
+        cpu1=page(990, event(0, take(0)) + event(60, take(1)) + event(50, take(2))),
+    ),
+    a_round(
+        3,
+        cpu1=page(3000, event(0, take(5)), flags=3 << 30, lost=struct.pack("<Q", 9)),
+        cpu0=page(2500, RESTED),
+    ),
+)
+
+
+@pytest.mark.parametrize("piece", [1, 7, 4096, 10**6])
+def test_batches_of_pieces_of_any_size(piece):
+    reader = WatchReader({"take_0_1": PROBE}, "board", {7: 70})
+    text = output(*ROUNDS)
+    results = [each for start in range(0, len(text), piece) for each in reader.feed(text[start : start + piece])]
+    ready, *batches = [*results, reader.rest()]
+    assert ready == Ready(placed=("take_0_1",), refused={})
+    # Before the beginning (0), and while the probes rested (4), there is nothing; in the order of time of both CPUs.
+    assert [[hit.values["source_ns"] for hit in batch.hits] for batch in batches] == [[], [1, 2, 3], [5]]
+    assert {(hit.pid, hit.tid, hit.event) for batch in batches for hit in batch.hits} == {(70, 7, "take")}
+    assert [gap.reason.partition(":")[0] for batch in batches for gap in batch.gaps] == [
+        "the kernel lost 9 events of CPU 1", "the probes rested"
+    ]  # fmt: skip
+    assert reader.is_done and reader.lost == 9 and batches[-1].realtime_offset_ns == 100
+
+
+@settings(max_examples=300)
+@given(st.data())
+def test_no_exception_of_another_kind(data):
+    text = bytearray(output(*ROUNDS))
+    for _ in range(data.draw(st.integers(1, 6))):
+        place = data.draw(st.integers(0, len(text) - 1))
+        size = data.draw(st.integers(0, 8))
+        text[place : place + size] = data.draw(st.binary(max_size=8))
+    reader = WatchReader({"take_0_1": PROBE}, "board", {})
+    try:
+        results = list(reader.feed(bytes(text)))
+        reader.rest()
+    except TargetError as error:
+        assert str(error).startswith("board: what watch_probes.sh printed cannot be read: ")
+    else:
+        assert all(isinstance(each, Batch | Ready) for each in results)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "name: x\n", "ID: 5\n", TAKE.replace("offset:24", "offset:23"), TAKE.replace("offset:4;", "offset:6;"),
+        TAKE.replace("size:4;\tsigned:1;\n\nprint", "size:8;\tsigned:1;\n\nprint"),
+        TAKE.replace("offset:16", "offset:99999"),
+    ],
+)  # fmt: skip
+def test_formats_that_are_refused(text):
+    with pytest.raises(ValueError, match=r"^(no |in |the )"):
+        EventFormat(text)
+
+
+def test_values_are_made_canonical():
+    probes = {probe.event: probe for probe in libraries()["libroscpp"].probes if not probe.at_return}
+    published = probes["publish"].arguments["x86_64"]
+    values = {"endpoint": 1, "topic": "/a", "size": 9, "key0": 2**64 - 1, "key1": 7}
+    converter(published, {})(values)
+    # Five bytes, and nothing of what is in memory behind them.
+    assert values == {"endpoint": 1, "topic": "/a", "size": 5, "key0": 2**40 - 1, "key1": 0}
+    halves = libraries()["libtracetools"].probes[0].arguments["armv7"]
+    values = {"endpoint": 1, "topic": "/a", "source_ns_low": 0xFFFFFFFE, "source_ns_high": 0xFFFFFFFF}
+    converter(halves, {})(values)
+    assert values["source_ns"] == -2
+    timer = libraries()["librcl"].probes[0].arguments["x86_64"]
+    values = {"timer": 1, "period_ns": 5, "expected_ns": 6, "clock": 77}
+    converter(timer, {})(values)
+    assert values == {"timer": 1, "period_ns": 5, "expected_ns": 6}
+
+
+def test_timers_are_believed_on_their_grid_alone():
+    checks = TimerChecks()
+
+    def checked(period_ns, expected_ns, timer=1):
+        values = {"timer": timer, "period_ns": period_ns, "expected_ns": expected_ns, "clock": "steady"}
+        checks.check(timer, values)
+        return values.get("period_ns"), values.get("expected_ns")
+
+    calls = [(10, 100), (10, 110), (10, 140), (10, 145), (10, 155), (10, 155), (20, 175), (0, 5), (-5, 0), (10**17, 3)]
+    assert [checked(*call) for call in calls] == [
+        (10, None), (10, 110), (10, 140), (10, None), (10, 155), (10, None), (20, None), *[(None, None)] * 3
+    ]  # fmt: skip
+    assert checked(10, 165, timer=2) == (10, None)
