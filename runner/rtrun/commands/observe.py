@@ -58,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.output import print_line, print_status
     from rtrun.commands._link import linked
     from rtrun.execution import observation
+    from rtrun.flows.hazards import hazards
     from rtrun.flows.recorder import FlowRecorder
     from rtrun.plan.observation import ObservationPlan
     from rtrun.report.flow_trace import flow_trace
@@ -81,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     if recorder is not None:
         atomic.write_text(args.perfetto, flow_trace(recorder, observed.programs))
     if not args.json:
-        for text in (*observed.remarks, *left_out):
+        for text in (*observed.remarks, *left_out, *hazards(observed.programs)):
             print_line(text)
         folder, call = shlex.quote(str(results)), as_called("rtrun")
         print_line(f"next: {call} report {folder}; {call} verdict {folder}")
@@ -91,6 +92,7 @@ def run(args: argparse.Namespace) -> int:
 def _print_list(watched: "Watched") -> None:
     """Each program, what stands in the way of real time in it, and what can be measured of it."""
     from rtfiles.output import counted, print_line
+    from rtrun.flows.hazards import hazards
     from rtrun.flows.programs import label_of
 
     events: dict[str, set[str]] = {}
@@ -100,12 +102,10 @@ def _print_list(watched: "Watched") -> None:
         print_line("no program runs there that uses ROS")
     for each in watched.found:
         program = each.program
-        real_time = [thread for thread in program.threads if thread.priority]
-        print_line(
-            f"{label_of(program)} (pid {program.pid}): {counted(len(program.threads), 'thread')}, "
-            f"{len(real_time)} of them real-time, {'memory locked' if program.locked_bytes else 'memory not locked'}"
-        )
+        print_line(f"{label_of(program)} (pid {program.pid}), {counted(len(program.threads), 'thread')}")
         for path in program.libraries:
             print_line(f"  {path}: {', '.join(sorted(events.get(path, ()))) or 'nothing can be measured'}")
+    for text in hazards([each.program for each in watched.found]):
+        print_line(text)
     for refused in watched.placement.refused:
         print_line(f"no probe {refused.event or 'at all'} in {refused.path}: {refused.reason}")

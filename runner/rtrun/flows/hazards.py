@@ -1,0 +1,57 @@
+"""What threatens the real time of programs that run already: how their threads are scheduled, and their memory."""
+
+from collections.abc import Iterator, Sequence
+
+from rtfiles.output import counted, printable
+from rtrun.flows.programs import label_of
+from rtrun.probes.hits import ObservedProgram, ProgramThread
+
+_NAMED_MAX = 4
+
+
+def hazards(programs: Sequence[ObservedProgram]) -> tuple[str, ...]:
+    """A sentence for each thing that may delay one of these programs, in the order of the programs."""
+    return tuple(
+        printable(f"{label_of(program)} (pid {program.pid}): {text}")
+        for program in programs
+        for text in _of(program, programs)
+    )
+
+
+def _of(program: ObservedProgram, programs: Sequence[ObservedProgram]) -> Iterator[str]:
+    ordinary = [thread for thread in program.threads if not _is_real_time(thread)]
+    if len(ordinary) == len(program.threads):
+        yield "no thread is real-time: any other one may run before it"
+    elif ordinary:
+        yield f"{counted(len(ordinary), 'thread')} not real-time: {_names(ordinary)}"
+    if not program.locked_bytes:
+        yield "its memory is not locked: a page fault may read from a disk"
+    above = {
+        f"{other.name} of {label_of(each)} ({other.policy} {other.priority})": None
+        for each in programs
+        if each is not program
+        for other in each.threads
+        if any(_may_delay(other, thread) for thread in program.threads)
+    }
+    if above:
+        yield f"on its CPUs with a higher priority: {', '.join([*above][:_NAMED_MAX])}{_more(len(above))}"
+
+
+def _is_real_time(thread: ProgramThread) -> bool:
+    return thread.policy in ("FIFO", "RR", "DEADLINE")
+
+
+def _may_delay(other: ProgramThread, thread: ProgramThread) -> bool:
+    """Whether another thread goes before a real-time one where both may run."""
+    if not _is_real_time(thread) or thread.policy == "DEADLINE" or not set(other.cpus) & set(thread.cpus):
+        return False
+    return other.policy == "DEADLINE" or (_is_real_time(other) and other.priority > thread.priority)
+
+
+def _names(threads: Sequence[ProgramThread]) -> str:
+    names = list(dict.fromkeys(thread.name for thread in threads))
+    return ", ".join(names[:_NAMED_MAX]) + _more(len(names))
+
+
+def _more(number: int) -> str:
+    return f" and {number - _NAMED_MAX} more" if number > _NAMED_MAX else ""

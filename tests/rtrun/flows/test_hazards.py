@@ -1,0 +1,50 @@
+"""What threatens real time is said of each program, and nothing of one that is as it should be."""
+
+import re
+
+import pytest
+
+from rtrun.flows.hazards import hazards
+from rtrun.probes.hits import ObservedProgram, ProgramThread
+
+
+def program(name, *threads, locked=4096):
+    made = tuple(
+        ProgramThread(tid=100 + k, name=thread, policy=policy, priority=priority, cpus=tuple(cpus))
+        for k, (thread, policy, priority, cpus) in enumerate(threads)
+    )
+    return ObservedProgram(
+        pid=len(name), start_ticks=1, name=name, argv=(name,), locked_bytes=locked, libraries=(), threads=made
+    )
+
+
+GOOD = program("good", ("main", "FIFO", 80, (0, 1)), ("recv", "FIFO", 70, (0, 1)))
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        (program("equal", ("main", "FIFO", 70, (0, 1))), set()),
+        (program("elsewhere", ("main", "FIFO", 90, (2, 3))), set()),
+        (program("slow", ("main", "OTHER", 0, (0,))), {"slow: no thread is real-time"}),
+        (
+            program("mixed", ("main", "RR", 60, (0,)), ("dds.ev", "OTHER", 0, (0,))),
+            {"mixed: 1 thread not real-time: dds.ev"},
+        ),
+        (program("free", ("main", "FIFO", 50, (3,)), locked=0), {"free: its memory is not locked"}),
+        (
+            program("above", ("loop", "FIFO", 75, (1,))),
+            {"good: on its CPUs with a higher priority: loop of above (FIFO 75)"},
+        ),
+        (
+            program("deadline", ("loop", "DEADLINE", 0, (1,))),
+            {"good: on its CPUs with a higher priority: loop of deadline (DEADLINE 0)"},
+        ),
+    ],
+    ids=lambda each: each.name if isinstance(each, ObservedProgram) else "",
+)
+def test_each_hazard_is_said_of_the_program_that_has_it(other, said):
+    lines = {re.sub(r" \(pid \d+\)", "", line) for line in hazards((GOOD, other))}
+    # A program below another one is delayed by it, too: only what the case is about counts.
+    lines = {line for line in lines if "good (FIFO" not in line}
+    assert {next((line for line in lines if line.startswith(text)), text) for text in said} == lines
