@@ -17,7 +17,7 @@ KEY = "ssh-ed25519 AAAA"
 # What BitBake reports about recipes that are masked.
 MISSING = ("Nothing PROVIDES", "No bb files in default matched")
 # What it reports about layers that are not ours, about the missing network, and about one recipe run alone.
-FOREIGN = ("omap3-sgx-modules", "uninative", "Buildfile specified")
+FOREIGN = ("omap3-sgx-modules", "osrf-pycommon", "uninative", "Buildfile specified")
 # The value of a variable that names what a recipe needs.
 NEEDS = re.compile(r'(?:(?<!TEST_)DEPENDS|RRECOMMENDS|PACKAGECONFIG)[^\s="]*\s*[?:+.]*=[+.]?\s*"([^"]*)"')
 
