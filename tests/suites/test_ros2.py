@@ -234,6 +234,21 @@ def test_a_publisher_that_waits_for_nobody_ends_on_a_signal(bench: Bench) -> Non
     assert end(sender) == Ended(1, "", "\tERROR: ended by SIGTERM after 0 of 1000 messages\n")
 
 
+@pytest.mark.parametrize("payload", [1000, 1024 * 1024])
+def test_fast_dds_by_itself_is_that_of_the_ros2(built: tuple[Path, Path, str], bench: Bench, payload: int) -> None:
+    """Its programs find it where nothing is set up."""
+    bench.environment, bench.middleware = {"RT_TESTS_DOMAIN": bench.environment["ROS_DOMAIN_ID"]}, "fastdds"
+    (receiver,), sender = communicate(bench, "-r", "50", "-f", "50", "-s", "FIFO", "-l", str(payload))
+    assert (sender.status, sender.err, receiver.status, receiver.err) == (0, "", 0, "")
+    base = f"ct_gnuplot_l50_fq50_pl{payload}-tnRTFIFO"
+    record = check_outputs(bench.folder, base, "fastdds")
+    assert record["counts"]["measured"] + record["counts"]["missing"] == 50
+    versions = {path.name.partition(".so.")[2] for path in built[0].glob("lib/libfast[dr]*s.so.*.*.*")}
+    assert {record["in_effect"]["facts"]["fastdds_version"]} == versions
+    assert policies(record) == policies(sent_by(bench, base)) == {("FIFO", 95)}
+    assert any(thread["name"].startswith("dds.") for thread in record["in_effect"]["threads"])
+
+
 @pytest.mark.parametrize("program", ["cyclic_timer_tests", "communication_tests_subscriber"])
 def test_an_rmw_that_is_not_installed(bench: Bench, program: str) -> None:
     bench.environment["RMW_IMPLEMENTATION"] = "rmw_nobodys_cpp"

@@ -227,14 +227,16 @@ def with_ros2(entry: Path, ros2: Path) -> Path:
         suites = [package for package in packages() if package not in WITHOUT_ROS]
         with tempfile.TemporaryDirectory(prefix="rtgen-suites-") as temporary:
             work, stage = Path(temporary) / "work", Path(temporary) / "stage"
-            words: list[str | Path] = [ros2 / "setup.sh", work, stage, SUPPORT, *suites]
+            # The transports again: over the DDS of this ROS 2, where it has one.
+            words: list[str | Path] = [ros2 / "setup.sh", work, stage, SUPPORT, *suites, TRANSPORTS]
             environment = _environment(Path(temporary)) | {"CFLAGS": FLAGS, "CXXFLAGS": FLAGS}
             output = run(["sh", script, *words], environment=environment)
-            for package in suites:
+            for package in (*suites, TRANSPORTS):
                 shutil.copytree(stage / "lib" / package, result / "lib" / package, dirs_exist_ok=True)
         record = json.loads((result / "build.json").read_text(encoding="utf-8"))
         del record["files"]  # the last one again
-        record["middlewares"] = middlewares(result)
+        record["middlewares"] = built = middlewares(result)
+        record["not_built"] = {name: needed for name, needed in transports().items() if name not in built}
         record["ros2"] = {"prefix": str(ros2)} | dict(line.split(" ", 1) for line in output.splitlines())
         record["files"] = {name: each for name, each in describe(result).items() if name != "build.json"}
         atomic.write_text(result / "build.json", json.dumps(record, indent=2) + "\n")

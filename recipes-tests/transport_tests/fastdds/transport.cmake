@@ -1,4 +1,10 @@
 set(packages libfastrtps-dev)
+# Version 3 and, as in Debian 12 and before ROS 2 Kilted, version 2.
+find_package(fastdds 3 QUIET)
+if(fastdds_FOUND)
+  set(libraries fastdds)
+  return()
+endif()
 find_package(fastrtps QUIET)
 if(NOT fastrtps_FOUND)
   set(missing TRUE)

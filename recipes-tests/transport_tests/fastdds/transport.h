@@ -1,5 +1,5 @@
 // Fast DDS over shared memory and UDP, as it does by itself, but on loopback and without multicast; a file of profiles
-// that FASTRTPS_DEFAULT_PROFILES_FILE of the environment names goes before that.
+// that FASTRTPS_DEFAULT_PROFILES_FILE (version 3: FASTDDS_DEFAULT_PROFILES_FILE) of the environment names goes before that.
 #pragma once
 
 #include <fastdds/dds/domain/DomainParticipant.hpp>
@@ -9,20 +9,16 @@
 #include <fastdds/dds/subscriber/DataReader.hpp>
 #include <fastdds/dds/subscriber/SampleInfo.hpp>
 #include <fastdds/dds/subscriber/Subscriber.hpp>
-#include <fastdds/dds/topic/TopicDataType.hpp>
-#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
-#include <fastdds/rtps/transport/shared_mem/SharedMemTransportDescriptor.h>
-#include <fastrtps/utils/IPLocator.h>
 
 #include <memory>
 
 #include "domain.h"
 #include "frame.h"
-
-namespace fast = eprosima::fastdds::dds;
-namespace rtps = eprosima::fastrtps::rtps;
+#include "versions.h"
 
 struct Transport {
+  using Duration = fastdds_versions::Duration;
+  using Locator = fastdds_versions::rtps::Locator_t;
   static constexpr char name[] = "fastdds";
   static constexpr int64_t payload_bytes_max = 16 * 1024 * 1024;
   static constexpr int32_t queue = 1000;  // messages, as the programs on roscpp have
@@ -34,37 +30,7 @@ struct Transport {
     return entity;
   }
 
-  // A frame is sent as it is.
-  class Type : public fast::TopicDataType {
-   public:
-    explicit Type(const rt_tests::Options& options) : options_(options) {
-      setName("rt_tests::Frame");
-      m_typeSize = static_cast<uint32_t>(transport::Frame(options).size());
-      auto_fill_type_object(false);
-      auto_fill_type_information(false);
-    }
-    bool serialize(void* data, rtps::SerializedPayload_t* payload) override {
-      const auto& frame = *static_cast<const transport::Frame*>(data);
-      payload->length = static_cast<uint32_t>(frame.size());
-      std::memcpy(payload->data, frame.data(), frame.size());
-      return true;
-    }
-    bool deserialize(rtps::SerializedPayload_t* payload, void* data) override {
-      auto& frame = *static_cast<transport::Frame*>(data);
-      frame.require_size(payload->length);
-      std::memcpy(frame.data(), payload->data, frame.size());
-      return true;
-    }
-    std::function<uint32_t()> getSerializedSizeProvider(void*) override {
-      return [this] { return m_typeSize; };
-    }
-    void* createData() override { return new transport::Frame(options_); }
-    void deleteData(void* data) override { delete static_cast<transport::Frame*>(data); }
-    bool getKey(void*, rtps::InstanceHandle_t*, bool) override { return false; }
-
-   private:
-    const rt_tests::Options options_;
-  };
+  using Type = fastdds_versions::Type;
 
   // All threads of Fast DDS inherit policy, priority and CPUs: this version has no settings for them.
   class Context {
@@ -79,13 +45,14 @@ struct Transport {
     }
     bool ok() const noexcept { return true; }
     void shutdown() {}
+    rt_tests::Facts facts() const { return {{"fastdds_version", fastdds_versions::version}}; }
     fast::DomainParticipant& participant() const noexcept { return *participant_; }
     fast::Topic* topic() const noexcept { return topic_; }
 
    private:
     static fast::DomainParticipantFactory& factory() { return *fast::DomainParticipantFactory::get_instance(); }
     static fast::DomainParticipantQos qos() {
-      if (std::getenv("FASTRTPS_DEFAULT_PROFILES_FILE")) {
+      if (std::getenv(fastdds_versions::profiles_variable)) {
         factory().load_profiles();
         return factory().get_default_participant_qos();
       }
@@ -97,8 +64,8 @@ struct Transport {
       qos.transport().user_transports = {udp,
                                          std::make_shared<eprosima::fastdds::rtps::SharedMemTransportDescriptor>()};
       // Where participants listen and are looked for: as it is given, there is no multicast.
-      rtps::Locator_t loopback;
-      rtps::IPLocator::setIPv4(loopback, "127.0.0.1");
+      Locator loopback;
+      fastdds_versions::rtps::IPLocator::setIPv4(loopback, "127.0.0.1");
       qos.wire_protocol().builtin.metatrafficUnicastLocatorList.push_back(loopback);
       qos.wire_protocol().builtin.initialPeersList.push_back(loopback);
       return qos;
@@ -124,7 +91,7 @@ struct Transport {
     qos.history().depth = queue;
     qos.resource_limits().max_samples_per_instance = queue;
     // Else it takes memory for as many messages as it may keep, of which each may have a megabyte.
-    qos.endpoint().history_memory_policy = rtps::DYNAMIC_REUSABLE_MEMORY_MODE;
+    qos.endpoint().history_memory_policy = fastdds_versions::rtps::DYNAMIC_REUSABLE_MEMORY_MODE;
     return qos;
   }
 
@@ -169,11 +136,11 @@ struct Transport {
     }
 
     void receive(int64_t limit_ns) {
-      const eprosima::fastrtps::Duration_t limit(static_cast<int32_t>(limit_ns / rt_tests::ns_per_s),
-                                                 static_cast<uint32_t>(limit_ns % rt_tests::ns_per_s));
+      const Duration limit(static_cast<int32_t>(limit_ns / rt_tests::ns_per_s),
+                           static_cast<uint32_t>(limit_ns % rt_tests::ns_per_s));
       if (!reader_->wait_for_unread_message(limit)) return;
       fast::SampleInfo about;
-      while (reader_->take_next_sample(&frame_, &about) == eprosima::fastrtps::types::ReturnCode_t::RETCODE_OK) {
+      while (reader_->take_next_sample(&frame_, &about) == fastdds_versions::ok) {
         if (about.valid_data) call_back_(frame_.stamp());
       }
     }

@@ -35,12 +35,13 @@ fi
 ros1=/usr/share/roscpp/cmake
 [ $# -gt 0 ] || [ -d $ros1 ] || fail "no ROS on the target: neither /opt/ros/*/setup.sh nor roscpp in /usr is there: \
 install one, or name its setup.sh as ros_setup in the target file"
+ros2=
 for setup; do
     [ -r "$setup" ] || fail "$setup: no such file: name the setup.sh of a ROS as ros_setup in the target file"
     # shellcheck source=/dev/null
     case $(set +u && . "$setup" >&2 && echo "${ROS_VERSION:-}") in
     1) ros1= ;;
-    2) ;;
+    2) ros2=$setup ;;
     *) fail "$setup sets up no ROS, by its ROS_VERSION: name the setup.sh of one as ros_setup in the target file" ;;
     esac
 done
@@ -61,17 +62,20 @@ build() {
     sh "$sources/build.sh" "$setup" "$folder/work-$work" "$folder/stage" "$@" >>built_with 2>log ||
         fail_with_log "the suites could not be built${setup:+ on $setup}"
 }
-build "" plain rt_tests_support rt_tests_sampler transport_tests
+build "" plain rt_tests_support rt_tests_sampler
+# Over the DDS of a ROS 2, where there is one that has it.
+[ -n "$ros2" ] || build "" plain transport_tests
 suites=$(cd "$sources" && grep -l roscpp ./*/package.xml | sed 's,^[.]/,,; s,/.*,,')
 number=0
 for setup; do
     number=$((number + 1))
     # shellcheck disable=SC2086 # each word is a package
     build "$setup" $number $suites
+    [ "$setup" != "$ros2" ] || build "$setup" transports transport_tests
 done
 # shellcheck disable=SC2086
 [ ! -d "$ros1" ] || ROS_VERSION=1 build "" ros1 $suites
 
 rm -rf "$prefix.new"
 mkdir -p "$prefix.new/lib" && mv stage/lib/*_tests stage/lib/rt_tests_sampler "$prefix.new/lib" &&
-    mv built_with "$prefix.new" && rm -rf "$prefix" && mv "$prefix.new" "$prefix" || fail_with_log "cannot install"
+    sort -u built_with >"$prefix.new/built_with" && rm -rf "$prefix" && mv "$prefix.new" "$prefix" || fail_with_log "cannot install"
