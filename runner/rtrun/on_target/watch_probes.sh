@@ -140,7 +140,8 @@ print_formats() {
     done
 }
 
-# Programs whose threads have changed, and programs that are new: a library may be loaded seconds after the start.
+# Programs whose threads have changed, and programs that are new: a library may be loaded seconds after the start. Once in
+# half a minute all processes are looked at.
 print_programs() {
     asked=
     still=
@@ -156,9 +157,13 @@ print_programs() {
     done
     watched=$still
     set -- /proc/[0-9]*
-    if [ "$*" != "$processes" ]; then
+    if [ "$*" != "$processes" ] || [ $((number % 30)) -eq 1 ]; then
         for process; do
-            case " $processes " in *" $process "*) ;; *) young="$young $process:8" ;; esac
+            case " $processes " in
+            # It may have begun to run another program.
+            *" $process "*) [ $((number % 30)) -ne 1 ] || young="$young $process:0" ;;
+            *) young="$young $process:8" ;;
+            esac
         done
         processes=$*
     fi
@@ -213,8 +218,6 @@ print_rounds() {
     number=0
     before=0
     young=
-    set -- /proc/[0-9]*
-    processes=$*
     while :; do
         total=0
         number=$((number + 1))
@@ -275,6 +278,7 @@ page_bytes=$((data_bytes + $(sed -n 's,.*field: *char data;.*offset:\([0-9]*\);.
 
 watched=
 is_told=
+processes=$(echo /proc/[0-9]*)
 while read -r word one rest; do
     case $word in
     p | r)

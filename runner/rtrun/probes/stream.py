@@ -291,6 +291,9 @@ class WatchReader:
         silent = [(0, self.begin_ns), *((gap.from_ns, gap.until_ns) for gap in self._gaps if gap.reason == RESTED)]
         hits, self._hits = _cut(self._hits, until_ns, silent)
         kernel, self._kernel = _cut(self._kernel, until_ns, silent)
+        # The programs of a round are told after its pages.
+        pids = self._pids
+        hits = tuple(hit._replace(pid=pids[hit.tid]) if not hit.pid and hit.tid in pids else hit for hit in hits)
         # In the order of time, of all CPUs: the thread of a timer goes from one to another.
         for hit in hits:
             if hit.event == _TIMER_CALL and isinstance(hit.values, dict):

@@ -1,0 +1,164 @@
+"""Unmodified programs of ROS 2 and ROS 1, observed: each message at both ends, and timers as the programs see them."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from probes.standin import find, observed, running
+
+from ports import free_domain
+from ros2 import wheels
+from rtgen import suites as builder
+from rtrun.probes.session import Batch, Began
+from suites.test_ros2 import set_up
+
+pytestmark = [pytest.mark.trace, pytest.mark.ros, pytest.mark.timeout(1200)]
+COUNT = 2000
+TALKER = Path(__file__).with_name("talker.py")
+RELEASES = ["kilted", pytest.param("jazzy", marks=pytest.mark.ros2)]
+
+
+def ros2_environment(distro, tmp_path):
+    """Of programs on the wheels; the generated messages of Python among them."""
+    prefix = wheels.installed(distro)
+    own = {
+        "ROS_DOMAIN_ID": str(free_domain()),
+        "ROS_LOG_DIR": str(tmp_path / "log"),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONPATH": str(next(prefix.glob("lib/python3*/site-packages"))),
+        # Else a Python of the wheels starts itself anew.
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+    }
+    return set_up(prefix) | own
+
+
+@pytest.fixture(scope="module")
+def suites_of(tmp_path_factory):
+    """The folder of the suites for a release of ROS 2, or for ROS 1."""
+    built = {}
+
+    def build(distro):
+        if distro not in built:
+            ros2 = {"ros2": wheels.installed(distro)} if distro else {}
+            built[distro] = builder.build("host", tmp_path_factory.mktemp("suites"), **ros2)
+        return built[distro]
+
+    return build
+
+
+def program(suites, name, middleware):
+    (path,) = suites.glob(f"lib/*/{name}{'' if middleware == 'roscpp' else '_' + middleware}")
+    return path
+
+
+def watched_exchange(here, listener, talker, environment, folder):
+    """Everything that is seen while a program that is there already takes what another publishes that starts then."""
+    results = []
+    with running(*listener, env=environment, cwd=folder) as receiver:
+        stream = observed(here, receiver.pid)
+        assert isinstance(next(stream), Began)
+        with running(*talker, env=environment, cwd=folder) as sender:
+            while sender.poll() is None:
+                results.append(next(stream))
+            assert sender.returncode == 0
+        results += [next(stream), next(stream)]
+        stream.close()
+    return results, (receiver.pid, sender.pid)
+
+
+def of_topic(results, topic, key):
+    """The messages of a topic that were published and taken: pid and key, in the order of time."""
+    hits = [hit for each in results if isinstance(each, Batch) for hit in each.hits]
+    assert not [gap for each in results if isinstance(each, Batch) for gap in each.gaps]
+    return [
+        [
+            (hit.pid, *(hit.values[name] for name in key))
+            for hit in hits
+            if hit.event == event and hit.values["topic"] == topic
+        ]
+        for event in ("publish", "take")
+    ]
+
+
+@pytest.mark.parametrize("distro", RELEASES)
+def test_rclpy(here, distro, tmp_path):
+    environment = ros2_environment(distro, tmp_path)
+    argv = [sys.executable, TALKER]
+    results, pids = watched_exchange(here, [*argv, "listener"], [*argv, "talker", COUNT], environment, tmp_path)
+    published, taken = of_topic(results, "/chatter", ["source_ns"])
+    assert len(published) == COUNT and [key for _, key in taken] == [key for _, key in published]
+    assert {pid for pid, _ in taken} == {pids[0]} and {pid for pid, _ in published} == {pids[1]}
+    # Threads that came after the beginning are told as well.
+    programs = [each.program for batch in results if isinstance(batch, Batch) for each in batch.programs]
+    names = {(program.pid, thread.name) for program in programs for thread in program.threads}
+    assert {(pid, "dds.ev.0") for pid in pids} <= names
+    # The topic's publisher and its timer have names, because the program started while it was observed.
+    hits = [hit for each in results if isinstance(each, Batch) for hit in each.hits]
+    assert "talker" in {hit.values["name"] for hit in hits if hit.event == "node_init"}
+    assert "/chatter" in {hit.values["topic"] for hit in hits if hit.event == "publisher_init"}
+    calls = [hit for hit in hits if hit.event == "timer_call" and hit.pid == pids[1]]
+    assert {hit.values["period_ns"] for hit in calls} == {10**6} and {hit.values["clock"] for hit in calls} == {"ros"}
+    # ROS time is CLOCK_REALTIME here.
+    offset_ns = next(each.realtime_offset_ns for each in results if isinstance(each, Batch))
+    late_ns = np.array(
+        [hit.at_ns + offset_ns - hit.values["expected_ns"] for hit in calls if "expected_ns" in hit.values]
+    )
+    assert len(late_ns) > 0.9 * len(calls) and late_ns.min() > 0 and np.median(late_ns) < 5e6
+
+
+@pytest.mark.parametrize(
+    ("distro", "middleware"),
+    [(None, "roscpp"), ("kilted", "rcl"), pytest.param("jazzy", "rcl", marks=pytest.mark.ros2)],
+)
+def test_programs_in_c(here, request, distro, middleware, suites_of, tmp_path):
+    if distro:
+        environment, key = ros2_environment(distro, tmp_path), ["source_ns"]
+    else:
+        port = request.getfixturevalue("ros_master")
+        own = {
+            "ROS_MASTER_URI": f"http://127.0.0.1:{port}",
+            "ROS_IP": "127.0.0.1",
+            "ROS_LOG_DIR": str(tmp_path / "log"),
+        }
+        environment, key = os.environ | own, ["key0", "key1", "size"]
+    options = ["-r", COUNT, "-f", 1000, "-l", 1000]
+    suites = suites_of(distro)
+    listener = [program(suites, "communication_tests_subscriber", middleware), *options]
+    talker = [program(suites, "communication_tests_publisher", middleware), *options]
+    talker += ["--subscribers", 1] if distro else ["-d", 2]
+    results, pids = watched_exchange(here, listener, talker, environment, tmp_path)
+    published, taken = of_topic(results, "/communication_tests", key)
+    assert len(published) == COUNT and {pid for pid, *_ in published} == {pids[1]}
+    # An empty message may come before: with it the programs find one another.
+    assert [each[1:] for each in taken] == [each[1:] for each in published] and {pid for pid, *_ in taken} == {pids[0]}
+    if middleware == "roscpp":
+        begun = [
+            hit for each in results if isinstance(each, Batch) for hit in each.hits if hit.event == "callback_begin"
+        ]
+        assert len([hit for hit in begun if hit.values["topic"] == "/communication_tests"]) == COUNT
+
+
+@pytest.mark.parametrize("distro", RELEASES)
+def test_a_timer_as_the_program_sees_it(here, distro, suites_of, tmp_path):
+    """When each call was to be: what the probe read of rcl's own members is what rcl has told the program."""
+    environment = ros2_environment(distro, tmp_path)
+    cyclic = program(suites_of(distro), "cyclic_timer_tests", "rcl")
+    with running(cyclic, "-r", 10**6, "-f", 500, env=environment, cwd=tmp_path) as other:
+        find(here, other.pid)
+        stream = observed(here, other.pid)
+        results = [next(stream)]
+        subprocess.run(
+            [cyclic, "-r", "1000", "-f", "1000"], env=environment, cwd=tmp_path, check=True, capture_output=True
+        )
+        results += [next(stream) for _ in range(5)]
+        stream.close()
+    hits = [hit for each in results if isinstance(each, Batch) for hit in each.hits if hit.event == "timer_call"]
+    hits = [hit for hit in hits if hit.pid != other.pid]
+    (rows,) = [np.load(path) for path in tmp_path.glob("cyclic_timer_tests_l1000*.npy")]
+    expected = [hit.values.get("expected_ns") for hit in hits if hit.values["period_ns"] == 10**6]
+    assert expected[0] is None and len(rows) >= 999
+    told = rows[:, 1].tolist()
+    assert set(told) - set(expected) <= {told[0]}
