@@ -27,10 +27,13 @@ class CallRecord:
             "callback_begin": self._begin,
             "callback_message": self._tell_message,
             "callback_end": self._end,
+            "subscription_linked": self._link_subscription,
             "callback_added": self._add_callback,
+            "timer_callback_added": self._add_callback,
             "timer_init": self._init_timer,
             "timer_linked": self._link_timer,
             "timer_call": self._call_timer,
+            "timer_end": self._end_timer,
         }
         self._situation = situation
         self._recorder = recorder
@@ -49,9 +52,9 @@ class CallRecord:
         timers = thread.process.timers
         if handle in timers:
             timers[handle].is_replaced = True
-        timer = timers[handle] = LivingTimer(
-            thread.process, period_ns if isinstance(period_ns, int) else None, clock if isinstance(clock, str) else None
-        )
+        period_ns = period_ns if isinstance(period_ns, int) else None
+        clock = clock if isinstance(clock, str) else None
+        timer = timers[handle] = LivingTimer(thread.process, handle, period_ns, clock)
         return timer
 
     def _link_timer(self, hit: Hit, thread: ObservedThread) -> None:
@@ -76,7 +79,7 @@ class CallRecord:
             timer.period_ns = timer.period_ns if not isinstance(period_ns, int) else period_ns
             clock = values.get("clock")
             timer.clock = clock if isinstance(clock, str) else timer.clock
-        thread.calls_timer(timer)
+        thread.calls_timer(timer, hit.at_ns)
         expected = values.get("expected_ns")
         call = (hit.at_ns, expected if isinstance(expected, int) else NOT_SEEN_NS, self._situation.epoch)
         if timer.log is not None:
@@ -89,12 +92,34 @@ class CallRecord:
                 timer.log.add(at_ns, expected_ns, timer, epoch)
             timer.early.clear()
 
+    def _end_timer(self, hit: Hit, thread: ObservedThread) -> None:
+        """roscpp calls the callback of a timer within the call of the timer."""
+        begun, thread.timer = thread.timer, None
+        thread.does_else()
+        if begun is None:
+            return
+        timer, begin_ns = begun
+        handle = f"timer {timer.handle}"
+        callback = thread.process.callbacks.get(handle)
+        if callback is None or callback.owner is not timer:
+            callback = thread.process.callbacks[handle] = LivingCallback(thread.process)
+            callback.owner = timer
+        self._add_call(callback, thread, hit, begin_ns)
+
     def _log_of(self, timer: LivingTimer) -> TimerLog:
         alike = (timer.process.node(timer.node), timer.period_ns, timer.clock)
         number = self._situation.numbering.number(("timer", *alike), timer)
         return self.timers.setdefault((*alike, number), TimerLog(*alike, number))
 
     # Callbacks.
+
+    def _link_subscription(self, hit: Hit, thread: ObservedThread) -> None:
+        """rclcpp makes an object of its own for a subscription of rcl."""
+        thread.does_else()
+        subscriptions, handle = thread.process.subscriptions, hit.values.get("object")
+        endpoint = subscriptions.get(hit.values.get("subscription", ""))
+        if handle is not None and endpoint is not None:
+            subscriptions[handle] = endpoint
 
     def _add_callback(self, hit: Hit, thread: ObservedThread) -> None:
         """A timer or subscription is given a callback."""
@@ -103,13 +128,12 @@ class CallRecord:
         if handle is None:
             self._situation.unreadable += 1
             return
-        callbacks, process = thread.process.callbacks, thread.process
-        if handle in callbacks:
-            callbacks[handle].is_replaced = True
-        made = callbacks[handle] = LivingCallback(process)
-        made.owner = process.timers.get(hit.values.get("timer", "")) or process.subscribers.get(
-            hit.values.get("endpoint", "")
-        )
+        process = thread.process
+        if handle in process.callbacks:
+            process.callbacks[handle].is_replaced = True
+        made = process.callbacks[handle] = LivingCallback(process)
+        timer = process.timers.get(hit.values.get("timer", ""))
+        made.owner = timer or process.subscriptions.get(hit.values.get("object", ""))
 
     def _begin(self, hit: Hit, thread: ObservedThread) -> None:
         thread.has_callbacks = True
@@ -152,21 +176,25 @@ class CallRecord:
         # roscpp returns another result when it was another thread's turn, or there was no message left.
         if opened is None or hit.values.get("result", 0):
             return
-        callback = opened.callback
         if opened.message is not None:
             opened.message.ended(hit.at_ns)
+        self._add_call(opened.callback, thread, hit, opened.begin_ns, opened.topic)
+
+    def _add_call(
+        self, callback: LivingCallback, thread: ObservedThread, end: Hit, begin_ns: int, topic: str = ""
+    ) -> None:
         callback.calls += 1
         log = callback.logs.get(thread)
         if log is not None:
-            log.begins.append(opened.begin_ns)
-            log.ends.append(hit.at_ns)
+            log.begins.append(begin_ns)
+            log.ends.append(end.at_ns)
         else:
-            callback.early.append((thread, opened.begin_ns, hit.at_ns))
+            callback.early.append((thread, begin_ns, end.at_ns))
             if callback.is_ready:
                 self._name(callback)
         if self._recorder is not None:
-            name = callback.named[1] if callback.named else opened.topic or "callback"
-            self._recorder.callback(name, thread.process.pid, thread.tid, hit.cpu, opened.begin_ns, hit.at_ns)
+            name = callback.named[1] if callback.named else topic or "callback"
+            self._recorder.callback(name, thread.process.pid, thread.tid, end.cpu, begin_ns, end.at_ns)
 
     def _name(self, callback: LivingCallback) -> None:
         numbering = self._situation.numbering

@@ -188,15 +188,13 @@ class LiveFigures:
         settled = rows
         if log.clock is not None and log.period_ns is not None:
             known = expected != NOT_SEEN_NS
-            offset = np.zeros(at.size, np.int64)
             if log.clock != HITS_CLOCK:
                 # How the clock stood is known up to the time at which it was last read.
                 last_ns = offsets.last_ns(log.clock)
                 size = 0 if last_ns is None else int(np.searchsorted(at, last_ns, side="right"))
                 at, expected, known, settled = at[:size], expected[:size], known[:size], begin + size
-                offset, is_known, _ = offsets.read(log.clock, at)
-                known = known & is_known
-            values = (at + offset - expected)[known]
+            offset, is_known, _ = offsets.read(log.clock, at)
+            values = (at + offset - expected)[known & is_known]
         identity = streams.timer_identity(log)
         return _Current(log, StreamKind.TIMER, log.label, str(identity["timer"]), rows, values, settled)
 

@@ -217,8 +217,6 @@ class PayloadMatching:
             if of is publication:
                 del same.held[end]
                 self._fates.matched(reception, publication)
-        # Who did not receive it may have received it in place of another one.
-        same.unclear |= {end for end, done in same.done.items() if not done}
         same.done = {end: max(0, done - 1) for end, done in same.done.items()}
         self._fates.forgotten(publication)
 

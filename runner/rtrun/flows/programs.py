@@ -24,7 +24,7 @@ class LivingProcess:
 
     __slots__ = (
         "by_topic", "callbacks", "is_alive", "label", "names_of_nodes", "pid", "program",
-        "publishers", "subscribers", "timers",
+        "publishers", "subscribers", "subscriptions", "timers",
     )  # fmt: skip
 
     def __init__(self, pid: int, program: ObservedProgram | None) -> None:
@@ -35,6 +35,8 @@ class LivingProcess:
         self.names_of_nodes: dict[Handle, str] = {}
         self.publishers: dict[Handle, Endpoint] = {}
         self.subscribers: dict[Handle, Endpoint] = {}
+        self.subscriptions: dict[Handle, Endpoint] = {}
+        """By their handles in rcl, and by their objects in rclcpp."""
         self.by_topic: dict[str, Endpoint] = {}
         """Subscriptions of roscpp, which has one for a topic."""
         self.timers: dict[Handle, LivingTimer] = {}

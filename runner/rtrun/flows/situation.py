@@ -3,7 +3,10 @@
 from rtrun.flows.programs import Numbering
 
 HITS_CLOCK = "steady"
-"""The clock of the hits, CLOCK_MONOTONIC. How another one lies to it has to be told."""
+"""The clock of the hits, CLOCK_MONOTONIC. How another one lies to it has to be told.
+
+``system`` is CLOCK_REALTIME, ``raw`` is CLOCK_MONOTONIC_RAW, by which rcl counts what it calls steady time.
+"""
 FAULT = "(fault)"
 """The kernel's word for a text that it could not read."""
 

@@ -83,7 +83,7 @@ class ObservedThread:
     - else, where it is seen to wait, after the only message that it took since then.
     """
 
-    __slots__ = ("callbacks", "cause", "has_callbacks", "has_ended", "process", "taken", "tid", "triggers")
+    __slots__ = ("callbacks", "cause", "has_callbacks", "has_ended", "process", "taken", "tid", "timer", "triggers")
 
     def __init__(self, tid: int, process: LivingProcess) -> None:
         self.tid = tid
@@ -99,6 +99,8 @@ class ObservedThread:
         """Hits are missing: nothing is known of what it does."""
         self.cause: Cause | None = None
         self.callbacks: list[OpenCallback] = []
+        self.timer: tuple[LivingTimer, int] | None = None
+        """The timer that it called last, and when."""
         self.has_callbacks = False
         self.triggers: int | None = None
         """Since the last message was taken; None: it was never seen to trigger, so it may be no rclpy."""
@@ -112,8 +114,9 @@ class ObservedThread:
         if self.triggers is not None:
             self.triggers = 0
 
-    def calls_timer(self, timer: LivingTimer) -> None:
+    def calls_timer(self, timer: LivingTimer, at_ns: int) -> None:
         self.cause = timer
+        self.timer = (timer, at_ns)
         self.taken = None
 
     def waits(self) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from rtfiles.output import counted
 from rtrun.analysis.histogram import Int64s
-from rtrun.flows.programs import LivingProcess, LivingThing
+from rtrun.flows.programs import Handle, LivingProcess, LivingThing
 from rtrun.flows.situation import HITS_CLOCK
 from rtrun.flows.values import NOT_SEEN_NS, differences, int64s
 from rtrun.kinds.output import no_values
@@ -15,6 +15,8 @@ from rtrun.kinds.output import no_values
 LEAST_CALLS = 3
 """One that was called less often has no interval to go by: rclpy makes a timer for each spin_once with a time limit."""
 _PERIOD_OFF_MAX = 0.1
+_SAME_CLOCK = {"ros": "system"}  # unless the time is simulated
+_LATE_MAX_NS = 3600 * 10**9  # simulated time is further from the clock
 _NTP_DRIFT = 5e-4  # clocks that NTP disciplines drift by 500 ppm at most
 _STEP_LEAST_NS = 20_000  # what two readings of a pair of clocks differ by on a busy machine
 _ROUNDING_NS = 1000
@@ -53,13 +55,14 @@ class TimerLog:
 class LivingTimer(LivingThing):
     """A timer of a living process; it has a log once it was called often enough to be one."""
 
-    __slots__ = ("clock", "early", "log", "node", "period_ns")
+    __slots__ = ("clock", "early", "handle", "log", "node", "period_ns")
 
-    def __init__(self, process: LivingProcess, period_ns: int | None, clock: str | None) -> None:
+    def __init__(self, process: LivingProcess, handle: Handle, period_ns: int | None, clock: str | None) -> None:
         super().__init__(process)
+        self.handle = handle
         self.period_ns = period_ns
         self.clock = clock
-        self.node: int | str | None = None
+        self.node: Handle | None = None
         self.early: list[tuple[int, int, int]] = []
         self.log: TimerLog | None = None
 
@@ -94,7 +97,9 @@ class ClockOffsets:
 
         It is known between two readings between which the clock went on steadily; int64, bool (n,), nanoseconds.
         """
-        at, offset = int64s(self._at.get(clock, array("q"))), int64s(self._offset.get(clock, array("q")))
+        if clock == HITS_CLOCK:
+            return np.zeros(at_ns.size, np.int64), np.ones(at_ns.size, np.bool_), 0
+        at, offset = (int64s(read.get(_SAME_CLOCK.get(clock, clock), array("q"))) for read in (self._at, self._offset))
         if at.size < 2:
             return np.zeros(at_ns.size, np.int64), np.zeros(at_ns.size, np.bool_), 0
         moved, passed = np.diff(offset), np.diff(at)
@@ -107,7 +112,8 @@ class ClockOffsets:
 
     def last_ns(self, clock: str) -> int | None:
         """When a clock was read last; None for one that never was."""
-        return self._at[clock][-1] if clock in self._at else None
+        read = self._at.get(_SAME_CLOCK.get(clock, clock))
+        return read[-1] if read else None
 
 
 def known_period_ns(log: TimerLog) -> int | None:
@@ -131,15 +137,15 @@ def lateness(log: TimerLog, offsets: ClockOffsets) -> Lateness:
     if log.clock is None:
         return _none("the clock of its grid is not known")
     why_not = []
-    offset, known, step_ns = np.zeros(at.size, np.int64), np.ones(at.size, np.bool_), 0
-    if log.clock != HITS_CLOCK:
-        offset, known, step_ns = offsets.read(log.clock, at)
+    offset, known, step_ns = offsets.read(log.clock, at)
     if step_ns:
         why_not.append(f"its clock ({log.clock}) was set by up to {step_ns / 1e6:.3g} ms: no lateness around that")
     unknown = int(np.count_nonzero(told & ~known))
     if unknown:
         why_not.append(f"no lateness of {counted(unknown, 'call')}: not known how its clock ({log.clock}) stood then")
     rows = np.flatnonzero(told & known)
+    if rows.size and not 0 <= np.median((at + offset - expected)[rows]) <= _LATE_MAX_NS:
+        return _none(f"its grid is not one of the clock ({log.clock}); is the time simulated?")
     return Lateness(rows=rows, expected_ns=expected[rows], real_ns=(at + offset)[rows], why_not=tuple(why_not))
 
 

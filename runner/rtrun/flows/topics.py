@@ -28,7 +28,7 @@ class TopicRecord(MessageRecord):
             "take": self._take,
             "node_init": self._init_node,
             "publisher_init": lambda hit, thread: self._init(hit, thread, PUBLISHER, thread.process.publishers),
-            "subscription_init": lambda hit, thread: self._init(hit, thread, SUBSCRIBER, thread.process.subscribers),
+            "subscription_init": self._init_subscription,
         }
         self._situation = situation
         self._paths = paths
@@ -60,7 +60,7 @@ class TopicRecord(MessageRecord):
         key = key_of(hit.values)
         process = thread.process
         endpoint = self._endpoint_of(hit, process, PUBLISHER, process.publishers)
-        if endpoint is None or key is None:
+        if endpoint is None:
             self._situation.unreadable += 1
             return
         at_ns = hit.at_ns
@@ -70,8 +70,9 @@ class TopicRecord(MessageRecord):
             self._paths.published(publication, thread.handled)
         if isinstance(key, int):
             self._stamped(endpoint.topic).publish(key, publication)
-        else:
+        elif key is not None:
             self._unstamped(endpoint.topic).publish(key, publication)
+        # Else a release of ROS 2 that does not tell the stamp: it is known that there was a message, not which.
 
     def _take(self, hit: Hit, thread: ObservedThread) -> None:
         if not hit.values.get("taken", 1):
@@ -147,6 +148,13 @@ class TopicRecord(MessageRecord):
             self._situation.unreadable += 1
         else:
             self._made(thread.process, role, topic, handle, known, hit.values.get("node"), hit.at_ns)
+
+    def _init_subscription(self, hit: Hit, thread: ObservedThread) -> None:
+        process = thread.process
+        self._init(hit, thread, SUBSCRIBER, process.subscribers)
+        handle, endpoint = hit.values.get("subscription"), process.subscribers.get(hit.values.get("endpoint", ""))
+        if handle is not None and endpoint is not None:
+            process.subscriptions[handle] = endpoint
 
     def _init_node(self, hit: Hit, thread: ObservedThread) -> None:
         node, name, namespace = (hit.values.get(key, "") for key in ("node", "name", "namespace"))

@@ -21,8 +21,8 @@ def end(at_ns, callback=0xF0, pid=2, tid=None):
     return hit(at_ns, "callback_end", pid=pid, tid=tid, callback=callback)
 
 
-def event(at_ns, name, pid=2, tid=None, **values):
-    return hit(at_ns, name, pid=pid, tid=tid, **values)
+def event(at_ns, event_name, /, pid=2, tid=None, **values):
+    return hit(at_ns, event_name, pid=pid, tid=tid, **values)
 
 
 def sent(at_ns, topic="/scan", pid=1, endpoint=SCAN, tid=None):
@@ -146,6 +146,27 @@ def test_roscpp_tells_by_the_bytes_what_a_callback_is_about():
     assert callback.identity == {"node": "/detector", "callback": "/scan", "thread": 1}
     # The last one called nothing, as roscpp said.
     assert callback.columns["end_ns"].tolist() == [start + 220, start + 320]
+
+
+def test_callbacks_are_named_by_their_beginning():
+    """As rclcpp makes a subscription and a timer; roscpp calls back within the call of a timer."""
+    hits = [
+        event(1, "node_init", node=1, name="arm", namespace="/"),
+        event(2, "subscription_init", subscription=10, node=1, endpoint=0xB0, topic="/scan", depth=1),
+        event(3, "subscription_linked", subscription=10, object=20), event(4, "callback_added", object=20, callback=30),
+        event(5, "timer_init", timer=40, period_ns=MS), event(6, "timer_callback_added", timer=40, callback=50),
+        event(7, "timer_linked", timer=40, node=1),
+        begin(8, 30), end(9, 30),
+    ]  # fmt: skip
+    for at_ns in range(MS, 5 * MS, MS):
+        hits += [event(at_ns, "timer_call", timer=40), begin(at_ns + 1, 50), end(at_ns + 4, 50)]
+        hits += [event(at_ns + 10, "timer_call", timer=60, period_ns=MS), event(at_ns + 15, "timer_end")]
+    hits += [event(5 * MS, "timer_end")]
+    made = of_kind(accumulate(hits), StreamKind.CALLBACK)
+    found = [(*one.identity.values(), (one.columns["end_ns"] - one.columns["begin_ns"]).tolist()) for one in made]
+    assert found == [
+        ("/arm", "/scan", 1, [1]), ("/arm", "timer 1 ms", 1, [3] * 4), ("/detector", "timer 1 ms", 1, [5] * 4)
+    ]  # fmt: skip
 
 
 def test_durations_by_callback_and_thread():

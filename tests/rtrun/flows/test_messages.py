@@ -217,6 +217,37 @@ def test_a_payload_of_two_publishers_is_not_told_apart():
     assert ends(observed)["subscriber", "/listener"].counts["ambiguous"] > 100
 
 
+@pytest.mark.parametrize(
+    ("seen", "pairs", "ambiguous"),
+    [
+        ("p0 p1 t2 t3", [(0, 2), (1, 3)], 0),
+        ("p0 q1 t2 t3", [], 2),  # which of the two came first is not known
+        ("p0 t1 q2 t3", [(0, 1), (2, 3)], 0),
+        ("p0 t1 t2 p3 t4", [(0, 1)], 1),  # of the second one nobody saw the publication: there may be more
+        ("t0 p1 t2", [], 1),
+        ("p0 p1 t2 p900 p1001 t1002", [], 2),  # after a loss any of the open ones may come
+        ("p0 p1 t2 p900 t2200 p3300 t3301", [(3300, 3301)], 1),  # until it was quiet for long
+        ("p0 p1 p1100 t1101", [(1100, 1101)], 0),  # what was published too long ago is not on its way
+    ],
+)
+def test_the_same_bytes_in_short(seen, pairs, ambiguous):
+    """Publications of two publishers and receptions, by their time; nothing is on its way for more than 1000 ns."""
+    observed = FlowAccumulator(begin_ns=0, horizon_ns=1000)
+    for word in seen.split():
+        at_ns = 5000 + int(word[1:])
+        payload = (1, 2, 30)
+        observed.feed(
+            [take_bytes(at_ns, payload) if word[0] == "t" else publish_bytes(at_ns, payload, pid=ord(word[0]))]
+        )
+    observed.finish()
+    rows = []
+    for stream in messages(observed).values():
+        columns = (stream.columns[key] - 5000 for key in ("publication_ns", "reception_ns"))
+        rows += zip(*(column.tolist() for column in columns), strict=True)
+    assert sorted(rows) == pairs
+    assert ends(observed)["subscriber", "process 2"].counts["ambiguous"] == ambiguous
+
+
 def test_what_lies_behind_a_short_payload_does_not_count():
     observed = FlowAccumulator(begin_ns=0, horizon_ns=1000)
     observed.feed(
@@ -272,7 +303,6 @@ def test_hits_that_cannot_be_read_are_counted():
     observed.feed(
         [
             publish(1, "(fault)"),
-            hit(2, "publish", endpoint=1, topic="/a"),
             hit(3, "take", endpoint=1, topic="/a", taken=1),
             hit(4, "timer_call"),
             hit(5, "callback_begin"),
@@ -281,10 +311,18 @@ def test_hits_that_cannot_be_read_are_counted():
             hit(8, "timer_linked", timer=5, node=1),
             hit(9, "callback_added"),
             hit(10, "callback_end"),
-            publish_bytes(11, (1, 2, -4)),
         ]
     )
-    assert observed.situation.unreadable == 10
+    assert observed.situation.unreadable == 8
+    assert messages(observed) == {}
+
+
+def test_a_publication_without_a_key_is_one_of_a_message_that_is_not_known():
+    """Humble's trace point has no stamp."""
+    observed = FlowAccumulator(begin_ns=0)
+    observed.feed([hit(at_ns, "publish", endpoint=1, topic="/a") for at_ns in (1, 2)] + [take(3, 1)])
+    assert ends(observed)["publisher", "process 1"].counts["messages"] == 2
+    assert ends(observed)["subscriber", "process 2"].counts["unmatched"] == 1
     assert messages(observed) == {}
 
 

@@ -60,11 +60,12 @@ def set_at_half(at_ns):
     return drifting(at_ns) + 50 * MS * (at_ns >= 500 * PERIOD_NS)
 
 
-def test_a_clock_that_drifts():
+@pytest.mark.parametrize(("clock", "read"), [("system", "system"), ("ros", "system"), ("raw", "raw")])
+def test_a_clock_that_drifts(clock, read):
     observed = FlowAccumulator(begin_ns=0)
     for at_ns in range(0, 12 * S, S):
-        observed.offset("system", at_ns, drifting(at_ns))
-    observed.feed(calls(1000, clock="system", offset=drifting))
+        observed.offset(read, at_ns, drifting(at_ns))
+    observed.feed(calls(1000, clock=clock, offset=drifting))
     (stream,) = timers(observed)
     late = stream.columns["real_ns"] - stream.columns["expected_ns"]
     assert np.abs(late - [1000 * (call % 7) for call in range(1000)]).max() <= 2
@@ -93,11 +94,17 @@ def test_a_clock_that_is_set_has_no_lateness_around_that():
         ({"period_ns": PERIOD_NS * 5 // 4}, "period not known"),
         ({"period_ns": "?"}, "period not known"),
         ({"expected_ns": ""}, "no probe tells when"),
+        ({"clock": "ros", "expected_ns": 5}, "is the time simulated?"),
+        ({"clock": "steady", "expected_ns": 9**18}, "not one of the clock (steady)"),
     ],
 )
 def test_no_lateness_is_guessed(values, reason):
     made = [one._replace(values={**one.values, **values}) for one in calls(50)]
-    (stream,) = timers(accumulate(made))
+    observed = accumulate(made)
+    if values.get("clock") == "ros":
+        for at_ns in (0, S):
+            observed.offset("system", at_ns, 1_700_000_000 * S)
+    (stream,) = timers(observed)
     assert set(stream.columns) == {"timestamp_ns"} and stream.columns["timestamp_ns"].size == 50
     assert reason in stream.remarks[0]
 
