@@ -98,7 +98,7 @@ bench: setup
 	$(BIN)/pytest -q -s tests/bench/overhead.py tests/bench/sampler.py
 	$(BIN)/pytest -q -s tests/bench/pulling.py tests/bench/farm.py
 	nice -n 5 $(BIN)/python tests/bench/archived_year.py
-	PYTHONPATH=tests/rtrun $(BIN)/pytest -q -s tests/bench/causes.py
+	PYTHONPATH=tests/rtrun $(BIN)/pytest -q -s tests/bench/causes.py tests/bench/flows.py
 
 setup:
 	@tools/setup dev

@@ -13,6 +13,8 @@ class LivingPrograms:
     def __init__(self) -> None:
         self.processes: dict[int, LivingProcess] = {}
         self.threads: dict[int, ObservedThread] = {}
+        self._pids: dict[int, int] = {}
+        """Of the threads that were listed."""
 
     def observe(self, programs: Iterable[ObservedProgram]) -> None:
         """These are the programs now, all of them: others have ended, and a pid may be that of a new one."""
@@ -29,6 +31,7 @@ class LivingPrograms:
         for pid, program in listed.items():
             process = self.processes.setdefault(pid, LivingProcess(pid, program))
             process.is_alive, process.program = True, program
+        self._pids = {thread.tid: program.pid for program in listed.values() for thread in program.threads}
         for thread in list(self.threads.values()):
             program = listed.get(thread.process.pid)
             if program and program.threads and all(thread.tid != one.tid for one in program.threads):
@@ -36,7 +39,8 @@ class LivingPrograms:
                 del self.threads[thread.tid]
 
     def thread(self, pid: int, tid: int) -> ObservedThread:
-        """The thread of a hit. Pid 0 is a process that is not known: that of the thread's other hits, or its own."""
+        """The thread of a hit. Pid 0: the process was not known; the list, or its other hits, may tell."""
+        pid = pid or self._pids.get(tid, 0)
         thread = self.threads.get(tid)
         if thread is None or (pid and thread.process.pid != pid):
             pid = pid or -tid

@@ -219,6 +219,23 @@ def test_names_of_programs(argv, label):
     assert streams(observed)[0].identity["node"] == label
 
 
-def test_a_thread_of_an_unknown_process_is_one_of_the_process_that_its_other_hits_name():
-    observed = accumulate([sent(10), sent(20)._replace(pid=0), sent(30, tid=99)._replace(pid=0)], ())
-    assert [stream.identity["node"] for stream in streams(observed)] == ["/lidar", "process -99"]
+def test_a_thread_of_an_unknown_process_is_one_of_the_process_that_is_known_by_other_means():
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "lidar", threads=[(1, "lidar"), (11, "timer")]), node(2, "detector")])
+    unknown = [sent(10, tid=11), sent(20, "/by_hits", 2, 0xA1), sent(30, "/by_hits", 2, 0xA1), sent(40, "/a", tid=99)]
+    observed.feed(one._replace(pid=0) if place != 1 else one for place, one in enumerate(unknown))
+    found = [(stream.identity["node"], stream.counts["messages"]) for stream in streams(observed)]
+    assert found == [("/lidar", 1), ("/detector", 2), ("process -99", 1)]
+
+
+def test_the_last_hits_of_a_program_that_has_ended_are_still_its_own():
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "lidar", threads=[(1, "lidar")])])
+    observed.feed([sent(10)])
+    observed.observe([])
+    observed.feed([sent(20)])
+    observed.observe([])
+    observed.observe([node(7, "lidar")])
+    observed.feed([sent(30, pid=7)])
+    (stream,) = streams(observed)
+    assert stream.counts["messages"] == 3 and stream.cuts.tolist() == [2]
