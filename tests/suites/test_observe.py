@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.trace]
 @pytest.fixture
 def here(tmp_path):
     path = tmp_path / "here.yml"
-    path.write_text("schema: 1\nname: here\nkind: local\n")
+    path.write_text(f"schema: 1\nname: here\nkind: local\nwork_dir: {tmp_path}/new\n")
     return path
 
 

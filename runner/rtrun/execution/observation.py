@@ -88,13 +88,14 @@ class ObservationResult:
 
 def watch(link: Link) -> Watched:
     """Look at a target without changing it, and resolve the probes for its programs. Raises TargetError."""
+    equipment = inspection.inspect(link)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     found = find_programs(link, scripts)
     return Watched(
         link=link,
         scripts=scripts,
         state=inspection.read_state(link, scripts / "state.sh"),
-        equipment=inspection.inspect(link),
+        equipment=equipment,
         platform=platform_signs.find_platform(link),
         found=found,
         placement=place(link, found, events=events(), returns=True),
