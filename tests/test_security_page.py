@@ -42,6 +42,7 @@ NO_LIMITS = {
         "rtrun.targets.processes.SLICE_S",
         "rtrun.targets.processes.WAIT_S",
         "rtrun.targets.restart.POLL_S",
+        "rtrun.targets.shell.POLL_S",
         "rtrun.targets.labgrid.serial_console._READ_S",
         "rtrun.targets.labgrid.serial_console._RETRY_S",
         "rtrun.targets.ssh.ssh_shell.KILL_GRACE_S",

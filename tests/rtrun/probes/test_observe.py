@@ -8,7 +8,7 @@ import sys
 import textwrap
 import time
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import pytest
 from probes import standin as standins
@@ -17,6 +17,7 @@ from proxy import proxy_to
 
 from rtrun.probes.libraries.description import events
 from rtrun.probes.placement import place
+from rtrun.probes.programs import find_programs
 from rtrun.probes.session import Batch, Began, Finished, observe
 from rtrun.targets.errors import TargetError
 from rtrun.targets.link import Link
@@ -80,6 +81,24 @@ def test_every_message_is_seen_at_both_ends(link, standin):
     late_ns = [hit.at_ns - hit.values["expected_ns"] for hit in calls[1:]]
     assert min(late_ns) > 0 and sorted(late_ns)[len(late_ns) // 2] < 10**6
     assert left() == []
+
+
+def test_on_a_small_target(here, standin, tmp_path):
+    """Its shell and its tools are BusyBox's."""
+    tools, scripts = tmp_path / "bin", tmp_path / "scripts"
+    tools.mkdir()
+    scripts.mkdir()
+    subprocess.run(["busybox", "--install", "-s", tools], check=True)
+    for path in Path(str(SCRIPTS)).glob("*_pro*.sh"):
+        (scripts / path.name).write_text(path.read_text().replace("#!/bin/sh\n", f"#!{tools}/sh\nPATH={tools}\n", 1))
+        (scripts / path.name).chmod(0o755)
+    with running(standin, 1000, 10**9) as process:
+        found = find(here, process.pid)
+        placement = place(here, found, events=events())
+        *results, last = observe(here, PurePosixPath(scripts), placement, found, for_s=3)
+    numbers = [hit.values["source_ns"] for hit in values_of(results, "take")]
+    assert numbers == list(range(numbers[0], numbers[-1] + 1)) and len(numbers) > 2000
+    assert last.is_clean and left() == []
 
 
 def test_the_end_of_the_time(link, standin):
@@ -232,6 +251,40 @@ def test_a_library_of_a_mount_namespace(here, standin, tmp_path):
     assert any(probe.path.startswith(str(moved)) for probe in results[0].placed)
 
 
+def programs_of(link, path):
+    """The pids of those that are called by a path below this one."""
+    return [each.program.pid for each in find_programs(link, SCRIPTS) if each.program.argv[0].startswith(path)]
+
+
+def test_two_containers_of_one_image(here, standin, tmp_path):
+    """Each has the library by a path and a file system of its own: the file is one, and every call is seen once."""
+    mounts = []
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        folder.mkdir()
+        parts = f"lowerdir={standin.parent},upperdir={folder}/upper,workdir={folder}/work"
+        mounts += [f"mount -t tmpfs none {folder}", f"mkdir {folder}/upper {folder}/work {folder}/root"]
+        mounts += [f"mount -t overlay none -o {parts} {folder}/root"]
+    wrapper = ["unshare", "--mount", "sh", "-c", " && ".join([*mounts, 'exec "$@"']), "sh"]
+    if subprocess.run([*wrapper, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("this user, or this kernel, may not mount an overlay")
+    # They end with the standard input.
+    start = f'{tmp_path}/$name/root/standin 100 1000000 & pids="$pids $!"'
+    both = f"for name in a b; do {start}; done; read -r _; kill $pids"
+    with subprocess.Popen([*wrapper, "sh", "-c", both], stdin=subprocess.PIPE) as process:
+        try:
+            deadline = time.monotonic() + 30
+            while len(pids := programs_of(here, str(tmp_path))) < 2:
+                assert time.monotonic() < deadline and process.poll() is None
+            *results, last = observed(here, *pids, for_s=2)
+        finally:
+            process.stdin.close()
+    for pid in pids:
+        numbers = [hit.values["source_ns"] for hit in values_of(results, "take") if hit.pid == pid]
+        assert len(numbers) > 100 and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    assert last.is_clean
+
+
 def test_a_library_that_was_replaced(here, tmp_path):
     program = standins.build(tmp_path / "replaced")
     with running(program, 100, 10**9) as process:
@@ -270,4 +323,4 @@ def test_no_right_to_it(here, loopback, standin, tmp_path):
         script.write_text(text)
         script.chmod(0o755)
         with pytest.raises(TargetError, match=r"this machine: no kernel trace: it needs CONFIG_FTRACE"):
-            list(observe(here, tmp_path, placement, found, for_s=5))
+            list(observe(here, PurePosixPath(tmp_path), placement, found, for_s=5))
