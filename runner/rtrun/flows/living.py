@@ -13,6 +13,8 @@ class LivingPrograms:
     def __init__(self) -> None:
         self.processes: dict[int, LivingProcess] = {}
         self.threads: dict[int, ObservedThread] = {}
+        self._ran_before: frozenset[tuple[str, ...]] | None = None
+        """The command lines of those that ran when the observation began; None before that is known."""
         self._pids: dict[int, int] = {}
         """Of the threads that were listed."""
 
@@ -28,8 +30,11 @@ class LivingPrograms:
                 process.is_alive = False
             elif process.program is None or _is_other(process.program, program):
                 self._drop(process)
+        if self._ran_before is None:
+            self._ran_before = frozenset(program.argv for program in listed.values())
         for pid, program in listed.items():
-            process = self.processes.setdefault(pid, LivingProcess(pid, program))
+            made = LivingProcess(pid, program, has_own_name=program.argv in self._ran_before)
+            process = self.processes.setdefault(pid, made)
             process.is_alive, process.program = True, program
         self._pids = {thread.tid: program.pid for program in listed.values() for thread in program.threads}
         for thread in list(self.threads.values()):

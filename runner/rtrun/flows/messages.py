@@ -100,13 +100,17 @@ class Reception:
 
 
 class LinkedTime:
-    """The messages of a pair in a time without a gap and without a restart: indices of the first and last received."""
+    """The messages of a pair in a time without a gap and without a restart.
 
-    __slots__ = ("first", "last", "pair")
+    `first` and `last` are the lowest and highest index that was received, `until_ns` when the latest one was.
+    """
+
+    __slots__ = ("first", "last", "pair", "until_ns")
 
     def __init__(self, pair: "MessagePair", index: int) -> None:
         self.pair = pair
         self.first = self.last = index
+        self.until_ns = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -114,8 +118,9 @@ class PairCounts:
     """What became of the messages of a publisher at a subscriber.
 
     published = received + lost + ambiguous + undecided. Lost are those between the first and the last received one that
-    were never received. Undecided are those before the first and after the last, and around gaps and restarts: they may
-    be on their way, or nobody was there. Each that was ambiguous is here by its publication, not by its reception.
+    were never received, and were overtaken longer ago than any took to come. Undecided are those before the first and
+    after the last, and so before and after gaps and restarts: they may be on their way, or nobody was there. Each that
+    was ambiguous is here by its publication, not by its reception.
     """
 
     published: int
@@ -154,6 +159,8 @@ class MessagePair:
             link.first = index
         elif index > link.last:
             link.last = index
+        if reception.at_ns > link.until_ns:
+            link.until_ns = reception.at_ns
         reception.pair = self
         reception.row = len(self.indices)
         self.indices.append(index)
@@ -163,9 +170,19 @@ class MessagePair:
 
     def _spans(self) -> tuple[Int64s, Int64s]:
         """First and last index of the times in which every message is received, lost or ambiguous; disjoint."""
+        received, sent_ns = np.sort(int64s(self.indices)), int64s(self.publisher.times)
+        longest_ns = int((int64s(self.receptions) - int64s(self.publications)).max(initial=0))
+        found: list[tuple[int, int]] = []
+        for link in self.links:
+            # One that was overtaken may still come for as long as any has taken.
+            fresh = int(np.searchsorted(sent_ns, link.until_ns - longest_ns, side="right"))
+            if link.first < fresh:
+                found.append((link.first, min(link.last, fresh - 1)))
+            begin, end = np.searchsorted(received, [max(fresh, link.first), link.last + 1])
+            found += [(index, index) for index in received[begin:end].tolist()]
         spans: list[list[int]] = []
-        for first, last in sorted((link.first, link.last) for link in self.links):
-            if spans and first <= spans[-1][1]:
+        for first, last in sorted(found):
+            if spans and first <= spans[-1][1] + 1:
                 spans[-1][1] = max(last, spans[-1][1])
             else:
                 spans.append([first, last])

@@ -23,15 +23,16 @@ class LivingProcess:
     """A process from its first hit to its end. `label` names its node, or the program where no node is known."""
 
     __slots__ = (
-        "by_topic", "callbacks", "is_alive", "label", "names_of_nodes", "pid", "program",
+        "by_topic", "callbacks", "has_own_name", "is_alive", "label", "names_of_nodes", "pid", "program",
         "publishers", "subscribers", "subscriptions", "timers",
     )  # fmt: skip
 
-    def __init__(self, pid: int, program: ObservedProgram | None) -> None:
+    def __init__(self, pid: int, program: ObservedProgram | None, *, has_own_name: bool = False) -> None:
         self.pid = pid
         self.program = program
         self.label = f"process {pid}" if program is None else label_of(program)
         self.is_alive = True
+        self.has_own_name = has_own_name
         self.names_of_nodes: dict[Handle, str] = {}
         self.publishers: dict[Handle, Endpoint] = {}
         self.subscribers: dict[Handle, Endpoint] = {}
@@ -43,8 +44,16 @@ class LivingProcess:
         self.callbacks: dict[Handle, LivingCallback] = {}
 
     def node(self, handle: Handle | None) -> str:
-        """The name of a node that was seen to begin; the process' own for any other."""
-        return self.label if handle is None else self.names_of_nodes.get(handle, self.label)
+        """The name of a node that was seen to begin; of one that was not, the only node's, or the process' own.
+
+        A process that ran before it was observed has its own for all, and so has the one that it restarts as.
+        """
+        names = self.names_of_nodes
+        if self.has_own_name or not names:
+            return self.label
+        if handle in names:
+            return names[handle]
+        return next(iter(names.values())) if len(set(names.values())) == 1 else self.label
 
 
 class LivingThing:

@@ -137,20 +137,25 @@ def test_roscpp_tells_by_the_bytes_what_a_callback_is_about():
         begin(start + 300, topic="/scan"),
         publish_bytes(start + 310, (8, 9, 40), "/objects", pid=2, endpoint=OBJECTS), end(start + 320),
         begin(start + 400, topic="/scan"), event(start + 410, "callback_end", callback=0xF0, result=1),
+        # The same bytes again: which of the two messages it is about is not known.
+        publish_bytes(start + 500, one, "/scan"), take_bytes(start + 510, one, "/scan", tid=7),
+        begin(start + 520, topic="/scan"), event(start + 525, "callback_message", key0=1, key1=2, size=30),
+        publish_bytes(start + 530, (7, 9, 40), "/objects", pid=2, endpoint=OBJECTS), end(start + 540),
     ]  # fmt: skip
     observed = accumulate(hits)
-    assert reactions(observed) == ([210], 1)
+    assert reactions(observed) == ([210], 2)
     (messages,) = of_kind(observed, StreamKind.MESSAGES)
-    assert messages.columns["callback_end_ns"].tolist() == [start + 220, NOT_SEEN_NS]
+    assert messages.columns["callback_end_ns"].tolist() == [start + 220, NOT_SEEN_NS, NOT_SEEN_NS]
     (callback,) = of_kind(observed, StreamKind.CALLBACK)
     assert callback.identity == {"node": "/detector", "callback": "/scan", "thread": 1}
     # The last one called nothing, as roscpp said.
-    assert callback.columns["end_ns"].tolist() == [start + 220, start + 320]
+    assert callback.columns["end_ns"].tolist() == [start + 220, start + 320, start + 540]
 
 
 def test_callbacks_are_named_by_their_beginning():
     """As rclcpp makes a subscription and a timer; roscpp calls back within the call of a timer."""
     hits = [
+        event(0, "node_init", node=2, name="leg", namespace="/"),
         event(1, "node_init", node=1, name="arm", namespace="/"),
         event(2, "subscription_init", subscription=10, node=1, endpoint=0xB0, topic="/scan", depth=1),
         event(3, "subscription_linked", subscription=10, object=20), event(4, "callback_added", object=20, callback=30),
@@ -162,7 +167,11 @@ def test_callbacks_are_named_by_their_beginning():
         hits += [event(at_ns, "timer_call", timer=40), begin(at_ns + 1, 50), end(at_ns + 4, 50)]
         hits += [event(at_ns + 10, "timer_call", timer=60, period_ns=MS), event(at_ns + 15, "timer_end")]
     hits += [event(5 * MS, "timer_end")]
-    made = of_kind(accumulate(hits), StreamKind.CALLBACK)
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([])
+    observed.observe([node(2, "detector")])
+    observed.feed(hits)
+    made = of_kind(observed, StreamKind.CALLBACK)
     found = [(*one.identity.values(), (one.columns["end_ns"] - one.columns["begin_ns"]).tolist()) for one in made]
     assert found == [
         ("/arm", "/scan", 1, [1]), ("/arm", "timer 1 ms", 1, [3] * 4), ("/detector", "timer 1 ms", 1, [5] * 4)

@@ -133,7 +133,11 @@ def test_timers_of_a_node_are_told_apart():
         hit(3, "timer_linked", timer=0xC0, node=1),
     ]
     told = sorted([*calls(50), *calls(50, timer=0xC1), *calls(50, timer=0xC2, clock="raw")], key=lambda one: one.at_ns)
-    names = [(stream.identity["node"], stream.identity["timer"]) for stream in timers(accumulate([*begun, *told]))]
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([])
+    observed.observe([node(1, "controller")])
+    observed.feed([hit(0, "node_init", node=2, name="leg", namespace="/"), *begun, *told])
+    names = [(stream.identity["node"], stream.identity["timer"]) for stream in timers(observed)]
     assert names == [("/arm", "timer 10 ms"), ("/controller", "timer 10 ms"), ("/controller", "timer 10 ms")]
 
 
