@@ -139,9 +139,6 @@ def test_overhead(sshd, ros_master, tmp_path, monkeypatch):
         setup=None,
         master_port=ros_master,
         reconnect_s=20,
-        boot_s=0,
-        console=None,
-        failure=lambda: None,
     )
 
     def measure(name, entries, by_hand=True):

@@ -114,7 +114,7 @@ from rtrun.targets.link import Link
 
 action, port, host_key, key, folder = sys.argv[1:]
 target = Target(name="hostile", work_dir=PurePosixPath("/tmp/rt-tests"), suites=None, setup=None,
-    master_port=11311, reconnect_s=1, boot_s=0, console=None, failure=lambda: None,
+    master_port=11311, reconnect_s=1,
     address=Address(host="127.0.0.1", port=int(port), key=Path(key), host_key=host_key))
 outcome, started = "done", time.monotonic()
 try:

@@ -23,9 +23,6 @@ def loopback(sshd, tmp_path):
         setup=None,
         master_port=11311,
         reconnect_s=20,
-        boot_s=0,
-        console=None,
-        failure=lambda: None,
     )
 
 

@@ -152,13 +152,9 @@ class Power:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """A target that is switched on."""
+    """A target that is switched on. What has a default is of some kinds of targets alone."""
 
     name: str
-    place: str | None = None
-    """Of a labgrid farm, which was taken for it: the name of the board, where the target is any of several."""
-    known_platform: KnownPlatform | None = None
-    """What is known without asking the target, and not to be asked then."""
     address: Address | ThisMachine
     suites: Path | None
     work_dir: PurePosixPath
@@ -166,16 +162,20 @@ class Target:
     """The shell file that sets up what its middlewares need; None: the one that is found there."""
     master_port: int
     reconnect_s: float
-    boot_s: float
+    place: str | None = None
+    """Of a labgrid farm, which was taken for it: the name of the board, where the target is any of several."""
+    known_platform: KnownPlatform | None = None
+    """What is known without asking the target, and not to be asked then."""
+    boot_s: float = 0.0
     """How long it may take until SSH answers for the first time, in seconds."""
-    console: Path | None
+    console: Path | None = None
     restart: Callable[[Connection], None] | None = None
     """Asks the target to restart, and returns before it does; None: nobody has said how."""
     boot_kernel: Mapping[KernelName, Callable[[Connection], None]] = field(default_factory=dict)
     """By kernel: chooses it as the one that `restart` starts."""
     power: Power | None = None
     """None: nobody can switch it."""
-    failure: Callable[[], TargetGone | None]
+    failure: Callable[[], TargetGone | None] = lambda: None
     """Why the target is gone for good, as far as can be known without a connection to it; None while it may answer."""
 
 
@@ -214,54 +214,45 @@ def connect(
         raise UsageError(f"{suites}: no such folder; suites are built with: {as_called('rtgen')} suites build")
     if suites is not None and not (suites / "build.json").is_file():
         raise UsageError(f"{suites}: has no build.json: name the folder that {as_called('rtgen')} suites build printed")
-    address: Address | ThisMachine
-    failure: Callable[[], TargetGone | None] = _no_failure
-    restart: Callable[[Connection], None] | None = None
-    boot_kernel: dict[KernelName, Callable[[Connection], None]] = {}
-    console_log, boot_s = None, 0.0
-    place: labgrid.AcquiredPlace | None = None
-    power: Power | None = None
-    known_platform = None
-    if not isinstance(config, QemuConfig) and config.emulated:
-        known_platform = KnownPlatform(platform=Platform.EMULATED, evidence="stated in the target file")
-    with contextlib.ExitStack() as stack:
-        if isinstance(config, QemuConfig):
-            board = _resolve(folder, config.board)
-            machine = stack.enter_context(qemu.boot(board, console))
-            known_platform = machine.platform
-            address, failure, console_log = machine.address, machine.failure, machine.console
-            restart = machine.reset
-            boot_kernel = {kernel: functools.partial(machine.choose, kernel) for kernel in machine.board.kernels}
-            boot_s = 300.0
-        elif isinstance(config, LocalConfig):
-            address = ThisMachine()
-        elif isinstance(config, LabgridConfig):
-            place = stack.enter_context(_place(config, folder, console, notify, is_over))
-            address = _address(config, folder, place.host, place.port, place.user, place.key)
-            console_log = console if place.has_console else None
-            restart, boot_kernel = _restarting(config)
-            if place.power_cycle is not None:
-                power = Power(cycle=place.power_cycle, boot_s=config.boot_s)
-                restart = restart or functools.partial(_restart_by_power, place.power_cycle)
-        else:
-            address = _address(config, folder, config.host, config.port, config.user)
-            restart, boot_kernel = _restarting(config)
-        yield Target(
-            name=config.name,
-            place=place.name if place is not None else None,
-            known_platform=known_platform,
-            address=address,
-            suites=suites,
-            work_dir=PurePosixPath(config.work_dir),
-            setup=config.ros_setup,
-            master_port=config.ros_master_port,
-            reconnect_s=config.reconnect_s,
-            boot_s=boot_s,
-            console=console_log,
-            restart=restart,
-            boot_kernel=boot_kernel,
-            power=power,
-            failure=failure,
+    target = functools.partial(
+        Target,
+        name=config.name,
+        suites=suites,
+        work_dir=PurePosixPath(config.work_dir),
+        setup=config.ros_setup,
+        master_port=config.ros_master_port,
+        reconnect_s=config.reconnect_s,
+    )
+    if isinstance(config, QemuConfig):
+        with qemu.boot(_resolve(folder, config.board), console) as machine:
+            yield target(
+                address=machine.address,
+                known_platform=machine.platform,
+                failure=machine.failure,
+                console=machine.console,
+                restart=machine.reset,
+                boot_kernel={kernel: functools.partial(machine.choose, kernel) for kernel in machine.board.kernels},
+                boot_s=300.0,
+            )
+        return
+    stated = KnownPlatform(platform=Platform.EMULATED, evidence="stated in the target file")
+    known_platform = stated if config.emulated else None
+    if isinstance(config, LocalConfig):
+        yield target(address=ThisMachine(), known_platform=known_platform)
+        return
+    restart, boot_kernel = _restarting(config)
+    target = functools.partial(target, known_platform=known_platform, boot_kernel=boot_kernel)
+    if isinstance(config, SshConfig):
+        yield target(address=_address(config, folder, config.host, config.port, config.user), restart=restart)
+        return
+    with _place(config, folder, console, notify, is_over) as place:
+        cycle = place.power_cycle
+        yield target(
+            address=_address(config, folder, place.host, place.port, place.user, place.key),
+            place=place.name,
+            console=console if place.has_console else None,
+            power=None if cycle is None else Power(cycle=cycle, boot_s=config.boot_s),
+            restart=restart if restart or cycle is None else functools.partial(_restart_by_power, cycle),
         )
 
 
@@ -335,7 +326,3 @@ def _restart_by_command(argv: Sequence[str], connection: Connection) -> None:
 
 def _choose_by_command(argv: Sequence[str], connection: Connection) -> None:
     connection.check(argv)
-
-
-def _no_failure() -> None:
-    return None

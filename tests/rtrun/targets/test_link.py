@@ -19,9 +19,6 @@ TARGET = Target(
     setup=None,
     master_port=11311,
     reconnect_s=60,
-    boot_s=0,
-    console=None,
-    failure=lambda: None,
 )
 
 
