@@ -99,6 +99,7 @@ bench: setup
 	$(BIN)/pytest -q -s tests/bench/pulling.py tests/bench/farm.py
 	nice -n 5 $(BIN)/python tests/bench/archived_year.py
 	PYTHONPATH=tests/rtrun $(BIN)/pytest -q -s tests/bench/causes.py tests/bench/flows.py
+	PYTHONPATH=tests $(BIN)/pytest -q -s tests/bench/observe.py
 
 setup:
 	@tools/setup dev

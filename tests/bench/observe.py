@@ -1,7 +1,7 @@
 """What observing costs the programs that are observed: a pair with and without probes in turn, by its own stamps.
 
-`make bench` runs it; it is no test. The programs stamp their messages by the clock of the trace, so each message is of a
-time with probes or of one without. Writes a table for docs/observe.md: what a message takes longer, and what CPU time.
+`make bench` runs it; it is no test. The programs stamp their messages by the clock of the trace: each message is of a
+time with probes, or of one without. Prints a table for docs/observe.md: what a message takes longer, and of CPU time.
 """
 
 import os
