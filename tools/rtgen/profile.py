@@ -75,6 +75,7 @@ class RosDistro(Config):
 
     version: Literal[1, 2]
     transports: dict[str, RecipeName] = Field(default={})
+    set: dict[str, str] = Field(default={})
 
 
 class Release(Config):
