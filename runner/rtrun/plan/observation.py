@@ -3,9 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from rtrun.plan.quantities import read_time_ns
-from rtrun.plan.suites import Value
+
+if TYPE_CHECKING:
+    from rtrun.plan.suites import Value
 
 
 class StreamKind(StrEnum):
@@ -36,7 +39,7 @@ class StreamDeadline:
     name: str
     deadline_ns: int
 
-    def is_of(self, suite: str, parameters: Mapping[str, Value]) -> bool:
+    def is_of(self, suite: str, parameters: "Mapping[str, Value]") -> bool:
         """Whether a stream has it."""
         return suite == self.kind.suite and parameters.get(self.kind.named_by) == self.name
 
