@@ -100,33 +100,23 @@ def measure(board, groups, wanted, *, calls=10**9):
     return {name: standing.answer for name, standing in standings_of(groups, board.evaluate(groups)).items()}
 
 
-def test_it_is_proven_in_the_fewest_rounds_and_on_the_boots_that_were_asked_for():
-    groups, wanted = groups_of(1000, 500), goal(boots=4)
-    board = Board({1000: 0.0, 500: 0.0}, wanted=wanted)
-    assert set(measure(board, groups, wanted).values()) == {Answer.PROVEN}
-    assert len(board.calls) == 2 * 4, "four runs of 1000 hold the 3688 measurements that are needed"
-    assert len(set(board.boots.values())) == 4 and board.boot == 3
-
-
-def test_an_answer_waits_for_its_boots():
-    groups, wanted = groups_of(1000), goal(boots=6)
-    board = Board({1000: 0.0}, wanted=wanted)
-    assert set(measure(board, groups, wanted).values()) == {Answer.PROVEN}
-    assert len(board.calls) == 6 and board.boot == 5
-
-
-def test_rounds_that_share_a_boot_need_no_restart():
-    groups, wanted = groups_of(1000), goal(boots=2)
-    board = Board({1000: 0.0}, wanted=wanted)
-    assert set(measure(board, groups, wanted).values()) == {Answer.PROVEN}
-    assert len(board.calls) == 4 and board.boot == 1, "two rounds on each of two boots"
-
-
-def test_it_is_refuted():
-    groups, wanted = groups_of(1000), goal(boots=2)
-    board = Board({1000: 0.02}, wanted=wanted)
-    assert set(measure(board, groups, wanted).values()) == {Answer.REFUTED}
-    assert board.spent_s < 600
+@pytest.mark.parametrize(
+    ("misses", "boots", "is_emulated", "answer", "calls", "restarts"),
+    [
+        pytest.param({1000: 0.0, 500: 0.0}, 4, False, Answer.PROVEN, 2 * 4, 3, id="four runs hold the 3688 it takes"),
+        pytest.param({1000: 0.0}, 6, False, Answer.PROVEN, 6, 5, id="an answer waits for its boots"),
+        pytest.param({1000: 0.0}, 2, False, Answer.PROVEN, 4, 1, id="rounds that share a boot need no restart"),
+        pytest.param({1000: 0.02}, 2, False, Answer.REFUTED, 3, 1, id="it is refuted"),
+        pytest.param({1000: 0.0}, 3, True, Answer.NO_STATEMENT, 1, 0, id="an emulated board is measured once"),
+    ],
+)
+def test_it_takes_the_fewest_rounds_and_the_boots_that_were_asked_for(
+    misses, boots, is_emulated, answer, calls, restarts
+):
+    groups, wanted = groups_of(*misses), goal(boots=boots)
+    board = Board(misses, wanted=wanted, emulated=is_emulated)
+    assert set(measure(board, groups, wanted).values()) == {answer}
+    assert (len(board.calls), board.boot, len(set(board.boots.values()))) == (calls, restarts, restarts + 1)
 
 
 def test_a_group_with_its_answer_gives_its_time_to_the_others():
@@ -168,13 +158,6 @@ def test_a_run_that_always_fails_does_not_stop_the_others():
     answers = measure(board, groups, wanted)
     assert list(answers.values()) == [Answer.PROVEN]
     assert len([name for name in board.calls if "fq500" in name]) == TRIES
-
-
-def test_an_emulated_board_is_measured_once():
-    groups, wanted = groups_of(1000), goal(boots=3)
-    board = Board({1000: 0.0}, wanted=wanted, emulated=True)
-    assert set(measure(board, groups, wanted).values()) == {Answer.NO_STATEMENT}
-    assert len(board.calls) == 1
 
 
 def test_what_is_left_falls_from_round_to_round():

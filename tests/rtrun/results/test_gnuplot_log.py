@@ -323,26 +323,6 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
             read_log(path)
 
 
-REAL = (LOGS_2014 / "short_cyclic_timer_tests_l5_fq50.log").read_bytes()
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
-@given(data=st.data())
-def test_junk_is_refused_and_nothing_else_happens(tmp_path: Path, data: st.DataObject) -> None:
-    start = data.draw(st.integers(0, len(REAL)))
-    end = data.draw(st.integers(start, len(REAL)))
-    junk = data.draw(st.binary(max_size=30) | st.text("0123456789-#:|.us \t\nMINAVGX", max_size=30).map(str.encode))
-    path = tmp_path / "short_cyclic_timer_tests_l5_fq50.log"
-    path.write_bytes(data.draw(st.sampled_from([REAL[:start] + junk + REAL[end:], junk])))
-    try:
-        log = read_log(path)
-    except UsageError as error:
-        assert str(error).startswith(str(path))
-    else:
-        assert int(log.count.sum()) == 5
-        figures_of(log)
-
-
 def test_bins_are_the_same_many_at_a_time_and_line_by_line(monkeypatch, tmp_path):
     bins = "".join(f"{value:06d} \t{value % 3:06d}\n" for value in range(200_000))
     text = (LOGS_2014 / "oneshot_timer_tests_l50_tm2000-measured.log").read_text()

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from written import write_communication, write_cyclic, write_oneshot, write_output
 
 from rtfiles.errors import UsageError
@@ -183,22 +181,6 @@ def test_a_header_that_lies_about_its_size_takes_no_memory(tmp_path: Path) -> No
     path.write_bytes(path.read_bytes().replace(b"(4, 5), }      ", b"(4000000000, 5)"))
     with pytest.raises(UsageError, match="npy: "):
         read_samples(path)
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_junk_in_the_header_is_refused_and_nothing_else_happens(tmp_path: Path, data: st.DataObject) -> None:
-    path = write_cyclic(tmp_path).with_suffix(".npy")
-    good = path.read_bytes()
-    start = data.draw(st.integers(0, 127))
-    junk = data.draw(st.binary(max_size=8) | st.text("0123456789,-+()'{} <i8TrueFals", max_size=8).map(str.encode))
-    path.write_bytes(good[:start] + junk + good[start + len(junk) :])
-    try:
-        samples = read_samples(path)
-    except UsageError as error:
-        assert str(error).startswith(str(path))
-    else:
-        assert [column.shape for column in samples.columns.values()] == [(4,), (4,), (4,)]
 
 
 def test_samples_of_before_other_middlewares_are_of_roscpp(tmp_path: Path) -> None:

@@ -7,8 +7,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from logs import LOGS_2014
 from rtfiles.errors import UsageError
@@ -312,29 +310,6 @@ def test_broken_files_are_refused_with_their_place(tmp_path, name, text, message
     with pytest.raises(UsageError, match=message) as refused:
         read(file)
     assert name in str(refused.value)
-
-
-@settings(max_examples=300)
-@given(st.data())
-def test_no_damage_crashes_a_reader(tmp_path_factory, cyclictest, data):
-    """Cut, flip and insert bytes anywhere: a result or one UsageError that names the file."""
-    text = data.draw(
-        st.sampled_from(
-            [(cyclictest / "run.txt").read_bytes(), (cyclictest / "run.json").read_bytes(), TIMERLAT.encode()]
-        )
-    )
-    damaged = bytearray(text[: data.draw(st.integers(0, len(text)))])
-    for _ in range(data.draw(st.integers(0, 4))):
-        at = data.draw(st.integers(0, len(damaged)))
-        damaged[at : at + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=4))
-    file = tmp_path_factory.mktemp("fuzz") / "damaged.txt"
-    file.write_bytes(damaged)
-    try:
-        imported = read(file)
-    except UsageError as error:
-        assert "damaged.txt" in str(error)
-    else:
-        assert all(one.histogram.n >= 0 for one in imported)
 
 
 @pytest.mark.parametrize(
