@@ -32,6 +32,9 @@ NO_LIMITS = {
         "rtrun.report.causes.REMEDIES_MAX",
         "rtrun.validity.requirements.NAMED_MAX",
         "rtrun.kinds.rate.OFF_MAX",
+        "rtrun.flows.timers._PERIOD_OFF_MAX",
+        "rtrun.flows.hazards._NAMED_MAX",
+        "rtrun.execution.observation._NAME_MAX",
     },
     "pauses between two attempts, and parts of a time that stands on the page": {
         "rtrun.targets.labgrid.places.POLL_S",
@@ -49,6 +52,8 @@ NO_LIMITS = {
     },
     "times of programs of our own": {
         "rtrun.execution.run_programs.DEADLINE_EXTRA_S",
+        "rtrun.targets.building.BUILD_S",
+        "rtrun.targets.building.END_GRACE_S",
         "rtrun.targets.qemu.kvm.DEADLINE_S",
         "rtrun.targets.qemu.emulator.STOP_S",
     },

@@ -109,7 +109,7 @@ def test_an_option_is_written_whole(parser: argparse.ArgumentParser, capsys: pyt
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["reprot", "x"], "argument COMMAND: unknown word 'reprot', did you mean 'report'? known: plan, run,"),
+        (["reprot", "x"], "argument COMMAND: unknown word 'reprot', did you mean 'report'? known: quick, plan,"),
         (
             ["report", "x", "--format", "htm"],
             "argument --format: unknown word 'htm', did you mean 'html'? known: html,",
