@@ -34,20 +34,15 @@ class PathRecord:
     def published(self, publication: Publication, handled: Reception | None) -> None:
         """A message was published, in the callback of a received one or of none that is known."""
         for number, place in self._hops.get(publication.endpoint.topic, ()):
-            path = self.paths[number]
-            begin_ns = publication.at_ns if place == 0 else self._begin(path, number, place, handled)
+            begin_ns = publication.at_ns if place == 0 else None
+            if place and handled is not None and handled.publication is not None:
+                begin_ns = handled.publication.begins.get((number, place - 1))
             if begin_ns is not None:
                 publication.begins[number, place] = begin_ns
-            if place == len(path) - 1:
+            if place == len(self.paths[number]) - 1:
                 log = self.logs.setdefault((number, publication.endpoint.end), PathLog())
                 if begin_ns is None:
                     log.unknown += 1
                 else:
                     log.begins.append(begin_ns)
                     log.ends.append(publication.at_ns)
-
-    @staticmethod
-    def _begin(path: Sequence[str], number: int, place: int, handled: Reception | None) -> int | None:
-        if handled is None or handled.publication is None or handled.endpoint.topic != path[place - 1]:
-            return None
-        return handled.publication.begins.get((number, place - 1))
