@@ -20,11 +20,15 @@ TRACING = Path("/sys/kernel/tracing")
 SCRIPTS = PurePosixPath(ON_TARGET)
 SOURCE = Path(__file__).with_name("standin.c")
 LIBRARIES = ("tracetools", "rcl")
+# Where stand-ins are, and the names of the observations that were seen on them.
+_folders: list[str] = []
+_names: set[str] = set()
 
 
 def build(folder: Path) -> Path:
     """Compile the stand-in with its libraries into a folder."""
     folder.mkdir(exist_ok=True)
+    _folders.append(f"{folder}/")
     for name in LIBRARIES:
         library = ["-shared", "-fPIC", f"-DLIBRARY_{name}", "-o", f"{folder}/lib{name}.so"]
         subprocess.run(["cc", "-O2", *library, SOURCE], check=True)
@@ -64,10 +68,14 @@ def observed(
 
 
 def left() -> list[str]:
-    """What observations have left in this machine's trace."""
+    """What observations of a stand-in of this test process have in this machine's trace; others may observe as well."""
     probes = (TRACING / "uprobe_events").read_text().splitlines()
-    names = {line.partition(" ")[0] for line in probes if "rtrun_observe" in line}
-    return sorted({path.name for path in TRACING.glob("instances/rtrun-observe-*")} | names)
+    ours = [line.partition(" ")[0] for line in probes if any(folder in line for folder in _folders)]
+    _names.update(name.partition("/")[0].rpartition("observe_")[2] for name in ours if "rtrun_observe_" in name)
+    instances = {path.name for path in TRACING.glob("instances/rtrun-observe-*")}
+    return sorted(
+        {name for name in ours if "rtrun_observe_" in name} | instances & {f"rtrun-observe-{n}" for n in _names}
+    )
 
 
 def wait_until_nothing_is_left() -> None:

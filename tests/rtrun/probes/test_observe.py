@@ -192,6 +192,7 @@ def test_two_at_once(here, loopback, standin):
     with running(standin, 500, 10**9) as process, Link(loopback, print) as other:
         first, second = observed(here, process.pid), observed(other, process.pid)
         assert isinstance(next(first), Began) and isinstance(next(second), Began)
+        assert len([name for name in left() if name.startswith("rtrun-observe-")]) == 2
         first.close()
         assert len([name for name in left() if name.startswith("rtrun-observe-")]) == 1
         batches = [next(second) for _ in range(3)]
