@@ -103,7 +103,7 @@ def test_nothing_ever_comes(bench: Bench) -> None:
     ended = bench.run("communication_tests_subscriber", "--idle-timeout", "1")
     assert ended.status == 0
     record = check_outputs(bench.folder, "ct_gnuplot_l1000_fq1000_pl0")
-    assert record["incomplete_reason"] == "nothing came for 1 s, no message came"
+    assert record["incomplete_reason"] == "nothing came for 1 s (0 publishers seen), no message came"
     assert record["summary"]["latency"]["n"] == 0
 
 

@@ -164,7 +164,7 @@ def test_several_subscribers_and_two_that_are_none(bench: Bench) -> None:
     for name, process in deaf.items():
         assert end(process).status == 0
         record = check_outputs(bench.folder, f"{name}ct_gnuplot_l1000_fq1000_pl0", bench.middleware)
-        assert record["incomplete_reason"] == "nothing came for 5 s, no message came"
+        assert record["incomplete_reason"] == "nothing came for 5 s (0 publishers seen), no message came"
 
 
 def test_what_a_short_history_loses_is_counted(bench: Bench) -> None:
@@ -249,6 +249,32 @@ def test_fast_dds_by_itself_is_that_of_the_ros2(built: tuple[Path, Path, str], b
     assert any(thread["name"].startswith("dds.") for thread in record["in_effect"]["threads"])
 
 
+SMALL = ("unshare", "--mount", "sh", "-c", 'mount -t tmpfs -o size=64k none /dev/shm && exec "$@"', "sh")
+
+
+@pytest.mark.parametrize("through", ["rcl", "fastdds", "cyclonedds"])
+@pytest.mark.parametrize("fault", ["shared memory full", "another publisher", "another subscriber"])
+def test_counted_messages_add_up(bench: Bench, through: str, fault: str) -> None:
+    """What came and what is missing are what was sent, or, of two publishers, what the last message said was sent."""
+    bench.middleware = bench.middleware if through == "rcl" else through
+    bench.environment["RT_TESTS_DOMAIN"] = bench.environment["ROS_DOMAIN_ID"]
+    before = SMALL if fault == "shared memory full" else ()
+    arguments = ("-r", "300", "-f", "200", "-l", "1000")
+    receiver = bench.start("communication_tests_subscriber", *arguments, before=before)
+    role = fault.removeprefix("another ")
+    subscribers = "2" if role == "subscriber" else "1"
+    if role in ("publisher", "subscriber"):
+        own = ("--subscribers", "1") if role == "publisher" else ()
+        bench.start(f"communication_tests_{role}", *arguments, "-p", "other", *own)
+    sender = end(bench.start("communication_tests_publisher", *arguments, "--subscribers", subscribers, before=before))
+    assert (sender.status, end(receiver).status) == (0, 0), sender.err
+    base = "ct_gnuplot_l300_fq200_pl1000"
+    record = check_outputs(bench.folder, base, bench.middleware)
+    assert record["complete"] and record["counts"]["measured"] + record["counts"]["missing"] == 300
+    assert (record["counts"]["duplicate"] > 0) == (role == "publisher")
+    assert sent_by(bench, base)["counts"] == {"asked": 300, "sent": 300}
+
+
 @pytest.mark.parametrize("program", ["cyclic_timer_tests", "communication_tests_subscriber"])
 def test_an_rmw_that_is_not_installed(bench: Bench, program: str) -> None:
     bench.environment["RMW_IMPLEMENTATION"] = "rmw_nobodys_cpp"
@@ -304,3 +330,34 @@ def test_a_campaign_on_ros_1_and_2(
     out = capsys.readouterr().out
     assert out.startswith(f"A: roscpp, B: {middleware}\n") and "only in" not in out, out
     assert all(suite in out for suite in ("communication", "cyclic_timer", "oneshot_timer"))
+
+
+APART = """. {prefix}/setup.sh
+for ROS_DOMAIN_ID in {domains}; do mkdir {folder}/$ROS_DOMAIN_ID 2>/dev/null && break; done
+export ROS_DOMAIN_ID
+"""
+
+
+def test_discovery_that_never_completes(
+    built: tuple[Path, Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Publisher and subscriber are in two domains: the run ends, and its reason says whom each of them saw."""
+    prefix, suites, middleware = built
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    Path("campaign.yml").write_text(
+        f"schema: 1\nname: apart\nruns: [{{suite: communication_tests, middleware: {middleware}, repetitions: 100}}]\n"
+    )
+    domains = " ".join(str(free_domain()) for _ in range(3))  # of the sampler as well
+    apart = APART.format(prefix=prefix, domains=domains, folder=tmp_path)
+    Path("setup.sh").write_text(apart)
+    Path("target.yml").write_text(
+        f"schema: 1\nname: here\nkind: local\nsuites: {suites}\nros_setup: {tmp_path}/setup.sh\n"
+    )
+    assert main(["run", "campaign.yml", "--target", "target.yml"]) == 3
+    (path,) = Path("results/apart").glob("*/run.json")
+    reason = json.loads(path.read_text())["reason"]
+    assert "0 of 1 subscribers were connected after 60 s; ct_gnuplot_l100_fq1000_pl0: ended by SIGTERM" in reason, (
+        reason
+    )
+    assert reason.endswith(" (0 publishers seen), no message came")

@@ -278,6 +278,9 @@ def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str | None, str]:
             failure = f"{error.name} ended while {program.name} was running: {_last_word(work, error.name)}"
             processes.end(link, work.remote, *work.programs.suite_names)
             exits.append(wait())
+        if failure is None and program.name not in awaited and exits[-1].status != 0:
+            # What it sends to may never have seen it, and would wait until its own deadline.
+            processes.end(link, work.remote, *awaited)
     service = _service(work)
     life.move(RunEvent.END)
     return exits, failure, service

@@ -1,5 +1,6 @@
 """What became of a run, from the files that were pulled back."""
 
+import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,6 +66,8 @@ def judge(
     observations: list[Observation] = []
     reason: str | None
     status, reason = _of_programs(folder, programs, exits) or (RunStatus.OK, None)
+    if reason and (others := _said_by_others(folder, outputs)):
+        reason = f"{reason}; {others}"
     if status is RunStatus.OK:
         records, failed = _of_outputs(folder, run, outputs, refused)
         status, reason = failed or (RunStatus.OK, None)
@@ -152,6 +155,15 @@ def _of_programs(folder: Path, programs: Sequence[Program], exits: Sequence[Exit
                 RunStatus.FAILED,
                 f"{program.name} ended with exit status {exit_.status}: {_last_word(folder, program.name)}",
             )
+    return None
+
+
+def _said_by_others(folder: Path, outputs: Sequence[str]) -> str | None:
+    """Why a program that ended well stopped measuring, beside one that failed."""
+    for path in (folder / f"{output}.json" for output in outputs):
+        with contextlib.suppress(UsageError):
+            if path.exists() and (why := read_json(path, Record).incomplete_reason):
+                return f"{path.stem}: {why}"
     return None
 
 

@@ -1,6 +1,8 @@
 // The program that measures the latency of messages, through any middleware.
 #pragma once
 
+#include <string>
+
 #include "rt_tests_support/errors.h"
 #include "rt_tests_support/measure/messages.h"
 #include "rt_tests_support/measure/receptions.h"
@@ -47,7 +49,12 @@ std::string receive(const rt_tests::Options& options, Session& session, Receptio
     before = received;
   }
   session.end();
-  return ended_by.empty() ? rt_tests::stop_reason() : ended_by;
+  if (ended_by.empty()) ended_by = rt_tests::stop_reason();
+  // Where nothing came, the publisher may have seen no subscriber: each side tells whom it saw.
+  if (received == 0 && !ended_by.empty()) {
+    ended_by += " (" + std::to_string(subscriber.publishers()) + " publishers seen)";
+  }
+  return ended_by;
 }
 
 template <class Middleware>
