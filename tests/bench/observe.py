@@ -68,7 +68,7 @@ def measured_turns(processes, link):
             with ExitStack() as stack:
                 stream = None
                 if wanted:
-                    placement = place(link, found, events=wanted, returns=True)
+                    placement = place(link, found, events=wanted)
                     stream = session.observe(link, scripts, placement, found, for_s=TURN_S + 30)
                     stack.enter_context(closing(stream))
                     assert isinstance(next(stream), session.Began)

@@ -98,7 +98,7 @@ def watch(link: Link) -> Watched:
         equipment=equipment,
         platform=platform_signs.find_platform(link),
         found=found,
-        placement=place(link, found, events=events(), returns=True),
+        placement=place(link, found, events=events()),
     )
 
 

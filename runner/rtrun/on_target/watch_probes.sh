@@ -9,7 +9,7 @@
 #       PATTERN    for find_programs.sh beside this file
 #       EVENT      of the kernel, below `events` in tracefs, recorded as well; left out where the kernel does not have it
 #
-# Standard input: a line "p NAME PLACE ARGUMENT..." for each probe (r: at the return), "watch PID..." for the programs
+# Standard input: a line "p NAME PLACE ARGUMENT..." for each probe, "watch PID..." for the programs
 # whose threads are to be told, "go"; then nothing, as long as the probes are to stay.
 #
 # The names of trace and probes tell which process takes them off: "rtrun-observe-" and "rtrun_observe_", then its
@@ -281,7 +281,7 @@ is_told=
 processes=$(echo /proc/[0-9]*)
 while read -r word one rest; do
     case $word in
-    p | r)
+    p)
         # Never by > alone: it would remove the probes of everybody.
         if ! { echo "$word:$group/$one $rest" >>$tracing/uprobe_events; } 2>/dev/null; then
             reason=$(sed -n 's,.* trace_uprobe: error: ,,p' $tracing/error_log 2>/dev/null | tail -n 1)

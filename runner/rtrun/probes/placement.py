@@ -81,10 +81,10 @@ class _LibraryFile:
     path: str
 
 
-def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str], returns: bool = False) -> Placement:
+def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str]) -> Placement:
     """Resolve the probes for the libraries of these programs; only their files are read from the target.
 
-    `events` are canonical names; those at returns of functions are placed with `returns` alone. Raises TargetError.
+    `events` are the canonical names of those that are to be placed. Raises TargetError.
     """
     # One process for each file.
     users: dict[tuple[str, int], tuple[FoundProgram, MappedLibrary]] = {}
@@ -113,7 +113,7 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
         number = numbers.setdefault(file.sha256 if is_shared else str(key), len(numbers))
         library = libraries()[mapped.library]
         for index, probe in enumerate(library.probes):
-            if probe.event not in events or (probe.at_return and not returns):
+            if probe.event not in events:
                 continue
             is_for = _is_for(probe, {each.library: symbols_of(each) for each in program.mapped})
             if isinstance(is_for, NotProbed):
@@ -172,8 +172,7 @@ def _line(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without: 
             words.append(f"{value}={argument.number}")
         else:
             words.append(f"{value}={argument}")
-    kind = "r" if probe.at_return else "p"
-    return " ".join([kind, name, f"{path}:{offset:#x}", *words])
+    return " ".join(["p", name, f"{path}:{offset:#x}", *words])
 
 
 def _look(

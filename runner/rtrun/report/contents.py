@@ -24,7 +24,8 @@ from rtrun.targets.inspection.platform import Platform
 class Contents:
     """A report: the answer, what it rests on, every scenario, then what is looked up.
 
-    `worst` is the scenario with the highest value, None where nothing was measured. `facts` are (what, value).
+    `worst` is the scenario with the highest value, of those with a deadline where there are some; None: nothing was
+    measured. `facts` are (what, value).
     `stacks` are the layers put upon one another. `remarks` are what has no table of its own, a line each.
     """
 
@@ -46,6 +47,7 @@ def contents(study: Study) -> Contents:
     """Put a study into words."""
     made, pairs = scenarios(study), layer_pairs(study)
     measured = [one for one in made if one.figures.max_ns is not None]
+    measured = [one for one in measured if one.group.question] or measured
     return Contents(
         title=printable(f"Real-time report: {study.source.path.resolve().name}"),
         banner=banner_of(study.platform, preempt_rt=[one.preempt_rt for one in study.records]) or None,
@@ -143,7 +145,10 @@ def _facts(study: Study) -> list[tuple[str, str]]:
     targets = [record.target for record in study.records]
     real_time = {True: "PREEMPT_RT", False: "without PREEMPT_RT", None: "PREEMPT_RT not known"}
     boots = {str(target.boot_id) for target in targets if target.boot_id}
-    seconds = sum(record.duration_s for record in study.records)
+    # What was observed at the same time took that time once.
+    at_once = {(record.start_time, record.end_time): record for record in study.records if record.subject == "attached"}
+    started = [record for record in study.records if record.subject == "started"]
+    seconds = sum(record.duration_s for record in (*started, *at_once.values()))
     measurements = grouped(sum(group.n for group in study.groups))
     days = sorted({record.start_time[:10] for record in study.records if record.start_time})
     kernels = [_text(target.kernel_release) for target in targets if target.kernel_release]

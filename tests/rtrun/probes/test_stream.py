@@ -194,7 +194,7 @@ def test_formats_that_are_refused(text):
 
 
 def test_values_are_made_canonical():
-    probes = {probe.event: probe for probe in libraries()["libroscpp"].probes if not probe.at_return}
+    probes = {probe.event: probe for probe in libraries()["libroscpp"].probes}
     published = probes["publish"].arguments["x86_64"]
     values = {"endpoint": 1, "topic": "/a", "size": 9, "key0": 2**64 - 1, "key1": 7}
     converter(published, {})(values)

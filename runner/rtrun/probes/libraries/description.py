@@ -75,16 +75,15 @@ class Beside(Config):
 
 
 class Probe(Config):
-    """A function whose calls, or returns, are an event.
+    """A function whose calls are an event.
 
-    A probe at the return changes the return address on the stack: an exception of C++ that passes through the function
-    then ends the program. Such probes are placed only where they were asked for.
+    None is placed at a return: that changes the return address on the stack, and an exception of C++ that passes
+    through the function then ends the program.
     """
 
     event: _Name
     symbols: Annotated[tuple[str, ...], Field(strict=False, min_length=1)]
     """The first of these that the library has, as it stands in its table."""
-    at_return: bool = False
     only_with: Beside | None = None
     only_without: Beside | None = None
     constants: dict[_Name, str | int] = Field(default_factory=dict)
