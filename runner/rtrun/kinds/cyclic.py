@@ -10,8 +10,7 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.kind import Columns, LogForm, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record, no_values
-from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, without
-from rtrun.plan.limits import WALL_TIME_MAX_NS
+from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, check_wall_times, without
 
 # Clocks that NTP disciplines drift from others by 500 ppm at most.
 _NTP_DRIFT = 5e-4
@@ -43,9 +42,7 @@ def _lateness(columns: Columns, record: Record, path: Path, period_ns: int) -> I
     is lateness of the call there, and the whole periods are skipped. So nothing is made up for by moving the grid.
     """
     expected, real = np.asarray(columns["expected_ns"]), np.asarray(columns["real_ns"])
-    for column in (expected, real):
-        if column.size and not 0 <= int(column.min()) <= int(column.max()) <= WALL_TIME_MAX_NS:
-            raise UsageError(f"{path}: a time of the wall clock below 0 or above {WALL_TIME_MAX_NS} ns cannot be")
+    check_wall_times(path, expected, real)
     passed = np.diff(expected)
     skipped = np.maximum(passed // period_ns - 1, 0)
     values = (real - expected)[1:] + np.where(passed > period_ns, passed % period_ns, 0)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s, pieces
-from rtrun.plan.limits import TIME_MAX_NS
+from rtrun.plan.limits import TIME_MAX_NS, WALL_TIME_MAX_NS
 
 MAX_ABSENT = 10_000_000  # loops without a value, so that they fit into memory
 
@@ -27,6 +27,13 @@ def check_times(path: Path, *columns: Int64s) -> None:
             part = np.ascontiguousarray(column[piece])  # a row after the other in the file: a copy is searched faster
             if int(part.min()) < -TIME_MAX_NS or int(part.max()) > TIME_MAX_NS:
                 raise UsageError(f"{path}: a time beyond {TIME_MAX_NS} ns cannot be")
+
+
+def check_wall_times(path: Path, *columns: Int64s) -> None:
+    """Times of a clock that may count from 1970, as ROS time does."""
+    for column in columns:
+        if column.size and not 0 <= int(column.min()) <= int(column.max()) <= WALL_TIME_MAX_NS:
+            raise UsageError(f"{path}: a time of the wall clock below 0 or above {WALL_TIME_MAX_NS} ns cannot be")
 
 
 def within_segments(segment: Int64s | None, rows: int) -> NDArray[np.bool_]:

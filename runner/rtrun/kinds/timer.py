@@ -8,7 +8,7 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.kind import Columns, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record, no_values
-from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, within_segments, without
+from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, check_wall_times, within_segments, without
 
 UNKNOWN_NS = -1
 """In place of the time at which a call was due, where that is not known."""
@@ -28,9 +28,10 @@ def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedVa
 def _lateness(columns: Columns, row: Int64s, period_ns: int, path: Path) -> IndexedValues:
     """How late each call is on the grid of the timer, whose periods without a call are absent."""
     due, real = np.asarray(columns["expected_ns"]), np.asarray(columns["real_ns"])
-    check_times(path, due, real)
     if np.any(due == UNKNOWN_NS):
         return IndexedValues(values_ns=no_values(), index=no_values(), undecidable=_NOT_KNOWN)
+    check_wall_times(path, due, real)
+    check_times(path, real - due)
     # To the nearest period: the grid of a timer has steps of whole ones, but for the rounding of its clock.
     skipped = np.maximum((due[row] - due[row - 1] + period_ns // 2) // period_ns - 1, 0)
     if (total := int(skipped.sum(dtype=np.float64))) > MAX_ABSENT:

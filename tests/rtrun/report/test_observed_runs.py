@@ -50,15 +50,18 @@ def messages(lost=()):
     )
 
 
-def timer(*, known=True, segments=1, skipped=0):
-    """A timer in segments with a gap of a second between them; within the last one periods without a call."""
+def timer(*, known=True, segments=1, skipped=0, ahead_ns=0):
+    """A timer in segments with a gap of a second between them; within the last one periods without a call.
+
+    Its own clock is ahead of that of the hits.
+    """
     segment = np.arange(N) * segments // N
     due = AT_NS + segment * 10**9
     due[-10:] += skipped * PERIOD_NS
     columns = {
         "timestamp_ns": due + LATE_NS,
-        "expected_ns": due if known else np.full(N, UNKNOWN_NS),
-        "real_ns": due + LATE_NS,
+        "expected_ns": due + ahead_ns if known else np.full(N, UNKNOWN_NS),
+        "real_ns": due + LATE_NS + ahead_ns,
         "segment": segment,
     }
     parameters = {"node": "/controller", "timer": 1, "period_ns": PERIOD_NS}
@@ -139,6 +142,8 @@ def test_the_gate_asks_of_what_has_a_deadline(rtrun, results):
         (messages(lost=(5, 6, 7)), 3, None),
         (timer(segments=3), 0, None),
         (timer(segments=3, skipped=4), 4, None),
+        # ROS time counts from 1970.
+        (timer(skipped=4, ahead_ns=1_796_000_000 * 10**9), 4, None),
         (timer(known=False), None, "not known: ask for the jitter"),
     ],
 )
