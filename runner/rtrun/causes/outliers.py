@@ -22,6 +22,7 @@ from rtrun.causes.parts import Part
 from rtrun.causes.reconstruction import reconstruct
 from rtrun.causes.steps import Step, steps
 from rtrun.causes.timeline import IDLE_PID, Span, State, Timeline
+from rtrun.kinds.known import kind_of
 from rtrun.kinds.output import NON_MEASURING_THREADS, Record
 from rtrun.plan.suites import suite
 from rtrun.results.record import RunRecord, check_file
@@ -99,7 +100,8 @@ def explain_run(folder: Path, record: RunRecord) -> Iterator[Explained]:
         threads[output] = _threads(folder / f"{output}.json")
         outliers += (_read_head(folder, record.run, output, name) for name in names)
     outliers.sort(key=lambda one: one.at_ns)
-    is_message = suite(record.suite).repeated is not None
+    kind = kind_of(record.suite)
+    is_message = kind is not None and kind.has_steps
     # Outliers share traces, those of several subscribers as well: each is read once.
     for name in dict.fromkeys(one.trace for one in outliers):
         if name not in record.files:
@@ -153,7 +155,9 @@ def _explain(
     control = windows_before(order, trace.events, begin_ns=outlier.due_ns, length_ns=outlier.value_ns, late=late)
     begin_ns = outlier.due_ns - AROUND * outlier.value_ns
     around = {cpu: tuple(order.spans(cpu, begin_ns, outlier.at_ns)) for cpu in order.cpus}
-    of_message = steps(parts, pid=pid, own=own) if is_message and known else {}
+    # What is observed of a message ends when it is taken.
+    calls_back = suite(record.suite).subject == "started"
+    of_message = steps(parts, pid=pid if calls_back else None, own=own) if is_message and known else {}
     return Explained(
         outlier=outlier,
         parts=parts,

@@ -25,10 +25,11 @@ class Step(StrEnum):
     UNKNOWN = "unexplained"
 
 
-def steps(parts: Sequence[Part], *, pid: int, own: frozenset[int]) -> Mapping[Step, int]:
+def steps(parts: Sequence[Part], *, pid: int | None, own: frozenset[int]) -> Mapping[Step, int]:
     """The nanoseconds of each step, in order; they add up to the parts.
 
-    `pid` is the thread of the callback, `own` are the threads of the subscriber. Of other threads the last one wrote.
+    `pid` is the thread of the callback; None: the latency ends when the subscriber has read the message. `own` are the
+    threads of the subscriber. Of other threads the last one wrote.
     """
     writer = next((part.pid for part in reversed(parts) if part.pid is not None and part.pid not in own), None)
     lengths: Counter[Step] = Counter()
@@ -37,7 +38,7 @@ def steps(parts: Sequence[Part], *, pid: int, own: frozenset[int]) -> Mapping[St
     return {step: lengths[step] for step in Step if lengths[step]}
 
 
-def _step(part: Part, pid: int, own: frozenset[int], writer: int | None) -> Step:
+def _step(part: Part, pid: int | None, own: frozenset[int], writer: int | None) -> Step:
     if part.pid is None:
         return Step.UNKNOWN if part.cause.kind is Kind.UNEXPLAINED else Step.TRANSPORT
     if part.pid == pid:

@@ -42,11 +42,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="/A,/B",
         help="topics whose reaction time is measured, from the first to the last",
     )
+    parser.add_argument(
+        "--trace",
+        type=argument(_read_trace),
+        default="",
+        metavar="above=LIMIT",
+        help="keep the kernel's trace around late values, for rtrun why: above=p99.9, or above=300us",
+    )
     parser.add_argument("--results", type=Path, metavar="FOLDER", help="[results/<name of the target>]")
     parser.add_argument("--json", action="store_true", help="print a JSON object a second, for programs")
     parser.add_argument(
         "--perfetto", type=Path, metavar="FILE", help="write messages and callbacks for ui.perfetto.dev"
     )
+
+
+def _read_trace(text: str) -> str:
+    """Read ``above=p99.9`` or ``above=300us``. Raises ValueError."""
+    from rtfiles.config import Place
+    from rtfiles.errors import UsageError
+    from rtrun.plan.trace import read_trace
+
+    key, _, limit = text.partition("=")
+    try:
+        return read_trace({key: limit}, Place("--trace"))
+    except UsageError as error:
+        raise ValueError(str(error)) from error
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.targets.config import read_target
 
     config = read_target(args.target)
-    plan = ObservationPlan(for_s=args.for_ns / 1e9, deadlines=args.deadline, paths=args.path)
+    plan = ObservationPlan(for_s=args.for_ns / 1e9, deadlines=args.deadline, paths=args.path, trace=args.trace)
     print_status(f"asking {config.name} what runs there")
     with linked(config, args.target.parent) as link:
         watched = observation.watch(link)
@@ -85,7 +105,8 @@ def run(args: argparse.Namespace) -> int:
         for text in (*observed.remarks, *left_out, *hazards(observed.programs)):
             print_line(text)
         folder, call = shlex.quote(str(results)), as_called("rtrun")
-        print_line(f"next: {call} report {folder}; {call} verdict {folder}")
+        why = f"; {call} why {folder}" if args.trace else ""
+        print_line(f"next: {call} report {folder}; {call} verdict {folder}{why}")
     return 0
 
 

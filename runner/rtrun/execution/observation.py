@@ -1,7 +1,7 @@
 """Programs that run already are observed, and what was measured of them becomes runs like any other."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
@@ -11,8 +11,10 @@ import numpy as np
 from rtfiles import atomic
 from rtfiles.output import counted
 from rtrun.analysis.histogram import Int64s
+from rtrun.causes.outliers import AFTER_NS
 from rtrun.execution import clock_record
 from rtrun.execution.board import Clock, utc_now
+from rtrun.execution.late_values import LateValue, LateValueRecord, LateValues
 from rtrun.execution.run_execution import STATED
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.live import LiveFigures, Snapshot
@@ -25,6 +27,7 @@ from rtrun.kinds.output import Thread, Uname
 from rtrun.kinds.timer import UNKNOWN_NS
 from rtrun.plan.observation import ObservationPlan, StreamKind
 from rtrun.plan.suites import Value
+from rtrun.plan.trace import PARAMETER
 from rtrun.probes import session
 from rtrun.probes.hits import ObservedProgram
 from rtrun.probes.libraries.description import events
@@ -32,16 +35,19 @@ from rtrun.probes.placement import Placement, place
 from rtrun.probes.programs import FoundProgram, find_programs
 from rtrun.probes.session import Began, Finished
 from rtrun.results import run_directory
-from rtrun.results.observed import ObservedOutput, Provenance, write_stream
+from rtrun.results.observed import ObservedOutput, Provenance, TracedValue, write_stream
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
 from rtrun.targets import deploy
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import facts as inspection
-from rtrun.targets.inspection import platform_signs
+from rtrun.targets.inspection import kernel_trace, platform_signs
 from rtrun.targets.inspection.platform import KnownPlatform
 from rtrun.targets.link import Link
 
 SUITE = "observation"
+# Events that nothing is read from here, and their number in a second of a busy machine.
+_FOR_PEOPLE = ("osnoise",)
+_KERNEL_EVENTS_PER_S = 80_000
 # Parameters that name programs.
 _PARTIES = ("publisher", "subscriber", "node")
 # A number and what tells streams apart, in a name that file systems take.
@@ -72,6 +78,8 @@ class ObservationResult:
     finished: Finished | None
     start_time: str
     end_time: str
+    late: LateValueRecord | None = None
+    """Late values, with the kernel's traces of some; None: they were not asked for."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -124,8 +132,17 @@ def observe(
     flows: FlowAccumulator | None = None
     figures: LiveFigures | None = None
     began, finished = Began(placed=(), refused=()), None
+    late = LateValueRecord(plan.trace, kernel_trace.read_symbols(watched.link)) if plan.trace else None
     start_time = now().isoformat()
-    stream = session.observe(watched.link, watched.scripts, watched.placement, watched.found, for_s=plan.for_s)
+    stream = session.observe(
+        watched.link,
+        watched.scripts,
+        watched.placement,
+        watched.found,
+        for_s=plan.for_s,
+        kernel_events=[each for each in kernel_trace.read_events() if each not in _FOR_PEOPLE] if late else (),
+        limit_per_s=session.LIMIT_PER_S + (_KERNEL_EVENTS_PER_S if late else 0),
+    )
     try:
         for each in stream:
             if isinstance(each, Began):
@@ -136,7 +153,7 @@ def observe(
                 if flows is None or figures is None:
                     flows = FlowAccumulator(begin_ns=each.begin_ns, paths=plan.followed, recorder=recorder)
                     flows.observe(alive.values())
-                    figures = LiveFigures(flows, plan.deadlines)
+                    figures = LiveFigures(flows, plan.deadlines, late.look if late else None)
                 for pid in each.ended:
                     alive.pop(pid, None)
                 for program in each.programs:
@@ -146,13 +163,20 @@ def observe(
                     flows.observe(alive.values())
                 if each.realtime_offset_ns is not None:
                     flows.offset("system", each.until_ns, each.realtime_offset_ns)
+                if late is not None:
+                    late.record(each)
                 flows.feed([*each.hits, *each.gaps])
                 on_second(figures.snapshot(each.until_ns))
+                if late is not None:
+                    late.cut(each.until_ns)
     except KeyboardInterrupt:
         stream.close()
-    if flows is None:
+    if flows is None or figures is None:
         raise TargetError(f"{watched.link.target.address}: the probes were placed, but nothing was recorded")
     flows.finish()
+    if late is not None:
+        figures.snapshot(flows.newest_ns)
+        late.cut(flows.newest_ns + AFTER_NS)
     return ObservationResult(
         flows=flows,
         programs=tuple(seen.values()),
@@ -160,6 +184,7 @@ def observe(
         finished=finished,
         start_time=start_time,
         end_time=now().isoformat(),
+        late=late,
     )
 
 
@@ -174,7 +199,8 @@ def write(results: Path, watched: Watched, plan: ObservationPlan, observation: O
     left_out: list[str] = []
     outputs = []
     for stream in streams(observation.flows):
-        output = _output(stream)
+        late = observation.late.streams.get(stream.source) if observation.late else None
+        output = _output(stream, late)
         if output is None:
             left_out.append(f"{' '.join(map(str, stream.identity.values()))}: too few calls to be measured")
             continue
@@ -214,8 +240,8 @@ def _name(number: int, output: ObservedOutput, taken: set[str]) -> str:
     return name
 
 
-def _output(stream: Stream) -> ObservedOutput | None:
-    """A stream as its samples hold it; None where it has not one value."""
+def _output(stream: Stream, late: LateValues | None) -> ObservedOutput | None:
+    """A stream as its samples hold it, with the traces of its late values; None where it has not one value."""
     columns: dict[str, Int64s] = dict(stream.columns)
     parameters: dict[str, Value] = dict(stream.identity)
     first = next(iter(columns.values()))
@@ -236,6 +262,7 @@ def _output(stream: Stream) -> ObservedOutput | None:
     if not measured:
         return None
     passed_ns = int(first[-1] - first[0])
+    late = late or LateValues()
     return ObservedOutput(
         suite=stream.kind.suite,
         parameters=parameters,
@@ -246,7 +273,34 @@ def _output(stream: Stream) -> ObservedOutput | None:
         duplicate=stream.counts.get("duplicate", 0),
         out_of_order=stream.counts.get("out_of_order", 0),
         rate_hz=(rows - 1) * 1e9 / passed_ns if rows > 1 and passed_ns > 0 else None,
+        above_limit=late.above_limit,
+        limit_ns=late.limit_ns,
+        traced=tuple(_traced(stream, late.kept)),
     )
+
+
+# The column that says when a value was there.
+_TIMES = {
+    StreamKind.MESSAGES: "reception_ns",
+    StreamKind.TIMER: "timestamp_ns",
+    StreamKind.CALLBACK: "end_ns",
+    StreamKind.PATH: "end_ns",
+}
+
+
+def _traced(stream: Stream, kept: Sequence[LateValue]) -> Iterator[TracedValue]:
+    """The late values that have a trace, by the indices that they have in the samples."""
+    for one in kept:
+        rows = np.flatnonzero(stream.columns[_TIMES[stream.kind]] == one.at_ns)
+        if one.text and rows.size:
+            row = int(rows[0])
+            yield TracedValue(
+                index=int(stream.columns["seq"][row]) if stream.kind is StreamKind.MESSAGES else row,
+                value_ns=one.value_ns,
+                limit_ns=one.limit_ns,
+                at_ns=one.at_ns,
+                text=one.text,
+            )
 
 
 def _write_run(
@@ -259,8 +313,9 @@ def _write_run(
     reason: str | None = None,
 ) -> None:
     """Write and close the run of a stream; with a `reason` one that failed."""
-    parties = {str(output.parameters[key]) for key in _PARTIES if key in output.parameters}
-    programs = [each for each in observation.programs if label_of(each) in parties] or list(observation.programs)
+    programs = _programs(observation, output, _PARTIES)
+    # The program that has the values: of messages it is that of the subscriber.
+    measuring = _programs(observation, output, ("subscriber",)) if "subscriber" in output.parameters else programs
     deadline_ns = next(
         (each.deadline_ns for each in plan.deadlines if each.is_of(output.suite, output.parameters)), None
     )
@@ -269,6 +324,10 @@ def _write_run(
     record = record.model_copy(
         update={"run": name, "parameters": dict(output.parameters), "deadline_ns": deadline_ns, "outputs": [name]}
     )
+    if output.limit_ns is not None:
+        threshold = {PARAMETER: round(output.limit_ns / 1000)}
+        output = replace(output, parameters={**output.parameters, **threshold})
+        record = record.model_copy(update={"parameters": dict(output.parameters), "trace": plan.trace})
     with run_directory.filling(folder) as partial:
         if reason is None:
             state = watched.state
@@ -284,11 +343,17 @@ def _write_run(
                 start_time=observation.start_time,
                 end_time=observation.end_time,
             )
-            threads = [_thread(thread) for program in programs for thread in program.threads]
+            threads = [_thread(thread) for program in measuring for thread in program.threads]
             write_stream(partial, name, replace(output, clock_step_ns=step_ns), provenance, threads)
         else:
             record = record.model_copy(update={"status": RunStatus.FAILED, "reason": reason, "outputs": []})
         run_directory.close(partial, folder, record)
+
+
+def _programs(observation: ObservationResult, output: ObservedOutput, parties: Sequence[str]) -> list[ObservedProgram]:
+    """The programs that parameters of a stream name; all of them where the names are of nodes within programs."""
+    labels = {str(output.parameters[key]).partition("#")[0] for key in parties if key in output.parameters}
+    return [each for each in observation.programs if label_of(each) in labels] or list(observation.programs)
 
 
 def _record(

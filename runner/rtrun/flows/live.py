@@ -1,6 +1,6 @@
 """What is measured, as it stands now: figures of every stream, renewed from what came since the last time."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,7 +50,7 @@ class Snapshot:
     remarks: tuple[str, ...]
 
 
-class _Figures:
+class BinnedValues:
     """Figures of values that come in pieces: they are counted in bins, 64 for each doubling."""
 
     def __init__(self) -> None:
@@ -82,14 +82,14 @@ class _Figures:
 class _Shown:
     """A stream that is shown: its figures, and how many of its rows are in them, and were at the last snapshot."""
 
-    figures: _Figures
+    figures: BinnedValues
     rows: int = 0
     before: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class _Current:
-    """A stream as it is now: its name, how many rows it has, and its values from a row on.
+    """A stream as it is now: its name, how many rows it has, its values from a row on, and when each was there.
 
     Of the rows, `settled` many have values that will not change.
     """
@@ -100,15 +100,39 @@ class _Current:
     of: str
     rows: int
     values_ns: Int64s
+    times_ns: Int64s
     settled: int
     lost: int | None = None
 
 
-class LiveFigures:
-    """Takes snapshots of an accumulator, each from what came since the one before."""
+@dataclass(frozen=True, slots=True)
+class NewValues:
+    """What came to a stream since the last snapshot: values and when each was there, int64 (n,); figures without them.
 
-    def __init__(self, observed: FlowAccumulator, deadlines: Sequence[StreamDeadline] = ()) -> None:
+    `source` is that of its Stream.
+    """
+
+    source: object
+    kind: StreamKind
+    values_ns: Int64s
+    times_ns: Int64s
+    before: BinnedValues
+
+
+class LiveFigures:
+    """Takes snapshots of an accumulator, each from what came since the one before.
+
+    `on_values` is called with what came to each stream.
+    """
+
+    def __init__(
+        self,
+        observed: FlowAccumulator,
+        deadlines: Sequence[StreamDeadline] = (),
+        on_values: Callable[[NewValues], None] | None = None,
+    ) -> None:
         self._observed = observed
+        self._on_values = on_values
         self._limits = {(deadline.kind, deadline.name): deadline.deadline_ns for deadline in deadlines}
         self._shown: dict[object, _Shown] = {}
         self._at_ns = observed.begin_ns
@@ -128,6 +152,8 @@ class LiveFigures:
     def _row(self, current: _Current, passed_s: float) -> LiveRow:
         shown = self._shown[current.key]
         limit_ns = self._limits.get((current.kind, current.name))
+        if self._on_values is not None and current.values_ns.size:
+            self._on_values(NewValues(current.key, current.kind, current.values_ns, current.times_ns, shown.figures))
         shown.figures.add(current.values_ns, limit_ns)
         shown.rows = current.settled
         new, shown.before = current.rows - shown.before, current.rows
@@ -147,7 +173,7 @@ class LiveFigures:
         )
 
     def _from(self, key: object) -> int:
-        return self._shown.setdefault(key, _Shown(_Figures())).rows
+        return self._shown.setdefault(key, _Shown(BinnedValues())).rows
 
     def _current(self) -> Iterator[_Current]:
         observed = self._observed
@@ -156,35 +182,44 @@ class LiveFigures:
         for timer in observed.calls.timers.values():
             yield self._timer(timer, observed.offsets)
         for (number, publisher), path in observed.paths.logs.items():
-            values = int64s(path.ends, self._from(path)) - int64s(path.begins, self._from(path))
+            times = int64s(path.ends, self._from(path))
+            values = times - int64s(path.begins, self._from(path))
             name = ",".join(observed.paths.paths[number])
-            yield _Current(path, StreamKind.PATH, name, publisher.label, len(path.ends), values, len(path.ends))
+            rows = len(path.ends)
+            yield _Current(path, StreamKind.PATH, name, publisher.label, rows, values, times, rows)
         for callback in observed.calls.callbacks.values():
             identity = streams.callback_identity(callback)
-            values = int64s(callback.ends, self._from(callback)) - int64s(callback.begins, self._from(callback))
+            times = int64s(callback.ends, self._from(callback))
+            values = times - int64s(callback.begins, self._from(callback))
             rows = len(callback.ends)
             of = f"{callback.label}, thread {callback.thread}"
-            yield _Current(callback, StreamKind.CALLBACK, str(identity["callback"]), of, rows, values, rows)
+            yield _Current(callback, StreamKind.CALLBACK, str(identity["callback"]), of, rows, values, times, rows)
         for (role, topic, label), end in observed.topics.ends.items():
             begin = self._from(end)
-            steps = np.diff(int64s(end.times, max(begin - 1, 0)))
+            times = int64s(end.times, max(begin - 1, 0))
+            steps = np.diff(times)
             cuts = int64s(end.cuts)
             # A step to row r, which is the first one behind a cut, is none.
             rows_of = np.arange(max(begin, 1), len(end.times))
-            values = steps[~np.isin(rows_of, cuts[cuts > 0])]
-            yield _Current(end, StreamKind.INTERVALS, topic, f"{role} {label}", len(end.times), values, len(end.times))
+            is_step = ~np.isin(rows_of, cuts[cuts > 0])
+            rows = len(end.times)
+            of = f"{role} {label}"
+            yield _Current(end, StreamKind.INTERVALS, topic, of, rows, steps[is_step], times[1:][is_step], rows)
 
     def _messages(self, pair: MessagePair) -> _Current:
         begin = self._from(pair)
-        values = int64s(pair.receptions, begin) - int64s(pair.publications, begin)
+        times = int64s(pair.receptions, begin)
+        values = times - int64s(pair.publications, begin)
         of = f"{pair.publisher.label} to {pair.subscriber.label}"
         rows = len(pair.indices)
-        return _Current(pair, StreamKind.MESSAGES, pair.publisher.topic, of, rows, values, rows, pair.lost_so_far)
+        return _Current(
+            pair, StreamKind.MESSAGES, pair.publisher.topic, of, rows, values, times, rows, pair.lost_so_far
+        )
 
     def _timer(self, log: TimerLog, offsets: ClockOffsets) -> _Current:
         begin, rows = self._from(log), len(log.times)
         at, expected = int64s(log.times, begin), int64s(log.expected, begin)
-        values = np.empty(0, np.int64)
+        values = times = np.empty(0, np.int64)
         settled = rows
         if log.clock is not None and log.period_ns is not None:
             known = expected != NOT_SEEN_NS
@@ -194,9 +229,10 @@ class LiveFigures:
                 size = 0 if last_ns is None else int(np.searchsorted(at, last_ns, side="right"))
                 at, expected, known, settled = at[:size], expected[:size], known[:size], begin + size
             offset, is_known, _ = offsets.read(log.clock, at)
-            values = (at + offset - expected)[known & is_known]
+            known = known & is_known
+            values, times = (at + offset - expected)[known], at[known]
         identity = streams.timer_identity(log)
-        return _Current(log, StreamKind.TIMER, log.label, str(identity["timer"]), rows, values, settled)
+        return _Current(log, StreamKind.TIMER, log.label, str(identity["timer"]), rows, values, times, settled)
 
     def _remarks(self) -> Iterator[str]:
         observed = self._observed

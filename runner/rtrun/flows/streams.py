@@ -6,7 +6,6 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from rtfiles.output import counted, printable
-from rtrun.analysis.histogram import Int64s
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.messages import End, MessagePair
 from rtrun.flows.paths import PathLog
@@ -91,6 +90,7 @@ def _messages(pair: MessagePair) -> Stream:
         columns=pair.columns(),
         counts=asdict(counts),
         remarks=tuple(remarks),
+        source=pair,
     )
 
 
@@ -112,30 +112,31 @@ def _timer(log: TimerLog, offsets: ClockOffsets) -> Stream:
         period_ns=known_period_ns(log),
         cuts=cuts[cuts > 0],
         remarks=late.why_not,
+        source=log,
     )
 
 
 def _callback(log: CallbackLog) -> Stream:
-    return _durations(StreamKind.CALLBACK, callback_identity(log), int64s(log.begins), int64s(log.ends), {})
+    return _durations(StreamKind.CALLBACK, callback_identity(log), log, {})
 
 
 def _path(path: tuple[str, ...], publisher: End, log: PathLog) -> Stream:
     outputs = len(log.ends) + log.unknown
-    made = _durations(
-        StreamKind.PATH, path_identity(path, publisher), int64s(log.begins), int64s(log.ends), {"unknown": log.unknown}
-    )
+    made = _durations(StreamKind.PATH, path_identity(path, publisher), log, {"unknown": log.unknown})
     if not log.unknown:
         return made
     share = f"path unknown: {100 * log.unknown / outputs:.3g} % of {counted(outputs, 'message')} at its end"
     return replace(made, remarks=(share,))
 
 
-def _durations(kind: StreamKind, identity: Identity, begin: Int64s, end: Int64s, counts: dict[str, int]) -> Stream:
+def _durations(kind: StreamKind, identity: Identity, log: CallbackLog | PathLog, counts: dict[str, int]) -> Stream:
+    begin, end = int64s(log.begins), int64s(log.ends)
     return Stream(
         kind=kind,
         identity=identity,
         columns={"begin_ns": begin, "end_ns": end},
         counts={"measured": end.size, **counts},
+        source=log,
     )
 
 
@@ -160,4 +161,5 @@ def _intervals(role: str, end: End) -> Stream:
         columns={"timestamp_ns": int64s(end.times)},
         counts=counts,
         cuts=cuts[cuts > 0],
+        source=end,
     )

@@ -30,7 +30,7 @@ class Stream:
 
     `cuts`, int64, are rows before which hits are missing, or the program began again: that row may not be joined with
     the one before. `period_ns` is that of a timer, where it is known. `remarks` are sentences on what is not known, and
-    why.
+    why. `source` is the record that it was read from, by which the same stream is known while it grows.
     """
 
     kind: StreamKind
@@ -40,6 +40,7 @@ class Stream:
     cuts: Int64s = field(default_factory=no_values)
     period_ns: int | None = None
     remarks: tuple[str, ...] = ()
+    source: object = None
 
 
 def int64s(values: "array[int]", begin: int = 0) -> Int64s:

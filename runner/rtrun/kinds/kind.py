@@ -40,7 +40,8 @@ class MeasurementKind:
     `startup` says of how many loops at the start of a run the values of a series stand apart, as in the thesis.
     `layer_below` is the baseline, or the kind, that measures what this one's values are on top of.
 
-    `logs` is the form of its logs of 2014; None: there were none.
+    `logs` is the form of its logs of 2014; None: there were none. `has_steps`: a value is on its way between two
+    programs, and the steps of that can be told (causes/steps.py).
     """
 
     series: Callable[[Columns, Record, Path], dict[str, IndexedValues]]
@@ -49,3 +50,4 @@ class MeasurementKind:
     startup: Mapping[str, int] = field(default_factory=dict)
     layer_below: str = ""
     logs: LogForm | None = None
+    has_steps: bool = False

@@ -71,6 +71,7 @@ KIND = MeasurementKind(
     # The first message.
     startup={"latency": 1},
     layer_below="oneshot",
+    has_steps=True,
     logs=LogForm(
         suite="communication_tests",
         main="latency",

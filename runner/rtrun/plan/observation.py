@@ -68,11 +68,15 @@ def read_path(text: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObservationPlan:
-    """How long to observe, in seconds, and what for; the paths of deadlines are followed, too."""
+    """How long to observe, in seconds, and what for; the paths of deadlines are followed, too.
+
+    `trace` is the limit above which values have the kernel's trace kept, as `Run.trace`; empty: none has.
+    """
 
     for_s: float
     deadlines: Sequence[StreamDeadline] = ()
     paths: Sequence[tuple[str, ...]] = ()
+    trace: str = ""
 
     @property
     def followed(self) -> tuple[tuple[str, ...], ...]:

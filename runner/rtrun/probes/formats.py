@@ -6,6 +6,7 @@ target, and so do the events.
 
 import re
 import struct
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from rtfiles.untrusted import whole_number
@@ -91,6 +92,35 @@ class EventFormat:
             text = page[start + begin : start + begin + length]
             values[field.name] = text.partition(b"\0")[0].decode("utf-8", "replace")
         return values
+
+
+class RawValues(Mapping[str, int | str]):
+    """The values of an event in a page, decoded when one is asked for: of most events of the kernel none ever is.
+
+    That raises ValueError as `EventFormat.values` does.
+    """
+
+    __slots__ = ("_decoded", "_format", "_page", "_size_bytes", "_start")
+
+    def __init__(self, event: EventFormat, page: bytes, start: int, size_bytes: int) -> None:
+        self._format, self._page, self._start, self._size_bytes = event, page, start, size_bytes
+        self._decoded: dict[str, int | str] | None = None
+
+    def _values(self) -> dict[str, int | str]:
+        if self._decoded is None:
+            page, start = self._page, self._start
+            self._decoded = self._format.values(page, start, self._size_bytes)
+            self._decoded |= {"common_flags": page[start + 2], "common_preempt_count": page[start + 3]}
+        return self._decoded
+
+    def __getitem__(self, key: str) -> int | str:
+        return self._values()[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values())
+
+    def __len__(self) -> int:
+        return len(self._values())
 
 
 def _field(line: str) -> Field:

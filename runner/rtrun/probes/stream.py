@@ -12,7 +12,7 @@ from operator import itemgetter
 
 from rtfiles.untrusted import whole_number
 from rtrun.plan.limits import CPUS_MAX, PID_MAX, WALL_TIME_MAX_NS
-from rtrun.probes.formats import EventFormat
+from rtrun.probes.formats import EventFormat, RawValues
 from rtrun.probes.hits import Gap, Hit
 from rtrun.probes.placement import PlacedProbe
 from rtrun.probes.programs import FoundProgram, parse_programs
@@ -39,10 +39,10 @@ class Batch:
 
     Events are recorded since `begin_ns`, which is 0 where that is not known yet.
 
-    `kernel` are the kernel's own events: their names have a slash, as sched/sched_switch, their values are those of
-    their format, and `common_flags` and `common_preempt_count`. `realtime_offset_ns` is how far CLOCK_REALTIME is ahead
-    of CLOCK_MONOTONIC, None where the target does not show it. `programs` are those that are new or whose threads have
-    changed; `ended` are pids. Times are of CLOCK_MONOTONIC.
+    `kernel` are the kernel's own events: their names have a slash, as sched/sched_switch. Their values are those of
+    their format, and `common_flags` and `common_preempt_count`; they are `RawValues`. `realtime_offset_ns` is how far
+    CLOCK_REALTIME is ahead of CLOCK_MONOTONIC, None where the target does not show it. `programs` are those that are
+    new or whose threads have changed; `ended` are pids. Times are of CLOCK_MONOTONIC.
     """
 
     begin_ns: int
@@ -240,26 +240,23 @@ class WatchReader:
             if source is None:
                 # Of an event that was switched on by somebody else.
                 continue
-            values = source.format.values(page, start, size)
             tid = int.from_bytes(page[start + 4 : start + 8], "little")
             if source.is_kernel:
-                self._take_kernel_event(source, at_ns, cpu, tid, values, page[start + 2], page[start + 3])
+                self._take_kernel_event(source, at_ns, cpu, tid, RawValues(source.format, page, start, size))
                 continue
+            values = source.format.values(page, start, size)
             if source.convert is not None:
                 source.convert(values)
             self._hits.append(Hit(at_ns, cpu, pids.get(tid, 0), tid, source.event, values))
         self._last_of_cpu[cpu] = at_ns
         self._last_ns = max(self._last_ns, at_ns)
 
-    def _take_kernel_event(
-        self, source: _Source, at_ns: int, cpu: int, tid: int, values: Values, flags: int, preempt_count: int
-    ) -> None:
+    def _take_kernel_event(self, source: _Source, at_ns: int, cpu: int, tid: int, values: RawValues) -> None:
         if source.format.name == _PRINT:
             text = str(values.get("buf", "")).strip()
             if text.startswith("rtrun "):
                 self._take_mark(at_ns, text.removeprefix("rtrun "))
             return
-        values["common_flags"], values["common_preempt_count"] = flags, preempt_count
         self._kernel.append(Hit(at_ns, cpu, self._pids.get(tid, 0), tid, source.event, values))
 
     def _take_mark(self, at_ns: int, mark: str) -> None:

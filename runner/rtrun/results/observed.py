@@ -15,6 +15,17 @@ from rtrun.plan.suites import Value, suite
 CLOCK = "CLOCK_MONOTONIC"
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TracedValue:
+    """A value above a limit, by its index in the samples and when it was there, and the kernel's trace around it."""
+
+    index: int
+    value_ns: int
+    limit_ns: int
+    at_ns: int
+    text: bytes
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ObservedOutput:
     """One thing that was observed: a pair of publisher and subscriber, a timer, a callback, a topic, a path of topics.
@@ -34,6 +45,11 @@ class ObservedOutput:
     out_of_order: int = 0
     rate_hz: float | None = None
     clock_step_ns: int = 1
+    above_limit: int = 0
+    """How many values were above the limit of traces; `limit_ns` is the last one, None: there was none."""
+    limit_ns: int | None = None
+    traced: Sequence[TracedValue] = ()
+    """Those of which one is kept."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -50,7 +66,10 @@ class Provenance:
 def write_stream(
     folder: Path, output: str, stream: ObservedOutput, provenance: Provenance, threads: Sequence[Thread]
 ) -> None:
-    """Write the samples of a stream, and the json beside them. `threads` are those of the programs it is of."""
+    """Write the samples of a stream, its traces, and the json beside them.
+
+    `threads` are those of the program that has the values: of messages the subscriber's.
+    """
     names = suite(stream.suite).columns
     rows = np.stack([np.asarray(stream.columns[name], dtype="<i8") for name in names], axis=1)
     with (folder / f"{output}.npy").open("wb") as file:
@@ -89,6 +108,23 @@ def write_stream(
         files=Files(logs=[], npy=f"{output}.npy"),
         columns=list(names),
         rate=Rate(asked_hz=None, achieved_hz=stream.rate_hz, overruns=None, skipped=None),
-        traces=Traces(above_limit=0, files=[]),
+        traces=Traces(above_limit=stream.above_limit, files=_write_traces(folder, output, stream)),
     )
     atomic.write_text(folder / f"{output}.json", record.model_dump_json(by_alias=True, indent=2) + "\n")
+
+
+def _write_traces(folder: Path, output: str, stream: ObservedOutput) -> list[str]:
+    """Write a file for each traced value, and return their names; those that share a trace name the first one's."""
+    written: dict[int, str] = {}
+    names = []
+    for one in stream.traced:
+        name = f"{output}-trace-{one.index}.txt"
+        seconds, rest_ns = divmod(one.at_ns, 1_000_000_000)
+        head = (
+            f"# {stream.suite}: {one.value_ns} ns at index {one.index} above {one.limit_ns} ns, "
+            f"at {seconds}.{rest_ns // 1000:06} s of {CLOCK}\n"
+        ).encode()
+        shared = written.setdefault(id(one.text), name)
+        (folder / name).write_bytes(head + (one.text if shared == name else f"# in {shared}\n".encode()))
+        names.append(name)
+    return names

@@ -1,6 +1,7 @@
 """The kernel trace of a run that asks for one: set up before the run, removed after it."""
 
 import contextlib
+import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 OPTIONS = ("break_trace_us", "trace_threshold_us")
 # The trace uses the clock of the samples, so that their timestamps can be compared.
 CLOCKS = {"raw": "mono_raw", "monotonic": "mono"}
+# What the timer of a thread does that sleeps until then.
+FUNCTIONS = ("hrtimer_wakeup",)
 DATA = Path(__file__).with_name("trace_events.yml")
 
 
@@ -30,6 +33,14 @@ class TraceEvents(Config):
 def read_events() -> list[str]:
     """The events that a trace has, where the kernel knows them."""
     return load(DATA, TraceEvents).events
+
+
+def read_symbols(link: "Link") -> dict[int, str]:
+    """The addresses on a target of the kernel's functions that a trace is read by; none where the kernel hides them."""
+    names = "|".join(FUNCTIONS)
+    answer = link.run(["grep", "-E", f" [tT] ({names})$", "/proc/kallsyms"]).stdout
+    found = re.findall(rf"^([0-9a-f]{{8,16}}) [tT] ({names})$", answer, re.MULTILINE | re.ASCII)
+    return {int(address, 16): name for address, name in found if int(address, 16)}
 
 
 @contextlib.contextmanager

@@ -1,0 +1,75 @@
+"""Decoded events of the kernel as text, against the text that the kernel itself prints of the same events."""
+
+import re
+from collections import Counter
+
+import pytest
+from probes.standin import TRACING, observed, running
+
+from rtrun.causes.ftrace import parse
+from rtrun.probes.hits import Gap
+from rtrun.probes.session import Batch
+from rtrun.probes.trace_text import trace_text
+from rtrun.targets.inspection.kernel_trace import read_events, read_symbols
+
+pytestmark = [pytest.mark.trace, pytest.mark.timeout(120)]
+EVENTS = [each for each in read_events() if each != "osnoise"]
+LINE = re.compile(r" *.+?-(\d+) +\[(\d+)\] (\S+) +\d+\.\d{6,9}: (.*)")
+# What the kernel shows of these are names of its own functions, or words for numbers.
+HIDDEN = re.compile(
+    r"(?<=hrtimer=)\w+|(?<=function=)(?!hrtimer_wakeup)\S+|(?<=mode=)\S+|(?<==)0x\w+|(?<=: )(0x)?0*(?=\w)"
+)
+
+
+@pytest.fixture
+def kernels_own():
+    """An instance that records the same events, as text."""
+    instance = TRACING / "instances" / "rtrun-test-text"
+    instance.mkdir()
+    try:
+        (instance / "trace_clock").write_text("mono")
+        (instance / "buffer_size_kb").write_text("16384")
+        for event in EVENTS:
+            if (instance / "events" / event / "enable").exists():
+                (instance / "events" / event / "enable").write_text("1")
+        yield lambda: (instance / "trace").read_text()
+    finally:
+        (instance / "tracing_on").write_text("0")
+        (instance / "events" / "enable").write_text("0")
+        instance.rmdir()
+
+
+def told(lines):
+    """Each line without what cannot be alike: its thread, CPU, flags and event. Each instance takes its own time."""
+    for line in lines:
+        if match := LINE.fullmatch(line):
+            tid, cpu, flags, text = match.groups()
+            yield tid, cpu, flags, HIDDEN.sub("", text)
+
+
+def test_the_text_is_that_of_the_kernel(here, standin, kernels_own):
+    symbols = read_symbols(here)
+    with running(standin, 1000, 3000) as process:
+        events = []
+        stream = observed(here, process.pid, kernel_events=EVENTS, limit_per_s=400_000)
+        for each in stream:
+            events += each.kernel if isinstance(each, Batch) else ()
+            if len(events) > 5000:
+                break
+        text = kernels_own()
+        stream.close()
+    lines = "".join(trace_text(events, [], symbols)).splitlines()
+    assert len(lines) == len(events)
+    mine, its = Counter(told(lines)), Counter(told(text.splitlines()))
+    missing = mine - its
+    assert missing.total() < 0.001 * len(lines), list(missing)[:20]
+    kinds = {text.partition(":")[0].partition("(")[0] for *_, text in mine}
+    assert {"sched_switch", "sched_waking", "hrtimer_start", "hrtimer_expire_entry", "softirq_raise"} <= kinds
+    # What is read from the text later: no line is refused.
+    read = list(parse(lines))
+    assert None not in read
+
+    # The events of each CPU after a gap begin with what the kernel says where it has lost some.
+    middle_ns = events[len(events) // 2].at_ns
+    said = sum("LOST EVENTS" in line for line in trace_text(events, [Gap(0, middle_ns, "rest")], symbols))
+    assert said == len({hit.cpu for hit in events[len(events) // 2 :]})
