@@ -37,7 +37,7 @@ def thresholds(records: Sequence[RunRecord], of: Measure | None) -> Iterator[str
         lowest, highest = limits_us[0], limits_us[-1]
         between = f"{lowest} us" if lowest == highest else f"{lowest} to {highest} us"
         runs = "a run" if len(limits_us) == 1 else f"{len(limits_us)} runs"
-        yield f"Traced is what is above {trace} of a warm-up: {between} in {runs}"
+        yield f"Traced is what is above {trace} of the values before: {between} in {runs}"
 
 
 def tracing_cost_at(source: Source, of: Measure | None) -> tuple[Table | None, tuple[str, ...]]:

@@ -28,7 +28,7 @@ def write_pairs(root, *, cost_us, pairs=5, twins=True):
 def test_why_prints_the_cost_beside(tmp_path, capsys, cost_us, outcome):
     assert main(["why", str(write_pairs(tmp_path / "runs", cost_us=cost_us))]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "Traced is what is above p99.9 of a warm-up: 40 to 44 us in 5 runs" in lines
+    assert "Traced is what is above p99.9 of the values before: 40 to 44 us in 5 runs" in lines
     assert outcome in lines
     row = next(line.split() for line in lines if " p99 " in line)
     untraced, traced, difference = (float(word) for word in row[row.index("p99") + 1 :][:3])
