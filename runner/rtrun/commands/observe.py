@@ -115,6 +115,7 @@ def _print_list(watched: "Watched") -> None:
     from rtfiles.output import counted, print_line
     from rtrun.flows.hazards import hazards
     from rtrun.flows.programs import label_of
+    from rtrun.probes.placement import refusals
 
     events: dict[str, set[str]] = {}
     for probe in watched.placement.probes:
@@ -128,5 +129,5 @@ def _print_list(watched: "Watched") -> None:
             print_line(f"  {path}: {', '.join(sorted(events.get(path, ()))) or 'nothing can be measured'}")
     for text in hazards([each.program for each in watched.found]):
         print_line(text)
-    for refused in watched.placement.refused:
-        print_line(f"no probe {refused.event or 'at all'} in {refused.path}: {refused.reason}")
+    for text in refusals(watched.placement.refused):
+        print_line(text)

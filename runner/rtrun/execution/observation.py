@@ -31,7 +31,7 @@ from rtrun.plan.trace import PARAMETER
 from rtrun.probes import session
 from rtrun.probes.hits import ObservedProgram
 from rtrun.probes.libraries.description import events
-from rtrun.probes.placement import Placement, place
+from rtrun.probes.placement import Placement, place, refusals
 from rtrun.probes.programs import FoundProgram, find_programs
 from rtrun.probes.session import Began, Finished
 from rtrun.results import run_directory
@@ -84,7 +84,7 @@ class ObservationResult:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What is missing in it, a sentence each."""
-        lines = [f"no probe {each.event or 'at all'} in {each.path}: {each.reason}" for each in self.began.refused]
+        lines = [*refusals(self.began.refused)]
         if self.finished and self.finished.lost_events:
             lines.append(f"{counted(self.finished.lost_events, 'event')} lost by the kernel: what was then is left out")
         if self.finished and self.finished.rests:

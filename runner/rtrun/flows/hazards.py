@@ -10,11 +10,13 @@ _NAMED_MAX = 4
 
 
 def hazards(programs: Sequence[ObservedProgram]) -> tuple[str, ...]:
-    """A sentence for each thing that may delay one of these programs, in the order of the programs."""
+    """A sentence for each thing that may delay some of these programs, with their names."""
+    threatened: dict[str, list[str]] = {}
+    for program in programs:
+        for text in _of(program, programs):
+            threatened.setdefault(text, []).append(f"{label_of(program)} (pid {program.pid})")
     return tuple(
-        printable(f"{label_of(program)} (pid {program.pid}): {text}")
-        for program in programs
-        for text in _of(program, programs)
+        printable(f"{', '.join(names[:_NAMED_MAX])}{_more(len(names))}: {text}") for text, names in threatened.items()
     )
 
 
@@ -25,7 +27,7 @@ def _of(program: ObservedProgram, programs: Sequence[ObservedProgram]) -> Iterat
     elif ordinary:
         yield f"{counted(len(ordinary), 'thread')} not real-time: {_names(ordinary)}"
     if not program.locked_bytes:
-        yield "its memory is not locked: a page fault may read from a disk"
+        yield "memory is not locked: a page fault may read from a disk"
     above = {
         f"{other.name} of {label_of(each)} ({other.policy} {other.priority})": None
         for each in programs
@@ -34,7 +36,7 @@ def _of(program: ObservedProgram, programs: Sequence[ObservedProgram]) -> Iterat
         if any(_may_delay(other, thread) for thread in program.threads)
     }
     if above:
-        yield f"on its CPUs with a higher priority: {', '.join([*above][:_NAMED_MAX])}{_more(len(above))}"
+        yield f"on the same CPUs with a higher priority: {', '.join([*above][:_NAMED_MAX])}{_more(len(above))}"
 
 
 def _is_real_time(thread: ProgramThread) -> bool:

@@ -193,8 +193,14 @@ print_programs() {
 
 # Above the limit the events are switched off for so long that the mean is below it.
 rest_above_limit() {
-    rate=$((total - before))
+    # A round of a busy machine takes longer than a second.
+    read -r now _ </proc/uptime
+    now=${now%.*}
+    passed=$((now - last))
+    [ $passed -ge 1 ] || passed=1
+    rate=$(((total - before) / passed))
     before=$total
+    last=$now
     [ $rate -gt "$limit" ] || return 0
     pause=$((rate / limit))
     [ $pause -le 10 ] || pause=10
@@ -217,6 +223,8 @@ print_rounds() {
     trap 'is_ended=1' USR1
     number=0
     before=0
+    read -r last _ </proc/uptime
+    last=${last%.*}
     young=
     while :; do
         total=0

@@ -26,13 +26,16 @@ _SHARED_SINCE = (5, 3)
 # its own, sees others by this path, and the file may have been replaced. tracefs takes no blanks in a path.
 _LOOK = r"""
 cat /proc/sys/kernel/osrelease
-while IFS=' ' read -r pid range path; do
+done=
+while IFS=' ' read -r key pid range path; do
+    case $done in *" $key "*) continue ;; esac
     mapped=/proc/$pid/map_files/$range
     for file in "$path" "/proc/$pid/root$path" "$mapped"; do
         case $file in *[[:blank:]]*) continue ;; esac
         [ "$file" -ef "$mapped" ] && break
     done
-    size=$(wc -c <"$file") && digest=$(sha256sum <"$file") && echo "$pid $range $size ${digest%% *} $file"
+    size=$(wc -c <"$file") && digest=$(sha256sum <"$file") && echo "$pid $range $size ${digest%% *} $file" &&
+        done="$done $key "
 done 2>/dev/null
 exit 0
 """
@@ -64,6 +67,17 @@ class RefusedProbe:
     reason: str
 
 
+def refusals(refused: Sequence[RefusedProbe]) -> tuple[str, ...]:
+    """What was not placed and why, a sentence for each library and reason."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for each in refused:
+        alike.setdefault((each.path, each.reason.rpartition(": ")[2]), []).append(each.event)
+    return tuple(
+        f"no probe {', '.join(dict.fromkeys(events)) if all(events) else 'at all'} in {path}: {reason}"
+        for (path, reason), events in alike.items()
+    )
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Placement:
     """The probes for some programs."""
@@ -86,12 +100,12 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
 
     `events` are the canonical names of those that are to be placed. Raises TargetError.
     """
+    mapping = [(program, each) for program in found for each in program.mapped]
     # One process for each file.
     users: dict[tuple[str, int], tuple[FoundProgram, MappedLibrary]] = {}
-    for program in found:
-        for each in program.mapped:
-            users.setdefault((each.device, each.inode), (program, each))
-    release, files = _look(link, users.values())
+    for program, each in mapping:
+        users.setdefault((each.device, each.inode), (program, each))
+    release, files = _look(link, mapping)
     is_shared = release >= _SHARED_SINCE
     resolved = {file.sha256: _resolve(link, file) for file in files.values()}
 
@@ -178,9 +192,12 @@ def _line(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without: 
 def _look(
     link: "Link", users: Collection[tuple[FoundProgram, MappedLibrary]]
 ) -> tuple[tuple[int, ...], dict[tuple[str, int], _LibraryFile]]:
-    """Ask for the kernel's release, and for the files that these processes map, by device and inode."""
+    """Ask for the kernel's release, and for the files that these processes map, by device and inode.
+
+    A process may have ended meanwhile: each file is looked at through the first that shows it.
+    """
     asked = {(program.program.pid, each.range): each for program, each in users if not each.is_deleted}
-    stdin = "".join(f"{pid} {each.range} {each.path}\n" for (pid, _), each in asked.items())
+    stdin = "".join(f"{each.device}-{each.inode} {pid} {each.range} {each.path}\n" for (pid, _), each in asked.items())
     first, *lines = link.check(["sh", "-c", _LOOK], deadline_s=LOOK_S, stdin=stdin).splitlines() or [""]
     release = tuple(int(number) for number in re.findall(r"\d{1,4}", first, re.ASCII)[:2])
     files = {}

@@ -31,14 +31,14 @@ GOOD = program("good", ("main", "FIFO", 80, (0, 1)), ("recv", "FIFO", 70, (0, 1)
             program("mixed", ("main", "RR", 60, (0,)), ("dds.ev", "OTHER", 0, (0,))),
             {"mixed: 1 thread not real-time: dds.ev"},
         ),
-        (program("free", ("main", "FIFO", 50, (3,)), locked=0), {"free: its memory is not locked"}),
+        (program("free", ("main", "FIFO", 50, (3,)), locked=0), {"free: memory is not locked"}),
         (
             program("above", ("loop", "FIFO", 75, (1,))),
-            {"good: on its CPUs with a higher priority: loop of above (FIFO 75)"},
+            {"good: on the same CPUs with a higher priority: loop of above (FIFO 75)"},
         ),
         (
             program("deadline", ("loop", "DEADLINE", 0, (1,))),
-            {"good: on its CPUs with a higher priority: loop of deadline (DEADLINE 0)"},
+            {"good: on the same CPUs with a higher priority: loop of deadline (DEADLINE 0)"},
         ),
     ],
     ids=lambda each: each.name if isinstance(each, ObservedProgram) else "",
@@ -48,3 +48,9 @@ def test_each_hazard_is_said_of_the_program_that_has_it(other, said):
     # A program below another one is delayed by it, too: only what the case is about counts.
     lines = {line for line in lines if "good (FIFO" not in line}
     assert {next((line for line in lines if line.startswith(text)), text) for text in said} == lines
+
+
+def test_a_hazard_of_several_programs_is_said_once():
+    many = [program(f"node{k}", ("main", "OTHER", 0, (0,))) for k in range(6)]
+    (line,) = hazards(many)
+    assert line.startswith("node0 (pid 5), node1 (pid 5), ") and " and 2 more: no thread is real-time" in line
