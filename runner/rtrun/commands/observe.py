@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     plan = ObservationPlan(for_s=args.for_ns / 1e9, deadlines=args.deadline, paths=args.path, trace=args.trace)
     print_status(f"asking {config.name} what runs there")
     with linked(config, args.target.parent) as link:
-        watched = observation.watch(link)
+        watched = observation.watch(link, plan)
         print_status("")
         if args.list:
             _print_list(watched)

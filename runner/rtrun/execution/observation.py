@@ -53,6 +53,8 @@ _PARTIES = ("publisher", "subscriber", "node")
 # A number and what tells streams apart, in a name that file systems take.
 _NAME_MAX = 100
 GRAPH = "graph.json"
+# Seen for paths of topics alone: they come several times for each message.
+_OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -94,8 +96,9 @@ class ObservationResult:
         return tuple(dict.fromkeys(lines))
 
 
-def watch(link: Link) -> Watched:
+def watch(link: Link, plan: ObservationPlan) -> Watched:
     """Look at a target without changing it, and resolve the probes for its programs. Raises TargetError."""
+    wanted = [event for event in events() if plan.followed or event not in _OF_PATHS]
     equipment = inspection.inspect(link)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     found = find_programs(link, scripts)
@@ -106,7 +109,7 @@ def watch(link: Link) -> Watched:
         equipment=equipment,
         platform=platform_signs.find_platform(link),
         found=found,
-        placement=place(link, found, events=events()),
+        placement=place(link, found, events=wanted),
     )
 
 

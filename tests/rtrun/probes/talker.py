@@ -1,4 +1,7 @@
-"""A program on rclpy: `talker COUNT` publishes at 1 kHz once there is a listener, `listener` takes for good."""
+"""A program on rclpy: `talker COUNT` publishes at 1 kHz once there is a listener, which takes for good.
+
+A `listener` does nothing else, a `relay` publishes what it takes on another topic.
+"""
 
 import sys
 import time
@@ -25,5 +28,7 @@ if sys.argv[1] == "talker":
         rclpy.spin_once(node)
     time.sleep(0.5)
 else:
-    node.create_subscription(String, "chatter", lambda message: None, 1000)
+    again = node.create_publisher(String, "again", 1000)
+    take = again.publish if sys.argv[1] == "relay" else lambda message: None
+    node.create_subscription(String, "chatter", take, 1000)
     rclpy.spin(node)

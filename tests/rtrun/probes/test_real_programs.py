@@ -12,6 +12,7 @@ from probes.standin import find, observed, running
 from ports import free_domain
 from ros2 import wheels
 from rtgen import suites as builder
+from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.probes.session import Batch, Began
 from suites.test_ros2 import set_up
 
@@ -107,6 +108,27 @@ def test_rclpy(here, distro, tmp_path):
         [hit.at_ns + offset_ns - hit.values["expected_ns"] for hit in calls if "expected_ns" in hit.values]
     )
     assert len(late_ns) > 0.9 * len(calls) and late_ns.min() > 0 and np.median(late_ns) < 5e6
+
+
+@pytest.mark.parametrize("distro", RELEASES)
+def test_a_path_through_rclpy(here, distro, tmp_path):
+    """Of each message that a node passes on it is known from which one it came, but for the first."""
+    environment = ros2_environment(distro, tmp_path)
+    argv = [sys.executable, TALKER]
+    results, pids = watched_exchange(here, [*argv, "relay"], [*argv, "talker", COUNT], environment, tmp_path)
+    batches = [each for each in results if isinstance(each, Batch)]
+    flows = FlowAccumulator(begin_ns=batches[0].begin_ns, paths=[("/chatter", "/again")])
+    flows.observe([])
+    for batch in batches:
+        flows.feed([*(hit for hit in batch.hits if hit.pid in pids), *batch.gaps])
+    (path,) = flows.paths.logs.values()
+    assert len(path.ends) + path.unknown == COUNT and path.unknown <= 1
+    ends = flows.topics.ends
+    (taken,) = [end for key, end in ends.items() if key[:2] == ("subscriber", "/chatter")]
+    published = ends["publisher", "/again", taken.label]
+    # Each was published after it was taken, and before the next one was.
+    assert np.array_equal(np.searchsorted(taken.times, published.times), np.arange(1, COUNT + 1))
+    assert path.ends.tolist() == published.times.tolist()[path.unknown :]
 
 
 @pytest.mark.parametrize(
