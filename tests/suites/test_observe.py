@@ -49,12 +49,17 @@ def test_what_is_observed_lies_between_the_stamps_of_the_programs_themselves(pai
             "18s",
             "--deadline",
             "/observed_pair=10s",
+            "--deadline",
+            "interval:/nobody=1s",
             "--results",
             str(results),
         ]
     )
     assert status == 0, capsys.readouterr()
     assert [process.wait(60) for process in pair] == [0, 0]
+    (nobody,) = results.glob("*-intervals-nobody")
+    reason = json.loads((nobody / "run.json").read_text())["reason"]
+    assert reason.startswith("interval /nobody: it was not seen; seen were /")
     (folder,) = results.glob("*-messages-observed_pair-*")
     observed = np.load(folder / f"{folder.name}.npy")
     counts = json.loads((folder / f"{folder.name}.json").read_text())["counts"]

@@ -8,9 +8,6 @@ from rtrun.commands._question import argument, time_argument
 from rtrun.plan.observation import read_path, read_stream_deadline
 
 if TYPE_CHECKING:
-    pass
-
-if TYPE_CHECKING:
     from rtrun.execution.observation import Watched
 
 NAME = "observe"
@@ -83,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.plan.observation import ObservationPlan
     from rtrun.report.flow_trace import flow_trace
     from rtrun.report.live import LiveView
+    from rtrun.results import run_directory
     from rtrun.targets.config import read_target
 
     config = read_target(args.target)
@@ -94,10 +92,14 @@ def run(args: argparse.Namespace) -> int:
         if args.list:
             _print_list(watched)
             return 0
+        results = args.results or Path("results") / config.name
+        # What would be known at the end only, hours later.
+        run_directory.make_results(results)
+        if args.perfetto is not None:
+            atomic.write_text(args.perfetto, "")
         recorder = FlowRecorder(DRAWN_MAX) if args.perfetto else None
         with LiveView(as_json=args.json) as view:
             observed = observation.observe(watched, plan, on_second=view.show, recorder=recorder)
-        results = args.results or Path("results") / config.name
         left_out = observation.write(results, watched, plan, observed)
     if recorder is not None:
         atomic.write_text(args.perfetto, flow_trace(recorder, observed.programs))
@@ -125,8 +127,8 @@ def _print_list(watched: "Watched") -> None:
     for each in watched.found:
         program = each.program
         print_line(f"{label_of(program)} (pid {program.pid}), {counted(len(program.threads), 'thread')}")
-        for path in program.libraries:
-            print_line(f"  {path}: {', '.join(sorted(events.get(path, ()))) or 'nothing can be measured'}")
+    for path, measured in events.items():
+        print_line(f"{path}: {', '.join(sorted(measured))}")
     for text in hazards([each.program for each in watched.found]):
         print_line(text)
     for text in refusals(watched.placement.refused):

@@ -25,7 +25,7 @@ from rtrun.flows.values import Stream, differences
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.kinds.output import Thread, Uname
 from rtrun.kinds.timer import UNKNOWN_NS
-from rtrun.plan.observation import ObservationPlan, StreamKind
+from rtrun.plan.observation import ObservationPlan, StreamDeadline, StreamKind
 from rtrun.plan.suites import Value
 from rtrun.plan.trace import PARAMETER
 from rtrun.probes import session
@@ -52,6 +52,7 @@ _KERNEL_EVENTS_PER_S = 80_000
 _PARTIES = ("publisher", "subscriber", "node")
 # A number and what tells streams apart, in a name that file systems take.
 _NAME_MAX = 100
+_NAMES_SHOWN = 8
 GRAPH = "graph.json"
 # Seen for paths of topics alone: they come several times for each message.
 _OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
@@ -102,6 +103,8 @@ def watch(link: Link, plan: ObservationPlan) -> Watched:
     equipment = inspection.inspect(link)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     found = find_programs(link, scripts)
+    if not found and link.check(["id", "-u"]).strip() != "0":
+        raise TargetError(f"{link.target.address}: observing takes root: the programs of other users cannot be seen")
     return Watched(
         link=link,
         scripts=scripts,
@@ -174,6 +177,8 @@ def observe(
                     late.cut(each.until_ns)
     except KeyboardInterrupt:
         stream.close()
+        if flows is None:
+            raise
     if flows is None or figures is None:
         raise TargetError(f"{watched.link.target.address}: the probes were placed, but nothing was recorded")
     flows.finish()
@@ -200,19 +205,22 @@ def write(results: Path, watched: Watched, plan: ObservationPlan, observation: O
     number = _next_number(results)
     names: set[str] = set()
     left_out: list[str] = []
-    outputs = []
+    outputs: list[ObservedOutput] = []
+    without_value: list[tuple[Stream, str]] = []
     for stream in streams(observation.flows):
         late = observation.late.streams.get(stream.source) if observation.late else None
         output = _output(stream, late)
+        remarks = stream.remarks or (() if output is not None else ("too few calls to be measured",))
+        left_out += (f"{' '.join(map(str, stream.identity.values()))}: {remark}" for remark in remarks)
         if output is None:
-            left_out.append(f"{' '.join(map(str, stream.identity.values()))}: too few calls to be measured")
+            without_value.append((stream, "; ".join(remarks)))
             continue
-        left_out += (f"{' '.join(map(str, stream.identity.values()))}: {remark}" for remark in stream.remarks)
         outputs.append(output)
         _write_run(results / _name(number, output, names), watched, plan, observation, output)
     for deadline in plan.deadlines:
         if not any(deadline.is_of(output.suite, output.parameters) for output in outputs):
-            reason = f"nothing was seen of {deadline.kind} {deadline.name}"
+            why = (text for stream, text in without_value if deadline.is_of(stream.kind.suite, stream.identity))
+            reason = f"{deadline.kind} {deadline.name}: {next(why, None) or _not_seen(deadline, outputs)}"
             left_out.append(reason)
             nothing = ObservedOutput(
                 suite=deadline.kind.suite,
@@ -224,6 +232,16 @@ def write(results: Path, watched: Watched, plan: ObservationPlan, observation: O
             _write_run(results / _name(number, nothing, names), watched, plan, observation, nothing, reason=reason)
     _write_observation(results / f"{number:03}", watched, observation)
     return tuple(left_out)
+
+
+def _not_seen(deadline: StreamDeadline, outputs: Sequence[ObservedOutput]) -> str:
+    """That a stream with a deadline was not there, and which of its kind were."""
+    seen = dict.fromkeys(
+        str(output.parameters[deadline.kind.named_by]) for output in outputs if output.suite == deadline.kind.suite
+    )
+    more = f" and {len(seen) - _NAMES_SHOWN} more" if len(seen) > _NAMES_SHOWN else ""
+    others = f"; seen were {', '.join([*seen][:_NAMES_SHOWN])}{more}" if seen else ""
+    return f"it was not seen{others}"
 
 
 def _next_number(results: Path) -> int:

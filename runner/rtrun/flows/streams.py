@@ -77,7 +77,7 @@ def _messages(pair: MessagePair) -> Stream:
     if unmatched:
         remarks.append(
             f"{counted(unmatched, 'message')} came to {pair.subscriber.label} whose publication was not seen:"
-            " published before, by a program that is not observed, or too long ago"
+            " published before, in a gap, by a program that is not observed, or too long ago"
         )
     counts = pair.counts()
     if counts.ambiguous:

@@ -55,7 +55,12 @@ def read_stream_deadline(text: str) -> StreamDeadline:
         raise ValueError(
             f"{text[:60]!r}: takes TOPIC=TIME, as /cmd_vel=5ms, or one of {words} before it, as timer:/node=200us"
         )
-    return StreamDeadline(kind=StreamKind(word), name=name, deadline_ns=read_time_ns(time))
+    kind = StreamKind(word)
+    if kind is StreamKind.PATH:
+        read_path(name)
+    elif kind.named_by == "topic":
+        _check_topic(name)
+    return StreamDeadline(kind=kind, name=name, deadline_ns=read_time_ns(time))
 
 
 def read_path(text: str) -> tuple[str, ...]:
@@ -63,7 +68,15 @@ def read_path(text: str) -> tuple[str, ...]:
     topics = tuple(text.split(","))
     if len(topics) < 2 or not all(topics):
         raise ValueError(f"{text[:60]!r}: a path has two topics at least, as /scan,/cmd_vel")
+    for topic in topics:
+        _check_topic(topic)
     return topics
+
+
+def _check_topic(name: str) -> None:
+    """Refuse what no observed topic is called: programs tell the full name."""
+    if not name.startswith("/"):
+        raise ValueError(f"{name[:60]!r}: the full name of a topic begins with /, as /cmd_vel")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

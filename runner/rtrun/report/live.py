@@ -24,13 +24,17 @@ def live_table(snapshot: Snapshot, width: int, height: int) -> "Group":
     from rich.console import Group
     from rich.text import Text
 
-    rows = worst_first(row for row in snapshot.rows if row.kind in _SHOWN)
+    rows = worst_first(_shown(snapshot))
     fitting = max(1, height - _ROUND_THE_TABLE - len(snapshot.remarks))
     lines = [f"{duration(snapshot.observed_s)} observed"]
     if len(rows) > fitting:
         lines.append(f"{counted(len(rows) - fitting, 'more stream')} not shown")
     shown = fitted(_HEADINGS, [_cells(row) for row in rows[:fitting]], range(2, len(_HEADINGS)), width)
     return Group(shown, *(Text(line, no_wrap=True) for line in (*lines, *snapshot.remarks)))
+
+
+def _shown(snapshot: Snapshot) -> list[LiveRow]:
+    return [row for row in snapshot.rows if row.kind in _SHOWN or row.deadline_ns is not None]
 
 
 def _cells(row: LiveRow) -> tuple[str, ...]:
@@ -52,7 +56,7 @@ def _cells(row: LiveRow) -> tuple[str, ...]:
 
 def live_line(snapshot: Snapshot) -> str:
     """The same in a line: how much there is, and the worst of each stream that has a deadline."""
-    rows = [row for row in snapshot.rows if row.kind in _SHOWN]
+    rows = _shown(snapshot)
     messages = [row for row in rows if row.kind is StreamKind.MESSAGES]
     parts = [
         f"{duration(snapshot.observed_s)}: {counted(sum(row.n for row in messages), 'message')}",

@@ -18,6 +18,8 @@ def make_results(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InfrastructureError(f"{folder}: cannot keep the results: {error.strerror}") from error
+    if not os.access(folder, os.W_OK):
+        raise InfrastructureError(f"{folder}: cannot keep the results: it is read-only")
 
 
 @contextlib.contextmanager

@@ -20,6 +20,7 @@ DEADLINES = [
     read_stream_deadline("/a=5ms"),
     read_stream_deadline("timer:/talker=100us"),
     read_stream_deadline("/a,/b=6ms"),
+    read_stream_deadline("interval:/b=30ms"),
     read_stream_deadline("/nobody=1ns"),
 ]
 
@@ -79,11 +80,12 @@ def test_figures_are_those_of_all_values(seen):
             for part, estimate in ((0.5, row.median_ns), (0.99, row.p99_ns)):
                 exact = np.quantile(values, part, method="inverted_cdf")
                 assert exact <= estimate + 1 <= exact * 1.017 + 2
-            if kind in (StreamKind.MESSAGES, StreamKind.TIMER, StreamKind.PATH):
+            if row.deadline_ns is not None:
                 assert row.misses == np.count_nonzero(values > row.deadline_ns)
             if kind is StreamKind.MESSAGES:
                 assert row.lost == stream.counts["lost"] > 0
-    assert {row.deadline_ns for row in rows if row.kind is StreamKind.INTERVALS} == {None}
+    with_deadline = {(row.kind, row.name) for row in rows if row.deadline_ns is not None}
+    assert with_deadline == {(each.kind, each.name) for each in DEADLINES[:-1]}
 
 
 def test_rates_are_of_the_last_second(seen):
@@ -109,12 +111,22 @@ def test_a_line_and_json(seen, capsys):
     _, snapshots = seen
     line = live_line(snapshots[9])
     assert line.startswith("10 s: ") and " lost, 1 timer, /a (/talker to /relay): worst " in line
+    # Of intervals those with a deadline alone.
+    assert "/b (publisher /relay): worst " in line and "/a (publisher" not in line
     assert json.loads(live_json(snapshots[9]))["rows"][0]["name"] == "/a"
     for as_json in (False, True):
         with LiveView(as_json=as_json) as view:
             view.show(snapshots[9])
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == line and json.loads(printed[1])["observed_s"] == 10
+
+
+@pytest.mark.parametrize("text", ["", "/a", "/a=", "/a=5", "cmd_vel=5ms", "interval:a=5ms", "timer:=5ms", "x:/a=5ms",
+                                  "/a,=5ms", "/a,b=5ms", "path:/a=5ms"])  # fmt: skip
+def test_a_deadline_of_what_cannot_be_is_refused(text):
+    """At once: not after the hours for which nothing of this name was seen."""
+    with pytest.raises(ValueError, match=r"takes TOPIC|no time above 0|begins with /|two topics"):
+        read_stream_deadline(text)
 
 
 def test_nothing_is_seen_yet():
