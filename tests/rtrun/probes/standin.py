@@ -20,6 +20,8 @@ TRACING = Path("/sys/kernel/tracing")
 SCRIPTS = PurePosixPath(ON_TARGET)
 SOURCE = Path(__file__).with_name("standin.c")
 LIBRARIES = ("tracetools", "rcl")
+# Those of paths are of real programs alone.
+EVENTS = [each for each in events() if each not in ("wait", "guard_trigger", "request_take", "response_take")]
 # Where stand-ins are, and the names of the observations that were seen on them.
 _folders: list[str] = []
 _names: set[str] = set()
@@ -63,7 +65,7 @@ def observed(
 ) -> Iterator[Observed]:
     """What is seen of these processes."""
     found = find(link, *pids)
-    placement = place(link, found, events=events())
+    placement = place(link, found, events=EVENTS)
     return observe(link, SCRIPTS, placement, found, for_s=for_s, limit_per_s=limit_per_s, **more)  # type: ignore[arg-type]
 
 

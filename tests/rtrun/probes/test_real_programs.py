@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from probes import standin
 from probes.standin import find, observed, running
 
 from ports import free_domain
 from ros2 import wheels
 from rtgen import suites as builder
 from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.probes.libraries.description import events
 from rtrun.probes.session import Batch, Began
 from suites.test_ros2 import set_up
 
@@ -111,10 +113,11 @@ def test_rclpy(here, distro, tmp_path):
 
 
 @pytest.mark.parametrize("distro", RELEASES)
-def test_a_path_through_rclpy(here, distro, tmp_path):
+def test_a_path_through_rclpy(here, distro, tmp_path, monkeypatch):
     """Of each message that a node passes on it is known from which one it came, but for the first."""
     environment = ros2_environment(distro, tmp_path)
     argv = [sys.executable, TALKER]
+    monkeypatch.setattr(standin, "EVENTS", events())
     results, pids = watched_exchange(here, [*argv, "relay"], [*argv, "talker", COUNT], environment, tmp_path)
     batches = [each for each in results if isinstance(each, Batch)]
     flows = FlowAccumulator(begin_ns=batches[0].begin_ns, paths=[("/chatter", "/again")])
