@@ -59,7 +59,7 @@ def build_suites(make_build, name, machine, local, clients, kind):
     transports = [f"_{name}" for name in [*WITHOUT_A_LIBRARY, *release.ros_distros[profile.ros_distro].transports]]
     wanted = {suite: [program + client for program in PROGRAMS[suite] for client in clients] for suite in PROGRAMS}
     wanted["transport-tests"] = [program + name for program in PROGRAMS["communication-tests"] for name in transports]
-    wanted["rt-tests-sampler"] = ["rt_tests_sampler"]
+    wanted["rt-tests-sampler"] = ["rt_tests_allocations.so", "rt_tests_sampler"]
     for suite, programs in wanted.items():
         package = suite.replace("-", "_")
         installed = {path for path, of in files[suite].items() if path.startswith(f"{prefix}/lib/") and of == suite}

@@ -42,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--trace",
         type=argument(_read_trace),
-        default="",
         metavar="above=LIMIT",
         help="keep the kernel's trace around late values, for rtrun why: above=p99.9, or above=300us",
     )
@@ -84,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.targets.config import read_target
 
     config = read_target(args.target)
-    plan = ObservationPlan(for_s=args.for_ns / 1e9, deadlines=args.deadline, paths=args.path, trace=args.trace)
+    plan = ObservationPlan(for_s=args.for_ns / 1e9, deadlines=args.deadline, paths=args.path, trace=args.trace or "")
     print_status(f"asking {config.name} what runs there")
     with linked(config, args.target.parent) as link:
         watched = observation.watch(link, plan)

@@ -18,7 +18,6 @@ from rtrun.execution.late_values import LateValue, LateValueRecord, LateValues
 from rtrun.execution.run_execution import STATED
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.live import LiveFigures, Snapshot
-from rtrun.flows.programs import label_of
 from rtrun.flows.recorder import FlowRecorder
 from rtrun.flows.streams import streams
 from rtrun.flows.values import Stream, differences
@@ -372,9 +371,10 @@ def _write_run(
 
 
 def _programs(observation: ObservationResult, output: ObservedOutput, parties: Sequence[str]) -> list[ObservedProgram]:
-    """The programs that parameters of a stream name; all of them where the names are of nodes within programs."""
-    labels = {str(output.parameters[key]).partition("#")[0] for key in parties if key in output.parameters}
-    return [each for each in observation.programs if label_of(each) in labels] or list(observation.programs)
+    """The programs that parameters of a stream name; all of them where none is known by its name."""
+    known = observation.flows.situation.pids
+    pids = {pid for key in parties for pid in known.get(str(output.parameters.get(key)), ())}
+    return [each for each in observation.programs if each.pid in pids] or list(observation.programs)
 
 
 def _record(

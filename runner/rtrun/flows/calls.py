@@ -107,7 +107,8 @@ class CallRecord:
         self._add_call(callback, thread, hit, begin_ns)
 
     def _log_of(self, timer: LivingTimer) -> TimerLog:
-        alike = (timer.process.node(timer.node), timer.period_ns, timer.clock)
+        name = self._situation.label(timer.process, timer.process.node(timer.node))
+        alike = (name, timer.period_ns, timer.clock)
         number = self._situation.numbering.number(("timer", *alike), timer)
         return self.timers.setdefault((*alike, number), TimerLog(*alike, number))
 
@@ -199,7 +200,8 @@ class CallRecord:
     def _name(self, callback: LivingCallback) -> None:
         numbering = self._situation.numbering
         if callback.named is None:
-            callback.named = _named(callback, callback.owner)
+            process = callback.process
+            callback.named = _named(self._situation.label(process, process.label), callback.owner)
             callback.number = numbering.number(("callback", *callback.named), callback)
         for thread, begin_ns, end_ns in callback.early:
             log = callback.logs.get(thread)
@@ -213,10 +215,10 @@ class CallRecord:
         callback.early.clear()
 
 
-def _named(callback: LivingCallback, owner: LivingThing | None) -> tuple[str, str]:
-    """The label of a callback's node, and what it is the callback of."""
+def _named(label: str, owner: LivingThing | None) -> tuple[str, str]:
+    """The label of a callback's node, that of its process where its owner is not known, and what it is of."""
     if isinstance(owner, LivingTimer) and owner.log is not None:
         return owner.log.label, numbered(owner.log.name, owner.log.number)
     if isinstance(owner, Endpoint):
         return owner.end.label, owner.topic
-    return callback.process.label, ""
+    return label, ""

@@ -23,7 +23,7 @@ class LivingProcess:
     """A process from its first hit to its end. `label` names its node, or the program where no node is known."""
 
     __slots__ = (
-        "by_topic", "callbacks", "has_own_name", "is_alive", "label", "names_of_nodes", "pid", "program",
+        "by_topic", "callbacks", "has_own_name", "is_alive", "label", "labels", "names_of_nodes", "pid", "program",
         "publishers", "subscribers", "subscriptions", "timers",
     )  # fmt: skip
 
@@ -34,6 +34,8 @@ class LivingProcess:
         self.is_alive = True
         self.has_own_name = has_own_name
         self.names_of_nodes: dict[Handle, str] = {}
+        self.labels: dict[str, str] = {}
+        """By names of its nodes: the same, as they are told from those of other processes."""
         self.publishers: dict[Handle, Endpoint] = {}
         self.subscribers: dict[Handle, Endpoint] = {}
         self.subscriptions: dict[Handle, Endpoint] = {}

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from rtrun.flows.matching import PayloadMatching, StampMatching, has_header
 from rtrun.flows.messages import End, Endpoint, MessageRecord, Payload, Publication, Reception
 from rtrun.flows.paths import PathRecord
-from rtrun.flows.programs import Handle, LivingProcess, full_name, numbered
+from rtrun.flows.programs import Handle, LivingProcess, full_name
 from rtrun.flows.recorder import FlowRecorder
 from rtrun.flows.situation import FAULT, Situation
 from rtrun.flows.threads import ObservedThread
@@ -123,8 +123,12 @@ class TopicRecord(MessageRecord):
         if handle in known:
             known[handle].is_replaced = True
         endpoint = known[handle] = Endpoint(process, topic, begin_ns)
-        label = process.node(node)
-        label = numbered(label, self._situation.numbering.number((role, topic, label), endpoint))
+        label = self._situation.label(process, process.node(node))
+        number = self._situation.numbering.number((role, topic, label), endpoint)
+        if number > 1:
+            # Of several in one process.
+            label = f"{label} ({number})"
+            self._situation.pids.setdefault(label, set()).add(process.pid)
         endpoint.end = self.ends.setdefault((role, topic, label), End(topic, label))
         return endpoint
 

@@ -130,6 +130,18 @@ def test_a_program_that_restarts_is_measured_on():
     assert np.diff(publisher.columns["timestamp_ns"])[publisher.cuts - 1].max() > S
 
 
+def test_a_program_has_one_name_on_all_topics():
+    """The second of two by one name is the second everywhere, also where it is alone."""
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "camera"), node(2, "camera")])
+    observed.feed([publish(1), publish(2, pid=2, endpoint=1), publish(3, "/b", pid=2, endpoint=2)])
+    observed.feed([publish(4, "/b", pid=2, endpoint=3)])
+    assert {(end.topic, end.label) for end in observed.topics.ends.values()} == {
+        ("/a", "/camera"), ("/a", "/camera#2"), ("/b", "/camera#2"), ("/b", "/camera#2 (2)")
+    }  # fmt: skip
+    assert observed.situation.pids["/camera#2"] == observed.situation.pids["/camera#2 (2)"] == {2}
+
+
 def test_two_programs_of_one_name_are_told_apart():
     lives = [talker(), listener(), listener(pid=5)]
     observed, _ = System(lives).observe()

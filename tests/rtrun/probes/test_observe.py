@@ -208,7 +208,8 @@ def test_above_the_limit_the_probes_rest(here, standin):
     gaps = [gap for each in results if isinstance(each, Batch) for gap in each.gaps]
     assert gaps and {gap.reason for gap in gaps} == {"the probes rested: too many events"}
     taken = values_of(results, "take")
-    assert all(gap.until_ns - gap.from_ns > 10**9 for gap in gaps)
+    # The end of the observation may end the last one.
+    assert all(gap.until_ns - gap.from_ns > 10**9 for gap in gaps[:-1])
     numbers = [hit.values["source_ns"] for hit in taken]
     jumps = [b.at_ns for a, b in itertools.pairwise(taken) if b.values["source_ns"] != a.values["source_ns"] + 1]
     assert numbers and all(any(gap.from_ns < at < gap.until_ns + 10**8 for gap in gaps) for at in jumps)
