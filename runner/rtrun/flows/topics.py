@@ -12,6 +12,8 @@ from rtrun.flows.threads import ObservedThread
 from rtrun.probes.hits import Hit
 
 PUBLISHER, SUBSCRIBER = "publisher", "subscriber"
+# Of ROS 2 itself, in every process: no messages of a system of nodes.
+_OF_ROS = frozenset(("ros_discovery_info", "/parameter_events"))
 _RECENT_MAX = 4096  # messages of a subscription of roscpp that wait for their callback
 _KEY_BYTES = 12
 
@@ -57,6 +59,8 @@ class TopicRecord(MessageRecord):
             self._recorder.message(publication, reception)
 
     def _publish(self, hit: Hit, thread: ObservedThread) -> None:
+        if hit.values.get("topic") in _OF_ROS:
+            return
         key = key_of(hit.values)
         process = thread.process
         endpoint = self._endpoint_of(hit, process, PUBLISHER, process.publishers)
@@ -77,6 +81,9 @@ class TopicRecord(MessageRecord):
     def _take(self, hit: Hit, thread: ObservedThread) -> None:
         if not hit.values.get("taken", 1):
             thread.cause = None
+            return
+        if hit.values.get("topic") in _OF_ROS:
+            thread.does_else()
             return
         key = key_of(hit.values)
         process = thread.process

@@ -105,7 +105,9 @@ class _Watching:
         self._pids = {thread.tid: each.program.pid for each in programs for thread in each.program.threads}
         buffer_kb = min(max(limit_per_s * 2 * _EVENT_BYTES // 1024, _BUFFER_KB[0]), _BUFFER_KB[1])
         buffer_kb += _BUFFER_KERNEL_KB if kernel_events else 0
-        self._end_s = time.monotonic() + for_s
+        self._for_s = for_s
+        # Once the probes are placed, it is what was asked for.
+        self._end_s = time.monotonic() + for_s + SET_UP_S
         self._arguments = (str(buffer_kb), str(limit_per_s), pattern(), *kernel_events)
         self._script = str(scripts / "watch_probes.sh")
         watched = " ".join(str(each.program.pid) for each in programs)
@@ -183,6 +185,7 @@ class _Watching:
                     rests += sum(gap.reason == RESTED for gap in each.gaps)
                     yield each
                 elif calls == 1:
+                    self._end_s = time.monotonic() + self._for_s
                     yield self._began(each)
             if isinstance(piece, bytes):
                 continue

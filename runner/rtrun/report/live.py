@@ -55,7 +55,7 @@ def _cells(row: LiveRow) -> tuple[str, ...]:
 
 
 def live_line(snapshot: Snapshot) -> str:
-    """The same in a line: how much there is, and the worst of each stream that has a deadline."""
+    """The same in a line: how much there is, and the worst of what has a deadline, as that names it."""
     rows = _shown(snapshot)
     messages = [row for row in rows if row.kind is StreamKind.MESSAGES]
     parts = [
@@ -63,11 +63,15 @@ def live_line(snapshot: Snapshot) -> str:
         f"{sum(row.lost or 0 for row in messages)} lost",
         counted(sum(row.kind is StreamKind.TIMER for row in rows), "timer"),
     ]
-    parts += [
-        f"{row.name} ({row.of}): worst {time_us(row.worst_ns)} us, misses {row.misses}"
-        for row in rows
-        if row.misses is not None
-    ]
+    with_deadline: dict[tuple[StreamKind, str], list[LiveRow]] = {}
+    for row in rows:
+        if row.misses is not None:
+            with_deadline.setdefault((row.kind, row.name), []).append(row)
+    for (kind, name), alike in with_deadline.items():
+        worst_ns = max((row.worst_ns for row in alike if row.worst_ns is not None), default=None)
+        worst = "no value yet" if worst_ns is None else f"worst {time_us(worst_ns)} us"
+        named = name if kind in (StreamKind.MESSAGES, StreamKind.PATH) else f"{kind}:{name}"
+        parts.append(f"{named}: {worst}, misses {sum(row.misses or 0 for row in alike)}")
     return ", ".join((*parts, *snapshot.remarks))
 
 

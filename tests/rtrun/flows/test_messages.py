@@ -130,6 +130,15 @@ def test_a_program_that_restarts_is_measured_on():
     assert np.diff(publisher.columns["timestamp_ns"])[publisher.cuts - 1].max() > S
 
 
+def test_what_ros_sends_for_itself_is_no_stream():
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "camera"), node(2, "base")])
+    for topic in ("/a", "ros_discovery_info", "/parameter_events"):
+        observed.feed([publish(observed.newest_ns + 1, topic)])
+        observed.feed([take(observed.newest_ns + 1, observed.newest_ns, topic)])
+    assert {end.topic for end in observed.topics.ends.values()} == {"/a"} and not observed.situation.unreadable
+
+
 def test_a_program_has_one_name_on_all_topics():
     """The second of two by one name is the second everywhere, also where it is alone."""
     observed = FlowAccumulator(begin_ns=0)
