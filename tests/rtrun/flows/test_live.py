@@ -112,7 +112,7 @@ def test_a_line_and_json(seen, capsys):
     line = live_line(snapshots[9])
     assert line.startswith("10 s: ") and " lost, 1 timer, /a: worst " in line
     # Of intervals those with a deadline alone.
-    assert "interval:/b: worst " in line and "/a (publisher" not in line
+    assert "interval:/b: worst " in line and "interval:/a" not in line
     assert json.loads(live_json(snapshots[9]))["rows"][0]["name"] == "/a"
     for as_json in (False, True):
         with LiveView(as_json=as_json) as view:
