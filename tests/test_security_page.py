@@ -35,6 +35,7 @@ NO_LIMITS = {
         "rtrun.flows.timers._PERIOD_OFF_MAX",
         "rtrun.flows.hazards._NAMED_MAX",
         "rtrun.execution.observation._NAME_MAX",
+        "rtrun.execution.observation._KERNEL_EVENTS_PER_S",
     },
     "pauses between two attempts, and parts of a time that stands on the page": {
         "rtrun.targets.labgrid.places.POLL_S",

@@ -77,6 +77,7 @@ def test_build(tmp_path: Path, machine: str) -> None:
         *(f"lib/communication_tests/{program}" for program in messages),
         "lib/cyclic_timer_tests/cyclic_timer_tests",
         "lib/oneshot_timer_tests/oneshot_timer_tests",
+        "lib/rt_tests_sampler/rt_tests_allocations.so",
         "lib/rt_tests_sampler/rt_tests_sampler",
         *(f"lib/transport_tests/{program}_{transport}" for program in messages for transport in transports),
     ]

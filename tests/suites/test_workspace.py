@@ -29,6 +29,6 @@ def test_catkin_make_builds_and_installs_all(tmp_path: Path, monkeypatch: pytest
     for name in builder.transports():
         programs |= {f"transport_tests/communication_tests_{role}_{name}" for role in ("publisher", "subscriber")}
     installed = {str(path.relative_to("ros/lib")) for path in Path("ros/lib").glob("*_tests*/*_test*")}
-    assert installed == programs | {"rt_tests_sampler/rt_tests_sampler"}
+    assert installed == programs | {"rt_tests_sampler/rt_tests_sampler", "rt_tests_sampler/rt_tests_allocations.so"}
     for program in programs:
         assert output_of(f"ros/lib/{program}", "--help")
