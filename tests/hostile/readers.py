@@ -380,7 +380,7 @@ COMMANDS = (
       for form in ("html", "markdown", "json", "junit", "lava", "csv", "parquet")),
     ["archive", "add", RUN, "--to", ARCHIVE := "{beside}.archive", "--samples", "--commit", "c1"], ["history", ARCHIVE],
     ["trends", ARCHIVE], ["bisect", ARCHIVE, "--order", "{beside}.order"],
-    ["site", ARCHIVE, "--out", "{beside}.site"],
+    ["site", ARCHIVE, "--output", "{beside}.site"],
 )  # fmt: skip
 
 

@@ -76,7 +76,7 @@ def test_values_of_a_wrong_type_or_beyond_every_limit(archive, tmp_path, capsys,
         main(["history", str(archive)]),
         main(["history", str(archive), "--by", "run", "--json"]),
         main(["trends", str(archive)]),
-        main(["site", str(archive), "--out", str(tmp_path / "site")]),
+        main(["site", str(archive), "--output", str(tmp_path / "site")]),
     ]
     # What only some commands ask for is an error of those.
     assert set(statuses) <= {0, 2} and 2 in statuses, capsys.readouterr().err
@@ -92,14 +92,14 @@ def test_paths_that_are_no_utf_8(archive, tmp_path, capsys, place):
     else:
         archive = archive.rename(tmp_path / odd)
     assert main(["history", str(archive)]) == 2
-    assert main(["site", str(archive), "--out", str(tmp_path / "site")]) == 2
+    assert main(["site", str(archive), "--output", str(tmp_path / "site")]) == 2
     assert "not UTF-8" in capsys.readouterr().err
 
 
 def test_pages_and_metrics_take_no_commands(archive, tmp_path, capsys):
     for path in sorted((archive / "runs").rglob("*.parquet")):
         rewrite(path, kernel_release="\x1b]0;owned\x07<script>")
-    assert main(["site", str(archive), "--out", str(tmp_path / "site")]) == 0, capsys.readouterr().err
+    assert main(["site", str(archive), "--output", str(tmp_path / "site")]) == 0, capsys.readouterr().err
     metrics = (tmp_path / "site/metrics.txt").read_text()
     assert 'kernel="?]0;owned?<script>"' in metrics and "\x1b" not in metrics
     for page in (tmp_path / "site").glob("*.html"):

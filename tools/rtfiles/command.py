@@ -12,10 +12,10 @@ from types import ModuleType
 from typing import Any
 
 from rtfiles.errors import DEFECT_STATUS, INTERRUPTED_STATUS, InfrastructureError, UsageError
+from rtfiles.invocation import DISTRIBUTION
 from rtfiles.output import print_line, print_note, print_status, print_text, surviving_output
 from rtfiles.wording import did_you_mean, unknown
 
-DISTRIBUTION = "meta-rt-tests"  # the name in pyproject.toml
 SHELLS = ("bash", "zsh")
 
 
@@ -137,5 +137,5 @@ def _complete_paths(parser: argparse.ArgumentParser) -> None:
         if isinstance(action, argparse._SubParsersAction):
             for subparser in action.choices.values():
                 _complete_paths(subparser)
-        elif action.type is Path:
+        elif action.type is Path or getattr(action.type, "__annotations__", {}).get("return") is Path:
             action.complete = shtab.FILE  # type: ignore[attr-defined]

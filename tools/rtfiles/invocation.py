@@ -1,8 +1,16 @@
 """How the user starts the programs, for messages that say which command comes next."""
 
+import shlex
 import shutil
 import sys
 from pathlib import Path
+
+DISTRIBUTION = "meta-rt-tests"  # the name in pyproject.toml
+
+
+def install_extra(name: str) -> str:
+    """The command that installs an extra of pyproject.toml beside the running program."""
+    return f"{shlex.quote(sys.executable)} -m pip install '{DISTRIBUTION}[{name}]'"
 
 
 def as_called(program: str) -> str:

@@ -44,6 +44,13 @@ def print_text(text: str) -> None:
     print("\n".join(printable(line) for line in text.removesuffix("\n").split("\n")), flush=True)
 
 
+def print_json(data: Any) -> None:
+    """Print plain data for programs. Raises ValueError for a number that JSON does not have."""
+    import json
+
+    print_text(json.dumps(data, indent=1, allow_nan=False))
+
+
 def print_bytes(content: bytes) -> None:
     """Print a file as it is to standard output, for a program to read."""
     sys.stdout.flush()

@@ -18,7 +18,7 @@ from rtfiles.wording import unknown
 from rtgen.board import packages as board_packages
 from rtgen.board import sysroot
 from rtgen.board.machine import DebianArchitecture, architectures, machines
-from rtgen.checkout import checkout
+from rtgen.checkout import shipped
 from rtgen.process import run
 
 SCHEMA = 1
@@ -62,8 +62,8 @@ class Toolchain:
 
 
 def sources() -> Path:
-    """The folder recipes-tests. Raises UsageError as `checkout` does."""
-    return checkout() / "recipes-tests"
+    """The folder recipes-tests."""
+    return shipped("recipes-tests")
 
 
 def packages() -> list[str]:

@@ -3,6 +3,7 @@
 from importlib.util import find_spec
 
 from rtfiles.errors import UsageError
+from rtfiles.invocation import install_extra
 
 PACKAGES = ("duckdb", "fsspec", "pyarrow", "ruptures")
 
@@ -10,4 +11,4 @@ PACKAGES = ("duckdb", "fsspec", "pyarrow", "ruptures")
 def check_extra() -> None:
     """Raise UsageError with the command that installs them when packages of the extra are missing."""
     if missing := [name for name in PACKAGES if find_spec(name) is None]:
-        raise UsageError(f"an archive needs {', '.join(missing)}: pip install 'meta-rt-tests[archive]'")
+        raise UsageError(f"an archive needs {', '.join(missing)}: {install_extra('archive')}")

@@ -1,7 +1,8 @@
 """rtrun archive: keep runs of many months and boards in one place."""
 
 import argparse
-from pathlib import Path
+
+from rtrun.commands._arguments import add_results
 
 NAME = "archive"
 HELP = "keep runs of many months and boards as Parquet files, in a folder or an object store"
@@ -10,7 +11,7 @@ HELP = "keep runs of many months and boards as Parquet files, in a folder or an 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to do, the results, the archive, and what the results do not hold."""
     parser.add_argument("action", choices=["add"], help="add the runs of RESULTS that the archive does not have")
-    parser.add_argument("results", type=Path, metavar="RESULTS", help="folder of runs, or one run directory")
+    add_results(parser, files=False)
     parser.add_argument(
         "--to",
         required=True,

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from rtrun.commands._arguments import add_target
+
 NAME = "build-suites"
 HELP = "build the suites on a target, with its own compiler and ROS, for its campaigns"
 
@@ -10,7 +12,7 @@ HELP = "build the suites on a target, with its own compiler and ROS, for its cam
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what `build-suites` takes."""
     parser.add_argument("sources", type=Path, metavar="FOLDER", help="recipes-tests, the sources of the suites")
-    parser.add_argument("--target", type=Path, required=True, metavar="TARGET.yml")
+    add_target(parser)
 
 
 def run(args: argparse.Namespace) -> int:

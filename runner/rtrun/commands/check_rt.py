@@ -4,6 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rtrun.commands._arguments import add_json, add_target
+
 if TYPE_CHECKING:
     from rtrun.targets.inspection.platform import Platform
     from rtrun.targets.inspection.rt_readiness import CheckResult
@@ -15,8 +17,8 @@ HELP = "list what stands in the way of real time on a running target, why, and t
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what `check-rt` takes."""
-    parser.add_argument("--target", type=Path, required=True, metavar="TARGET.yml")
-    parser.add_argument("--json", action="store_true", help="every check, as JSON")
+    add_target(parser)
+    add_json(parser)
     parser.add_argument(
         "--save-config", type=Path, metavar="FILE", help="keep the kernel's configuration, for rtgen kconfig verify"
     )
@@ -24,9 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the findings. 0: nothing fatal or high, 1: something, 3: the target cannot be reached."""
-    import json
 
-    from rtfiles.output import print_text
+    from rtfiles.output import print_json
     from rtrun.commands._link import linked
     from rtrun.targets.config import read_target
     from rtrun.targets.inspection import platform_signs, rt_readiness
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         kernel = " ".join([*facts.get("kernel", []), *facts.get("kernel_version", [])])
         head = {"schema": 2, "target": target.name, "platform": known.platform, "kernel": kernel, "ready": ready}
         clock = {name: facts.get(name, []) for name in ("clocksource", "clockevent")}
-        print_text(json.dumps({**head, **clock, "checks": [_as_json(each) for each in findings]}, indent=2))
+        print_json({**head, **clock, "checks": [_as_json(each) for each in findings]})
     else:
         _print(f"{target.name} ({target.address})", known.platform, findings)
     return 0 if ready else 1

@@ -1,8 +1,8 @@
 """rtrun claims: what the campaign says about each of the 19 claims of the thesis."""
 
 import argparse
-from pathlib import Path
 
+from rtrun.commands._arguments import add_json, add_results
 from rtrun.commands._question import add_confidence
 
 NAME = "claims"
@@ -11,17 +11,16 @@ HELP = "re-examine the 19 claims of the thesis on a campaign"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The results and how to print."""
-    parser.add_argument("results", type=Path, help="folder of runs or run directory")
-    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    add_results(parser, files=False)
+    add_json(parser)
     add_confidence(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the claims. Raises UsageError when there is nothing to examine."""
     import dataclasses
-    import json
 
-    from rtfiles.output import print_line, print_text
+    from rtfiles.output import print_json, print_line
     from rtrun.judgement.claims.examiners import examine_claims
     from rtrun.judgement.study import study
     from rtrun.plan.question import Question
@@ -32,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     examined = examine_claims(analysed)
     if args.json:
         data = {"schema": 2, "platform": analysed.platform, "claims": [dataclasses.asdict(claim) for claim in examined]}
-        print_text(json.dumps(data, indent=1, allow_nan=False))
+        print_json(data)
         return 0
     print_banner(analysed.platform)
     for claim in examined:

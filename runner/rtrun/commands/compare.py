@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from rtrun.commands._arguments import add_json
 from rtrun.commands._question import add_question, question, time_argument
 
 NAME = "compare"
@@ -25,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TIME",
         help="a shift that is of no concern, as 5us [5 %% of A's figure]",
     )
-    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    add_json(parser)
     add_question(parser)
 
 

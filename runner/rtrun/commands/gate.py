@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rtrun.commands._arguments import add_results
 from rtrun.commands._question import add_question, ask, probability_argument, question, time_argument
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ FALSE_ALARMS = 0.05
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The results, the question, where JUnit XML goes."""
-    parser.add_argument("results", type=Path, help="folder of runs, run directory, .log or .npy of a suite")
+    add_results(parser)
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the cases as JUnit XML")
     parser.add_argument(
         "--assume-independent",

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, get_args
 
 from rtrun.archive import By
 from rtrun.commands._archive import add_archive, add_deadline
+from rtrun.commands._arguments import add_json
 
 if TYPE_CHECKING:
     from rtrun.archive.queries import Point
@@ -20,15 +21,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--by", choices=get_args(By), default="day", help="what a row is of; boards and kernels stay apart [day]"
     )
     add_deadline(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print a table for each scenario."""
-    import json
     from itertools import groupby
 
-    from rtfiles.output import print_line, print_text
+    from rtfiles.output import print_json, print_line
     from rtrun.archive.extra import check_extra
 
     check_extra()
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     with connected(open_archive(args.archive)) as archive:
         points = figures(archive, args.by, deadline_ns=deadline_ns, of=args.of)
     if args.json:
-        print_text(json.dumps(as_data(points, by=args.by, deadline_ns=deadline_ns), indent=1, allow_nan=False))
+        print_json(as_data(points, by=args.by, deadline_ns=deadline_ns))
         return 0
 
     def course(point: "Point") -> tuple[str, str, str]:

@@ -10,7 +10,9 @@ HELP = "make run directories of 2014 logs and of histograms of cyclictest, jitte
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The files, where they go, what they were measured on."""
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="a log, or what one of the programs wrote")
-    parser.add_argument("--out", type=Path, default=Path("results/imported"), metavar="DIR", help="[results/imported]")
+    parser.add_argument(
+        "--results", type=Path, default=Path("results/imported"), metavar="FOLDER", help="[results/imported]"
+    )
     parser.add_argument(
         "--platform",
         choices=["hardware", "virtual", "emulated"],
@@ -40,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     for path in args.files:
         try:
             identity = Identity(**{**given, **read_name(path)})
-            for folder, left_out in adopt(path, args.out, platform=Platform(args.platform), identity=identity):
+            for folder, left_out in adopt(path, args.results, platform=Platform(args.platform), identity=identity):
                 print_line(str(folder))
                 for text in left_out:
                     print_line(f"    not known: {text}")

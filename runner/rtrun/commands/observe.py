@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rtrun.commands._arguments import add_target
 from rtrun.commands._question import argument, time_argument
 from rtrun.plan.observation import read_path, read_stream_deadline
 
@@ -18,7 +19,7 @@ DRAWN_MAX = 200_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what `observe` takes."""
-    parser.add_argument("--target", type=Path, required=True, metavar="TARGET.yml")
+    add_target(parser)
     parser.add_argument(
         "--for", type=time_argument, default=60 * 10**9, dest="for_ns", metavar="TIME", help="how long [1min]"
     )

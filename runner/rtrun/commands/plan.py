@@ -3,10 +3,10 @@
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rtfiles.quantities import duration
+from rtrun.commands._arguments import add_campaign, add_json
 from rtrun.commands._question import probability_argument
 
 if TYPE_CHECKING:
@@ -34,22 +34,21 @@ class _Forecast:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what `plan` takes."""
-    parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.yml")
+    add_campaign(parser)
     parser.add_argument(
         "--assume-rate",
         type=probability_argument,
         metavar="P",
         help="with a goal (until): how long it takes if so many measurements miss the deadline",
     )
-    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the plan. Raises UsageError for a rate without a goal."""
-    import json
 
     from rtfiles.errors import UsageError
-    from rtfiles.output import counted, print_line, print_text
+    from rtfiles.output import counted, print_json, print_line
     from rtrun.plan.campaign import read_campaign
     from rtrun.plan.run import blocks
 
@@ -58,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{args.campaign}: --assume-rate: the campaign has no goal (until), so its length is known")
     forecasts = tuple(_forecasts(campaign.until, runs, args.assume_rate)) if campaign.until else ()
     if args.json:
-        print_text(json.dumps(_as_data(campaign, runs, forecasts), indent=1, allow_nan=False))
+        print_json(_as_data(campaign, runs, forecasts))
         return 0
     divided = blocks(runs)
     for number, block in enumerate(divided):

@@ -1,8 +1,9 @@
 """``rtrun probe``: what a target is, without measuring anything."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from rtrun.commands._arguments import add_json, add_target
 
 if TYPE_CHECKING:
     from rtrun.execution.middleware.service import Service
@@ -14,16 +15,15 @@ HELP = "say what a target is and whether it is ready for a campaign"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what `probe` takes."""
-    parser.add_argument("--target", type=Path, required=True, metavar="TARGET.yml")
-    parser.add_argument("--json", action="store_true", help="every fact, as JSON")
+    add_target(parser)
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print what the target is. 0: ready, 2: its suites are for another machine, 3: out of reach or lacks something."""
-    import json
     from dataclasses import asdict
 
-    from rtfiles.output import print_line, print_status, print_text
+    from rtfiles.output import print_json, print_line, print_status
     from rtrun.commands._link import linked
     from rtrun.execution.middleware.known import SERVICES
     from rtrun.targets import deploy
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
             "services": services,
             "state": state.model_dump(),
         }
-        print_text(json.dumps(facts, indent=2))
+        print_json(facts)
         return 0
     suites = target.suites or ", ".join(sorted(equipment.programs)) or "none installed"
     lines = {

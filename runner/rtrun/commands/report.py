@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from rtrun.commands._arguments import add_results
 from rtrun.commands._question import add_question, ask
 
 NAME = "report"
@@ -21,7 +22,7 @@ _ENDINGS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The results, the format, the question."""
-    parser.add_argument("results", type=Path, help="folder of runs, run directory, .log or .npy of a suite")
+    add_results(parser)
     parser.add_argument("--format", choices=list(_ENDINGS), help="[as FILE ends, else html]")
     parser.add_argument(
         "--output", type=Path, metavar="FILE", help="file to write, - for standard output [beside RESULTS]"

@@ -4,6 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rtrun.commands._arguments import add_campaign
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -17,7 +19,7 @@ HELP = "measure a campaign on a target; goes on where an earlier call stopped"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what `run` takes."""
-    parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.yml")
+    add_campaign(parser)
     parser.add_argument(
         "--target",
         type=Path,

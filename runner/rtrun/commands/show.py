@@ -4,6 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rtrun.commands._arguments import add_json, add_results
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -19,20 +21,19 @@ _PERCENTILES = {"p50_us": 50.0, "p90_us": 90.0, "p99_us": 99.0, "p999_us": 99.9}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The path, and how to print."""
-    parser.add_argument("path", type=Path, help="run directory, folder of runs, .log, .npy or .json of a suite")
-    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    add_results(parser)
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the answer. Raises UsageError for what cannot be shown."""
-    import json
 
     from rtfiles.errors import UsageError
-    from rtfiles.output import console, print_text
+    from rtfiles.output import console, print_json
 
-    data, answer, refused = _read(args.path)
+    data, answer, refused = _read(args.results)
     if args.json:
-        print_text(json.dumps(data, indent=2, allow_nan=False))
+        print_json(data)
     else:
         console().print(answer, crop=False)
     if refused:

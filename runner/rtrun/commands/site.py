@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The archive, the folder, the deadline, the confidence."""
     add_archive(parser)
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder of the pages, made where missing"
+        "--output", type=Path, required=True, metavar="FOLDER", help="folder of the pages, made where missing"
     )
     add_deadline(parser)
     add_confidence(parser)
@@ -31,9 +31,9 @@ def run(args: argparse.Namespace) -> int:
 
     if not known:
         raise UsageError(f"{args.archive}: no run in it has a time, so there is no course to show")
-    args.out.mkdir(parents=True, exist_ok=True)
+    args.output.mkdir(parents=True, exist_ok=True)
     written = write_site(
-        args.out,
+        args.output,
         args.archive,
         known,
         trends(known, confidence=args.confidence),

@@ -3,6 +3,7 @@
 import argparse
 
 from rtrun.commands._archive import add_archive, add_deadline, read_courses
+from rtrun.commands._arguments import add_json
 from rtrun.commands._question import add_confidence
 
 NAME = "trends"
@@ -13,15 +14,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The archive, the deadline, the confidence, how to print."""
     add_archive(parser)
     add_deadline(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    add_json(parser)
     add_confidence(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print a few lines for each change."""
-    import json
 
-    from rtfiles.output import counted, print_line, print_text
+    from rtfiles.output import counted, print_json, print_line
 
     known, deadline_ns = read_courses(args)
     from rtrun.archive.trends import as_data, as_text, trends
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     shown = trends(known, confidence=args.confidence)
     if args.json:
         data = {"schema": 1, "deadline_ns": deadline_ns, "changes": [as_data(trend) for trend in shown]}
-        print_text(json.dumps(data, indent=1, allow_nan=False))
+        print_json(data)
         return 0
     boots = sum(len(one.boots()) for one in known)
     missed = sum(one.off_rate for one in known)

@@ -1,9 +1,9 @@
 """rtrun verdict: the answer of each group of runs, what it rests on, and what is still missing."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rtrun.commands._arguments import add_json, add_results
 from rtrun.commands._question import add_question, ask
 
 if TYPE_CHECKING:
@@ -15,16 +15,15 @@ HELP = "say for each group of runs whether the deadline is met, and what is stil
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The results, how to print, the question."""
-    parser.add_argument("results", type=Path, help="folder of runs, run directory, .log or .npy of a suite")
-    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    add_results(parser)
+    add_json(parser)
     add_question(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the table. Raises UsageError when there is nothing to judge."""
-    import json
 
-    from rtfiles.output import print_text
+    from rtfiles.output import print_json
     from rtrun.judgement.standings import standings
     from rtrun.report.standings import as_data
 
@@ -32,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         groups = as_data(standings(study))
         data = {"schema": 2, "platform": study.platform, "groups": groups, "left_out": study.left_out}
-        print_text(json.dumps(data, indent=1, allow_nan=False))
+        print_json(data)
     else:
         print_answers(study)
     return 0

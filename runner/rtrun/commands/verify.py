@@ -1,7 +1,8 @@
 """``rtrun verify``: whether results are those that were closed, byte for byte."""
 
 import argparse
-from pathlib import Path
+
+from rtrun.commands._arguments import add_json, add_results
 
 NAME = "verify"
 HELP = "check the files of every run in a results folder against the checksums in its run.json"
@@ -9,7 +10,8 @@ HELP = "check the files of every run in a results folder against the checksums i
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what `verify` takes."""
-    parser.add_argument("results", type=Path, metavar="RESULTS", help="a results folder, or one run directory in it")
+    add_results(parser, files=False)
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from rtrun.commands._arguments import add_json, add_results
 from rtrun.commands._question import add_of
 
 NAME = "why"
@@ -11,7 +12,8 @@ HELP = "say what late values waited for, from the kernel traces around them, and
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The results, and a file for Perfetto."""
-    parser.add_argument("results", type=Path, metavar="RESULTS", help="a results folder, or one run directory in it")
+    add_results(parser, files=False)
+    add_json(parser)
     add_of(parser, "default: that of the campaign's goal, else what its traces are of")
     parser.add_argument("--perfetto", type=Path, metavar="FILE", help="write the outliers for ui.perfetto.dev")
 

@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from rtfiles.errors import UsageError
+from rtfiles.invocation import install_extra
 from rtfiles.output import printable
 from rtrun.analysis.figures import PERCENTILES
 from rtrun.judgement.digest import Digest
@@ -221,7 +222,7 @@ def parquet(study: Study) -> bytes:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise UsageError("--format parquet needs pyarrow: pip install 'meta-rt-tests[parquet]'") from error
+        raise UsageError(f"--format parquet needs pyarrow: {install_extra('report')}") from error
     stream = io.BytesIO()
     pyarrow.parquet.write_table(pyarrow.Table.from_pylist(rows(study)), stream)
     return stream.getvalue()

@@ -301,4 +301,6 @@ def test_a_missing_extra_is_one_line(capsys, results, archive, monkeypatch):
     monkeypatch.setattr("rtrun.archive.extra.find_spec", lambda name: None if name == "duckdb" else name)
     for command in (["archive", "add", str(results), "--to", str(archive)], ["history", str(archive)]):
         assert main(command) == 2
-        assert capsys.readouterr().err == ("rtrun: an archive needs duckdb: pip install 'meta-rt-tests[archive]'\n")
+        assert capsys.readouterr().err == (
+            f"rtrun: an archive needs duckdb: {sys.executable} -m pip install 'meta-rt-tests[archive]'\n"
+        )

@@ -114,7 +114,8 @@ def test_what_a_histogram_does_not_reach_is_not_known(capsys, tmp_path):
     text += ["# Histogram Overflows: 00003", "# Histogram Overflow at cycle number:", "# Thread 0: 1 2 3"]
     (tmp_path / "hist.txt").write_text("\n".join(text) + "\n")
     assert (
-        main(["import", str(tmp_path / "hist.txt"), "--out", str(tmp_path / "results"), "--platform", "hardware"]) == 0
+        main(["import", str(tmp_path / "hist.txt"), "--results", str(tmp_path / "results"), "--platform", "hardware"])
+        == 0
     )
     archive = archived(capsys, tmp_path / "results", tmp_path / "archive")
     (point,) = history(capsys, archive, "--deadline", "95us")

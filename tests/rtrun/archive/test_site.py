@@ -16,7 +16,7 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
     facts = [{"commit": EVIL if day else "c0", "kernel": "6.1" if day < 8 else "6.6"} for day in range(16)]
     archive = write_course(folder / "archive", [100.0] * 8 + [120.0] * 8, facts=facts)
-    assert main(["site", str(archive), "--out", str(folder / "pages")]) == 0
+    assert main(["site", str(archive), "--output", str(folder / "pages")]) == 0
     return folder / "pages"
 
 
@@ -60,5 +60,5 @@ def test_figures_for_grafana(site):
 
 def test_an_archive_without_times_has_no_site(capsys, tmp_path):
     (tmp_path / "empty").mkdir()
-    assert main(["site", str(tmp_path / "empty"), "--out", str(tmp_path / "pages")]) == 2
+    assert main(["site", str(tmp_path / "empty"), "--output", str(tmp_path / "pages")]) == 2
     assert not (tmp_path / "pages").exists()

@@ -64,7 +64,7 @@ def test_an_archive_tells_how_many_runs_its_figures_are_without(results, tmp_pat
     missed(results, name)
     archive = tmp_path_factory.mktemp("archive")
     assert main(["archive", "add", str(results), "--to", str(archive)]) == 0
-    assert main(["history", str(archive), "--json"]) == main(["site", str(archive), "--out", str(archive)]) == 0
+    assert main(["history", str(archive), "--json"]) == main(["site", str(archive), "--output", str(archive)]) == 0
     out = capsys.readouterr().out
     (point,) = json.loads(out[out.index("{") : out.rindex("}") + 1])["points"]
     assert (len(point["run_keys"]), point["off_rate"]) == (2, 1)

@@ -46,10 +46,11 @@ def run(args: argparse.Namespace) -> int:
 def _render(args: argparse.Namespace) -> int:
     import difflib
 
+    from rtgen.checkout import checkout
     from rtgen.kconfig import data as kconfig
     from rtgen.kconfig.render import fragment_path, render
 
-    data = kconfig.load()
+    data = kconfig.load(checkout() / "kconfig")
     machines = [args.machine] if args.machine else list(data.machines)
     outdated, count = False, 0
     for machine in machines:

@@ -33,6 +33,6 @@ def run(args: argparse.Namespace) -> int:
     load_profile(args.origin)  # an invalid profile is not copied
     text = profile_path(args.origin).read_text(encoding="utf-8")
     atomic.write_text(args.file, f"# Derived from {args.origin}.\n{text}")
-    next_command = f"{as_called('rtgen')} render --profile {args.file} --out DIR"
+    next_command = f"{as_called('rtgen')} render --profile {args.file} --output DIR"
     print_line(f"{args.file}: a copy of {args.origin}; edit it, then: {next_command}")
     return 0

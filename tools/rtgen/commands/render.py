@@ -11,7 +11,7 @@ HELP = "write meta-rt-tests/ and kas.yml from a profile, and what the suites' pr
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--profile", default=DEFAULT_PROFILE, help=f"name or file (….yml) [{DEFAULT_PROFILE}]")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write to [this repository]")
+    parser.add_argument("--output", type=Path, metavar="FOLDER", help="folder to write to [this repository]")
     parser.add_argument(
         "--check", action="store_true", help="write nothing, show differences; exit status 1 if there are any"
     )
@@ -25,10 +25,10 @@ def run(args: argparse.Namespace) -> int:
     from rtgen.layer.render import render
     from rtgen.profile import load_profile, profile_path
 
-    out = args.out or checkout()
+    out = args.output or checkout()
     profile, release = load_profile(args.profile)
     tree = render(profile_path(args.profile).stem, profile, release, prefix=output.prefix_in_git(out))
-    if not args.out:
+    if not args.output:
         tree |= render_programs()
     if args.check:
         difference = output.differences(tree, out)

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 from rtfiles import config
 from rtfiles.errors import UsageError
 from rtfiles.wording import unknown
-from rtgen.checkout import checkout
+from rtgen.checkout import shipped
 
 _VERSION = r"[0-9]{1,4}\.[0-9]{1,4}"
 Version = Annotated[str, config.matching(_VERSION, "a version of the kernel like 6.1")]
@@ -192,9 +192,9 @@ def load(folder: Path | None = None) -> Data:
     """Read ``kernels.yml``, ``machines.yml``, ``sources.yml`` and ``options/*.yml`` (folder: ``kconfig/``).
 
     Raises UsageError for a malformed file, for a concern without a file, for a symbol that two options give to one
-    machine and kernel, and as `checkout` does.
+    machine and kernel.
     """
-    folder = folder or checkout() / "kconfig"
+    folder = folder or shipped("kconfig")
     data = Data(
         folder=folder,
         kernels=config.load(folder / "kernels.yml", _Kernels).kernels,

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
-from rtgen.checkout import checkout
+from rtgen.checkout import shipped
 from rtgen.layer.render import SOURCES_LINK, SymbolicLink, Tree, is_ours
 from rtgen.profile import LAYER
 
@@ -74,7 +74,7 @@ def write(tree: Tree, out: Path) -> Outcome:
         link.target for link in tree.values() if isinstance(link, SymbolicLink) and not (out / link.target).exists()
     ]
     for path in linked:
-        (out / path).symlink_to((checkout() / path).resolve())
+        (out / path).symlink_to(shipped(str(path)))
     return Outcome(written=written, removed=tuple(removed), linked=tuple(out / path for path in linked))
 
 

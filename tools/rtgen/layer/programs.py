@@ -5,7 +5,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from rtfiles.config import read_yaml
-from rtgen.checkout import checkout
+from rtgen.checkout import shipped
 from rtgen.layer.render import SOURCES, Tree, marked, templates
 
 PATH = SOURCES / "rt_tests_support/src/programs.cpp"
@@ -15,7 +15,7 @@ def render_programs() -> Tree:
     """The one file, by its path in the checkout."""
     environment = templates()
     environment.filters |= {"cpp": _cpp, "kind": _kind}
-    data = read_yaml(checkout() / SOURCES / "suites.yml")
+    data = read_yaml(shipped(str(SOURCES)) / "suites.yml")
     text = environment.get_template("recipes-tests/programs.cpp.j2").render(data)
     return {PATH: marked(str(PATH), text, str(PurePosixPath(SOURCES, "suites.yml")))}
 

@@ -15,7 +15,7 @@ import yaml
 
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
-from rtgen.checkout import checkout
+from rtgen.checkout import shipped
 from rtgen.layer.recipes import CLIENTS, recipes_of
 from rtgen.profile import LAYER, Profile, ProfileMachine, Release, Repository, key_pattern, load_machines
 
@@ -162,7 +162,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
 def templates() -> jinja2.Environment:
     """The templates, which fail on what they are not given."""
     return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(checkout() / "tools/rtgen/templates"),
+        loader=jinja2.PackageLoader("rtgen"),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -235,7 +235,7 @@ def _fragment(name: str, machine: ProfileMachine) -> tuple[str, str]:
 
 
 def _kconfig(path: str) -> str:
-    return (checkout() / "kconfig" / path).read_text(encoding="utf-8")
+    return (shipped("kconfig") / path).read_text(encoding="utf-8")
 
 
 def marked(path: str, text: str, source: str) -> str:

@@ -25,6 +25,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, Field, ValidationError
 
 from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.invocation import install_extra
 from rtrun.targets.errors import TargetError, TargetGone
 from rtrun.targets.labgrid.environment import Environment, entries
 from rtrun.targets.labgrid.serial_console import keeping_console
@@ -151,9 +152,7 @@ def list_places(coordinator: str) -> list[LabgridPlace]:
         from labgrid.remote.generated import labgrid_coordinator_pb2 as messages
         from labgrid.remote.generated import labgrid_coordinator_pb2_grpc as services
     except ImportError as error:
-        raise UsageError(
-            f"targets of labgrid need the package labgrid: pip install 'meta-rt-tests[farm]' ({error})"
-        ) from error
+        raise UsageError(f"targets of labgrid need the package labgrid: {install_extra('farm')} ({error})") from error
     address = coordinator if ":" in coordinator else f"{coordinator}:20408"
     with grpc.insecure_channel(address) as channel:
         try:

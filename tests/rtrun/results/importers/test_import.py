@@ -108,7 +108,7 @@ def cyclictest_text(folder, text, **known):
 
 @pytest.mark.parametrize("log", sorted(LOGS_2014.glob("*.log")), ids=lambda path: path.name[:30])
 def test_logs_of_2014_become_runs(tmp_path, log, capsys):
-    assert main(["import", str(log), "--out", str(tmp_path / "out"), *HARDWARE]) == 0
+    assert main(["import", str(log), "--results", str(tmp_path / "out"), *HARDWARE]) == 0
     printed = capsys.readouterr().out
     assert "not known: the samples" in printed
     (group,) = study(tmp_path / "out").groups
@@ -187,7 +187,7 @@ def test_pipes_and_devices_are_refused_at_once(tmp_path, capsys):
     pipe = tmp_path / "pipe.log"
     os.mkfifo(pipe)
     for path in (pipe, Path("/dev/zero")):
-        assert main(["import", str(path), "--out", str(tmp_path / "out"), *HARDWARE]) == 2
+        assert main(["import", str(path), "--results", str(tmp_path / "out"), *HARDWARE]) == 2
         assert f"{path}: not a regular file" in capsys.readouterr().err
 
 
@@ -202,17 +202,17 @@ def test_a_renamed_log_of_a_oneshot_timer_is_read_after_its_import(tmp_path):
 def test_what_was_emulated_stays_so(tmp_path):
     file = tmp_path / "tl.txt"
     file.write_text(TIMERLAT)
-    assert main(["import", str(file), "--out", str(tmp_path / "out"), "--platform", "emulated"]) == 0
+    assert main(["import", str(file), "--results", str(tmp_path / "out"), "--platform", "emulated"]) == 0
     assert study(tmp_path / "out").platform is Platform.EMULATED
 
 
 def import_all(folder, *options):
     files = sorted(str(path) for path in folder.rglob("*.txt"))
-    return main(["import", *files, "--out", str(folder / "out"), *HARDWARE, *options])
+    return main(["import", *files, "--results", str(folder / "out"), *HARDWARE, *options])
 
 
 def test_the_platform_is_never_guessed(tmp_path, capsys):
-    assert main(["import", str(tmp_path / "x"), "--out", str(tmp_path / "out")]) == 2
+    assert main(["import", str(tmp_path / "x"), "--results", str(tmp_path / "out")]) == 2
     assert "--platform" in capsys.readouterr().err
 
 
@@ -240,7 +240,8 @@ def test_unknown_boards_never_pool_and_pass_no_gate(tmp_path, capsys):
     assert main(["gate", str(tmp_path / "out"), *question]) == 1
     assert capsys.readouterr().out.count("of an unknown board: import it with --board") >= 1
     assert (
-        main(["import", str(tmp_path / "a" / "a.txt"), "--out", str(tmp_path / "b2"), *HARDWARE, "--board", "x"]) == 0
+        main(["import", str(tmp_path / "a" / "a.txt"), "--results", str(tmp_path / "b2"), *HARDWARE, "--board", "x"])
+        == 0
     )
     assert main(["gate", str(tmp_path / "b2"), *question]) == 0
 
@@ -265,10 +266,10 @@ def test_one_bad_file_does_not_stop_the_others(tmp_path, capsys):
     good, bad = tmp_path / "good.txt", tmp_path / "bad.txt"
     good.write_text(TIMERLAT)
     bad.write_text("hello")
-    assert main(["import", str(bad), str(good), "--out", str(tmp_path / "out"), *HARDWARE]) == 2
+    assert main(["import", str(bad), str(good), "--results", str(tmp_path / "out"), *HARDWARE]) == 2
     assert "bad.txt: expected a log" in capsys.readouterr().err
     assert (tmp_path / "out" / "good-thread" / "run.json").exists()
-    assert main(["import", str(good), "--out", str(tmp_path / "out"), *HARDWARE]) == 2
+    assert main(["import", str(good), "--results", str(tmp_path / "out"), *HARDWARE]) == 2
     assert "there already" in capsys.readouterr().err
 
 

@@ -1,0 +1,48 @@
+"""Arguments that several commands take, each with one name and one meaning."""
+
+import argparse
+import os
+from pathlib import Path
+
+import rtrun
+
+# Those of the repository, which the Python package holds, too.
+CAMPAIGNS = Path(rtrun.__file__).with_name("plan") / "campaigns"
+# The target file where a command names none.
+TARGET_VARIABLE = "RTRUN_TARGET"
+
+
+def add_campaign(parser: argparse.ArgumentParser) -> None:
+    """The campaign file, by its path or by the name of one that is shipped."""
+    names = ", ".join(sorted(path.stem for path in CAMPAIGNS.glob("*.yml")))
+    parser.add_argument("campaign", type=campaign_file, metavar="CAMPAIGN", help=f"a file, or one of {names}")
+
+
+def campaign_file(text: str) -> Path:
+    """The file of this path; where there is none, the campaign of that name among those that are shipped."""
+    path, shipped = Path(text), CAMPAIGNS / f"{text}.yml"
+    return shipped if path.name == text and not path.exists() and shipped.is_file() else path
+
+
+def add_target(parser: argparse.ArgumentParser) -> None:
+    """The one target file; required where the environment names none."""
+    given = os.environ.get(TARGET_VARIABLE)
+    parser.add_argument(
+        "--target",
+        type=Path,
+        required=not given,
+        default=given and Path(given),
+        metavar="TARGET.yml",
+        help=f"[{TARGET_VARIABLE} of the environment]",
+    )
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """JSON instead of words."""
+    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+
+
+def add_results(parser: argparse.ArgumentParser, *, files: bool = True) -> None:
+    """What was measured; `files`: also what a suite wrote without a run around it."""
+    takes = ", or a .log, .npy or .json of a suite" if files else ""
+    parser.add_argument("results", type=Path, metavar="RESULTS", help=f"folder of runs or one run directory{takes}")
