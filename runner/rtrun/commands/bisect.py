@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from rtrun.commands._archive import add_archive, add_deadline, read_courses
+from rtrun.commands._arguments import add_json
 from rtrun.commands._question import add_confidence
 
 NAME = "bisect"
@@ -28,13 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="every commit or version, one a line, oldest first, as git rev-list --reverse HEAD prints; - reads stdin",
     )
     add_deadline(parser)
+    add_json(parser)
     add_confidence(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print a line for each figure that got worse: between which versions, and what to measure next."""
     from rtfiles.errors import UsageError
-    from rtfiles.output import print_line
+    from rtfiles.output import print_json, print_line
     from rtfiles.untrusted import read_text
 
     text = sys.stdin.read() if args.order == Path("-") else read_text(args.order, max_bytes=1 << 26)
@@ -48,6 +50,20 @@ def run(args: argparse.Namespace) -> int:
             f"rtrun archive add takes it with --{args.by.partition(' ')[0]}"
         )
     suspects = [one for course in known for one in find_suspects(course, args.by, order, confidence=args.confidence)]
+    if args.json:
+        found = [
+            {
+                "course": one.course.label,
+                "figure": one.figure,
+                "good": one.good,
+                "bad": one.bad,
+                "not_measured": one.between,
+                "measure_next": one.proposal,
+            }
+            for one in suspects
+        ]
+        print_json({"schema": 1, "by": args.by, "worse": found})
+        return 0
     if not suspects:
         print_line("nothing got worse, as far as these versions are measured")
     for one in suspects:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rtrun.commands._arguments import add_results
+from rtrun.commands._arguments import add_json, add_results
 from rtrun.commands._question import add_question, ask, probability_argument, question, time_argument
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ FALSE_ALARMS = 0.05
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The results, the question, where JUnit XML goes."""
     add_results(parser)
+    add_json(parser)
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the cases as JUnit XML")
     parser.add_argument(
         "--assume-independent",
@@ -68,8 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print one line a case. Raises UsageError when there is nothing to judge."""
+    from dataclasses import asdict
+
     from rtfiles import atomic
     from rtfiles.errors import UsageError
+    from rtfiles.output import print_json
     from rtrun.judgement.gate import gate
     from rtrun.report.formats import junit
     from rtrun.report.screen import print_answers, print_styled
@@ -89,9 +93,13 @@ def run(args: argparse.Namespace) -> int:
             max_page_faults=args.max_page_faults,
             max_allocations=args.max_allocations,
         )
-        print_banner(analysed.platform)
-    print_styled("passed" if judged.passed else "failed")
-    print_answers(judged.cases, judged=True)
+        if not args.json:
+            print_banner(analysed.platform)
+    if args.json:
+        print_json({"schema": 1, "passed": judged.passed, "cases": [asdict(case) for case in judged.cases]})
+    else:
+        print_styled("passed" if judged.passed else "failed")
+        print_answers(judged.cases, judged=True)
     if args.junit:
         try:
             atomic.write_text(args.junit, junit(judged))

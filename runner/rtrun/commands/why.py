@@ -7,22 +7,24 @@ from rtrun.commands._arguments import add_json, add_results
 from rtrun.commands._question import add_of
 
 NAME = "why"
+SHOWN = 3
 HELP = "say what late values waited for, from the kernel traces around them, and whether they have a period"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The results, and a file for Perfetto."""
     add_results(parser, files=False)
+    parser.add_argument("--all", action="store_true", help=f"every outlier with its parts, not the {SHOWN} worst")
     add_json(parser)
     add_of(parser, "default: that of the campaign's goal, else what its traces are of")
     parser.add_argument("--perfetto", type=Path, metavar="FILE", help="write the outliers for ui.perfetto.dev")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the answer, the ranking, what else is known of the late values, then each outlier; write FILE."""
+    """Print the answer, the ranking, what else is known of the late values, then the worst outliers; write FILE."""
     from rtfiles import atomic
     from rtfiles.errors import UsageError
-    from rtfiles.output import console, print_line
+    from rtfiles.output import console, counted, print_json, print_line
     from rtrun.causes.ftrace import refuse_trace_cmd
     from rtrun.report import causes
     from rtrun.report.perfetto import perfetto
@@ -43,7 +45,19 @@ def run(args: argparse.Namespace) -> int:
     table = causes.table(ranking, explained)
     cost, not_compared = tracing_cost_at(source, of)
     surroundings, not_held = causes.surroundings(source, of)
-    print_line(f"{table.outcome if explained or refused else causes.no_traces(source)}.")
+    outcome = f"{table.outcome if explained or refused else causes.no_traces(source)}."
+    problems = tuple(dict.fromkeys((*refused, *not_searched, *not_held, *not_compared)))
+    if args.perfetto is not None:
+        try:
+            atomic.write_bytes(args.perfetto, perfetto(explained))
+        except OSError as error:
+            raise UsageError(f"{args.perfetto}: {error.strerror}") from error
+    if args.json:
+        found = causes.as_data(ranking, explained)
+        others = {each.id: each.as_data() for each in (periods, surroundings, cost) if each is not None}
+        print_json({"schema": 1, "outcome": outcome, **found, **others, "problems": problems})
+        return UsageError.exit_status if problems else 0
+    print_line(outcome)
     for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders], of)):
         print_line(note)
     screen = console()
@@ -55,16 +69,16 @@ def run(args: argparse.Namespace) -> int:
             print_line()
             print_line(f"{more.title}: {more.outcome}")
             screen.print(causes.for_terminal(more, screen.width))
-    for one in (one for one in explained if one.parts):
+    worst = sorted((one for one in explained if one.parts), key=lambda one: one.outlier.value_ns, reverse=True)
+    for one in worst if args.all else worst[:SHOWN]:
         print_line()
         for line in causes.lines(one):
             print_line(line)
+    if len(worst) > SHOWN and not args.all:
+        print_line()
+        print_line(f"{counted(len(worst) - SHOWN, 'more outlier')}: --all prints their parts")
     if args.perfetto is not None:
-        try:
-            atomic.write_bytes(args.perfetto, perfetto(explained))
-        except OSError as error:
-            raise UsageError(f"{args.perfetto}: {error.strerror}") from error
         print_line(f"written for ui.perfetto.dev: {args.perfetto}")
-    if problems := tuple(dict.fromkeys((*refused, *not_searched, *not_held, *not_compared))):
+    if problems:
         raise UsageError("\n".join(problems))
     return 0

@@ -2,9 +2,10 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rtfiles.errors import UsageError
 from rtfiles.output import counted, printable, showing_progress
@@ -218,6 +219,24 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
             *([f"{others} more took less than 1 % each"] if others else []),
         ),
     )
+
+
+def as_data(ranking: Ranking, explained: Sequence[Explained]) -> dict[str, Any]:
+    """The ranking and every outlier for programs; times in nanoseconds."""
+    return {
+        "late_ns": ranking.late_ns,
+        "culprits": [asdict(culprit) for culprit in ranking.culprits],
+        "remedies": list(remedies(ranking)),
+        "outliers": [
+            {
+                **asdict(one.outlier),
+                "parts": [{**asdict(part.cause), "cpu": part.cpu, "length_ns": part.length_ns} for part in one.parts],
+                "steps": dict(one.steps),
+                "note": one.note,
+            }
+            for one in explained
+        ],
+    }
 
 
 def step_table(explained: Sequence[Explained]) -> Table:

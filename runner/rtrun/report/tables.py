@@ -22,6 +22,11 @@ class Table:
     numbers: int = 1
     notes: tuple[str, ...] = ()
 
+    def as_data(self) -> dict[str, object]:
+        """For programs: the rows by the names of the columns."""
+        rows = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+        return {"outcome": self.outcome, "rows": rows, "notes": self.notes}
+
 
 def printable_table(table: Table) -> Table:
     """The table without what would command a terminal, or cannot be encoded: much in it comes from a target."""

@@ -1,0 +1,57 @@
+"""What commands print for programs: one JSON object, with a schema, and nothing else on standard output."""
+
+import json
+
+import pytest
+from report.campaigns import write_campaign
+from traced import specimen, write_traced_run
+
+from rtrun.cli import main
+
+# What each has besides `schema`, on the folders `runs`, `traced` and `archive` below.
+COMMANDS = {
+    "show runs": {"runs", "platform"},
+    "verify runs": {"whole", "damaged", "repeated"},
+    "verdict runs": {"groups", "left_out"},
+    "gate runs": {"passed", "cases"},
+    "claims runs": {"platform"},
+    "compare runs runs": set(),
+    "why traced": {"outcome", "culprits", "outliers", "remedies", "periods", "problems"},
+    "why runs": {"outcome", "outliers"},
+    "history archive": {"points"},
+    "trends archive": {"changes"},
+    "bisect archive --by kernel --order kernels.txt": {"worse"},
+    "plan demo": {"runs"},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("json")
+    write_campaign(folder / "runs", n=500)
+    write_traced_run(folder / "traced", {1558: specimen(1558)}, [23166, 23175])
+    (folder / "kernels.txt").write_text("6.1.0-rt\n6.6.30\n")
+    assert main(["archive", "add", str(folder / "runs"), "--to", str(folder / "archive")]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_it_is_one_object_with_a_schema(folder, capsys, monkeypatch, command):
+    monkeypatch.chdir(folder)
+    status = main([*command.split(), "--json"])
+    printed = capsys.readouterr()
+    data = json.loads(printed.out)
+    assert status == (1 if command.startswith("gate") else 0), printed.err
+    assert data["schema"] >= 1 and COMMANDS[command] <= data.keys()
+
+
+def test_parts_of_an_outlier_add_up_and_a_damaged_run_is_told(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    main(["why", "traced", "--json"])
+    (outlier,) = (one for one in json.loads(capsys.readouterr().out)["outliers"] if one["parts"])
+    assert sum(part["length_ns"] for part in outlier["parts"]) == outlier["value_ns"]
+    (path,) = (folder / "traced").rglob("*-trace-*.txt")
+    path.write_bytes(path.read_bytes() + b"x")
+    assert main(["verify", "traced", "--json"]) == 1
+    (why,) = json.loads(capsys.readouterr().out)["damaged"].values()
+    assert path.name in why and str(folder) not in why
