@@ -1,11 +1,15 @@
 """How both programs start: what is imported, what Ctrl-C does before there is a command, and what the parsers take."""
 
 import argparse
+import re
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from report.campaigns import write_campaign
@@ -106,10 +110,56 @@ def test_an_option_is_written_whole(parser: argparse.ArgumentParser, capsys: pyt
     assert f"error: unknown argument {option[:-1]}, did you mean '{option}" in capsys.readouterr().err
 
 
+MODULES = {name: commands_of(name, commands) for name, commands in PROGRAMS.items()}
+EVERY_COMMAND = [(name, module) for name, modules in MODULES.items() for module in modules]
+
+
+@pytest.mark.parametrize(("program", "command"), EVERY_COMMAND, ids=[f"{p} {c.NAME}" for p, c in EVERY_COMMAND])
+def test_help_has_two_examples_that_are_understood_and_the_exit_statuses(
+    program: str, command: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parser = parser_of(program, "", MODULES[program])
+    with pytest.raises(SystemExit):
+        parser.parse_args([command.NAME, "--help"])
+    shown = capsys.readouterr().out
+    assert "exit status: 0 done; " in shown and (" 1 " in shown) >= hasattr(command, "FAILS")
+    assert len(command.EXAMPLES) == 2
+    for example in command.EXAMPLES:
+        assert f"\n  {example}\n" in shown
+        called, *words = shlex.split(example)
+        assert (called == program and words[0] == command.NAME) or example == "rtgen explain scarthgap-jazzy"
+        parser.parse_args(words)
+
+
+def test_help_lists_every_command_once_below_its_group(capsys: pytest.CaptureFixture[str]) -> None:
+    for cli in (rtgen.cli, rtrun.cli):
+        assert cli.main(["--help"]) == 0
+        shown = capsys.readouterr().out
+        program = cli.__name__.partition(".")[0]
+        assert all(f"\n{title}:\n" in shown for title in cli.GROUPS)
+        assert [
+            re.match(r"  ([a-z][a-z-]*)  +\S", line)[1] for line in re.findall(r"\n(  [a-z][a-z-]*  +\S.*)", shown)
+        ] == [command.NAME for command in MODULES[program]]
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_the_manual_page_has_every_command_and_no_mistake(program: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert {"rtgen": rtgen.cli, "rtrun": rtrun.cli}[program].main(["--print-manual"]) == 0
+    page = capsys.readouterr().out
+    groff = shutil.which("groff") or pytest.fail("groff is in tools/apt-packages-dev.txt")
+    done = subprocess.run(
+        [groff, "-k", "-man", "-Tutf8", "-ww"], input=page, capture_output=True, text=True, check=True
+    )
+    assert done.stderr == ""
+    plain = re.sub(r"\x1b\[[0-9;]*m|.\x08", "", done.stdout)
+    for command in MODULES[program]:
+        assert f"\n{program} {command.NAME}\n" in plain and command.EXAMPLES[1] in plain
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["reprot", "x"], "argument COMMAND: unknown word 'reprot', did you mean 'report'? known: quick, plan,"),
+        (["reprot", "x"], "argument COMMAND: unknown word 'reprot', did you mean 'report'? known: quick, observe,"),
         (
             ["report", "x", "--format", "htm"],
             "argument --format: unknown word 'htm', did you mean 'html'? known: html,",

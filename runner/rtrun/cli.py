@@ -7,30 +7,13 @@ from collections.abc import Sequence
 from rtfiles.start import start
 
 # In the order of --help.
-COMMANDS = (
-    "quick",
-    "plan",
-    "run",
-    "observe",
-    "new_target",
-    "build_suites",
-    "probe",
-    "check_rt",
-    "show",
-    "verify",
-    "verdict",
-    "why",
-    "report",
-    "gate",
-    "compare",
-    "claims",
-    "import_",
-    "archive",
-    "history",
-    "trends",
-    "bisect",
-    "site",
-)
+GROUPS = {
+    "measure": ("quick", "observe", "plan", "run"),
+    "prepare a target": ("new_target", "probe", "check_rt", "build_suites"),
+    "judge": ("report", "verdict", "gate", "why", "compare", "show", "verify", "claims", "import_"),
+    "long term": ("archive", "history", "trends", "bisect", "site"),
+}
+COMMANDS = tuple(name for names in GROUPS.values() for name in names)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -38,7 +21,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Before numpy is imported: our matrices are small, and threads of BLAS that wait for each other take more processor
     # time than the work.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return start("rtrun", "Measure a ROS system's real-time behaviour on a target.", COMMANDS, argv)
+    return start("rtrun", "Measure a ROS system's real-time behaviour on a target.", GROUPS, argv)
 
 
 if __name__ == "__main__":

@@ -3,10 +3,12 @@
 import argparse
 import contextlib
 import errno
+import shutil
 import signal
+import textwrap
 import threading
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,11 +21,18 @@ from rtfiles.wording import did_you_mean, unknown
 SHELLS = ("bash", "zsh")
 
 
-def dispatch(prog: str, description: str, commands: Sequence[ModuleType], argv: Sequence[str] | None) -> int:
+def dispatch(
+    prog: str,
+    description: str,
+    commands: Sequence[ModuleType],
+    argv: Sequence[str] | None,
+    groups: Mapping[str, Sequence[str]] | None = None,
+) -> int:
     """Run one sub-command and return the exit status.
 
-    A command is a module with ``NAME``, ``HELP``, ``add_arguments(parser)`` and ``run(args) -> int``. Imports that
-    take long stand inside ``run``, so that ``--help`` answers at once.
+    A command is a module with ``NAME``, ``HELP``, ``EXAMPLES``, ``add_arguments(parser)`` and ``run(args) -> int``, and
+    ``FAILS``, what the exit status 1 says, where it can have that. Imports that take long stand inside ``run``, so that
+    ``--help`` answers at once.
 
     The exit status does not depend on a reader of standard output that goes away. If standard output cannot be written
     for another reason, for example a full disk, the status is that of an infrastructure error, unless the command
@@ -31,7 +40,7 @@ def dispatch(prog: str, description: str, commands: Sequence[ModuleType], argv: 
     """
     with surviving_output() as losses, _interruptible():
         try:
-            args = parser_of(prog, description, commands).parse_args(argv)
+            args = parser_of(prog, description, commands, groups).parse_args(argv)
             try:
                 status = int(args.run(args))
             finally:
@@ -78,26 +87,87 @@ def _interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def parser_of(prog: str, description: str, commands: Sequence[ModuleType]) -> argparse.ArgumentParser:
-    """The parser of a program with these commands."""
+def parser_of(
+    prog: str,
+    description: str,
+    commands: Sequence[ModuleType],
+    groups: Mapping[str, Sequence[str]] | None = None,
+) -> argparse.ArgumentParser:
+    """The parser of a program with these commands; with `groups`, by title, --help lists them below these titles."""
     parser = _Parser(prog=prog, description=description)
     parser.add_argument("--version", action=_PrintVersion, nargs=0, help="print the version")
     parser.add_argument(
         "--print-completion", action=_PrintCompletion, choices=SHELLS, help="print the completion script of a shell"
     )
-    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    parser.add_argument(
+        "--print-manual", action=_PrintManual, nargs=0, help=f"print a manual page: {prog} --print-manual | man -l -"
+    )
+    subparsers = parser.add_subparsers(
+        dest="command", required=True, metavar="COMMAND", help=argparse.SUPPRESS if groups else None
+    )
+    if groups:
+        parser.usage = "%(prog)s [-h] [--version] COMMAND ..."
+        parser.epilog = _listed(commands, groups)
     for command in commands:
-        subparser = subparsers.add_parser(command.NAME, help=command.HELP, description=command.HELP)
+        subparser = subparsers.add_parser(
+            command.NAME, help=command.HELP, description=command.HELP, epilog=_epilog(command)
+        )
         command.add_arguments(subparser)
         subparser.set_defaults(run=command.run)
     return parser
+
+
+def _listed(commands: Sequence[ModuleType], groups: Mapping[str, Sequence[str]]) -> str:
+    """The commands below the titles of their groups, and what the exit statuses say."""
+    known = {command.__name__.rpartition(".")[2]: command for command in commands}
+    width = max(len(command.NAME) for command in commands)
+    lines = []
+    for title, names in groups.items():
+        lines.append(f"{title}:")
+        for name in filter(known.get, names):
+            text = textwrap.wrap(known[name].HELP, _columns() - width - 4)
+            lines += textwrap.indent("\n".join(text), " " * (width + 4)).splitlines()
+            lines[-len(text)] = f"  {known[name].NAME:<{width}}  {text[0]}"
+        lines.append("")
+    statuses = f"exit status: {_statuses('the answer is no')}"
+    return "\n".join([*lines, *textwrap.wrap(statuses, _columns()), "", "COMMAND --help says more, with examples."])
+
+
+def _epilog(command: ModuleType) -> str:
+    """Examples of a command, and what its exit statuses say."""
+    examples = [f"  {example}" for example in getattr(command, "EXAMPLES", ())]
+    statuses = f"exit status: {_statuses(getattr(command, 'FAILS', None))}"
+    return "\n".join([*(["examples:", *examples, ""] if examples else []), *textwrap.wrap(statuses, _columns())])
+
+
+def _statuses(fails: str | None) -> str:
+    known = {
+        0: "done",
+        1: fails,
+        UsageError.exit_status: "the call or what it names is wrong",
+        InfrastructureError.exit_status: "a target or a tool failed",
+        DEFECT_STATUS: "a defect of the program",
+        INTERRUPTED_STATUS: "interrupted",
+    }
+    return "; ".join(f"{status} {text}" for status, text in known.items() if text)
+
+
+def _columns() -> int:
+    return shutil.get_terminal_size().columns - 2
+
+
+class _Help(argparse.HelpFormatter):
+    """Help in which a text of several lines keeps them."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return text if "\n" in text else super()._fill_text(text, width, indent)
 
 
 class _Parser(argparse.ArgumentParser):
     """A parser that takes no part of an option for it, and says what may be meant; so are those of its commands."""
 
     def __init__(self, **settings: Any) -> None:
-        super().__init__(**{**settings, "allow_abbrev": False})
+        super().__init__(**{"formatter_class": _Help, **settings, "allow_abbrev": False})
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         known, others = super().parse_known_args(args, namespace)
@@ -127,6 +197,33 @@ class _PrintCompletion(argparse.Action):
         _complete_paths(parser)
         print_text(shtab.complete(parser, shell))
         parser.exit()
+
+
+class _PrintManual(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        print_text(manual(parser))
+        parser.exit()
+
+
+def manual(parser: argparse.ArgumentParser) -> str:
+    """A manual page as man(7) has it: --help of the program, and a section with that of each command."""
+    from importlib.metadata import version
+
+    def shown(text: str) -> str:
+        lines = text.replace("\\", "\\e").replace("-", "\\-").splitlines()
+        # A line that begins with one of these would be a request.
+        return "\n".join(f"\\&{line}" if line.startswith((".", "'")) else line for line in lines)
+
+    name = parser.prog
+    commands = next(each for each in parser._actions if isinstance(each, argparse._SubParsersAction)).choices
+    sections = [("DESCRIPTION", parser)] + [(f"{name} {word}", each) for word, each in commands.items()]
+    return "\n".join(
+        [
+            f'.TH {name.upper()} 1 "" "{DISTRIBUTION} {version(DISTRIBUTION)}"',
+            f".SH NAME\n{name} \\- {shown(parser.description or name)}",
+            *(f'.SH "{shown(title)}"\n.nf\n{shown(each.format_help())}\n.fi' for title, each in sections),
+        ]
+    )
 
 
 def _complete_paths(parser: argparse.ArgumentParser) -> None:

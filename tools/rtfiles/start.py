@@ -3,13 +3,15 @@
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from types import ModuleType
 
 
-def start(prog: str, description: str, commands: Sequence[str], argv: Sequence[str] | None) -> int:
+def start(prog: str, description: str, groups: Mapping[str, Sequence[str]], argv: Sequence[str] | None) -> int:
     """Import the commands of a program, modules of ``<prog>.commands``, run one, and return the exit status.
+
+    `groups`: the modules by the title under which --help lists them.
 
     Ctrl-C while they are imported ends the process as it ends a program that knows nothing of signals: an import that
     is interrupted leaves a traceback, and nothing is to be cleaned up yet. In the 20 ms before this is called, while
@@ -26,12 +28,13 @@ def start(prog: str, description: str, commands: Sequence[str], argv: Sequence[s
         from rtfiles.command import dispatch
 
         word = (sys.argv[1:] if argv is None else argv)[:1]
+        commands = [name for names in groups.values() for name in names]
         asked = [name for name in commands if [name.rstrip("_").replace("_", "-")] == word]
         modules = commands_of(prog, asked or commands)  # --help, and what says that a word is wrong, name all of them
     finally:
         if quiet:
             signal.signal(signal.SIGINT, before)
-    return dispatch(prog, description, modules, argv)
+    return dispatch(prog, description, modules, argv, groups)
 
 
 def commands_of(prog: str, names: Sequence[str]) -> list[ModuleType]:

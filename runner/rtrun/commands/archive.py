@@ -6,6 +6,11 @@ from rtrun.commands._arguments import add_results
 
 NAME = "archive"
 HELP = "keep runs of many months and boards as Parquet files, in a folder or an object store"
+EXAMPLES = (
+    "rtrun archive add results/brakes --to archive",
+    "rtrun archive add results/brakes --to s3://lab/archive --commit 1a2b3c4",
+)
+FAILS = "a run was refused"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

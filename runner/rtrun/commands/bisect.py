@@ -10,6 +10,10 @@ from rtrun.commands._question import add_confidence
 
 NAME = "bisect"
 HELP = "propose the commit or version to measure next, to find the one that made a scenario worse"
+EXAMPLES = (
+    "rtrun bisect archive --order commits.txt",
+    "rtrun bisect archive --by kernel --order kernels.txt",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -7,6 +7,10 @@ from rtrun.commands._arguments import add_target
 
 NAME = "build-suites"
 HELP = "build the suites on a target, with its own compiler and ROS, for its campaigns"
+EXAMPLES = (
+    "rtrun build-suites recipes-tests --target board.yml",
+    "rtrun build-suites meta-rt-tests/recipes-tests --target board.yml",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
 
 NAME = "check-rt"
 HELP = "list what stands in the way of real time on a running target, why, and the remedy"
+EXAMPLES = (
+    "rtrun check-rt --target board.yml",
+    "rtrun check-rt --target board.yml --json",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

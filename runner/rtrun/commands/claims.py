@@ -7,6 +7,10 @@ from rtrun.commands._question import add_confidence
 
 NAME = "claims"
 HELP = "re-examine the 19 claims of the thesis on a campaign"
+EXAMPLES = (
+    "rtrun claims results/thesis-2014",
+    "rtrun claims results/thesis-2014 --json",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

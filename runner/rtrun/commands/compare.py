@@ -8,6 +8,10 @@ from rtrun.commands._question import add_question, question, time_argument
 
 NAME = "compare"
 HELP = "compare two folders of runs, or two sides of one campaign: what shifted, and how sure that is"
+EXAMPLES = (
+    "rtrun compare results/before results/after",
+    "rtrun compare results/brakes --by middleware",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,6 +14,11 @@ NAME = "gate"
 HELP = (
     "pass (exit 0) only if every group of runs proves the deadline, or is no worse than its history, else fail (exit 1)"
 )
+EXAMPLES = (
+    "rtrun gate results/brakes --junit gate.xml",
+    "rtrun gate results/brakes --against archive",
+)
+FAILS = "not every group of runs passed"
 FALSE_ALARMS = 0.05
 
 

@@ -12,6 +12,10 @@ if TYPE_CHECKING:
 
 NAME = "history"
 HELP = "show how quantiles and P(miss) of each scenario went, by time, kernel, board or commit"
+EXAMPLES = (
+    "rtrun history archive",
+    "rtrun history archive --by kernel --deadline 300us",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -5,6 +5,10 @@ from pathlib import Path
 
 NAME = "import"
 HELP = "make run directories of 2014 logs and of histograms of cyclictest, jitterdebugger and rtla timerlat"
+EXAMPLES = (
+    "rtrun import cyclictest.hist --platform hardware --board farm-7",
+    "rtrun import 2014.log --platform hardware --results results/2014",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,6 +11,10 @@ if TYPE_CHECKING:
 
 NAME = "new-target"
 HELP = "write the target file of a board, after a look at its host key, and say what the board lacks"
+EXAMPLES = (
+    "rtrun new-target",
+    "rtrun new-target --host robot.local --user root --name robot",
+)
 HOST_KEY_S = 15.0
 
 

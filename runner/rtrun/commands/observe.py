@@ -13,6 +13,10 @@ if TYPE_CHECKING:
 
 NAME = "observe"
 HELP = "measure nodes that run already, unmodified: messages, timers, callbacks, reaction times"
+EXAMPLES = (
+    "rtrun observe --target robot.yml --list",
+    "rtrun observe --target robot.yml --for 60s --deadline /cmd_vel=5ms",
+)
 # Messages and callbacks that a file for Perfetto holds: it is read whole by a browser.
 DRAWN_MAX = 200_000
 

@@ -21,6 +21,10 @@ BURSTS = (5, 20)
 # A load that comes and goes so often, in seconds, for which longer runs are proposed.
 LOADS_S = (60, 600)
 HELP = "print every run of a campaign and how long it takes, without a target"
+EXAMPLES = (
+    "rtrun plan brakes.yml",
+    "rtrun plan demo --json",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,6 +11,10 @@ if TYPE_CHECKING:
 
 NAME = "probe"
 HELP = "say what a target is and whether it is ready for a campaign"
+EXAMPLES = (
+    "rtrun probe --target board.yml",
+    "rtrun probe --target board.yml --json",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
 
 NAME = "quick"
 HELP = "a first answer in a minute, without a file: which P(miss) is proven, what was worst, and why"
+EXAMPLES = (
+    "rtrun quick --deadline 1ms",
+    "rtrun quick --deadline 500us --target root@robot.local --for 10m",
+)
 POLICY = "FIFO"
 NO_REAL_TIME = "0"
 # What a target file names relative to itself.

@@ -8,6 +8,10 @@ from rtrun.commands._question import add_question, ask
 
 NAME = "report"
 HELP = "write one file: answer, plots, figures"
+EXAMPLES = (
+    "rtrun report results/brakes",
+    "rtrun report results/brakes --output brakes.html --deadline 300us",
+)
 
 _ENDINGS = {
     "html": "html",

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
 NAME = "run"
 HELP = "measure a campaign on a target; goes on where an earlier call stopped"
+EXAMPLES = (
+    "rtrun run brakes.yml --target board.yml",
+    "rtrun run brakes.yml --target a.yml --target b.yml --results results/nightly",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

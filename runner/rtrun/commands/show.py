@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 NAME = "show"
 HELP = "show the figures of a run, of all runs in a folder, of a log, or of samples"
+EXAMPLES = (
+    "rtrun show results/brakes",
+    "rtrun show oneshot_timer_tests.log --json",
+)
 _PERCENTILES = {"p50_us": 50.0, "p90_us": 90.0, "p99_us": 99.0, "p999_us": 99.9}
 
 

@@ -8,6 +8,10 @@ from rtrun.commands._question import add_confidence
 
 NAME = "site"
 HELP = "write static pages about an archive: every scenario's state and course, and figures for Grafana"
+EXAMPLES = (
+    "rtrun site archive --output public",
+    "rtrun site archive --output public --deadline 300us",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,6 +8,10 @@ from rtrun.commands._question import add_confidence
 
 NAME = "trends"
 HELP = "say when quantiles and P(miss) in an archive changed, by how much, and what else changed then"
+EXAMPLES = (
+    "rtrun trends archive",
+    "rtrun trends archive --deadline 300us --json",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,6 +11,10 @@ if TYPE_CHECKING:
 
 NAME = "verdict"
 HELP = "say for each group of runs whether the deadline is met, and what is still missing to be sure"
+EXAMPLES = (
+    "rtrun verdict results/brakes",
+    "rtrun verdict results/brakes --deadline 300us --probability 1e-5",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

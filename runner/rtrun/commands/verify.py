@@ -6,6 +6,11 @@ from rtrun.commands._arguments import add_json, add_results
 
 NAME = "verify"
 HELP = "check the files of every run in a results folder against the checksums in its run.json"
+EXAMPLES = (
+    "rtrun verify results/brakes",
+    "rtrun verify results/brakes/001-cyclic_timer_tests",
+)
+FAILS = "a run is damaged or incomplete"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,6 +9,10 @@ from rtrun.commands._question import add_of
 NAME = "why"
 SHOWN = 3
 HELP = "say what late values waited for, from the kernel traces around them, and whether they have a period"
+EXAMPLES = (
+    "rtrun why results/brakes",
+    "rtrun why results/brakes --all --perfetto late.pftrace",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,9 +8,10 @@ _UNITS_NS = {
     "ms": 1_000_000,
     "s": 1_000_000_000,
     "min": 60_000_000_000,
+    "m": 60_000_000_000,
     "h": 3_600_000_000_000,
 }
-_TIME = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,9})?)\s?(ns|us|ms|s|min|h)", re.ASCII)
+_TIME = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,9})?)\s?(ns|us|ms|s|min|m|h)", re.ASCII)
 # Above 30 years nobody waits for an answer, and 64 bits still hold the time in nanoseconds.
 _TIME_MAX_NS = 30 * 365 * 24 * _UNITS_NS["h"]
 

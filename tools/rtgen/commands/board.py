@@ -5,6 +5,10 @@ from pathlib import Path
 
 NAME = "board"
 HELP = "make a board with a PREEMPT_RT kernel, ROS and SSH, from Debian's packages"
+EXAMPLES = (
+    "rtgen board machines",
+    "rtgen board build --machine qemu-arm64",
+)
 
 PLACE = Path("build/board")
 

@@ -5,6 +5,10 @@ from pathlib import Path
 
 NAME = "doctor"
 HELP = "check whether this host can build an image with BitBake"
+EXAMPLES = (
+    "rtgen doctor",
+    "rtgen doctor /builds",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

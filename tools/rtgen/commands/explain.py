@@ -6,6 +6,10 @@ from rtgen.commands import DEFAULT_PROFILE
 
 NAME = "explain"
 HELP = "show layers, kernels, fragments and files of a profile"
+EXAMPLES = (
+    "rtgen explain",
+    "rtgen explain mine.yml",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,6 +6,10 @@ from pathlib import Path
 
 NAME = "flash"
 HELP = "write an image to an SD card or USB stick and read it back"
+EXAMPLES = (
+    "rtgen flash --image card.img --device /dev/mmcblk0 --yes",
+    "rtgen flash --image image.wic --device /dev/sdX",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

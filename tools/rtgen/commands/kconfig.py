@@ -14,6 +14,11 @@ if TYPE_CHECKING:
 
 NAME = "kconfig"
 HELP = "render PREEMPT_RT kernel fragments, and verify that they take effect"
+EXAMPLES = (
+    "rtgen kconfig render --check",
+    "rtgen kconfig verify --machine pandaboard-es --config /boot/config",
+)
+FAILS = "a fragment differs, or an option does not hold"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

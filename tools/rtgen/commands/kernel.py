@@ -4,6 +4,10 @@ import argparse
 
 NAME = "kernel"
 HELP = "build a PREEMPT_RT kernel from a machine's fragment"
+EXAMPLES = (
+    "rtgen kernel build --machine qemu-armv7",
+    "rtgen kernel build --machine pandaboard-es --kernel 6.1",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,6 +8,10 @@ from rtgen.commands import DEFAULT_PROFILE
 
 NAME = "new-profile"
 HELP = "copy a profile to a file of your own, to edit"
+EXAMPLES = (
+    "rtgen new-profile mine.yml",
+    "rtgen new-profile mine.yml --from scarthgap-jazzy",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -4,6 +4,10 @@ import argparse
 
 NAME = "profiles"
 HELP = "list the profiles"
+EXAMPLES = (
+    "rtgen profiles",
+    "rtgen explain scarthgap-jazzy",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -7,6 +7,11 @@ from rtgen.commands import DEFAULT_PROFILE
 
 NAME = "render"
 HELP = "write meta-rt-tests/ and kas.yml from a profile, and what the suites' programs know of suites.yml"
+EXAMPLES = (
+    "rtgen render --check",
+    "rtgen render --profile mine.yml --output ../mine",
+)
+FAILS = "with --check: something differs"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

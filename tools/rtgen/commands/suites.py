@@ -5,6 +5,10 @@ from pathlib import Path
 
 NAME = "suites"
 HELP = "build the measuring programs for this machine or a board"
+EXAMPLES = (
+    "rtgen suites build",
+    "rtgen suites build --on board.yml",
+)
 
 PLACE = Path("build/suites")
 
