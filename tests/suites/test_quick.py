@@ -37,9 +37,14 @@ def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suit
     results = tmp_path / "results" / "quick"
     assert main(["plan", str(results / "campaign.yml")]) == 0
     assert main(["probe", "--target", str(results / "target.yml")]) == 0
-    # The same command once more keeps what was measured; another choice is another campaign.
-    status, printed, _ = quick("--deadline", "1ms", "--for", "1s", "--suites", suites, "--suite", "oneshot_timer_tests")
-    assert status == 0 and "report results/quick-2" in printed
+    # Once more keeps what was measured. A target file is used where it lies: its paths are relative to its folder.
+    (tmp_path / "boards").mkdir()
+    (tmp_path / "built").symlink_to(suites)
+    (tmp_path / "boards" / "here.yml").write_text("{schema: 1, name: here, kind: local, suites: ../built}\n")
+    words = ["--target", "boards/here.yml", "--suite", "oneshot_timer_tests"]
+    status, printed, _ = quick("--deadline", "1ms", "--for", "1s", *words)
+    assert status == 0 and "report results/quick-2" in printed and "--target boards/here.yml --fresh" in printed
+    assert not (tmp_path / "results" / "quick-2" / "target.yml").exists()
     runs = {path.parent.name.partition("_l")[0] for path in tmp_path.glob("results/quick-2/*/run.json")}
     assert runs <= {f"{number:03}-oneshot_timer_tests" for number in (1, 2)} and runs
 

@@ -1,7 +1,6 @@
 """``rtrun new-target``: from the name of a board to a target file that works."""
 
 import argparse
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import print_line
     from rtrun.commands._link import linked
-    from rtrun.targets.config import parse_target
+    from rtrun.targets.config import parse_target, target_name
     from rtrun.targets.ssh.ssh_config import address_of
 
     asks = sys.stdin.isatty()
@@ -46,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     if not host:
         raise UsageError("new-target: no host: give --host, or call it on a terminal, where it asks")
     key = args.key or (_answer("private key file (empty: as ssh would choose)") if asks and not args.host else "")
-    name = args.name or re.sub(r"[^A-Za-z0-9._-]+", "-", host).strip("-._") or "board"
+    name = args.name or target_name(host) or "board"
     output: Path = args.output or Path(f"{name}.yml")
     if output.exists():
         raise UsageError(f"{output}: exists already: name another file with --output")
@@ -139,7 +138,6 @@ def _lacks(link: "Link") -> list[str]:
     """Return what the board lacks for campaigns."""
     from rtfiles.invocation import as_called
     from rtrun.plan import conditions, suites
-    from rtrun.targets.deploy import ON_TARGET
     from rtrun.targets.errors import TargetError
     from rtrun.targets.inspection import facts as inspection
     from rtrun.targets.link import OUT_OF_REACH
@@ -164,11 +162,10 @@ def _lacks(link: "Link") -> list[str]:
     for name in conditions.conditions().conditions:
         tools |= conditions.needs(name, {})
     priority = f"rt_priority={suites.options()['priority'].default}"
-    script = (ON_TARGET / "missing.sh").read_text(encoding="utf-8")
-    answer = link.check(["sh", "-s", *sorted(tools), priority], stdin=script).splitlines()
-    if missing := [line[:200] for line in answer if line in tools]:
+    answer = inspection.missing(link, [*sorted(tools), priority])
+    if missing := [line for line in answer if line in tools]:
         lacks.append(f"{', '.join(missing)}, for the loads and yardsticks of campaigns (packages rt-tests, stress-ng)")
-    return lacks + [line[:200] for line in answer if line not in tools]
+    return lacks + [line for line in answer if line not in tools]
 
 
 def _readiness(link: "Link", output: Path) -> str:

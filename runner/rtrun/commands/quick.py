@@ -1,7 +1,6 @@
 """``rtrun quick``: a first answer without a file, from what a target has to measure with."""
 
 import argparse
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +19,6 @@ EXAMPLES = (
 )
 POLICY = "FIFO"
 NO_REAL_TIME = "0"
-# What a target file names relative to itself.
-_PATHS = ("suites", "board", "key", "known_hosts", "environment")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,49 +59,49 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.plan.question import Question
     from rtrun.results import run_directory
     from rtrun.results.record import RunStatus
-    from rtrun.targets.config import parse_target
+    from rtrun.targets.config import parse_target, read_target
     from rtrun.targets.inspection import rt_readiness
 
     data = _target(args)
     results = fresh(args.results)
-    config = parse_target(data, args.target or "quick")
+    file = results / "target.yml" if data else Path(args.target)
+    config = parse_target(data, args.target or NAME) if data else read_target(file)
     print_status(f"asking {config.name} what it is")
-    with linked(config, results) as link:
+    with linked(config, file.parent) as link:
         findings = rt_readiness.judge(rt_readiness.read_checks(), rt_readiness.read_facts(link))
         campaign = _campaign(link, args)
     print_status("")
     run_directory.make_results(results)
-    for name, content in (("target.yml", data), ("campaign.yml", campaign)):
-        atomic.write_text(results / name, yaml.safe_dump(content, sort_keys=False))
+    if data:
+        atomic.write_text(file, yaml.safe_dump(data, sort_keys=False))
+    atomic.write_text(results / "campaign.yml", yaml.safe_dump(campaign, sort_keys=False))
     planned, runs = read_campaign(results / "campaign.yml")
     with progress.showing(runs, console()) as shown:
         statuses = measure_on(
-            [TargetFile(config=config, folder=results)], planned.name, runs, results, shown, variants={}
+            [TargetFile(config=config, folder=file.parent)], planned.name, runs, results, shown, variants={}
         )
     asked = Question(deadline_ns=args.deadline, is_deadline_stated=True)
-    _print(study(results, asked, bounds=False), findings, results)
+    _print(study(results, asked, bounds=False), findings, results, file)
     bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
     for line in bad:
         print_line(line)
     return 3 if bad else 0
 
 
-def _target(args: argparse.Namespace) -> dict[str, Any]:
-    """What the target file says that `--target` names or stands for; its paths mean the same anywhere."""
-    from rtfiles.config import read_yaml
+def _target(args: argparse.Namespace) -> dict[str, Any] | None:
+    """What the target file says that `--target` stands for; None where it names one."""
     from rtfiles.errors import UsageError
+    from rtrun.targets.config import target_name
 
     suites = args.suites or (Path("build/suites/host") if not args.target else None)
     if args.target.endswith((".yml", ".yaml")):
         if args.suites:
             raise UsageError("--suites: a target file names them itself, as suites")
-        read = read_yaml(Path(args.target))
-        folder = Path(args.target).parent.absolute()
-        return {key: str(folder / value) if key in _PATHS and value else value for key, value in dict(read).items()}
+        return None
     user, _, host = args.target.rpartition("@")
     if args.target and not host:
         raise UsageError(f"--target {args.target}: takes USER@HOST, or a target file that ends with .yml")
-    data = {"schema": 1, "name": re.sub(r"[^A-Za-z0-9._-]+", "-", host).strip("-._") or "this-machine"}
+    data = {"schema": 1, "name": target_name(host) or "this-machine"}
     data |= {"kind": "ssh", "host": host} if host else {"kind": "local"}
     data |= {"user": user} if user else {}
     return data | ({"suites": str(suites.absolute())} if suites and suites.is_dir() else {})
@@ -116,7 +113,6 @@ def _campaign(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
     from rtfiles.invocation import as_called
     from rtfiles.output import print_note
     from rtrun.plan import quick
-    from rtrun.targets.deploy import ON_TARGET
     from rtrun.targets.errors import TargetError
     from rtrun.targets.inspection import facts as inspection
 
@@ -125,8 +121,7 @@ def _campaign(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
     if folder := link.target.suites:
         inspection.check_suites(folder, link.target, equipment)
         programs |= {path.name: str(path) for path in (folder / "lib").glob("*/*") if path.is_file()}
-    missing = (ON_TARGET / "missing.sh").read_text(encoding="utf-8")
-    lacks = link.check(["sh", "-s", quick.BASELINE, f"rt_priority={quick.PRIORITY}"], stdin=missing).splitlines()
+    lacks = inspection.missing(link, [quick.BASELINE, f"rt_priority={quick.PRIORITY}"])
     baselines = [] if quick.BASELINE in lacks else [quick.BASELINE]
     found = [*baselines, *quick.measurable(programs, args.middleware)]
     if not found:
@@ -152,7 +147,7 @@ def _can_trace(link: "Link") -> bool:
     return link.run(["sh", "-c", "[ -w /sys/kernel/tracing/instances ]"]).status == 0
 
 
-def _print(study: "Study", findings: "list[CheckResult]", results: Path) -> None:
+def _print(study: "Study", findings: "list[CheckResult]", results: Path, target: Path) -> None:
     """What was proven, what was late and why, what stands in the way of real time, and how to go on."""
     import shlex
 
@@ -185,8 +180,8 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path) -> None
     if explained:
         print_line(f"why it was late: {causes.table(ranking, explained).outcome}")
     grave = [each.check.name for each in rt_readiness.grave_faults(findings)]
-    folder, call = shlex.quote(str(results)), as_called("rtrun")
-    explain = f"; {call} check-rt --target {folder}/target.yml says why, and the remedy"
+    folder, file, call = shlex.quote(str(results)), shlex.quote(str(target)), as_called("rtrun")
+    explain = f"; {call} check-rt --target {file} says why, and the remedy"
     print_line(f"in the way of real time: {', '.join(grave) + explain if grave else 'nothing grave'}")
     print_line(f"next: {call} report {folder}")
-    print_line(f"to measure again: {call} run {folder}/campaign.yml --target {folder}/target.yml --fresh")
+    print_line(f"to measure again: {call} run {folder}/campaign.yml --target {file} --fresh")

@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -177,6 +178,11 @@ class Target:
     """None: nobody can switch it."""
     failure: Callable[[], TargetGone | None] = lambda: None
     """Why the target is gone for good, as far as can be known without a connection to it; None while it may answer."""
+
+
+def target_name(host: str) -> str:
+    """A name for the target of a host; empty where none of its characters may be in one."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", host).strip("-._")
 
 
 def read_target(path: Path) -> TargetConfig:

@@ -182,6 +182,12 @@ def inspect(link: "Link") -> Equipment:
     )
 
 
+def missing(link: "Link", needs: Sequence[str]) -> list[str]:
+    """What a target lacks of these needs, as missing.sh takes and says them; for commands that deploy nothing."""
+    script = (ON_TARGET / "missing.sh").read_text(encoding="utf-8")
+    return [line[:200] for line in link.check(["sh", "-s", *needs], stdin=script).splitlines()]
+
+
 def _lines_by_name(text: str, known: Collection[str]) -> dict[str, list[str]]:
     """The values of lines ``name value``, of the names that are known."""
     facts: dict[str, list[str]] = {}
