@@ -10,7 +10,7 @@ import io
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
@@ -32,6 +32,12 @@ def printable(text: str) -> str:
 def counted(number: int, noun: str) -> str:
     """A number and its noun, with an s but for one."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def listed(names: Collection[str], most: int) -> str:
+    """Names behind commas, the first ones where there are more than so many, with the number of the others."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join([*names][:most]) + more
 
 
 def print_line(text: str = "") -> None:

@@ -24,7 +24,7 @@ from rtrun.judgement.groups import format_parameters, telling_parameters
 from rtrun.plan.limits import BINS_MAX
 from rtrun.results.record import FILE, RunRecord, moment
 from rtrun.results.series import HistogramSeries, SampleSeries, Series
-from rtrun.targets.inspection.facts import Fact
+from rtrun.targets.inspection.facts import fact_text
 
 Table = Any  # pyarrow has no types
 UNKNOWN_MONTH = "unknown"
@@ -102,16 +102,16 @@ def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
         "platform_evidence": record.platform_evidence,
         "status": str(record.status),
         "reason": record.reason,
-        "boot_id": _text(target.boot_id),
+        "boot_id": fact_text(target.boot_id),
         "address": target.address,
-        "kernel_release": _text(target.kernel_release),
-        "kernel_version": _text(target.kernel_version),
-        "architecture": _text(target.machine),
-        "clock_source": _text(target.clock.source if target.clock else target.clocksource),
-        "clock_event": _text(target.clock.event if target.clock else None),
-        "governor": _text(target.governor),
-        "middleware_version": _text(target.middleware_version),
-        "setup": _text(target.setup),
+        "kernel_release": fact_text(target.kernel_release),
+        "kernel_version": fact_text(target.kernel_version),
+        "architecture": fact_text(target.machine),
+        "clock_source": fact_text(target.clock.source if target.clock else target.clocksource),
+        "clock_event": fact_text(target.clock.event if target.clock else None),
+        "governor": fact_text(target.governor),
+        "middleware_version": fact_text(target.middleware_version),
+        "setup": fact_text(target.setup),
         "commit": origin.commit,
         "image": origin.image,
         "packages": _json(origin.packages),
@@ -195,10 +195,6 @@ def _utc(text: str) -> datetime | None:
     """A time of a record in UTC, without its zone; None where an imported run has none."""
     time = moment(text)
     return time and time.replace(tzinfo=None)
-
-
-def _text(fact: Fact) -> str | None:
-    return " ".join(fact) if isinstance(fact, list) else fact
 
 
 def _json(mapping: Mapping[str, Any]) -> str:

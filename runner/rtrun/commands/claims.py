@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the claims. Raises UsageError when there is nothing to examine."""
     import dataclasses
 
-    from rtfiles.output import print_json, print_line
+    from rtfiles.output import listed, print_json, print_line
     from rtrun.judgement.claims.examiners import examine_claims
     from rtrun.judgement.study import study
     from rtrun.plan.question import Question
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         print_styled(result.finding, f"{' ' * (9 - len(result.finding))}  {claim.id} ({claim.section}): {claim.text}")
         print_line(f"           {result.numbers}")
         if result.runs:
-            shown = ", ".join(result.runs[:4]) + (f" and {len(result.runs) - 4} more" if len(result.runs) > 4 else "")
+            shown = listed(result.runs, 4)
             print_line(f"           test: {result.test}; runs: {shown}")
     for text in analysed.left_out:
         print_line(f"not analysed: {text}")

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rtfiles import atomic
-from rtfiles.output import counted
+from rtfiles.output import counted, listed
 from rtrun.analysis.histogram import Int64s
 from rtrun.causes.outliers import AFTER_NS
 from rtrun.execution import clock_record
@@ -40,6 +40,7 @@ from rtrun.targets import deploy
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import facts as inspection
 from rtrun.targets.inspection import kernel_trace, platform_signs
+from rtrun.targets.inspection.facts import fact_text
 from rtrun.targets.inspection.platform import KnownPlatform
 from rtrun.targets.link import Link
 
@@ -238,8 +239,7 @@ def _not_seen(deadline: StreamDeadline, outputs: Sequence[ObservedOutput]) -> st
     seen = dict.fromkeys(
         str(output.parameters[deadline.kind.named_by]) for output in outputs if output.suite == deadline.kind.suite
     )
-    more = f" and {len(seen) - _NAMES_SHOWN} more" if len(seen) > _NAMES_SHOWN else ""
-    others = f"; seen were {', '.join([*seen][:_NAMES_SHOWN])}{more}" if seen else ""
+    others = f"; seen were {listed(seen, _NAMES_SHOWN)}" if seen else ""
     return f"it was not seen{others}"
 
 
@@ -354,11 +354,11 @@ def _write_run(
             step_ns = clock_record.record(state, []).step_ns or 1
             provenance = Provenance(
                 version=version("meta-rt-tests"),
-                host=_text(state.host),
+                host=fact_text(state.host) or "",
                 kernel=Uname(
-                    release=_text(state.kernel_release),
-                    version=_text(state.kernel_version),
-                    machine=_text(state.machine),
+                    release=fact_text(state.kernel_release) or "",
+                    version=fact_text(state.kernel_version) or "",
+                    machine=fact_text(state.machine) or "",
                 ),
                 start_time=observation.start_time,
                 end_time=observation.end_time,
@@ -419,10 +419,6 @@ def _record(
 
 def _thread(thread: "object") -> Thread:
     return Thread.model_validate(thread, from_attributes=True, strict=False)
-
-
-def _text(fact: inspection.Fact) -> str:
-    return " ".join(fact) if isinstance(fact, list) else fact or ""
 
 
 def _write_observation(folder: Path, watched: Watched, observation: ObservationResult) -> None:

@@ -5,11 +5,10 @@ from collections.abc import Callable
 from rtrun.flows.messages import Endpoint, Reception
 from rtrun.flows.programs import LivingThing, numbered
 from rtrun.flows.recorder import FlowRecorder
-from rtrun.flows.situation import FAULT, Situation
+from rtrun.flows.situation import Situation
 from rtrun.flows.threads import CallbackLog, LivingCallback, ObservedThread, OpenCallback
 from rtrun.flows.timers import LEAST_CALLS, LivingTimer, TimerLog
-from rtrun.flows.topics import key_of
-from rtrun.flows.values import NOT_SEEN_NS
+from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.probes.hits import Hit
 
 _NESTED_MAX = 64  # callbacks in one another: more were left by exceptions, and never end
@@ -25,7 +24,6 @@ class CallRecord:
         """By label, subject, number among the callbacks that are alike in these, and number of the thread."""
         self.handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
             "callback_begin": self._begin,
-            "callback_message": self._tell_message,
             "callback_end": self._end,
             "subscription_linked": self._link_subscription,
             "callback_added": self._add_callback,
@@ -33,7 +31,6 @@ class CallRecord:
             "timer_init": self._init_timer,
             "timer_linked": self._link_timer,
             "timer_call": self._call_timer,
-            "timer_end": self._end_timer,
         }
         self._situation = situation
         self._recorder = recorder
@@ -79,7 +76,7 @@ class CallRecord:
             timer.period_ns = timer.period_ns if not isinstance(period_ns, int) else period_ns
             clock = values.get("clock")
             timer.clock = clock if isinstance(clock, str) else timer.clock
-        thread.calls_timer(timer, hit.at_ns)
+        thread.calls_timer(timer)
         expected = values.get("expected_ns")
         call = (hit.at_ns, expected if isinstance(expected, int) else NOT_SEEN_NS, self._situation.epoch)
         if timer.log is not None:
@@ -91,20 +88,6 @@ class CallRecord:
             for at_ns, expected_ns, epoch in timer.early:
                 timer.log.add(at_ns, expected_ns, timer, epoch)
             timer.early.clear()
-
-    def _end_timer(self, hit: Hit, thread: ObservedThread) -> None:
-        """roscpp calls the callback of a timer within the call of the timer."""
-        begun, thread.timer = thread.timer, None
-        thread.does_else()
-        if begun is None:
-            return
-        timer, begin_ns = begun
-        handle = f"timer {timer.handle}"
-        callback = thread.process.callbacks.get(handle)
-        if callback is None or callback.owner is not timer:
-            callback = thread.process.callbacks[handle] = LivingCallback(thread.process)
-            callback.owner = timer
-        self._add_call(callback, thread, hit, begin_ns)
 
     def _log_of(self, timer: LivingTimer) -> TimerLog:
         name = self._situation.label(timer.process, timer.process.node(timer.node))
@@ -140,30 +123,18 @@ class CallRecord:
         thread.has_callbacks = True
         cause, thread.cause = thread.cause, None
         handle = hit.values.get("callback")
-        topic = hit.values.get("topic", "")
-        if handle is None or not isinstance(topic, str):
+        if handle is None:
             self._situation.unreadable += 1
             return
         callback = thread.process.callbacks.get(handle)
         if callback is None:
             callback = thread.process.callbacks[handle] = LivingCallback(thread.process)
-        message = None
-        if topic and topic != FAULT:
-            callback.owner = callback.owner or thread.process.by_topic.get(topic)
-        elif callback.is_of(cause) and isinstance(cause, Reception):
-            message = cause
+        # roscpp tells the topic: another thread took the message.
+        is_told = "topic" in hit.values
+        message = cause if not is_told and callback.is_of(cause) and isinstance(cause, Reception) else None
         if len(thread.callbacks) >= _NESTED_MAX:
             thread.callbacks.clear()
-        thread.callbacks.append(OpenCallback(callback, hit.at_ns, topic, message))
-
-    def _tell_message(self, hit: Hit, thread: ObservedThread) -> None:
-        """roscpp reads the bytes of a message in the callback that is about it."""
-        key = key_of(hit.values)
-        if thread.callbacks and isinstance(key, tuple):
-            opened = thread.callbacks[-1]
-            endpoint = thread.process.by_topic.get(opened.topic)
-            if endpoint is not None:
-                thread.callbacks[-1] = opened._replace(message=endpoint.recent.get(key))
+        thread.callbacks.append(OpenCallback(callback, hit.at_ns, message))
 
     def _end(self, hit: Hit, thread: ObservedThread) -> None:
         thread.cause = None
@@ -174,16 +145,13 @@ class CallRecord:
             opened = thread.callbacks.pop()
             if handle is not None and thread.process.callbacks.get(handle) is not opened.callback:
                 opened = None
-        # roscpp returns another result when it was another thread's turn, or there was no message left.
-        if opened is None or hit.values.get("result", 0):
+        if opened is None:
             return
         if opened.message is not None:
             opened.message.ended(hit.at_ns)
-        self._add_call(opened.callback, thread, hit, opened.begin_ns, opened.topic)
+        self._add_call(opened.callback, thread, hit, opened.begin_ns)
 
-    def _add_call(
-        self, callback: LivingCallback, thread: ObservedThread, end: Hit, begin_ns: int, topic: str = ""
-    ) -> None:
+    def _add_call(self, callback: LivingCallback, thread: ObservedThread, end: Hit, begin_ns: int) -> None:
         callback.calls += 1
         log = callback.logs.get(thread)
         if log is not None:
@@ -194,7 +162,7 @@ class CallRecord:
             if callback.is_ready:
                 self._name(callback)
         if self._recorder is not None:
-            name = callback.named[1] if callback.named else topic or "callback"
+            name = callback.named[1] if callback.named else "callback"
             self._recorder.callback(name, thread.process.pid, thread.tid, end.cpu, begin_ns, end.at_ns)
 
     def _name(self, callback: LivingCallback) -> None:

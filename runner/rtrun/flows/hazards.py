@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from rtfiles.output import counted, printable
+from rtfiles.output import counted, listed, printable
 from rtrun.flows.programs import label_of
 from rtrun.probes.hits import ObservedProgram, ProgramThread
 
@@ -15,9 +15,7 @@ def hazards(programs: Sequence[ObservedProgram]) -> tuple[str, ...]:
     for program in programs:
         for text in _of(program, programs):
             threatened.setdefault(text, []).append(f"{label_of(program)} (pid {program.pid})")
-    return tuple(
-        printable(f"{', '.join(names[:_NAMED_MAX])}{_more(len(names))}: {text}") for text, names in threatened.items()
-    )
+    return tuple(printable(f"{listed(names, _NAMED_MAX)}: {text}") for text, names in threatened.items())
 
 
 def _of(program: ObservedProgram, programs: Sequence[ObservedProgram]) -> Iterator[str]:
@@ -36,7 +34,7 @@ def _of(program: ObservedProgram, programs: Sequence[ObservedProgram]) -> Iterat
         if any(_may_delay(other, thread) for thread in program.threads)
     }
     if above:
-        yield f"on the same CPUs with a higher priority: {', '.join([*above][:_NAMED_MAX])}{_more(len(above))}"
+        yield f"on the same CPUs with a higher priority: {listed(above, _NAMED_MAX)}"
 
 
 def _is_real_time(thread: ProgramThread) -> bool:
@@ -51,9 +49,4 @@ def _may_delay(other: ProgramThread, thread: ProgramThread) -> bool:
 
 
 def _names(threads: Sequence[ProgramThread]) -> str:
-    names = list(dict.fromkeys(thread.name for thread in threads))
-    return ", ".join(names[:_NAMED_MAX]) + _more(len(names))
-
-
-def _more(number: int) -> str:
-    return f" and {number - _NAMED_MAX} more" if number > _NAMED_MAX else ""
+    return listed(dict.fromkeys(thread.name for thread in threads), _NAMED_MAX)

@@ -12,7 +12,8 @@ from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.messages import MessagePair
 from rtrun.flows.situation import HITS_CLOCK
 from rtrun.flows.timers import ClockOffsets, TimerLog
-from rtrun.flows.values import NOT_SEEN_NS, int64s
+from rtrun.flows.values import int64s
+from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.plan.observation import StreamDeadline, StreamKind
 
 _BINS_OF_OCTAVE = 64

@@ -62,9 +62,6 @@ class LivingPrograms:
         """Hits are missing."""
         for thread in self.threads.values():
             thread.cut()
-        for process in self.processes.values():
-            for endpoint in process.by_topic.values():
-                endpoint.recent.clear()
 
 
 def _is_other(earlier: ObservedProgram, now: ObservedProgram) -> bool:

@@ -1,7 +1,6 @@
 """Messages of every pair of publisher and subscriber: what was published, received and lost, in numbers that add up."""
 
 from array import array
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +8,8 @@ import numpy as np
 
 from rtrun.analysis.histogram import Int64s
 from rtrun.flows.programs import LivingProcess, LivingThing
-from rtrun.flows.values import NOT_SEEN_NS, int64s
+from rtrun.flows.values import int64s
+from rtrun.kinds.messages import NOT_SEEN_NS
 
 Payload = tuple[int, int, int]
 """What tells messages of roscpp from one another: the first eight bytes, the next four, and the length."""
@@ -49,7 +49,7 @@ class End:
 class Endpoint(LivingThing):
     """A publisher or subscription of a living process."""
 
-    __slots__ = ("begin_ns", "end", "links", "recent", "topic")
+    __slots__ = ("begin_ns", "end", "links", "topic")
 
     def __init__(self, process: LivingProcess, topic: str, begin_ns: int | None) -> None:
         super().__init__(process)
@@ -58,8 +58,6 @@ class Endpoint(LivingThing):
         """When it was made, where that was seen."""
         self.end: End
         self.links: dict[Endpoint, LinkedTime] = {}
-        self.recent: OrderedDict[Payload, Reception | None] = OrderedDict()
-        """What it received last, by the bytes; None where the same bytes came twice."""
 
 
 class Publication:

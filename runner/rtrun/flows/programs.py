@@ -23,7 +23,7 @@ class LivingProcess:
     """A process from its first hit to its end. `label` names its node, or the program where no node is known."""
 
     __slots__ = (
-        "by_topic", "callbacks", "has_own_name", "is_alive", "label", "labels", "names_of_nodes", "pid", "program",
+        "callbacks", "has_own_name", "is_alive", "label", "labels", "names_of_nodes", "pid", "program",
         "publishers", "subscribers", "subscriptions", "timers",
     )  # fmt: skip
 
@@ -40,8 +40,6 @@ class LivingProcess:
         self.subscribers: dict[Handle, Endpoint] = {}
         self.subscriptions: dict[Handle, Endpoint] = {}
         """By their handles in rcl, and by their objects in rclcpp."""
-        self.by_topic: dict[str, Endpoint] = {}
-        """Subscriptions of roscpp, which has one for a topic."""
         self.timers: dict[Handle, LivingTimer] = {}
         self.callbacks: dict[Handle, LivingCallback] = {}
 

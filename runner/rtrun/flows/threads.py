@@ -68,7 +68,6 @@ class OpenCallback(NamedTuple):
 
     callback: LivingCallback
     begin_ns: int
-    topic: str
     message: Reception | None
 
 
@@ -83,7 +82,7 @@ class ObservedThread:
     - else, where it is seen to wait, after the only message that it took since then.
     """
 
-    __slots__ = ("callbacks", "cause", "has_callbacks", "has_ended", "process", "taken", "tid", "timer", "triggers")
+    __slots__ = ("callbacks", "cause", "has_callbacks", "has_ended", "process", "taken", "tid", "triggers")
 
     def __init__(self, tid: int, process: LivingProcess) -> None:
         self.tid = tid
@@ -99,8 +98,6 @@ class ObservedThread:
         """Hits are missing: nothing is known of what it does."""
         self.cause: Cause | None = None
         self.callbacks: list[OpenCallback] = []
-        self.timer: tuple[LivingTimer, int] | None = None
-        """The timer that it called last, and when."""
         self.has_callbacks = False
         self.triggers: int | None = None
         """Since the last message was taken; None: it was never seen to trigger, so it may be no rclpy."""
@@ -114,9 +111,8 @@ class ObservedThread:
         if self.triggers is not None:
             self.triggers = 0
 
-    def calls_timer(self, timer: LivingTimer, at_ns: int) -> None:
+    def calls_timer(self, timer: LivingTimer) -> None:
         self.cause = timer
-        self.timer = (timer, at_ns)
         self.taken = None
 
     def waits(self) -> None:

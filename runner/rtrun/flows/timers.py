@@ -9,7 +9,8 @@ from rtfiles.output import counted
 from rtrun.analysis.histogram import Int64s
 from rtrun.flows.programs import Handle, LivingProcess, LivingThing
 from rtrun.flows.situation import HITS_CLOCK
-from rtrun.flows.values import NOT_SEEN_NS, differences, int64s
+from rtrun.flows.values import differences, int64s
+from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.kinds.output import no_values
 
 LEAST_CALLS = 3

@@ -14,7 +14,6 @@ from rtrun.probes.hits import Hit
 PUBLISHER, SUBSCRIBER = "publisher", "subscriber"
 # Of ROS 2 itself, in every process: no messages of a system of nodes.
 _OF_ROS = frozenset(("ros_discovery_info", "/parameter_events"))
-_RECENT_MAX = 4096  # messages of a subscription of roscpp that wait for their callback
 _KEY_BYTES = 12
 
 
@@ -98,12 +97,8 @@ class TopicRecord(MessageRecord):
             self._stamped(endpoint.topic).receive(key, reception)
             thread.takes(reception)
             return
-        # Another thread calls back. It tells by the bytes which message that is about.
+        # In roscpp, where another thread calls back.
         self._unstamped(endpoint.topic).receive(key, reception)
-        process.by_topic[endpoint.topic] = endpoint
-        endpoint.recent[key] = None if key in endpoint.recent else reception
-        if len(endpoint.recent) > _RECENT_MAX:
-            endpoint.recent.popitem(last=False)
 
     def _endpoint_of(
         self, hit: Hit, process: LivingProcess, role: str, known: dict[Handle, Endpoint]

@@ -10,9 +10,6 @@ from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.output import no_values
 from rtrun.plan.observation import StreamKind
 
-NOT_SEEN_NS = -(2**63)
-"""Stands for a time that no probe saw."""
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Stream:

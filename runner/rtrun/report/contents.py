@@ -17,6 +17,7 @@ from rtrun.report.layers import LayerBar, stacks
 from rtrun.report.scenarios import Scenario, scenarios
 from rtrun.report.tables import Table, how
 from rtrun.report.terminal import banner_of
+from rtrun.targets.inspection.facts import fact_text
 from rtrun.targets.inspection.platform import Platform
 
 
@@ -151,7 +152,7 @@ def _facts(study: Study) -> list[tuple[str, str]]:
     seconds = sum(record.duration_s for record in (*started, *at_once.values()))
     measurements = grouped(sum(group.n for group in study.groups))
     days = sorted({record.start_time[:10] for record in study.records if record.start_time})
-    kernels = [_text(target.kernel_release) for target in targets if target.kernel_release]
+    kernels = [text for target in targets if (text := fact_text(target.kernel_release))]
     values = f"{measurements} values" + (f", {' to '.join(dict.fromkeys((days[0], days[-1])))}" if days else "")
     facts = [
         ("board", ", ".join(dict.fromkeys(target.name for target in targets))),
@@ -171,7 +172,3 @@ def _claims(study: Study) -> str:
     """Where the claims of the thesis are examined; empty where nothing was measured that they are about."""
     command = shlex.join(("rtrun", "claims", str(study.source.path)))
     return f"Claims of the thesis: {command}" if bear_on_claims(study) else ""
-
-
-def _text(fact: str | list[str] | None) -> str:
-    return " ".join(fact) if isinstance(fact, list) else str(fact)

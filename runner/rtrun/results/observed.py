@@ -72,8 +72,7 @@ def write_stream(
     """
     names = suite(stream.suite).columns
     rows = np.stack([np.asarray(stream.columns[name], dtype="<i8") for name in names], axis=1)
-    with (folder / f"{output}.npy").open("wb") as file:
-        np.lib.format.write_array(file, np.ascontiguousarray(rows), version=(1, 0))
+    np.save(folder / f"{output}.npy", rows, allow_pickle=False)
     record = Record(
         schema=1,
         suite=stream.suite,
@@ -115,7 +114,7 @@ def write_stream(
 
 def _write_traces(folder: Path, output: str, stream: ObservedOutput) -> list[str]:
     """Write a file for each traced value, and return their names; those that share a trace name the first one's."""
-    written: dict[int, str] = {}
+    written: dict[bytes, str] = {}
     names = []
     for one in stream.traced:
         name = f"{output}-trace-{one.index}.txt"
@@ -124,7 +123,7 @@ def _write_traces(folder: Path, output: str, stream: ObservedOutput) -> list[str
             f"# {stream.suite}: {one.value_ns} ns at index {one.index} above {one.limit_ns} ns, "
             f"at {seconds}.{rest_ns // 1000:06} s of {CLOCK}\n"
         ).encode()
-        shared = written.setdefault(id(one.text), name)
+        shared = written.setdefault(one.text, name)
         (folder / name).write_bytes(head + (one.text if shared == name else f"# in {shared}\n".encode()))
         names.append(name)
     return names

@@ -59,6 +59,11 @@ Fact = str | list[str] | None
 """What the target says of itself: a list where it has several, as the governor of each CPU."""
 
 
+def fact_text(fact: Fact) -> str | None:
+    """A fact in one text; None for one that the target did not tell."""
+    return " ".join(fact) if isinstance(fact, list) else fact
+
+
 def _number(value: Any) -> Any:
     return whole_number(value) if isinstance(value, str) else value
 
