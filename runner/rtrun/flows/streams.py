@@ -73,23 +73,16 @@ def path_identity(path: tuple[str, ...], publisher: End) -> Identity:
 
 
 def _messages(pair: MessagePair) -> Stream:
-    unmatched, remarks = pair.subscriber.unmatched, []
-    if unmatched:
-        remarks.append(
-            f"{counted(unmatched, 'message')} came to {pair.subscriber.label} whose publication was not seen:"
-            " published before, in a gap, by a program that is not observed, or too long ago"
-        )
     counts = pair.counts()
+    remarks: tuple[str, ...] = ()
     if counts.ambiguous:
-        remarks.append(
-            f"not known of {counted(counts.ambiguous, 'publication')} whether they came: the same bytes again"
-        )
+        remarks = (f"not known of {counted(counts.ambiguous, 'publication')} whether they came: the same bytes again",)
     return Stream(
         kind=StreamKind.MESSAGES,
         identity=message_identity(pair),
         columns=pair.columns(),
         counts=asdict(counts),
-        remarks=tuple(remarks),
+        remarks=remarks,
         source=pair,
     )
 
@@ -143,6 +136,7 @@ def _durations(kind: StreamKind, identity: Identity, log: CallbackLog | PathLog,
 def _intervals(role: str, end: End) -> Stream:
     """The times at one end of a topic, and what became of the messages there."""
     cuts = int64s(end.cuts)
+    remarks: tuple[str, ...] = ()
     counts = {"messages": len(end.times)}
     if role == PUBLISHER:
         counts["never_taken"] = end.forgotten
@@ -155,11 +149,18 @@ def _intervals(role: str, end: End) -> Stream:
             "unmatched": end.unmatched,
         }
         counts |= decided | {"waiting": len(end.times) - sum(decided.values())}
+        if end.unmatched:
+            # Of which publisher these are is not known, so they are no loss of a pair.
+            remarks = (
+                f"{counted(end.unmatched, 'message')} came whose publication was not seen, of whatever publisher:"
+                " published before, in a gap, by a program that is not observed, or too long ago",
+            )
     return Stream(
         kind=StreamKind.INTERVALS,
         identity=interval_identity(role, end),
         columns={"timestamp_ns": int64s(end.times)},
         counts=counts,
         cuts=cuts[cuts > 0],
+        remarks=remarks,
         source=end,
     )

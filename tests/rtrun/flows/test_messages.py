@@ -107,6 +107,18 @@ def test_several_publishers_and_subscribers_of_a_topic():
     assert len(messages(observed)) == 4
 
 
+def test_what_no_publication_is_known_of_is_said_once_for_a_subscriber():
+    """Not for each of its pairs: nobody knows whose it is."""
+    observed = FlowAccumulator(begin_ns=0)
+    sent = [publish(10 * pid, pid=pid, endpoint=pid) for pid in (1, 3)]
+    observed.feed([*sent, take(100, 10), take(101, 30), take(102, 5)])
+    told = [(one.kind, one.identity, one.remarks) for one in streams(observed) if one.remarks]
+    assert len(messages(observed)) == 2 and len(told) == 1
+    ((kind, identity, (remark,)),) = told
+    assert (kind, identity["end"], identity["topic"]) == (StreamKind.INTERVALS, "subscriber", "/a")
+    assert remark.startswith("1 message came whose publication was not seen, of whatever publisher: ")
+
+
 def test_a_program_that_restarts_is_measured_on():
     """With its pointers, and with its pid: only the start of the process tells."""
     half = BEGIN_NS + 10 * S
