@@ -7,12 +7,12 @@ is followed in the same way, also into another process.
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from rtrun.causes.events import Context
-from rtrun.causes.parts import Cause, Kind, Part
+from rtrun.causes.events import Callback, Context
+from rtrun.causes.parts import NAMELESS, Cause, Kind, Part
 from rtrun.causes.reconstruction import NORMAL_PRIO
 from rtrun.causes.timeline import IDLE_PID, Occupant, Span, State, StateChange, Timeline, Waker, Why
 
@@ -24,10 +24,13 @@ IDLE = "idle"
 BETWEEN_FAULTS_NS = 50_000
 
 
-def cut(timeline: Timeline, *, pid: int, own: frozenset[int], due_ns: int, at_ns: int) -> tuple[Part, ...]:
+def cut(
+    timeline: Timeline, *, pid: int, own: frozenset[int], due_ns: int, at_ns: int, callbacks: Sequence[Callback] = ()
+) -> tuple[Part, ...]:
     """Cut the time from `due_ns` to `at_ns` into parts in the order of time, which add up to it.
 
-    `pid` is the thread that ran at `at_ns`, `own` are the threads of the measured program.
+    `pid` is the thread that ran at `at_ns`, `own` are the threads of the measured program, `callbacks` what that thread
+    did before, one after another.
     """
     parts: list[Part] = []
     end_ns = at_ns
@@ -41,7 +44,8 @@ def cut(timeline: Timeline, *, pid: int, own: frozenset[int], due_ns: int, at_ns
     if end_ns > due_ns:
         parts.append(_unexplained(due_ns, end_ns))
     pieces = (piece for part in reversed(parts) for piece in _not_interrupted(timeline, part))
-    return tuple(_joined(piece for part in pieces for piece in _slowed(timeline, part)))
+    slowed = (piece for part in pieces for piece in _slowed(timeline, part))
+    return tuple(_joined(piece for part in slowed for piece in _in_callbacks(timeline, pid, callbacks, part)))
 
 
 def _not_interrupted(timeline: Timeline, part: Part) -> Iterator[Part]:
@@ -86,6 +90,29 @@ def _slowed(timeline: Timeline, part: Part) -> Iterator[Part]:
             for start_ns, stop_ns, cause in ((begin_ns, from_ns, part.cause), (from_ns, end_ns, slowed))
             if start_ns < stop_ns
         )
+
+
+def _in_callbacks(timeline: Timeline, pid: int, callbacks: Sequence[Callback], part: Part) -> Iterator[Part]:
+    """A part for which nobody else is named, cut by what the measured thread was about: the value waited for that.
+
+    Where the end of a callback was not seen, only what its thread ran until its next one may be of it.
+    """
+    at_ns = part.begin_ns
+    for callback, following in pairwise((*callbacks, None)) if part.cause.kind in NAMELESS else ():
+        assert callback is not None
+        is_open = callback.took_ns is None
+        end_ns = callback.at_ns if not is_open else following.begin_ns if following else part.end_ns
+        begin_ns, end_ns = max(callback.begin_ns, at_ns), min(end_ns, part.end_ns)
+        if begin_ns >= end_ns or (is_open and part.cause.kind is not Kind.PROGRAM):
+            continue
+        if at_ns < begin_ns:
+            yield replace(part, begin_ns=at_ns, end_ns=begin_ns)
+        name = f"{callback.name} (its end is not known)" if is_open else callback.name
+        cause = Cause(kind=Kind.CALLBACK, name=name, pid=pid, prio=timeline.prios.get(pid))
+        yield replace(part, begin_ns=begin_ns, end_ns=end_ns, cause=cause)
+        at_ns = end_ns
+    if at_ns < part.end_ns:
+        yield replace(part, begin_ns=at_ns)
 
 
 def _unexplained(begin_ns: int, end_ns: int, name: str = "") -> Part:

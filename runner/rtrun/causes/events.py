@@ -156,6 +156,23 @@ class Frequency(NamedTuple):
     khz: int
 
 
+class Callback(NamedTuple):
+    """callback_end: a callback has ended that took so long. callback_begin: one has begun whose end was not seen.
+
+    The second has no `took_ns`. Of nodes that were observed, not of the kernel: flows/turns.py.
+    """
+
+    at_ns: int
+    cpu: int
+    pid: int
+    took_ns: int | None
+    name: str
+
+    @property
+    def begin_ns(self) -> int:
+        return self.at_ns - (self.took_ns or 0)
+
+
 class Lost(NamedTuple):
     """Events of a CPU are missing before this moment; `missing` is None where the kernel does not know how many."""
 
@@ -179,5 +196,6 @@ Event = (
     | Signal
     | Thaw
     | Frequency
+    | Callback
     | Lost
 )

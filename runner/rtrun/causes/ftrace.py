@@ -18,6 +18,7 @@ from typing import BinaryIO
 
 from rtfiles.errors import UsageError
 from rtrun.causes.events import (
+    Callback,
     Console,
     Context,
     Current,
@@ -44,6 +45,7 @@ TIMERS_MAX = 10_000
 PIECE_BYTES = 1 << 16
 # Arguments of switches and wake-ups that are kept as they were read, since a trace repeats them, and their length.
 REPEATED_MAX, ARGUMENTS_MAX = 1024, 512
+CALLBACK_CHARACTERS_MAX = 200
 # trace-cmd.dat(5): how a file of trace-cmd begins.
 _TRACE_CMD = b"\x17\x08\x44tracing"
 
@@ -74,6 +76,7 @@ _FREQUENCY = re.compile(r"state=(\d{1,10}) cpu_id=(\d{1,4})\b", re.ASCII)
 _SIGNAL = re.compile(r"sig=(\d{1,3}) errno=-?\d{1,10} code=-?\d{1,10} comm=.{0,64}? pid=(\d{1,10}) grp=", re.ASCII)
 # What the timer of a thread does that sleeps until then (hrtimer_init_sleeper).
 _WAKES_ITS_THREAD = "hrtimer_wakeup"
+_CALLBACK = re.compile(rf"(?:took_ns=(\d{{1,18}}) )?name=(.{{1,{CALLBACK_CHARACTERS_MAX}}})", re.ASCII)
 _FUTEX = re.compile(r".{0,64}\bop: (?:0x)?([0-9a-f]{1,8})\b", re.ASCII)
 # Vectors of x86 whose handlers have a pair of events (arch/x86/include/asm/trace/irq_vectors.h).
 _VECTOR_EVENTS = {
@@ -350,6 +353,11 @@ def _thaw(head: _Head, _: str) -> Event:
     return Thaw(head[0], head[1], head[2])
 
 
+def _callback(head: _Head, arguments: str) -> Event | None:
+    match = _CALLBACK.fullmatch(arguments[:ARGUMENTS_MAX])
+    return match and Callback(*head[:3], None if match[1] is None else int(match[1]), intern(match[2]))
+
+
 def _frequency(head: _Head, arguments: str) -> Event | None:
     match = _FREQUENCY.match(arguments)
     return match and Frequency(head[0], head[1], int(match[2]), int(match[1]))
@@ -376,4 +384,5 @@ _READERS: dict[str, Callable[[_Head, str], Event | None]] = {
     "signal_generate": _signal,
     "cgroup_unfreeze": _thaw,
     "cpu_frequency": _frequency,
+    **dict.fromkeys(("callback_begin", "callback_end"), _callback),
 }

@@ -15,7 +15,7 @@ from rtfiles.output import counted
 from rtfiles.untrusted import whole_number
 from rtrun.causes.control import Windows, control_ns, windows_before
 from rtrun.causes.cut import cut
-from rtrun.causes.events import Context
+from rtrun.causes.events import Callback, Context
 from rtrun.causes.ftrace import Trace, read_ends, read_trace, refuse_trace_cmd
 from rtrun.causes.group_limits import limits, with_groups
 from rtrun.causes.parts import Part
@@ -24,6 +24,7 @@ from rtrun.causes.steps import Step, steps
 from rtrun.causes.timeline import IDLE_PID, Span, State, Timeline
 from rtrun.kinds.known import kind_of
 from rtrun.kinds.output import NON_MEASURING_THREADS, Record
+from rtrun.plan.observation import StreamKind
 from rtrun.plan.suites import suite
 from rtrun.results.record import RunRecord, check_file
 
@@ -73,8 +74,9 @@ class Explained:
 
     `steps` are those of a message, in nanoseconds; empty for a timer. `around` is what each CPU did from `AROUND` times
     the value before until the outlier. `idle_ns` is how long each other CPU was idle while the measured thread waited
-    for its own. `limits` are those of the control groups of its run, in words. Without parts `note` says why there are
-    none; with parts it says what is wrong with the trace, or is empty.
+    for its own. `callbacks` are those that the thread was in before the value, one after another. `limits` are those of
+    the control groups of its run, in words. Without parts `note` says why there are none; with parts it says what is
+    wrong with the trace, or is empty.
     """
 
     outlier: Outlier
@@ -83,6 +85,7 @@ class Explained:
     steps: Mapping[Step, int] = field(default_factory=dict)
     around: Mapping[int, tuple[Span, ...]] = field(default_factory=dict)
     idle_ns: Mapping[int, int] = field(default_factory=dict)
+    callbacks: tuple[Callback, ...] = ()
     limits: tuple[str, ...] = ()
     note: str = ""
 
@@ -149,7 +152,8 @@ def _explain(
     # In a container threads are known by name alone. Those of publisher and subscriber have the same names.
     known = pid in threads
     own = frozenset(threads) if known else _with_name(order, set(threads.values()))
-    parts = cut(order, pid=pid, own=own, due_ns=outlier.due_ns, at_ns=outlier.at_ns)
+    callbacks = _earlier_callbacks(outlier, order, pid, record)
+    parts = cut(order, pid=pid, own=own, due_ns=outlier.due_ns, at_ns=outlier.at_ns, callbacks=callbacks)
     parts = with_groups(parts, record, order.prios)
     late = [(one.due_ns, one.at_ns) for one in all_outliers]
     control = windows_before(order, trace.events, begin_ns=outlier.due_ns, length_ns=outlier.value_ns, late=late)
@@ -165,9 +169,23 @@ def _explain(
         steps=of_message,
         around=around,
         idle_ns=_idle_elsewhere(order, parts, pid),
+        callbacks=callbacks,
         limits=limits(record),
         note=_what_is_missing(outlier, order, trace),
     )
+
+
+def _earlier_callbacks(outlier: Outlier, order: Timeline, pid: int, record: RunRecord) -> tuple[Callback, ...]:
+    """What the measured thread was about within an outlier, but for the callback that was measured itself."""
+    if record.suite == StreamKind.CALLBACK.suite:
+        return ()
+    # The outlier's time has microseconds.
+    until_ns = outlier.at_ns + 1000
+    every = order.callbacks.get(pid, ())
+    within = [one for one in every if outlier.due_ns < one.at_ns <= until_ns]
+    # Of those whose end was not seen the last one before is, too.
+    before = [one for one in every if one.took_ns is None and one.at_ns <= outlier.due_ns][-1:]
+    return (*before, *within)
 
 
 def _idle_elsewhere(order: Timeline, parts: Sequence[Part], pid: int) -> Mapping[int, int]:

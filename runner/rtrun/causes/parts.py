@@ -28,11 +28,16 @@ class Kind(StrEnum):
     STOPPED = "stopped by"
     FROZEN = "frozen by"
     BLOCKED = "blocked in the kernel, woken by"
+    CALLBACK = "earlier callback of its thread"
     OTHER_THREAD = "thread of the measured programs"
     PROGRAM = "the measured thread itself"
     OWN_SLEEP = "asleep by its own timer"
     OUTSIDE = "nothing to do before the interrupt"
     UNEXPLAINED = "unexplained"
+
+
+NAMELESS = frozenset({Kind.UNEXPLAINED, Kind.PROGRAM, Kind.OUTSIDE, Kind.OWN_SLEEP})
+"""Kinds that name nobody."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -7,10 +7,8 @@ from typing import NamedTuple
 
 from rtrun.analysis.intervals import chance_of_so_many
 from rtrun.causes.outliers import Explained
-from rtrun.causes.parts import Cause, Kind, Part
+from rtrun.causes.parts import NAMELESS, Cause, Kind, Part
 
-# Kinds that name nobody.
-NAMELESS = frozenset({Kind.UNEXPLAINED, Kind.PROGRAM, Kind.OUTSIDE, Kind.OWN_SLEEP})
 # These have the CPU at other times, too, when nothing is late: only the time beyond what they have then counts.
 _FREQUENT = frozenset({Kind.HIGHER, Kind.DEADLINE, Kind.EQUAL, Kind.SHARED, Kind.INTERRUPT, Kind.SOFTIRQ})
 # Who had the CPU while the kernel could not be interrupted or preempted may be innocent: the host may have stopped a

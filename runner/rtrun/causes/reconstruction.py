@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from rtrun.causes.events import (
+    Callback,
     Console,
     Context,
     Current,
@@ -115,6 +116,7 @@ class _Builder:
         self.consoles_ns: dict[int, list[int]] = defaultdict(list)
         self.frequencies: dict[int, list[Frequency]] = defaultdict(list)
         self.stops: list[Signal] = []
+        self.callbacks: dict[int, list[Callback]] = defaultdict(list)
         # Of each thread, until it sleeps: whom it woke; and the threads that let a control group go on.
         self.woke: dict[int, list[int]] = defaultdict(list)
         self.thawing: set[int] = set()
@@ -178,6 +180,8 @@ class _Builder:
                 self._signal(event)
             case Thaw():
                 self.thawing.add(event.by_pid)
+            case Callback():
+                self.callbacks[event.pid].append(event)
             case Frequency():
                 self.frequencies[event.of_cpu].append(event)
 
@@ -378,4 +382,5 @@ def reconstruct(events: Iterable[Event], *, started: Iterable[TimerStart] = ()) 
         consoles_ns=dict(builder.consoles_ns),
         frequencies=dict(builder.frequencies),
         late_ns={number: cpu.late_ns for number, cpu in builder.cpus.items()},
+        callbacks=dict(builder.callbacks),
     )

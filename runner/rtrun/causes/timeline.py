@@ -2,11 +2,11 @@
 
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import NamedTuple
 
-from rtrun.causes.events import Context, Frequency, Lost, Raise, Signal
+from rtrun.causes.events import Callback, Context, Frequency, Lost, Raise, Signal
 
 IDLE_PID = 0
 
@@ -110,6 +110,8 @@ class Timeline:
     """Of each CPU, from when on it had which."""
     late_ns: Mapping[int, Sequence[tuple[int, int]]]
     """Of each CPU, from when a timer should have expired until its interrupt came, in order."""
+    callbacks: Mapping[int, Sequence[Callback]] = field(default_factory=dict)
+    """Of each thread, one after another."""
 
     def spans(self, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Span]:
         """What a CPU did between two moments, without gaps."""

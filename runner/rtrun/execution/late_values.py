@@ -1,15 +1,19 @@
 """Late values of an observation, each with the kernel's events around it, from which its cause is read."""
 
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
 
 import numpy as np
 
+from rtfiles.output import printable
 from rtrun.causes.control import control_ns
+from rtrun.causes.ftrace import CALLBACK_CHARACTERS_MAX
 from rtrun.causes.outliers import AFTER_NS, BEFORE_NS
 from rtrun.flows.live import NewValues
+from rtrun.flows.turns import Turn
 from rtrun.plan.observation import StreamKind
 from rtrun.plan.trace import quantile
 from rtrun.probes.hits import Gap, Hit
@@ -76,12 +80,17 @@ class LateValueRecord:
         self._part = quantile(above)
         self._events: list[Hit] = []
         self._gaps: list[Gap] = []
+        self._turns: deque[Turn] = deque(maxlen=EVENTS_KEPT)
         self._text_bytes = 0
 
     def record(self, batch: Batch) -> None:
         """Take the kernel's events of a batch."""
         self._events += batch.kernel
         self._gaps += batch.gaps
+
+    def turn(self, turn: Turn) -> None:
+        """Take what a thread had to do; it is told before the values of its batch."""
+        self._turns.append(turn)
 
     def look(self, new: NewValues) -> None:
         """Note which new values of a stream are late."""
@@ -119,6 +128,8 @@ class LateValueRecord:
         too_old = bisect_left(self._events, oldest_ns, key=itemgetter(0))
         del self._events[: max(too_old, len(self._events) - EVENTS_KEPT)]
         self._gaps = [gap for gap in self._gaps if gap.until_ns >= oldest_ns]
+        while self._turns and self._turns[0].begin_ns < oldest_ns:
+            self._turns.popleft()
 
     def _waiting(self, late: LateValues, until_ns: int) -> Iterator[LateValue]:
         """Those whose events are all there now."""
@@ -130,9 +141,21 @@ class LateValueRecord:
         gaps = [gap for gap in self._gaps if from_ns <= gap.until_ns <= until_ns]
         if self._text_bytes > TEXT_BYTES_MAX:
             return b""
-        text = "".join(trace_text(self._events[first:last], gaps, self._symbols)).encode()
+        callbacks = [hit for turn in self._turns if from_ns <= (hit := _as_event(turn)).at_ns < until_ns]
+        events = sorted([*self._events[first:last], *callbacks], key=itemgetter(0))
+        text = "".join(trace_text(events, gaps, self._symbols)).encode()
         self._text_bytes += len(text)
         return text
+
+
+def _as_event(turn: Turn) -> Hit:
+    """A callback as an event of the trace: at its end, or where that was not seen, at its begin."""
+    none: dict[str, int | str] = {"common_flags": 0, "common_preempt_count": 0}
+    name = printable(turn.name)[:CALLBACK_CHARACTERS_MAX]
+    if turn.end_ns is None:
+        return Hit(turn.begin_ns, turn.cpu, turn.pid, turn.tid, "callback_begin", {**none, "name": name})
+    told = {**none, "took_ns": turn.end_ns - turn.begin_ns, "name": name}
+    return Hit(turn.end_ns, turn.cpu, turn.pid, turn.tid, "callback_end", told)
 
 
 def _near(late: Sequence[LateValue]) -> Iterator[list[LateValue]]:

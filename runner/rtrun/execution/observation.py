@@ -54,7 +54,7 @@ _PARTIES = ("publisher", "subscriber", "node")
 _NAME_MAX = 100
 _NAMES_SHOWN = 8
 GRAPH = "graph.json"
-# Seen for paths of topics alone: they come several times for each message.
+# Seen for paths of topics, and for the causes of late values: they come several times for each message.
 _OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
 
 
@@ -99,7 +99,7 @@ class ObservationResult:
 
 def watch(link: Link, plan: ObservationPlan) -> Watched:
     """Look at a target without changing it, and resolve the probes for its programs. Raises TargetError."""
-    wanted = [event for event in events() if plan.followed or event not in _OF_PATHS]
+    wanted = [event for event in events() if plan.followed or plan.trace or event not in _OF_PATHS]
     equipment = inspection.inspect(link)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     found = find_programs(link, scripts)
@@ -157,7 +157,12 @@ def observe(
                 finished = each
             elif each.begin_ns:
                 if flows is None or figures is None:
-                    flows = FlowAccumulator(begin_ns=each.begin_ns, paths=plan.followed, recorder=recorder)
+                    flows = FlowAccumulator(
+                        begin_ns=each.begin_ns,
+                        paths=plan.followed,
+                        recorder=recorder,
+                        on_turn=late.turn if late else None,
+                    )
                     flows.observe(alive.values())
                     figures = LiveFigures(flows, plan.deadlines, late.look if late else None)
                 for pid in each.ended:

@@ -11,6 +11,7 @@ from rtrun.flows.situation import Situation
 from rtrun.flows.threads import ObservedThread
 from rtrun.flows.timers import ClockOffsets
 from rtrun.flows.topics import TopicRecord
+from rtrun.flows.turns import Turn, TurnRecord
 from rtrun.probes.hits import Gap, Hit, ObservedProgram
 
 HORIZON_NS = 10 * 10**9
@@ -24,7 +25,8 @@ class FlowAccumulator:
     `begin_ns` is when the probes were there.
 
     A publication that nobody took within `horizon_ns` is forgotten: what takes it later is unmatched. `paths` are
-    topics in the order of their messages. What is finished takes 48 bytes a message, 16 a call.
+    topics in the order of their messages. What is finished takes 48 bytes a message, 16 a call. `on_turn` is told what
+    each thread had to do, once its end is known, or that it is not.
     """
 
     def __init__(
@@ -34,6 +36,7 @@ class FlowAccumulator:
         paths: Sequence[Sequence[str]] = (),
         horizon_ns: int = HORIZON_NS,
         recorder: FlowRecorder | None = None,
+        on_turn: Callable[[Turn], None] | None = None,
     ) -> None:
         self.begin_ns = begin_ns
         self.newest_ns = begin_ns
@@ -45,6 +48,7 @@ class FlowAccumulator:
         self.paths = PathRecord(paths)
         self.topics = TopicRecord(self.situation, self.paths, horizon_ns, recorder)
         self.calls = CallRecord(self.situation, recorder)
+        self.turns = TurnRecord(on_turn) if on_turn is not None else None
         self._programs = LivingPrograms()
         self._handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
             **self.topics.handlers,
@@ -64,7 +68,7 @@ class FlowAccumulator:
 
     def feed(self, items: Iterable[Hit | Gap]) -> None:
         """Read hits, and gaps between them, in any order among themselves. A hit that comes too late makes a gap."""
-        handlers, thread_of, situation = self._handlers, self._programs.thread, self.situation
+        handlers, thread_of, situation, turns = self._handlers, self._programs.thread, self.situation, self.turns
         for item in sorted(items, key=itemgetter(0)):
             if isinstance(item, Gap):
                 self._cut(item)
@@ -81,6 +85,8 @@ class FlowAccumulator:
                 handler(item, thread)
             else:
                 thread.does_else()
+            if turns is not None:
+                turns.see(item, thread)
         self.topics.expire(self.newest_ns)
 
     def finish(self) -> None:

@@ -1,6 +1,7 @@
 """What a thread is about: the message or timer that it handles, and the callbacks that it is in."""
 
 from array import array
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from rtrun.flows.messages import Reception
@@ -71,6 +72,18 @@ class OpenCallback(NamedTuple):
     message: Reception | None
 
 
+@dataclass(slots=True)
+class OpenTurn:
+    """What a thread has to do and has begun: how often it triggered a guard condition since, and when last."""
+
+    begin_ns: int
+    cpu: int
+    name: str
+    has_callback: bool
+    triggers: int = 0
+    triggered_ns: int = 0
+
+
 class ObservedThread:
     """A thread of a living process, between two gaps.
 
@@ -82,7 +95,9 @@ class ObservedThread:
     - else, where it is seen to wait, after the only message that it took since then.
     """
 
-    __slots__ = ("callbacks", "cause", "has_callbacks", "has_ended", "process", "taken", "tid", "triggers")
+    __slots__ = (
+        "callbacks", "cause", "has_callbacks", "has_ended", "has_waited", "process", "taken", "tid", "triggers", "turn",
+    )  # fmt: skip
 
     def __init__(self, tid: int, process: LivingProcess) -> None:
         self.tid = tid
@@ -99,6 +114,8 @@ class ObservedThread:
         self.cause: Cause | None = None
         self.callbacks: list[OpenCallback] = []
         self.has_callbacks = False
+        self.has_waited = False
+        self.turn: OpenTurn | None = None
         self.triggers: int | None = None
         """Since the last message was taken; None: it was never seen to trigger, so it may be no rclpy."""
         self.taken: int | None = None
@@ -116,6 +133,7 @@ class ObservedThread:
         self.taken = None
 
     def waits(self) -> None:
+        self.has_waited = True
         self.cause = None
         self.taken = 0
 

@@ -23,6 +23,11 @@ _STEP_LEAST_NS = 20_000  # what two readings of a pair of clocks differ by on a 
 _ROUNDING_NS = 1000
 
 
+def timer_name(period_ns: int | None) -> str:
+    """A timer by its period, where that is known."""
+    return "timer" if period_ns is None else f"timer {period_ns / 1e6:g} ms"
+
+
 class TimerLog:
     """The calls of a timer, over all restarts of its program."""
 
@@ -41,7 +46,7 @@ class TimerLog:
     @property
     def name(self) -> str:
         """What it is called among the timers of its node."""
-        return "timer" if self.period_ns is None else f"timer {self.period_ns / 1e6:g} ms"
+        return timer_name(self.period_ns)
 
     def add(self, at_ns: int, expected_ns: int, timer: "LivingTimer", epoch: int) -> None:
         """Count a call."""

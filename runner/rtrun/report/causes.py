@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 REMEDIES_MAX = 3
-# Idle CPUs are listed with an outlier from this share of its value on.
-IDLE_FROM = 0.1
+# Idle CPUs and callbacks are listed with an outlier from this share of its value on.
+BESIDE_FROM = 0.1
 # Who took less of all lateness than this is counted, not listed.
 LISTED_FROM = 0.01
 # A remedy is given for a culprit that took at least this share of all lateness.
@@ -291,8 +291,14 @@ def lines(one: Explained) -> Iterator[str]:
         lengths[Cause(kind=Kind.UNEXPLAINED), None] = 0
     for (cause, cpu), length_ns in lengths.most_common():
         yield printable(f"  {us(length_ns):>10} us  {_cause(cause)}{'' if cpu is None else f', CPU {cpu}'}")
+    for callback in one.callbacks:
+        if callback.took_ns is not None and callback.took_ns < BESIDE_FROM * outlier.value_ns:
+            continue
+        begun = f"began {us(outlier.at_ns - callback.begin_ns)} us before the value"
+        took = f"took {us(callback.took_ns)} us" if callback.took_ns is not None else "when it ended is not known"
+        yield printable(f"  its thread was in a callback: {callback.name}, which {begun}, {took}")
     for cpu, idle_ns in one.idle_ns.items():
-        if idle_ns >= IDLE_FROM * outlier.value_ns:
+        if idle_ns >= BESIDE_FROM * outlier.value_ns:
             why = "its affinity excludes it, or it was not moved there"
             yield f"  meanwhile CPU {cpu} was idle for {us(idle_ns)} us: {why}"
 

@@ -28,6 +28,13 @@ def expiry(us, late_us=0):
     return begin + line(us, now, flags="d.h..") + waking(us + 2, 1, flags="d.h..") + end
 
 
+def called_back(us, took_us=None):
+    """A callback of the measured thread that ended, or without its length one that began."""
+    if took_us is None:
+        return line(us, "callback_begin: name=timer of /a", name="me", pid=1)
+    return line(us, f"callback_end: took_ns={took_us * 1000} name=timer of /a", name="me", pid=1)
+
+
 def end(us, cpu=0):
     """The moment at which the value was measured."""
     return line(us, "x: y", cpu=cpu)
@@ -35,7 +42,9 @@ def end(us, cpu=0):
 
 def parts_of(text, *, due=1000, at, pid=1, own=(1,)):
     """What the lines say, as ``KIND name microseconds; ...``; what has one cause and follows each other is one."""
-    made = cut(reconstruct(events(text)), pid=pid, own=frozenset(own), due_ns=due * 1000, at_ns=at * 1000)
+    order = reconstruct(events(text))
+    callbacks = order.callbacks.get(pid, ())
+    made = cut(order, pid=pid, own=frozenset(own), due_ns=due * 1000, at_ns=at * 1000, callbacks=callbacks)
     assert sum(part.length_ns for part in made) == (at - due) * 1000
     alike = groupby(made, key=lambda part: (part.cause.kind, part.cause.name, part.cpu))
     lengths = ((kind, name, sum(part.length_ns for part in parts) // 1000) for (kind, name, _), parts in alike)
@@ -265,6 +274,24 @@ CASES = {
     "lost events are unexplained": Case(
         HOG_RUNS + LOST + switch(1400, HOG, ME) + end(1410), 1410, "...; UNEXPLAINED events are missing 397; ..."
     ),
+    # It began to run 60 us ago, and slept within the callback: who had the CPU then, and who is named else, stays.
+    "an earlier callback of its thread": Case(
+        switch(900, LOW, ME) + switch(1050, ME, HOG, state="R") + switch(1100, HOG, ME) + called_back(1350, 400)
+        + called_back(1390, 20) + end(1400),
+        1400,
+        "CALLBACK timer of /a 50; HIGHER hog 50; CALLBACK timer of /a 250; PROGRAM me 20; "
+        "CALLBACK timer of /a 20; PROGRAM me 10",
+    ),
+    "a callback that sleeps": Case(
+        (BEFORE + expiry(1300)).replace("500000", "800000") + switch(1304, LOW, ME) + called_back(1308, 500)
+        + end(1310),
+        1310, "CALLBACK timer of /a ...; PROGRAM me 2",
+    ),
+    # What it ran may be of it; before, there is no callback.
+    "a callback whose end is not seen": Case(
+        switch(900, LOW, ME) + called_back(1100) + end(1400),
+        1400, "PROGRAM me 100; CALLBACK timer of /a (its end is not known) 300",
+    ),
     "a trace that begins too late": Case(switch(1400, HOG, ME) + end(1410), 1410, "UNEXPLAINED 400; PROGRAM me 10"),
     # It waited from when every CPU is in the trace: before that, one that is not may have woken it.
     "a thread that was woken before the trace begins": Case(
@@ -384,6 +411,7 @@ LINES = st.one_of(
                 "hrtimer_expire_entry: hrtimer=a function=f now=850000",
                 "sched_migrate_task: comm=me pid=1 prio=4 orig_cpu=0 dest_cpu=1",
                 "console: x", "cpu_frequency: state=0 cpu_id=0",
+                "callback_end: took_ns=20000 name=a", "callback_begin: name=b",
                 "cpu_frequency: state=1200000 cpu_id=0", "cpu_frequency: state=300000 cpu_id=1",
             )
         ),
@@ -398,7 +426,10 @@ def test_parts_add_up_whatever_the_trace_says(steps, due, length):
     for step, made in steps:
         us += step
         text += made(us)
-    made = cut(reconstruct(events(text)), pid=1, own=frozenset({1, 5}), due_ns=due * 1000, at_ns=(due + length) * 1000)
+    order = reconstruct(events(text))
+    callbacks = order.callbacks.get(9, ())
+    ends = {"due_ns": due * 1000, "at_ns": (due + length) * 1000}
+    made = cut(order, pid=1, own=frozenset({1, 5}), callbacks=callbacks, **ends)
     assert [part.begin_ns for part in made[1:]] == [part.end_ns for part in made[:-1]]
     assert (made[0].begin_ns, made[-1].end_ns) == (due * 1000, (due + length) * 1000)
     assert all(part.length_ns > 0 for part in made)

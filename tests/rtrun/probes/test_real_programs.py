@@ -1,6 +1,7 @@
 """Unmodified programs of ROS 2 and ROS 1, observed: each message at both ends, and timers as the programs see them."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -8,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from probes import standin
-from probes.standin import find, observed, running
+from probes.standin import find, observed, running, skip_without_trace
 
 from ports import free_domain
 from ros2 import wheels
 from rtgen import suites as builder
+from rtrun.cli import main
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.probes.libraries.description import events
 from rtrun.probes.session import Batch, Began
@@ -187,3 +189,27 @@ def test_a_timer_as_the_program_sees_it(here, distro, suites_of, tmp_path):
     assert expected[0] is None and len(rows) >= 999
     told = rows[:, 1].tolist()
     assert set(told) - set(expected) <= {told[0]}
+
+
+def test_a_slow_callback_of_the_same_thread_is_what_a_late_message_waited_for(tmp_path, capsys):
+    """`rtrun why` names the timer of the node, and how long it took."""
+    skip_without_trace()
+    environment = ros2_environment("kilted", tmp_path)
+    target, results = tmp_path / "here.yml", tmp_path / "results"
+    target.write_text("schema: 1\nname: here\nkind: local\n")
+    talker = [sys.executable, TALKER, "talker", 10**6]
+    with (
+        running(sys.executable, TALKER.with_name("slow.py"), env=environment, cwd=tmp_path) as slow,
+        running(*talker, env=environment, cwd=tmp_path),
+    ):
+        assert slow.stdout.readline() == "steady\n"
+        call = ["observe", "--target", str(target), "--for", "8s", "--trace", "above=15ms", "--results", str(results)]
+        assert main(call) == 0, capsys.readouterr()
+    (folder,) = results.glob("*-messages-chatter-*slow*")
+    capsys.readouterr()
+    assert main(["why", str(folder)]) == 0
+    first, *others = capsys.readouterr().out.splitlines()
+    assert first.startswith("earlier callback of its thread timer 250 ms of slow.py (pid "), first
+    pattern = r"its thread was in a callback: timer 250 ms of slow\.py, which began .*, took (\d+) us"
+    took = re.findall(pattern, "\n".join(others))
+    assert took and min(map(int, took)) >= 30_000

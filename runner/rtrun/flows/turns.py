@@ -1,0 +1,89 @@
+"""What each thread had to do, one after another: a message or a timer, from when it took it until it was done."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from rtrun.flows.messages import Endpoint, Reception
+from rtrun.flows.programs import LivingProcess, LivingThing, numbered
+from rtrun.flows.threads import ObservedThread, OpenTurn
+from rtrun.flows.timers import LivingTimer, timer_name
+from rtrun.probes.hits import Hit
+
+_ENDS = frozenset(("take", "timer_call", "callback_begin", "wait", "request_take", "response_take"))
+
+
+class Turn(NamedTuple):
+    """A callback of a thread; `name` is that of its timer or topic, and of its node; `end_ns` None: it was not seen."""
+
+    begin_ns: int
+    end_ns: int | None
+    cpu: int
+    pid: int
+    tid: int
+    name: str
+
+
+class TurnRecord:
+    """Tells the turns of each thread, in the order in which their ends are known.
+
+    One ends where the probe at the end of a callback is (rclcpp); at the last guard condition that rclpy triggers; in
+    C, of a thread that is seen to wait, where it waits or takes the next. Of roscpp no end is seen.
+    """
+
+    def __init__(self, on_turn: Callable[[Turn], None]) -> None:
+        self._on_turn = on_turn
+
+    def see(self, hit: Hit, thread: ObservedThread) -> None:
+        """Look at a hit after the thread has."""
+        event, turn = hit.event, thread.turn
+        if event == "guard_trigger" and turn is not None:
+            turn.triggers, turn.triggered_ns = turn.triggers + 1, hit.at_ns
+        elif event == "callback_begin" and turn is not None and "topic" not in hit.values and not turn.has_callback:
+            turn.has_callback = True
+        elif event == "callback_end" and turn is not None:
+            self._end(turn, thread, hit.at_ns)
+        elif event in _ENDS:
+            if turn is not None:
+                self._end(turn, thread, _end_ns(turn, hit, thread))
+            name = _name(hit, thread)
+            if name:
+                has_callback = event == "callback_begin" and "topic" not in hit.values
+                thread.turn = OpenTurn(hit.at_ns, hit.cpu, name, has_callback)
+
+    def _end(self, turn: OpenTurn, thread: ObservedThread, end_ns: int | None) -> None:
+        thread.turn = None
+        self._on_turn(Turn(turn.begin_ns, end_ns, turn.cpu, thread.process.pid, thread.tid, turn.name))
+
+
+def _end_ns(turn: OpenTurn, hit: Hit, thread: ObservedThread) -> int | None:
+    """When a turn ended before something else that its thread did."""
+    if turn.has_callback:
+        return None
+    if turn.triggers > 1:
+        return turn.triggered_ns
+    return hit.at_ns if thread.triggers is None and thread.has_waited else None
+
+
+def _name(hit: Hit, thread: ObservedThread) -> str:
+    """What a turn is of that begins with a hit; empty where none does."""
+    if hit.event == "callback_begin":
+        topic = hit.values.get("topic")
+        if isinstance(topic, str):
+            return f"{topic} of {thread.process.label}"
+        owner = thread.callbacks[-1].callback.owner if thread.callbacks else None
+        return _name_of(owner, thread.process)
+    if isinstance(thread.cause, LivingTimer):
+        return _name_of(thread.cause, thread.process)
+    if isinstance(thread.cause, Reception) and hit.event == "take":
+        return _name_of(thread.cause.endpoint, thread.process)
+    return ""
+
+
+def _name_of(owner: LivingThing | None, process: LivingProcess) -> str:
+    if isinstance(owner, Endpoint):
+        return f"{owner.topic} of {owner.end.label}"
+    if not isinstance(owner, LivingTimer):
+        return f"a callback of {process.label}"
+    if owner.log is None:
+        return f"{timer_name(owner.period_ns)} of {process.label}"
+    return f"{numbered(owner.log.name, owner.log.number)} of {owner.log.label}"
