@@ -52,6 +52,7 @@ NO_LIMITS = {
         "rtrun.targets.ssh.ssh_shell.KILL_GRACE_S",
     },
     "times of programs of our own": {
+        "rtrun.execution.ros_graph.LOOK_S",
         "rtrun.execution.run_programs.DEADLINE_EXTRA_S",
         "rtrun.targets.building.BUILD_S",
         "rtrun.targets.building.END_GRACE_S",

@@ -10,6 +10,7 @@ from rtrun.plan.observation import read_path, read_stream_deadline
 
 if TYPE_CHECKING:
     from rtrun.execution.observation import Watched
+    from rtrun.execution.ros_graph import RosGraph
 
 NAME = "observe"
 HELP = "measure nodes that run already, unmodified: messages, timers, callbacks, reaction times"
@@ -79,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.output import print_line, print_status
     from rtrun.commands._link import linked
     from rtrun.execution import observation
+    from rtrun.execution.ros_graph import read_graph
     from rtrun.flows.hazards import hazards
     from rtrun.flows.recorder import FlowRecorder
     from rtrun.plan.observation import ObservationPlan
@@ -94,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         watched = observation.watch(link, plan)
         print_status("")
         if args.list:
-            _print_list(watched)
+            _print_list(watched, read_graph(link, watched.scripts, watched.found))
             return 0
         results = args.results or Path("results") / config.name
         # What would be known at the end only, hours later.
@@ -116,8 +118,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _print_list(watched: "Watched") -> None:
-    """Each program, what stands in the way of real time in it, and what can be measured of it."""
+def _print_list(watched: "Watched", graph: "RosGraph") -> None:
+    """Each program, its nodes, who publishes to whom, what can be measured, and what threatens real time."""
     from rtfiles.output import counted, print_line
     from rtrun.flows.hazards import hazards
     from rtrun.flows.programs import label_of
@@ -131,9 +133,15 @@ def _print_list(watched: "Watched") -> None:
     for each in watched.found:
         program = each.program
         print_line(f"{label_of(program)} (pid {program.pid}), {counted(len(program.threads), 'thread')}")
+    for node in graph.nodes:
+        of = f" of pid {node.pid}" if node.pid is not None else ""
+        print_line(f"node {node.name}{of}{': serves ' if node.serves else ''}{', '.join(node.serves)}")
+    for topic, (publishers, subscribers) in sorted(graph.topics.items()):
+        ends = (", ".join(nodes) or "nobody" for nodes in (publishers, subscribers))
+        print_line(f"topic {topic}: {' to '.join(ends)}")
     for path, measured in events.items():
         print_line(f"{path}: {', '.join(sorted(measured))}")
     for text in hazards([each.program for each in watched.found]):
         print_line(text)
-    for text in refusals(watched.placement.refused):
+    for text in (*refusals(watched.placement.refused), *graph.remarks):
         print_line(text)

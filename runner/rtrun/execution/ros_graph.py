@@ -1,0 +1,163 @@
+"""The graph of the nodes on a target, as ROS itself tells it: nothing is placed, and no program is touched.
+
+Of ROS 1 the master and its nodes are asked. Of ROS 2, which has no master, a node with the environment of a program
+joins its domain for some seconds, where the target has rclpy for that.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import Annotated, Any
+from urllib.parse import urlsplit
+
+from pydantic import Field
+
+from rtfiles.config import Config, parse
+from rtfiles.errors import UsageError
+from rtfiles.untrusted import parse_json
+from rtrun.execution.middleware import roscpp
+from rtrun.probes.programs import FoundProgram
+from rtrun.targets.errors import TargetError
+from rtrun.targets.link import Link
+
+NODES_MAX = 2000
+# How long a node of ROS 2 looks: programs are found in some tenths of a second, on a slow board in more.
+LOOK_S = 3
+ASK_S = 60.0
+ROS1, ROS2 = "libroscpp", "librcl"
+_MASTER, _DOMAIN = "ROS_MASTER_URI", "ROS_DOMAIN_ID"
+_DEFAULT_MASTER = "http://localhost:11311"
+# What every node has: logs, parameters, their services.
+_OF_ROS = re.compile(
+    r"/(?:rosout(?:_agg)?|parameter_events|clock)|.*/(?:get_loggers|set_logger_level|get_type_description|"
+    r"(?:describe|get|list|set)_parameters(?:_atomically)?|get_parameter_types)"
+)
+# Of each process: its own words, one a line, behind its pid.
+_ASK_ENVIRONMENT = (
+    'for pid; do tr "\\n\\0" "?\\n" <"/proc/$pid/environ" | '
+    f'grep -E "^({_MASTER}|{_DOMAIN})=" | sed "s/^/$pid /"; done 2>/dev/null; exit 0'
+)
+
+
+class GraphNode(Config):
+    """A node, with the names of what it publishes, takes and serves; `pid` where that is known."""
+
+    name: str
+    publishes: Annotated[list[str], Field(max_length=NODES_MAX)] = Field(default_factory=list)
+    takes: Annotated[list[str], Field(max_length=NODES_MAX)] = Field(default_factory=list)
+    serves: Annotated[list[str], Field(max_length=NODES_MAX)] = Field(default_factory=list)
+    pid: int | None = None
+
+
+class _Told(Config):
+    """What ros2_graph.py prints."""
+
+    nodes: Annotated[list[GraphNode], Field(max_length=NODES_MAX)]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RosGraph:
+    """The nodes that are known, and why others are not, a sentence each."""
+
+    nodes: tuple[GraphNode, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def topics(self) -> dict[str, tuple[list[str], list[str]]]:
+        """Who publishes and who takes each topic, by its name."""
+        made: dict[str, tuple[list[str], list[str]]] = {}
+        for node in self.nodes:
+            for side, names in enumerate((node.publishes, node.takes)):
+                for name in names:
+                    made.setdefault(name, ([], []))[side].append(node.name)
+        return made
+
+
+def read_graph(link: Link, scripts: PurePosixPath, found: Sequence[FoundProgram]) -> RosGraph:
+    """Ask what the programs of a target see of one another. Raises TargetError where the target does not answer."""
+    pids = {name: [one.program.pid for one in found if _has(one, name)] for name in (ROS1, ROS2)}
+    told = _environment(link, [*pids[ROS1], *pids[ROS2]])
+    nodes: list[GraphNode] = []
+    remarks: list[str] = []
+    for master in dict.fromkeys(told.get((pid, _MASTER), _DEFAULT_MASTER) for pid in pids[ROS1]):
+        try:
+            nodes += _ask_master(link, master, {one.program.pid for one in found})
+        except ConnectionRefusedError:
+            remarks.append(f"the ROS master {master} does not answer on the target: its topics are seen once observed")
+        except (TypeError, ValueError, UsageError) as error:
+            remarks.append(f"the ROS master {master} does not answer as one: {error}")
+    # One program of each domain.
+    domains = {told.get((pid, _DOMAIN), "0"): pid for pid in reversed(pids[ROS2])}
+    for domain, pid in domains.items():
+        try:
+            nodes += _join(link, scripts, pid)
+        except UsageError as error:
+            remarks.append(f"the nodes of ROS 2 in domain {domain} are seen once observed: {error}")
+    if found:
+        remarks.append("timers and their periods are seen once observed: nobody can be asked about them")
+    return RosGraph(nodes=tuple(map(_without_those_of_ros, nodes)), remarks=tuple(remarks))
+
+
+def _has(found: FoundProgram, library: str) -> bool:
+    return any(each.library == library for each in found.mapped)
+
+
+def _without_those_of_ros(node: GraphNode) -> GraphNode:
+    own = {
+        key: sorted({name for name in getattr(node, key) if not _OF_ROS.fullmatch(name)})
+        for key in ("publishes", "takes", "serves")
+    }
+    return node.model_copy(update=own)
+
+
+def _environment(link: Link, pids: Iterable[int]) -> dict[tuple[int, str], str]:
+    """What processes were told about the graph that they belong to, by pid and variable."""
+    told = {}
+    for line in link.check(["sh", "-c", _ASK_ENVIRONMENT, "sh", *map(str, pids)]).splitlines():
+        match = re.fullmatch(r"(\d{1,7}) (\w{1,32})=(.{0,500})", line, re.ASCII)
+        if match:
+            told[int(match[1]), match[2]] = match[3]
+    return told
+
+
+def _ask_master(link: Link, uri: str, pids: set[int]) -> Iterator[GraphNode]:
+    """The nodes of a ROS master on the target's loopback, with the pids of those that are observed.
+
+    Raises ConnectionRefusedError where none answers, ValueError or TypeError for what no master says.
+    """
+
+    def ask(port: int, method: str, *arguments: str) -> Any:
+        return link.do(lambda connection: roscpp.call(connection, port, method, *arguments))
+
+    port = urlsplit(uri).port
+    if not port:
+        raise ValueError("it has no port")
+    sides = ask(port, "getSystemState")
+    names: dict[str, dict[str, list[str]]] = {}
+    for key, side in zip(("publishes", "takes", "serves"), sides, strict=True):
+        for name, nodes in side:
+            for node in nodes:
+                names.setdefault(str(node), {}).setdefault(key, []).append(str(name))
+    if len(names) > NODES_MAX:
+        raise ValueError(f"it tells of more than {NODES_MAX} nodes")
+    for node, of_node in names.items():
+        pid = None
+        try:
+            own = urlsplit(str(ask(port, "lookupNode", node))).port
+            pid = ask(own, "getPid") if own else None
+        except (ConnectionRefusedError, TargetError, ValueError):
+            # It ended without a word, or is on another machine.
+            pid = None
+        # The port may be that of another node here.
+        yield GraphNode(name=node, pid=pid if type(pid) is int and pid in pids else None, **of_node)
+
+
+def _join(link: Link, scripts: PurePosixPath, pid: int) -> list[GraphNode]:
+    """What a node of ROS 2 sees beside a program. Raises UsageError where none can be started there."""
+    argv = ["python3", "-I", str(scripts / "ros2_graph.py"), str(pid), str(LOOK_S)]
+    done = link.run(argv, deadline_s=ASK_S)
+    if done.status != 0:
+        raise UsageError(done.stderr.strip().rpartition("\n")[2][:200] or "the target has no python3")
+    origin = "ros2_graph.py"
+    return parse(parse_json(done.stdout.rstrip("\n").rpartition("\n")[2], origin), _Told, origin).nodes

@@ -1,0 +1,79 @@
+"""Print the graph of the nodes of ROS 2 that a program sees, as JSON: a node of rclpy joins its domain for seconds.
+
+    python3 -I ros2_graph.py PID SECONDS
+
+It takes the rights and the environment of the program, so it finds what that one finds. Nothing is published or
+subscribed to, and no file is written. Exit status 3, with the reason as the last line: it cannot be done there.
+For the target's own Python, 3.9 and later.
+"""
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+NODE = "_rtrun_list"
+ITSELF = "itself"
+
+
+def become(pid: str) -> None:
+    """Begin anew as the user of a process, with its environment: this Python has read nothing of that yet."""
+    process = Path("/proc", pid)
+    words = [word.partition(b"=") for word in (process / "environ").read_bytes().split(b"\0")]
+    told = dict(line.split(":", 1) for line in (process / "status").read_text().splitlines() if ":" in line)
+    # The user may have no right to read the file.
+    source = Path(__file__).read_text()
+    user, group = (int(told[key].split()[1]) for key in ("Uid", "Gid"))
+    environment = {key: value for key, equals, value in words if equals and key}
+    # A program in Python knows where its packages are, as those of a virtual environment.
+    called = os.fsdecode((process / "cmdline").read_bytes().partition(b"\0")[0])
+    is_python = called.startswith("/") and (process / "exe").readlink().name.startswith("python")
+    python = called if is_python else sys.executable
+    if os.geteuid() == 0:
+        os.setgroups([int(each) for each in told["Groups"].split()])
+        os.setgid(group)
+        os.setuid(user)
+    os.execve(python, [python, "-B", "-c", source, ITSELF, sys.argv[2]], environment)
+
+
+def graph(seconds: float) -> "list[dict[str, object]]":
+    """The nodes that were seen within a time, with their topics and services."""
+    import rclpy
+    from rclpy.node import Node
+
+    rclpy.init(args=["--ros-args", "--disable-external-lib-logs", "--disable-rosout-logs"])
+    node = Node(NODE, start_parameter_services=False, enable_rosout=False)
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        time.sleep(0.1)
+    nodes: list[dict[str, object]] = []
+    for name, space in sorted(set(node.get_node_names_and_namespaces())):
+        asked = (
+            node.get_publisher_names_and_types_by_node,
+            node.get_subscriber_names_and_types_by_node,
+            node.get_service_names_and_types_by_node,
+        )
+        if name == NODE:
+            continue
+        publishes, takes, serves = ([each for each, _ in ask(name, space)] for ask in asked)
+        full = f"{space.rstrip('/')}/{name}"
+        nodes.append({"name": full, "publishes": publishes, "takes": takes, "serves": serves})
+    return nodes
+
+
+def main() -> None:
+    """Print the graph once."""
+    if sys.argv[1] != ITSELF:
+        become(sys.argv[1])
+    # On a line of its own: the middleware may have printed something.
+    print("\n" + json.dumps({"nodes": graph(float(sys.argv[2]))}), flush=True)
+    # Without what the middleware does at its end, which may take long.
+    os._exit(0)
+
+
+try:
+    main()
+except Exception as error:
+    print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
+    os._exit(3)
