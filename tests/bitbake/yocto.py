@@ -147,8 +147,7 @@ class Yocto:
         if old:
             return [*local, 'PACKAGE_CLASSES = "package_ipk"']
         # BitBake may run as root here.
-        # A recipe of meta-ros2-humble names a tag for its commit, which the network would have to be asked for.
-        return [*local, 'INHERIT:remove = "sanity"', 'BB_NUMBER_PARSE_THREADS = "2"', 'BBMASK = "/tl-expected_"']
+        return [*local, 'INHERIT:remove = "sanity"', 'BB_NUMBER_PARSE_THREADS = "2"']
 
     def write_configuration(self, build: Path, layers: list[Path], local: list[str]) -> None:
         """Write bblayers.conf and local.conf of a build folder."""

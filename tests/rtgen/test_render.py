@@ -217,8 +217,14 @@ def test_what_follows_the_distribution_of_ros():
     assert "middleware: [roscpp]" in text(noetic, case) and "middleware: [rcl, rclcpp]" in text(jazzy, case)
     image = "meta-rt-tests/recipes-core/images/rt-tests-image.bb"
     assert "inherit core-image ros_distro_jazzy ros2_image " in text(jazzy, image)
-    setting = '    ROS_BUILD_DEPENDS:remove = "rmw-zenoh-cpp"\n'
-    assert setting in text(lyrical, "kas.yml") and setting not in text(jazzy, "kas.yml")
+    settings = {
+        "scarthgap-humble": 'BBMASK:append = " /meta-ros2-humble/recipes-devtools/tl-expected/"',
+        "wrynose-lyrical": 'ROS_BUILD_DEPENDS:remove = "rmw-zenoh-cpp"',
+    }
+    for profile, setting in settings.items():
+        tree = tree_of(profile)
+        assert f"    {setting}\n" in text(tree, "kas.yml") and setting not in text(jazzy, "kas.yml")
+        assert f"- Needs `{setting}` in local.conf" in text(tree, "meta-rt-tests/README.md")
     layers = re.search(r'LAYERDEPENDS_rt-tests-layer = "(.*)"', text(jazzy, "meta-rt-tests/conf/layer.conf"))
     assert layers and {"ros2-layer", "ros2-jazzy-layer"} <= {*layers[1].split()} and "ros1" not in layers[1]
 
