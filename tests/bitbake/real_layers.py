@@ -235,8 +235,8 @@ def test_yocto_check_layer(yocto, needed):
     # The machines that need no layer of their own; qemuarm is openembedded-core's.
     machines = [yocto.profile.default_machine, "qemuarm"]
     core, *others = yocto.shared_layers
-    # As somebody else has it who adds the layer: nothing of ours is switched on but what its ROS needs. In a world every
-    # recipe must find what it depends on, as those that the image needs do.
+    # As somebody else has it who adds the layer: nothing of ours is switched on but what its ROS needs. In a world
+    # every recipe must find what it depends on, as those that the image needs do.
     settings = [f'{variable} = "{value}"' for variable, value in yocto.ros.set.items()]
     mask = f'BBMASK = "{yocto.mask_of_others_but(needed)}"'
     yocto.write_configuration(build, [core], [*yocto.local("qemuarm"), *settings, mask])
