@@ -48,7 +48,7 @@ class FlowAccumulator:
         self.paths = PathRecord(paths)
         self.topics = TopicRecord(self.situation, self.paths, horizon_ns, recorder)
         self.calls = CallRecord(self.situation, recorder)
-        self.turns = TurnRecord(on_turn) if on_turn is not None else None
+        self.turns = TurnRecord(on_turn, self.situation) if on_turn is not None else None
         self._programs = LivingPrograms()
         self._handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
             **self.topics.handlers,

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from rtrun.flows.messages import Endpoint, Reception
 from rtrun.flows.programs import LivingProcess, LivingThing, numbered
+from rtrun.flows.situation import Situation
 from rtrun.flows.threads import ObservedThread, OpenTurn
 from rtrun.flows.timers import LivingTimer, timer_name
 from rtrun.probes.hits import Hit
@@ -30,8 +31,9 @@ class TurnRecord:
     C, of a thread that is seen to wait, where it waits or takes the next. Of roscpp no end is seen.
     """
 
-    def __init__(self, on_turn: Callable[[Turn], None]) -> None:
+    def __init__(self, on_turn: Callable[[Turn], None], situation: Situation) -> None:
         self._on_turn = on_turn
+        self._label = situation.label
 
     def see(self, hit: Hit, thread: ObservedThread) -> None:
         """Look at a hit after the thread has."""
@@ -45,7 +47,7 @@ class TurnRecord:
         elif event in _ENDS:
             if turn is not None:
                 self._end(turn, thread, _end_ns(turn, hit, thread))
-            name = _name(hit, thread)
+            name = self._name(hit, thread)
             if name:
                 has_callback = event == "callback_begin" and "topic" not in hit.values
                 thread.turn = OpenTurn(hit.at_ns, hit.cpu, name, has_callback)
@@ -53,6 +55,29 @@ class TurnRecord:
     def _end(self, turn: OpenTurn, thread: ObservedThread, end_ns: int | None) -> None:
         thread.turn = None
         self._on_turn(Turn(turn.begin_ns, end_ns, turn.cpu, thread.process.pid, thread.tid, turn.name))
+
+    def _name(self, hit: Hit, thread: ObservedThread) -> str:
+        """What a turn is of that begins with a hit; empty where none does."""
+        if hit.event == "callback_begin":
+            topic = hit.values.get("topic")
+            if isinstance(topic, str):
+                return f"{topic} of {self._label(thread.process, thread.process.label)}"
+            owner = thread.callbacks[-1].callback.owner if thread.callbacks else None
+            return self._name_of(owner, thread.process)
+        if isinstance(thread.cause, LivingTimer):
+            return self._name_of(thread.cause, thread.process)
+        if isinstance(thread.cause, Reception) and hit.event == "take":
+            return self._name_of(thread.cause.endpoint, thread.process)
+        return ""
+
+    def _name_of(self, owner: LivingThing | None, process: LivingProcess) -> str:
+        if isinstance(owner, Endpoint):
+            return f"{owner.topic} of {owner.end.label}"
+        if not isinstance(owner, LivingTimer):
+            return f"a callback of {self._label(process, process.label)}"
+        if owner.log is None:  # as its log will have it
+            return f"{timer_name(owner.period_ns)} of {self._label(process, process.node(owner.node))}"
+        return f"{numbered(owner.log.name, owner.log.number)} of {owner.log.label}"
 
 
 def _end_ns(turn: OpenTurn, hit: Hit, thread: ObservedThread) -> int | None:
@@ -62,28 +87,3 @@ def _end_ns(turn: OpenTurn, hit: Hit, thread: ObservedThread) -> int | None:
     if turn.triggers > 1:
         return turn.triggered_ns
     return hit.at_ns if thread.triggers is None and thread.has_waited else None
-
-
-def _name(hit: Hit, thread: ObservedThread) -> str:
-    """What a turn is of that begins with a hit; empty where none does."""
-    if hit.event == "callback_begin":
-        topic = hit.values.get("topic")
-        if isinstance(topic, str):
-            return f"{topic} of {thread.process.label}"
-        owner = thread.callbacks[-1].callback.owner if thread.callbacks else None
-        return _name_of(owner, thread.process)
-    if isinstance(thread.cause, LivingTimer):
-        return _name_of(thread.cause, thread.process)
-    if isinstance(thread.cause, Reception) and hit.event == "take":
-        return _name_of(thread.cause.endpoint, thread.process)
-    return ""
-
-
-def _name_of(owner: LivingThing | None, process: LivingProcess) -> str:
-    if isinstance(owner, Endpoint):
-        return f"{owner.topic} of {owner.end.label}"
-    if not isinstance(owner, LivingTimer):
-        return f"a callback of {process.label}"
-    if owner.log is None:
-        return f"{timer_name(owner.period_ns)} of {process.label}"
-    return f"{numbered(owner.log.name, owner.log.number)} of {owner.log.label}"

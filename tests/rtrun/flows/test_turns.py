@@ -52,3 +52,16 @@ def test_the_turns_of_a_thread(case):
     observed.feed([publish(1), publish(2), *hits])
     assert [(turn.begin_ns, turn.end_ns, turn.name) for turn in turns] == expected
     assert {turn.pid for turn in turns} <= {2}
+
+
+def test_a_timer_of_a_second_program_of_one_name_has_one_name_from_its_first_call_on():
+    turns = []
+    observed = FlowAccumulator(begin_ns=0, on_turn=turns.append)
+    observed.observe([node(1, "twin"), node(2, "twin")])
+    observed.feed(
+        [
+            publish(1, topic="/twin"),
+            *(each for at in range(10, 60, 10) for each in (timer(at * 10**5), seen(at * 10**5 + 9, WAIT))),
+        ]
+    )
+    assert len({turn.name for turn in turns}) == 1 and len(turns) == 5
