@@ -17,6 +17,7 @@ import pytest
 from ports import free_domain
 from ros2 import wheels
 from rtgen import suites as builder
+from rtrun.cli import main
 from rtrun.commands._link import linked
 from rtrun.probes import session
 from rtrun.probes.libraries.description import events
@@ -94,45 +95,74 @@ def table(own, turns):
     return rows
 
 
-@pytest.mark.parametrize("middleware", ["roscpp", "rcl"])
-def test_cost(middleware, tmp_path, request):
-    if middleware == "roscpp":
+@pytest.fixture(params=["roscpp", "rcl"])
+def programs(request, tmp_path):
+    """Starts a subscriber and a publisher that measure themselves for some seconds; yields how, and the middleware."""
+    if request.param == "roscpp":
         folder = builder.build("host", tmp_path / "suites") / "lib" / "communication_tests"
         port = request.getfixturevalue("ros_master")
         environment = os.environ | {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1"}
         ending, waiting = "", ["-d", "3"]
     else:
         prefix = wheels.installed("kilted")
-        (path,) = builder.build("host", tmp_path / "suites", ros2=prefix).glob(
-            "lib/*/communication_tests_publisher_rcl"
-        )
-        folder = path.parent
+        built = builder.build("host", tmp_path / "suites", ros2=prefix)
+        folder = next(built.glob("lib/*/communication_tests_publisher_rcl")).parent
         environment = os.environ | set_up(prefix) | {"ROS_DOMAIN_ID": str(free_domain()), "ROS_LOG_DIR": str(tmp_path)}
         ending, waiting = "_rcl", ["--subscribers", "1"]
-    seconds = TURNS * len(PROBES) * (TURN_S + 2 * BETWEEN_S + 4) + 20
-    options = ["-r", str(int(seconds * FREQUENCY_HZ)), "-f", str(FREQUENCY_HZ), "--clock", "monotonic"]
-    options += ["--out-dir", str(tmp_path)]
-    programs = [
-        [folder / f"communication_tests_subscriber{ending}", *options, "--idle-timeout", "20"],
-        [folder / f"communication_tests_publisher{ending}", *options, *waiting],
-    ]
-    config = parse_target({"schema": 1, "name": "here", "kind": "local", "work_dir": str(tmp_path / "target")}, "bench")
     with ExitStack() as stack:
-        processes = [
-            subprocess.Popen(argv, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            for argv in programs
-        ]
-        for process in processes:
-            stack.callback(process.wait, 60)
-            stack.callback(process.kill)
-        time.sleep(8)
-        with linked(config, tmp_path) as link:
-            turns = list(measured_turns(processes, link))
-        processes[1].terminate()
-        processes[0].wait(60)
-    own = np.load(next(tmp_path.glob("ct_gnuplot*.npy")))
-    rows = table(own, turns)
+
+        def start(seconds):
+            options = ["-r", str(int(seconds * FREQUENCY_HZ)), "-f", str(FREQUENCY_HZ), "--clock", "monotonic"]
+            options += ["--out-dir", str(tmp_path)]
+            started = []
+            for role, more in (("subscriber", ["--idle-timeout", "20"]), ("publisher", waiting)):
+                argv = [folder / f"communication_tests_{role}{ending}", *options, *more]
+                process = subprocess.Popen(argv, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+                stack.callback(process.wait, 60)
+                stack.callback(process.kill)
+                started.append(process)
+            time.sleep(8)
+            return started
+
+        yield request.param, start
+
+
+def own_stamps(processes, folder):
+    """What the subscriber wrote when the publisher was ended: (published, received) in ns, a row a message."""
+    processes[1].terminate()
+    processes[0].wait(60)
+    return np.load(next(folder.glob("ct_gnuplot*.npy")))
+
+
+def test_cost(programs, tmp_path):
+    middleware, start = programs
+    processes = start(TURNS * len(PROBES) * (TURN_S + 2 * BETWEEN_S + 4) + 20)
+    config = parse_target({"schema": 1, "name": "here", "kind": "local", "work_dir": str(tmp_path / "target")}, "bench")
+    with linked(config, tmp_path) as link:
+        turns = list(measured_turns(processes, link))
+    rows = table(own_stamps(processes, tmp_path), turns)
     print(f"\n{middleware}, {FREQUENCY_HZ} Hz, {TURNS} turns of {TURN_S:g} s each, {platform.machine()}")
     print("| probes | messages | median us | p99.9 us | CPU us a message of both |\n|---|---|---|---|---|")
     for name, messages, median, high, cpu_us in rows:
         print(f"| {name} | {messages} | {median:.1f} | {high:.1f} | {cpu_us:.1f} |")
+
+
+def test_agreement(programs, tmp_path):
+    """By how much the programs' own latency is longer than the observed one, message by message."""
+    middleware, start = programs
+    processes = start(60)
+    here = tmp_path / "here.yml"
+    here.write_text(f"schema: 1\nname: here\nkind: local\nwork_dir: {tmp_path}/target\n")
+    assert main(["observe", "--target", str(here), "--for", "30s", "--results", str(tmp_path / "results")]) == 0
+    own = own_stamps(processes, tmp_path)
+    (folder,) = tmp_path.glob("results/*-messages-*communication_tests*")
+    observed = np.load(folder / f"{folder.name}.npy")
+    # The last one whose own stamp is before the observed publication is the same message.
+    place = np.searchsorted(own[:, 0], observed[:, 0], side="right") - 1
+    longer = ((own[place, 1] - own[place, 0]) - (observed[:, 1] - observed[:, 0])) / 1000
+    assert (own[place, 1] >= observed[:, 1]).all()
+    print(f"\n{middleware}, {len(longer)} messages: own latency less the observed one, us")
+    names = ("least", "1 %", "median", "99 %", "99.9 %", "most")
+    print(
+        ", ".join(f"{n} {v:.1f}" for n, v in zip(names, np.percentile(longer, (0, 1, 50, 99, 99.9, 100)), strict=True))
+    )
