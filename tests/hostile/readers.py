@@ -4,9 +4,12 @@ import contextlib
 import gzip
 import hashlib
 import io
+import itertools
 import json
 import shutil
+import subprocess
 import tempfile
+import xmlrpc.client
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,22 +19,33 @@ from typing import cast
 
 import numpy as np
 
+import watched
 from logs import LOGS_2014, SUITES
 from rtfiles import config
 from rtgen.kconfig import data as kconfig
 from rtgen.kconfig import fragment, verify
 from rtgen.profile import load_profile
 from rtrun import cli
-from rtrun.execution import journal, resumption
+from rtrun.execution import journal, resumption, ros_graph
+from rtrun.execution.late_values import LateValueRecord
 from rtrun.execution.middleware import roscpp
+from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.flows.live import LiveFigures
+from rtrun.flows.streams import streams
+from rtrun.kinds.output import Thread, Uname
 from rtrun.plan.campaign import Campaign, plan, read_campaign
 from rtrun.plan.goal import Goal
+from rtrun.probes import placement
+from rtrun.probes.programs import find_programs, parse_programs
+from rtrun.probes.stream import Batch, WatchReader
+from rtrun.probes.symbols import read_symbols
 from rtrun.report import causes
 from rtrun.results import goal_file, partial_samples, reading, run_directory
 from rtrun.results.gnuplot_lines import check_commands
 from rtrun.results.importers.adopt import adopt
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, histogram_text, read_histogram
+from rtrun.results.observed import ObservedOutput, Provenance, TracedValue, write_stream
 from rtrun.results.record import (
     Clock,
     Observed,
@@ -161,6 +175,10 @@ GROUPS = (
 )
 FACTS = b"== kernel_version\n#1 SMP PREEMPT_RT\n== swap\n/dev/a x\n== threads\n99 program a\n" + GROUPS
 REPLY = b"<methodResponse><params><param><value><array><data><value><int>1</int></value></data></array></value></param>"
+MASTER = xmlrpc.client.dumps(
+    ((1, "state", [[["/a", ["/talker"]]], [["/a", ["/listener", "/logger"]]], [["/get", ["/talker"]]]]),),
+    methodresponse=True,
+).encode()
 PLATFORM = """cpuinfo flag: hypervisor
 dmi: QEMU / Standard PC (Q35 + ICH9, 2009) /  / SeaBIOS
 device-tree compatible: linux,dummy-virt
@@ -231,6 +249,79 @@ CONFIG_PREEMPT_RT=y
 # CONFIG_CPU_IDLE is not set
 CONFIG_LOCALVERSION="-rt"
 """
+
+
+PROGRAM = f"""program 70
+argument listener
+argument __ns:=/a
+locked 4 kB
+stat 70 (a) b) S{" 1" * 48}
+stat 71 (dds.ev) S{" 1" * 48}
+cpus 70 0-1,3
+cpus 71\t0
+maps 7f00-7f01 08:01 5 /opt/ros/lib/libtracetools.so
+maps 7f02-7f03 08:01 6 /opt/ros/lib/libroscpp.so (deleted)
+end 70
+"""
+LOOKED = "6.1.0-rt\n70 7f00-7f01 1000 " + "ab" * 32 + " /opt/ros/lib/libtracetools.so\n"
+GRAPH = json.dumps(
+    {"nodes": [{"name": "/a", "publishes": ["/x", "/rosout"], "takes": ["/y"], "serves": ["/a/get_parameters"]}]}
+)
+
+
+def _master(reply: bytes) -> list[ros_graph.GraphNode]:
+    """A ROS master whose nodes are all there, and which answers alike whatever it is asked."""
+    answer = b"HTTP/1.1 200 OK\r\nContent-Type: text/xml\r\n\r\n" + reply
+    channel = SimpleNamespace(sendall=lambda _: None, makefile=lambda *_, **__: io.BytesIO(answer), close=lambda: None)
+    connection = SimpleNamespace(
+        address="board", open_port=lambda *_, **__: contextlib.nullcontext(channel), check_promptly=lambda *_, **__: ""
+    )
+    link = SimpleNamespace(do=lambda step: step(connection))
+    with contextlib.suppress(ConnectionRefusedError, TypeError, ValueError):
+        return list(ros_graph._ask_master(cast(Link, link), "http://board:11311", {1, 70}))
+    return []
+
+
+def _joined(link: Link) -> object:
+    answer = SimpleNamespace(status=0, stdout=link.check([]), stderr="")
+    return ros_graph._join(cast(Link, SimpleNamespace(run=lambda *_, **__: answer)), PurePosixPath("/x"), 70)
+
+
+def _placed(link: Link) -> object:
+    found = parse_programs(PROGRAM.replace(" (deleted)", ""), "board")
+    return placement._look(link, [(each, mapped) for each in found for mapped in each.mapped])
+
+
+def _watch(path: Path) -> None:
+    """What an observation does with what a target prints, in pieces as they may come."""
+    data = path.read_bytes()
+    reader = WatchReader(watched.PROBES, "board", {7: 70, 8: 80})
+    late = LateValueRecord("10us", {})
+    flows = FlowAccumulator(begin_ns=1, paths=[("/a", "/a")], on_turn=late.turn)
+    figures = LiveFigures(flows, on_values=late.look)
+    pieces = (each for start in range(0, len(data), 5000) for each in reader.feed(data[start : start + 5000]))
+    for batch in itertools.chain((each for each in pieces if isinstance(each, Batch)), (reader.rest() for _ in "1")):
+        flows.observe(each.program for each in batch.programs)
+        flows.offset("system", batch.until_ns, batch.realtime_offset_ns or 0)
+        late.record(batch)
+        flows.feed([*batch.hits, *batch.gaps])
+        figures.snapshot(batch.until_ns)
+        late.cut(batch.until_ns)
+    flows.finish()
+    late.cut(flows.newest_ns + 10**9)
+    for stream in streams(flows):
+        assert all(column.dtype == np.int64 for column in stream.columns.values())
+
+
+def _library() -> bytes:
+    """A small library in C."""
+    with tempfile.TemporaryDirectory() as folder:
+        source, path = Path(folder) / "x.c", Path(folder) / "x.so"
+        source.write_text("int probed(int x) { return x * 3; }\n")
+        subprocess.run(
+            ["cc", "-shared", "-fPIC", "-nostdlib", "-Wl,-z,noseparate-code", "-o", path, source], check=True
+        )
+        return path.read_bytes()
 
 
 def _check_facts(path: Path) -> None:
@@ -350,6 +441,50 @@ def _runs() -> list[Files]:
                 target=TargetFacts(
                     name="board", cpus=2, boot_id="1-1", clock=Clock(source="tsc", event="lapic", step_ns=16)
                 ),
+            )  # fmt: skip
+            run_directory.close(partial, Path(folder) / "run", record)
+            runs.append({path.name: path.read_bytes() for path in sorted((Path(folder) / "run").iterdir())})
+    return runs
+
+
+def _observed_runs() -> list[Files]:
+    """Closed run directories of programs that ran already, one with a trace of a late message."""
+    n = 200
+    at_ns = 10**12 + 10**6 * np.arange(n, dtype=np.int64)
+    ends = {"begin_ns": at_ns, "end_ns": at_ns + 1000}
+    message = {
+        "publication_ns": at_ns,
+        "reception_ns": at_ns + 900,
+        "seq": np.arange(n),
+        "callback_end_ns": at_ns + 950,
+    }
+    timer = {"timestamp_ns": at_ns, "expected_ns": at_ns - 5, "real_ns": at_ns, "segment": np.zeros(n, np.int64)}
+    text = b"x-70 [000] ..... 1000.000000500: callback_end: took_ns=400 name=timer 1 ms of /b\n"
+    late = TracedValue(index=3, value_ns=900, limit_ns=10, at_ns=int(at_ns[3]) + 900, text=text)
+    streams = [
+        ObservedOutput(
+            suite="observed_messages", parameters={"topic": "/a", "publisher": "/a", "subscriber": "/b"},
+            columns=message, asked=n, measured=n, above_limit=1, limit_ns=1000, traced=[late],
+        ),
+        ObservedOutput(suite="observed_timers", parameters={"node": "/b", "period_ns": 10**6}, columns=timer,
+                       asked=n - 1, measured=n - 1),
+        ObservedOutput(suite="observed_callbacks", parameters={"node": "/b"}, columns=ends, asked=n, measured=n),
+    ]  # fmt: skip
+    uname = Uname(release="6.1", version="x", machine="x86_64")
+    times = {"start_time": "2026-11-21T10:00:00+00:00", "end_time": "2026-11-21T10:00:01+00:00"}
+    thread = Thread(tid=70, name="b", policy="OTHER", priority=0, cpus=[0])
+    runs = []
+    for stream in streams:
+        with tempfile.TemporaryDirectory() as folder:
+            partial = Path(folder) / "partial"
+            partial.mkdir()
+            write_stream(partial, "x", stream, Provenance(version="1", host="x", kernel=uname, **times), [thread])
+            record = RunRecord(
+                schema=2, run="run", campaign="001", suite=stream.suite, subject="attached",
+                parameters=dict(stream.parameters), platform=Platform.HARDWARE, platform_evidence="none",
+                status=RunStatus.OK, reason=None, deadline_ns=5_000_000, outputs=["x"], files={},
+                programs=[ProgramRecord(name="b", argv=["b"], pid=70, threads=[thread], locked_bytes=0)],
+                target=TargetFacts(name="board", cpus=2), **times,
             )  # fmt: skip
             run_directory.close(partial, Path(folder) / "run", record)
             runs.append({path.name: path.read_bytes() for path in sorted((Path(folder) / "run").iterdir())})
@@ -492,6 +627,12 @@ READERS: dict[str, Reader] = {
         lambda link: processes.end_background(link, PurePosixPath("/x"), [], [], [], service="12", then=[]),
         f"12\nload 1\n== ended\n{STATE}",
     ),
+    "programs": of_answer(lambda link: find_programs(link, PurePosixPath("/x")), PROGRAM),
+    "libraries": of_answer(_placed, LOOKED),
+    "library": of_file(lambda path: read_symbols(path, ["probed"]), "library", _library()),
+    "watched": of_file(_watch, "watched", watched.watched(), cost=2),
+    "graph": of_answer(_joined, GRAPH),
+    "graph of a master": of_file(lambda path: _master(path.read_bytes()), "reply", MASTER),
     "listing": of_answer(
         lambda link: parse_listing(link.check([])),
         "2\n-rw-r--r-- 1 0 0 5 Nov 22 03:20 a b\ndrwxr-xr-x 2 0 0 4096 Nov 22 03:20 c\n",
@@ -505,9 +646,12 @@ READERS: dict[str, Reader] = {
     "trace": Reader(read=_why, seeds=[_traced_run()], seal=_seal, cost=10),
     # Of results, which may come from a target or from another's hands.
     "run": Reader(
-        read=lambda folder: (reading.read_run(folder), verify_run(folder)), seeds=_runs(), seal=_seal, cost=2
+        read=lambda folder: (reading.read_run(folder), verify_run(folder)),
+        seeds=[*_runs(), *_observed_runs()],
+        seal=_seal,
+        cost=2,
     ),
-    "commands": Reader(read=_commands, seeds=_runs(), seal=_seal, cost=20),
+    "commands": Reader(read=_commands, seeds=[*_runs(), *_observed_runs()], seal=_seal, cost=20),
     "samples": Reader(read=lambda folder: reading.results_of(reading.read_file(folder / "x.npy")), seeds=_outputs()),
     "log": of_file(lambda path: reading.results_of(reading.read_file(path)), "x.log", *LOGS),
     "log commands": of_file(check_commands, "x.log", *LOGS),

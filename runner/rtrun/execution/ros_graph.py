@@ -5,6 +5,7 @@ joins its domain for some seconds, where the target has rclpy for that.
 """
 
 import re
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
@@ -141,10 +142,12 @@ def _ask_master(link: Link, uri: str, pids: set[int]) -> Iterator[GraphNode]:
                 names.setdefault(str(node), {}).setdefault(key, []).append(str(name))
     if len(names) > NODES_MAX:
         raise ValueError(f"it tells of more than {NODES_MAX} nodes")
+    end_s = time.monotonic() + ASK_S
     for node, of_node in names.items():
         pid = None
         try:
-            own = urlsplit(str(ask(port, "lookupNode", node))).port
+            # Each of many may let the runner wait.
+            own = urlsplit(str(ask(port, "lookupNode", node))).port if time.monotonic() < end_s else None
             pid = ask(own, "getPid") if own else None
         except (ConnectionRefusedError, TargetError, ValueError):
             # It ended without a word, or is on another machine.

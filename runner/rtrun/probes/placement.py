@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from rtfiles import cache
-from rtfiles.untrusted import read_bytes, whole_number
+from rtfiles.untrusted import read_bytes
 from rtrun.probes.libraries.description import Argument, Bytes, Halves, Named, Probe, Reduced, Seconds, libraries
 from rtrun.probes.programs import FoundProgram, MappedLibrary
 from rtrun.probes.symbols import FILE_BYTES_MAX, LibrarySymbols, NotProbed, read_symbols
@@ -206,11 +206,10 @@ def _look(
         key = (int(match[1]), match[2]) if match is not None else None
         if match is None or key not in asked:
             raise TargetError(f"{link.target.address}: no answer about a library: {line[:80]!r}")
-        each, path = asked[key], match[5]
+        each, path, size_bytes = asked[key], match[5], int(match[3])
         mapped = f"/proc/{key[0]}/map_files/{each.range}"
         if path not in (each.path, f"/proc/{key[0]}/root{each.path}", mapped):
             raise TargetError(f"{link.target.address}: asked about {each.path}, it answers about {path[:200]!r}")
-        size_bytes = whole_number(match[3], lowest=0, highest=2**62)
         files[each.device, each.inode] = _LibraryFile(size_bytes=size_bytes, sha256=match[4], path=path)
     return release, files
 

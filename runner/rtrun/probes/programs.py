@@ -23,7 +23,7 @@ ARGUMENTS_MAX = 1000
 FIND_S = 60.0
 NAME_CHARACTERS_MAX = 64
 # A name has 15 bytes at most, of threads of the kernel some more, and may hold anything: brackets, newlines.
-_STAT = re.compile(r"^(\d{1,7}) \((.{0,64}?)\) [A-Za-z]((?: -?\d{1,20}){35,80})$", re.ASCII | re.DOTALL | re.MULTILINE)
+_STAT = re.compile(r"^(\d{1,7}) \((.{0,64}?)\) [A-Za-z]((?: -?\d{1,20}){38,80})$", re.ASCII | re.DOTALL | re.MULTILINE)
 _MAPS = re.compile(r"([0-9a-f]{1,16}-[0-9a-f]{1,16}) ([0-9a-f]{1,8}:[0-9a-f]{1,8}) (\d{1,20}) (/.{1,4096})", re.ASCII)
 _DELETED = " (deleted)"
 

@@ -1,6 +1,7 @@
 """What find_programs.sh prints of real processes, and what is refused."""
 
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -67,6 +68,11 @@ def test_one_in_words():
         (0, 1, 2, 3),
     )
     assert (found.mapped[0].library, found.mapped[0].is_deleted) == ("librcl", False)
+
+
+def test_a_thread_with_too_few_numbers_is_none():
+    cut = re.sub(r"(stat 1 .*?\)(?: \S+){36}).*", r"\1", GOOD)
+    assert cut != GOOD and parse_programs(cut, "board") == ()
 
 
 @pytest.mark.parametrize(

@@ -8,70 +8,12 @@ from hypothesis import strategies as st
 
 from rtrun.probes.formats import EventFormat
 from rtrun.probes.libraries.description import libraries
-from rtrun.probes.placement import PlacedProbe
 from rtrun.probes.ring_buffer import PageLayout, read_events, read_head
 from rtrun.probes.stream import Batch, Ready, WatchReader
 from rtrun.probes.timers import TimerChecks
 from rtrun.probes.values import converter
 from rtrun.targets.errors import TargetError
-
-HEADER = """\tfield: u64 timestamp;\toffset:0;\tsize:8;\tsigned:0;
-\tfield: local_t commit;\toffset:8;\tsize:{size};\tsigned:1;
-\tfield: int overwrite;\toffset:8;\tsize:1;\tsigned:1;
-\tfield: char data;\toffset:{data};\tsize:{left};\tsigned:1;
-"""
-HEADERS = {64: HEADER.format(size=8, data=16, left=4080), 32: HEADER.format(size=4, data=12, left=4084)}
-COMMON = """format:
-\tfield:unsigned short common_type;\toffset:0;\tsize:2;\tsigned:0;
-\tfield:unsigned char common_flags;\toffset:2;\tsize:1;\tsigned:0;
-\tfield:unsigned char common_preempt_count;\toffset:3;\tsize:1;\tsigned:0;
-\tfield:int common_pid;\toffset:4;\tsize:4;\tsigned:1;
-"""
-TAKE = f"""name: take_0_1
-ID: 1500
-{COMMON}
-\tfield:unsigned long __probe_ip;\toffset:8;\tsize:8;\tsigned:0;
-\tfield:s64 source_ns;\toffset:16;\tsize:8;\tsigned:1;
-\tfield:u8 taken;\toffset:24;\tsize:1;\tsigned:0;
-\tfield:__data_loc char[] topic;\toffset:25;\tsize:4;\tsigned:1;
-
-print fmt: "(%lx)", REC->__probe_ip
-"""
-PRINT = f"""name: print
-ID: 5
-{COMMON}
-\tfield:unsigned long ip;\toffset:8;\tsize:8;\tsigned:0;
-\tfield:char buf[];\toffset:16;\tsize:0;\tsigned:0;
-"""
-PROBE = PlacedProbe(
-    name="take_0_1", line="", event="take", constants={}, path="/x",
-    arguments={"source_ns": "%dx:s64", "taken": "%cx:u8", "topic": "+0(%di):string"},
-)  # fmt: skip
-
-
-def take(number, topic=b"/a\0", tid=7):
-    body = struct.pack("<HBBiQqBI", 1500, 0, 0, tid, 0, number, 1, (len(topic) << 16) | 29) + topic
-    return body + bytes(-len(body) % 4)
-
-
-def mark(text):
-    body = struct.pack("<HBBiQ", 5, 0, 0, 7, 0) + f"rtrun {text}\n\0".encode()
-    return body + bytes(-len(body) % 4)
-
-
-def event(delta_ns, body):
-    if len(body) <= 112:
-        return struct.pack("<I", delta_ns << 5 | len(body) // 4) + body
-    return struct.pack("<II", delta_ns << 5, len(body) + 4) + body
-
-
-def page(begin_ns, data, *, flags=0, lost=b"", bits=64):
-    commit = len(data) | flags
-    if flags and bits == 64:
-        # As the kernel adds it: a negative number.
-        commit |= 0xFFFFFFFF << 32
-    head = struct.pack("<QQ" if bits == 64 else "<QI", begin_ns, commit)
-    return (head + data + lost).ljust(4096, b"\0")
+from watched import HEADERS, PROBE, ROUNDS, TAKE, event, output, page, take
 
 
 def extend(ns):
@@ -112,38 +54,6 @@ def test_lost_events(flags, lost, count):
     layout = PageLayout.of(HEADERS[64])
     head = read_head(page(5, event(0, take(1)), flags=flags, lost=lost), layout)
     assert (head.has_lost, head.lost, head.length) == (bool(flags), count, 4 + len(take(1)))
-
-
-def output(*rounds, end=b"done\n"):
-    head = f"rtrun observes\nheader_page\n{HEADERS[64]}rtrun end header_page\nplaced take_0_1\n"
-    formats = {"rtrun_observe_1_2_3/take_0_1": TAKE, "ftrace/print": PRINT}
-    told = "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in formats.items())
-    return (head + told + "ready\n").encode() + b"".join(rounds) + end
-
-
-def a_round(number, **pages):
-    lines = [f"round {number}\nrealtime 100\n".encode()]
-    for cpu, content in pages.items():
-        lines.append(f"pages {cpu.removeprefix('cpu')}\n".encode() + content + b"rtrun end pages\n")
-    return b"".join(lines)
-
-
-BEGUN = event(0, mark("observes")) + event(10, mark("round 1")) + event(100, take(3))
-RESTED = event(0, mark("rests")) + event(50, take(4)) + event(450, mark("observes")) + event(20, mark("round 3"))
-ROUNDS = (
-    a_round(1, cpu0=page(1000, BEGUN)),
-    # Of this CPU an event comes that was before what the other has shown.
-    a_round(
-        2,
-        cpu0=page(2000, event(0, mark("round 2"))),
-        cpu1=page(990, event(0, take(0)) + event(60, take(1)) + event(50, take(2))),
-    ),
-    a_round(
-        3,
-        cpu1=page(3000, event(0, take(5)), flags=3 << 30, lost=struct.pack("<Q", 9)),
-        cpu0=page(2500, RESTED),
-    ),
-)
 
 
 @pytest.mark.parametrize("piece", [1, 7, 4096, 10**6])
