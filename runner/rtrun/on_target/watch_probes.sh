@@ -2,15 +2,17 @@
 # Place probes in a trace of their own, print what they record once a second, and take everything off when the standard
 # input ends: the runner was killed, or the link was cut. probes/stream.py reads what is printed.
 #
-#   watch_probes.sh SECONDS BUFFER_KB LIMIT PATTERN [EVENT...]
+#   watch_probes.sh SECONDS SILENCE BUFFER_KB LIMIT PATTERN [EVENT...]
 #       SECONDS    after which everything is taken off in any case
+#       SILENCE    seconds without a line after which it is taken off as well, with exit status 4: a link may be dead
+#                  without an end
 #       BUFFER_KB  of memory for each CPU
 #       LIMIT      events in a second; above it the probes rest for a share of the time
 #       PATTERN    for find_programs.sh beside this file
 #       EVENT      of the kernel, below `events` in tracefs, recorded as well; left out where the kernel does not have it
 #
 # Standard input: a line "p NAME PLACE ARGUMENT..." for each probe, "watch PID..." for the programs
-# whose threads are to be told, "go"; then nothing, as long as the probes are to stay.
+# whose threads are to be told, "go"; then a line now and then, as long as the probes are to stay.
 #
 # The names of trace and probes tell which process takes them off: "rtrun-observe-" and "rtrun_observe_", then its
 # namespace, pid and start time. What a killed one has left is removed at the next start; other names are left alone.
@@ -31,8 +33,8 @@ inside) shift ;;
     exit $status
     ;;
 esac
-seconds=$1 buffer_kb=$2 limit=$3 pattern=$4
-shift 4
+seconds=$1 silence=$2 buffer_kb=$3 limit=$4 pattern=$5
+shift 5
 events=$*
 scripts=${0%/*}
 tracing=/sys/kernel/tracing
@@ -41,7 +43,7 @@ trap '' PIPE
 
 fail() {
     echo "$1" >&2
-    exit 3
+    exit "${2:-3}"
 }
 
 # The start time of a process, in ticks since the boot: field 22 of proc(5).
@@ -243,7 +245,7 @@ print_rounds() {
 
 # The last events are printed first, unless nobody reads any more.
 take_off() {
-    trap '' TERM HUP INT
+    trap '' TERM HUP INT ALRM
     trap - EXIT
     if [ -n "$printer" ]; then
         echo 0 >"$instance/tracing_on"
@@ -253,7 +255,13 @@ take_off() {
         wait "$printer"
         kill -KILL $killer
     fi 2>/dev/null
-    if remove "$name"; then echo "done"; else echo "left $name"; fi
+    word=done
+    remove "$name" || word="left $name"
+    # A dead link takes no more lines.
+    { sleep 5; kill -KILL 0; } >/dev/null 2>&1 &
+    killer=$!
+    echo "$word"
+    kill -KILL $killer
     # Whatever still sleeps: this group is ours alone.
     kill -TERM 0
 }
@@ -274,6 +282,7 @@ remove_leftovers
 mkdir "$instance" 2>/dev/null || fail "no kernel trace: $instance cannot be made; are there too many already?"
 trap take_off EXIT
 trap 'exit 3' TERM HUP
+trap 'fail "nothing was heard from rtrun for $silence s, so the probes were taken off" 4' ALRM
 echo mono >"$instance/trace_clock" || fail "no kernel trace: the kernel has no trace clock mono"
 echo "$buffer_kb" >"$instance/buffer_size_kb" 2>/dev/null ||
     fail "no kernel trace: there is no memory for $buffer_kb kB for each CPU"
@@ -326,6 +335,15 @@ echo "ready"
 print_rounds &
 printer=$!
 { sleep "$seconds"; kill -TERM $$; } >/dev/null 2>&1 &
+guard_silence() {
+    { sleep "$silence"; kill -ALRM $$; } >/dev/null 2>&1 &
+    guard=$!
+}
+guard_silence
 # The end of the standard input is what this waits for.
-while read -r _; do :; done
+while read -r _; do
+    # KILL: another signal is lost in a shell that has only just begun.
+    kill -KILL $guard 2>/dev/null
+    guard_silence
+done
 exit 0

@@ -13,7 +13,7 @@ from rtrun.probes.hits import Gap
 from rtrun.probes.placement import PlacedProbe, Placement, RefusedProbe
 from rtrun.probes.programs import FoundProgram, pattern
 from rtrun.probes.stream import RESTED, Batch, Ready, WatchReader
-from rtrun.targets.errors import TargetError
+from rtrun.targets.errors import ConnectionLost, TargetError
 from rtrun.targets.shell import POLL_S
 
 if TYPE_CHECKING:
@@ -30,6 +30,11 @@ _EVENT_BYTES = 100
 _BUFFER_KB = (2048, 65536)
 # Of the kernel's own events, with every change of threads, more are written.
 _BUFFER_KERNEL_KB = 4096
+# A line goes to the target so often; after so long without one the probes are taken off: the link is dead, or this
+# process was stopped. A connection over the air may stand still for some seconds.
+BEAT_S = 10.0
+SILENCE_S = 30
+SILENT = 4  # the exit status then
 # Pieces of up to 2 MiB that arrived and were not taken yet: the target waits then.
 _PIECES_MAX = 64
 
@@ -106,6 +111,7 @@ class _Watching:
         buffer_kb = min(max(limit_per_s * 2 * _EVENT_BYTES // 1024, _BUFFER_KB[0]), _BUFFER_KB[1])
         buffer_kb += _BUFFER_KERNEL_KB if kernel_events else 0
         self._for_s = for_s
+        self._next_beat_s = 0.0
         # Once the probes are placed, it is what was asked for.
         self._end_s = time.monotonic() + for_s + SET_UP_S
         self._arguments = (str(buffer_kb), str(limit_per_s), pattern(), *kernel_events)
@@ -132,13 +138,25 @@ class _Watching:
         self._put(reader)
         self._connection = connection
         left_s = max(0.0, self._end_s - time.monotonic())
-        argv = [self._script, str(round(left_s + SET_UP_S)), *self._arguments]
+        argv = [self._script, str(round(left_s + SET_UP_S)), str(SILENCE_S), *self._arguments]
         status, stderr = connection.shell.execute(
-            argv, [self._stdin], self._put, left_s + 2 * SET_UP_S, is_over=self._is_time_over
+            argv, [self._stdin], self._put, left_s + 2 * SET_UP_S, feed=self._feed
         )
+        if status == SILENT:
+            # As with a connection that breaks: the probes are placed anew, and what lies between is a gap.
+            raise ConnectionLost(f"{connection.address}: {stderr.strip().rpartition(chr(10))[2][:300]}")
         if status != 0:
             text = stderr.strip().rpartition("\n")[2][:300] or f"watch_probes.sh ended with exit status {status}"
             raise TargetError(f"{connection.address}: {text}")
+
+    def _feed(self) -> bytes | None:
+        """What the script reads while it lasts: a line now and then, by which it knows that somebody is there."""
+        if self._is_time_over():
+            return None
+        if time.monotonic() < self._next_beat_s:
+            return b""
+        self._next_beat_s = time.monotonic() + BEAT_S
+        return b"\n"
 
     def _is_time_over(self) -> bool:
         return self.is_over.is_set() or time.monotonic() >= self._end_s

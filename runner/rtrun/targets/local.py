@@ -1,6 +1,7 @@
 """Commands on this machine itself, as sshd would run them: in a session and an environment of their own."""
 
 import contextlib
+import itertools
 import os
 import pwd
 import selectors
@@ -38,7 +39,7 @@ class LocalShell:
         take: Callable[[bytes], None],
         deadline_s: float,
         *,
-        is_over: Callable[[], bool] | None = None,
+        feed: Callable[[], bytes | None] | None = None,
     ) -> tuple[int, str]:
         """As `Shell.execute`."""
         deadline = time.monotonic() + deadline_s
@@ -47,7 +48,7 @@ class LocalShell:
             process = self._start(argv)
         try:
             release()
-            _exchange(process, stdin, take, stderr, deadline, is_over)
+            _exchange(process, stdin, take, stderr, deadline, feed)
             process.wait(max(0.0, deadline - time.monotonic()))
         except BaseException as error:
             # With all that it started. Its number belongs to it as long as nobody has waited for it.
@@ -139,7 +140,7 @@ def _exchange(
     take_stdout: Callable[[bytes], None],
     take_stderr: Callable[[bytes], None],
     deadline: float,
-    is_over: Callable[[], bool] | None,
+    feed: Callable[[], bytes | None] | None,
 ) -> None:
     """Write and read until both outputs have ended. Raises TimeoutExpired at the deadline (monotonic seconds)."""
     assert process.stdin is not None and process.stdout is not None and process.stderr is not None
@@ -153,10 +154,16 @@ def _exchange(
             remaining_s = deadline - time.monotonic()
             if remaining_s <= 0:
                 raise subprocess.TimeoutExpired(process.args, 0)
-            if is_over is not None and not process.stdin.closed:
+            if feed is not None and not process.stdin.closed:
                 remaining_s = min(remaining_s, POLL_S)
-                if is_over():
+                more = feed()
+                if more is None:
                     _close_stdin(process.stdin, selector)
+                elif more:
+                    chunks = itertools.chain(chunks, [more])
+                    # It may still wait for its turn.
+                    with contextlib.suppress(KeyError):
+                        selector.register(process.stdin, selectors.EVENT_WRITE)
             for key, _ in selector.select(remaining_s):
                 if key.fileobj is process.stdin:
                     pending = pending or next(chunks, b"")
@@ -168,7 +175,7 @@ def _exchange(
                     pending = pending[written:]
                     if written:
                         continue
-                    if is_over is None:
+                    if feed is None:
                         _close_stdin(process.stdin, selector)
                     else:
                         selector.unregister(process.stdin)

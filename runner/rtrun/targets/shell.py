@@ -21,12 +21,13 @@ class Shell(Protocol):
         take: Callable[[bytes], None],
         deadline_s: float,
         *,
-        is_over: Callable[[], bool] | None = None,
+        feed: Callable[[], bytes | None] | None = None,
     ) -> tuple[int, str]:
         """Run a command, hand what it prints to `take`, and return its exit status and its standard error.
 
-        Its standard input ends after `stdin`, or stays open until `is_over`, which is asked every POLL_S. Raises
-        DeadlineExpired once what was started has been killed; TargetError when `take` raises TooMuch.
+        Its standard input ends after `stdin`, or goes on with what `feed` gives, which is asked every POLL_S, until
+        that gives None. Raises DeadlineExpired once what was started has been killed; TargetError when `take` raises
+        TooMuch.
         """
 
     def open_port(self, port: int, deadline_s: float) -> AbstractContextManager[Any]:

@@ -118,7 +118,7 @@ class SshShell:
         take: Callable[[bytes], None],
         deadline_s: float,
         *,
-        is_over: Callable[[], bool] | None = None,
+        feed: Callable[[], bytes | None] | None = None,
     ) -> tuple[int, str]:
         """Run a command, hand what it prints to `take`, and return its exit status and its standard error."""
         deadline = time.monotonic() + deadline_s
@@ -135,9 +135,9 @@ class SshShell:
                 with contextlib.suppress(OSError):
                     for chunk in stdin:
                         channel.sendall(chunk)
-                    if is_over is None:
+                    if feed is None:
                         channel.shutdown_write()
-                ended = self._read(channel, deadline, stdout, stderr, is_over)
+                ended = self._read(channel, deadline, stdout, stderr, feed)
                 # A status that comes as the time is up may stand before output that was not read.
                 status = channel.recv_exit_status() if ended and channel.exit_status_ready() else None
             except TooMuch as error:
@@ -159,20 +159,22 @@ class SshShell:
         deadline: float,
         stdout: Callable[[bytes], None],
         stderr: Callable[[bytes], None],
-        is_over: Callable[[], bool] | None,
+        feed: Callable[[], bytes | None] | None,
     ) -> bool:
         """Read both streams until they end and the exit status is there, or the deadline (monotonic seconds) passes.
 
-        Once it is over, standard input is ended. Return whether the streams ended.
+        Standard input has what `feed` gives, and ends with None. Return whether the streams ended.
         """
         while (remaining_s := deadline - time.monotonic()) > 0:
-            if is_over is not None:
-                if is_over():
-                    is_over = None
-                    with contextlib.suppress(OSError):
+            if feed is not None:
+                more = feed()
+                with contextlib.suppress(OSError):
+                    if more is None:
+                        feed = None
                         channel.shutdown_write()
-                else:
-                    remaining_s = min(remaining_s, POLL_S)
+                    elif more:
+                        channel.sendall(more)
+                remaining_s = min(remaining_s, POLL_S)
             # Asked before the buffers: what arrives in between is read in the next turn.
             ended = channel.eof_received or channel.closed
             chunks = (
