@@ -204,10 +204,17 @@ def observe(
 def write(results: Path, watched: Watched, plan: ObservationPlan, observation: ObservationResult) -> tuple[str, ...]:
     """Write a run for each stream, one for each deadline of what was not seen, and one of the observation itself.
 
-    Returns what was left out, a sentence each. Raises InfrastructureError where they cannot be written.
+    Returns what was left out, a sentence each. Raises InfrastructureError where they cannot be written: none is then.
     """
     run_directory.make_results(results)
     number = _next_number(results)
+    with run_directory.together(results, f"{number:03}") as staged:
+        return _write(staged, number, watched, plan, observation)
+
+
+def _write(
+    results: Path, number: int, watched: Watched, plan: ObservationPlan, observation: ObservationResult
+) -> tuple[str, ...]:
     names: set[str] = set()
     left_out: list[str] = []
     outputs: list[ObservedOutput] = []

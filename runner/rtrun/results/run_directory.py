@@ -42,6 +42,22 @@ def filling(folder: Path) -> Iterator[Path]:
         raise
 
 
+@contextlib.contextmanager
+def together(results: Path, number: str) -> Iterator[Path]:
+    """Yield an empty folder to close run directories in: at the end all of them stand in `results`, or none does.
+
+    The one that is called `number` comes last. Raises InfrastructureError where there is no room for all.
+    """
+    try:
+        with filling(results / number) as staged:
+            yield staged
+            for folder in sorted(staged.iterdir(), key=lambda each: (each.name == number, each.name)):
+                rename(folder, results / folder.name)
+            staged.rmdir()
+    except InfrastructureError as error:
+        raise InfrastructureError(f"{error}; nothing of {number} is kept") from error
+
+
 def close(partial: Path, folder: Path, record: RunRecord) -> None:
     """Write run.json with the size and SHA-256 of every file, and give the folder its name."""
     files = {}

@@ -1,13 +1,15 @@
 """run.json: one type, written and read."""
 
+import contextlib
 import hashlib
 import json
+import subprocess
 
 import pytest
 from faulty import runs_of
 from written import write_cyclic, write_record
 
-from rtfiles.errors import UsageError
+from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.cli import main
 from rtrun.execution import campaign_runner
 from rtrun.results import run_directory
@@ -126,3 +128,19 @@ def test_nothing_stays_of_a_run_that_is_not_closed(tmp_path):
         (partial / "a.txt").write_text("a")
         raise KeyboardInterrupt
     assert list(tmp_path.iterdir()) == []
+
+
+def test_run_directories_that_belong_together_are_all_there_or_none_is(tmp_path):
+    """The disk is full when the second one is written, and has room for all the next time."""
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], check=True)
+    try:
+        for size, kept in ((200_000, []), (50_000, ["001", "001-a", "001-b"])):
+            full = pytest.raises(InfrastructureError, match=r"No space left on device; nothing of 001 is kept")
+            with contextlib.nullcontext() if kept else full, run_directory.together(tmp_path, "001") as staged:
+                for name in ("001-a", "001-b", "001"):
+                    with run_directory.filling(staged / name) as partial:
+                        (partial / "a.npy").write_bytes(bytes(size))
+                        run_directory.close(partial, staged / name, record_of())
+            assert sorted(path.name for path in tmp_path.iterdir()) == kept
+    finally:
+        subprocess.run(["umount", tmp_path], check=True)
