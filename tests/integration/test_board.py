@@ -58,7 +58,7 @@ runs:
   - {suite: cyclic_timer_tests, repetitions: 200, frequency_hz: 10, policy: RR, cpu: "1", irq_cpu: "0", nodes_hz: 20,
      condition: [cpu80, nodes]}
   - {suite: communication_tests, repetitions: 50, frequency_hz: 50, payload_bytes: 200, subscribers: 2, policy: FIFO,
-     middleware: [roscpp, cyclonedds, zeromq, tcp, futex]}
+     middleware: [roscpp, cyclonedds, fastdds, zeromq, tcp, futex]}
 """
 # Threads that are the middleware's own, of each program.
 OWN_THREADS = {"zeromq": {"ZMQbg/IO/0", "ZMQbg/Reaper"}, "cyclonedds": {"recv", "recvUC", "tev", "gc"}}
@@ -122,7 +122,7 @@ def test_figures_of_a_run_with_three_subscribers(measured, capsys):
 
 def test_messages_through_each_middleware_on_the_board(measured):
     runs = [run for run in runs_of(measured) if run.parameters.get("payload_bytes") == 200]
-    assert [run.middleware for run in runs] == ["roscpp", "cyclonedds", "zeromq", "tcp", "futex"]
+    assert [run.middleware for run in runs] == ["roscpp", "cyclonedds", "fastdds", "zeromq", "tcp", "futex"]
     for run in runs:
         folder, record = measured / "results" / "test" / run.name, read_record(measured, run)
         assert record["status"] == "ok"

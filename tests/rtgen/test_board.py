@@ -288,3 +288,18 @@ def test_libraries_are_looked_for_in_the_sysroot(tmp_path: Path) -> None:
     assert library() == f"{tmp_path}/host/libsome.so"
     sysroot.search_inside(tmp_path / "sysroot")
     assert library() == f"{tmp_path}/sysroot{tmp_path}/host/libsome.so"
+
+
+def test_what_a_package_has_is_that_of_the_sysroot(tmp_path: Path) -> None:
+    """The real CMake, with the words of a package that was configured with absolute paths, and of another."""
+    targets = tmp_path / "usr/lib/some-targets.cmake"
+    targets.parent.mkdir(parents=True)
+    targets.write_text(
+        'set(_IMPORT_PREFIX "/usr")\nset(files "${_IMPORT_PREFIX}/include;/usr/lib/libsome.so" "${_IMPORT_PREFIX}/usr")\n'
+        'message("files: ${files}")\n'
+    )
+    sysroot.search_inside(tmp_path)
+    command = ["cmake", f"-DCMAKE_SYSROOT={tmp_path}", "-P", targets]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    usr = f"{tmp_path}/usr"
+    assert done.stderr.strip() == f"files: {usr}/include;{usr}/lib/libsome.so;{usr}/usr"

@@ -1,5 +1,6 @@
 """The folder against which programs for a board are compiled and linked."""
 
+import re
 from pathlib import Path
 
 from rtfiles import cache
@@ -24,13 +25,17 @@ def build(architecture: str, source: debian.PackageSource) -> Path:
 
 
 def search_inside(folder: Path) -> None:
-    """Let the CMake files of catkin packages find libraries in the sysroot alone.
+    """Let the CMake files of the packages find libraries and headers in the sysroot alone.
 
-    They name /usr/lib and forbid CMake to look for it below the sysroot, so on a host of the board's architecture they
-    would find the host's libraries, which may be of another release.
+    Those of catkin packages name /usr/lib and forbid CMake to look for it below the sysroot, so on a host of the
+    board's architecture they would find the host's libraries, which may be of another release. Those that CMake wrote
+    for a package that was configured with absolute paths have /usr in them.
     """
-    for file in folder.rglob("*Config.cmake"):
-        text = file.read_text(encoding="utf-8", errors="surrogateescape")
-        if "NO_DEFAULT_PATH NO_CMAKE_FIND_ROOT_PATH" in text:
+    for file in folder.rglob("*.cmake"):
+        text = inside = file.read_text(encoding="utf-8", errors="surrogateescape")
+        if file.name.endswith("Config.cmake"):
             inside = text.replace("NO_DEFAULT_PATH NO_CMAKE_FIND_ROOT_PATH", "NO_DEFAULT_PATH")
+        elif "targets" in file.name:
+            inside = re.sub(r'(?<=[";])/usr\b', "${CMAKE_SYSROOT}/usr", text)
+        if inside != text:
             file.write_text(inside, encoding="utf-8", errors="surrogateescape")
