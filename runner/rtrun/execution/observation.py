@@ -130,8 +130,7 @@ def observe(
     observe, or the target cannot be observed.
     """
     if not watched.placement.probes:
-        why = "; ".join(dict.fromkeys(f"{each.path}: {each.reason}" for each in watched.placement.refused))
-        nothing = "no program runs there that uses ROS" if not watched.found else f"no probe can be placed: {why}"
+        nothing = "; ".join(refusals(watched.placement.refused)) or "no program runs there that uses ROS"
         raise TargetError(f"{watched.link.target.address}: {nothing}")
     alive = {each.program.pid: each.program for each in watched.found}
     seen = {(each.pid, each.start_ticks): each for each in alive.values()}

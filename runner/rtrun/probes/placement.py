@@ -113,7 +113,9 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
         if each.is_deleted:
             return NotProbed("its file was replaced while the program runs: restart the program")
         file = files.get((each.device, each.inode))
-        return resolved[file.sha256] if file is not None else NotProbed("its file cannot be read; that takes root")
+        if file is None:
+            return NotProbed("its file cannot be read, as its program has ended meanwhile, or this user is not root")
+        return resolved[file.sha256]
 
     probes: list[PlacedProbe] = []
     refused: list[RefusedProbe] = []

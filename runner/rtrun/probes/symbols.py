@@ -94,8 +94,8 @@ def _offset(value: int, kind: str, segments: Collection[tuple[int, int, int]]) -
         return NotProbed(f"it is no plain function ({kind})")
     if value % 2:
         return NotProbed(
-            f"its address {value:#x} is odd, as that of Thumb code, where the kernel may take a probe that makes the "
-            "program compute wrongly; build the library as ARM code (-marm), with aligned functions (-O2)"
+            "its address is odd, as that of Thumb code, where the kernel may take a probe that makes the program "
+            "compute wrongly; build the library as ARM code (-marm), with aligned functions (-O2)"
         )
     found = [value - address + offset for address, offset, size in segments if address <= value < address + size]
     if len(found) != 1:
