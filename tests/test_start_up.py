@@ -60,18 +60,22 @@ def test_nothing_slow_is_imported(program: str, arguments: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "others"),
+    ("command", "files", "others"),
     [
-        ("show", {"jinja2", "numpy.ma", "plotly", "scipy"}),
-        ("verdict", {"jinja2", "plotly"}),
-        ("claims", {"plotly"}),
-        ("report", set()),
+        ("show", "*/*.npy", {"rtrun.plan.run", "rtrun.results.gnuplot_log", "rtrun.results.record", "scipy"}),
+        ("show", "", {"jinja2", "numpy.ma", "plotly", "scipy"}),
+        ("verdict", "", {"jinja2", "plotly"}),
+        ("claims", "", {"plotly"}),
+        ("report", "", set()),
     ],
 )
-def test_reading_results_loads_no_more_than_it_takes(command: str, others: set[str], tmp_path: Path) -> None:
+def test_reading_results_loads_no_more_than_it_takes(
+    command: str, files: str, others: set[str], tmp_path: Path
+) -> None:
     """scipy.stats and paramiko take longer to load than a small report takes."""
     write_campaign(tmp_path, n=1000)
-    done = python(PROGRAM.format(program="rtrun", arguments=[command, str(tmp_path)]))
+    path = next(tmp_path.glob(files)) if files else tmp_path
+    done = python(PROGRAM.format(program="rtrun", arguments=[command, str(path)]))
     imported = set(done.stderr.splitlines()[-1].split())
     assert done.returncode == 0 and "numpy" in imported
     never = {"paramiko", "scipy.stats", "duckdb", "pyarrow", "rtrun.commands.bisect", "rtrun.targets.config"}

@@ -32,8 +32,8 @@ from rtrun.analysis.histogram import Int64s, from_samples
 Check = tuple[str, float, float, str]
 # Our time is about the same for all kinds, that of pandas is less where values are wide.
 SHARE_OF_PANDAS = {"narrow": 0.25, "wide lognormal": 0.3, "one value of 50 ms": 0.25}
-# Processor time of whole processes: 0.53 to 0.63; 0.4 of it are imports of numpy, pydantic, rich and yaml.
-SHOW_OF_PANDAS = 0.7
+# Processor time of whole processes: 0.42 to 0.49 beside much else; most of it are imports of numpy, pydantic and rich.
+SHOW_OF_PANDAS = 0.5
 # In imports of pandas. Such an import takes 0.36 s, a report of 2 runs 0.6 s, one of 15 with three suites 1.0 s.
 REPORT_IN_IMPORTS = {2: 2.5, 15: 4.0}
 # How many times as long as numpy's bincount of as many values into 8192 bins. The wish is 25 ms for 2 million samples;

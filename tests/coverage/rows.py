@@ -34,8 +34,7 @@ from rtrun.judgement import study as studies
 from rtrun.judgement.study import study
 from rtrun.plan import question as questions
 from rtrun.plan.question import Of, Question, Tolerance, read_tolerance
-from rtrun.results.reading import read_file
-from rtrun.results.series import SampleSeries
+from rtrun.results.series import SampleSeries, read_file
 
 SEED = 20140715
 P = 1e-3

@@ -40,7 +40,7 @@ from rtrun.probes.programs import find_programs, parse_programs
 from rtrun.probes.stream import Batch, WatchReader
 from rtrun.probes.symbols import read_symbols
 from rtrun.report import causes
-from rtrun.results import goal_file, partial_samples, reading, run_directory
+from rtrun.results import goal_file, partial_samples, reading, run_directory, series
 from rtrun.results.gnuplot_lines import check_commands
 from rtrun.results.importers.adopt import adopt
 from rtrun.results.importers.detect import read
@@ -652,8 +652,8 @@ READERS: dict[str, Reader] = {
         cost=2,
     ),
     "commands": Reader(read=_commands, seeds=[*_runs(), *_observed_runs()], seal=_seal, cost=20),
-    "samples": Reader(read=lambda folder: reading.results_of(reading.read_file(folder / "x.npy")), seeds=_outputs()),
-    "log": of_file(lambda path: reading.results_of(reading.read_file(path)), "x.log", *LOGS),
+    "samples": Reader(read=lambda folder: series.results_of(series.read_file(folder / "x.npy")), seeds=_outputs()),
+    "log": of_file(lambda path: series.results_of(series.read_file(path)), "x.log", *LOGS),
     "log commands": of_file(check_commands, "x.log", *LOGS),
     "import": Reader(
         read=_adopt,

@@ -1,10 +1,13 @@
 """YAML at the edge: whatever a file holds, what is wrong with it is a UsageError with file and line."""
 
+from pathlib import Path
 from typing import Literal
 
 import pytest
+import yaml
 from pydantic import Field
 
+from rtfiles import config
 from rtfiles.config import Config, load, read_yaml
 from rtfiles.errors import UsageError
 
@@ -66,3 +69,11 @@ def test_what_an_error_shows_is_limited(tmp_path):
     with pytest.raises(UsageError) as caught:
         load(file, Example)
     assert len(str(caught.value)) < 4000
+
+
+def test_own_files_are_read_as_those_of_others_are():
+    """Those are read by a parser of C, and keys that are given twice are not looked for."""
+    top = Path(__file__).parents[2]
+    files = [path for folder in ("runner/rtrun", "tools/rtgen") for path in sorted((top / folder).rglob("*.yml"))]
+    assert len(files) > 40
+    assert [path for path in files if read_yaml(path) != yaml.load(path.read_text(), config._OWN_LOADER)] == []

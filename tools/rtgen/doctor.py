@@ -12,7 +12,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from rtfiles.config import Config, load
+from rtfiles.config import Config, load_own
 
 NEEDS_FILE = Path(__file__).with_name("doctor.yml")
 GIB = 1024**3
@@ -65,7 +65,7 @@ class Obstacle:
 
 def load_needs() -> Needs:
     """What a build needs."""
-    return load(NEEDS_FILE, Needs)
+    return load_own(NEEDS_FILE, Needs)
 
 
 def inspect(folder: Path, needs: Needs) -> Host:

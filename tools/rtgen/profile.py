@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rtfiles.config import Config, load, matching
+from rtfiles.config import Config, load, load_own, matching
 from rtfiles.errors import UsageError
 from rtfiles.wording import unknown
 
@@ -251,12 +251,12 @@ class Profile(Config):
 
 def load_releases() -> dict[str, Release]:
     """The known Yocto releases by name."""
-    return load(RELEASES_FILE, Releases).releases
+    return load_own(RELEASES_FILE, Releases).releases
 
 
 def load_machines() -> dict[str, KnownMachine]:
     """The machines that a profile can name."""
-    return load(MACHINES_FILE, KnownMachines).machines
+    return load_own(MACHINES_FILE, KnownMachines).machines
 
 
 def profile_names() -> list[str]:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from rtfiles.config import Config, load
+from rtfiles.config import Config, load_own
 from rtrun.causes.parts import Kind
 from rtrun.targets.inspection.rt_readiness import with_safety_net
 
@@ -52,7 +52,7 @@ class Remedies(Config):
 @functools.cache
 def read_remedies() -> tuple[Remedy, ...]:
     """Read remedies.yml."""
-    return tuple(load(DATA, Remedies).remedies)
+    return tuple(load_own(DATA, Remedies).remedies)
 
 
 def remedy(kind: Kind, name: str) -> Remedy | None:

@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from rich.console import Group
 
     from rtrun.analysis.figures import IndexedValue
-    from rtrun.results.reading import ClosedRun, Result
+    from rtrun.results.reading import ClosedRun
+    from rtrun.results.series import Result
 
 NAME = "show"
 HELP = "show the figures of a run, of all runs in a folder, of a log, or of samples"
@@ -49,11 +50,13 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
     """What is there as plain data, as an answer to print, and what was refused."""
     from rtfiles.errors import UsageError
     from rtrun.report import terminal
-    from rtrun.results import reading
-    from rtrun.results.record import is_closed
     from rtrun.targets.inspection.platform import Platform, weakest
 
     if path.is_dir():
+        # Reading one file takes less time than these take to load.
+        from rtrun.results import reading
+        from rtrun.results.record import is_closed
+
         if is_closed(path) or not any(child.is_dir() for child in path.iterdir()):
             one = reading.read_run(path)
             return {"schema": 2, **_run_data(one)}, terminal.answer_of_run(one), ()
@@ -67,7 +70,9 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
         return data, terminal.answer_of_runs(of_folder), of_folder.refused
     if not path.is_file():
         raise UsageError(f"{path}: no such file or directory")
-    results = reading.results_of(reading.read_file(path))
+    from rtrun.results.series import read_file, results_of
+
+    results = results_of(read_file(path))
     data = {"results": [_result_data(one) for one in results]} if path.suffix != ".log" else _result_data(results[0])
     return {"schema": 1, **data}, terminal.answer(results, platform=Platform.HARDWARE), ()
 

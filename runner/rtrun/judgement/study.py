@@ -23,6 +23,7 @@ from rtrun.plan.suites import ALLOCATIONS, Value, judged, measures
 from rtrun.results import reading
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
+from rtrun.results.series import read_file
 from rtrun.targets.inspection.platform import Platform
 
 
@@ -119,7 +120,7 @@ def study(
     runs = [_read_run(folder, record, question, known) for folder, record in records.items()]
     digests = [one for run in runs for one in run.digests]
     if not source.folders:
-        digests = [digest(series, question) for series in reading.read_file(path, question.of)]
+        digests = [digest(series, question) for series in read_file(path, question.of)]
     _check_platform(path, digests)
     basis = _Basis(
         question=question,

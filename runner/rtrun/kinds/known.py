@@ -3,7 +3,7 @@
 from rtrun.kinds import cyclic, interval, messages, oneshot, spans, timer
 from rtrun.kinds.kind import LogForm, MeasurementKind
 from rtrun.plan.question import Measure
-from rtrun.plan.suites import described_suites
+from rtrun.plan.suites import find_suite
 
 KINDS: dict[str, MeasurementKind] = {
     "oneshot": oneshot.KIND,
@@ -20,7 +20,7 @@ LOGS: dict[str, LogForm] = {kind.logs.suite: kind.logs for kind in KINDS.values(
 
 def kind_of(suite: str) -> MeasurementKind | None:
     """The kind of a suite by its name; None for one that is not known, and for what writes no samples."""
-    described = described_suites().get(suite)
+    described = find_suite(suite)
     return KINDS.get(described.kind) if described and described.kind else None
 
 

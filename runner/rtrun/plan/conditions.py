@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from rtfiles.config import Config, load
+from rtfiles.config import Config, load_own
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import whole_number
 from rtfiles.wording import unknown
@@ -88,7 +88,7 @@ Settings = Annotated[dict[str, Value], AfterValidator(_check_settings)]
 @functools.cache
 def conditions() -> Conditions:
     """The conditions of this version, read once."""
-    return load(FILE, Conditions)
+    return load_own(FILE, Conditions)
 
 
 def condition(name: object, where: str) -> Condition:

@@ -13,10 +13,10 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from rtfiles.config import Config, load
+from rtfiles.config import Config, load_own
 from rtfiles.errors import UsageError
 from rtfiles.wording import did_you_mean, unknown
-from rtrun.plan.middleware.description import DEFAULT, NONE, middlewares
+from rtrun.plan.middleware.description import DEFAULT, NONE, middleware_names, middlewares
 from rtrun.plan.question import Measure
 
 Value = str | int | None
@@ -173,7 +173,7 @@ class Suites(Config):
 @functools.cache
 def suites() -> Suites:
     """The suites of this version, read once."""
-    loaded = load(SUITES_FILE, Suites)
+    loaded = load_own(SUITES_FILE, Suites)
     _check_options(loaded, loaded.options)
     return loaded
 
@@ -181,7 +181,7 @@ def suites() -> Suites:
 @functools.cache
 def baselines() -> Suites:
     """The baselines that the suites are compared with, read once."""
-    loaded = load(BASELINES_FILE, Suites)
+    loaded = load_own(BASELINES_FILE, Suites)
     _check_options(loaded, suites().options | loaded.options)
     return loaded
 
@@ -189,7 +189,7 @@ def baselines() -> Suites:
 @functools.cache
 def observed() -> Suites:
     """What can be observed of programs that run already, read once."""
-    return load(OBSERVED_FILE, Suites)
+    return load_own(OBSERVED_FILE, Suites)
 
 
 @functools.cache
@@ -211,17 +211,22 @@ def options() -> dict[str, Option]:
 
     The middleware is no option of a program: each has programs of its own.
     """
-    choices = tuple(name for name in middlewares() if name != NONE)
+    choices = tuple(name for name in middleware_names() if name != NONE)
     own = {"middleware": Option(type="choice", choices=choices, default=DEFAULT, help="through what a suite measures")}
     return suites().options | baselines().options | own
 
 
+def find_suite(name: str) -> Suite | None:
+    """The suite or baseline of this name, or what is observed; None for one that is not known."""
+    # The files are read as far as the name needs them.
+    return next((of().suites[name] for of in (suites, baselines, observed) if name in of().suites), None)
+
+
 def suite(name: str) -> Suite:
     """The suite or baseline of this name, or what is observed. Raises UsageError that lists the known ones."""
-    known = described_suites()
-    if name not in known:
-        raise UsageError(unknown("suite", name, known=known))
-    return known[name]
+    if known := find_suite(name):
+        return known
+    raise UsageError(unknown("suite", name, known=described_suites()))
 
 
 def defaults_of(name: str) -> dict[str, Value]:
@@ -244,8 +249,8 @@ def executable(suite_name: str, program: str, parameters: Mapping[str, Value]) -
 
 def measures(name: str) -> tuple[Measure, ...]:
     """What a suite, a baseline or another program measures; of a program that is not known it is a latency."""
-    known = described_suites()
-    return known[name].measures if name in known else ("latency",)
+    known = find_suite(name)
+    return known.measures if known else ("latency",)
 
 
 def check_numbers(values: dict[str, Value], known: Mapping[str, Option]) -> dict[str, Value]:

@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Group
@@ -12,10 +13,11 @@ from rich.text import Text
 from rtfiles.output import counted, print_line, printable
 from rtrun.kinds.rate import OFF_MAX
 from rtrun.plan.suites import NOT_TELLING, Value, options, output_name, suite
-from rtrun.results.reading import ClosedRun, Result, Runs
-from rtrun.results.record import FILE
-from rtrun.results.series import MEASURED_2014, NOTE_2014, Header
+from rtrun.results.series import MEASURED_2014, NOTE_2014, Header, Result
 from rtrun.targets.inspection.platform import Platform, weakest
+
+if TYPE_CHECKING:
+    from rtrun.results.reading import ClosedRun, Runs
 
 BANNERS = {
     Platform.EMULATED: "EMULATED: not a real-time statement",
@@ -183,15 +185,17 @@ def remarks_of(header: Header) -> list[str]:
     return [f"incomplete: {header.incomplete}"] * (header.incomplete is not None) + list(header.remarks)
 
 
-def answer_of_run(run: ClosedRun) -> Group:
+def answer_of_run(run: "ClosedRun") -> Group:
     """The answer of one run: every series of every output."""
     rates = [f"{name}: {rate.words}" for name, rate in run.record.rates.items()]
     notes = [*_notes(run), *rates]
     return answer(run.results, platform=run.record.platform, preempt_rt=[run.record.preempt_rt], notes=notes)
 
 
-def answer_of_runs(folder: Runs) -> Group:
+def answer_of_runs(folder: "Runs") -> Group:
     """The answer of all runs in a folder: a row for every output, and what was not analysed and why."""
+    from rtrun.results.record import FILE
+
     results = [result for run in folder.runs for result in run.results if result.header.main]
     notes = [note for run in folder.runs for note in (*_notes(run), *_not_kept(run))]
     notes += [f"{name}: incomplete: it has no {FILE}, nothing in it is analysed" for name in folder.incomplete]
@@ -203,12 +207,12 @@ def answer_of_runs(folder: Runs) -> Group:
     )
 
 
-def _notes(run: ClosedRun) -> list[str]:
+def _notes(run: "ClosedRun") -> list[str]:
     record = run.record
     return [] if record.status == "ok" else [f"{record.run}: {record.status}: {record.reason or 'no reason given'}"]
 
 
-def _not_kept(run: ClosedRun) -> list[str]:
+def _not_kept(run: "ClosedRun") -> list[str]:
     """The rates that the programs of a run did not keep to, a sentence each."""
     rates = run.record.rates.items() if run.record.status == "ok" else ()
     return [

@@ -1,15 +1,14 @@
-"""Results read back: from a log, from samples, from a run directory, from a folder of runs.
+"""Results read back: from a run directory, from a folder of runs.
 
 Whatever prints or judges results, terminal or report, takes them from here.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.figures import Figures
 from rtrun.plan.question import Measure
 from rtrun.plan.suites import log_names
 from rtrun.plan.trace import WARM_UP
@@ -17,19 +16,19 @@ from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
 from rtrun.results.record import FILE, RunRecord, RunStatus, check_file, is_closed, read_record
 from rtrun.results.samples import EMPTY_BYTES, read_samples
-from rtrun.results.series import Header, Series, period_of, series_of_histogram, series_of_log, series_of_samples
+from rtrun.results.series import (
+    Result,
+    Series,
+    period_of,
+    results_of,
+    series_of_histogram,
+    series_of_log,
+    series_of_samples,
+)
 
 _PUT_ASIDE = re.compile(rf"^\.|\.old-[0-9]+$|{re.escape(WARM_UP)}$")
 _OLD = re.compile(r".+\.old-[0-9]+")
 _CUT_OFF = re.compile(r"(.+)\.incomplete-[0-9]+")
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Result:
-    """The figures of one series of one output: a row of a table."""
-
-    header: Header
-    figures: Figures
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,23 +48,6 @@ class Runs:
     runs: tuple[ClosedRun, ...]
     incomplete: tuple[str, ...]
     refused: tuple[str, ...]
-
-
-def read_file(path: Path, of: Measure | None = None) -> tuple[Series, ...]:
-    """Read every series in one log, or in an npy and the json of its name; `of` is what the question names.
-
-    Raises UsageError as `read_log` and `read_samples` do, and for a file that is none of these.
-    """
-    if path.suffix == ".log":
-        return (series_of_log(read_log(path), of),)
-    if path.suffix in (".npy", ".json"):
-        return series_of_samples(read_samples(path), of)
-    raise UsageError(f"{path}: not a run directory, a folder of runs, or a .log, .npy or .json of a suite")
-
-
-def results_of(every_series: Iterable[Series]) -> tuple[Result, ...]:
-    """The figures of every series."""
-    return tuple(Result(header=one.header, figures=one.figures()) for one in every_series)
 
 
 def read_run(folder: Path) -> ClosedRun:

@@ -3,8 +3,10 @@
 The start-up values are set apart here, so that they stand apart in all that is said of the series.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,10 +18,12 @@ from rtrun.kinds.known import MAIN_2014, called, startup_loops
 from rtrun.kinds.output import InEffect
 from rtrun.plan.question import Measure
 from rtrun.plan.suites import Value, judged, measures, suite
-from rtrun.results.gnuplot_log import Log
-from rtrun.results.importers.histogram_file import Imported
-from rtrun.results.samples import Samples
+from rtrun.results.samples import Samples, read_samples
 from rtrun.targets.inspection.platform import Platform
+
+if TYPE_CHECKING:
+    from rtrun.results.gnuplot_log import Log
+    from rtrun.results.importers.histogram_file import Imported
 
 MEASURED_2014 = "measured_2014"
 # What to say wherever such a series is shown.
@@ -109,6 +113,33 @@ class HistogramSeries:
 Series = SampleSeries | HistogramSeries
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Result:
+    """The figures of one series of one output: a row of a table."""
+
+    header: Header
+    figures: Figures
+
+
+def results_of(every_series: Iterable[Series]) -> tuple[Result, ...]:
+    """The figures of every series."""
+    return tuple(Result(header=one.header, figures=one.figures()) for one in every_series)
+
+
+def read_file(path: Path, of: Measure | None = None) -> tuple[Series, ...]:
+    """Read every series in one log, or in an npy and the json of its name; `of` is what the question names.
+
+    Raises UsageError as `read_log` and `read_samples` do, and for a file that is none of these.
+    """
+    if path.suffix == ".log":
+        from rtrun.results.gnuplot_log import read_log  # takes as long to load as samples to read
+
+        return (series_of_log(read_log(path), of),)
+    if path.suffix in (".npy", ".json"):
+        return series_of_samples(read_samples(path), of)
+    raise UsageError(f"{path}: not a run directory, a folder of runs, or a .log, .npy or .json of a suite")
+
+
 def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[SampleSeries, ...]:
     """Every series in samples; the one that a question `of` this is of is the main one.
 
@@ -161,7 +192,7 @@ def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[Samp
     return tuple(sample_series)
 
 
-def series_of_log(log: Log, of: Measure | None = None) -> HistogramSeries:
+def series_of_log(log: "Log", of: Measure | None = None) -> HistogramSeries:
     """The series in a log.
 
     A log names the loop of its ten highest and lowest values only: a start-up value among them is set apart, and a
@@ -208,7 +239,7 @@ def series_of_log(log: Log, of: Measure | None = None) -> HistogramSeries:
     )
 
 
-def series_of_histogram(imported: Imported, of: Measure | None = None) -> HistogramSeries:
+def series_of_histogram(imported: "Imported", of: Measure | None = None) -> HistogramSeries:
     """The series in a histogram of another program. Raises UsageError for a question of its jitter."""
     try:
         judged(("latency",), of)

@@ -17,9 +17,9 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.figures import Figures, figures_of_samples
 from rtrun.cli import main
 from rtrun.results.gnuplot_log import read_log
-from rtrun.results.reading import read_file, read_run
+from rtrun.results.reading import read_run
 from rtrun.results.samples import read_samples
-from rtrun.results.series import SampleSeries, Series
+from rtrun.results.series import SampleSeries, Series, read_file
 
 COMMUNICATION = {"policy": "RR", "repetitions": 100, "frequency_hz": 1000, "payload_bytes": 0}
 

@@ -11,8 +11,7 @@ from rich.console import Console
 from rtrun.analysis.figures import Figures, IndexedValue, figures_of_samples
 from rtrun.plan.suites import Value
 from rtrun.report.terminal import BANNERS, NO_PREEMPT_RT, PREEMPT_RT_IN_PART, answer, table
-from rtrun.results.reading import Result
-from rtrun.results.series import Header
+from rtrun.results.series import Header, Result
 from rtrun.targets.inspection.platform import Platform
 
 

@@ -5,8 +5,7 @@ from pathlib import Path
 from written import write_communication
 
 from logs import LOGS_2014
-from rtrun.results.reading import read_file
-from rtrun.results.series import SampleSeries
+from rtrun.results.series import SampleSeries, read_file
 
 LOG = LOGS_2014 / "cyclic_timer_tests_l300_fq1000-tnRTRR.log"
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import StringConstraints
 
 from rtfiles import cache
-from rtfiles.config import Config, load
+from rtfiles.config import Config, load_own
 from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.wording import unknown
 from rtgen import debian
@@ -36,7 +36,7 @@ class DebianPackages(Config):
 
 def packages() -> DebianPackages:
     """Read packages.yml."""
-    return load(DATA, DebianPackages)
+    return load_own(DATA, DebianPackages)
 
 
 def source(suite: str | None) -> debian.PackageSource:

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from rtfiles.config import Config, load
+from rtfiles.config import Config, load_own
 
 NONE = "none"
 """Of a baseline: nothing stands between the kernel and what is measured."""
@@ -41,8 +41,13 @@ class Middleware(Config):
         return tuple((name, text.format_map(values)) for name, text in self.environment.items())
 
 
+def middleware_names() -> tuple[str, ...]:
+    """The name of every middleware, the default one first."""
+    names = (path.stem for path in Path(__file__).parent.glob("*.yml"))
+    return tuple(sorted(names, key=lambda name: (name != DEFAULT, name)))
+
+
 @functools.cache
 def middlewares() -> Mapping[str, Middleware]:
     """Every middleware by its name, the default one first."""
-    files = sorted(Path(__file__).parent.glob("*.yml"), key=lambda path: (path.stem != DEFAULT, path.stem))
-    return {path.stem: load(path, Middleware) for path in files}
+    return {name: load_own(Path(__file__).with_name(f"{name}.yml"), Middleware) for name in middleware_names()}

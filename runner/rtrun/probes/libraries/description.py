@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from rtfiles.config import Config, load, matching
+from rtfiles.config import Config, load_own, matching
 
 ARCHITECTURES = ("x86_64", "aarch64", "armv7")
 Architecture = Literal["x86_64", "aarch64", "armv7"]
@@ -117,7 +117,7 @@ class Library(Config):
 @functools.cache
 def libraries() -> Mapping[str, Library]:
     """Every library with probes by its name."""
-    return {path.stem: load(path, Library) for path in sorted(Path(__file__).parent.glob("*.yml"))}
+    return {path.stem: load_own(path, Library) for path in sorted(Path(__file__).parent.glob("*.yml"))}
 
 
 def events() -> tuple[str, ...]:

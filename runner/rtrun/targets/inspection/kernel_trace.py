@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from rtfiles.config import Config, load, matching
+from rtfiles.config import Config, load_own, matching
 from rtrun.plan.suites import Value
 from rtrun.targets.errors import TargetError
 
@@ -32,7 +32,7 @@ class TraceEvents(Config):
 
 def read_events() -> list[str]:
     """The events that a trace has, where the kernel knows them."""
-    return load(DATA, TraceEvents).events
+    return load_own(DATA, TraceEvents).events
 
 
 def read_symbols(link: "Link") -> dict[int, str]:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rtfiles.config import Config, load
+from rtfiles.config import Config, load_own
 from rtfiles.output import printable
 from rtrun.targets.deploy import ON_TARGET
 from rtrun.targets.inspection.platform import KnownPlatform, Platform, weakest
@@ -44,7 +44,7 @@ class Signs(Config):
 
 def read_signs() -> list[Sign]:
     """Read platform_signs.yml."""
-    return load(DATA, Signs).signs
+    return load_own(DATA, Signs).signs
 
 
 def find_platform(link: Link) -> KnownPlatform:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, model_validator
 
-from rtfiles.config import Config, load
+from rtfiles.config import Config, load_own
 from rtrun.targets.inspection import control_groups
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class CheckResult:
 
 def read_checks() -> list[Check]:
     """Read rt_readiness.yml."""
-    return load(DATA, Checks).checks
+    return load_own(DATA, Checks).checks
 
 
 def read_facts(link: "Link") -> dict[str, list[str]]:
