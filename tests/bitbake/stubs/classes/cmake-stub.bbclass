@@ -8,8 +8,11 @@ stub_setup ?= ":"
 stub_compiler ?= "-DCMAKE_TOOLCHAIN_FILE=${TOOLCHAIN_FILE} -DMETA_SYSROOT=${SYSROOT} -DMETA_WORK=${TMPDIR} \
     -DMETA_TRIPLET=arm-linux-gnueabihf -DMETA_PROCESSOR=armv7l -DPYTHON_EXECUTABLE=${BUILD_PYTHON}"
 
+# The name of the build folder changes with every test; ccache has to ignore it.
+export CCACHE_BASEDIR = "${TMPDIR}"
+export CCACHE_NOHASHDIR = "1"
+
 do_configure() {
-    export CCACHE_BASEDIR=${TMPDIR} CCACHE_NOHASHDIR=1
     ${stub_setup}
     cmake -G Ninja -S ${S} -B ${B} -DCMAKE_CXX_COMPILER_LAUNCHER=ccache ${stub_compiler} \
         -DCMAKE_PREFIX_PATH="${STAGE}${stub_prefix};$AMENT_PREFIX_PATH" -DCMAKE_INSTALL_PREFIX=${stub_prefix} \
