@@ -10,7 +10,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --maxprocesses 8 --
 # Workers and the programs that they start find their modules compiled, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-ros2 test-yocto lock lint coverage bench setup setup-demo board suites clean
+.PHONY: demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-ros2 test-yocto lock lint docs coverage bench setup setup-demo board suites clean
 
 demo: setup-demo
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -83,7 +83,11 @@ lock: setup
 	        --no-annotate --quiet --custom-compile-command "make lock" --output-file tests/ros2/$$distro.txt || exit; \
 	done
 
-lint: setup
+# The site of docs/, in build/docs: a link to a page, heading or picture that is not there is an error. In seconds.
+docs: setup
+	$(BIN)/sphinx-build -q --fail-on-warning --keep-going --doctree-dir build/doctrees docs build/docs
+
+lint: docs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

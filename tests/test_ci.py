@@ -1,6 +1,7 @@
 """docs/ci.md: the shell of each recipe does what it is to do, and leaves what the recipe publishes.
 
-Stand-ins are `make`, `pip`, and `rtrun run`, which leaves a made-up campaign; every other command is the real one.
+Stand-ins are `make`, `python3 -m venv`, `pip`, and `rtrun run`, which leaves a made-up campaign; every other command
+is the real one.
 """
 
 import os
@@ -17,7 +18,9 @@ from report.campaigns import write_campaign
 
 TOP = Path(__file__).parents[1]
 PAGE = (TOP / "docs" / "ci.md").read_text()
-GITHUB, GITLAB, LAVA = (yaml.safe_load(block) for block in re.findall(r"^```yaml\n(.*?)^```$", PAGE, re.M | re.S))
+GITHUB, GITLAB, LAVA, PAGES = (
+    yaml.safe_load(block) for block in re.findall(r"^```yaml\n(.*?)^```$", PAGE, re.M | re.S)
+)
 RTRUN = f"""#!/bin/sh
 if [ "$1" = run ]; then
     [ -f "$2" ] && [ -f "$4" ] && [ "$5" = --results ] && mkdir -p results && cp -r made "$6"
@@ -32,7 +35,13 @@ NOTE = '#!/bin/sh\necho "$(basename "$0") $*" >>calls\n'
 def checkout(tmp_path):
     for name in ("campaigns", "targets"):
         (tmp_path / name).symlink_to(TOP / name)
-    scripts = {".venv/bin/rtrun": RTRUN, ".venv/bin/pip": NOTE, "bin/make": NOTE, "bin/lava-test-case": NOTE}
+    scripts = {
+        ".venv/bin/rtrun": RTRUN,
+        ".venv/bin/pip": NOTE,
+        "bin/make": NOTE,
+        "bin/python3": NOTE,
+        "bin/lava-test-case": NOTE,
+    }
     for name, text in scripts.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
@@ -114,3 +123,15 @@ def test_lava_is_told_that_the_campaign_failed(checkout):
     (checkout / "made").rename(checkout / "gone")
     run(checkout, ("sh", "-c"), LAVA["run"]["steps"][:2], LAVA["params"])
     assert "lava-test-case campaign --result fail" in (checkout / "calls").read_text()
+
+
+def test_the_pages_become_a_site(checkout):
+    (checkout / "docs").symlink_to(TOP / "docs")
+    (checkout / ".venv/bin/sphinx-build").symlink_to(Path(sys.executable).with_name("sphinx-build"))
+    steps = [step["run"] for step in PAGES["jobs"]["pages"]["steps"] if "run" in step]
+    assert run(checkout, ("bash", "-e", "-o", "pipefail", "-c"), steps, {}) == (0, "")
+    assert (checkout / "calls").read_text().splitlines()[1].endswith("--requirement tools/python-packages.txt")
+    built = {str(path.relative_to(checkout / "public")) for path in (checkout / "public").rglob("*.html")}
+    assert built >= {str(path.relative_to(TOP / "docs").with_suffix(".html")) for path in (TOP / "docs").rglob("*.md")}
+    pages = "".join((checkout / "public" / name).read_text() for name in built)
+    assert not re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="https?:', pages)

@@ -1,7 +1,6 @@
 """The commands that README.md and docs/ show: the real parsers take all of them, and those that can run here do.
 
-A command is an indented line, or a part of a sentence in backquotes, that begins with rtgen, rtrun or make. Those in
-fenced blocks are for other tests.
+And the site of docs/: what `make docs` refuses.
 """
 
 import os
@@ -10,26 +9,18 @@ import shlex
 import shutil
 import subprocess
 import sys
-import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import yaml
 from report.campaigns import write_campaign
 
-import rtgen.cli
-import rtrun.cli
 from logs import LOGS_2014
+from pages import COMMANDS, PAGES, TOP, commands, file_of, name_of
 from rtfiles.command import parser_of
-from rtfiles.config import read_yaml
-from rtfiles.start import commands_of
-from rtrun.targets.config import read_target
 
-TOP = Path(__file__).parents[1]
-PAGES = [TOP / "README.md", *sorted((TOP / "docs").glob("*.md"))]
-RUN_HERE = [page for page in PAGES if page.name != "tutorial.md"]  # tests/test_tutorial.py
-COMMANDS = {name: commands_of(name, cli.COMMANDS) for name, cli in (("rtgen", rtgen.cli), ("rtrun", rtrun.cli))}
+# Those of tests/test_tutorial.py and tests/suites/test_start_pages.py run there.
+RUN_THERE = ("docs/tutorial.md", "docs/start/board.md", "docs/start/lab.md", "docs/start/nodes.md")
+RUN_HERE = [page for page in PAGES if name_of(page) not in RUN_THERE]
 
 # Commands that are only parsed here, and why.
 NOT_RUN = {
@@ -52,22 +43,8 @@ NOT_RUN = {
     "rtrun why": "results with traces; tests/rtrun/commands/test_why.py",
 }
 LOG = "oneshot_timer_tests_l50_tm2000-measured.log"  # the name of a log of 2014 says what was measured
+MAKEFILE = (TOP / "Makefile").read_text()
 FAILED_GATE = ("rtrun gate",)  # the results that the tests make up prove nothing
-
-
-def commands(page: Path) -> Iterator[str]:
-    """The commands of a page in the order in which they stand there, without the remark that follows some."""
-    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.M | re.S)
-    for line in text.splitlines():
-        if line.startswith("    "):
-            command = re.split(r"\s{2,}|\s#", line.strip())[0].removeprefix("$ ").removeprefix(".venv/bin/")
-            if command.partition(" ")[0] in COMMANDS:
-                yield command
-        else:
-            for command in re.findall(r"`(?:\.venv/bin/)?((?:rtgen|rtrun) [^`]+)`", line):
-                program, name, *rest = command.split()
-                if rest and any(name == each.NAME for each in COMMANDS[program]):
-                    yield command
 
 
 def arguments(command: str) -> list[str]:
@@ -79,7 +56,7 @@ def arguments(command: str) -> list[str]:
 ALL = [(page, command) for page in PAGES for command in commands(page)]
 
 
-@pytest.mark.parametrize(("page", "command"), ALL, ids=[f"{page.name}:{command}" for page, command in ALL])
+@pytest.mark.parametrize(("page", "command"), ALL, ids=[f"{name_of(page)}:{command}" for page, command in ALL])
 def test_the_parser_takes_it(page: Path, command: str) -> None:
     program, *words = arguments(command)
     parser_of(program, "", COMMANDS[program]).parse_args(words)
@@ -93,16 +70,24 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("tools", "runner", "kconfig", "recipes-tests", "meta-rt-tests", "campaigns", "targets"):
         shutil.copytree(TOP / name, folder / name, symlinks=True, ignore=ignored)
     shutil.copy(TOP / "kas.yml", folder)
-    for name in ("results/demo", "results/local", "results/before", "results/after", "RESULTS", "A", "B"):
+    for name in (
+        "results/demo",
+        "results/quick",
+        "results/smoke",
+        "results/before",
+        "results/after",
+        "RESULTS",
+        "A",
+        "B",
+    ):
         write_campaign(folder / name, n=500)
-    goal = (TOP / "README.md").read_text().partition("and no longer:\n")[2].partition("`rtrun plan CAMPAIGN.yml")[0]
-    (folder / "CAMPAIGN.yml").write_text(f"schema: 1\nname: goal\n{textwrap.dedent(goal)}")
+    (folder / "CAMPAIGN.yml").write_text(file_of(TOP / "docs/start/board.md", "brakes.yml"))
     for name in ("X.log", LOG):
         shutil.copy(LOGS_2014 / LOG, folder / name)
     return folder
 
 
-@pytest.mark.parametrize("page", RUN_HERE, ids=[page.name for page in RUN_HERE])
+@pytest.mark.parametrize("page", RUN_HERE, ids=map(name_of, RUN_HERE))
 def test_what_can_run_here_runs(page: Path, copy: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": f"{copy / 'tools'}:{copy / 'runner'}"}
     for command in dict.fromkeys(commands(page)):
@@ -121,23 +106,34 @@ def test_every_reason_not_to_run_is_needed() -> None:
     assert all(any(command.startswith(prefix) for _, command in ALL) for prefix in NOT_RUN)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=[page.name for page in PAGES])
+@pytest.mark.parametrize("page", PAGES, ids=map(name_of, PAGES))
 def test_make_has_the_targets(page: Path) -> None:
-    targets = set(re.findall(r"^([a-z0-9-]+):", (TOP / "Makefile").read_text(), re.M))
+    targets = set(re.findall(r"^([a-z0-9-]+):", MAKEFILE, re.M))
     shown = re.findall(r"(?:^    (?:\$ )?|`)make ([a-z0-9-]+)", page.read_text(), re.M)
     assert set(shown) <= targets
 
 
-def test_the_target_file_of_the_readme(tmp_path: Path) -> None:
-    text = (TOP / "README.md").read_text()
-    block = text.partition("what the board lacks. The file:\n")[2].partition("\nthen\n")[0]
-    file = tmp_path / "my-board.yml"
-    (tmp_path / "build/suites/qemu-armv7").mkdir(parents=True)
-    file.write_text(block.replace("    ", "", 1).replace("\n    ", "\n").replace("SHA256:...", "SHA256:" + "A" * 43))
-    assert read_target(file).name == read_yaml(file)["name"] == yaml.safe_load(block)["name"]
+def test_the_readme_links_to_what_is_there() -> None:
+    """The links of the other pages are those of the site: `make docs`."""
+    for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", (TOP / "README.md").read_text()):
+        assert (TOP / link).exists(), link
 
 
-def test_pages_link_to_what_is_there() -> None:
-    for page in PAGES:
-        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
-            assert (page.parent / link).exists(), f"{page.name}: {link}"
+@pytest.mark.parametrize(
+    ("line", "refused"),
+    [
+        ("[a page](index.md), [a heading](index.md#the-pages)", None),
+        ("[a page](none.md)", "'none.md'"),
+        ("[a heading](index.md#none)", "'none'"),
+        ("![a picture](none.png)", "none.png"),
+    ],
+)
+def test_the_site_is_built_only_with_links_that_lead_somewhere(tmp_path: Path, line: str, refused: str | None) -> None:
+    words = shlex.split(re.search(r"^\t\$\(BIN\)/(sphinx-build .+) docs build/docs$", MAKEFILE, re.M)[1])  # type: ignore[index]
+    assert "lint: docs\n" in MAKEFILE
+    shutil.copy(TOP / "docs/conf.py", tmp_path)
+    (tmp_path / "index.md").write_text(f"# The pages\n\n{line}\n")
+    command = [Path(sys.executable).with_name(words[0]), *words[1:], ".", "built"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode == 0) == (refused is None), done.stderr
+    assert (refused or "") in done.stderr

@@ -18,11 +18,12 @@ import yaml
 from report.campaigns import write_campaign
 
 from conftest import Sshd
+from pages import TOP, file_of
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros, pytest.mark.timeout(600)]
 
-TOP = Path(__file__).parents[1]
-TUTORIAL = (TOP / "docs/tutorial.md").read_text()
+PAGE = TOP / "docs/tutorial.md"
+TUTORIAL = PAGE.read_text()
 OURS = (".venv/bin/rtrun", ".venv/bin/rtgen")
 # The lines, or beginnings of lines, that are the same on every board; of commands that are not here, none.
 SAME = {
@@ -43,12 +44,6 @@ def steps() -> Iterator[tuple[str, list[str]]]:
             yield command, [line.rstrip() for line in lines]
 
 
-def file_of(name: str) -> dict[str, object]:
-    """A file that the page lets the reader write."""
-    text = TUTORIAL.partition(f"rite `{name}`:\n\n")[2].partition("\n\n")[0]
-    return dict(yaml.safe_load(textwrap.dedent(text)))
-
-
 @pytest.fixture
 def checkout(tmp_path: Path, sshd: Sshd, ros_master: int) -> Path:
     """A checkout with its programs, the reader's two files, and results of the rehearsal board."""
@@ -57,7 +52,7 @@ def checkout(tmp_path: Path, sshd: Sshd, ros_master: int) -> Path:
         (tmp_path / program).symlink_to(Path(sys.executable).with_name(Path(program).name))
     write_campaign(tmp_path / "results/demo", n=500)
     address = sshd.address
-    target = file_of("my-board.yml") | {
+    target = yaml.safe_load(file_of(PAGE, "my-board.yml")) | {
         "host": address.host,
         "port": address.port,
         "user": address.user,
@@ -67,7 +62,7 @@ def checkout(tmp_path: Path, sshd: Sshd, ros_master: int) -> Path:
         "ros_master_port": ros_master,
     }
     (tmp_path / "my-board.yml").write_text(yaml.safe_dump(target))
-    (tmp_path / "brakes.yml").write_text(yaml.safe_dump(file_of("brakes.yml"), sort_keys=False))
+    (tmp_path / "brakes.yml").write_text(file_of(PAGE, "brakes.yml"))
     return tmp_path
 
 

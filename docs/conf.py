@@ -1,0 +1,12 @@
+"""The site of these pages: `make docs` builds it, strictly. Pages are CommonMark, which a forge shows without it."""
+
+project = "meta-rt-tests"
+extensions = ["myst_parser"]
+myst_heading_anchors = 4  # links to headings are those that a forge makes
+highlight_language = "text"  # indented blocks are of the shell, of YAML and of printed tables alike
+nitpicky = True
+
+html_theme = "furo"
+html_title = project
+html_copy_source = False
+html_show_sphinx = False
