@@ -19,7 +19,7 @@ from pages import COMMANDS, PAGES, TOP, commands, file_of, name_of
 from rtfiles.command import parser_of
 
 # Those of tests/test_tutorial.py and tests/suites/test_start_pages.py run there.
-RUN_THERE = ("docs/tutorial.md", "docs/start/board.md", "docs/start/lab.md", "docs/start/nodes.md")
+RUN_THERE = ("docs/tutorial.md", *(f"docs/start/{name}.md" for name in ("board", "images", "lab", "nodes")))
 RUN_HERE = [page for page in PAGES if name_of(page) not in RUN_THERE]
 
 # Commands that are only parsed here, and why.
@@ -111,6 +111,17 @@ def test_make_has_the_targets(page: Path) -> None:
     targets = set(re.findall(r"^([a-z0-9-]+):", MAKEFILE, re.M))
     shown = re.findall(r"(?:^    (?:\$ )?|`)make ([a-z0-9-]+)", page.read_text(), re.M)
     assert set(shown) <= targets
+
+
+def test_every_command_stands_on_the_page_of_commands() -> None:
+    text = (TOP / "docs/commands.md").read_text()
+    names = [f"{program} {each.NAME}" for program, modules in COMMANDS.items() for each in modules]
+    assert [name for name in names if not re.search(rf"`{name}[ `]", text)] == []
+
+
+def test_what_one_begins_with_is_short() -> None:
+    most = {TOP / "README.md": 120} | dict.fromkeys((TOP / "docs/start").iterdir(), 80)
+    assert [page.name for page, lines in most.items() if len(page.read_text().splitlines()) > lines] == []
 
 
 def test_the_readme_links_to_what_is_there() -> None:

@@ -19,22 +19,30 @@ from conftest import Sshd
 from pages import TOP, blocks, file_of
 from ports import free_port
 
-# `quick` and `observe` use the trace of this machine's kernel.
-pytestmark = [pytest.mark.sshd, pytest.mark.ros, pytest.mark.trace]
+pytestmark = [pytest.mark.sshd, pytest.mark.ros]
 
 HOSTS = ("board.local", "robot.local", "panda-1.local", "panda-2.local")
 NOT_RUN = {
+    "rtgen board build": "minutes; tests/rtgen/test_board_build.py",
+    "rtgen doctor": "its answer is that of the host; tests/rtgen/test_doctor.py",
+    "rtgen flash": "writes to a card; tests/rtgen/test_flash.py",
+    "rtgen kconfig verify --machine arm64 --source": "a kernel tree; tests/rtgen/test_kconfig_verify.py",
     "rtgen suites build": "minutes; tests/suites/test_build_on.py",
     "rtrun quick --deadline 1ms --target robot.yml --middleware rcl": "a ROS 2 at /opt/ros; tests/suites/test_ros2.py",
     "rtrun run campaigns/smoke.yml --targets labgrid:": "a farm; tests/integration/test_labgrid_boards.py",
 }
-SHORTER = {"--for 60s": "--for 8s", "rtrun quick": "rtrun quick --for 6s", "at_most: 10min": "at_most: 20s"}
+SHORTER = {
+    "--for 60s": "--for 8s",
+    "rtrun quick": "rtrun quick --for 6s",
+    "repetitions: 5000": "repetitions: 1500",
+    "at_most: 10min": "at_most: 5s",
+}
 SMOKE = """schema: 1
 name: smoke
 common: {policy: FIFO, frequency_hz: 100, repetitions: 100, repeats: 2}
 runs: [{suite: cyclic_timer_tests}, {suite: communication_tests}]
 """
-ANSWERS = ("check-rt", "gate")  # whose exit status 1 says that the answer is no
+ANSWERS = ("check-rt", "gate", "kconfig")  # whose exit status 1 says that the answer is no
 
 
 def shorter(text: str) -> str:
@@ -101,6 +109,7 @@ def follow(page: str, folder: Path, user: str) -> str:
     return printed
 
 
+@pytest.mark.trace  # that of this machine's kernel
 def test_i_have_a_board(checkout: Path, sshd: Sshd) -> None:
     (checkout / "brakes.yml").write_text(shorter(file_of(TOP / "docs/start/board.md", "brakes.yml")))
     printed = follow("board.md", checkout, sshd.user)
@@ -109,6 +118,7 @@ def test_i_have_a_board(checkout: Path, sshd: Sshd) -> None:
     assert (checkout / "results/brakes/report.html").is_file()
 
 
+@pytest.mark.trace
 def test_i_have_nodes(checkout: Path, sshd: Sshd, cmd_vel: None) -> None:
     printed = follow("nodes.md", checkout, sshd.user)
     first, second = sorted((checkout / "results/robot").glob("*-messages-cmd_vel-*"))
@@ -116,6 +126,12 @@ def test_i_have_nodes(checkout: Path, sshd: Sshd, cmd_vel: None) -> None:
         record = json.loads((run / "run.json").read_text())
         assert (record["status"], record["deadline_ns"]) == ("ok", 5_000_000), record["reason"]
     assert "observed_messages topic=/cmd_vel" in printed.partition("$ rtrun verdict")[2]
+
+
+def test_i_build_images(checkout: Path, sshd: Sshd) -> None:
+    printed = follow("images.md", checkout, sshd.user)
+    assert "config.gz: " in printed and "options" in printed.partition("config.gz: ")[2]
+    assert (checkout.parent / "my-image/kas.yml").is_file() and (checkout / "results/smoke/report.html").is_file()
 
 
 def test_i_run_a_lab(checkout: Path, sshd: Sshd) -> None:
@@ -126,5 +142,5 @@ def test_i_run_a_lab(checkout: Path, sshd: Sshd) -> None:
 
 
 def test_every_reason_not_to_run_is_needed() -> None:
-    shown = [command for page in (TOP / "docs/start").glob("*.md") for command in blocks(page)]
+    shown = [command for page in (TOP / "docs/start").iterdir() for command in blocks(page)]
     assert all(any(command.startswith(prefix) for command in shown) for prefix in NOT_RUN)
