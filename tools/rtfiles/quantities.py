@@ -14,6 +14,29 @@ def time_us(value_ns: float | None) -> str:
     return "-" if value_ns is None or not math.isfinite(value_ns) else us(value_ns)
 
 
+_UNITS = ((1e9, "s"), (1e6, "ms"), (1e3, "us"), (1.0, "ns"))
+
+
+def time(value_ns: float | None) -> str:
+    """A time in the unit that suits it, with four digits, fewer where they are exact; a dash where there is none."""
+    if value_ns is None or not math.isfinite(value_ns):
+        return "-"
+    if not value_ns:
+        return "0 us"
+    size = abs(value_ns) * (1 + 5e-5)  # what four digits round up to the next unit is written in that
+    unit_ns, unit = next((one for one in _UNITS if size >= one[0]), _UNITS[-1])
+    value = value_ns / unit_ns
+    text = f"{value:.{min(3, max(0, 3 - math.floor(math.log10(size / unit_ns))))}f}"
+    if "." in text and float(text) == value:
+        text = text.rstrip("0").rstrip(".")
+    return f"{text} {unit}"
+
+
+def signed(value_ns: float) -> str:
+    """A difference of two times, with its sign."""
+    return f"{'+' if value_ns >= 0 else ''}{time(value_ns)}"
+
+
 def grouped(number: float) -> str:
     """A whole number, or the nearest one, with spaces between its thousands."""
     return f"{round(number):,}".replace(",", " ")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtfiles.quantities import time
 from rtrun.analysis import tails
 from rtrun.analysis.dependence import burst_starts, extremal_index
 from rtrun.analysis.histogram import Int64s
@@ -217,7 +218,7 @@ def too_far(n: int, probability: float) -> str | None:
 
 def above_bound(seen_ns: int, bound_ns: float) -> str:
     """Why a bound is none: a higher value was measured."""
-    return f"a value of {seen_ns / 1000:.0f} us was seen above the fitted bound of {bound_ns / 1000:.0f} us"
+    return f"a value of {time(seen_ns)} was seen above the fitted bound of {time(bound_ns)}"
 
 
 def candidate_thresholds(values: Int64s) -> list[int]:
@@ -244,7 +245,7 @@ def resolution(peaks: Int64s, quantum_ns: int) -> Assumption:
         name="quantisation",
         passed=distinct >= _DISTINCT,
         p_value=None,
-        seen=f"{distinct} different values in steps of {quantum_ns / 1000:g} us, at least {_DISTINCT} are needed",
+        seen=f"{distinct} different values in steps of {time(quantum_ns)}, at least {_DISTINCT} are needed",
     )
 
 
@@ -318,6 +319,6 @@ def back_test(family: tails.Family, values: Int64s, at: Int64s, n: int, quantum_
         name="back-test",
         passed=broken == 0,
         p_value=None,
-        seen=f"the first half's bound for the second is {bound / 1000:.0f} us {unit}and was exceeded {broken} times "
-        f"(worst {worst / 1000:.0f} us)",
+        seen=f"the first half's bound for the second is {time(bound)} {unit}and was exceeded {broken} times "
+        f"(worst {time(worst)})",
     )

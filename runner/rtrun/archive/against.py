@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
-from rtfiles.quantities import us
+from rtfiles.quantities import time
 from rtrun.analysis.history import LEAST_BOOTS, Against, compare_figure, compare_misses, level_of_test
 from rtrun.archive.adding import add_results
 from rtrun.archive.courses import Course, Figure, courses
@@ -139,7 +139,7 @@ def _compare(figure: Figure, build: Course, history: Course, margin_ns: float | 
 
 def _words(figure: Figure, against: Against) -> str:
     values = (against.value, against.reference, against.limit, against.noticed)
-    texts = [f"{value:.2g}" if figure == "P(miss)" else f"{us(value)} us" for value in values]
+    texts = [f"{value:.2g}" if figure == "P(miss)" else f"{time(value)}" for value in values]
     return (
         f"{figure} {texts[0]}, best level of {against.boots} boots {texts[1]}, limit {texts[2]}, "
         f"noticed nine times in ten from {texts[3]} on"

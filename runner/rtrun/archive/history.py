@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtfiles.output import console, print_line, printable
-from rtfiles.quantities import grouped, time_us
+from rtfiles.quantities import grouped, time
 from rtrun.archive import By
 from rtrun.archive.queries import Point
 from rtrun.report.terminal import print_banner
@@ -27,8 +27,8 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
     leading = {"kernel": ("kernel", "board"), "board": ("board", "kernel")}.get(by, (by, "board", "kernel"))
     for heading in leading:
         table.add_column(heading, no_wrap=True)
-    percentiles = [f"p{p:g} us" for p in _SHOWN]
-    for heading in ("runs", "boots", "n", *percentiles, "max us", f"P(> {time_us(deadline_ns)} us)"):
+    percentiles = [f"p{p:g}" for p in _SHOWN]
+    for heading in ("runs", "boots", "n", *percentiles, "max", f"P(> {time(deadline_ns)})"):
         table.add_column(heading, justify="right", no_wrap=True)
     for point in points:
         names: dict[str, str] = {by: point.label, "board": point.machine, "kernel": point.kernel or "unknown"}
@@ -37,8 +37,8 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
             f"{len(point.run_keys)}{f', {point.off_rate} off rate' if point.off_rate else ''}",
             str(point.boots),
             grouped(point.n),
-            *(time_us(point.percentiles_ns[p]) for p in _SHOWN),
-            time_us(point.max_ns),
+            *(time(point.percentiles_ns[p]) for p in _SHOWN),
+            time(point.max_ns),
             misses_text(point),
         )
     screen = console()

@@ -1,76 +1,97 @@
 """The course of a scenario as plots of the report's kind."""
 
 from collections.abc import Sequence
-from typing import Any
+from datetime import UTC, datetime
 
+import numpy as np
+
+from rtfiles.quantities import time
+from rtrun.analysis.scale import Division, Floats, Scale
 from rtrun.archive.courses import Course
 from rtrun.archive.trends import Trend
-from rtrun.report.plots.charts import Plot, Trace, plain
+from rtrun.report.plots import axes
+from rtrun.report.plots.axes import Axis
+from rtrun.report.plots.drawing import Mark, Plot
 
 _LINES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "p99.99": 99.99}
+_SPAN = 10.0  # of the highest value to the lowest, from which on an axis is logarithmic
+_LIMIT_SPAN = 5.0  # a deadline farther than so many times the highest value would take the plot
 
 
 def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int) -> list[Plot]:
     """Percentiles and the highest value over time, the share of misses where there are any, a line for each change."""
     points = [run.point for run in course.runs]
-    times = [f"{point.start_utc:%Y-%m-%d %H:%M:%S}" for point in points]
-    named: dict[str, list[int | None]] = {
-        name: [point.percentiles_ns[percent] for point in points] for name, percent in _LINES.items()
-    }
+    seconds = np.array([_seconds(point.start_utc) for point in points])
+    along = axes.dates("start of the run, UTC", seconds.min(), seconds.max())
+    named = {name: [point.percentiles_ns[percent] for point in points] for name, percent in _LINES.items()}
     named["max"] = [point.max_ns for point in points]
-    values = [
-        _points(k, name, times, [None if value is None else value / 1000 for value in values_ns], "us")
-        for k, (name, values_ns) in enumerate(named.items())
-    ]
-    of_values = [trend for trend in trends if trend.figure != "P(miss)"]
-    of_misses = [trend for trend in trends if trend.figure == "P(miss)"]
-    plots = [
-        Plot(
-            caption="Percentiles and the highest value of each run. A dashed line is a change.",
-            data=values,
-            layout=_layout("us", of_values),
-        )
-    ]
-    if any(point.p_miss for point in points):
+    values = {name: _numbers(each) for name, each in named.items()}
+    known = np.concatenate([each[np.isfinite(each)] for each in values.values()])
+    plots = []
+    if known.size:
+        shows_limit = deadline_ns <= _LIMIT_SPAN * known.max()
+        up = axes.times(course.runs[0].point.series.replace("_", " "), _scale([*known, *[deadline_ns] * shows_limit]))
+        text = f"deadline {time(deadline_ns)}"
+        limit = ([along.scale.low, along.scale.high], [deadline_ns] * 2) if shows_limit else ([], [])
+        marks = [_line(k, name, seconds, each) for k, (name, each) in enumerate(values.items())]
+        marks.append(_mark(f"{text}{'' if shows_limit else ', above the top'}", *limit, 0))
         plots.append(
             Plot(
+                id="values",
+                caption="Percentiles and the highest value of each run. A dotted line is a change.",
+                x=along,
+                y=up,
+                marks=[*marks, *_changes([one for one in trends if one.figure != "P(miss)"], up)],
+            )
+        )
+    if any(point.p_miss for point in points):
+        shares = _numbers([point.p_miss for point in points])
+        up = axes.shares("share of misses", 0.0, division=Division.LINEAR, high=float(np.nanmax(shares)) * 1.1)
+        plots.append(
+            Plot(
+                id="misses",
                 caption="The share of measurements that missed the deadline in each run.",
-                data=[_points(1, f"P(> {deadline_ns / 1000:g} us)", times, [point.p_miss for point in points], "")],
-                layout=_layout("share of misses", of_misses),
+                x=along,
+                y=up,
+                marks=[
+                    _line(1, f"P(> {time(deadline_ns)})", seconds, shares),
+                    *_changes([one for one in trends if one.figure == "P(miss)"], up),
+                ],
             )
         )
     return plots
 
 
-def _points(colour: int, name: str, times: Sequence[str], values: Sequence[float | None], unit: str) -> Trace:
-    return {
-        "type": "scatter",
-        "mode": "lines+markers",
-        "name": plain(name),
-        "x": list(times),
-        "y": list(values),
-        "hovertemplate": f"{plain(name)} %{{y:.4g}} {unit}<br>%{{x}}<extra></extra>",
-        "line": {"color": f"--series-{colour}", "width": 1.4},
-        "marker": {"color": f"--series-{colour}", "size": 4},
-    }
+def _seconds(moment: datetime | None) -> float:
+    assert moment is not None  # a course has no runs without a time
+    return moment.replace(tzinfo=UTC).timestamp()
 
 
-def _layout(title: str, trends: Sequence[Trend]) -> dict[str, Any]:
-    return {
-        "xaxis": {"type": "date"},
-        "yaxis": {"title": {"text": title}, "rangemode": "tozero"},
-        "shapes": [
-            {
-                "type": "line",
-                "xref": "x",
-                "yref": "paper",
-                "x0": f"{trend.first_after:%Y-%m-%d %H:%M:%S}",
-                "x1": f"{trend.first_after:%Y-%m-%d %H:%M:%S}",
-                "y0": 0,
-                "y1": 1,
-                "line": {"color": "--refuted" if trend.is_worse else "--proven", "dash": "dash", "width": 1.5},
-            }
-            for trend in trends
-            if trend.first_after is not None
-        ],
-    }
+def _numbers(values: Sequence[float | None]) -> Floats:
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def _scale(values: Sequence[float]) -> Scale:
+    low, high = min(values), max(values)
+    if low > 0 and high > _SPAN * low:
+        return Scale(division=Division.LOG, low=low / 1.2, high=high * 1.2)
+    return Scale(division=Division.LINEAR, low=min(0.0, low), high=high * 1.05 or 1.0)
+
+
+def _line(colour: int, name: str, x: Floats, y: Floats) -> Mark:
+    known = np.isfinite(y)
+    return Mark(name=name, kind="solid", x=x[known], y=y[known], colour=colour)
+
+
+def _mark(name: str, x: Sequence[float], y: Sequence[float], colour: int) -> Mark:
+    x_values, y_values = (np.asarray(values, dtype=np.float64) for values in (x, y))
+    return Mark(name=name, kind="limit", x=x_values, y=y_values, colour=colour)
+
+
+def _changes(trends: Sequence[Trend], up: Axis) -> list[Mark]:
+    ends = [up.scale.low, up.scale.high]
+    return [
+        _mark(f"{one.figure} {'worse' if one.is_worse else 'better'}", [_seconds(one.first_after)] * 2, ends, 1)
+        for one in trends
+        if one.first_after is not None
+    ]

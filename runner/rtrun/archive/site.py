@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from rtfiles import atomic
-from rtfiles.quantities import grouped, time_us
+from rtfiles.quantities import grouped, time
 from rtrun.archive.courses import Course
 from rtrun.archive.metrics import grafana_dashboard, open_metrics
 from rtrun.archive.pictures import course_plots
 from rtrun.archive.trends import Trend, as_text
-from rtrun.report.html_pages import figures, script, templates
+from rtrun.report.html_pages import drawings, script, templates
 from rtrun.report.terminal import BANNERS
 from rtrun.targets.inspection.platform import Platform
 
@@ -41,22 +41,19 @@ def write_site(
     confidence: float,
 ) -> list[Path]:
     """Write every file of the site into a folder that exists; returns them, the front page first. Raises OSError."""
-    from plotly.offline import get_plotlyjs
-
     by_course: dict[tuple[str, str, str, str, str], list[Trend]] = {course.identity: [] for course in courses}
     for trend in trends:
         by_course[trend.course.identity].append(trend)
     cards = [_card(course, by_course[course.identity], confidence) for course in courses]
     cards.sort(key=lambda card: (card["state"].style != "refuted", card["label"]))
-    words = {"archive": archive, "deadline": time_us(deadline_ns), "percentiles": [f"p{p:g}" for p in _SHOWN]}
+    words = {"archive": archive, "deadline": time(deadline_ns), "percentiles": [f"p{p:g}" for p in _SHOWN]}
     environment = templates(Path(__file__).parent)
     front, page = (environment.get_template(name) for name in ("site.html.j2", "course.html.j2"))
     pages = {"index.html": front.render(cards=cards, **words)}
     drawing = script("plots.js")
     for card in cards:
-        plots = figures(course_plots(card["course"], card["trends"], deadline_ns=deadline_ns))
+        plots = drawings(course_plots(card["course"], card["trends"], deadline_ns=deadline_ns))
         pages[card["page"]] = page.render(card=card, plots=plots, script=drawing, **words)
-    pages["plotly.js"] = get_plotlyjs()
     pages["metrics.txt"] = open_metrics(courses, deadline_ns=deadline_ns)
     pages["grafana-dashboard.json"] = grafana_dashboard()
     for name, text in pages.items():
@@ -71,8 +68,8 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
             run.point.kernel or "unknown",
             run.facts.get("commit", "unknown"),
             grouped(run.point.n),
-            *(time_us(run.point.percentiles_ns[p]) for p in _SHOWN),
-            time_us(run.point.max_ns),
+            *(time(run.point.percentiles_ns[p]) for p in _SHOWN),
+            time(run.point.max_ns),
             "unknown" if run.point.misses is None else str(run.point.misses),
         )
         for run in reversed(course.runs)

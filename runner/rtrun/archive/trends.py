@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any, get_args
 
+from rtfiles.quantities import signed, time
 from rtrun.analysis.change_points import ChangePoint, find_changes
 from rtrun.analysis.effects import examine_effect
 from rtrun.archive.courses import ArchivedRun, Course, Figure, facts_of, readings_of
@@ -99,9 +100,8 @@ def as_text(trend: Trend, *, confidence: float) -> list[str]:
         amounts = [f"{value:.2g}" for value in (change.before, change.after)]
         interval = f"{change.low:+.2g} to {change.high:+.2g}"
     else:
-        amounts = [f"{value / 1000:.1f}" for value in (change.before, change.after)]
-        amounts[1] += " us"
-        interval = f"{change.low / 1000:+.1f} to {change.high / 1000:+.1f} us"
+        amounts = [time(value) for value in (change.before, change.after)]
+        interval = f"{signed(change.low)} to {signed(change.high)}"
     when = f"between {_time(trend.last_before)} and {_time(trend.first_after)}"
     if trend.earliest != trend.latest:
         when += f"; the new level may have begun from {_time(trend.earliest)} to {_time(trend.latest)}"
@@ -120,7 +120,7 @@ def as_data(trend: Trend) -> dict[str, Any]:
     """A change as plain data; times of a figure in ns."""
     course = trend.course
     times = {
-        name: f"{time.isoformat()}Z" if (time := getattr(trend, name)) else None
+        name: f"{moment.isoformat()}Z" if (moment := getattr(trend, name)) else None
         for name in ("last_before", "first_after", "earliest", "latest")
     }
     return {

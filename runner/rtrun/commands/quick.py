@@ -153,7 +153,7 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
 
     from rtfiles.invocation import as_called
     from rtfiles.output import console, print_line
-    from rtfiles.quantities import grouped, time_us
+    from rtfiles.quantities import grouped, time
     from rtrun.report import causes
     from rtrun.report.screen import fitted
     from rtrun.report.terminal import print_banner
@@ -169,11 +169,11 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
         without += [f"{group.label}: no P: {why}"] if why else []
         bound = "-" if verdict is None or why else f"{verdict.upper:.2g}"
         misses, worst_ns = (verdict.misses, verdict.worst_ns) if verdict else ("-", None)
-        rows.append((group.label, grouped(group.n), str(misses), bound, time_us(worst_ns)))
+        rows.append((group.label, grouped(group.n), str(misses), bound, time(worst_ns)))
     confidence = f"{100 * study.question.confidence:g} % confidence"
     print_line(f"What this proves of P({study.miss}), at {confidence}, for this one boot:")
     screen = console()
-    screen.print(fitted(("measured", "n", "misses", "P is below", "worst us"), rows, range(1, 5), screen.width))
+    screen.print(fitted(("measured", "n", "misses", "P is below", "worst"), rows, range(1, 5), screen.width))
     for text in (*without, *(f"not analysed: {text}" for text in study.left_out)):
         print_line(text)
     ranking, explained, _ = causes.ranked(study.source)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from rtfiles.quantities import us
+from rtfiles.quantities import time
 from rtrun.analysis.figures import figures_of_histogram
 from rtrun.judgement.groups import Group
 
@@ -19,9 +19,9 @@ def spread(group: Group) -> str:
     high = {board: one.percentiles_ns.get(_SPREAD_PERCENT) for board, one in figures.items()}
     worst = {board.boards[0]: board.verdict.worst_ns for board in group.members if board.verdict}
     for name, values in ((f"p{_SPREAD_PERCENT:g}", high), ("worst", worst)):
-        known = {board: (float(value), us(value)) for board, value in values.items() if value is not None}
+        known = {board: (float(value), time(value)) for board, value in values.items() if value is not None}
         if len(known) == len(group.members):
-            parts.append(f"{name} {_range(known)} us")
+            parts.append(f"{name} {_range(known)}")
     return "; ".join(parts)
 
 

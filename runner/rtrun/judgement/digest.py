@@ -11,12 +11,14 @@ from rtrun.analysis.blocks import Blocks, cut, split_randomly
 from rtrun.analysis.extreme_values import Tail, tail_of
 from rtrun.analysis.figures import PERCENTILES, Figures, rank
 from rtrun.analysis.histogram import Histogram, Int64s, from_samples, merge
+from rtrun.analysis.scale import Floats, Scale, scale_of
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.kinds.known import MAIN_2014
 from rtrun.plan.question import NONE_TOLERATED, Question, Tolerance
 from rtrun.results.series import Header, HistogramSeries, Series
 
 _COLUMNS = 240
+_WIDE_COLUMNS, _ROWS = 60, 40  # of counts over time
 # Half of the 1 ms by which the thesis found the negative cluster set off (section 4.2.2).
 CLUSTER_BELOW_NS = -500_000
 
@@ -37,11 +39,19 @@ class Cluster:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ThinnedSeries:
-    """A series over its loops, thinned: ``low_ns`` and ``high_ns`` (c,) of consecutive columns of ``width`` loops."""
+    """A series over its loops, thinned: ``low_ns`` and ``high_ns`` (c,) of consecutive columns of ``width`` loops.
+
+    ``counts`` (r, w) are the values in wider columns of ``columns_of`` loops, by ``edges_ns`` (r + 1,), of equal
+    distances on ``scale``.
+    """
 
     low_ns: Int64s
     high_ns: Int64s
     width: int
+    scale: Scale
+    edges_ns: Floats
+    counts: NDArray[np.uint32]
+    columns_of: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -119,7 +129,7 @@ def digest(series: Series, question: Question | None) -> Digest:
         undecidable=undecidable,
         blocks=cut(values_ns) if values_ns.size else None,
         tail=tail_of(values_ns) if has_order else None,
-        course=_course(values_ns) if has_order else None,
+        course=_course(values_ns, histogram) if has_order else None,
     )
 
 
@@ -144,11 +154,24 @@ def _cluster(histogram: Histogram) -> Cluster:
     return Cluster(n=n, fraction=fraction, median_ns=middle, low_ns=int(values[0]), high_ns=int(values[-1]))
 
 
-def _course(values: NDArray[np.int64]) -> ThinnedSeries:
+def _course(values: Int64s, histogram: Histogram) -> ThinnedSeries:
     width = -(-values.size // _COLUMNS)
     starts = np.arange(0, values.size, width)
+    scale = scale_of(histogram)
+    edges = scale.edges(_ROWS, max(histogram.bin_ns, 1000))
+    columns_of = -(-values.size // _WIDE_COLUMNS)
+    columns = -(-values.size // columns_of)
+    row = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
+    at = row * columns + np.arange(values.size) // columns_of
+    counts = np.bincount(at, minlength=(edges.size - 1) * columns).reshape(-1, columns)
     return ThinnedSeries(
-        low_ns=np.minimum.reduceat(values, starts), high_ns=np.maximum.reduceat(values, starts), width=width
+        low_ns=np.minimum.reduceat(values, starts),
+        high_ns=np.maximum.reduceat(values, starts),
+        width=width,
+        scale=scale,
+        edges_ns=edges,
+        counts=counts.astype(np.uint32),
+        columns_of=columns_of,
     )
 
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from rtfiles.output import counted, printable
-from rtfiles.quantities import duration, grouped, us
+from rtfiles.quantities import duration, grouped, time
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group
@@ -47,7 +47,7 @@ def _numbers(verdict: Verdict, group: Group) -> str:
     startup_ns = [value.value_ns for one in group.digests for value in one.header.startup]
     late_start = [value_ns for value_ns in startup_ns if value_ns > verdict.question.deadline_ns]
     if late_start:
-        parts.append(f"start-up apart: {len(late_start)} late, worst {us(max(late_start))} us")
+        parts.append(f"start-up apart: {len(late_start)} late, worst {time(max(late_start))}")
     if group.members:
         parts.append(f"of single boards: {spread(group)}")
     parts += [f"assumes {text}" for text in verdict.assumes]
@@ -64,7 +64,7 @@ def sentences(verdict: Verdict) -> list[str]:
         parts[0] += f" and {absent}"
     parts.append(f"P({verdict.question.miss}) {_between(verdict)}")
     if verdict.worst_ns is not None:
-        parts.append(f"worst {us(verdict.worst_ns)} us")
+        parts.append(f"worst {time(verdict.worst_ns)}")
     if verdict.design_effect > 1.005:
         parts.append(f"dependent values: worth {grouped(verdict.n_effective)} independent measurements")
     if verdict.refused:

@@ -105,6 +105,7 @@ KIND = MeasurementKind(
     series=_series,
     called={"lateness": "lateness", "jitter": "jitter"},
     times=_times,
+    subject="of the timer",
     # The first two periods.
     startup={"lateness": 2, "jitter": 2, "grid": 2},
     layer_below="cyclictest",

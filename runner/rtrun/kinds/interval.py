@@ -27,4 +27,4 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
     return np.asarray(columns["timestamp_ns"][values.index])
 
 
-KIND = MeasurementKind(series=_series, called={"interval": "interval"}, times=_times)
+KIND = MeasurementKind(series=_series, called={"interval": "interval"}, times=_times, subject="between messages")

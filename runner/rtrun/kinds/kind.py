@@ -37,6 +37,8 @@ class MeasurementKind:
     question calls a series; of two by one name the first in the samples is meant. `times` are the moments at which
     the values of a series were measured, int64 (n,).
 
+    `subject` says in words what the values of a series are of, after its name: "of the timer".
+
     `startup` says of how many loops at the start of a run the values of a series stand apart, as in the thesis.
     `layer_below` is the baseline, or the kind, that measures what this one's values are on top of.
 
@@ -47,6 +49,7 @@ class MeasurementKind:
     series: Callable[[Columns, Record, Path], dict[str, IndexedValues]]
     called: Mapping[str, Measure]
     times: Callable[[Columns, IndexedValues], Int64s]
+    subject: str
     startup: Mapping[str, int] = field(default_factory=dict)
     layer_below: str = ""
     logs: LogForm | None = None

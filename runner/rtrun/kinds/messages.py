@@ -68,6 +68,7 @@ KIND = MeasurementKind(
     series=_series,
     called={"latency": "latency"},
     times=_times,
+    subject="of messages",
     # The first message.
     startup={"latency": 1},
     layer_below="oneshot",

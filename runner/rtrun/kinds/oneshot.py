@@ -43,6 +43,7 @@ KIND = MeasurementKind(
     series=_series,
     called={"measured": "latency", "measured_2014": "latency"},
     times=_times,
+    subject="of the timer",
     layer_below="cyclictest",
     logs=LogForm(
         suite="oneshot_timer_tests",

@@ -26,5 +26,9 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
     return np.asarray(columns["end_ns"][values.index])
 
 
-CALLBACK = MeasurementKind(series=partial(_series, "duration"), called={"duration": "duration"}, times=_times)
-PATH = MeasurementKind(series=partial(_series, "reaction"), called={"reaction": "reaction"}, times=_times)
+CALLBACK = MeasurementKind(
+    series=partial(_series, "duration"), called={"duration": "duration"}, times=_times, subject="of the callback"
+)
+PATH = MeasurementKind(
+    series=partial(_series, "reaction"), called={"reaction": "reaction"}, times=_times, subject="along the path"
+)

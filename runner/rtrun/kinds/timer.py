@@ -52,4 +52,6 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
     return np.asarray(columns["timestamp_ns"][values.index])
 
 
-KIND = MeasurementKind(series=_series, called={"lateness": "lateness", "jitter": "jitter"}, times=_times)
+KIND = MeasurementKind(
+    series=_series, called={"lateness": "lateness", "jitter": "jitter"}, times=_times, subject="of the timer"
+)

@@ -5,6 +5,8 @@ import re
 from dataclasses import dataclass, field
 from typing import Literal
 
+from rtfiles.quantities import time
+
 Of = Literal["lateness", "jitter"]
 """The values that a question may name. Lateness is how late something came that was due: every latency is one."""
 Measure = Literal["latency", "lateness", "jitter", "duration", "interval", "reaction"]
@@ -78,7 +80,7 @@ class Question:
     @property
     def miss(self) -> str:
         """What counts as a miss, in words."""
-        late = f"{self.of or 'value'} > {self.deadline_ns / 1000:g} us"
+        late = f"{self.of or 'value'} > {time(self.deadline_ns)}"
         if self.tolerance == NONE_TOLERATED:
             return late
         return f"more than {self.tolerance} with {late}"

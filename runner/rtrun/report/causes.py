@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rtfiles.errors import UsageError
 from rtfiles.output import counted, printable, showing_progress
-from rtfiles.quantities import us
+from rtfiles.quantities import time
 from rtrun.causes.outliers import Explained, explain_run
 from rtrun.causes.parts import Cause, Kind
 from rtrun.causes.ranking import Culprit, Ranking, rank
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     import rich.table
 
 T = TypeVar("T")
+
+Found = tuple[Ranking, tuple[Explained, ...], tuple[str, ...]]
+"""The ranking of culprits, the outliers that it rests on, and why a run's traces could not be read."""
 
 REMEDIES_MAX = 3
 # Idle CPUs and callbacks are listed with an outlier from this share of its value on.
@@ -75,7 +78,7 @@ def periods(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]
         rows=rows,
         outcome=f"every {named[0][0]}, in {counted(named[0][1], 'output')}" if named else "",
         numbers=2,
-        notes=("How it is found: docs/causes.md, Periods.",),
+        how="periods",
     ), refused
 
 
@@ -129,8 +132,9 @@ def surroundings(source: Source, of: Measure | None) -> tuple[Table, tuple[str, 
         numbers=4,
         notes=(
             "Medians of the tenth of all observations with the highest values, and of the others. What coincides need "
-            "not be the cause. How it is found: docs/causes.md, Surroundings.",
+            "not be the cause.",
         ),
+        how="surroundings",
     ), refused
 
 
@@ -190,12 +194,12 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
         if one.main or one.kind is Kind.UNEXPLAINED or one.total_ns >= LISTED_FROM * ranking.late_ns
     ]
     others = len(ranking.culprits) - len(listed)
-    nothing = (Kind.UNEXPLAINED.value, "", "", f"0 of {ranking.outliers}", "0", us(0), us(0), "-")
+    nothing = (Kind.UNEXPLAINED.value, "", "", f"0 of {ranking.outliers}", "0", time(0), time(0), "-")
     is_all_explained = ranking.outliers and all(one.kind is not Kind.UNEXPLAINED for one in listed)
     return Table(
         id="causes",
         title="What late values waited for",
-        columns=("what", "who", "priority", "outliers", "main cause", "total us", "worst us", "as long when in time"),
+        columns=("what", "who", "priority", "outliers", "main cause", "total", "worst", "as long when in time"),
         rows=[
             (
                 culprit.kind.value,
@@ -203,8 +207,8 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
                 _priority(culprit.prio),
                 f"{culprit.count} of {ranking.outliers}",
                 str(culprit.main),
-                us(culprit.total_ns),
-                us(culprit.worst_ns),
+                time(culprit.total_ns),
+                time(culprit.worst_ns),
                 f"{culprit.as_long} of {culprit.windows}" if culprit.windows else "-",
             )
             for culprit in listed
@@ -248,13 +252,13 @@ def step_table(explained: Sequence[Explained]) -> Table:
     return Table(
         id="steps",
         title="Where late messages were",
-        columns=("step", "outliers", "total us", "worst us", "of all"),
+        columns=("step", "outliers", "total", "worst", "of all"),
         rows=[
             (
                 step.value,
                 f"{len(of_step)} of {len(chains)}",
-                us(sum(of_step)),
-                us(max(of_step)),
+                time(sum(of_step)),
+                time(max(of_step)),
                 _percent(sum(of_step), whole_ns),
             )
             for step, of_step in lengths.items()
@@ -281,26 +285,26 @@ def lines(one: Explained) -> Iterator[str]:
     at = f"{outlier.at_ns // 10**9}.{outlier.at_ns % 10**9 // 1000:06} s"
     note = f"; {one.note}" if one.note else ""
     where = f"{outlier.run} {outlier.output}, index {outlier.index}, at {at}"
-    yield printable(f"{us(outlier.value_ns)} us too late: {where}{note}")
+    yield printable(f"{time(outlier.value_ns)} too late: {where}{note}")
     if one.steps:
-        yield "  " + " > ".join(f"{step} {us(length_ns)}" for step, length_ns in one.steps.items()) + " us"
+        yield "  " + " > ".join(f"{step} {time(length_ns)}" for step, length_ns in one.steps.items())
     lengths: Counter[tuple[Cause, int | None]] = Counter()
     for part in one.parts:
         lengths[part.cause, part.cpu] += part.length_ns
     if all(cause.kind is not Kind.UNEXPLAINED for cause, _ in lengths):
         lengths[Cause(kind=Kind.UNEXPLAINED), None] = 0
     for (cause, cpu), length_ns in lengths.most_common():
-        yield printable(f"  {us(length_ns):>10} us  {_cause(cause)}{'' if cpu is None else f', CPU {cpu}'}")
+        yield printable(f"  {time(length_ns):>13}  {_cause(cause)}{'' if cpu is None else f', CPU {cpu}'}")
     for callback in one.callbacks:
         if callback.took_ns is not None and callback.took_ns < BESIDE_FROM * outlier.value_ns:
             continue
-        begun = f"began {us(outlier.at_ns - callback.begin_ns)} us before the value"
-        took = f"took {us(callback.took_ns)} us" if callback.took_ns is not None else "when it ended is not known"
+        begun = f"began {time(outlier.at_ns - callback.begin_ns)} before the value"
+        took = f"took {time(callback.took_ns)}" if callback.took_ns is not None else "when it ended is not known"
         yield printable(f"  its thread was in a callback: {callback.name}, which {begun}, {took}")
     for cpu, idle_ns in one.idle_ns.items():
         if idle_ns >= BESIDE_FROM * outlier.value_ns:
             why = "its affinity excludes it, or it was not moved there"
-            yield f"  meanwhile CPU {cpu} was idle for {us(idle_ns)} us: {why}"
+            yield f"  meanwhile CPU {cpu} was idle for {time(idle_ns)}: {why}"
 
 
 def _cause(cause: Cause) -> str:
@@ -325,7 +329,7 @@ def _percent(part_ns: int, whole_ns: int) -> str:
     return f"{100 * part_ns / whole_ns:.0f} %" if whole_ns else "0 %"
 
 
-def ranked(source: Source) -> tuple[Ranking, tuple[Explained, ...], tuple[str, ...]]:
+def ranked(source: Source) -> Found:
     """The ranking at a path, what it rests on, and what was refused."""
     explained, refused = explain_source(source)
     return rank(explained), explained, refused

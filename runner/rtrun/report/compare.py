@@ -5,7 +5,7 @@ import json
 import math
 from typing import Any
 
-from rtfiles.quantities import time_us, us
+from rtfiles.quantities import signed, time
 from rtrun.analysis.comparison import Comparison, ComparisonAnswer, Ratio, Shift
 from rtrun.judgement.compare import Compared
 from rtrun.report.terminal import banner_of
@@ -18,7 +18,7 @@ def as_text(compared: Compared) -> str:
         c = change.comparison
         lines.append(f"{c.answer}  {change.label}: {_why(c)}")
         seen = (("p99.9", change.p999_ns), ("max", change.max_ns))
-        lines += [f"    {name:7} {time_us(pair[0])} -> {time_us(pair[1])} us" for name, pair in seen]
+        lines += [f"    {name:7} {time(pair[0])} -> {time(pair[1])}" for name, pair in seen]
         lines += [f"    {_shift(shift, c)}" for shift in c.shifts]
         lines.append(f"    P({compared.miss}) {_ratio(change.misses, c.confidence)}")
         lines += [f"    assumes {text}" for text in c.assumes]
@@ -30,15 +30,15 @@ def as_text(compared: Compared) -> str:
 
 def _shift(shift: Shift, c: Comparison) -> str:
     """A shift with its interval; from few runs without one, for what differs between runs is not in it."""
-    text = f"{shift.figure:7} {us(shift.a_ns)} -> {us(shift.b_ns)} us, "
+    text = f"{shift.figure:7} {time(shift.a_ns)} -> {time(shift.b_ns)}, "
     if c.units == "blocks":
-        return f"{text}{shift.shift_ns / 1000:+.1f} us in these runs; an interval takes five runs a side"
+        return f"{text}{signed(shift.shift_ns)} in these runs; an interval takes five runs a side"
     mark = "shifted" if shift.seen else "equal within the margin" if shift.within_margin else "not seen"
     if shift.seen and shift.within_margin:
         mark = "shifted, within the margin"
     return (
-        f"{text}{100 * c.confidence:g} % CI of the shift {shift.low_ns / 1000:+.1f} to {shift.high_ns / 1000:+.1f} us, "
-        f"margin {us(shift.margin_ns)} us: {mark}"
+        f"{text}{100 * c.confidence:g} % CI of the shift {signed(shift.low_ns)} to {signed(shift.high_ns)}, "
+        f"margin {time(shift.margin_ns)}: {mark}"
     )
 
 
@@ -55,7 +55,7 @@ def _why(c: Comparison) -> str:
             return f"{test}; fewer than five runs a side do not tell how large a shift is excluded"
         widest = max(c.shifts, key=lambda shift: max(-shift.low_ns, shift.high_ns) / shift.margin_ns)
         most = max(-widest.low_ns, widest.high_ns)
-        return f"{test}; yet a shift of {widest.figure} of up to {us(most)} us is not excluded"
+        return f"{test}; yet a shift of {widest.figure} of up to {time(most)} is not excluded"
     return test
 
 

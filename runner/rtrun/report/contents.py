@@ -1,21 +1,21 @@
 """The contents of a report in the order in which it is read; the HTML and the Markdown format write them down."""
 
-import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtfiles.output import counted, printable
-from rtfiles.quantities import duration, grouped
+from rtfiles.quantities import duration, grouped, time
 from rtrun.analysis.deadline import Answer
-from rtrun.judgement.claims.examiners import bear_on_claims
+from rtrun.causes.ranking import Ranking
 from rtrun.judgement.layers import layer_pairs
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import WORST_FIRST, boots_in_words
-from rtrun.report.end_tables import end_tables, worst_cases_in_short
+from rtrun.report import causes
+from rtrun.report.end_tables import end_tables
 from rtrun.report.layers import LayerBar, stacks
 from rtrun.report.scenarios import Scenario, scenarios
-from rtrun.report.tables import Table, how
+from rtrun.report.tables import Table
 from rtrun.report.terminal import banner_of
 from rtrun.targets.inspection.facts import fact_text
 from rtrun.targets.inspection.platform import Platform
@@ -27,7 +27,7 @@ class Contents:
 
     `worst` is the scenario with the highest value, of those with a deadline where there are some; None: nothing was
     measured. `facts` are (what, value).
-    `stacks` are the layers put upon one another. `remarks` are what has no table of its own, a line each.
+    `stacks` are the layers put upon one another.
     """
 
     title: str
@@ -40,29 +40,33 @@ class Contents:
     scenarios: tuple[Scenario, ...]
     tables: tuple[Table, ...]
     stacks: tuple[tuple[LayerBar, ...], ...]
-    remarks: tuple[str, ...]
     left_out: tuple[str, ...]
 
 
 def contents(study: Study) -> Contents:
     """Put a study into words."""
-    made, pairs = scenarios(study), layer_pairs(study)
+    made, pairs, found = scenarios(study), layer_pairs(study), causes.ranked(study.source)
     measured = [one for one in made if one.figures.max_ns is not None]
     measured = [one for one in measured if one.group.question] or measured
     return Contents(
-        title=printable(f"Real-time report: {study.source.path.resolve().name}"),
+        title=printable(_title(study, made)),
         banner=banner_of(study.platform, preempt_rt=[one.preempt_rt for one in study.records]) or None,
         answer=_answer(study, made),
         worst=max(measured, key=lambda one: one.figures.max_ns or 0, default=None),
-        next_step=_next_step(made, study.platform),
+        next_step=_next_step(made, study.platform, found[0]),
         question=_question(study),
         facts=tuple(_facts(study)),
         scenarios=made,
-        tables=end_tables(study, pairs),
+        tables=end_tables(study, pairs, found),
         stacks=stacks(pairs),
-        remarks=tuple(printable(text) for text in (worst_cases_in_short(study), _claims(study)) if text),
         left_out=tuple(map(printable, study.left_out)),
     )
+
+
+def _title(study: Study, made: Sequence[Scenario]) -> str:
+    """What was measured, in as many words as the tab of a browser shows."""
+    what = made[0].label if len(made) == 1 else f"{study.source.path.resolve().name}, {counted(len(made), 'scenario')}"
+    return f"{what}: real-time report"
 
 
 def _question(study: Study) -> str:
@@ -71,7 +75,7 @@ def _question(study: Study) -> str:
     bursts = f", covering {asked.covered}" if asked.bursts > 1 else ""
     return (
         f"Is P({study.miss}) below {asked.probability:g}{boots}{bursts}? "
-        f"Confidence {100 * asked.confidence:g} %, two-sided. {how('Deadline')}"
+        f"Confidence {100 * asked.confidence:g} %, two-sided."
     )
 
 
@@ -85,7 +89,7 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
         if counts[answer] and answer is not Answer.NO_DEADLINE
     )
     first_ns, *others_ns = study.deadlines_ns
-    deadline = "its deadline" if others_ns else f"the deadline of {first_ns / 1000:g} us"
+    deadline = "its deadline" if others_ns else f"the deadline of {time(first_ns)}"
     if made and not total:
         text = f"No deadline was given for any of {counted(len(made), 'scenario')}: --deadline TIME"
     elif not made:
@@ -121,8 +125,12 @@ def _all(total: int) -> str:
     return "the one scenario" if total == 1 else f"all {total} scenarios"
 
 
-def _next_step(made: Sequence[Scenario], platform: Platform) -> str:
+def _next_step(made: Sequence[Scenario], platform: Platform, culprits: Ranking) -> str:
+    """What to do: where values are late and traces name a cause, its remedy."""
     answers = {one.answer for one in made}
+    if culprits.outliers and answers & {Answer.REFUTED, Answer.NEEDS_MORE, Answer.NO_DEADLINE}:
+        advice = next(causes.remedies(culprits), "")
+        return f"{causes.answer(culprits)}{f'. {advice}' if advice else ''}"
     if Answer.REFUTED in answers:
         return (
             "rtrun check-rt --target TARGET.yml lists what stands in the way of real time on the target; "
@@ -166,9 +174,3 @@ def _facts(study: Study) -> list[tuple[str, str]]:
         ("measured", values),
     ]
     return [(what, printable(value)) for what, value in facts if value]
-
-
-def _claims(study: Study) -> str:
-    """Where the claims of the thesis are examined; empty where nothing was measured that they are about."""
-    command = shlex.join(("rtrun", "claims", str(study.source.path)))
-    return f"Claims of the thesis: {command}" if bear_on_claims(study) else ""

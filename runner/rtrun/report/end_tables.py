@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from rtfiles.output import counted
-from rtfiles.quantities import time_us, us
+from rtfiles.quantities import time
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.worst_case import disagreement
 from rtrun.judgement.claims.reference import message_rows, oneshot_rows
@@ -16,16 +16,17 @@ from rtrun.kinds.output import NON_MEASURING_THREADS
 from rtrun.plan.question import NONE_TOLERATED, Measure
 from rtrun.report import causes, layers
 from rtrun.report.ranking import ranking
-from rtrun.report.tables import Table, how, printable_table
+from rtrun.report.tables import Table, printable_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
 
-WORST_CASE = "Worst case by extreme value theory"
 
+def end_tables(study: Study, pairs: Sequence[LayerPair], found: causes.Found) -> tuple[Table, ...]:
+    """What stands behind the scenarios, each table with what came out of it.
 
-def end_tables(study: Study, pairs: Sequence[LayerPair]) -> tuple[Table, ...]:
-    """What stands behind the scenarios, each table with what came out of it; `pairs` are those of its layers."""
+    `pairs` are those of its layers, `found` is what its traces tell.
+    """
     tables = [
-        *_causes(study),
+        *_causes(study, found),
         tracing_cost(study),
         causes.periods(study.source, _judged(study))[0],
         causes.surroundings(study.source, _judged(study))[0],
@@ -38,8 +39,8 @@ def end_tables(study: Study, pairs: Sequence[LayerPair]) -> tuple[Table, ...]:
     return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)
 
 
-def _causes(study: Study) -> tuple[Table, Table]:
-    ranking, explained, refused = causes.ranked(study.source)
+def _causes(study: Study, found: causes.Found) -> tuple[Table, Table]:
+    ranking, explained, refused = found
     table = causes.table(ranking, explained)
     return replace(
         table, notes=(*table.notes, *thresholds(study.records, _judged(study)), *refused)
@@ -61,7 +62,7 @@ def _worst_cases(study: Study) -> Table:
             rows.append((group.label, "-", "doubtful", text))
     return Table(
         id="worst-case",
-        title=WORST_CASE,
+        title="Worst case by extreme value theory",
         columns=(
             "suite and parameters",
             "method",
@@ -71,7 +72,8 @@ def _worst_cases(study: Study) -> Table:
         rows=rows,
         outcome=_bounds_outcome(study),
         numbers=9,
-        notes=("A bound is printed only where every assumption was tested and held.", how("Worst case")),
+        notes=("A bound is printed only where every assumption was tested and held.",),
+        how="worst-case",
     )
 
 
@@ -90,26 +92,14 @@ def _bounds_outcome(study: Study) -> str:
     given = _given_bounds(study)
     highest_ns, label = max(((high_ns, group.label) for high_ns, group in given), default=(0.0, ""))
     scenarios = len({group.key for _, group in given})
-    return f"a bound in {scenarios} of {len(study.groups)} scenarios, the highest {us(highest_ns)} us for {label}"
-
-
-def worst_cases_in_short(study: Study) -> str:
-    """What is said where no bound may be given, so that there is no table; empty where there is one."""
-    if not study.groups or _given_bounds(study):
-        return ""
-    reasons = dict.fromkeys(group.no_bound for group in study.groups)
-    reason = reasons.popitem()[0] if len(reasons) == 1 else None
-    return (
-        f"{WORST_CASE}: no bound in any of {counted(len(study.groups), 'scenario')}: "
-        f"{reason or '--format json has the reasons'}. {how('Worst case')}"
-    )
+    return f"a bound in {scenarios} of {len(study.groups)} scenarios, the highest {time(highest_ns)} for {label}"
 
 
 def _bound(bound: Bound) -> tuple[str, str]:
     if bound.refused is not None or bound.level_ns is None or bound.low_ns is None or bound.high_ns is None:
         return "refused", bound.refused or "no level"
     return (
-        f"{us(bound.level_ns)} us ({100 * bound.confidence:g} % CI {us(bound.low_ns)} to {us(bound.high_ns)} us)",
+        f"{time(bound.level_ns)} ({100 * bound.confidence:g} % CI {time(bound.low_ns)} to {time(bound.high_ns)})",
         f"shape {bound.shape:.3f}, {bound.points} points, "
         + ", ".join(f"{c.name} p = {c.p_value:.2g}" for c in bound.checks if c.p_value is not None),
     )
@@ -119,12 +109,15 @@ def _published(study: Study) -> Table:
     of_table, others = oneshot_rows(), message_rows()
     matched = [(row, group) for group in study.as_in_2014 for row in (*of_table, *others) if row.is_like(group)]
     measured = sum(any(map(row.is_like, study.as_in_2014)) for row in of_table)
-    columns_here, columns_there = ("min us", "mean us", "max us"), ("2014 min us", "2014 mean us", "2014 max us")
+    columns_here, columns_there = ("min", "mean", "max"), ("2014 min", "2014 mean", "2014 max")
     return Table(
         id="published",
         title="Beside the published PandaBoard figures",
         columns=("suite and parameters", "published", *columns_here, *columns_there),
-        rows=[(group.label, row.place, *_here(group), *map(str, row.figures_us)) for row, group in matched],
+        rows=[
+            (group.label, row.place, *_here(group), *(time(1000 * figure) for figure in row.figures_us))
+            for row, group in matched
+        ],
         outcome=f"{measured} of the {len(of_table)} rows of the one-shot table were measured here",
         numbers=2,
         notes=("Another board, kernel or ROS: a difference says nothing about any one of them alone.",),
@@ -136,7 +129,7 @@ def _here(group: Group) -> tuple[str, str, str]:
     highs = [d.figures.max_ns for d in group.digests if d.figures.max_ns is not None]
     means = [(d.figures.mean_ns * d.n, d.n) for d in group.digests if d.figures.mean_ns is not None]
     mean = sum(total for total, _ in means) / sum(n for _, n in means) if means else None
-    return time_us(min(lows, default=None)), time_us(mean), time_us(max(highs, default=None))
+    return time(min(lows, default=None)), time(mean), time(max(highs, default=None))
 
 
 def _allocations(study: Study) -> Table:

@@ -18,6 +18,7 @@ from rtrun.judgement.gate import Gate
 from rtrun.judgement.study import Study
 from rtrun.report.contents import Contents
 from rtrun.report.end_tables import fingerprint
+from rtrun.report.how import explanations
 from rtrun.report.tables import Table
 
 _PARAMETERS = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
@@ -40,7 +41,9 @@ def markdown(contents: Contents) -> str:
             parts += ["", f"### {table.title}", "", *_markdown_table(table)]
     for table in contents.tables:
         parts += ["", f"## {table.title}", "", f"{_plain(table.outcome)}.", "", *_markdown_table(table)]
-    parts += [line for remark in contents.remarks for line in ("", _plain(remark))]
+    parts += ["", "## How figures are made"]
+    for how in explanations().values():
+        parts += ["", f"### {how.title}", "", *(f"{_plain(text)}\n" for text in how.paragraphs)]
     return "\n".join(parts) + "\n"
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rtrun.report.plots.charts import Plot
+from rtrun.report.plots.drawing import Drawn, Plot, drawn
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -17,13 +17,16 @@ def templates(*folders: Path) -> "Environment":
     """The templates of these folders and of the report. What is filled in is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    return Environment(
+    environment = Environment(
         loader=FileSystemLoader([*folders, _FOLDER]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["json"] = as_json
+    environment.filters["percent"] = lambda place: f"{place:.2f}%"
+    return environment
 
 
 def script(*names: str) -> str:
@@ -31,9 +34,9 @@ def script(*names: str) -> str:
     return "\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in names)
 
 
-def figures(plots: Iterable[Plot]) -> list[dict[str, str]]:
-    """Caption and figure of each plot, as a template takes them."""
-    return [{"caption": plot.caption, "json": as_json({"data": plot.data, "layout": plot.layout})} for plot in plots]
+def drawings(plots: Iterable[Plot]) -> list[Drawn]:
+    """The plots as a template takes them."""
+    return [drawn(plot) for plot in plots]
 
 
 def as_json(value: Any) -> str:

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtfiles.output import counted
+from rtfiles.quantities import signed
 from rtrun.analysis.layers import LATE, QUANTILES, Added
 from rtrun.judgement.groups import Group
 from rtrun.judgement.layers import LayerPair, chains
 from rtrun.plan.middleware.description import NONE
 from rtrun.plan.suites import middleware_of
-from rtrun.report.tables import Table, how
+from rtrun.report.tables import Table
 
 TABLE = "layers"
 _FIGURES = ("mean", *QUANTILES, LATE)
@@ -27,8 +28,8 @@ def table(pairs: Sequence[LayerPair], confidence: float) -> Table:
         notes=(
             f"In brackets: {100 * confidence:g} % confidence intervals.",
             "Means are added up from layer to layer; quantiles and P(late) of layers do not add up.",
-            how("Comparison"),
         ),
+        how="comparison",
     )
 
 
@@ -42,7 +43,7 @@ def _row(pair: LayerPair) -> tuple[str, ...]:
 def _cell(added: Added) -> str:
     if added.figure == LATE:
         return f"{added.added:+.2g} ({added.low:+.2g} to {added.high:+.2g})"
-    return f"{added.added / 1000:+.1f} us ({added.low / 1000:+.1f} to {added.high / 1000:+.1f})"
+    return f"{signed(added.added)} ({signed(added.low)} to {signed(added.high)})"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Self
 
 from rtfiles.output import console, counted, print_line
-from rtfiles.quantities import duration, grouped, time_us
+from rtfiles.quantities import duration, grouped, time
 from rtrun.flows.live import LiveRow, Snapshot, worst_first
 from rtrun.plan.observation import StreamKind
 from rtrun.report.screen import fitted
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Group
     from rich.live import Live
 
-_HEADINGS = ("what", "of", "number", "rate/Hz", "median/us", "p99/us", "worst/us", "lost", "misses")
+_HEADINGS = ("what", "of", "number", "rate/Hz", "median", "p99", "worst", "lost", "misses")
 _SHOWN = (StreamKind.MESSAGES, StreamKind.TIMER, StreamKind.PATH)
 _ROUND_THE_TABLE = 5  # lines of a screen that the table leaves free
 
@@ -40,15 +40,15 @@ def _shown(snapshot: Snapshot) -> list[LiveRow]:
 def _cells(row: LiveRow) -> tuple[str, ...]:
     misses = "-"
     if row.misses is not None:
-        misses = f"{grouped(row.misses)} > {time_us(row.deadline_ns)}"
+        misses = f"{grouped(row.misses)} > {time(row.deadline_ns)}"
     return (
         row.name,
         row.of,
         grouped(row.n),
         f"{row.rate_hz:.4g}",
-        time_us(row.median_ns),
-        time_us(row.p99_ns),
-        time_us(row.worst_ns),
+        time(row.median_ns),
+        time(row.p99_ns),
+        time(row.worst_ns),
         "-" if row.lost is None else grouped(row.lost),
         misses,
     )
@@ -69,7 +69,7 @@ def live_line(snapshot: Snapshot) -> str:
             with_deadline.setdefault((row.kind, row.name), []).append(row)
     for (kind, name), alike in with_deadline.items():
         worst_ns = max((row.worst_ns for row in alike if row.worst_ns is not None), default=None)
-        worst = "no value yet" if worst_ns is None else f"worst {time_us(worst_ns)} us"
+        worst = "no value yet" if worst_ns is None else f"worst {time(worst_ns)}"
         named = name if kind in (StreamKind.MESSAGES, StreamKind.PATH) else f"{kind}:{name}"
         parts.append(f"{named}: {worst}, misses {sum(row.misses or 0 for row in alike)}")
     return ", ".join((*parts, *snapshot.remarks))

@@ -1,12 +1,15 @@
-"""The report as one HTML file that needs no network: styles, script, plots, plotly and the data are in it."""
+"""The report as one HTML file that needs no network: styles, script, pictures and the data are in it."""
 
 from typing import Any
 
-from rtfiles.quantities import time_us
+from rtfiles.quantities import time
+from rtrun.analysis.scale import Division, Scale
 from rtrun.judgement.study import Study
 from rtrun.report import layers
 from rtrun.report.contents import Contents
-from rtrun.report.html_pages import as_json, figures, script, templates
+from rtrun.report.how import explanations
+from rtrun.report.html_pages import drawings, script, templates
+from rtrun.report.plots import axes
 from rtrun.report.plots.charts import plots
 from rtrun.report.plots.stacks import stacked
 from rtrun.report.scenarios import Scenario
@@ -21,59 +24,68 @@ _ANSWERS: dict[str, tuple[str, str]] = {
     "no deadline": ("none", "–"),
 }
 _OPENED = 3  # cards of failed scenarios that are open from the start
-_PICTURED = {"median": 50.0, "p99": 99.0, "p99.99": 99.99}
+_PICTURED = {"median": 50.0, "p99": 99.0, "p9999": 99.99}
 
 
 def html(study: Study, contents: Contents) -> str:
     """Return the page. Everything that came from a target is escaped."""
-    from plotly.offline import get_plotlyjs
-
     environment = templates()
-    environment.filters["time_us"] = time_us
+    environment.filters["time"] = time
     cards = [_card(study, scenario) for scenario in contents.scenarios]
     choices = {
         key: sorted({str(getattr(scenario, key)) for scenario in contents.scenarios})
         for key in ("suite", "policy", "condition", "answer")
     }
-    overview = {
-        "rows": [_row(scenario) for scenario in contents.scenarios if scenario.figures.max_ns is not None],
-    }
     return environment.get_template("page.html.j2").render(
         contents=contents,
         cards=cards,
-        pictures={layers.TABLE: figures(stacked(contents.stacks))},
+        stacks={layers.TABLE: stacked(contents.stacks)},
         failed=sum(card["style"] == "refuted" for card in cards),
         opened=_OPENED,
         choices={key: values for key, values in choices.items() if len(values) > 1},
-        overview=as_json(overview),
-        plotly=get_plotlyjs(),
+        overview=_overview(cards),
+        how=explanations(),
         script=script("plots.js", "page.js"),
     )
 
 
 def _card(study: Study, scenario: Scenario) -> dict[str, Any]:
     style, mark = _ANSWERS[scenario.answer]
-    drawn = plots(scenario, probability=study.question.probability)
-    return {
-        "scenario": scenario,
-        "style": style,
-        "mark": mark,
-        "plots": figures(drawn),
-    }
+    drawn = drawings(plots(scenario, probability=study.question.probability))
+    return {"scenario": scenario, "style": style, "mark": mark, "plots": drawn}
 
 
-def _row(scenario: Scenario) -> dict[str, Any]:
-    """A row of the picture of all scenarios; times in us."""
-    figures = scenario.figures
-    style, mark = _ANSWERS[scenario.answer]
-    values_ns = [figures.min_ns, *(figures.percentiles_ns.get(p) for p in _PICTURED.values()), figures.max_ns]
-    values_us = [None if value_ns is None else value_ns / 1000 for value_ns in values_ns]
-    return {
-        "id": scenario.id,
-        "deadline_us": scenario.group.question and scenario.group.question.deadline_ns / 1000,
-        "label": scenario.label,
-        "answer": scenario.answer,
-        "style": style,
-        "mark": mark,
-        "us": dict(zip(("min", *_PICTURED, "max"), values_us, strict=True)),
-    }
+def _overview(cards: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """The picture of all scenarios on one logarithmic axis, in percentages of its width; None where there is none."""
+    measured = [card for card in cards if card["scenario"].figures.max_ns is not None]
+    values_ns = [value for card in measured for value in _ends(card["scenario"]) if value is not None and value > 0]
+    if not values_ns:
+        return None
+    axis = axes.times("", Scale(division=Division.LOG, low=min(values_ns) / 1.3, high=max(values_ns) * 1.3))
+
+    def at(value_ns: float | None) -> float | None:
+        return None if value_ns is None else 100 * float(axis.scale.at(max(value_ns, axis.scale.low)))
+
+    rows = []
+    for card in measured:
+        figures, question = card["scenario"].figures, card["scenario"].group.question
+        known = {name: figures.percentiles_ns.get(percent) for name, percent in _PICTURED.items()}
+        told = {"min": figures.min_ns, **known, "max": figures.max_ns}
+        rows.append(
+            {
+                "card": card,
+                "at": {name: at(value) for name, value in told.items()},
+                "below": figures.min_ns is not None and figures.min_ns < axis.scale.low,
+                "deadline": at(question.deadline_ns) if question else None,
+                "told": ", ".join(f"{name.replace('p9999', 'p99.99')} {time(ns)}" for name, ns in told.items()),
+            }
+        )
+    deadlines = {card["scenario"].group.question.deadline_ns for card in measured if card["scenario"].group.question}
+    limit = f"deadline {time(deadlines.pop())}" if len(deadlines) == 1 else "deadline" if deadlines else ""
+    return {"rows": rows, "ticks": [(at(value), text) for value, text in axis.ticks], "limit": limit}
+
+
+def _ends(scenario: Scenario) -> list[float | None]:
+    figures, question = scenario.figures, scenario.group.question
+    known = [figures.min_ns, *map(figures.percentiles_ns.get, _PICTURED.values()), figures.max_ns]
+    return [*known, question.deadline_ns if question else None]

@@ -7,6 +7,7 @@ Written by hand, because a dozen fields of protos/perfetto/trace/ are all that i
 from collections.abc import Iterable, Iterator
 
 from rtfiles.output import printable
+from rtfiles.quantities import time
 from rtrun.causes.events import Context
 from rtrun.causes.outliers import Explained
 
@@ -28,7 +29,7 @@ def perfetto(explained: Iterable[Explained]) -> bytes:
     for one in explained:
         outlier = one.outlier
         of_run = tracks.setdefault(f"{outlier.run} {outlier.output}", {})
-        name = f"index {outlier.index}: {outlier.value_ns / 1000:g} us late"
+        name = f"index {outlier.index}: {time(outlier.value_ns)} late"
         of_run.setdefault("measured values", []).append((outlier.due_ns, outlier.at_ns, name))
         for part in one.parts:
             words = f"{part.cause.kind} {part.cause.name}".strip()

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtfiles.output import counted
-from rtfiles.quantities import time_us
+from rtfiles.quantities import time
 from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.figures import Figures
 from rtrun.judgement.digest import pool_figures
@@ -15,7 +15,7 @@ from rtrun.plan.suites import middleware_of
 from rtrun.report.tables import Table
 from rtrun.targets.inspection.platform import Platform
 
-_QUANTILES = (50.0, 99.0, 99.99)
+_QUANTILES = (99.99, 99.0, 50.0)
 
 
 def ranking(study: Study) -> Table:
@@ -33,10 +33,10 @@ def ranking(study: Study) -> Table:
             "answer",
             "late",
             "P(late) at most",
-            "median us",
-            "p99 us",
-            "p99.99 us",
-            "max us",
+            "max",
+            "p99.99",
+            "p99",
+            "median",
         ),
         rows=rows,
         outcome=f"{counted(len(compared), 'comparison')} of middlewares",
@@ -91,6 +91,6 @@ def _row(place: int, one: _Ranked) -> tuple[str, ...]:
         one.answer,
         f"{one.verdict.misses} of {one.verdict.n}",
         f"{one.verdict.upper:.2g}",
-        *(time_us(one.figures.percentiles_ns.get(quantile)) for quantile in _QUANTILES),
-        time_us(one.figures.max_ns),
+        time(one.figures.max_ns),
+        *(time(one.figures.percentiles_ns.get(quantile)) for quantile in _QUANTILES),
     )

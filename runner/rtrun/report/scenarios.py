@@ -6,14 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from rtfiles.output import printable
-from rtfiles.quantities import time_us, us
+from rtfiles.quantities import time
 from rtrun.analysis.figures import PERCENTILES, Figures
 from rtrun.judgement.digest import Digest, pool_figures
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import severity, verdict_line
+from rtrun.kinds.known import called, kind_of
 from rtrun.plan.conditions import IDLE
-from rtrun.report.tables import Table, how, printable_table
+from rtrun.report.tables import Table, printable_table
 from rtrun.results.series import MEASURED_2014, NOTE_2014
 
 _PERCENTILES = tuple(p for p in PERCENTILES if p != 95.0)
@@ -41,6 +42,12 @@ class Scenario:
         """The scheduling policy that was asked for, as the kernel calls it."""
         policy = printable(str(self.group.parameters.get("policy", "0")))
         return "OTHER" if policy == "0" else policy
+
+    @property
+    def measured(self) -> str:
+        """What its values are, in words."""
+        measure, kind = called(self.group.series) or self.group.series.replace("_", " "), kind_of(self.group.suite)
+        return f"{measure} {kind.subject if kind else f'by {printable(self.group.suite)}'}"
 
     @property
     def condition(self) -> str:
@@ -109,9 +116,10 @@ def _figures(every: Sequence[Digest]) -> Table:
         by_series.setdefault(one.header.series, []).append(place)
 
     def row(name: str, series: str, figures: Figures, places: Sequence[int]) -> tuple[str, ...]:
-        cells = [name, series, str(figures.n), *(time_us(v) for v in (figures.min_ns, figures.mean_ns, figures.std_ns))]
-        cells += [time_us(figures.percentiles_ns.get(p)) for p in _PERCENTILES]
-        return (*cells, time_us(figures.max_ns), *(str(sum(counts[k] for k in places)) for counts in lost.values()))
+        cells = [name, series, time(figures.max_ns)]
+        cells += [time(figures.percentiles_ns.get(p)) for p in reversed(_PERCENTILES)]
+        cells += [*map(time, (figures.min_ns, figures.mean_ns, figures.std_ns)), str(figures.n)]
+        return (*cells, *(str(sum(counts[k] for k in places)) for counts in lost.values()))
 
     rows: list[tuple[str, ...]] = []
     parts = {}
@@ -130,25 +138,32 @@ def _figures(every: Sequence[Digest]) -> Table:
     if any(one.header.series == MEASURED_2014 for one in every):
         notes.append(NOTE_2014)
     notes += [f"{one.header.output}: {remark}" for one in every for remark in one.header.remarks]
-    columns = ("run", "series", "n", "min us", "mean us", "std us")
+    highest_first = tuple(f"p{p:g}" for p in reversed(_PERCENTILES))
     return Table(
         id="figures",
         title="Figures",
-        columns=(*columns, *(f"p{p:g} us" for p in _PERCENTILES), "max us", *lost),
+        columns=("run", "series", "max", *highest_first, "min", "mean", "std", "n", *lost),
         rows=rows,
         parts=parts,
         numbers=2,
-        notes=(*dict.fromkeys(notes), how("What counts as what")),
+        notes=tuple(dict.fromkeys(notes)),
+        how="figures",
     )
 
 
 def output_labels(digests: Sequence[Digest]) -> list[str]:
-    """What tells these outputs apart: their runs, their names where all are of one run, or both."""
-    runs = Counter(one.run for one in digests)
+    """What tells these outputs apart: their runs, the numbers of subscribers, or the names of outputs, or both."""
+    runs = {one.run for one in digests}
     series = Counter((one.run, one.header.series) for one in digests)
     if max(series.values(), default=0) < 2:
         return [one.run for one in digests]
-    return [one.header.output if len(runs) == 1 else f"{one.run} {one.header.output}" for one in digests]
+    labels, seen = [], Counter[tuple[str, str]]()
+    for one in digests:
+        seen[one.run, one.header.series] += 1
+        number = seen[one.run, one.header.series]
+        label = f"subscriber {number}" if "subscribers" in one.header.parameters else one.header.output
+        labels.append(label if len(runs) == 1 else f"{one.run} {label}")
+    return labels
 
 
 def _pool_label(members: Sequence[Digest]) -> str:
@@ -172,7 +187,7 @@ def _startup(every: Sequence[Digest]) -> Table:
     parts = {}
     for series, members in by_series.items():
         each = tuple(
-            (label, series, ", ".join(f"{us(v.value_ns)} (loop {v.index})" for v in one.header.startup))
+            (label, series, ", ".join(f"{time(v.value_ns)} (loop {v.index})" for v in one.header.startup))
             for label, one in members
         )
         if len(each) == 1:
@@ -180,8 +195,10 @@ def _startup(every: Sequence[Digest]) -> Table:
             continue
         parts[len(rows)] = each
         values_ns = [value.value_ns for _, one in members for value in one.header.startup]
-        rows.append((_pool_label([one for _, one in members]), series, f"{us(min(values_ns))} to {us(max(values_ns))}"))
-    return Table(id="startup", title="Start-up", columns=("run", "series", "us"), rows=rows, parts=parts, numbers=2)
+        rows.append(
+            (_pool_label([one for _, one in members]), series, f"{time(min(values_ns))} to {time(max(values_ns))}")
+        )
+    return Table(id="startup", title="Start-up", columns=("run", "series", "values"), rows=rows, parts=parts, numbers=2)
 
 
 def _clusters(every: Sequence[Digest]) -> Table:
@@ -189,10 +206,10 @@ def _clusters(every: Sequence[Digest]) -> Table:
     for one in every:
         if one.cluster is not None and one.cluster.n:
             c = one.cluster
-            place = [time_us(value) for value in (c.median_ns, c.low_ns, c.high_ns)]
+            place = [time(value) for value in (c.median_ns, c.low_ns, c.high_ns)]
             jitter = "successive" if one.header.series == "jitter" else "grid"
             rows.append((one.run, jitter, f"{100 * c.fraction:.3f}", *place))
-    columns = ("run", "jitter", "share %", "median us", "lowest us", "highest us")
+    columns = ("run", "jitter", "share %", "median", "lowest", "highest")
     return Table(id="cluster", title="Negative cluster (below -500 us)", columns=columns, rows=rows, numbers=2)
 
 
@@ -222,13 +239,13 @@ def _costs(group: Group) -> Table:
             str(costs.major_faults),
             str(costs.voluntary_switches),
             str(costs.involuntary_switches),
-            us(costs.cpu_time_ns / program.loops) if program.loops else "-",
+            time(costs.cpu_time_ns / program.loops) if program.loops else "-",
         )
         for record in group.records
         for program in record.programs
         if (costs := program.costs)
     ]
-    columns = ("run", "program", "minor faults", "major faults", "waited", "preempted", "CPU us a loop")
+    columns = ("run", "program", "minor faults", "major faults", "waited", "preempted", "CPU time a loop")
     notes = (
         "Of all threads of a program while it measured: page faults without and with reading from a disk, switches to "
         "other threads because it waited, and because it was preempted.",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rtfiles.output import console, print_line, printable
-from rtfiles.quantities import grouped, us
+from rtfiles.quantities import grouped, time
 from rtrun.analysis.deadline import Answer
 from rtrun.judgement.gate import Case
 
@@ -130,14 +130,14 @@ def print_answers(cases: Sequence[Case], *, judged: bool) -> None:
 
 
 def _table(cases: Sequence[Case], *, judged: bool, width: int) -> "Table":
-    headings = (*["gate"] * judged, "answer", "scenario", "n", "misses", "worst us")
+    headings = (*["gate"] * judged, "answer", "scenario", "n", "misses", "worst")
     rows = [
         (
             *["pass" if case.passed else "FAIL"] * judged,
             case.answer,
             case.about,
             *("-" if count is None else grouped(count) for count in (case.n, case.misses)),
-            "-" if case.worst_ns is None else us(case.worst_ns),
+            "-" if case.worst_ns is None else time(case.worst_ns),
         )
         for case in cases
     ]

@@ -10,6 +10,7 @@ from rtfiles.output import printable
 class Table:
     """A table of text; cells from column `numbers` on hold numbers. ``notes`` stand below it.
 
+    `how` is the name of what says how its figures are made (report/how.py).
     `outcome` says in one line what came out. ``parts[k]`` are the rows that row k sums up, where it does.
     """
 
@@ -21,6 +22,7 @@ class Table:
     parts: Mapping[int, Sequence[tuple[str, ...]]] = field(default_factory=dict)
     numbers: int = 1
     notes: tuple[str, ...] = ()
+    how: str = ""
 
     def as_data(self) -> dict[str, object]:
         """For programs: the rows by the names of the columns."""
@@ -41,8 +43,3 @@ def printable_table(table: Table) -> Table:
 
 def _printable(texts: Sequence[str]) -> tuple[str, ...]:
     return tuple(map(printable, texts))
-
-
-def how(section: str) -> str:
-    """Where formulas stand with their sources: a section of docs/analysis.md."""
-    return f"Formulas and sources: docs/analysis.md, {section}."

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtfiles.output import counted, print_line, printable
+from rtfiles.quantities import time
 from rtrun.kinds.rate import OFF_MAX
 from rtrun.plan.suites import NOT_TELLING, Value, options, output_name, suite
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header, Result
@@ -154,11 +155,11 @@ def _startup(headers: Sequence[Header]) -> list[str]:
     for series in dict.fromkeys(header.series for header in started):
         of_series = [header for header in started if header.series == series]
         if len(of_series) == 1:
-            values = ", ".join(f"{value.value_ns / 1000:g} us (loop {value.index})" for value in of_series[0].startup)
+            values = ", ".join(f"{time(value.value_ns)} (loop {value.index})" for value in of_series[0].startup)
             lines.append(f"{of_series[0].output}: {series} start-up apart, in no figure: {values}")
             continue
-        values_us = [value.value_ns / 1000 for header in of_series for value in header.startup]
-        span = f"{min(values_us):g} to {max(values_us):g} us"
+        values_ns = [value.value_ns for header in of_series for value in header.startup]
+        span = f"{time(min(values_ns))} to {time(max(values_ns))}"
         lines.append(f"{series} start-up of {len(of_series)} outputs apart, in no figure: {span}")
     return lines
 

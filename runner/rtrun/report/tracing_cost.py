@@ -6,7 +6,7 @@ from itertools import groupby
 
 from rtfiles.errors import UsageError
 from rtfiles.output import counted, printable
-from rtfiles.quantities import us
+from rtfiles.quantities import signed, time
 from rtrun.analysis.comparison import ComparisonAnswer
 from rtrun.causes.measured import traced_series
 from rtrun.judgement.compare import Changed, compare_studies
@@ -35,7 +35,7 @@ def thresholds(records: Sequence[RunRecord], of: Measure | None) -> Iterator[str
     for trace, alike in groupby(sorted(measured, key=lambda one: (one.trace, one.suite)), key=lambda one: one.trace):
         limits_us = sorted(int(one.parameters.get(PARAMETER) or 0) for one in alike)
         lowest, highest = limits_us[0], limits_us[-1]
-        between = f"{lowest} us" if lowest == highest else f"{lowest} to {highest} us"
+        between = " to ".join(dict.fromkeys(time(1000 * limit_us) for limit_us in (lowest, highest)))
         runs = "a run" if len(limits_us) == 1 else f"{len(limits_us)} runs"
         yield f"Traced is what is above {trace} of the values before: {between} in {runs}"
 
@@ -58,7 +58,7 @@ def tracing_cost(examined: Study) -> Table:
     return Table(
         id="tracing",
         title="What tracing costs",
-        columns=("suite and parameters", "figure", "untraced us", "traced us", f"difference us, {confidence} interval"),
+        columns=("suite and parameters", "figure", "untraced", "traced", f"difference, {confidence} interval"),
         rows=rows,
         outcome=_outcome([change.comparison.answer for change in changes]),
         numbers=2,
@@ -92,5 +92,5 @@ def _rows(change: Changed) -> Iterator[tuple[str, ...]]:
     if not compared.shifts:
         yield change.label, "-", "-", "-", f"{min(compared.unit_counts)} {compared.units} are too few to compare"
     for shift in compared.shifts:
-        difference = f"{shift.shift_ns / 1000:+.1f} ({shift.low_ns / 1000:+.1f} to {shift.high_ns / 1000:+.1f})"
-        yield change.label, shift.figure, us(shift.a_ns), us(shift.b_ns), difference
+        difference = f"{signed(shift.shift_ns)} ({signed(shift.low_ns)} to {signed(shift.high_ns)})"
+        yield change.label, shift.figure, time(shift.a_ns), time(shift.b_ns), difference

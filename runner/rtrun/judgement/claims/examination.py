@@ -6,7 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from rtfiles.quantities import us
+from rtfiles.quantities import signed, time
 from rtrun.analysis.blocks import Blocks
 from rtrun.analysis.comparison import Comparison, ComparisonAnswer, Shift, compare
 from rtrun.analysis.effects import Effect, examine_effect, holm
@@ -101,8 +101,8 @@ def shift_of(comparison: Comparison, figure: str) -> Shift | None:
 def describe_shift(shift: Shift, confidence: float) -> str:
     """A shift in words: from, to, and the interval."""
     return (
-        f"{shift.figure} {us(shift.a_ns)} -> {us(shift.b_ns)} us "
-        f"({100 * confidence:g} % CI of the shift {shift.low_ns / 1000:+.1f} to {shift.high_ns / 1000:+.1f} us)"
+        f"{shift.figure} {time(shift.a_ns)} -> {time(shift.b_ns)} "
+        f"({100 * confidence:g} % CI of the shift {signed(shift.low_ns)} to {signed(shift.high_ns)})"
     )
 
 
@@ -153,7 +153,7 @@ def examine_shift(
     return ClaimResult(
         finding=finding,
         numbers="; ".join(
-            f"{format_parameters(pair[0].parameters)}: {figure} {us(effect.a_ns)} -> {us(effect.b_ns)} us "
+            f"{format_parameters(pair[0].parameters)}: {figure} {time(effect.a_ns)} -> {time(effect.b_ns)} "
             f"(as claimed: p = {effect.p_above:.1g}, not: p = {effect.p_below:.1g})"
             for pair, effect in effects
         ),

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtfiles.quantities import us
+from rtfiles.quantities import signed, time
 from rtrun.analysis.comparison import ComparisonAnswer
 from rtrun.analysis.effects import holm
 from rtrun.analysis.intervals import clopper_pearson
@@ -87,7 +87,7 @@ def nanosleep_better(study: Study) -> ClaimResult:
         finding = Finding.CONFIRMED if 2 * worst <= above and n_base >= n_timer else Finding.UNDECIDED
     return ClaimResult(
         finding=finding,
-        numbers=f"highest value: cyclictest {us(worst)} us of {n_base}, ROS one-shot timer {us(above)} us of {n_timer}",
+        numbers=f"highest value: cyclictest {time(worst)} of {n_base}, ROS one-shot timer {time(above)} of {n_timer}",
         test="maxima; confirmed at half or less of as many values, refuted when not lower of as few",
         runs=runs,
     )
@@ -124,7 +124,7 @@ def comm_more_subscribers_broader(study: Study) -> ClaimResult:
     broader = all(five - one >= _BROADER_NS for one, five in ranges)
     if result.finding == Finding.CONFIRMED and not broader:
         result = replace(result, finding=Finding.UNDECIDED)
-    words = [f"range {us(one)} -> {us(five)} us" for one, five in ranges]
+    words = [f"range {time(one)} -> {time(five)}" for one, five in ranges]
     return replace(result, numbers="; ".join([result.numbers, *words]))
 
 
@@ -180,7 +180,7 @@ def rr_equals_fifo(study: Study) -> ClaimResult:
     return ClaimResult(
         finding=finding,
         numbers="; ".join(
-            f"{pair[0].label}: {c.answer} (mean {c.shifts[0].shift_ns / 1000:+.1f} us, p = {c.p_value:.2g})"
+            f"{pair[0].label}: {c.answer} (mean {signed(c.shifts[0].shift_ns)}, p = {c.p_value:.2g})"
             for pair, c in compared_pairs
         ),
         test="permutation of blocks or runs, and equivalence within 5 %; refuted with five runs a side only, "

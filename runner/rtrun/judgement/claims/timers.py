@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rtfiles.quantities import us
+from rtfiles.quantities import time
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.intervals import clopper_pearson
 from rtrun.judgement.claims.examination import (
@@ -104,10 +104,10 @@ def oneshot_reported_accurate(study: Study) -> ClaimResult:
         finding = Finding.CONFIRMED
     else:
         finding = Finding.UNDECIDED
-    words = f"peak {us(peak_without)} us" if without else "no run"
+    words = f"peak {time(peak_without)}" if without else "no run"
     return ClaimResult(
         finding=finding,
-        numbers=f"|reported - measured|: with priority mean {us(mean)} us, peak {us(peak)} us "
+        numbers=f"|reported - measured|: with priority mean {time(mean)}, peak {time(peak)} "
         "(claimed: below 10 and 80 us); "
         f"without: {words} (claimed: milliseconds)",
         test="largest mean and peak of all runs",
@@ -159,7 +159,7 @@ def cyclic_negative_cluster(study: Study) -> ClaimResult:
     else:
         # Less than a tenth of the share that was claimed is another phenomenon than "about 12 %".
         finding = Finding.REFUTED if high < 0.012 or (low > 0.05 and not near) else Finding.UNDECIDED
-    where = f", medians {us(min(places))} to {us(max(places))} us" if places else ""
+    where = f", medians {time(min(places))} to {time(max(places))}" if places else ""
     return ClaimResult(
         finding=finding,
         numbers=f"{100 * inside / n:.2f} % of {n} jitter values below -500 us{where} (claimed: 12 % near -900 us)",
@@ -183,7 +183,7 @@ def cyclic_first_two_negative(study: Study) -> ClaimResult:
     return ClaimResult(
         finding=finding,
         numbers=f"{len(hit)} of {len(digests)} runs have a jitter below -2 ms in the first two periods (lowest "
-        f"{us(lowest)} us), {len(later)} have one later",
+        f"{time(lowest)}), {len(later)} have one later",
         test="counts of runs; three without any refute it",
         runs=tuple(d.run for d in digests),
     )
@@ -206,7 +206,7 @@ def cyclic_frequency_kept(study: Study) -> ClaimResult:
     return ClaimResult(
         finding=Finding.CONFIRMED if all(kept) else Finding.REFUTED,
         numbers=f"in {sum(kept)} of {len(drifts)} runs the last call came within one period (at least 1 ms) of where "
-        f"it belongs; worst: {us(worst[1])} us off, mean jitter {worst[3] / 1000:.2f} us",
+        f"it belongs; worst: {time(worst[1])} off, mean jitter {time(worst[3])}",
         test="sum of all jitter values against one period",
         runs=tuple(d.run for d, *_ in drifts),
     )

@@ -1,43 +1,27 @@
-"""The plots of a scenario as plotly takes them, thinned so that no peak is lost.
+"""The plots of a scenario, thinned so that no peak is lost."""
 
-A colour is the name of a CSS variable of the page, so that a plot follows the page from light to dark and to paper.
-Text in a figure passes `plain` first: plotly obeys some HTML.
-"""
-
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from rtfiles.output import printable
-from rtfiles.quantities import grouped
+from rtfiles.quantities import grouped, time
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
+from rtrun.analysis.scale import Division, Floats, Scale, scale_of
 from rtrun.judgement.digest import Digest, JudgedDigest
 from rtrun.judgement.groups import slowest
-from rtrun.report.plots.scale import Division, Scale, rounded, scale_of
+from rtrun.report.plots import axes
+from rtrun.report.plots.axes import Axis
+from rtrun.report.plots.drawing import Cells, Mark, Plot
 from rtrun.report.scenarios import Scenario, output_labels
 
 _BINS = 240
-_BINS_3D = 80
-_COLOURS = 8  # --series-0 to --series-7; so many outputs are drawn each on its own
-_DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot", "5px,2px", "2px,4px")
+_ROWS = 60
+_COLOURS = 8  # of the page, 0 to 7; so many outputs are drawn each on its own
 _EMPTY = 0.7  # where a bin without a value lies on the logarithmic axis of counts
-_NUMBERED = 12  # outputs with a tick each
-_HOVER = "%{text}<extra></extra>"
-
-Trace = dict[str, Any]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plot:
-    """A plot: what it shows in a sentence, and plotly's ``data`` and ``layout``."""
-
-    caption: str
-    data: list[Trace]
-    layout: dict[str, Any]
+_US = 1000.0
+_STRETCHED = " The axis is even around the median, and logarithmic away from it."
 
 
 def plots(scenario: Scenario, *, probability: float) -> list[Plot]:
@@ -46,138 +30,107 @@ def plots(scenario: Scenario, *, probability: float) -> list[Plot]:
     shown = [one for one in group.digests if one.histogram.values_ns.size]
     if not shown:
         return []
-    limit_us = group.question.deadline_ns / 1000 if group.question else None
-    what = f"{group.series} in us"
-    scale = scale_of(merge(one.histogram for one in shown), limit_us)
-    drawn = [_histograms(shown, scale, what, limit_us)]
+    limit_ns = group.question.deadline_ns if group.question else None
+    along = axes.times(scenario.measured, scale_of(merge(one.histogram for one in shown), limit_ns))
+    made = [_histograms(shown, along, limit_ns)]
     slow = [one for one in slowest(group.digests) if one.histogram.values_ns.size]
     if slow:
-        drawn.append(_exceedance(scenario, shown, slow, scale, what, limit_us, probability))
+        made.append(_exceedance(scenario, shown, slow, along, limit_ns, probability))
     with_course = [one for one in shown if one.course is not None and one.figures.max_ns is not None]
     if with_course:
         worst = max(with_course, key=lambda one: one.figures.max_ns or 0)
-        drawn.append(_course(worst, scale, what, limit_us))
+        made.append(_course(worst, along, limit_ns, name=output_labels(shown)[shown.index(worst)] if shown[1:] else ""))
     if len(shown) > 1:
-        drawn.append(_outputs(shown, scale, what))
-    return drawn
+        made.append(_outputs(shown, scenario.measured))
+    elif with_course:
+        made.append(_over_time(with_course[0], scenario.measured))
+    return made
 
 
-def plain(text: str) -> str:
-    """Text that plotly shows as it is."""
-    return printable(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+def _mark(kind: Any, name: str, x: Any, y: Any, colour: int = 0, **more: Any) -> Mark:
+    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    return Mark(kind=kind, name=name, x=x, y=y, colour=colour, **more)
 
 
-def _line(k: int, name: str, x: Any, y: Any, text: Sequence[str], **more: Any) -> Trace:
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "name": plain(name),
-        "x": rounded(x),
-        "y": rounded(y),
-        "text": list(text),
-        "hovertemplate": _HOVER,
-        "line": {"color": f"--series-{k}", "dash": _DASHES[k], "shape": "hv", "width": 1.6},
-    } | more
-
-
-def _limit(limit_us: float | None, scale: Scale, across: Sequence[float], *, is_upright: bool) -> list[Trace]:
-    """The line of the deadline, between the two places `across` its axis; none where there is no deadline."""
-    if limit_us is None:
+def _limit(limit_ns: float | None, along: Axis, across: Axis, *, is_upright: bool) -> list[Mark]:
+    """The line of the deadline; none where there is no deadline, and its name alone where it is beyond the axis."""
+    if limit_ns is None:
         return []
-    name = f"deadline {limit_us:g} us"
-    place = float(scale.place(limit_us))
-    x, y = ([place, place], across) if is_upright else (across, [place, place])
-    line = {"color": "--ink", "dash": "dash", "width": 1.5}
-    return [_line(0, name, x, y, [name, name]) | {"line": line}]
+    scale = along.scale
+    if not scale.low <= limit_ns <= scale.high:
+        side = "beyond the right end" if is_upright else "above the top"
+        return [_mark("limit", f"deadline {time(limit_ns)}, {side}", [], [])]
+    ends = [across.scale.low, across.scale.high]
+    x, y = ([limit_ns] * 2, ends) if is_upright else (ends, [limit_ns] * 2)
+    return [_mark("limit", f"deadline {time(limit_ns)}", x, y)]
 
 
-def _histograms(shown: Sequence[Digest], scale: Scale, what: str, limit_us: float | None) -> Plot:
-    edges = scale.edges_us(_BINS)
+def _histograms(shown: Sequence[Digest], along: Axis, limit_ns: float | None) -> Plot:
+    edges = along.scale.edges(_BINS, _US)
     named = [(label, one.histogram) for label, one in zip(output_labels(shown), shown, strict=True)]
     if len(named) > _COLOURS:
         named = [(f"all {len(shown)} outputs", merge(bins for _, bins in named))]
-    data = []
-    top = 1.0
+    marks = []
     for k, (name, bins) in enumerate(named):
-        counts = _counted(bins, edges)
+        counts = np.append(_counted(bins, edges), 0.0)
         # A step is told only where the count changes.
-        keep = np.flatnonzero(np.diff(counts, prepend=-1.0, append=-1.0)[:-1] != 0)
-        keep = np.append(keep, counts.size)
-        counts = np.append(counts, 0.0)
-        top = max(top, float(counts.max()))
-        text = [f"{_count(counts[i])} from {edges[i]:g} us to {edges[j]:g} us" for i, j in _pairs(keep, edges.size - 1)]
-        data.append(_line(k, name, scale.place(edges[keep]), np.maximum(counts[keep], _EMPTY), text))
-    data += _limit(limit_us, scale, [_EMPTY, top], is_upright=True)
-    layout = {"xaxis": scale.axis(what), "yaxis": _log("count")}
-    return Plot(caption="How often each value occurred.", data=data, layout=layout)
+        keep = np.flatnonzero(np.diff(counts, prepend=-1.0) != 0)
+        marks.append(_mark("steps", name, edges[keep], counts[keep], k))
+    top = max(float(mark.y.max()) for mark in marks)
+    up = axes.many("count", _EMPTY, max(top, 1.0) * 1.2)
+    return Plot(
+        id="values",
+        caption=f"How often each value occurred.{_STRETCHED if along.scale.division is Division.STRETCHED else ''}",
+        x=along,
+        y=up,
+        marks=[*marks, *_limit(limit_ns, along, up, is_upright=True)],
+    )
 
 
-def _pairs(keep: Any, last: int) -> list[tuple[int, int]]:
-    ends = [*keep[1:].tolist(), last]
-    return list(zip(keep.tolist(), ends, strict=True))
-
-
-def _count(count: float) -> str:
-    return f"{grouped(count)} values" if count else "no value"
-
-
-def _counted(bins: Histogram, edges_us: Any) -> Any:
-    at = np.clip(np.searchsorted(edges_us, bins.values_ns / 1000, side="right") - 1, 0, edges_us.size - 2)
-    return np.bincount(at, weights=bins.counts, minlength=edges_us.size - 1)
-
-
-def _log(title: str) -> dict[str, Any]:
-    return {"title": {"text": title}, "type": "log", "dtick": 1}
+def _counted(bins: Histogram, edges: Floats) -> Floats:
+    at = np.clip(np.searchsorted(edges, bins.values_ns, side="right") - 1, 0, edges.size - 2)
+    return np.asarray(np.bincount(at, weights=bins.counts, minlength=edges.size - 1), dtype=np.float64)
 
 
 def _exceedance(
     scenario: Scenario,
     shown: Sequence[Digest],
     slow: Sequence[Digest],
-    scale: Scale,
-    what: str,
-    limit_us: float | None,
+    along: Axis,
+    limit_ns: float | None,
     probability: float,
 ) -> Plot:
     group = scenario.group
     together = "all" if len(slow) == len(group.digests) else "slowest subscriber of each run"
-    data = [_share_above(0, "measured" if len(shown) == 1 else together, merge(one.histogram for one in slow), scale)]
+    marks = [_share_above(0, "measured" if len(shown) == 1 else together, merge(one.histogram for one in slow))]
     if 1 < len(shown) < _COLOURS:
-        for k, (label, one) in enumerate(zip(output_labels(shown), shown, strict=True), start=1):
-            line = _share_above(k, label, one.histogram, scale)
-            line["line"]["width"] = 1
-            data.append(line)
+        labels = enumerate(zip(output_labels(shown), shown, strict=True), start=1)
+        marks += [_share_above(k, label, one.histogram) for k, (label, one) in labels]
     floor = min(0.5 / max(one.n for one in shown), probability)
     for bound in group.bounds:
         if bound.refused is None and bound.method == "GPD" and bound.high_ns is not None:
-            data += _tail(bound, scale)
+            marks += _tail(bound, along.scale)
             floor = min(floor, bound.probability)
-    data += _limit(limit_us, scale, [floor, 1.0], is_upright=True)
-    ends = [min(min(trace["x"]) for trace in data), max(max(trace["x"]) for trace in data)]
-    name = f"P = {probability:g}, asked for"
-    line = {"color": "--ink", "dash": "dot", "width": 1.5}
-    data.append(_line(0, name, ends, [probability] * 2, [name] * 2) | {"line": line})
+    up = axes.shares("share above", floor / 2)
+    ends = [along.scale.low, along.scale.high]
+    marks += _limit(limit_ns, along, up, is_upright=True)
+    marks.append(_mark("limit", f"P = {probability:g}, asked for", ends, [probability] * 2, 1))
     return Plot(
+        id="shares",
         caption="Share of the values above each value, with the fitted tail where there is one. "
         "What lies right of the deadline is late.",
-        data=data,
-        layout={"xaxis": scale.axis(what), "yaxis": _log("share above") | {"exponentformat": "power"}},
+        x=along,
+        y=up,
+        marks=marks,
     )
 
 
-def _share_above(k: int, name: str, bins: Histogram, scale: Scale) -> Trace:
+def _share_above(k: int, name: str, bins: Histogram) -> Mark:
     above = bins.n - np.cumsum(bins.counts)
     # The last value has none above it, which a logarithm cannot show: half a value stands for it.
-    places = np.log10(bins.n / np.maximum(above, 0.5))
-    keep = _thin(places, 200)
-    values = (bins.values_ns[keep] + bins.bin_ns) / 1000
-    late = above[keep]
-    n = grouped(bins.n)
-    text = [f"all {n} above"] + [
-        f"{_count(count)} of {n} above {value:g} us" for count, value in zip(late, values, strict=True)
-    ]
-    x = np.concatenate(([bins.values_ns[0] / 1000], values))
-    return _line(k, name, scale.place(x), np.concatenate(([1.0], np.maximum(late, 0.5) / bins.n)), text)
+    keep = _thin(np.log10(bins.n / np.maximum(above, 0.5)), 200)
+    x = np.concatenate(([bins.values_ns[0]], bins.values_ns[keep] + bins.bin_ns))
+    return _mark("steps", name, x, np.concatenate(([1.0], np.maximum(above[keep], 0.5) / bins.n)), k)
 
 
 def _thin(places: Any, most: int) -> Any:
@@ -188,111 +141,82 @@ def _thin(places: Any, most: int) -> Any:
     return keep if keep[-1] == len(places) - 1 else np.append(keep, len(places) - 1)
 
 
-def _tail(bound: Bound, scale: Scale) -> list[Trace]:
+def _tail(bound: Bound, scale: Scale) -> list[Mark]:
     from rtrun.analysis.tails import GPD
 
     assert bound.rate is not None and bound.shape is not None and bound.scale_ns is not None
     assert bound.high_ns is not None
     chances = np.geomspace(1.0, bound.probability / bound.rate, 40)
     base = float(bound.threshold_ns or 0)
-    values = [(base + GPD.level(float(c), (bound.shape, bound.scale_ns))) / 1000 for c in chances]
-    shares = chances * bound.rate
-    text = [f"{value:.1f} us at {share:.2g}" for value, share in zip(values, shares, strict=True)]
-    fitted = _line(1, "fitted tail (GPD), bursts count once", scale.place(values), shares, text)
-    fitted["line"] |= {"shape": "linear", "dash": "dash"}
-    high_us = bound.high_ns / 1000
-    name = f"bound {high_us:.0f} us at {bound.probability:g} ({100 * bound.confidence:g} %)"
-    dot = _line(2, name, scale.place([high_us]), [bound.probability], [name])
-    return [fitted, dot | {"mode": "markers", "marker": {"color": "--series-2", "size": 9, "symbol": "diamond"}}]
+    values = np.array([base + GPD.level(float(c), (bound.shape, bound.scale_ns)) for c in chances])
+    inside = values <= scale.high
+    name = f"bound {time(bound.high_ns)} at {bound.probability:g} ({100 * bound.confidence:g} %)"
+    beyond = "" if bound.high_ns <= scale.high else ", beyond the right end"
+    dot = ([], []) if beyond else ([bound.high_ns], [bound.probability])
+    return [
+        _mark("line", "fitted tail (GPD), bursts count once", values[inside], (chances * bound.rate)[inside], 1),
+        _mark("dots", f"{name}{beyond}", *dot, 2),
+    ]
 
 
-def _course(one: JudgedDigest, scale: Scale, what: str, limit_us: float | None) -> Plot:
+def _course(one: JudgedDigest, up: Axis, limit_ns: float | None, *, name: str) -> Plot:
+    """The course of an output, called by its `name` where there are others."""
     course = one.course
     assert course is not None
     skipped, size = len(one.header.startup), len(course.low_ns)
-    loops = skipped + np.arange(size) * course.width
-    low, high = course.low_ns / 1000, course.high_ns / 1000
+    loops = skipped + np.arange(size + 1) * course.width
+    along = axes.counts("loop", float(skipped), float(loops[-1]))
     if course.width == 1:
-        text = [f"{value:g} us in loop {loop}" for value, loop in zip(high, loops, strict=True)]
-        values = _line(0, "values", loops, scale.place(high), text)
-        values["line"] |= {"shape": "linear", "width": 1}
-        data = [values | {"mode": "lines+markers", "marker": {"color": "--series-0", "size": 4}}]
+        marks = [_mark("line", "values", loops[:-1], course.high_ns)]
         caption = "Values over the loops"
     else:
-        text = [
-            f"{a:g} us to {b:g} us in loops {loop} to {loop + course.width - 1}"
-            for a, b, loop in zip(low, high, loops, strict=True)
-        ]
-        name = f"lowest to highest of each {course.width} loops"
-        bottom = _line(0, name, loops, scale.place(low), text, showlegend=False, legendgroup="range")
-        top = _line(0, name, loops, scale.place(high), text, fill="tonexty", legendgroup="range")
-        data = [bottom, top]
-        caption = f"Lowest to highest of each {course.width} loops"
-    listed = [(e.index, e.value_ns / 1000) for e in one.figures.top if e.index is not None]
-    dots = _line(
-        1,
-        f"{len(listed)} highest",
-        [index for index, _ in listed],
-        scale.place([value for _, value in listed]),
-        [f"{value:g} us in loop {index}" for index, value in listed],
-    )
-    data.append(dots | {"mode": "markers", "marker": {"color": "--series-1", "size": 9, "symbol": "circle-open"}})
-    data += _limit(limit_us, scale, [skipped, skipped + max(1, size * course.width - 1)], is_upright=False)
-    layout = {"xaxis": {"title": {"text": "loop"}}, "yaxis": scale.axis(what)}
+        low, high = (np.append(values, values[-1]) for values in (course.low_ns, course.high_ns))
+        caption = f"Lowest to highest of each {grouped(course.width)} loops"
+        marks = [_mark("area", caption[0].lower() + caption[1:], loops, high, low=low.astype(np.float64))]
+    listed = [(e.index, e.value_ns) for e in one.figures.top if e.index is not None]
+    marks.append(_mark("dots", f"{len(listed)} highest", [at for at, _ in listed], [value for _, value in listed], 1))
+    where = f" of {name}, where the highest value is" if name else ""
     return Plot(
-        caption=f"{caption} of {one.header.output} in {one.run}, where the highest value is.", data=data, layout=layout
+        id="course",
+        caption=f"{caption}{where}.",
+        x=along,
+        y=up,
+        marks=[*marks, *_limit(limit_ns, up, along, is_upright=False)],
     )
 
 
-def _outputs(shown: Sequence[Digest], scale: Scale, what: str) -> Plot:
-    """Value, count and run, as figures 5.2 to 5.4 of the thesis; the page shows it flat where it cannot be turned."""
-    low = min(float(one.histogram.values_ns[0]) for one in shown) / 1000
-    high = max(float(one.histogram.values_ns[-1]) for one in shown) / 1000
-    part = Scale(division=scale.division, low_us=low, high_us=high)
-    # A surface has no logarithmic axis.
-    flat = part if part.division is Division.LINEAR else replace(part, division=Division.SIGNED)
-    edges = part.edges_us(_BINS_3D)
-    counts = np.array([_counted(one.histogram, edges) for one in shown])
-    heights = np.round(np.log10(np.maximum(counts, 0.5)), 2)
-    places = flat.place(edges[:-1])
-    ticks = np.linspace(0, len(places) - 1, 5).astype(int)
-    names = [plain(label) for label in output_labels(shown)]
-    text = [
-        [f"{name}<br>{edges[k]:g} us to {edges[k + 1]:g} us<br>{_count(row[k])}" for k in range(row.size)]
-        for name, row in zip(names, counts, strict=True)
-    ]
-    rows = list(range(1, len(shown) + 1))
-    top = math.ceil(float(heights.max()))
-    trace = {
-        "type": "surface",
-        "x": rounded(places),
-        "y": rows,
-        "z": heights.tolist(),
-        "text": text,
-        "hovertemplate": _HOVER,
-        "colorscale": "Cividis",
-        "colorbar": {
-            "title": {"text": "count"},
-            "tickvals": list(range(top + 1)),
-            "ticktext": [f"1e{k}" for k in range(top + 1)],
-            "thickness": 12,
-        },
-    }
-    x = {
-        "title": {"text": what},
-        "tickvals": rounded(places[ticks]),
-        "ticktext": [f"{edges[k]:.0f}" for k in ticks],
-    }
-    y: dict[str, Any] = {"title": {"text": "output"}}
-    if len(shown) <= _NUMBERED:
-        y["tickvals"] = rows
-    z = {"title": {"text": "count"}, "tickvals": list(range(top + 1)), "ticktext": [f"1e{k}" for k in range(top + 1)]}
+def _over_time(one: JudgedDigest, measured: str) -> Plot:
+    """How the values lay from the first loop to the last."""
+    course = one.course
+    assert course is not None
+    skipped, columns = len(one.header.startup), course.counts.shape[1]
+    edges = skipped + np.minimum(np.arange(columns + 1) * course.columns_of, one.n).astype(np.float64)
     return Plot(
-        caption=f"How often each value occurred in each of {len(shown)} outputs: the thesis' long-term picture.",
-        data=[trace],
-        layout={
-            "scene": {"xaxis": x, "yaxis": y, "zaxis": z, "camera": {"eye": {"x": 1.6, "y": 1.6, "z": 1.1}}},
-            "xaxis": x,
-            "yaxis": y,
-        },
+        id="over-time",
+        caption="How often each value occurred while time went on.",
+        x=axes.counts("loop", float(edges[0]), float(edges[-1])),
+        y=axes.times(measured, course.scale),
+        marks=[],
+        cells=Cells(x_edges=edges, y_edges=course.edges_ns, counts=course.counts.astype(np.int64)),
+    )
+
+
+def _outputs(shown: Sequence[Digest], measured: str) -> Plot:
+    """What figures 5.2 to 5.4 of the thesis show in three dimensions: value, count and run."""
+    up = axes.times(measured, scale_of(merge(one.histogram for one in shown)))
+    edges = up.scale.edges(_ROWS, _US)
+    counts = np.array([_counted(one.histogram, edges) for one in shown]).T
+    runs = len({one.run for one in shown})
+    what = "run" if runs == len(shown) else "subscriber" if runs == 1 else "output"
+    return Plot(
+        id="outputs",
+        caption=f"How often each value occurred in each {what}, first to last.",
+        x=axes.counts(what, 0.5, len(shown) + 0.5),
+        y=up,
+        marks=[],
+        cells=Cells(
+            x_edges=np.arange(len(shown) + 1, dtype=np.float64) + 0.5,
+            y_edges=edges,
+            counts=counts.astype(np.int64),
+        ),
     )

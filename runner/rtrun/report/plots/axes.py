@@ -1,0 +1,108 @@
+"""The axes of plots: their division, and what is written at which place of them."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Literal
+
+import numpy as np
+
+from rtfiles.quantities import grouped, time
+from rtrun.analysis.scale import Division, Scale
+
+_TICKS = 6  # as many are told apart on a phone
+_APART = 0.11  # of an axis: nearer than that their texts overlap
+Unit = Literal["ns", "count", "share", "date"]
+"""What the numbers of an axis are: times in ns, counts, shares of a whole, or seconds since 1970."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Axis:
+    """An axis by the name of what is measured along it; `ticks` are (value, text)."""
+
+    title: str
+    unit: Unit
+    scale: Scale
+    ticks: tuple[tuple[float, str], ...]
+
+
+def times(title: str, scale: Scale) -> Axis:
+    """An axis of times in ns."""
+    return _axis(title, "ns", scale, time)
+
+
+def counts(title: str, low: float, high: float) -> Axis:
+    """An even axis of whole numbers."""
+    return _axis(title, "count", Scale(division=Division.LINEAR, low=low, high=high), grouped)
+
+
+def many(title: str, low: float, high: float) -> Axis:
+    """A logarithmic axis of counts."""
+    return _axis(title, "count", Scale(division=Division.LOG, low=low, high=high), grouped)
+
+
+def shares(title: str, low: float, *, division: Division = Division.LOG, high: float = 1.0) -> Axis:
+    """An axis of shares."""
+    return _axis(title, "share", Scale(division=division, low=low, high=high), lambda value: f"{value:.3g}")
+
+
+def dates(title: str, low: float, high: float) -> Axis:
+    """An even axis of days; seconds since 1970."""
+    scale = Scale(division=Division.LINEAR, low=low, high=max(high, low + 60))
+    first, span = datetime(1970, 1, 1) + timedelta(seconds=low), scale.high - low
+    form = "%Y-%m-%d" if span >= 3 * 86400 else "%m-%d %H:%M"
+    marks = [first + timedelta(seconds=span * k / 3) for k in range(4)]
+    ticks = [((mark - datetime(1970, 1, 1)).total_seconds(), f"{mark:{form}}") for mark in marks]
+    return Axis(title=title, unit="date", scale=scale, ticks=tuple(ticks))
+
+
+def _axis(title: str, unit: Unit, scale: Scale, text: Callable[[float], str]) -> Axis:
+    return Axis(
+        title=title, unit=unit, scale=scale, ticks=tuple((value, text(value)) for value in _round_values(scale))
+    )
+
+
+def _round_values(scale: Scale) -> list[float]:
+    """Round numbers on an axis, ascending: at equal distances, powers of ten, or those nearest to equal distances."""
+    if scale.division is Division.LINEAR:
+        return _multiples(scale.low, scale.high)
+    if scale.division is Division.LOG:
+        first, last = math.ceil(math.log10(scale.low) - 1e-9), math.floor(math.log10(scale.high) + 1e-9)
+        powers = [10.0**k for k in range(first, last + 1)]
+        if len(powers) > 2:
+            return powers[:: math.ceil(len(powers) / _TICKS)]
+        finer = [factor * 10.0**k for k in range(first - 1, last + 1) for factor in (1, 2, 5)]
+        finer = [value for value in finer if scale.low <= value <= scale.high]
+        return finer if len(finer) > 2 else _multiples(scale.low, scale.high)
+    values: list[float] = []
+    for k in range(_TICKS + 1):
+        low, value, high = scale.values_at(np.clip([k - 0.4, k, k + 0.4], 0, _TICKS) / _TICKS).tolist()
+        rounder = _roundest(low, value, high)
+        if not values or float(scale.at(rounder)) - float(scale.at(values[-1])) > _APART:
+            values.append(rounder)
+    return values
+
+
+def _multiples(low: float, high: float) -> list[float]:
+    """Multiples of 1, 2 or 5 times a power of ten."""
+    least = (high - low) / _TICKS or 1.0
+    power = 10.0 ** math.floor(math.log10(least))
+    step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least * (1 - 1e-9))
+    return [k * step for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+
+
+def _roundest(low: float, value: float, high: float) -> float:
+    """The number with the fewest digits between two others, the one nearest to `value` of those."""
+    if low <= 0 <= high:
+        return 0.0
+    for digits in range(1, 16):
+        unit = 10.0 ** (math.floor(math.log10(max(abs(low), abs(high)))) + 1 - digits)
+        inside = [k * unit for k in _around(value / unit) if low <= k * unit <= high]
+        if inside:
+            return min(inside, key=lambda one: abs(one - value))
+    return value
+
+
+def _around(number: float) -> Sequence[int]:
+    return range(math.floor(number), math.floor(number) + 2)
