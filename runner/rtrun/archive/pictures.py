@@ -9,6 +9,7 @@ from rtfiles.quantities import time
 from rtrun.analysis.scale import Division, Floats, Scale
 from rtrun.archive.courses import Course
 from rtrun.archive.trends import Trend
+from rtrun.kinds.known import in_words
 from rtrun.report.plots import axes
 from rtrun.report.plots.axes import Axis
 from rtrun.report.plots.drawing import Mark, Plot
@@ -29,8 +30,9 @@ def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int) -
     known = np.concatenate([each[np.isfinite(each)] for each in values.values()])
     plots = []
     if known.size:
-        shows_limit = deadline_ns <= _LIMIT_SPAN * known.max()
-        up = axes.times(course.runs[0].point.series.replace("_", " "), _scale([*known, *[deadline_ns] * shows_limit]))
+        shows_limit = bool(deadline_ns <= _LIMIT_SPAN * known.max())
+        title = in_words(points[0].suite, points[0].series)
+        up = axes.times(title, _scale([*known, *[deadline_ns] * shows_limit]))
         text = f"deadline {time(deadline_ns)}"
         limit = ([along.scale.low, along.scale.high], [deadline_ns] * 2) if shows_limit else ([], [])
         marks = [_line(k, name, seconds, each) for k, (name, each) in enumerate(values.items())]

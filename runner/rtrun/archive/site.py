@@ -4,12 +4,14 @@ Pages of the report and of the site share styles and plotting code.
 """
 
 import hashlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rtfiles import atomic
+from rtfiles.output import counted
 from rtfiles.quantities import grouped, time
 from rtrun.archive.courses import Course
 from rtrun.archive.metrics import grafana_dashboard, open_metrics
@@ -20,12 +22,20 @@ from rtrun.report.terminal import BANNERS
 from rtrun.targets.inspection.platform import Platform
 
 _SHOWN = (50.0, 99.0, 99.9, 99.99)
+_LEAST_BOOTS = 6  # of a course whose changes can be seen
+_SAID = {
+    "WORSE": "got worse",
+    "BETTER": "got better",
+    "STEADY": "stayed as they were",
+    "NEW": f"are new: a change is seen from {_LEAST_BOOTS} boots on",
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _State:
-    """What is said of a course: `text`, the class of its style, and its mark, for eyes and paper without colours."""
+    """What is said of a course: `word`, `text` with more, the class of its style, and its mark."""
 
+    word: str
     text: str
     style: str
     mark: str
@@ -46,7 +56,15 @@ def write_site(
         by_course[trend.course.identity].append(trend)
     cards = [_card(course, by_course[course.identity], confidence) for course in courses]
     cards.sort(key=lambda card: (card["state"].style != "refuted", card["label"]))
-    words = {"archive": archive, "deadline": time(deadline_ns), "percentiles": [f"p{p:g}" for p in _SHOWN]}
+    banners = {card["banner"] for card in cards}
+    words = {
+        # Readers of the pages need not know where the archive lies.
+        "archive": archive.rstrip("/").rpartition("/")[2],
+        "deadline": time(deadline_ns),
+        "percentiles": [f"p{p:g}" for p in _SHOWN],
+        "banner": banners.pop() if len(banners) == 1 else "",
+        "answer": _answer([card["state"] for card in cards]),
+    }
     environment = templates(Path(__file__).parent)
     front, page = (environment.get_template(name) for name in ("site.html.j2", "course.html.j2"))
     pages = {"index.html": front.render(cards=cards, **words)}
@@ -85,6 +103,7 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
         "rows": rows,
         "since": f"{course.runs[0].point.start_utc:%Y-%m-%d}",
         "boots": len(course.boots()),
+        "measured": f"{counted(len(rows), 'run')} on {counted(len(course.boots()), 'boot')}",
         "n": grouped(sum(run.point.n for run in course.runs)),
         "misses": sum(run.point.misses or 0 for run in course.runs) if course.has("P(miss)") else "not known how many",
         "changes": [
@@ -94,14 +113,21 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
     }
 
 
+def _answer(states: Sequence[_State]) -> str:
+    """What is known of all courses, in one sentence."""
+    counts = Counter(state.word for state in states)
+    said = [f"{counts[word]} {text}" for word, text in _SAID.items() if counts[word]]
+    return f"Of {counted(len(states), 'scenario')} {', '.join(said)}."
+
+
 def _state(course: Course, trends: Sequence[Trend]) -> _State:
     """WORSE where a figure's last change made it so; NEW where there are too few boots for any change to be seen."""
     last = {trend.figure: trend for trend in trends}
     worse = [figure for figure, trend in last.items() if trend.is_worse]
     if worse:
-        return _State(text=f"WORSE: {', '.join(worse)}", style="refuted", mark="✗")
+        return _State(word="WORSE", text=f"WORSE: {', '.join(worse)}", style="refuted", mark="✗")
     if last:
-        return _State(text=f"BETTER: {', '.join(last)}", style="proven", mark="✓")
-    if len(course.boots()) < 6:
-        return _State(text="NEW", style="more", mark="?")
-    return _State(text="STEADY", style="proven", mark="✓")
+        return _State(word="BETTER", text=f"BETTER: {', '.join(last)}", style="proven", mark="✓")
+    if len(course.boots()) < _LEAST_BOOTS:
+        return _State(word="NEW", text="NEW", style="more", mark="?")
+    return _State(word="STEADY", text="STEADY", style="proven", mark="✓")

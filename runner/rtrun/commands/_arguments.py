@@ -46,3 +46,8 @@ def add_results(parser: argparse.ArgumentParser, *, files: bool = True) -> None:
     """What was measured; `files`: also what a suite wrote without a run around it."""
     takes = ", or a .log, .npy or .json of a suite" if files else ""
     parser.add_argument("results", type=Path, metavar="RESULTS", help=f"folder of runs or one run directory{takes}")
+
+
+def add_verbose(parser: argparse.ArgumentParser) -> None:
+    """Whether every answer is explained."""
+    parser.add_argument("-v", "--verbose", action="store_true", help="say what each answer rests on, and what it lacks")

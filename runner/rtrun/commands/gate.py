@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rtrun.commands._arguments import add_json, add_results
+from rtrun.commands._arguments import add_json, add_results, add_verbose
 from rtrun.commands._question import add_question, ask, probability_argument, question, time_argument
 
 if TYPE_CHECKING:
@@ -70,6 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"with --against: chance that any in a year of daily gates is WORSE by mistake [{FALSE_ALARMS}]",
     )
     add_question(parser)
+    add_verbose(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -104,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
         print_json({"schema": 1, "passed": judged.passed, "cases": [asdict(case) for case in judged.cases]})
     else:
         print_styled("passed" if judged.passed else "failed")
-        print_answers(judged.cases, judged=True)
+        print_answers(judged.cases, judged=True, verbose=args.verbose)
     if args.junit:
         try:
             atomic.write_text(args.junit, junit(judged))

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._arguments import add_results
+from rtrun.commands._arguments import add_results, add_verbose
 from rtrun.commands._question import add_question, ask
 
 NAME = "report"
@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output", type=Path, metavar="FILE", help="file to write, - for standard output [beside RESULTS]"
     )
     add_question(parser)
+    add_verbose(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -80,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     if written.banner:
         print_line(written.banner)
     print_line(written.answer)
-    screen.print_answers(judged.cases, judged=False)
+    screen.print_answers(judged.cases, judged=False, verbose=args.verbose)
     print_line(str(output))
     return 0
 

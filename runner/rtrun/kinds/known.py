@@ -37,6 +37,12 @@ def startup_loops(series: str) -> int:
     return next((kind.startup[series] for kind in KINDS.values() if series in kind.startup), 0)
 
 
+def in_words(suite: str, series: str) -> str:
+    """What the values of a series of a suite are: "lateness of the timer"."""
+    kind = kind_of(suite)
+    return f"{called(series) or series.replace('_', ' ')} {kind.subject if kind else f'by {suite}'}"
+
+
 def called(series: str) -> Measure | None:
     """What a question calls a series by this name; None for one that no question is of."""
     return next((kind.called[series] for kind in KINDS.values() if series in kind.called), None)

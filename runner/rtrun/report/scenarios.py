@@ -12,7 +12,7 @@ from rtrun.judgement.digest import Digest, pool_figures
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import severity, verdict_line
-from rtrun.kinds.known import called, kind_of
+from rtrun.kinds.known import in_words
 from rtrun.plan.conditions import IDLE
 from rtrun.report.tables import Table, printable_table
 from rtrun.results.series import MEASURED_2014, NOTE_2014
@@ -46,8 +46,7 @@ class Scenario:
     @property
     def measured(self) -> str:
         """What its values are, in words."""
-        measure, kind = called(self.group.series) or self.group.series.replace("_", " "), kind_of(self.group.suite)
-        return f"{measure} {kind.subject if kind else f'by {printable(self.group.suite)}'}"
+        return in_words(printable(self.group.suite), self.group.series)
 
     @property
     def condition(self) -> str:

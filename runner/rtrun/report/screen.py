@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
+# Answers that follow from the numbers beside them.
+_TOLD_BY_NUMBERS = (Answer.REFUTED, Answer.NEEDS_MORE, Answer.NO_STATEMENT, Answer.NO_DEADLINE, "NO HISTORY")
 # Columns between two cells.
 _GAP = 2
 _STYLES: dict[str, str] = {
@@ -111,34 +113,41 @@ def _listed(headings: Sequence[str], rows: "Sequence[Sequence[Text]]") -> "Table
     return made
 
 
-def print_answers(cases: Sequence[Case], *, judged: bool) -> None:
-    """Print the table, with whether each case passes where they are `judged`, then a line for each reason.
+def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None:
+    """Print a row for each case, with whether it passes where they are `judged`.
 
-    Why there is no answer is printed once where it is the same for all.
+    A sentence says what each answer rests on where that is asked for, where there is one case alone, and where its
+    numbers do not tell why a case failed. Why there is no answer is printed once where it is the same for all.
     """
     if not cases:
         return
     screen = console()
     screen.print(_table(cases, judged=judged, width=screen.width))
-    print_line()
     refusals = {case.refused for case in cases}
     refused = refusals.pop() if len(cases) > 1 and len(refusals) == 1 else None
     if refused:
-        print_line(f"no scenario has an answer: {refused}")
-    for case in cases:
+        print_line(f"\nno scenario has an answer: {refused}")
+    told = [case for case in cases if verbose or len(cases) == 1 or case.n is None or (judged and _has_reason(case))]
+    if told:
+        print_line()
+    for case in told:
         print_line(f"{case.about}: {case.text.removeprefix(f'{refused}; ')}")
 
 
+def _has_reason(case: Case) -> bool:
+    return not case.passed and case.answer not in _TOLD_BY_NUMBERS
+
+
 def _table(cases: Sequence[Case], *, judged: bool, width: int) -> "Table":
-    headings = (*["gate"] * judged, "answer", "scenario", "n", "misses", "worst")
+    headings = (*["gate"] * judged, "answer", "scenario", "misses", "worst")
     rows = [
         (
             *["pass" if case.passed else "FAIL"] * judged,
             case.answer,
             case.about,
-            *("-" if count is None else grouped(count) for count in (case.n, case.misses)),
-            "-" if case.worst_ns is None else time(case.worst_ns),
+            "-" if case.n is None else f"{'-' if case.misses is None else grouped(case.misses)} of {grouped(case.n)}",
+            time(case.worst_ns),
         )
         for case in cases
     ]
-    return fitted(headings, rows, range(len(headings) - 3, len(headings)), width)
+    return fitted(headings, rows, range(len(headings) - 2, len(headings)), width)
