@@ -20,7 +20,7 @@ from rtfiles.command import parser_of
 from rtfiles.start import commands_of
 
 SLOW = {
-    "duckdb", "fsspec", "jinja2", "numpy", "paramiko", "plotly", "pyarrow", "pydantic", "rich", "ruptures", "yaml",
+    "duckdb", "fsspec", "jinja2", "numpy", "paramiko", "pyarrow", "pydantic", "rich", "ruptures", "yaml",
 }  # fmt: skip
 PROGRAM = """
 import sys
@@ -63,9 +63,9 @@ def test_nothing_slow_is_imported(program: str, arguments: list[str]) -> None:
     ("command", "files", "others"),
     [
         ("show", "*/*.npy", {"rtrun.plan.run", "rtrun.results.gnuplot_log", "rtrun.results.record", "scipy"}),
-        ("show", "", {"jinja2", "numpy.ma", "plotly", "scipy"}),
-        ("verdict", "", {"jinja2", "plotly"}),
-        ("claims", "", {"plotly"}),
+        ("show", "", {"jinja2", "numpy.ma", "scipy"}),
+        ("verdict", "", {"jinja2"}),
+        ("claims", "", set()),
         ("report", "", set()),
     ],
 )

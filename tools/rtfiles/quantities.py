@@ -2,18 +2,6 @@
 
 import math
 
-
-def us(value_ns: float) -> str:
-    """Nanoseconds as microseconds, a decimal where it tells something."""
-    digits = 1 if abs(value_ns) < 1e6 else 0
-    return f"{round(value_ns / 1000, digits) + 0.0:.{digits}f}"  # + 0.0: no minus in front of a zero
-
-
-def time_us(value_ns: float | None) -> str:
-    """A time in us for a table; a dash where there is none."""
-    return "-" if value_ns is None or not math.isfinite(value_ns) else us(value_ns)
-
-
 _UNITS = ((1e9, "s"), (1e6, "ms"), (1e3, "us"), (1.0, "ns"))
 
 

@@ -15,6 +15,7 @@ from rtrun.report.plots.axes import Axis
 from rtrun.report.plots.drawing import Mark, Plot
 
 _LINES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "p99.99": 99.99}
+_COLOURS = (0, 2, 3, 6, 1)  # of the lines, and of the highest value
 _SPAN = 10.0  # of the highest value to the lowest, from which on an axis is logarithmic
 _LIMIT_SPAN = 5.0  # a deadline farther than so many times the highest value would take the plot
 
@@ -35,7 +36,7 @@ def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int) -
         up = axes.times(title, _scale([*known, *[deadline_ns] * shows_limit]))
         text = f"deadline {time(deadline_ns)}"
         limit = ([along.scale.low, along.scale.high], [deadline_ns] * 2) if shows_limit else ([], [])
-        marks = [_line(k, name, seconds, each) for k, (name, each) in enumerate(values.items())]
+        marks = [_line(k, name, seconds, each) for k, (name, each) in zip(_COLOURS, values.items(), strict=True)]
         marks.append(_mark(f"{text}{'' if shows_limit else ', above the top'}", *limit, 0))
         plots.append(
             Plot(

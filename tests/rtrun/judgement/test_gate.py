@@ -8,6 +8,7 @@ import pytest
 from report.campaigns import cyclic_run, latencies, oneshot_run
 
 from rtrun.cli import main
+from rtrun.plan.quantities import read_time_ns
 
 
 def write_oneshot(root, name="a", n=5000, mean_us=90.0, seed=1, **more):
@@ -52,11 +53,20 @@ def test_emulated_results_never_pass(tmp_path, capsys):
 
 def test_the_worst_answer_is_the_first_line(campaign, capsys):
     assert main(["gate", str(campaign)]) == 1
-    table = capsys.readouterr().out.split("\n\n")[0].splitlines()[3:]
+    table = capsys.readouterr().out.splitlines()[3:]
     answers = [re.split(r"  +", line)[1] for line in table]
     assert answers == sorted(answers, key=["REFUTED", "NEEDS MORE"].index) and len(set(answers)) == 2
-    values = [float(re.split(r"  +", line)[-1]) for line in table if "REFUTED" in line]
+    values = [read_time_ns(re.split(r"  +", line)[-1].replace(" ", "")) for line in table if "REFUTED" in line]
     assert values == sorted(values, reverse=True)
+
+
+@pytest.mark.parametrize("command", ["gate", "report"])
+def test_a_scenario_is_a_line_and_what_its_answer_rests_on_is_told_when_asked_for(campaign, capsys, command):
+    main([command, str(campaign)])
+    short = capsys.readouterr().out.splitlines()
+    main([command, str(campaign), "-v"])
+    told = [line for line in capsys.readouterr().out.splitlines() if "; worst " in line]
+    assert len(told) == 15 and len(short) < 15 + 6 and not any("; worst " in line for line in short)
 
 
 @pytest.mark.parametrize("command", [["gate"], ["report", "--format", "junit"]])

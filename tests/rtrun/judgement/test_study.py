@@ -81,7 +81,7 @@ def test_the_first_message_stands_apart_and_lost_ones_count(tmp_path):
     (one,) = group.digests
     assert one.header.startup == (IndexedValue(value_ns=900_000, index=0),) and one.n == 996 and one.header.missing == 3
     assert group.verdict is not None and (group.verdict.n, group.verdict.late, group.verdict.absent) == (999, 0, 3)
-    assert "start-up apart: 1 late, worst 900.0 us" in verdict_line(group).text
+    assert "start-up apart: 1 late, worst 900 us" in verdict_line(group).text
     assert one.figures.top[0].index is not None and one.figures.top[0].index > 0
 
 

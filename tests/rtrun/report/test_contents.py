@@ -8,17 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from report.campaigns import latencies, oneshot_run
+from traced import specimen, write_traced_run
 
 from rtrun.analysis.figures import figures_of_samples
 from rtrun.judgement.digest import pool_figures
 from rtrun.judgement.study import study
 from rtrun.plan.question import Question
 from rtrun.report.contents import Contents, contents
-from rtrun.report.end_tables import WORST_CASE
-from rtrun.results.importers.adopt import adopt
-from rtrun.targets.inspection.platform import Platform
+from rtrun.report.how import DATA, explanations
 
-TOP = Path(__file__).parents[3]
+REPORT = DATA.parent
 LATENCIES_NS = (latencies(5000, 1), latencies(3000, 2, mean_us=120.0))
 
 
@@ -66,22 +65,12 @@ def test_the_answer_is_a_sentence_and_the_next_step_follows_from_it(tmp_path, qu
     assert written.worst is not None and written.worst.figures.max_ns == max(v.max() for v in LATENCIES_NS)
 
 
-def test_the_claims_are_named_where_runs_bear_on_them(tmp_path):
-    folder = write(tmp_path / "our results")
-    claims = f"Claims of the thesis: rtrun claims '{folder}'"
-    assert contents_of(folder).remarks[-1] == claims
-    histogram = tmp_path / "cyclictest.txt"
-    histogram.write_text("# Histogram\n000010 002000\n# Total: 000002000\n# Max Latencies: 00010\n")
-    adopt(histogram, tmp_path / "cyclictest", platform=Platform.HARDWARE)
-    assert [text for text in contents_of(tmp_path / "cyclictest").remarks if "laims" in text] == []
-
-
-def test_worst_cases_take_one_line_unless_there_is_one(tmp_path):
+def test_claims_and_worst_cases_stand_in_a_report_where_they_are_answered(tmp_path):
     """These few values allow no bound. Where there is one, its table has what was refused, too."""
     analysed = study(write(tmp_path))
     written = contents(analysed)
-    (line,) = (text for text in written.remarks if text.startswith(WORST_CASE))
-    assert "no bound in any of 1 scenario" in line and "worst-case" not in {table.id for table in written.tables}
+    assert "worst-case" not in {table.id for table in written.tables}
+    assert not [text for text in texts(written) if re.search("[Cc]laims|extreme value", text)]
     (group,) = analysed.groups
     given = dataclasses.replace(
         group.bounds[0], level_ns=150_000.0, low_ns=140_000, high_ns=160_000, shape=0.1, refused=None
@@ -89,8 +78,14 @@ def test_worst_cases_take_one_line_unless_there_is_one(tmp_path):
     bounds = (given, *group.bounds[1:])
     written = contents(dataclasses.replace(analysed, groups=(dataclasses.replace(group, bounds=bounds),)))
     (table,) = (table for table in written.tables if table.id == "worst-case")
-    assert table.outcome.startswith("a bound in 1 of 1 scenarios, the highest 160.0 us") and len(table.rows) == 3
-    assert not any(text.startswith(WORST_CASE) for text in written.remarks)
+    assert table.outcome.startswith("a bound in 1 of 1 scenarios, the highest 160 us") and len(table.rows) == 3
+
+
+def test_next_is_the_cause_and_its_remedy_where_there_are_traces(tmp_path):
+    write_traced_run(tmp_path, {1558: specimen(1558)}, [23166, 23175])
+    step = contents_of(tmp_path).next_step
+    assert step.startswith("thread of higher priority planted_hog (pid 23165, real-time 98): the main cause of 1 of 1")
+    assert ". planted_hog: give the thread a lower real-time priority" in step
 
 
 def test_an_emulated_board_says_nothing_about_a_deadline(tmp_path):
@@ -117,14 +112,12 @@ def test_figures_of_several_runs_are_those_of_all_their_values(tmp_path):
         assert pooled.percentiles_ns[percentile] <= value_ns < pooled.percentiles_ns[percentile] + pooled.bin_ns
 
 
-def test_the_sections_that_hold_the_formulas_are_there(tmp_path):
-    named = {
-        section
-        for text in texts(contents_of(write(tmp_path)))
-        for section in re.findall(r"docs/analysis\.md, (.+?)\.", text)
-    }
-    headings = set(re.findall(r"^## (.+)$", (TOP / "docs/analysis.md").read_text(), re.M))
-    assert {"Deadline", "What counts as what", "Worst case"} <= named <= headings
+def test_how_figures_are_made_is_in_the_report(tmp_path):
+    """Who reads it need not have the documentation."""
+    write(tmp_path)
+    named = set(re.findall(r'how="([a-z-]+)"', "".join(path.read_text() for path in REPORT.glob("*.py"))))
+    assert named | {"answers"} == set(explanations())
+    assert not [text for text in texts(contents_of(tmp_path)) if "docs/" in text]
 
 
 def test_no_text_holds_a_command_to_a_terminal(tmp_path):

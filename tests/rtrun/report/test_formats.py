@@ -11,7 +11,6 @@ import xml.etree.ElementTree as ElementTree
 
 import pyarrow.parquet
 import pytest
-from plotly.offline import get_plotlyjs
 from report.campaigns import latencies, oneshot_run
 
 from logs import LOGS_2014
@@ -34,10 +33,10 @@ def test_the_same_input_gives_the_same_bytes(capsysbinary, campaign, form):
 
 
 def test_the_page_needs_no_network(capsysbinary, campaign):
-    page = write(capsysbinary, campaign, "html").decode().replace(get_plotlyjs(), "")
+    page = write(capsysbinary, campaign, "html").decode()
     outside = re.findall(r"""(?:src|href|url\(|@import|fetch\(|import\()\s*=?\s*["']?(https?:|//)""", page)
     assert not outside
-    assert page.count('class="plot"') > 10 and "default-src 'none'" in page
+    assert page.count("<svg") > 40 and "default-src 'none'" in page and len(page) < 1_500_000
 
 
 def test_emulated_is_the_first_thing_said(capsysbinary, emulated):
@@ -98,7 +97,6 @@ def test_what_a_target_says_stays_text(capsysbinary, tmp_path):
     oneshot_run(tmp_path, "a", latencies(300, 1), parameters={"cpu": evil}, target=target)
     oneshot_run(tmp_path, "b", latencies(300, 1), parameters={"cpu": evil}, status="failed", reason=evil)
     page = write(capsysbinary, tmp_path, "html").decode()
-    page = page.replace(get_plotlyjs(), "")
     assert "<script>alert" not in page and "<b>&lt;" not in page and "<b><" not in page and "&lt;script&gt;" in page
     root = ElementTree.fromstring(write(capsysbinary, tmp_path, "junit"))
     assert any("<script>" in case.attrib["name"] for case in root.findall(".//testcase"))
@@ -145,7 +143,7 @@ def test_a_report_is_written_beside_the_results(capsys, tmp_path):
     assert main(["report", str(tmp_path)]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert (
-        printed[1].split() == ["answer", "scenario", "n", "misses", "worst", "us"]
+        printed[1].split() == ["answer", "scenario", "misses", "worst"]
         and "NEEDS MORE" in printed[3]
         and printed[-1] == str(tmp_path / "report.html")
     )

@@ -49,7 +49,7 @@ def test_values_and_their_parts_and_what_each_cpu_did(explained):
     trace = Trace.FromString(data)
     assert trace.SerializeToString() == data, "a field is unknown or out of order"
     tracks = slices(trace)
-    assert tracks["measured values"][-1] == (28840_758484122, 28840_760206000, "index 1558: 1721.88 us late")
+    assert tracks["measured values"][-1] == (28840_758484122, 28840_760206000, "index 1558: 1.722 ms late")
     parts = tracks["what they waited for"]
     assert parts[0][2] == "thread of higher priority planted_hog"
     assert sum(end_ns - begin_ns for begin_ns, end_ns, _ in parts) == 1_721_878

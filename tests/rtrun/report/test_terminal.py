@@ -140,7 +140,7 @@ def test_start_up_values_of_many_outputs_are_one_line_a_series() -> None:
     results = [started(538_000, "latency"), started(541_500, "latency"), started(9000, "jitter")]
     lines = [line for line in drawn(answer(results, platform=Platform.HARDWARE), 200) if "start-up" in line]
     assert lines == [
-        "latency start-up of 2 outputs apart, in no figure: 538 to 541.5 us",
+        "latency start-up of 2 outputs apart, in no figure: 538 us to 541.5 us",
         f"{results[2].header.output}: jitter start-up apart, in no figure: 9 us (loop 0)",
     ]
 

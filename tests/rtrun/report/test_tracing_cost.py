@@ -1,5 +1,7 @@
 """What tracing costs: traced runs held against their untraced twins, in `rtrun why`, in the report and by `compare`."""
 
+import re
+
 import pytest
 from report.campaigns import at_minute, cyclic_run, latencies
 
@@ -28,10 +30,11 @@ def write_pairs(root, *, cost_us, pairs=5, twins=True):
 def test_why_prints_the_cost_beside(tmp_path, capsys, cost_us, outcome):
     assert main(["why", str(write_pairs(tmp_path / "runs", cost_us=cost_us))]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "Traced is what is above p99.9 of the values before: 40 to 44 us in 5 runs" in lines
+    assert "Traced is what is above p99.9 of the values before: 40 us to 44 us in 5 runs" in lines
     assert outcome in lines
-    row = next(line.split() for line in lines if " p99 " in line)
-    untraced, traced, difference = (float(word) for word in row[row.index("p99") + 1 :][:3])
+    row = next(line for line in lines if " p99 " in line)
+    shown = re.findall(r"([+-]?[0-9.]+) (ns|us)\b", row)[:3]
+    untraced, traced, difference = (float(number) / {"ns": 1000, "us": 1}[unit] for number, unit in shown)
     assert difference == pytest.approx(traced - untraced, abs=0.11)
     assert (difference > 5) is bool(cost_us)
 

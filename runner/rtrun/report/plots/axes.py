@@ -1,7 +1,7 @@
 """The axes of plots: their division, and what is written at which place of them."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Literal
@@ -11,8 +11,8 @@ import numpy as np
 from rtfiles.quantities import grouped, time
 from rtrun.analysis.scale import Division, Scale
 
-_TICKS = 6  # as many are told apart on a phone
-_APART = 0.11  # of an axis: nearer than that their texts overlap
+_TICKS = 5  # as many are told apart on a phone
+_APART = 0.17  # of an axis: nearer than that their texts overlap
 Unit = Literal["ns", "count", "share", "date"]
 """What the numbers of an axis are: times in ns, counts, shares of a whole, or seconds since 1970."""
 
@@ -74,14 +74,21 @@ def _round_values(scale: Scale) -> list[float]:
             return powers[:: math.ceil(len(powers) / _TICKS)]
         finer = [factor * 10.0**k for k in range(first - 1, last + 1) for factor in (1, 2, 5)]
         finer = [value for value in finer if scale.low <= value <= scale.high]
-        return finer if len(finer) > 2 else _multiples(scale.low, scale.high)
-    values: list[float] = []
+        return _spread(scale, finer if len(finer) > 2 else _multiples(scale.low, scale.high))
+    values = []
     for k in range(_TICKS + 1):
         low, value, high = scale.values_at(np.clip([k - 0.4, k, k + 0.4], 0, _TICKS) / _TICKS).tolist()
-        rounder = _roundest(low, value, high)
-        if not values or float(scale.at(rounder)) - float(scale.at(values[-1])) > _APART:
-            values.append(rounder)
-    return values
+        values.append(_roundest(low, value, high))
+    return _spread(scale, values)
+
+
+def _spread(scale: Scale, values: Iterable[float]) -> list[float]:
+    """Those of ascending values whose texts do not overlap."""
+    kept: list[float] = []
+    for value in values:
+        if not kept or float(scale.at(value)) - float(scale.at(kept[-1])) >= _APART:
+            kept.append(value)
+    return kept
 
 
 def _multiples(low: float, high: float) -> list[float]:

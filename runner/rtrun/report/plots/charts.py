@@ -73,9 +73,7 @@ def _histograms(shown: Sequence[Digest], along: Axis, limit_ns: float | None) ->
     marks = []
     for k, (name, bins) in enumerate(named):
         counts = np.append(_counted(bins, edges), 0.0)
-        # A step is told only where the count changes.
-        keep = np.flatnonzero(np.diff(counts, prepend=-1.0) != 0)
-        marks.append(_mark("steps", name, edges[keep], counts[keep], k))
+        marks.append(_mark("steps", name, edges, counts, k))
     top = max(float(mark.y.max()) for mark in marks)
     up = axes.many("count", _EMPTY, max(top, 1.0) * 1.2)
     return Plot(

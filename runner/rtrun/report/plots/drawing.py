@@ -201,6 +201,6 @@ def _colours(most: int) -> list[tuple[str, str]]:
 
 
 def rounded(values: Any, digits: int = 6) -> list[float]:
-    """Plain numbers with so many significant digits, for a page that stays small."""
-    made = [float(f"{value:.{digits}g}") for value in np.asarray(values, dtype=np.float64).tolist()]
-    return [int(value) if value.is_integer() else value for value in made]
+    """Plain numbers, those that are not whole with so many significant digits, for a page that stays small."""
+    numbers = np.asarray(values, dtype=np.float64).tolist()
+    return [int(value) if value.is_integer() else float(f"{value:.{digits}g}") for value in numbers]
