@@ -12,7 +12,8 @@ from rtfiles.quantities import grouped, time
 from rtrun.analysis.scale import Division, Scale
 
 _TICKS = 5  # as many are told apart on a phone
-_APART = 0.17  # of an axis: nearer than that their texts overlap
+_PARTS = 4  # of a stretched axis, of about equal size: an even number, for its middle
+_APART = 0.19  # of an axis: nearer than that their texts overlap
 Unit = Literal["ns", "count", "share", "date"]
 """What the numbers of an axis are: times in ns, counts, shares of a whole, or seconds since 1970."""
 
@@ -76,8 +77,8 @@ def _round_values(scale: Scale) -> list[float]:
         finer = [value for value in finer if scale.low <= value <= scale.high]
         return _spread(scale, finer if len(finer) > 2 else _multiples(scale.low, scale.high))
     values = []
-    for k in range(_TICKS + 1):
-        low, value, high = scale.values_at(np.clip([k - 0.4, k, k + 0.4], 0, _TICKS) / _TICKS).tolist()
+    for k in range(_PARTS + 1):
+        low, value, high = scale.values_at(np.clip([k - 0.2, k, k + 0.2], 0, _PARTS) / _PARTS).tolist()
         values.append(_roundest(low, value, high))
     return _spread(scale, values)
 
