@@ -295,7 +295,8 @@ def test_what_a_package_has_is_that_of_the_sysroot(tmp_path: Path) -> None:
     targets = tmp_path / "usr/lib/some-targets.cmake"
     targets.parent.mkdir(parents=True)
     targets.write_text(
-        'set(_IMPORT_PREFIX "/usr")\nset(files "${_IMPORT_PREFIX}/include;/usr/lib/libsome.so" "${_IMPORT_PREFIX}/usr")\n'
+        'set(_IMPORT_PREFIX "/usr")\n'
+        'set(files "${_IMPORT_PREFIX}/include;/usr/lib/libsome.so" "${_IMPORT_PREFIX}/usr")\n'
         'message("files: ${files}")\n'
     )
     sysroot.search_inside(tmp_path)
