@@ -36,7 +36,9 @@ def filling(folder: Path) -> Iterator[Path]:
     except OSError as error:
         shutil.rmtree(partial, ignore_errors=True)
         place = error.filename or partial
-        raise InfrastructureError(f"{place}: cannot keep the results: {error.strerror or error}") from error
+        # numpy gives no reason where a file took less than it wrote.
+        reason = error.strerror or f"the disk took no more ({error})"
+        raise InfrastructureError(f"{place}: cannot keep the results: {reason}") from error
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise
