@@ -15,7 +15,7 @@ from rtrun.plan.suites import suites
 # docs/house.md names them in this order.
 ROOMS = (
     "plan", "targets", "analysis", "probes", "kinds", "results", "validity", "causes", "flows", "execution",
-    "judgement", "report", "archive", "commands", "cli",
+    "judgement", "report", "archive", "on_target", "commands", "cli",
 )  # fmt: skip
 
 
