@@ -6,18 +6,27 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
+import numpy as np
 import pytest
+from probes import standin
 
 from ports import free_port
-from rtgen import debian
+from rtgen import debian, suites
 from rtgen.board import sysroot
 from rtgen.board.build import build
 from rtgen.board.machine import architectures, find, machines
-from rtrun.targets.inspection import platform_signs
+from rtrun import cli
+from rtrun.kinds.timer import UNKNOWN_NS
+from rtrun.probes.placement import place as place_probes
+from rtrun.probes.session import Batch, observe
+from rtrun.targets import deploy
+from rtrun.targets.config import connect, read_target
+from rtrun.targets.inspection import facts, platform_signs
 from rtrun.targets.inspection.platform import Platform
+from rtrun.targets.link import Link
 
 # A cold board and its sysroot take some minutes beside other work.
 pytestmark = [pytest.mark.qemu, pytest.mark.timeout(1800)]
@@ -46,6 +55,7 @@ int main(int argc, char** argv) {
     ros::NodeHandle node;
     ros::Publisher publisher = node.advertise<std_msgs::Header>("greeting", 1);
     std::cout << publisher.getTopic() << " " << ros::master::check() << std::endl;
+    if (argc > 1) ros::spin();
 }
 """
 
@@ -145,7 +155,7 @@ MACHINES = [
 
 
 @pytest.mark.parametrize("machine", MACHINES)
-def test_board_serves_runner_and_suites(machine: str, tmp_path: Path) -> None:
+def test_board_serves_runner_and_suites(machine: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     hello = compile_hello(machine, tmp_path)
     with booted(machine, tmp_path) as board:
         check_system(board)
@@ -153,6 +163,7 @@ def test_board_serves_runner_and_suites(machine: str, tmp_path: Path) -> None:
         check_ssh(board, hello, tmp_path)
         check_ros(board)
         check_measuring(board)
+        check_observing(board, machine, tmp_path, capsys)
         check_reboot_keeps_the_disk(board)
         board.ssh("poweroff")
         assert board.qemu.wait(timeout=BOOT_S) == 0
@@ -231,6 +242,99 @@ def check_measuring(board: Board) -> None:
     assert "C:    100" in measured
     assert board.output_of("chrt -f 50 chrt -p 0 | head -1").endswith("SCHED_FIFO")
     assert "successful run" in board.ssh("stress-ng --cpu 1 --timeout 1 2>&1").stdout
+
+
+def check_observing(board: Board, machine: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Arguments are where the descriptions of libraries say; Thumb code is refused, which Debian's ROS for armhf is."""
+    is_arm = find(machine).architecture == "armhf"
+    login, target = board.record["ssh"], place / "target.yml"
+    target.write_text(
+        f"schema: 1\nname: board\nkind: ssh\nhost: 127.0.0.1\nport: {board.port}\nuser: {login['user']}\n"
+        f"work_dir: /var/lib/observing\nkey: {place / machine / login['key']}\nhost_key: {login['host_key']}\nemulated: true\n"
+    )
+    triplet = architectures()[find(machine).architecture].triplet
+    program = standin.build(place / "standin", f"{triplet}-gcc", *(["-marm"] if is_arm else []))
+    with connect(read_target(target), place, place / "unused.log") as connected, Link(connected, print) as link:
+        facts.inspect(link)
+        scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
+        folder = deploy.deploy(link, program.parent, "suites")
+        check_arguments(board, link, scripts, f"{folder}/{program.name}")
+        if is_arm:
+            pid = start(board, "/var/lib/rt-tests/hello wait")
+            standin.find(link, pid, scripts=scripts, within_s=COMMAND_S)
+            observing = ["observe", "--target", str(target), "--for", "5s", "--results", str(place / "refused")]
+            assert cli.main(observing) == 3
+            (line,) = capsys.readouterr().err.strip().splitlines()
+            assert (
+                "no probe publish, take, callback_begin, timer_call in /usr/lib/arm-linux-gnueabihf/libroscpp" in line
+            )
+            assert line.count("its address is odd, as that of Thumb code") == 1
+            board.output_of(f"kill {pid}")
+        else:
+            check_messages_and_timers(board, link, scripts, machine, target)
+
+
+def start(board: Board, command: str) -> int:
+    """Start a program that goes on after the call; its process."""
+    environment = "ROS_MASTER_URI=http://localhost:11311"
+    return int(board.output_of(f"{environment} setsid {command} > /dev/null 2>&1 < /dev/null & echo $!"))
+
+
+def check_arguments(board: Board, link: Link, scripts: PurePosixPath, program: str) -> None:
+    """Of a stand-in for ROS 2, with times of which both halves count where a register has 32 bits."""
+    first = 3 << 40
+    pid = start(board, f"{program} 50 1000000 {first}")
+    found = standin.find(link, pid, scripts=scripts, within_s=COMMAND_S)
+    placement = place_probes(link, found, events=standin.EVENTS)
+    batches = [each for each in observe(link, scripts, placement, found, for_s=8) if isinstance(each, Batch)]
+    board.output_of(f"kill {pid}")
+    hits = [hit for batch in batches for hit in batch.hits]
+    assert {hit.pid for hit in hits} == {pid}
+    published, taken, calls = (
+        [hit for hit in hits if hit.event == event] for event in ("publish", "take", "timer_call")
+    )
+    numbers = [hit.values["source_ns"] for hit in published]
+    assert numbers[0] >= first and numbers == list(range(numbers[0], numbers[0] + len(numbers))) and len(numbers) > 10
+    assert {hit.values["source_ns"] for hit in taken} ^ set(numbers) <= {numbers[0] - 1, numbers[-1]}
+    assert {hit.values["topic"] for hit in (*published, *taken)} == {"/a"}
+    assert {hit.values["taken"] for hit in taken} == {1}
+    assert {(hit.values["period_ns"], hit.values["clock"]) for hit in calls} == {(20_000_000, "steady")}
+    assert min(hit.at_ns - hit.values["expected_ns"] for hit in calls[1:]) > 0  # type: ignore[operator]
+
+
+def check_messages_and_timers(board: Board, link: Link, scripts: PurePosixPath, machine: str, target: Path) -> None:
+    """Of roscpp: of each message its own stamp, published, taken, its own stamp, in this order; and a timer's grid."""
+    place = target.parent
+    folder = deploy.deploy(link, suites.build(machine, place / "suites") / "lib", "suites")
+    options = "-r 100000 -f 20 --clock monotonic --out-dir /tmp"
+    programs = (
+        "communication_tests_subscriber --idle-timeout 600",
+        "communication_tests_publisher -d 1",
+        "cyclic_timer_tests",
+    )
+    pids = [start(board, f"{folder}/{name.partition('_tests')[0]}_tests/{name} {options}") for name in programs]
+    standin.find(link, *pids, scripts=scripts, within_s=COMMAND_S)
+    results = place / "observed"
+    assert cli.main(["observe", "--target", str(target), "--for", "20s", "--results", str(results)]) == 0
+    # They write what they have measured.
+    words = " ".join(map(str, pids))
+    board.output_of(f"kill {words}; for pid in {words}; do while [ -d /proc/$pid ]; do sleep 0.2; done; done")
+    path = PurePosixPath(board.output_of("ls /tmp/ct_gnuplot*.npy"))
+    sizes = {path.name: int(board.output_of(f"stat -c %s {path}"))}
+    link.do(lambda connection: connection.download(path.parent, sizes, place))
+    (messages,), (timer,) = results.glob("*-messages-communication_tests-*/*.npy"), results.glob("*-timer-*/*.npy")
+    own, seen = np.load(place / path.name), np.load(messages)
+    counts = json.loads(messages.with_suffix(".json").read_text())["counts"]
+    assert counts["measured"] == counts["asked"] == len(seen) > 20 and counts["missing"] == 0
+    fits = [
+        (rows[:, 0] <= seen[:, 0]).all() and (seen[:, 0] <= seen[:, 1]).all() and (seen[:, 1] <= rows[:, 1]).all()
+        for rows in (own[begin : begin + len(seen)] for begin in range(len(own) - len(seen) + 1))
+    ]
+    assert sum(fits) == 1
+    expected = np.load(timer)[:, 1]
+    known = expected[expected != UNKNOWN_NS]
+    assert len(known) > 0.9 * len(expected) > 20
+    assert (np.diff(known) % 50_000_000 == 0).all()
 
 
 def check_reboot_keeps_the_disk(board: Board) -> None:

@@ -1,7 +1,7 @@
 /* Libraries with the functions that probes are placed on, and a program that calls them: what ROS is not needed for.
  *
- * -DLIBRARY_tracetools and -DLIBRARY_rcl make the libraries. The program: standin PER_S COUNT, then it waits to be
- * ended; for each message a timer is called, and it is published and taken. */
+ * -DLIBRARY_tracetools and -DLIBRARY_rcl make the libraries. The program: standin PER_S COUNT [FIRST], then it waits to
+ * be ended; for each message a timer is called, and it is published and taken. FIRST is the first one's time. */
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -42,14 +42,14 @@ int main(int argc, char **argv)
     int64_t period = 1000000000 / per_s, begin = at.tv_sec * 1000000000LL + at.tv_nsec;
     struct timer_data data = {.clock = &steady, .period = period, .next = begin};
     struct timer timer = {&data};
-    (void)argc;
+    int64_t first = argc > 3 ? atoll(argv[3]) : 0;
     for (long i = 0; i < count; i++) {
         at.tv_sec = data.next / 1000000000;
         at.tv_nsec = data.next % 1000000000;
         clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL);
         rcl_timer_call_with_info(&timer, NULL);
-        ros_trace_rmw_publish(&publisher, NULL, i);
-        ros_trace_rmw_take(&subscription, NULL, i, 1);
+        ros_trace_rmw_publish(&publisher, NULL, first + i);
+        ros_trace_rmw_take(&subscription, NULL, first + i, 1);
     }
     puts("done");
     fflush(stdout);

@@ -27,15 +27,16 @@ _folders: list[str] = []
 _names: set[str] = set()
 
 
-def build(folder: Path) -> Path:
-    """Compile the stand-in with its libraries into a folder."""
+def build(folder: Path, *compiler: str) -> Path:
+    """Compile the stand-in with its libraries into a folder, for this machine unless a compiler is given."""
+    compiler = compiler or ("cc",)
     folder.mkdir(exist_ok=True)
     _folders.append(f"{folder}/")
     for name in LIBRARIES:
         library = ["-shared", "-fPIC", f"-DLIBRARY_{name}", "-o", f"{folder}/lib{name}.so"]
-        subprocess.run(["cc", "-O2", *library, SOURCE], check=True)
+        subprocess.run([*compiler, "-O2", *library, SOURCE], check=True)
     links = [f"-L{folder}", *(f"-l{name}" for name in LIBRARIES), "-Wl,--no-as-needed,-rpath,$ORIGIN"]
-    subprocess.run(["cc", "-O1", "-o", folder / "standin", SOURCE, *links[-1:], *links[:-1]], check=True)
+    subprocess.run([*compiler, "-O1", "-o", folder / "standin", SOURCE, *links[-1:], *links[:-1]], check=True)
     return folder / "standin"
 
 
@@ -49,11 +50,11 @@ def running(*argv: object, **more: object) -> "Iterator[subprocess.Popen[str]]":
             process.kill()
 
 
-def find(link: Link, *pids: int) -> tuple[FoundProgram, ...]:
+def find(link: Link, *pids: int, scripts: PurePosixPath = SCRIPTS, within_s: float = 30) -> tuple[FoundProgram, ...]:
     """Those of these processes that can be observed, once all of them can: a library is loaded after the start."""
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + within_s
     while True:
-        found = tuple(each for each in find_programs(link, SCRIPTS) if each.program.pid in pids)
+        found = tuple(each for each in find_programs(link, scripts) if each.program.pid in pids)
         if len(found) == len(pids):
             return found
         assert time.monotonic() < deadline, found
