@@ -55,7 +55,7 @@ runs:
   - {suite: oneshot_timer_tests, repetitions: 50, policy: RR}
   - {suite: cyclic_timer_tests, repetitions: 50, frequency_hz: 50, policy: "0"}
   - {suite: communication_tests, repetitions: 50, frequency_hz: 50, subscribers: [1, 3], policy: FIFO}
-  - {suite: cyclic_timer_tests, repetitions: 200, frequency_hz: 10, policy: RR, cpu: "1", irq_cpu: "0", nodes_hz: 20,
+  - {suite: cyclic_timer_tests, repetitions: 100, frequency_hz: 10, policy: RR, cpu: "1", irq_cpu: "0", nodes_hz: 20,
      condition: [cpu80, nodes]}
   - {suite: communication_tests, repetitions: 50, frequency_hz: 50, payload_bytes: 200, subscribers: 2, policy: FIFO,
      middleware: [roscpp, cyclonedds, fastdds, zeromq, tcp, futex]}

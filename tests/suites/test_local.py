@@ -14,9 +14,11 @@ from rtrun.judgement.study import study
 pytestmark = pytest.mark.ros
 
 ALLOCATED_BY_LOOP = "allocations_of_measuring_thread"
+# At a real-time policy: beside other work, programs of the normal one miss their rate, and such a run is invalid.
 CAMPAIGN = """
 schema: 1
 name: here
+common: {policy: FIFO}
 runs:
   - {suite: cyclic_timer_tests, repetitions: 200, frequency_hz: 100}
   - {suite: communication_tests, repetitions: 100, frequency_hz: 100, subscribers: 2}
@@ -35,7 +37,7 @@ def test_a_campaign_on_this_machine(suites, tmp_path, monkeypatch, capsys):
     records = [json.loads(path.read_text()) for path in (tmp_path / "results/here").glob("*/run.json")]
     assert [record["status"] for record in records] == ["ok"] * 3
     publisher_json = [name for record in records for name in record["files"] if name.endswith("-publisher.json")]
-    assert publisher_json == ["ct_gnuplot_l100_fq100_pl0-publisher.json"]
+    assert publisher_json == ["ct_gnuplot_l100_fq100_pl0-tnRTFIFO-publisher.json"]
     rates = {program["name"]: program["rate"] for record in records for program in record["programs"]}
     # Each periodic program tells its rate; cyclictest has no json.
     assert {name for name, rate in rates.items() if rate and rate["asked_hz"] == 100} == set(rates) - {"cyclictest"}
