@@ -39,6 +39,7 @@ def target_file(folder: Path, sshd: Sshd | None = None, **keys: object) -> str:
     return str(path)
 
 
+@pytest.mark.xdist_group("suites built there")  # the second finds in ccache what the first compiled
 @pytest.mark.parametrize("kind", ["local", "ssh"])
 def test_built_there_and_measured(
     sshd: Sshd, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

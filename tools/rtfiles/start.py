@@ -1,16 +1,11 @@
 """The start of both programs. It imports as little as can be, so that nothing of ours runs before Ctrl-C is seen to."""
 
-import atexit
-import gc
 import os
 import signal
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from types import ModuleType
-
-# At its end Python searches all that was loaded for garbage, which takes half as long as to load numpy.
-atexit.register(gc.freeze)
 
 
 def start(prog: str, description: str, groups: Mapping[str, Sequence[str]], argv: Sequence[str] | None) -> int:
