@@ -31,7 +31,7 @@ def script(program: str, shell: str, folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("rtrun ver", "verify verdict"),
+        ("rtrun ver", "verdict verify"),
         ("rtrun run cam", "campaign.yml"),
         ("rtrun run campaign.yml --tar", "--target --targets"),
         ("rtrun probe --target boards/", "boards/a.yml"),

@@ -8,6 +8,7 @@ import pytest
 
 from rtfiles.command import dispatch
 from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.output import noting_duration, print_line, print_note
 
 
 @pytest.mark.parametrize(
@@ -28,6 +29,24 @@ def test_an_error_is_a_line(capsys, error, status, line):
     command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
     assert dispatch("prog", "A program.", [command], ["do"]) == status
     assert capsys.readouterr().err == f"prog: {line}\n"
+
+
+@pytest.mark.parametrize("words", [["do"], ["do", "-q"], ["do", "--quiet"]])
+def test_quiet_leaves_the_answer_and_errors(capsys, words):
+    def run(_args):
+        print_note("a remark")
+        with noting_duration("the work"):
+            print_line("the answer")
+        raise UsageError("what is wrong")
+
+    command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
+    assert dispatch("prog", "A program.", [command], words) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "the answer\n"
+    remarks = "a remark\nthe work: 0 s\n" if words == ["do"] else ""
+    assert printed.err == f"{remarks}prog: what is wrong\n"
+    print_note("later")
+    assert capsys.readouterr().err == "later\n"
 
 
 @pytest.mark.parametrize("error", [ValueError("bad\x1b[2Jvalue"), RecursionError(), MemoryError(), AssertionError()])

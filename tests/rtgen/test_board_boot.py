@@ -250,7 +250,8 @@ def check_observing(board: Board, machine: str, place: Path, capsys: pytest.Capt
     login, target = board.record["ssh"], place / "target.yml"
     target.write_text(
         f"schema: 1\nname: board\nkind: ssh\nhost: 127.0.0.1\nport: {board.port}\nuser: {login['user']}\n"
-        f"work_dir: /var/lib/observing\nkey: {place / machine / login['key']}\nhost_key: {login['host_key']}\nemulated: true\n"
+        f"work_dir: /var/lib/observing\nkey: {place / machine / login['key']}\n"
+        f"host_key: {login['host_key']}\nemulated: true\n"
     )
     triplet = architectures()[find(machine).architecture].triplet
     program = standin.build(place / "standin", f"{triplet}-gcc", *(["-marm"] if is_arm else []))

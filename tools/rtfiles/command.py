@@ -15,10 +15,12 @@ from typing import Any
 
 from rtfiles.errors import DEFECT_STATUS, INTERRUPTED_STATUS, InfrastructureError, UsageError
 from rtfiles.invocation import DISTRIBUTION
-from rtfiles.output import print_line, print_note, print_status, print_text, surviving_output
+from rtfiles.output import print_error, print_line, print_status, print_text, quietly, surviving_output
 from rtfiles.wording import did_you_mean, unknown
 
 SHELLS = ("bash", "zsh")
+# The word of a command, where the help lists the commands in groups.
+LISTED = "listed_command"
 
 
 def dispatch(
@@ -42,7 +44,8 @@ def dispatch(
         try:
             args = parser_of(prog, description, commands, groups).parse_args(argv)
             try:
-                status = int(args.run(args))
+                with quietly(args.quiet):
+                    status = int(args.run(args))
             finally:
                 print_status("")
         except SystemExit as end:  # the parser has printed the help, or what is wrong with the arguments
@@ -50,21 +53,21 @@ def dispatch(
         except (UsageError, InfrastructureError) as error:
             status = error.exit_status
             for line in str(error).splitlines():
-                print_note(f"{prog}: {line}")
+                print_error(f"{prog}: {line}")
         except KeyboardInterrupt:
             status = INTERRUPTED_STATUS
-            print_note(f"{prog}: interrupted")
+            print_error(f"{prog}: interrupted")
         except OSError as error:
             status = InfrastructureError.exit_status
             where = f"{error.filename}: " if error.filename else ""
-            print_note(f"{prog}: {where}{error.strerror or error}")
+            print_error(f"{prog}: {where}{error.strerror or error}")
         except Exception:
             status = DEFECT_STATUS
             for line in traceback.format_exc().splitlines():
-                print_note(line)
-            print_note(f"{prog}: a defect of {prog}; please report it with the lines above")
+                print_error(line)
+            print_error(f"{prog}: a defect of {prog}; please report it with the lines above")
         if losses.stdout and losses.stdout.errno != errno.EPIPE:
-            print_note(f"{prog}: standard output: {losses.stdout.strerror}")
+            print_error(f"{prog}: standard output: {losses.stdout.strerror}")
             status = status or InfrastructureError.exit_status
         return status
 
@@ -102,17 +105,15 @@ def parser_of(
     parser.add_argument(
         "--print-manual", action=_PrintManual, nargs=0, help=f"print a manual page: {prog} --print-manual | man -l -"
     )
-    subparsers = parser.add_subparsers(
-        dest="command", required=True, metavar="COMMAND", help=argparse.SUPPRESS if groups else None
-    )
+    subparsers = parser.add_subparsers(dest=LISTED if groups else "command", required=True, metavar="COMMAND")
     if groups:
-        parser.usage = "%(prog)s [-h] [--version] COMMAND ..."
         parser.epilog = _listed(commands, groups)
     for command in commands:
         subparser = subparsers.add_parser(
             command.NAME, help=command.HELP, description=command.HELP, epilog=_epilog(command)
         )
         command.add_arguments(subparser)
+        _add_quiet(subparser)
         subparser.set_defaults(run=command.run)
     return parser
 
@@ -157,7 +158,11 @@ def _columns() -> int:
 
 
 class _Help(argparse.HelpFormatter):
-    """Help in which a text of several lines keeps them."""
+    """Help in which a text of several lines keeps them, without the commands that the epilog lists."""
+
+    def add_argument(self, action: argparse.Action) -> None:
+        if action.dest != LISTED:
+            super().add_argument(action)
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         return text if "\n" in text else super()._fill_text(text, width, indent)
@@ -180,6 +185,16 @@ class _Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             raise argparse.ArgumentError(action, unknown("word", value, known=map(str, action.choices)))
+
+
+def _add_quiet(parser: argparse.ArgumentParser) -> None:
+    """To the parser of a command, or to those of its actions."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for each in action.choices.values():
+                _add_quiet(each)
+            return
+    parser.add_argument("-q", "--quiet", action="store_true", help="neither remarks nor progress")
 
 
 class _PrintVersion(argparse.Action):

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 PLAIN_WIDTH = 100  # columns of a table, where the output is no terminal
 WIDTH_MAX = 1000
+_quiet = False
 
 
 def printable(text: str) -> str:
@@ -65,8 +66,25 @@ def print_bytes(content: bytes) -> None:
 
 
 def print_note(text: str) -> None:
-    """Print one line beside the answer, a remark or an error, to standard error."""
+    """Print a remark beside the answer, one line, to standard error; nothing where `quietly` holds."""
+    if not _quiet:
+        print_error(text)
+
+
+def print_error(text: str) -> None:
+    """Print one line about an error to standard error."""
     print(printable(text), file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def quietly(asked: bool = True) -> Iterator[None]:
+    """Print neither remarks nor progress meanwhile, only the answer and errors; as ever where it is not asked."""
+    global _quiet
+    before, _quiet = _quiet, asked
+    try:
+        yield
+    finally:
+        _quiet = before
 
 
 @contextlib.contextmanager
@@ -79,7 +97,7 @@ def noting_duration(what: str) -> Iterator[None]:
 
 def print_status(text: str) -> None:
     """Show a line that the next one overwrites. Only on a terminal; an empty text removes the line."""
-    if sys.stderr.isatty():
+    if sys.stderr.isatty() and not _quiet:
         print(f"\r\x1b[K{printable(text)}", end="", file=sys.stderr, flush=True)
 
 

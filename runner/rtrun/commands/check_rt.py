@@ -17,6 +17,7 @@ EXAMPLES = (
     "rtrun check-rt --target board.yml",
     "rtrun check-rt --target board.yml --json",
 )
+FAILS = "a finding is fatal or high"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

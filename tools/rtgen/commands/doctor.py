@@ -9,6 +9,7 @@ EXAMPLES = (
     "rtgen doctor",
     "rtgen doctor /builds",
 )
+FAILS = "a finding prevents a build"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,6 +10,7 @@ EXAMPLES = (
     "rtgen flash --image card.img --device /dev/mmcblk0 --yes",
     "rtgen flash --image image.wic --device /dev/sdX",
 )
+FAILS = "it was not confirmed, and nothing was written"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,6 +8,7 @@ EXAMPLES = (
     "rtgen kernel build --machine qemu-armv7",
     "rtgen kernel build --machine pandaboard-es --kernel 6.1",
 )
+FAILS = "an option does not hold"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
