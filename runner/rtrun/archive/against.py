@@ -115,6 +115,7 @@ def _case(
         n=n,
         misses=misses,
         worst_ns=worst_ns,
+        has_reason=not passed,
     )
 
 

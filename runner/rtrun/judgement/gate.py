@@ -28,6 +28,8 @@ class Case:
     worst_ns: int | None = None
     refused: str | None = None
     """Why there is no answer, as `text` says it first."""
+    has_reason: bool = True
+    """Whether something else than its numbers made the answer, or lets it fail: `text` says what."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,13 +118,18 @@ def why_not_accepted(measured: Platform, accepted: Platform) -> str | None:
 def _case(group: Group, name: str, passing: Container[str], platform: Platform, *, is_member: bool) -> Case:
     line, verdict = verdict_line(group, name), group.verdict
     text, passed = line.text, line.answer in passing
+    has_reason = verdict is None or (
+        verdict.answer == Answer.NEEDS_MORE and (verdict.change is not None or verdict.off_rate > 0)
+    )
     if is_member and line.answer == Answer.NEEDS_MORE:
         # The case of all boards together says whether they have measured enough.
         passed = True
     if passed and not all(record.target.is_identified for record in group.records):
         text, passed = f"{text}; of an unknown board: import it with --board", False
+        has_reason = True
     if passed and (why := why_not_accepted(group.platform, platform)):
         text, passed = f"{text}; {why}", False
+        has_reason = True
     return Case(
         about=line.about,
         answer=line.answer,
@@ -132,4 +139,5 @@ def _case(group: Group, name: str, passing: Container[str], platform: Platform, 
         misses=verdict.misses if verdict else None,
         worst_ns=verdict.worst_ns if verdict else None,
         refused=verdict.refused if verdict else None,
+        has_reason=has_reason,
     )

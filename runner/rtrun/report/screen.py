@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-# Answers that follow from the numbers beside them.
-_TOLD_BY_NUMBERS = (Answer.REFUTED, Answer.NEEDS_MORE, Answer.NO_STATEMENT, Answer.NO_DEADLINE, "NO HISTORY")
 # Columns between two cells.
 _GAP = 2
 _STYLES: dict[str, str] = {
@@ -116,8 +114,8 @@ def _listed(headings: Sequence[str], rows: "Sequence[Sequence[Text]]") -> "Table
 def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None:
     """Print a row for each case, with whether it passes where they are `judged`.
 
-    A sentence says what each answer rests on where that is asked for, where there is one case alone, and where its
-    numbers do not tell why a case failed. Why there is no answer is printed once where it is the same for all.
+    A sentence says what each answer rests on where that is asked for, where there is one case alone, and where the
+    numbers do not tell it. Why there is no answer is printed once where it is the same for all.
     """
     if not cases:
         return
@@ -127,15 +125,11 @@ def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None
     refused = refusals.pop() if len(cases) > 1 and len(refusals) == 1 else None
     if refused:
         print_line(f"\nno scenario has an answer: {refused}")
-    told = [case for case in cases if verbose or len(cases) == 1 or case.n is None or (judged and _has_reason(case))]
+    told = [case for case in cases if verbose or len(cases) == 1 or (case.has_reason and case.refused is None)]
     if told:
         print_line()
     for case in told:
         print_line(f"{case.about}: {case.text.removeprefix(f'{refused}; ')}")
-
-
-def _has_reason(case: Case) -> bool:
-    return not case.passed and case.answer not in _TOLD_BY_NUMBERS
 
 
 def _table(cases: Sequence[Case], *, judged: bool, width: int) -> "Table":
