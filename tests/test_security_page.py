@@ -34,10 +34,12 @@ NO_LIMITS = {
         "rtrun.kinds.rate.OFF_MAX",
         "rtrun.flows.timers._PERIOD_OFF_MAX",
         "rtrun.flows.hazards._NAMED_MAX",
-        "rtrun.execution.observation._NAME_MAX",
+        "rtrun.execution.observed_runs._NAME_MAX",
         "rtrun.execution.observation._KERNEL_EVENTS_PER_S",
     },
     "pauses between two attempts, and parts of a time that stands on the page": {
+        "rtrun.execution.system.LOOK_S",
+        "rtrun.execution.system.POLL_S",
         "rtrun.targets.labgrid.places.POLL_S",
         "rtrun.targets.link.RETRY_S",
         "rtrun.targets.processes.POLL_S",
@@ -54,6 +56,7 @@ NO_LIMITS = {
     "times of programs of our own": {
         "rtrun.execution.ros_graph.LOOK_S",
         "rtrun.execution.run_programs.DEADLINE_EXTRA_S",
+        "rtrun.execution.run_programs.OBSERVED_EXTRA_S",
         "rtrun.targets.building.BUILD_S",
         "rtrun.targets.building.END_GRACE_S",
         "rtrun.targets.qemu.kvm.DEADLINE_S",

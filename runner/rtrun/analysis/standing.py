@@ -20,6 +20,15 @@ class Standing:
     has_deadline: bool = True
     boards: frozenset[str] = frozenset()
     """The names of the boards that it was measured on."""
+    observed_by: tuple[str, ...] = ()
+    """Of a stream of what is observed: the runs of the campaign that observed it."""
+    stream: str = ""
+    """Which stream that is."""
+
+    @property
+    def planned(self) -> tuple[str, ...]:
+        """The runs of the campaign that it rests on."""
+        return self.observed_by or self.runs
 
     @property
     def answer(self) -> Answer:

@@ -86,7 +86,7 @@ def question(args: argparse.Namespace, results: Path) -> Question:
         "confidence": args.confidence,
     }
     asked = replace(before, **{key: value for key, value in given.items() if value})
-    asked = replace(asked, is_deadline_stated=bool(goal or args.deadline))
+    asked = replace(asked, is_deadline_stated=bool((goal and goal.deadline_ns) or args.deadline))
     if goal and not may_follow(before, asked):
         print_note(
             f"rtrun: measured for P({before.miss}): the answer to another question, chosen after looking, is less sure "

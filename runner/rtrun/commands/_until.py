@@ -20,6 +20,7 @@ from rtrun.plan.goal import Goal
 from rtrun.plan.run import Run
 from rtrun.report.standings import progress_line
 from rtrun.results.goal_file import write_goal
+from rtrun.results.observed import said_of
 from rtrun.results.record import RunStatus, is_closed
 
 ReportProgress = Callable[[Sequence[Progress], float], None]
@@ -88,6 +89,8 @@ def measure_until(
             "allow more: the start of the target counts too"
         )
     print_answers(study(results, goal.question, bounds=False))
+    for line in said_of(sorted(folder for folder in results.iterdir() if is_closed(folder))):
+        print_line(line)
     bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
     for line in bad:
         print_line(line)

@@ -11,6 +11,9 @@ from rtrun.plan.observation import read_path, read_stream_deadline
 if TYPE_CHECKING:
     from rtrun.execution.observation import Watched
     from rtrun.execution.ros_graph import RosGraph
+    from rtrun.plan.campaign import Campaign
+    from rtrun.plan.run import Run
+    from rtrun.targets.config import TargetConfig
 
 NAME = "observe"
 HELP = "measure nodes that run already, unmodified: messages, timers, callbacks, reaction times"
@@ -51,6 +54,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="above=LIMIT",
         help="keep the kernel's trace around late values, for rtrun why: above=p99.9, or above=300us",
     )
+    parser.add_argument(
+        "--until",
+        type=argument(_read_until),
+        metavar="KEY=VALUE,...",
+        help="again and again until each stream with a deadline is decided, in the words of a campaign's until: "
+        "probability=1e-4,at_most=2h",
+    )
     parser.add_argument("--results", type=Path, metavar="FOLDER", help="[results/<name of the target>]")
     parser.add_argument("--json", action="store_true", help="print a JSON object a second, for programs")
     parser.add_argument(
@@ -71,50 +81,157 @@ def _read_trace(text: str) -> str:
         raise ValueError(str(error)) from error
 
 
+def _read_until(text: str) -> "dict[str, object]":
+    """Read ``probability=1e-4,at_most=2h``, in the words of `until` of a campaign. Raises ValueError."""
+    from rtfiles.config import Place, parse
+    from rtfiles.errors import UsageError
+    from rtrun.plan.goal import Goal
+
+    pairs = [pair.partition("=")[::2] for pair in text.split(",")]
+    words: dict[str, object] = {key.strip(): int(value) if value.isdecimal() else value for key, value in pairs}
+    try:
+        parse(words, Goal, Place("until"))
+    except UsageError as error:
+        raise ValueError(str(error)) from error
+    return words
+
+
 def run(args: argparse.Namespace) -> int:
     """Observe, show it while it lasts, keep it. 0: it was observed, 3: out of reach, or it cannot be observed."""
-    import shlex
-
-    from rtfiles import atomic
-    from rtfiles.invocation import as_called
-    from rtfiles.output import print_line, print_status
-    from rtrun.commands._link import linked
-    from rtrun.execution import observation
-    from rtrun.execution.ros_graph import read_graph
-    from rtrun.flows.hazards import hazards
-    from rtrun.flows.recorder import FlowRecorder
-    from rtrun.plan.observation import ObservationPlan
-    from rtrun.report.flow_trace import flow_trace
-    from rtrun.report.live import LiveView
+    from rtfiles.errors import UsageError
+    from rtrun.plan.campaign import plan
+    from rtrun.plan.run import UNTRACED
     from rtrun.results import run_directory
     from rtrun.targets.config import read_target
 
     config = read_target(args.target)
-    plan = ObservationPlan(for_s=args.for_ns / 1e9, deadlines=args.deadline, paths=args.path, trace=args.trace or "")
+    if args.until and (args.json or args.perfetto or args.list):
+        raise UsageError("--until measures round by round: it takes neither --json nor --perfetto nor --list")
+    campaign = _campaign(args, config.name)
+    (planned,) = (each for each in plan(campaign, "rtrun observe") if each.trace != UNTRACED)
+    if args.list:
+        return _list(args, config, planned)
+    results: Path = args.results or Path("results") / config.name
+    # What would be known at the end only, hours later.
+    run_directory.make_results(results)
+    if campaign.until is not None:
+        from rtrun.commands._boards import TargetFile
+        from rtrun.commands._until import measure_until
+
+        targets = [TargetFile(config=config, folder=args.target.parent)]
+        status = measure_until(Path("rtrun observe"), campaign, campaign.until, [planned], targets, results)
+    else:
+        status = _observe_once(args, config, planned, results)
+    if not args.json:
+        _print_what_follows(results, has_traces=bool(args.trace))
+    return status
+
+
+def _campaign(args: argparse.Namespace, name: str) -> "Campaign":
+    """The campaign of one run that the arguments ask for."""
+    from rtfiles.config import parse
+    from rtrun.plan.campaign import Campaign
+    from rtrun.plan.conditions import SAMPLER
+    from rtrun.plan.observation import ATTACHED
+
+    seconds, rest_ns = divmod(args.for_ns, 10**9)
+    asked = {
+        "schema": 1,
+        "name": name,
+        "subject": ATTACHED,
+        "for": f"{seconds}.{rest_ns:09}s",
+        "deadlines": [each.text for each in args.deadline],
+        "paths": [",".join(each) for each in args.path],
+        "runs": [{SAMPLER: "none"} | ({"trace": {"above": args.trace}} if args.trace else {})],
+    }
+    if args.until:
+        asked |= {"until": args.until, "order": "interleaved", "seed": 1}
+    return parse(asked, Campaign, "rtrun observe")
+
+
+def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Run", results: Path) -> int:
+    """Observe as one run, with the next number that is free in the results."""
+    import secrets
+    from dataclasses import replace
+
+    from rtfiles import atomic
+    from rtfiles.errors import InfrastructureError
+    from rtfiles.output import print_line, print_status
+    from rtrun.commands._link import linked
+    from rtrun.execution import preparation, run_execution
+    from rtrun.execution.board import utc_now
+    from rtrun.execution.observation import ObservationResult, Onlooker
+    from rtrun.execution.run_state import RunLife
+    from rtrun.flows.recorder import FlowRecorder
+    from rtrun.report.flow_trace import flow_trace
+    from rtrun.report.live import LiveView
+    from rtrun.results.observed import said_of
+    from rtrun.results.record import RunStatus
+
+    if args.perfetto is not None:
+        atomic.write_text(args.perfetto, "")
+    recorder = FlowRecorder(DRAWN_MAX) if args.perfetto else None
+
+    def draw(observed: ObservationResult) -> None:
+        if recorder is not None:
+            atomic.write_text(args.perfetto, flow_trace(recorder, observed.programs))
+
+    planned = replace(planned, name=f"{_next_number(results):03}")
+    folder, uid = results / planned.name, f"observe-{secrets.token_hex(4)}"
+    print_status(f"asking {config.name} what runs there")
+    with (
+        linked(config, args.target.parent) as link,
+        preparation.prepared(link, uid, [planned], lambda: False) as ready,
+        LiveView(as_json=args.json) as view,
+    ):
+        print_status("")
+        onlooker = Onlooker(on_second=view.show, on_end=draw, recorder=recorder, is_attended=True)
+        life = RunLife(lambda _state, _reason: None)
+        record = run_execution.measure(
+            ready, uid, planned.name, planned, folder, life, utc_now, may_be_begun=False, onlooker=onlooker
+        )
+    if not args.json:
+        for text in said_of([folder]):
+            print_line(text)
+    if record.status is not RunStatus.OK:
+        print_line(f"{record.status}: {record.reason}")
+        return InfrastructureError.exit_status
+    return 0
+
+
+def _next_number(results: Path) -> int:
+    import re
+
+    taken = [int(match[1]) for path in results.iterdir() if (match := re.match(r"([0-9]{1,9})(?![0-9])", path.name))]
+    return max(taken, default=0) + 1
+
+
+def _print_what_follows(results: Path, *, has_traces: bool) -> None:
+    import shlex
+
+    from rtfiles.invocation import as_called
+    from rtfiles.output import print_line
+
+    folder, call = shlex.quote(str(results)), as_called("rtrun")
+    why = f"; {call} why {folder}" if has_traces else ""
+    print_line(f"next: {call} report {folder}; {call} verdict {folder}{why}")
+
+
+def _list(args: argparse.Namespace, config: "TargetConfig", planned: "Run") -> int:
+    from rtfiles.output import print_status
+    from rtrun.commands._link import linked
+    from rtrun.execution import observation
+    from rtrun.execution.ros_graph import read_graph
+    from rtrun.targets import deploy
+
+    assert planned.observation is not None
     print_status(f"asking {config.name} what runs there")
     with linked(config, args.target.parent) as link:
-        watched = observation.watch(link, plan)
-        print_status("")
-        if args.list:
-            _print_list(watched, read_graph(link, watched.scripts, watched.found))
-            return 0
-        results = args.results or Path("results") / config.name
-        # What would be known at the end only, hours later.
-        run_directory.make_results(results)
-        if args.perfetto is not None:
-            atomic.write_text(args.perfetto, "")
-        recorder = FlowRecorder(DRAWN_MAX) if args.perfetto else None
-        with LiveView(as_json=args.json) as view:
-            observed = observation.observe(watched, plan, on_second=view.show, recorder=recorder)
-        left_out = observation.write(results, watched, plan, observed)
-    if recorder is not None:
-        atomic.write_text(args.perfetto, flow_trace(recorder, observed.programs))
-    if not args.json:
-        for text in (*observed.remarks, *left_out, *hazards(observed.programs)):
-            print_line(text)
-        folder, call = shlex.quote(str(results)), as_called("rtrun")
-        why = f"; {call} why {folder}" if args.trace else ""
-        print_line(f"next: {call} report {folder}; {call} verdict {folder}{why}")
+        scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
+        watched = observation.watch(link, scripts, planned.observation)
+        graph = read_graph(link, scripts, watched.found)
+    print_status("")
+    _print_list(watched, graph)
     return 0
 
 

@@ -12,6 +12,7 @@ from rtrun.commands._question import probability_argument
 if TYPE_CHECKING:
     from rtrun.plan.campaign import Campaign
     from rtrun.plan.goal import Goal
+    from rtrun.plan.observation import StreamDeadline
     from rtrun.plan.rounds import Outlook
     from rtrun.plan.run import Run
 
@@ -59,7 +60,10 @@ def run(args: argparse.Namespace) -> int:
     campaign, runs = read_campaign(args.campaign)
     if args.assume_rate is not None and campaign.until is None:
         raise UsageError(f"{args.campaign}: --assume-rate: the campaign has no goal (until), so its length is known")
-    forecasts = tuple(_forecasts(campaign.until, runs, args.assume_rate)) if campaign.until else ()
+    if args.assume_rate is not None and campaign.subject is not None:
+        raise UsageError(f"{args.campaign}: --assume-rate: how much there is to observe is known when it was observed")
+    is_foreseen = campaign.until is not None and campaign.subject is None
+    forecasts = tuple(_forecasts(campaign.until, runs, args.assume_rate)) if campaign.until and is_foreseen else ()
     if args.json:
         print_json(_as_data(campaign, runs, forecasts))
         return 0
@@ -82,7 +86,9 @@ def run(args: argparse.Namespace) -> int:
         f"{len(runs)} runs, {duration(times['total_s'])}: {duration(times['measuring_s'])} of measuring{settling}, "
         f"about {duration(times['start_and_end_s'])} for set-up and for programs to start and end{restarting}"
     )
-    if campaign.until:
+    if campaign.until and not is_foreseen:
+        print_line(_observed_goal_line(campaign.until, campaign.deadlines))
+    elif campaign.until:
         for line in _goal_lines(campaign.until, runs, forecasts, _prices_of_bursts(campaign.until, runs)):
             print_line(line)
         for line in _load_lines(_slowest_load_s(campaign.until, runs, forecasts)):
@@ -200,6 +206,14 @@ def _goal_lines(
         yield f"to cover bursts of {length} (bursts: {length}): {duration(outlook.total_s)} without a miss"
 
 
+def _observed_goal_line(goal: "Goal", deadlines: "Sequence[StreamDeadline]") -> str:
+    return (
+        f"until P(miss) is proven or refuted to be below {goal.probability:g} for each of "
+        f"{', '.join(each.text for each in deadlines)}, confidence {goal.confidence:g}, in at most "
+        f"{duration(goal.at_most_ns / 1e9)}: each round observes again, how many it takes is not known beforehand"
+    )
+
+
 def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_Forecast]) -> dict[str, Any]:
     """The plan as docs/formats.md has it."""
     from dataclasses import asdict
@@ -207,7 +221,7 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
     from rtrun.plan.run import blocks
 
     goal, restarts = campaign.until, len(blocks(runs)) - 1
-    slowest_s = _slowest_load_s(goal, runs, forecasts) if goal else None
+    slowest_s = _slowest_load_s(goal, runs, forecasts) if goal and forecasts else None
     return {
         "schema": 1,
         "campaign": campaign.name,
@@ -226,6 +240,7 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
                 "variant": each.variant,
                 "kernel": each.kernel,
                 "trace": each.trace,
+                **({"observation": asdict(each.observation)} if each.observation else {}),
                 "expected_s": each.expected_s,
                 "settle_s": each.settle_s,
             }

@@ -87,6 +87,7 @@ def _measure(
     from rtrun.execution import campaign_runner, progress
     from rtrun.plan.campaign import variants_of
     from rtrun.report import terminal
+    from rtrun.results.observed import said_of
     from rtrun.results.reading import read_runs
     from rtrun.results.record import RunStatus
 
@@ -108,7 +109,7 @@ def _measure(
     measured = read_runs(results)
     console().print(terminal.answer_of_runs(measured), crop=False)
     bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
-    for line in bad:
+    for line in (*bad, *said_of(results / each.name for each in runs)):
         print_line(line)
     return InfrastructureError.exit_status if bad else 0
 

@@ -134,22 +134,27 @@ def standings_of(groups: Sequence[Run], standings: Sequence[Standing]) -> dict[s
     """The standing of each group by the group's name; where its runs were told apart, that of the latest run.
 
     Runs of a campaign are not pooled when the target's kernel changed in between. Of boards that are not alike, which
-    are not pooled either, each has to have its answer: the standing is that of one that has none.
+    are not pooled either, each has to have its answer, and so has each stream of what is observed that has a deadline:
+    the standing is that of one that has none.
     """
-    latest: dict[str, dict[frozenset[str], tuple[int, Standing]]] = {}
+    latest: dict[str, dict[tuple[str, frozenset[str]], tuple[int, Standing]]] = {}
     for standing in standings:
         for group in groups:
-            number = max((_round_of(run, group) for run in standing.runs), default=0)
-            of_boards = latest.setdefault(group.name, {})
-            if number > of_boards.get(standing.boards, (0,))[0]:
-                of_boards[standing.boards] = number, standing
+            number = max((_round_of(run, group) for run in standing.planned), default=0)
+            measured = latest.setdefault(group.name, {})
+            key = standing.stream, standing.boards
+            if standing.has_deadline and number > measured.get(key, (0,))[0]:
+                measured[key] = number, standing
     chosen = {}
-    for name, of_boards in latest.items():
+    for name, measured in latest.items():
         # What boards say together stands for what each says alone.
         single = [
             (number, standing)
-            for boards, (number, standing) in of_boards.items()
-            if not any(boards < others and number <= of_boards[others][0] for others in of_boards)
+            for (stream, boards), (number, standing) in measured.items()
+            if not any(
+                stream == other and boards < others and number <= measured[other, others][0]
+                for other, others in measured
+            )
         ]
         if single:
             chosen[name] = max(single, key=lambda pair: (not pair[1].is_final, pair[0]))[1]
@@ -208,7 +213,7 @@ def runs_left(group: Run, standing: Standing | None, measurements: int, boot_rou
     if standing is not None and standing.is_final:
         return 0
     if standing is None or verdict is None or not verdict.n:
-        return rounds_for(group, measurements)
+        return None if group.observation else rounds_for(group, measurements)
     if verdict.change is not None:
         return None
     likely = verdict.further_likely[1] if verdict.further_likely else None

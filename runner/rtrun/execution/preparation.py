@@ -91,10 +91,11 @@ def prepared(
     """
     target = link.target
     equipment = inspection.inspect(link)
-    for folder in filter(None, [target.suites, *(variant.suites for variant in (variants or {}).values())]):
+    of_target = target.suites if any(map(_needs_suites, runs)) else None
+    for folder in filter(None, [of_target, *(variant.suites for variant in (variants or {}).values())]):
         inspection.check_suites(folder, target, equipment)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
-    installed = equipment.programs if target.suites is None else _deploy_suites(link, target.suites)
+    installed = equipment.programs if of_target is None else _deploy_suites(link, of_target)
     # What a runner that was killed left would slow down what is measured next; a trace that is in use stays.
     link.check([str(scripts / "trace.sh"), "down"])
     kernel_config = inspection.read_kernel_config(link)
@@ -141,6 +142,12 @@ def prepared(
         if lacking and all(lacking):
             raise TargetError(str(lacking[0]))
         yield ready
+
+
+def _needs_suites(run: Run) -> bool:
+    """Whether a run uses programs of the suites: its own, a load's, or the sampler."""
+    observes_alone = run.observation is not None and bool(run.settings.get(conditions.SAMPLER))
+    return not observes_alone or bool(conditions.suites_programs(run.condition))
 
 
 def middlewares_of(run: Run) -> set[str]:

@@ -192,6 +192,13 @@ def _refuse_busy(link: Link, printed: str) -> None:
         )
 
 
+def without_folder(start_time: str, before: TargetState) -> Attempt:
+    """The attempt at a run of which nothing is put on the target: no later call can pick it up."""
+    return Attempt(
+        schema=1, uid=secrets.token_hex(8), start_time=start_time, service="", own_service=False, argv={}, before=before
+    )
+
+
 def begin(
     link: Link,
     remote: PurePosixPath,

@@ -1,4 +1,4 @@
-"""One run on a prepared target: resumed or started, waited for, downloaded, judged, closed."""
+"""One run on a prepared target: resumed or started, waited for or observed, downloaded, judged, closed."""
 
 import contextlib
 import json
@@ -13,9 +13,10 @@ from typing import Any
 
 from rtfiles.errors import InfrastructureError
 from rtfiles.untrusted import MIB, read_end
-from rtrun.execution import clock_record, download, resumption
+from rtrun.execution import clock_record, download, observation, observed_runs, resumption, system
 from rtrun.execution.middleware.known import SERVICES
 from rtrun.execution.middleware.service import Service
+from rtrun.execution.observation import NOBODY, ObservationResult, Onlooker
 from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt
 from rtrun.execution.run_programs import RunPrograms, programs_of
@@ -23,7 +24,7 @@ from rtrun.execution.run_state import RunEvent, RunLife, RunState, must_give_up
 from rtrun.kinds.output import Record, SenderRecord
 from rtrun.plan import conditions, suites
 from rtrun.plan.program import Exit
-from rtrun.plan.run import Run
+from rtrun.plan.run import UNTRACED, Run
 from rtrun.results import run_directory
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
 from rtrun.targets import building, processes
@@ -65,6 +66,7 @@ class _Work:
     remote: PurePosixPath
     programs: RunPrograms
     token: str
+    onlooker: Onlooker
 
     @property
     def link(self) -> Link:
@@ -76,8 +78,31 @@ class _Work:
         return SERVICES.get(self.run.middleware)
 
     @property
+    def measuring(self) -> list[str]:
+        """The names of the programs that measure: once they run, the target goes on by itself."""
+        return [] if self.run.observation else [program.name for program in self.programs.measuring]
+
+    @property
+    def starts_system(self) -> bool:
+        """Whether it starts the user's system, to observe it."""
+        return bool(self.run.observation and self.programs.of_suite)
+
+    @property
     def setup(self) -> str | None:
+        """The shell file that sets up what its programs need."""
+        if self.starts_system:
+            return self.prepared.setup or self.link.target.setup
         return self.prepared.setup_of(self.run.middleware)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Measured:
+    """What came of the measuring: how the programs ended, why they were ended early, if so, the service then."""
+
+    exits: Sequence[Exit] = ()
+    failure: str | None = None
+    service: str = ""
+    observed: ObservationResult | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,9 +132,11 @@ def measure(
     now: Clock,
     *,
     may_be_begun: bool,
+    onlooker: Onlooker = NOBODY,
 ) -> RunRecord:
     """Measure one run, or pick it up where an earlier call left it; return the record that `folder` is closed with.
 
+    Of a run that observes there are further folders beside it, one for each stream; `onlooker` is told meanwhile.
     Where `may_be_begun` is false, nobody looks for what an earlier call left. Raises TargetError when the target cannot
     go on, TargetRebooted when this run was cut off by a restart.
     """
@@ -123,26 +150,35 @@ def measure(
         remote=remote,
         programs=programs_of(prepared, run, remote, token),
         token=token,
+        onlooker=onlooker,
     )
     try:
         attempt, not_started = (_resume(work, life) if may_be_begun else None), None
         if attempt is None:
             attempt, not_started = _start(work, life, now)
-        exits, ended, service = _wait(work, life)
+        measured = _observe(work, life, not_started, now) if run.observation else _wait(work, life)
     except (KeyboardInterrupt, InfrastructureError) as error:
         if must_give_up(life.state, error):
             with contextlib.suppress(TargetError):
-                processes.give_up(work.link, remote, work.programs.names)
+                _give_up(work)
             life.move(RunEvent.GIVE_UP, str(error) or type(error).__name__)
         elif life.state is RunState.MEASURING and not isinstance(error, OUT_OF_REACH):
             raise TargetError(f"{error}; the run goes on and is picked up by the next call") from error
         raise
-    end = _end_background(work, exits, service, not_started or ended)
-    with run_directory.filling(folder) as partial:
+    end = _end_background(work, measured, not_started)
+    with contextlib.ExitStack() as stack:
+        place = folder
+        if run.observation is not None:
+            # Its streams are runs, too, and get their places together with it.
+            observed_runs.put_aside(folder)
+            place = stack.enter_context(run_directory.together(folder.parent, folder.name)) / folder.name
+        partial = stack.enter_context(run_directory.filling(place))
         refused = _download(work, partial, attempt, end)
         verdict = _judge(work, partial, attempt, end, refused)
         record = _record(work, partial, attempt, end, refused, verdict, now)
-        run_directory.close(partial, folder, record)
+        if measured.observed is not None:
+            record = observed_runs.write(partial, place, run, record, attempt.before, measured.observed)
+        run_directory.close(partial, place, record)
     life.move(RunEvent.CLOSE, f"{record.status}: {record.reason}" if record.reason else record.status)
     processes.remove(work.link, remote)
     return record
@@ -152,8 +188,7 @@ def _resume(work: _Work, life: RunLife) -> Attempt | None:
     """Return the attempt of an earlier call that can be picked up, or make room for a new one and return None."""
     others = [*work.programs.load_names, *work.programs.other_names]
     leftovers = resumption.inspect_leftovers(work.link, work.remote, work.programs.suite_names, others)
-    measuring = [program.name for program in work.programs.measuring]
-    if leftovers.can_be_picked_up(measuring, run_directory.closing_record(work.folder)):
+    if leftovers.can_be_picked_up(work.measuring, run_directory.closing_record(work.folder)):
         life.move(RunEvent.PICK_UP)
         return leftovers.attempt
     if leftovers.cut_off:
@@ -166,24 +201,48 @@ def _resume(work: _Work, life: RunLife) -> Attempt | None:
             run_directory.rename(partial, kept)
         life.move(RunEvent.KEEP, f"kept as {kept.name}")
     if leftovers.has_folder:
-        processes.give_up(work.link, work.remote, work.programs.names)
+        _give_up(work)
     if leftovers.started:
         life.move(RunEvent.GIVE_UP, leftovers.unreadable or "left by an earlier call")
     return None
 
 
+def _give_up(work: _Work) -> None:
+    """End all that runs of it, and remove its folder on the target."""
+    if work.starts_system:
+        system.end(work.link, work.prepared.scripts, work.remote)
+    processes.give_up(work.link, work.remote, work.programs.names)
+
+
 def _start(work: _Work, life: RunLife, now: Clock) -> tuple[Attempt, str | None]:
     """Start the background, then the suite; return why its measuring programs were not started, if so.
 
-    Raises TargetError when nothing can be measured.
+    What is observed is started before the background: how it comes up under a load is no part of the run. Raises
+    TargetError when nothing can be measured.
     """
     life.move(RunEvent.BEGIN)
     attempt = _begin(work, now)
-    if work.programs.background:
+    not_started = _start_system(work) if work.run.observation else None
+    if work.programs.background and not_started is None:
         _start_background(work)
-    not_started = _start_suite(work)
-    life.move(RunEvent.START)
+    if work.run.observation is None:
+        not_started = _start_suite(work)
+        life.move(RunEvent.START)
     return attempt, not_started
+
+
+def _start_system(work: _Work) -> str | None:
+    """Start the user's system where the run names one, and wait until it is ready; return why it is not."""
+    assert work.run.observation is not None
+    link, scripts, plan = work.link, work.prepared.scripts, work.run.observation
+    if work.starts_system:
+        processes.start(link, scripts, work.remote, *work.programs.of_suite, setup=work.setup)
+    # After a restart of the target it may still come up; who sits before it knows.
+    is_at_once = work.onlooker.is_attended and not work.starts_system
+    not_ready = system.wait_ready(link, scripts, work.remote, plan, deadline_s=0.0 if is_at_once else system.READY_S)
+    if not_ready and is_at_once:
+        raise TargetError(f"{link.target.address}: {not_ready}")
+    return not_ready
 
 
 def _begin(work: _Work, now: Clock) -> Attempt:
@@ -191,6 +250,10 @@ def _begin(work: _Work, now: Clock) -> Attempt:
     service = _service(work)
     if work.service and not service:
         raise TargetError(f"{work.link.target.address}: {work.service.name} died")
+    state_script = work.prepared.scripts / "state.sh"
+    if not work.programs.names:
+        # Nothing of it comes to the target, and no other run there is disturbed.
+        return resumption.without_folder(start_time.isoformat(), inspection.read_state(work.link, state_script))
     return resumption.begin(
         work.link,
         work.remote,
@@ -198,7 +261,7 @@ def _begin(work: _Work, now: Clock) -> Attempt:
         service=service,
         own_service=work.run.middleware in work.prepared.own_services,
         argv={program.name: program.argv for program in work.programs.of_suite},
-        state_script=work.prepared.scripts / "state.sh",
+        state_script=state_script,
     )
 
 
@@ -260,11 +323,28 @@ def _last_word(work: _Work, name: str) -> str:
     return processes.read_last_line(work.link, work.remote / f"{name}.stderr") or "it said nothing"
 
 
-def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str | None, str]:
-    """Wait for the programs of the suite.
+def _observe(work: _Work, life: RunLife, not_started: str | None, now: Clock) -> _Measured:
+    """Observe what the run is about, then end the user's system where the run has started it."""
+    assert work.run.observation is not None
+    link, scripts, plan = work.link, work.prepared.scripts, work.run.observation
+    life.move(RunEvent.OBSERVE)
+    observed, failure = None, None
+    if not_started is None:
+        if work.programs.sampler:
+            processes.start(link, scripts, work.remote, work.programs.sampler)
+        trace = "" if work.run.trace == UNTRACED else work.run.trace
+        watched = observation.watch(link, scripts, plan, trace=trace)
+        observed = observation.observe(link, scripts, watched, plan, trace=trace, onlooker=work.onlooker, now=now)
+        work.onlooker.on_end(observed)
+        if work.starts_system and (ended := system.end_of(link, work.remote)):
+            failure = f"the system ended while it was observed, {ended}"
+    exits = [system.end(link, scripts, work.remote)] if work.starts_system else []
+    life.move(RunEvent.END)
+    return _Measured(exits=exits, failure=failure, observed=observed)
 
-    Return how they ended, why they were ended, if so, and the identity of the service then.
-    """
+
+def _wait(work: _Work, life: RunLife) -> _Measured:
+    """Wait for the programs of the suite."""
     link, failure = work.link, None
     awaited = [program.name for program in work.programs.awaited]
     exits = []
@@ -283,19 +363,25 @@ def _wait(work: _Work, life: RunLife) -> tuple[list[Exit], str | None, str]:
             processes.end(link, work.remote, *awaited)
     service = _service(work)
     life.move(RunEvent.END)
-    return exits, failure, service
+    return _Measured(exits=exits, failure=failure, service=service)
 
 
-def _end_background(work: _Work, exits: Sequence[Exit], service: str, failure: str | None) -> _End:
-    limits = work.programs.file_limits
+def _end_background(work: _Work, measured: _Measured, not_started: str | None) -> _End:
+    failure = not_started or measured.failure
+    limits, state_script = work.programs.file_limits, work.prepared.scripts / "state.sh"
+    if not work.programs.names:
+        after = inspection.read_state(work.link, state_script)
+        return _End(failure=failure, exits=(), ended_early={}, service="", after=after, files={})
     ended = processes.end_background(
         work.link,
         work.remote,
-        work.programs.suite_names,
+        [] if work.run.observation else work.programs.suite_names,
         work.programs.load_names,
         work.programs.other_names,
-        service=service,
-        then=[["sh", str(work.prepared.scripts / "state.sh")], ["echo", _FILES], download.listing(work.remote, limits)],
+        service=measured.service,
+        # Of what is observed nobody else tells when it is over: the end of the loads must not be seen.
+        first=[work.programs.sampler.name] if work.run.observation and work.programs.sampler else [],
+        then=[["sh", str(state_script)], ["echo", _FILES], download.listing(work.remote, limits)],
     )
     state, _, listed = ended.output.partition(f"{_FILES}\n")
     files = parse_listing(listed)
@@ -303,7 +389,7 @@ def _end_background(work: _Work, exits: Sequence[Exit], service: str, failure: s
         work.link.note(f"{work.remote}: has {files.total} files; those that are not of the run are removed with it")
     return _End(
         failure=failure,
-        exits=exits,
+        exits=measured.exits,
         ended_early=ended.early,
         service=ended.service,
         after=inspection.parse_state(state),
@@ -326,11 +412,12 @@ def _download(work: _Work, partial: Path, attempt: Attempt, end: _End) -> dict[s
 
 
 def _judge(work: _Work, partial: Path, attempt: Attempt, end: _End, refused: Mapping[str, str]) -> RunOutcome:
+    is_of_suite = work.run.observation is None
     verdict = judge(
         partial,
         work.run,
-        work.programs.of_suite,
-        end.exits,
+        work.programs.of_suite if is_of_suite else (),
+        end.exits if is_of_suite else (),
         work.programs.outputs,
         refused=refused,
         background=work.programs.background,
@@ -394,6 +481,7 @@ def _record(
         campaign=work.campaign,
         attempt=attempt.uid,
         suite=run.suite,
+        subject=suites.suite(run.suite).subject,
         parameters=dict(run.parameters),
         condition=run.condition,
         settings=dict(run.settings),

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from rtrun.execution import download
+from rtrun.execution import download, system
 from rtrun.execution.preparation import SAMPLER as SAMPLER_PROGRAM
 from rtrun.execution.preparation import Prepared
 from rtrun.plan import conditions, suites
@@ -16,6 +16,8 @@ from rtrun.validity.observations import SAMPLER, SAMPLER_OUTPUT, output_bytes_ma
 
 # How many subscribers a publisher waits for, where nobody else knows.
 AWAITED = "awaited_subscribers"
+# What is observed is started, waited for and probed before its time begins; a lost link takes time as well.
+OBSERVED_EXTRA_S = 1800.0
 # A suite that needs longer than this for the time it should take hangs.
 DEADLINE_FACTOR = 5
 DEADLINE_EXTRA_S = 120.0
@@ -78,7 +80,11 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
     `token` is unique to one attempt.
     """
     deadline_s = DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S
-    stages, outputs = _of_suite(prepared, run, deadline_s, token)
+    if run.observation is not None:
+        deadline_s = run.expected_s + OBSERVED_EXTRA_S
+        stages, outputs = _observed(prepared, run, remote, deadline_s), list[str]()
+    else:
+        stages, outputs = _of_suite(prepared, run, deadline_s, token)
     of_suite = [program for stage in stages for program in stage]
     background = conditions.background(
         run.condition,
@@ -118,6 +124,14 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
 
 def _environment(prepared: Prepared, middleware: str) -> tuple[tuple[str, str], ...]:
     return middlewares()[middleware].environment_with(ros_master_port=prepared.link.target.master_port)
+
+
+def _observed(
+    prepared: Prepared, run: Run, remote: PurePosixPath, deadline_s: float
+) -> tuple[tuple[Program, ...], ...]:
+    """The program that runs the command of the user's system, where there is one."""
+    command = run.observation.system.start if run.observation else ""
+    return ((system.program_of(prepared.scripts, remote, command, deadline_s),) if command else (),)
 
 
 def _of_suite(

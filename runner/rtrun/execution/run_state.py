@@ -17,6 +17,8 @@ class RunState(StrEnum):
     """It has a folder on the target, perhaps loads that run; nothing is measured yet."""
     MEASURING = "measuring"
     """The programs of its suite were started."""
+    OBSERVING = "observing"
+    """The runner observes programs that are no suite's: nobody else does."""
     ENDED = "ended"
     """The programs of its suite have ended; their files wait on the target."""
     CUT_OFF = "cut off"
@@ -30,6 +32,7 @@ class RunEvent(StrEnum):
 
     BEGIN = "begin"
     START = "start"
+    OBSERVE = "observe"
     PICK_UP = "pick up"
     """An earlier call started it, and it goes on or waits to be closed."""
     END = "end"
@@ -47,8 +50,12 @@ _NEXT = {
     (RunState.PLANNED, RunEvent.GIVE_UP): RunState.PLANNED,
     (RunState.PLANNED, RunEvent.RESTART): RunState.CUT_OFF,
     (RunState.STARTING, RunEvent.START): RunState.MEASURING,
+    (RunState.STARTING, RunEvent.OBSERVE): RunState.OBSERVING,
     (RunState.STARTING, RunEvent.GIVE_UP): RunState.PLANNED,
     (RunState.STARTING, RunEvent.RESTART): RunState.CUT_OFF,
+    (RunState.OBSERVING, RunEvent.END): RunState.ENDED,
+    (RunState.OBSERVING, RunEvent.GIVE_UP): RunState.PLANNED,
+    (RunState.OBSERVING, RunEvent.RESTART): RunState.CUT_OFF,
     (RunState.MEASURING, RunEvent.END): RunState.ENDED,
     (RunState.MEASURING, RunEvent.GIVE_UP): RunState.PLANNED,
     (RunState.MEASURING, RunEvent.RESTART): RunState.CUT_OFF,
@@ -74,7 +81,7 @@ def must_give_up(state: RunState, error: BaseException) -> bool:
     """Whether an error ends what runs on the target; otherwise the run stays as it is, for the next call to pick up."""
     if isinstance(error, OUT_OF_REACH):
         return False
-    if state is RunState.STARTING:
+    if state in (RunState.STARTING, RunState.OBSERVING):
         return isinstance(error, KeyboardInterrupt | InfrastructureError)
     # The target itself should have ended it long before the deadline of the runner.
     return state is RunState.MEASURING and isinstance(error, KeyboardInterrupt | DeadlineExpired)

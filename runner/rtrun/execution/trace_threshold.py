@@ -13,9 +13,9 @@ from rtrun.results.record import RunStatus, read_record
 
 
 def with_threshold_of_warm_up(run: Run, results: Path) -> Run:
-    """The run with its threshold, or as it is where the limit is no quantile. Raises UsageError without a warm-up."""
+    """The run with its threshold, or as it is where its limit needs no warm-up. Raises UsageError without a warm-up."""
     part = quantile(run.trace)
-    if part is None:
+    if part is None or run.observation is not None:
         return run
     allowed = options()[PARAMETER]
     threshold_us = round(_quantile_ns(results / f"{run.name}{WARM_UP}", part) / 1000)

@@ -9,12 +9,13 @@ from rtrun.probes.hits import ObservedProgram, ProgramThread
 _NAMED_MAX = 4
 
 
-def hazards(programs: Sequence[ObservedProgram]) -> tuple[str, ...]:
-    """A sentence for each thing that may delay some of these programs, with their names."""
+def hazards(programs: Sequence[ObservedProgram], *, with_pids: bool = True) -> tuple[str, ...]:
+    """A sentence for each thing that may delay some of these programs, with their names, and perhaps their pids."""
     threatened: dict[str, list[str]] = {}
     for program in programs:
         for text in _of(program, programs):
-            threatened.setdefault(text, []).append(f"{label_of(program)} (pid {program.pid})")
+            pid = f" (pid {program.pid})" if with_pids else ""
+            threatened.setdefault(text, []).append(label_of(program) + pid)
     return tuple(printable(f"{listed(names, _NAMED_MAX)}: {text}") for text, names in threatened.items())
 
 

@@ -30,6 +30,7 @@ def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
 
 
 def _standing(group: Group, label: str, times_s: dict[str, float]) -> Standing:
+    observed_by = tuple(dict.fromkeys(record.observed_by for record in group.records if record.observed_by))
     return Standing(
         label=label,
         runs=group.runs,
@@ -38,4 +39,6 @@ def _standing(group: Group, label: str, times_s: dict[str, float]) -> Standing:
         has_deadline=group.question is not None,
         measured_s=sum(times_s.get(run, 0.0) for run in group.runs),
         boards=frozenset(group.boards),
+        observed_by=observed_by,
+        stream=group.label if observed_by else "",
     )

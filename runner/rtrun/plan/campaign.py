@@ -7,15 +7,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from rtfiles.config import Config, Place, matching, parse, read_yaml_with_place
 from rtfiles.errors import UsageError
 from rtfiles.wording import unknown
 from rtrun.plan import conditions, suites
-from rtrun.plan.goal import Goal
+from rtrun.plan.goal import Goal, Time
 from rtrun.plan.limits import Seed
 from rtrun.plan.middleware.description import middlewares
+from rtrun.plan.observation import SUITE as OBSERVATION
+from rtrun.plan.observation import (
+    ObservationPlan,
+    ObservedSystem,
+    StreamDeadline,
+    read_path,
+    read_stream_deadline,
+    read_subject,
+)
 from rtrun.plan.run import KernelName, Run, interleave, label, never_observed, order_by_kernel
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.plan.trace import SERIES as TRACE_SERIES
@@ -34,6 +43,8 @@ RESERVED = ("prefix", "out_dir", "awaited_subscribers")
 VARIANT_KEYS = ("suites", "ros_setup")
 # It measures no deadline.
 GAP_SEARCH = "hwlatdetect"
+# Of what is observed where nobody says how long.
+OBSERVED_NS = 60 * 10**9
 
 Entry = dict[str, Any]
 Name = Annotated[
@@ -65,6 +76,22 @@ class Campaign(Config):
     """Every run is planned for each of them, and the target is restarted into it; none: whatever kernel it runs."""
     until: Goal | None = None
     """Measure each run again, round by round, until its deadline is proven or refuted."""
+    subject: Annotated[ObservedSystem, BeforeValidator(read_subject)] | None = None
+    """Whose programs each run observes; None: the programs of its suite measure."""
+    for_ns: Time | None = Field(default=None, alias="for")
+    """How long a run observes [1min]. This and the next two are of campaigns with a subject."""
+    deadlines: list[Annotated[StreamDeadline, BeforeValidator(read_stream_deadline)]] = Field(default_factory=list)
+    paths: list[Annotated[tuple[str, ...], BeforeValidator(read_path)]] = Field(default_factory=list)
+    """Topics whose reaction time is measured, from the first to the last."""
+
+    @property
+    def observation(self) -> ObservationPlan | None:
+        """What each run observes; None: the programs of its suite measure."""
+        if self.subject is None:
+            return None
+        for_s = (self.for_ns or OBSERVED_NS) / 1e9
+        deadlines, paths = tuple(self.deadlines), tuple(self.paths)
+        return ObservationPlan(for_s=for_s, system=self.subject, deadlines=deadlines, paths=paths)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,6 +124,7 @@ def plan(campaign: Campaign, origin: Place | str) -> tuple[Run, ...]:
     """Return the runs in their order. Raises UsageError ``origin:7: runs.0.key: what is wrong, what is allowed``."""
     errors: list[str] = []
     top = Place(origin) if isinstance(origin, str) else origin
+    _check_subject(campaign, top, errors)
     _check_common(campaign, top / "common", errors)
     if campaign.until and campaign.until.of:
         # What is judged is what traces are of, unless the campaign names another series.
@@ -142,31 +170,39 @@ def _runs_of(entries: Sequence[Entry], campaign: Campaign, where: Place, errors:
 def _of_variants(entry: Entry, campaign: Campaign, where: Place, errors: list[str]) -> Iterator[Run]:
     """Yield the runs of an entry for each variant, or just once where there are none."""
     if not campaign.variants:
-        yield from _combinations(entry, campaign.common, where, errors)
+        yield from _combinations(entry, campaign, where, errors)
     for name, variant in campaign.variants.items():
         values = {key: value for key, value in variant.items() if key not in VARIANT_KEYS}
-        for run in _combinations(entry, campaign.common, where, errors, values):
+        for run in _combinations(entry, campaign, where, errors, values):
             yield replace(run, variant=name)
 
 
 def _combinations(
-    entry: Entry, common: Entry, where: Place, errors: list[str], overrides: Entry | None = None
+    entry: Entry, campaign: Campaign, where: Place, errors: list[str], overrides: Entry | None = None
 ) -> Iterator[Run]:
     """Yield the runs of an entry, all of their names empty; `overrides` win over its values where it takes them."""
-    try:
-        suite = suites.suite(str(entry.get("suite", "")))
-    except UsageError as error:
-        errors.append(f"{where / 'suite'}: {error}")
+    observation = campaign.observation
+    if observation is not None:
+        entry = {"suite": OBSERVATION} | entry
+    of_suite = str(entry.get("suite", ""))
+    started = suites.suites().suites | suites.baselines().suites
+    if observation is not None and of_suite != OBSERVATION:
+        errors.append(f"{where / 'suite'}: with subject nothing but that is measured: leave the suite out")
         return
+    if observation is None and of_suite not in started:
+        errors.append(f"{where / 'suite'}: {unknown('suite', of_suite, known=started)}")
+        return
+    suite = suites.suite(of_suite)
     takes = _takes(suite)
     if TRACE_PARAMETER in entry:
         errors.append(f"{where / TRACE_PARAMETER}: write {_trace_instead(entry[TRACE_PARAMETER])}")
         return
     settings = conditions.conditions().settings
-    keys = (*_given(takes), "condition", "repeats", *settings)
+    keys = (*_given(takes), *([] if observation is None else ["trace"]), "condition", "repeats", *settings)
     if refused := [key for key in entry if key not in ("suite", *keys)]:
-        errors.append(_unknown_keys(where, refused, ("suite", *keys), f"{entry['suite']} takes"))
-    merged = common | entry | (overrides or {})
+        of = "a run with subject" if observation else entry["suite"]
+        errors.append(_unknown_keys(where, refused, keys if observation else ("suite", *keys), f"{of} takes"))
+    merged = campaign.common | entry | (overrides or {})
     axes = {key: _axis(where / key, key, merged[key], errors) for key in merged if key in keys}
     through = [str(value) for value in axes.get("middleware", [suite.middleware])]
     for unused in [key for key in takes if key in entry and not any(_is_taken(key, name) for name in through)]:
@@ -202,7 +238,13 @@ def _combinations(
             continue
         seen.add(key)
         run = Run(
-            name="", suite=entry["suite"], parameters=parameters, condition=condition, settings=taken, trace=trace
+            name="",
+            suite=of_suite,
+            parameters=parameters,
+            condition=condition,
+            settings=taken,
+            trace=trace,
+            observation=observation,
         )
         for repeat in range(1, int(repeats[0] or 1) + 1):
             yield from traced(replace(run, repeat=repeat))
@@ -220,7 +262,7 @@ def _matches(run: Run, pattern: Entry) -> bool:
 def _takes(suite: suites.Suite) -> tuple[str, ...]:
     keys = [key for key in suite.parameters if key not in RESERVED]
     keys += ["subscribers"] if suite.repeated else []
-    return (*keys, *([] if suite.is_baseline else ["middleware"]))
+    return (*keys, *([] if suite.is_baseline or suite.subject == "attached" else ["middleware"]))
 
 
 def _is_taken(key: str, middleware: str) -> bool:
@@ -238,6 +280,15 @@ def _trace_instead(value: object) -> str:
 
 def _unknown_keys(where: Place, keys: Sequence[str], known: Sequence[str], label: str = "allowed") -> str:
     return f"{replace(where, line=(where / keys[0]).line)}: {unknown('key', *keys, known=known, label=label)}"
+
+
+def _check_subject(campaign: Campaign, where: Place, errors: list[str]) -> None:
+    """What is of campaigns with a subject, and of those alone."""
+    given = {"for": campaign.for_ns, "deadlines": campaign.deadlines, "paths": campaign.paths}
+    if campaign.subject is None and (key := next((key for key, value in given.items() if value), None)):
+        errors.append(f"{where / key}: is for campaigns with subject: give it, or leave this out")
+    if campaign.until and campaign.subject is not None and not campaign.deadlines:
+        errors.append(f"{where / 'until'}: give deadlines: it measures until each is proven or refuted")
 
 
 def _check_common(campaign: Campaign, where: Place, errors: list[str]) -> None:
@@ -275,6 +326,12 @@ def _check_goal(campaign: Campaign, runs: Sequence[Run], where: Place, errors: l
         errors.append(f"{where}: give order: interleaved and a seed: its rounds are drawn with it")
     if any(run.repeat > 1 for run in runs):
         errors.append(f"{where}: takes no repeats: each round is one")
+    of_goal = campaign.until.model_fields_set if campaign.until else set()
+    if campaign.subject is None and "deadline_ns" not in of_goal:
+        errors.append(f"{where / 'deadline'}: is missing")
+    if campaign.subject is not None and (own := of_goal & {"deadline_ns", "of"}):
+        key = "of" if "of" in own else "deadline"
+        errors.append(f"{where / key}: leave it out: with subject each stream has its own deadline")
     if any(run.parameters.get(suites.ALLOCATIONS) for run in runs):
         errors.append(f"{where}: takes no allocations: counting them costs time, and would be in the answer")
     if any(run.trace for run in runs):

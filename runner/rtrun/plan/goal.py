@@ -15,7 +15,8 @@ Probability = Annotated[float, BeforeValidator(read_probability)]
 class Goal(Config):
     """``until`` of a campaign: measure until the deadline is proven or refuted, at most for so long."""
 
-    deadline_ns: Time = Field(alias="deadline")
+    deadline_ns: Time | None = Field(default=None, alias="deadline")
+    """None: each stream of what is observed has its own."""
     probability: Probability
     """What P(miss) must stay below."""
     confidence: Probability = THESIS.confidence
@@ -48,7 +49,7 @@ class Goal(Config):
         return Question(
             of=self.of,
             tolerance=self.tolerate,
-            deadline_ns=self.deadline_ns,
+            deadline_ns=self.deadline_ns or THESIS.deadline_ns,
             probability=self.probability,
             confidence=self.confidence,
             boots=self.boots,

@@ -1,14 +1,21 @@
-"""What an observation is asked for: how long, which streams have a deadline, which paths of topics are followed."""
+"""What an observation is asked for: of what, how long, which streams have a deadline, which paths are followed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+from rtfiles.wording import did_you_mean, unknown
 from rtrun.plan.quantities import read_time_ns
 
 if TYPE_CHECKING:
     from rtrun.plan.suites import Value
+
+
+SUITE = "observation"
+"""The suite of a run that observes; what it saw becomes runs of the other suites of observed.yml."""
+ATTACHED = "attached"
+_TOPIC = "topic"
 
 
 class StreamKind(StrEnum):
@@ -38,6 +45,11 @@ class StreamDeadline:
     kind: StreamKind
     name: str
     deadline_ns: int
+
+    @property
+    def text(self) -> str:
+        """As `read_stream_deadline` takes it."""
+        return f"{self.kind}:{self.name}={self.deadline_ns}ns"
 
     def is_of(self, suite: str, parameters: "Mapping[str, Value]") -> bool:
         """Whether a stream has it."""
@@ -80,16 +92,49 @@ def _check_topic(name: str) -> None:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ObservationPlan:
-    """How long to observe, in seconds, and what for; the paths of deadlines are followed, too.
+class ObservedSystem:
+    """Whose programs are observed: those that `start`, a command for sh, starts; empty: those that run already.
 
-    `trace` is the limit above which values have the kernel's trace kept, as `Run.trace`; empty: none has.
+    Once started they are ready when one of them publishes `ready_topic`, or uses ROS where no topic is named.
     """
 
+    start: str = ""
+    ready_topic: str = ""
+
+
+def read_subject(value: object) -> ObservedSystem:
+    """Read ``attached``, or ``{start: COMMAND, ready: topic /x}``. Raises ValueError."""
+    if value == ATTACHED:
+        return ObservedSystem()
+    if not isinstance(value, dict):
+        hint = did_you_mean([value], [ATTACHED]) if isinstance(value, str) else ""
+        raise ValueError(
+            f"{str(value)[:60]!r}: takes {ATTACHED}, of programs that run already, or "
+            f"{{start: COMMAND, ready: topic /x}}{',' if hint else ''}{hint}"
+        )
+    known = ("start", "ready")
+    if refused := [key for key in value if key not in known]:
+        raise ValueError(unknown("key", *refused, known=known, label="allowed"))
+    start, ready = value.get("start"), value.get("ready")
+    if not isinstance(start, str) or not start.strip() or "\0" in start:
+        raise ValueError(f"start: takes the command that starts the system, got {str(start)[:60]!r}")
+    if ready is None:
+        return ObservedSystem(start=start)
+    word, _, topic = ready.partition(" ") if isinstance(ready, str) else ("", "", "")
+    if word != _TOPIC or not topic.strip():
+        raise ValueError(f"ready: takes topic NAME, as topic /cmd_vel, got {str(ready)[:60]!r}")
+    _check_topic(topic.strip())
+    return ObservedSystem(start=start, ready_topic=topic.strip())
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ObservationPlan:
+    """How long to observe, in seconds, of what, and what for; the paths of deadlines are followed, too."""
+
     for_s: float
+    system: ObservedSystem = ObservedSystem()
     deadlines: Sequence[StreamDeadline] = ()
     paths: Sequence[tuple[str, ...]] = ()
-    trace: str = ""
 
     @property
     def followed(self) -> tuple[tuple[str, ...], ...]:

@@ -49,8 +49,11 @@ def rounds_for(group: Run, measurements: int) -> int:
 def rounds_of_boot(groups: Sequence[Run], measurements: int, boots: int) -> int:
     """How many rounds are measured on one boot, so that so many measurements of each group need so many boots.
 
-    At least 1: where fewer rounds than boots would do, each round is on a boot of its own.
+    At least 1: where fewer rounds than boots would do, each round is on a boot of its own. So it is where nobody knows
+    how much a run will observe.
     """
+    if any(group.observation for group in groups):
+        return 1
     return max(1, max(rounds_for(group, measurements) for group in groups) // boots)
 
 

@@ -7,10 +7,11 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal
 
 from rtrun.plan import conditions, suites
+from rtrun.plan.observation import ObservationPlan
 
 KernelName = Literal["standard", "rt"]
 """rt: it calls itself PREEMPT_RT; standard: it does not."""
@@ -42,6 +43,7 @@ class Run:
     `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order; `variant` is
     empty and `kernel` None in a campaign that names none. `trace` is the limit above which it keeps traces as the
     campaign has it (plan/trace.py), `UNTRACED` for the twin of such a run, and empty where nobody asked for traces.
+    `observation` is what a run observes; None: the programs of its suite measure.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Run:
     variant: str = ""
     kernel: KernelName | None = None
     trace: str = ""
+    observation: ObservationPlan | None = None
 
     @property
     def middleware(self) -> str:
@@ -87,6 +90,8 @@ class Run:
 
     def _measuring_s(self, cost_s: float) -> float:
         """How long the measuring takes, in seconds, where `cost_s` comes on top of a timeout, and no period is less."""
+        if self.observation is not None:
+            return self.observation.for_s
         number = {key: value for key, value in self.parameters.items() if isinstance(value, int)}
         if "duration_s" in number:
             return float(number["duration_s"])
@@ -170,11 +175,19 @@ def _canonical(run: Run) -> dict[str, Any]:
         value = getattr(run, each.name)
         default = each.default_factory() if each.default_factory is not MISSING else each.default
         if value != default:
-            form[each.name] = dict(value) if isinstance(value, Mapping) else value
+            form[each.name] = dict(value) if isinstance(value, Mapping) else _plain(value)
     form["parameters"] = _without_defaults(run.parameters, suites.defaults_of(run.suite))
     settings = {key: option.default for key, option in conditions.conditions().settings.items()}
     form["settings"] = _without_defaults(run.settings, settings)
     return form
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON has it, without what is at its default."""
+    if is_dataclass(value) and not isinstance(value, type):
+        set_ = (each for each in fields(value) if getattr(value, each.name) != each.default)
+        return {each.name: _plain(getattr(value, each.name)) for each in set_}
+    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def _without_defaults(values: Mapping[str, suites.Value], defaults: Mapping[str, suites.Value]) -> dict[str, Any]:

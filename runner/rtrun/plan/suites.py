@@ -131,7 +131,7 @@ class Suite(Config):
     @property
     def middleware(self) -> str:
         """Through what it measures where nobody names another middleware."""
-        return NONE if self.is_baseline else DEFAULT
+        return NONE if self.is_baseline or self.subject == "attached" else DEFAULT
 
     @property
     def stages(self) -> tuple[tuple[str, ...], ...]:

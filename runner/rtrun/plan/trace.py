@@ -64,6 +64,10 @@ def traced(run: Run) -> tuple[Run, ...]:
     """
     if not run.trace:
         return (run,)
+    if run.observation is not None:
+        # It finds its limit while it lasts.
+        pair = (replace(run, trace=UNTRACED), run)
+        return pair if run.repeat % 2 else pair[::-1]
     known = None if quantile(run.trace) is not None else int(run.trace.removesuffix("us"))
     pair = (replace(run, trace=UNTRACED), with_threshold(run, known))
     return pair if run.repeat % 2 else pair[::-1]
@@ -77,7 +81,7 @@ def with_threshold(run: Run, threshold_us: Value) -> Run:
 def with_warm_ups(runs: Iterable[Run]) -> Iterator[Run]:
     """Yield the runs in their order, before each whose limit is a quantile its warm-up, `<name>.warm-up`."""
     for run in runs:
-        if quantile(run.trace) is not None:
+        if quantile(run.trace) is not None and run.observation is None:
             yield _warm_up(run)
         yield run
 
@@ -92,7 +96,7 @@ def _warm_up(run: Run) -> Run:
 
 def too_few(run: Run) -> str | None:
     """Say why a run is too short for its quantile, or None."""
-    if quantile(run.trace) is None or _repetitions(run) * _above(run) >= 1:
+    if quantile(run.trace) is None or run.observation is not None or _repetitions(run) * _above(run) >= 1:
         return None
     return (
         f"{run.suite} measures {_repetitions(run)} values, of which none is expected above {run.trace}: "

@@ -37,13 +37,14 @@ def write_goal(results: Path, goal: Goal) -> None:
         )
     written = {
         "of": goal.of,
-        "deadline": f"{goal.deadline_ns}ns",
         "probability": goal.probability,
         "confidence": goal.confidence,
         "at_most": f"{goal.at_most_ns}ns",
         "boots": goal.boots,
         "bursts": goal.bursts,
     }
+    if goal.deadline_ns is not None:
+        written["deadline"] = f"{goal.deadline_ns}ns"
     if goal.tolerate != NONE_TOLERATED:
         written["tolerate"] = str(goal.tolerate)
     atomic.write_text(results / FILE, json.dumps({"schema": 1, "until": written}, indent=2) + "\n")

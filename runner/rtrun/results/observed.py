@@ -1,18 +1,69 @@
 """What was observed of programs that run already, written as the output of a suite: ``<output>.npy`` and ``.json``."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from rtfiles import atomic
+from rtfiles.config import Config, read_json
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.output import Counts, Files, Indices, InEffect, Record, Thread, Traces, Uname
 from rtrun.kinds.rate import Rate
 from rtrun.plan.suites import Value, suite
 
 CLOCK = "CLOCK_MONOTONIC"
+GRAPH = "graph.json"
+
+
+class PlacedEvent(Config):
+    """A probe that was placed: what it sees, in which library."""
+
+    event: str
+    path: str
+
+
+class RefusedEvent(PlacedEvent):
+    """A probe that could not be placed, and why."""
+
+    reason: str
+
+
+class Graph(Config):
+    """graph.json of an observation: its probes; what is missing in it, and what threatens real time, a line each."""
+
+    schema_number: Literal[1] = Field(alias="schema")
+    placed: list[PlacedEvent]
+    refused: list[RefusedEvent]
+    remarks: list[str]
+    hazards: list[str] = Field(default_factory=list)
+
+
+def write_graph(folder: Path, graph: Graph) -> None:
+    """Write graph.json into the run directory of an observation."""
+    atomic.write_text(folder / GRAPH, graph.model_dump_json(by_alias=True, indent=1) + "\n")
+
+
+def said_of(folders: Iterable[Path]) -> tuple[str, ...]:
+    """What the observations in these run directories say is missing in them, and what threatens real time, each once.
+
+    Raises UsageError for a damaged file.
+    """
+    graphs = {each.name: read_json(each / GRAPH, Graph) for each in folders if (each / GRAPH).is_file()}
+    remarks: dict[str, tuple[str, list[str]]] = {}
+    for name, graph in graphs.items():
+        for text in graph.remarks:
+            # What differs in its numbers alone is said once.
+            remarks.setdefault(re.sub("[0-9]+", "#", text), (text, []))[1].append(name)
+    missing = (
+        text if len(graphs) == 1 else f"{names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}: {text}"
+        for text, names in remarks.values()
+    )
+    return (*missing, *dict.fromkeys(text for graph in graphs.values() for text in graph.hazards))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

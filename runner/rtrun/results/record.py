@@ -204,6 +204,8 @@ class RunRecord(Config):
     """Of a campaign with kernels: which of them this run was measured on."""
     trace: str = ""
     """What the campaign asked traces for, as `Run.trace`; the threshold in effect is in the parameters."""
+    observed_by: str = ""
+    """Of a stream of what was observed: the run that observed it."""
     platform: Annotated[Platform, Field(strict=False)]
     platform_evidence: str
     """How the platform is known."""

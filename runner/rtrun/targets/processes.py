@@ -109,8 +109,9 @@ end_of() {
 }
 early=$(for name; do
     flock -n -s "$name.lock" true || continue
-    for program in $suite; do
-        [ "$(end_of "$name")" -ge "$(end_of "$program")" ] && continue
+    # The programs of a suite measure; without any it is early in any case.
+    for program in ${suite:-none}; do
+        [ "$suite" ] && [ "$(end_of "$name")" -ge "$(end_of "$program")" ] && continue
         status=
         [ ! -e "$name.exit" ] || read -r status _ <"$name.exit"
         echo "$name $status"
@@ -219,14 +220,23 @@ def end_background(
     *,
     service: str,
     then: Sequence[Sequence[str]],
+    first: Sequence[str] = (),
 ) -> Ended:
     """End the background programs of a suite whose `programs` have ended, then run the commands `then`.
 
-    The `loads` are killed soon, the `others` get time to put right what they changed. `service` is the identity of that
-    of the middleware now.
+    The `loads` are killed soon, the `others` get time to put right what they changed; those that stand in `first`, too,
+    are ended before the loads. `service` is the identity of that of the middleware now. Where no programs of a suite
+    measure, whatever has ended by itself has ended early.
     """
     keep_end = ["sh", "-c", _KEEP_END, "sh", str(folder), service, " ".join(programs), *loads, *others]
-    commands = [keep_end, ["echo", _MARK], _end(folder, loads, _SHORT_PAUSES_S), _end(folder, others), *then]
+    commands = [
+        keep_end,
+        ["echo", _MARK],
+        _end(folder, first),
+        _end(folder, loads, _SHORT_PAUSES_S),
+        _end(folder, others),
+        *then,
+    ]
     output = link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)
     kept, _, rest = output.partition(f"{_MARK}\n")
     service, *early = kept.split("\n")

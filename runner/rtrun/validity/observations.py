@@ -218,9 +218,9 @@ def _cpus(word: str) -> frozenset[int]:
     return frozenset() if word == "-" else frozenset(cpu_set(word))
 
 
-def while_measuring(observations: Iterable[Observation]) -> list[Observation]:
-    """The observations in which the suite had a thread."""
-    return [each for each in observations if each.threads]
+def while_measuring(observations: Iterable[Observation], *, is_attached: bool = False) -> list[Observation]:
+    """The observations in which the suite had a thread; of a run that observes other programs all of them."""
+    return [each for each in observations if each.threads or is_attached]
 
 
 def busy_percent(observations: Sequence[Observation]) -> float | None:
@@ -232,14 +232,16 @@ def busy_percent(observations: Sequence[Observation]) -> float | None:
     return round(min(max(0.0, 100 * (observations[-1].busy - observations[0].busy) / ticks), 100.0), 1)
 
 
-def summarize(observations: Iterable[Observation], states: Iterable[ThreadState]) -> Observed:
+def summarize(
+    observations: Iterable[Observation], states: Iterable[ThreadState], *, is_attached: bool = False
+) -> Observed:
     """What run.json keeps: every value that was seen while the suite measured, of loads the fewest processes.
 
-    `states` are those of the measuring threads.
+    `states` are those of the measuring threads. A run that observes other programs has no rivals: they would be some.
     """
-    seen, states = while_measuring(observations), list(states)
+    seen, states = while_measuring(observations, is_attached=is_attached), list(states)
     names = sorted({name for each in seen for name in each.loads})
-    rivals = {rival for each in seen for rival in each.rivals}
+    rivals = {rival for each in seen for rival in each.rivals if not is_attached}
     first = sorted(rivals, key=lambda rival: (rival.policy != "DEADLINE", -rival.priority, rival.name))
     return Observed(
         policy=sorted({policy for policy, _, _ in states}),

@@ -64,6 +64,7 @@ def judge(
     """
     records: Mapping[str, Record] = {}
     observations: list[Observation] = []
+    is_attached = run.observation is not None
     reason: str | None
     status, reason = _of_programs(folder, programs, exits) or (RunStatus.OK, None)
     if reason and (others := _said_by_others(folder, outputs)):
@@ -89,7 +90,7 @@ def judge(
         cut = "the disk of the target was full (df -h)"
         ended_early = {name: exit_status for name, exit_status in ended_early.items() if name != SAMPLER}
     # What is seen to be wrong in the part that was taken comes first; that nobody saw anything says too little.
-    if cut and (wrong is None or not while_measuring(observations)):
+    if cut and (wrong is None or not while_measuring(observations, is_attached=is_attached)):
         wrong = f"nobody saw what was in effect to the end: {cut}"
     if status in (RunStatus.OK, RunStatus.INCOMPLETE):
         if ended_early:
@@ -100,7 +101,8 @@ def judge(
             wrong = f"condition {run.condition}: {name} ended in the middle of the run, {how}"
         if wrong is not None:
             status, reason = RunStatus.INVALID, wrong
-    in_effect = summarize(observations, requirements.measuring_threads(run, observations, records))
+    states = requirements.measuring_threads(run, observations, records)
+    in_effect = summarize(observations, states, is_attached=is_attached)
     return RunOutcome(status=status, reason=reason, in_effect=in_effect, records=records, heads=heads)
 
 

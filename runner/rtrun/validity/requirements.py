@@ -69,12 +69,12 @@ def find_violation(
 ) -> str | None:
     """Say what was not in effect as asked for, the first such thing, or None. `records` by output."""
     asked = requested(run, background)
-    seen = while_measuring(observations)
+    seen = while_measuring(observations, is_attached=run.observation is not None)
     return (
         _wrong_threads(run, asked, observations, records)
         or _wrong_facts(run, records)
         or _uncounted(run, records)
-        or _unseen_condition(run, background, asked, observations)
+        or _unseen_condition(run, background, asked, observations, seen)
         or _wrong_loads(run, background, asked, seen)
         or _wrong_governor(asked, seen)
     )
@@ -134,9 +134,13 @@ def _uncounted(run: Run, records: Mapping[str, Record]) -> str | None:
 
 
 def _unseen_condition(
-    run: Run, background: Sequence[Background], asked: Requested, observations: Sequence[Observation]
+    run: Run,
+    background: Sequence[Background],
+    asked: Requested,
+    observations: Sequence[Observation],
+    seen: Sequence[Observation],
 ) -> str | None:
-    if (background or asked.governor) and not while_measuring(observations):
+    if (background or asked.governor) and not seen:
         return f"nobody saw condition {run.condition} in effect: {_why_unseen(run, observations)}"
     return None
 

@@ -200,3 +200,27 @@ def test_a_group_is_known_by_the_names_of_its_runs():
 
 def groups_by_name(groups):
     return sorted(group.name for group in groups)
+
+
+def test_a_group_that_observes_needs_an_answer_of_each_stream_with_a_deadline():
+    (group,) = groups_of(1000)
+
+    def standing(stream, number, *, has_deadline=True, misses=0):
+        values = np.where(np.arange(LENGTH) < misses, 500_000, 50_000).astype(np.int64)
+        return Standing(
+            label=stream,
+            runs=(f"{stream}-{number}",),
+            observed_by=(group.name if number == 1 else f"{group.name}-r{number}",),
+            stream=stream,
+            verdict=judge([count_misses(values, DEADLINE_NS)], Question(probability=0.05)) if has_deadline else None,
+            undecidable=None,
+            measured_s=0.0,
+            has_deadline=has_deadline,
+        )
+
+    proven, still_open = standing("a", 2), standing("b", 1, misses=LENGTH // 20)
+    assert proven.is_final and not still_open.is_final
+    plain = standing("c", 2, has_deadline=False)
+    assert standings_of([group], [plain, proven, still_open]) == {group.name: still_open}
+    assert standings_of([group], [plain, proven]) == {group.name: proven}
+    assert standings_of([group], [plain]) == {}

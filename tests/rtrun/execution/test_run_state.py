@@ -28,6 +28,9 @@ def after(*events):
         ("RESTART KEEP BEGIN START", "measuring"),
         ("BEGIN START END CLOSE RESTART", "closed"),
         ("BEGIN START END RESTART", "cut off"),
+        ("BEGIN OBSERVE END CLOSE", "closed"),
+        ("BEGIN OBSERVE GIVE_UP BEGIN", "starting"),
+        ("BEGIN OBSERVE RESTART KEEP", "planned"),
     ],
 )
 def test_a_life(events, state):
@@ -55,9 +58,9 @@ def test_what_cannot_happen_is_a_defect(state, event):
         (ConnectionLost("x"), ()),
         (TargetGone("x"), ()),
         (TargetRebooted("x"), ()),
-        (TargetError("x"), (RunState.STARTING,)),
-        (KeyboardInterrupt(), (RunState.STARTING, RunState.MEASURING)),
-        (DeadlineExpired("x"), (RunState.STARTING, RunState.MEASURING)),
+        (TargetError("x"), (RunState.STARTING, RunState.OBSERVING)),
+        (KeyboardInterrupt(), (RunState.STARTING, RunState.MEASURING, RunState.OBSERVING)),
+        (DeadlineExpired("x"), (RunState.STARTING, RunState.MEASURING, RunState.OBSERVING)),
         (ZeroDivisionError(), ()),
     ],
 )

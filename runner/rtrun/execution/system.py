@@ -1,0 +1,141 @@
+"""The user's system: started by its command on the target, waited for until it is ready, ended with all it started."""
+
+import contextlib
+import re
+import time
+from pathlib import PurePosixPath
+
+from rtfiles.output import listed
+from rtrun.execution import observation
+from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.flows.topics import PUBLISHER
+from rtrun.plan.observation import ObservationPlan
+from rtrun.plan.program import Exit, Program
+from rtrun.probes import session
+from rtrun.probes.programs import FoundProgram
+from rtrun.probes.stream import Batch
+from rtrun.targets import processes
+from rtrun.targets.link import Link
+
+SYSTEM = "system"
+"""The name of the program of a run that runs the command."""
+# A launch file of a large robot takes a minute or two on a small board.
+READY_S = 180.0
+# A topic is looked for so long at a time: then there may be more programs, with other libraries.
+LOOK_S = 5.0
+POLL_S = 0.5
+# system.sh gives the programs 17 s.
+END_S = 60.0
+_NAMES_SHOWN = 8
+_PID = re.compile(r"[0-9]{1,7}", re.ASCII)
+
+
+def program_of(scripts: PurePosixPath, remote: PurePosixPath, command: str, deadline_s: float) -> Program:
+    """The program of a run, whose folder on the target is `remote`, that runs a command."""
+    return Program(name=SYSTEM, argv=(str(scripts / "system.sh"), "run", _mark(remote), command), deadline_s=deadline_s)
+
+
+def _mark(remote: PurePosixPath) -> str:
+    """What tells the processes of a run from all others; the same in each attempt, and in no other campaign."""
+    return f"{remote.parent.name}/{remote.name}/"
+
+
+def wait_ready(
+    link: Link, scripts: PurePosixPath, remote: PurePosixPath, plan: ObservationPlan, *, deadline_s: float = READY_S
+) -> str | None:
+    """Wait until the system can be observed, and publishes the topic that it is to publish; return why it does not.
+
+    What runs already is ready when one of its programs can be observed.
+    """
+    end_s = time.monotonic() + deadline_s
+    topic = plan.system.ready_topic
+    published: set[str] = set()
+    while True:
+        if plan.system.start and (ended := end_of(link, remote)):
+            return f"the command ended before the system was ready, {ended}"
+        watched = observation.watch(link, scripts, plan)
+        own = watched.found
+        if plan.system.start:
+            pids = _pids(link, scripts, remote)
+            own = tuple(each for each in watched.found if each.program.pid in pids)
+        if own and not topic:
+            return None
+        if own:
+            published |= _published(link, scripts, watched, own, topic)
+        if topic in published:
+            return None
+        if time.monotonic() >= end_s:
+            return _never_ready(own, topic, published, deadline_s, is_started=bool(plan.system.start))
+        time.sleep(POLL_S)
+
+
+def _never_ready(
+    own: tuple[FoundProgram, ...], topic: str, published: set[str], waited_s: float, *, is_started: bool
+) -> str:
+    if not own and is_started:
+        return (
+            f"waited {waited_s:g} s for a program of the system that can be observed: the command has started none "
+            "that uses ROS 2 or roscpp"
+        )
+    if not own:
+        return "no program runs there that uses ROS"
+    names = sorted(published)
+    seen = f"seen were {listed(names, _NAMES_SHOWN)}" if names else "nothing was seen to be published"
+    return f"waited {waited_s:g} s for the system to publish {topic}: {seen}"
+
+
+def _published(
+    link: Link, scripts: PurePosixPath, watched: observation.Watched, own: tuple[FoundProgram, ...], topic: str
+) -> set[str]:
+    """The topics on which these programs are seen to publish, until it is the topic; none where no probe can be placed.
+
+    Of a program that began meanwhile nobody has asked yet whose it is.
+    """
+    published: set[str] = set()
+    if not watched.placement.probes:
+        return published
+    pids = {each.program.pid for each in own}
+    flows: FlowAccumulator | None = None
+    with contextlib.closing(session.observe(link, scripts, watched.placement, watched.found, for_s=LOOK_S)) as stream:
+        for each in stream:
+            if not isinstance(each, Batch) or not each.begin_ns:
+                continue
+            if flows is None:
+                flows = FlowAccumulator(begin_ns=each.begin_ns)
+                flows.observe(found.program for found in watched.found)
+            flows.feed([*each.hits, *each.gaps])
+            known = flows.situation.pids
+            published = {
+                name
+                for role, name, label in flows.topics.ends
+                if role == PUBLISHER and not pids.isdisjoint(known.get(label, ()))
+            }
+            if topic in published:
+                break
+    return published
+
+
+def _pids(link: Link, scripts: PurePosixPath, remote: PurePosixPath) -> set[int]:
+    printed = link.check([str(scripts / "system.sh"), "pids", _mark(remote)])
+    return {int(word) for word in printed.split() if _PID.fullmatch(word)}
+
+
+def end_of(link: Link, remote: PurePosixPath) -> str | None:
+    """How the command ended, with its last word; None while it runs."""
+    if SYSTEM not in processes.list_ended(link, remote, [SYSTEM]):
+        return None
+    status = processes.wait(link, remote, SYSTEM, deadline_s=END_S).status
+    said = processes.read_last_line(link, remote / f"{SYSTEM}.stderr") or "it said nothing"
+    return f"with exit status {status}: {said}" if status is not None else f"killed from outside: {said}"
+
+
+def end(link: Link, scripts: PurePosixPath, remote: PurePosixPath) -> Exit:
+    """End what the command has started and still runs, and nothing else. Its exit status where it ended by itself."""
+    by_itself = SYSTEM in processes.list_ended(link, remote, [SYSTEM])
+    left = link.check([str(scripts / "system.sh"), "end", _mark(remote)], deadline_s=END_S).split()
+    if left:
+        link.note(f"the system could not be ended: still there are the processes {', '.join(left)}")
+    processes.end(link, remote, SYSTEM)
+    if not by_itself:
+        return Exit(status=None, expired=False)
+    return processes.wait(link, remote, SYSTEM, deadline_s=END_S)
