@@ -252,7 +252,9 @@ def check_rate(record: dict[str, Any], rows: Any) -> None:
 
 
 def check_that_skipped_periods_make_up_the_time(rate: dict[str, Any], periods: int) -> None:
-    """Of a program that was asked for more than it can do. An overrun may be late by more than what it skips."""
+    """Of a program that was asked for more than it can do, at a real-time policy: another program's turn in place of
+    its last period would be skipped, but not passed. An overrun may be late by more than what it skips.
+    """
     assert rate["achieved_hz"] < 0.99 * rate["asked_hz"] and rate["overruns"] > 0
     passed = periods / rate["achieved_hz"] * rate["asked_hz"]
     assert periods + rate["skipped"] < 1.2 * passed

@@ -51,8 +51,8 @@ def test_defaults(bench: Bench) -> None:
 
 
 def test_a_publisher_that_cannot_keep_its_frequency_says_so(bench: Bench) -> None:
-    assert bench.run("communication_tests_publisher", "-f", "1000000", "-r", "2000").status == 0
-    sent = json.loads((bench.folder / "ct_gnuplot_l2000_fq1000000_pl0-publisher.json").read_text())
+    assert bench.run("communication_tests_publisher", "-f", "1000000", "-r", "2000", "-s", "FIFO").status == 0
+    sent = json.loads((bench.folder / "ct_gnuplot_l2000_fq1000000_pl0-tnRTFIFO-publisher.json").read_text())
     check_that_skipped_periods_make_up_the_time(sent["rate"], 2000)
 
 

@@ -123,8 +123,8 @@ def test_a_timer_in_busy_mode(bench: Bench) -> None:
 
 
 def test_a_timer_that_is_asked_for_too_much_counts_what_it_skips(bench: Bench) -> None:
-    assert bench.run("cyclic_timer_tests", "-r", "2000", "-f", "1000000").status == 0
-    record = check_outputs(bench.folder, "cyclic_timer_tests_l2000_fq1000000", bench.middleware)
+    assert bench.run("cyclic_timer_tests", "-r", "2000", "-f", "1000000", "-s", "FIFO").status == 0
+    record = check_outputs(bench.folder, "cyclic_timer_tests_l2000_fq1000000-tnRTFIFO", bench.middleware)
     check_that_skipped_periods_make_up_the_time(record["rate"], 2000)
 
 

@@ -16,7 +16,10 @@ fail() {
 }
 # A compiler's errors begin before the end of what is printed, as several compile at a time.
 fail_with_log() {
-    [ "$(df -Pk . | awk 'END {print $4}')" -ge 1024 ] || fail "the target's disk is full (df -h $folder)"
+    [ "$(df -Pk . | awk 'END {print $4}')" -ge 1024 ] || {
+        rm -rf work-* stage # or there is no room for a word
+        fail "the target's disk is full (df -h $folder)"
+    }
     fail "$1:
 $(sed -n '/[Ee]rror/,$p' log | head -n 12 | cut -c 1-300 | grep . || tail -n 12 log)"
 }
