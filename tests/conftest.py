@@ -53,6 +53,8 @@ SSHD = shutil.which("sshd", path="/usr/sbin:/usr/bin:/sbin") or "/usr/sbin/sshd"
 
 def group_of(item: pytest.Item) -> str | None:
     """The group of a test, None where it shares nothing."""
+    if named := item.get_closest_marker("xdist_group"):
+        return str(named.args[0])
     for name, group in GROUPS.items():
         if item.get_closest_marker(name):
             return group
@@ -72,7 +74,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         return
     groups = {item: group_of(item) for item in items}
     for item, group in groups.items():
-        if group:
+        if group and not item.get_closest_marker("xdist_group"):
             item.add_marker(pytest.mark.xdist_group(group))
     # The long ones begin first, so that none is left over when the other workers have nothing to do.
     ranks = {name: rank for rank, name in enumerate(GROUPS.values())}
