@@ -223,10 +223,13 @@ def _list(args: argparse.Namespace, config: "TargetConfig", planned: "Run") -> i
     from rtrun.execution import observation
     from rtrun.execution.ros_graph import read_graph
     from rtrun.targets import deploy
+    from rtrun.targets.inspection import facts as inspection
 
     assert planned.observation is not None
     print_status(f"asking {config.name} what runs there")
     with linked(config, args.target.parent) as link:
+        # It makes the work folder where there is none.
+        inspection.inspect(link)
         scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
         watched = observation.watch(link, scripts, planned.observation)
         graph = read_graph(link, scripts, watched.found)
