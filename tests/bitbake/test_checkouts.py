@@ -1,11 +1,11 @@
-"""Checkouts given to `make test-yocto` that fit no profile."""
+"""Checkouts given to `make test-yocto` that fit no profile, and graphs of them that lack a recipe."""
 
 import subprocess
 
 import pytest
 
 import bitbake.yocto
-from bitbake.yocto import open_checkouts
+from bitbake.yocto import open_checkouts, unmet_needs
 from rtgen.profile import load_profile, profile_names
 
 
@@ -42,3 +42,24 @@ def test_a_layer_at_another_commit_is_named_with_both(tmp_path, monkeypatch):
 def test_a_layer_that_is_not_there_is_named_with_its_commit(tmp_path):
     with pytest.raises(AssertionError, match=r"\nmeta-ros is not there, it should be at [0-9a-f]{40}"):
         open_checkouts(tmp_path)
+
+
+# As BitBake 2.8 and 2.18 say and draw it.
+SAID = "ERROR: Nothing PROVIDES '{}' (but {} DEPENDS on or otherwise requires it). Close matches:\n"
+DRAWN = """digraph depends {
+"rcl.do_compile" [label="rcl do_compile\\n:9.2-r0\\n/layers/rcl_9.2.bb"]
+"qemu-native.do_build" [label="qemu-native do_build\\n:8.2-r0\\nvirtual:native:/layers/qemu_8.2.bb"]
+"rcl.do_compile" -> "qemu-native.do_build"
+}
+"""
+
+
+@pytest.mark.parametrize(("needing", "unmet"), [
+    ("/layers/rcl_9.2.bb", {"zenoh"}),
+    ("/layers/rosbag_1.bb, /layers/rcl_9.2.bb", {"zenoh"}),
+    ("virtual:native:/layers/qemu_8.2.bb", {"zenoh"}),
+    ("virtual:nativesdk:/layers/qemu_8.2.bb", set()),
+    ("/layers/qemu_8.2.bb", set()),
+])  # fmt: skip
+def test_a_graph_that_lacks_what_one_of_its_recipes_needs(needing, unmet):
+    assert unmet_needs(SAID.format("zenoh", needing) + SAID.format("alsa-lib", "/layers/other_1.bb"), DRAWN) == unmet

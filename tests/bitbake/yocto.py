@@ -20,6 +20,8 @@ MISSING = ("Nothing PROVIDES", "No bb files in default matched")
 FOREIGN = ("omap3-sgx-modules", "osrf-pycommon", "uninative", "Buildfile specified")
 # The value of a variable that names what a recipe needs.
 NEEDS = re.compile(r'(?:(?<!TEST_)DEPENDS|RRECOMMENDS|PACKAGECONFIG)[^\s="]*\s*[?:+.]*=[+.]?\s*"([^"]*)"')
+# What it says when a recipe is missed: its name, and the files of those that need it.
+MISSED = re.compile(r"Nothing PROVIDES '([^']+)' \(but (.+?) DEPENDS on or otherwise requires it\)")
 
 
 @dataclass(frozen=True)
@@ -249,6 +251,15 @@ def _recipe(path: Path) -> str:
 def _beginnings(words: set[str]) -> set[str]:
     """Each word, and what is before each of its hyphens: gcc-cross-arm comes from the recipe gcc-cross."""
     return {"-".join(split[:end]) for word in words for split in [word.split("-")] for end in range(1, 9)}
+
+
+def unmet_needs(output: str, graph: str) -> set[str]:
+    """What a recipe of a graph (task-depends.dot) needs and nothing provides, from what `bitbake -g` said.
+
+    BitBake draws a graph without what is missing. It also names what recipes miss that it considers and does not take.
+    """
+    files = set(re.findall(r'\\n([^"\\]+)"\]$', graph, re.MULTILINE))
+    return {missed for missed, needing in MISSED.findall(output) if files & set(needing.split(", "))}
 
 
 def open_checkouts(top: Path, wanted: str | None = None) -> Yocto:
