@@ -320,11 +320,15 @@ def check_messages_and_timers(board: Board, link: Link, scripts: PurePosixPath, 
     # They write what they have measured.
     words = " ".join(map(str, pids))
     board.output_of(f"kill {words}; for pid in {words}; do while [ -d /proc/$pid ]; do sleep 0.2; done; done")
-    path = PurePosixPath(board.output_of("ls /tmp/ct_gnuplot*.npy"))
-    sizes = {path.name: int(board.output_of(f"stat -c %s {path}"))}
-    link.do(lambda connection: connection.download(path.parent, sizes, place))
-    (messages,), (timer,) = results.glob("*-messages-communication_tests-*/*.npy"), results.glob("*-timer-*/*.npy")
-    own, seen = np.load(place / path.name), np.load(messages)
+    paths = map(PurePosixPath, board.output_of("ls /tmp/c*.npy").splitlines())
+    sizes = {path.name: int(board.output_of(f"stat -c %s {path}")) for path in paths}
+    link.do(lambda connection: connection.download(PurePosixPath("/tmp"), sizes, place))
+    (own, of_timer), (messages,), (timer,) = (
+        (np.load(place / name) for name in sorted(sizes)),
+        results.glob("*-messages-communication_tests-*/*.npy"),
+        results.glob("*-timer-*/*.npy"),
+    )
+    seen = np.load(messages)
     counts = json.loads(messages.with_suffix(".json").read_text())["counts"]
     assert counts["measured"] == counts["asked"] == len(seen) > 20 and counts["missing"] == 0
     fits = [
@@ -332,10 +336,10 @@ def check_messages_and_timers(board: Board, link: Link, scripts: PurePosixPath, 
         for rows in (own[begin : begin + len(seen)] for begin in range(len(own) - len(seen) + 1))
     ]
     assert sum(fits) == 1
+    # When roscpp meant to call, as it tells the program.
     expected = np.load(timer)[:, 1]
     known = expected[expected != UNKNOWN_NS]
-    assert len(known) > 0.9 * len(expected) > 20
-    assert (np.diff(known) % 50_000_000 == 0).all()
+    assert len(known) > 20 and set(known) <= set(of_timer[:, 1])
 
 
 def check_reboot_keeps_the_disk(board: Board) -> None:

@@ -36,7 +36,12 @@ GROWTH = 1 << 30
 # By Debian's architecture: QEMU, the package of the firmware and its two files.
 FIRMWARE = {
     "amd64": (
-        ["qemu-system-x86_64", "-M", "q35", "-cpu", "max"],
+        # A processor that is emulated beside other work may miss the interrupts by which Linux tries its timer, and
+        # panics; systemd's stub takes this since version 254.
+        [
+            *("qemu-system-x86_64", "-M", "q35", "-cpu", "max"),
+            *("-smbios", "type=11,value=io.systemd.stub.kernel-cmdline-extra=no_timer_check"),
+        ],
         "ovmf",
         ("usr/share/OVMF/OVMF_CODE_4M.fd", "usr/share/OVMF/OVMF_VARS_4M.fd"),
     ),

@@ -31,6 +31,8 @@ Word = Annotated[str, Field(min_length=1)]
 Command = Annotated[list[Word], Field(min_length=1)]
 # A week and a day: more than anybody waits for.
 RECONNECT_MAX_S, BOOT_MAX_S = 604_800, 86_400
+# A kernel of 30 MiB is copied on a slow stick, and compared.
+CHOOSE_KERNEL_S = 120.0
 
 
 # No part of it is . or ..: folders in it are removed.
@@ -331,4 +333,4 @@ def _restart_by_command(argv: Sequence[str], connection: Connection) -> None:
 
 
 def _choose_by_command(argv: Sequence[str], connection: Connection) -> None:
-    connection.check(argv)
+    connection.check(argv, deadline_s=CHOOSE_KERNEL_S)
