@@ -43,7 +43,11 @@ def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suit
     (tmp_path / "boards" / "here.yml").write_text("{schema: 1, name: here, kind: local, suites: ../built}\n")
     words = ["--target", "boards/here.yml", "--suite", "oneshot_timer_tests"]
     status, printed, _ = quick("--deadline", "1ms", "--for", "1s", *words)
-    assert status == 0 and "report results/quick-2" in printed and "--target boards/here.yml --fresh" in printed
+    assert (
+        status == 0
+        and "report results/quick-2 --deadline 1ms\n" in printed
+        and "--target boards/here.yml --fresh" in printed
+    )
     assert not (tmp_path / "results" / "quick-2" / "target.yml").exists()
     runs = {path.parent.name.partition("_l")[0] for path in tmp_path.glob("results/quick-2/*/run.json")}
     assert runs <= {f"{number:03}-oneshot_timer_tests" for number in (1, 2)} and runs

@@ -154,6 +154,7 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
     from rtfiles.invocation import as_called
     from rtfiles.output import console, print_line
     from rtfiles.quantities import grouped, time
+    from rtrun.plan.quantities import time_text
     from rtrun.report import causes
     from rtrun.report.screen import fitted
     from rtrun.report.terminal import print_banner
@@ -183,5 +184,6 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
     folder, file, call = shlex.quote(str(results)), shlex.quote(str(target)), as_called("rtrun")
     explain = f"; {call} check-rt --target {file} says why, and the remedy"
     print_line(f"in the way of real time: {', '.join(grave) + explain if grave else 'nothing grave'}")
-    print_line(f"next: {call} report {folder}")
+    deadline = time_text(study.question.deadline_ns)
+    print_line(f"next: {call} report {folder} --deadline {deadline}")
     print_line(f"to measure again: {call} run {folder}/campaign.yml --target {file} --fresh")

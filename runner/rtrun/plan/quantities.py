@@ -27,6 +27,12 @@ def read_time_ns(text: object) -> int:
     return time_ns
 
 
+def time_text(time_ns: int) -> str:
+    """A time in the largest unit of which it is a whole number, as `read_time_ns` reads it."""
+    unit, unit_ns = max(((name, ns) for name, ns in _UNITS_NS.items() if not time_ns % ns), key=lambda each: each[1])
+    return f"{time_ns // unit_ns}{unit}"
+
+
 def read_probability(value: object) -> float:
     """Read a probability, both ends excluded. Raises ValueError."""
     # YAML 1.1 takes 1e-6 for a text, as it has no point.
