@@ -1,11 +1,14 @@
 """Checkouts given to `make test-yocto` that fit no profile, and graphs of them that lack a recipe."""
 
+import re
 import subprocess
 
 import pytest
 
 import bitbake.yocto
-from bitbake.yocto import open_checkouts, unmet_needs
+from bitbake.yocto import Yocto, open_checkouts, unmet_needs
+from rtgen.layer import output
+from rtgen.layer.render import render
 from rtgen.profile import load_profile, profile_names
 
 
@@ -63,3 +66,27 @@ DRAWN = """digraph depends {
 ])  # fmt: skip
 def test_a_graph_that_lacks_what_one_of_its_recipes_needs(needing, unmet):
     assert unmet_needs(SAID.format("zenoh", needing) + SAID.format("alsa-lib", "/layers/other_1.bb"), DRAWN) == unmet
+
+
+def test_what_an_append_needs_is_not_masked(tmp_path):
+    """As that of meta-ros to iceoryx-posh, which needs cpptoml; one to a recipe of openembedded-core, too."""
+    profile, release = load_profile("wrynose-lyrical")
+    yocto = Yocto(tmp_path, "wrynose-lyrical", profile, release)
+    output.write(render(yocto.name, profile, release), yocto.layer.parent)
+    files = {
+        "openembedded-core/meta/recipes-core/busybox/busybox_1.bb": "",
+        "meta-openembedded/meta-oe/recipes/busybox_%.bbappend": "zlib-ng",
+        "meta-openembedded/meta-oe/recipes/zlib-ng_1.bb": "",
+        "meta-ros/meta-ros2-lyrical/recipes/rcl/rcl_1.bb": "",
+        "meta-ros/meta-ros2-lyrical/appends/rcl/rcl_%.bbappend": "cpptoml",
+        "meta-ros/meta-ros2-lyrical/recipes/unused/unused_1.bb": "",
+        "meta-ros/meta-ros2-lyrical/appends/unused/unused_%.bbappend": "needless",
+        "meta-ros/meta-ros-common/recipes/cpptoml/cpptoml_1.bb": "",
+        "meta-ros/meta-ros-common/recipes/needless/needless_1.bb": "",
+    }
+    for name, needs in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f'DEPENDS:append = " {needs}"\n')
+    masks = [re.compile(mask) for mask in yocto.mask_of_needless_recipes().split()]
+    masked = {name.rpartition("/")[2] for name in files if any(mask.search(f"{tmp_path}/{name}") for mask in masks)}
+    assert masked == {"unused_1.bb", "unused_%.bbappend", "needless_1.bb"}

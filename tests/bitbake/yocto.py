@@ -175,15 +175,20 @@ class Yocto:
         """
         _, *others = self.shared_layers
         files: dict[str, list[Path]] = {}
+        appends: dict[str, list[Path]] = {}
         for layer in others:
             for path in layer.rglob("*.bb"):
                 files.setdefault(_recipe(path), []).append(path)
+            for path in layer.rglob("*.bbappend"):
+                appends.setdefault(_recipe(path), []).append(path)
         needed: set[str] = set()
         # Of ours every word counts: an image names packages in other variables.
         ours = " ".join(path.read_text().replace('"', " ") for path in self.layer.glob("recipes-*/**/*.bb"))
         texts = [f'DEPENDS = "{ours}"']
         for layer in self.own_layers(self.machine):
             texts += [path.read_text() for path in layer.rglob("*") if path.suffix in (".bb", ".inc", ".conf")]
+        # openembedded-core's recipes are all kept.
+        texts += [path.read_text() for name in appends.keys() - files.keys() for path in appends[name]]
         while texts:
             words = {
                 word for value in NEEDS.findall(texts.pop()) for word in re.findall(r"[a-z0-9][a-z0-9.+-]*", value)
@@ -192,6 +197,7 @@ class Yocto:
             needed |= new
             folders = {path.parent for name in new for path in files[name]}
             parts = {path for folder in folders for path in folder.iterdir() if path.suffix in (".bb", ".inc")}
+            parts.update(path for name in new for path in appends.get(name, ()))
             texts += [path.read_text().replace("${PYTHON_PN}", "python3") for path in parts]
         return self.mask_of_others_but(needed)
 
