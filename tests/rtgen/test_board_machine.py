@@ -22,9 +22,15 @@ def code() -> list[Path]:
 
 
 def naming(files: list[Path], names: list[str]) -> list[str]:
-    """The files that hold one of the names as a word."""
+    """The files that hold one of the names as a word, but for the examples of commands."""
+    examples = re.compile(r"^EXAMPLES = \(.*?^\)", re.M | re.S)
     pattern = re.compile(rf"(?<![\w-])({'|'.join(map(re.escape, names))})(?![\w-])")
-    return [f"{path}: {match[0]}" for path in files for match in [pattern.search(path.read_text())] if match]
+    return [
+        f"{path}: {match[0]}"
+        for path in files
+        for match in [pattern.search(examples.sub("", path.read_text()))]
+        if match
+    ]
 
 
 def test_no_code_names_a_machine(tmp_path: Path) -> None:

@@ -311,12 +311,13 @@ def copied_checkout(monkeypatch, tmp_path):
         shutil.copytree(checkout() / folder, copy / folder)
     (copy / "recipes-tests").mkdir()
     shutil.copy(checkout() / "recipes-tests/suites.yml", copy / "recipes-tests")
-    monkeypatch.setattr(layer, "checkout", lambda: copy)
+    monkeypatch.setattr(layer, "shipped", lambda name: copy / name)
+    monkeypatch.setattr(layer, "TEMPLATES", copy / "tools/rtgen/templates")
     return copy
 
 
 def test_what_the_programs_know_of_suites_yml_is_rendered(copied_checkout, monkeypatch):
-    monkeypatch.setattr(programs, "checkout", lambda: copied_checkout)
+    monkeypatch.setattr(programs, "shipped", lambda name: copied_checkout / name)
     committed = checkout() / programs.PATH
     assert programs.render_programs() == {programs.PATH: committed.read_text()}
     suites = copied_checkout / "recipes-tests/suites.yml"

@@ -26,7 +26,7 @@ def quick(tmp_path, monkeypatch, capsys):
 def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suites, tmp_path):
     status, printed, _ = quick("--deadline", "60s", "--for", "6s", "--suites", suites)
     assert status == 0, printed
-    (heading,) = [line for line in printed.splitlines() if line.startswith("What this proves of P(value > 6e+07 us)")]
+    (heading,) = [line for line in printed.splitlines() if line.startswith("What this proves of P(value > 60 s)")]
     rows = [re.split(r" {2,}", line.strip()) for line in printed.split(heading)[1].splitlines()[3:]]
     measured = {row[0].split(" ")[0]: row for row in rows if len(row) == 5}
     assert measured.keys() >= {"cyclic_timer", "oneshot_timer", "communication"}

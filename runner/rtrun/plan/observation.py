@@ -56,8 +56,9 @@ class StreamDeadline:
         return suite == self.kind.suite and parameters.get(self.kind.named_by) == self.name
 
 
-def read_stream_deadline(text: str) -> StreamDeadline:
+def read_stream_deadline(text: object) -> StreamDeadline:
     """Read ``/cmd_vel=5ms``, ``/scan,/cmd_vel=9ms`` of a path, or ``timer:/controller=200us``. Raises ValueError."""
+    text = str(text)  # a file may hold anything
     what, equals, time = text.rpartition("=")
     word, colon, name = what.partition(":")
     if not colon:
@@ -75,8 +76,9 @@ def read_stream_deadline(text: str) -> StreamDeadline:
     return StreamDeadline(kind=kind, name=name, deadline_ns=read_time_ns(time))
 
 
-def read_path(text: str) -> tuple[str, ...]:
+def read_path(text: object) -> tuple[str, ...]:
     """Read ``/scan,/objects,/cmd_vel``. Raises ValueError."""
+    text = str(text)
     topics = tuple(text.split(","))
     if len(topics) < 2 or not all(topics):
         raise ValueError(f"{text[:60]!r}: a path has two topics at least, as /scan,/cmd_vel")

@@ -39,7 +39,7 @@ def test_alike_boards_prove_together_what_none_proves_alone(tmp_path, capsys):
     assert (
         ", 2 boards" in out and ", a " in out and "of single boards: p99.9 " in out and " (a) to " in out + " (b) to "
     )
-    assert main(["gate", str(tmp_path), *WORDS]) == 0
+    assert main(["gate", str(tmp_path), "-v", *WORDS]) == 0
     assert "holds for the 2 boards together" in capsys.readouterr().out
 
 

@@ -22,12 +22,12 @@ def test_a_deadline_that_is_chosen_after_looking_is_refused(tmp_path, capsys):
     write_goal(tmp_path, goal(deadline="9ms"))
     measure(tmp_path)
     with pytest.raises(
-        UsageError, match=r"for P\(value > 9000 us\), the campaign asks for P\(value > 8000 us\) now.*--fresh"
+        UsageError, match=r"for P\(value > 9 ms\), the campaign asks for P\(value > 8 ms\) now.*--fresh"
     ):
         write_goal(tmp_path, goal(deadline="8ms"))
     assert read_goal(tmp_path).deadline_ns == 9_000_000
     assert main(["verdict", str(tmp_path), "--deadline", "8ms"]) == 0
-    assert "measured for P(value > 9000 us): the answer to another question" in capsys.readouterr().err
+    assert "measured for P(value > 9 ms): the answer to another question" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("change", [{"at_most": "2h"}, {"probability": "1e-2"}, {"boots": 3}, {"bursts": 5}])

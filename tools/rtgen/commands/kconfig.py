@@ -55,7 +55,8 @@ def _render(args: argparse.Namespace) -> int:
     from rtgen.kconfig import data as kconfig
     from rtgen.kconfig.render import fragment_path, render
 
-    data = kconfig.load(checkout() / "kconfig")
+    checkout()
+    data = kconfig.load()
     machines = [args.machine] if args.machine else list(data.machines)
     outdated, count = False, 0
     for machine in machines:
