@@ -125,6 +125,28 @@ def test_a_mirror_in_the_middle_of_an_update_is_asked_again_past_caches(
     assert mirror.asked == 2
 
 
+def test_a_release_is_asked_for_by_its_other_name(
+    mirror: Mirror, release: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where its own name leads to files that do not belong together, past caches, too; and only while it is that one."""
+    monkeypatch.setattr(debian, "OTHER_NAMES", {RELEASE: "other", "next": "other"})
+    other = release / "dists" / "other"
+    other.symlink_to(RELEASE)
+    try:
+        mirror.at, mirror.fault = INDEX, FAULTS["always"]
+        source = debian.PackageSource(release=RELEASE, mirror=f"[trusted=yes] {mirror.address}")
+        debian.extract([PACKAGE], tmp_path, "armhf", source)
+        assert (tmp_path / "usr/src/file").read_text() == "from the package"
+        (release / "dists" / "next").symlink_to(RELEASE)
+        mirror.at = INDEX.replace(RELEASE, "next")
+        source = debian.PackageSource(release="next", mirror=source.mirror)
+        with pytest.raises(InfrastructureError, match=f"^cannot download {mirror.address}{mirror.at}: "):
+            debian.extract([PACKAGE], tmp_path, "armhf", source)
+    finally:
+        for link in (other, release / "dists" / "next"):
+            link.unlink(missing_ok=True)
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 def test_the_source_of_a_kernel_is_asked_for_again_past_caches(
     mirror: Mirror, release: Path, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -26,6 +26,9 @@ FAILED = re.compile(r"^ *E: Failed to fetch (\S+) +(.+)$", re.M)
 # The reasons where the index is not that of the files: the mirror, or a cache before it, is in the middle of an update.
 OUT_OF_STEP = ("File has unexpected size", "Hash Sum mismatch", "404 ")
 
+# Debian's other names of its releases: under another name a cache on the way may hold files that belong together.
+OTHER_NAMES = {"bookworm": "oldstable", "trixie": "stable"}
+
 # The file in which a hook of mmdebstrap lists the packages that were unpacked.
 LIST = "packages.list"
 
@@ -37,10 +40,6 @@ class PackageSource:
     release: str
     mirror: str | None
 
-    @property
-    def line(self) -> str | None:
-        """The mirror as a line of sources.list."""
-        return f"deb {self.mirror} {self.release} main" if self.mirror else None
 
 
 def source(release: str | None = None) -> PackageSource:
@@ -97,11 +96,16 @@ def download(attempt: Callable[[Mapping[str, str]], None]) -> None:
     try:
         attempt({})
     except InfrastructureError as error:
-        if not any(reason.startswith(OUT_OF_STEP) for _, reason in FAILED.findall(str(error))):
+        if not is_out_of_step(error):
             raise
         print_note("Debian's mirror or a cache before it is in the middle of an update: downloading again, past caches")
         # apt takes it for https, too.
         attempt({"Acquire::http::No-Cache": "true"})
+
+
+def is_out_of_step(error: InfrastructureError) -> bool:
+    """Whether a download failed because index and files do not belong together."""
+    return any(reason.startswith(OUT_OF_STEP) for _, reason in FAILED.findall(str(error)))
 
 
 def failed_download(output: str) -> str | None:
@@ -127,15 +131,27 @@ def extract(
     archive = folder / "packages.tar"
     command = ["mmdebstrap", "--variant=extract", f"--mode={mode}", f"--architectures={architecture}"]
     command += [f'--extract-hook=ls "$1"/var/cache/apt/archives > "$1"/{LIST}']
+    # What a name stands for changes with Debian's next release.
+    command += [f'--extract-hook=grep -qx "Codename: {source.release}" "$1"/var/lib/apt/lists/*Release']
     command += ["--format=tar", f"--include={','.join(names)}"]
-    from_where = [source.release, str(archive), *([source.line] if source.line else [])]
 
-    def attempt(settings: Mapping[str, str]) -> None:
+    def attempt(settings: Mapping[str, str], name: str = source.release) -> None:
         options = [f'--aptopt={name} "{value}"' for name, value in settings.items()]
-        run([*command, *options, *from_where], environment={**os.environ, **ENGLISH})
+        lines = [f"deb {source.mirror} {name} main"] if source.mirror else []
+        run([*command, *options, name, str(archive), *lines], environment={**os.environ, **ENGLISH})
 
     try:
-        download(attempt)
+        try:
+            download(attempt)
+        except InfrastructureError as error:
+            other = OTHER_NAMES.get(source.release)
+            if other is None or not is_out_of_step(error):
+                raise
+            print_note(f"downloading again, by the other name of Debian {source.release}: {other}")
+            try:
+                attempt({}, other)
+            except InfrastructureError:
+                raise error from None
         # mknod and foreign owners need rights that nothing here needs.
         excluded = [f"--exclude=./{name}" for name in (*DROPPED, *dropped)]
         run(["tar", "-x", "-f", str(archive), "-C", str(folder), "--no-same-owner", *excluded])
