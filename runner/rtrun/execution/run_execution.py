@@ -350,14 +350,14 @@ def _wait(work: _Work, life: RunLife) -> _Measured:
     exits = []
     for program in work.programs.of_suite:
         needed = [] if failure or program.name in awaited else awaited
-        wait = partial(processes.wait, link, work.remote, program.name, deadline_s=program.deadline_s + END_GRACE_S)
-        try:
-            exits.append(wait(needed=needed))
-        except processes.NeededFailed as error:
+        deadline_s = program.deadline_s + END_GRACE_S
+        ended = processes.wait_while_needed(link, work.remote, program.name, needed, deadline_s=deadline_s)
+        if isinstance(ended, processes.NeededFailed):
             # As when it fails before: what publishes would go on for as long as if it were there.
-            failure = f"{error.name} ended while {program.name} was running: {_last_word(work, error.name)}"
+            failure = f"{ended.name} ended while {program.name} was running: {_last_word(work, ended.name)}"
             processes.end(link, work.remote, *work.programs.suite_names)
-            exits.append(wait())
+            ended = processes.wait(link, work.remote, program.name, deadline_s=deadline_s)
+        exits.append(ended)
         if failure is None and program.name not in awaited and exits[-1].status != 0:
             # What it sends to may never have seen it, and would wait until its own deadline.
             processes.end(link, work.remote, *awaited)

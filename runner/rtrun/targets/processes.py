@@ -136,12 +136,11 @@ class Ended:
     """Of the commands that followed."""
 
 
-class NeededFailed(Exception):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NeededFailed:
     """A program that another one works for has failed; `name` says which."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
-        self.name = name
+    name: str
 
 
 def start(
@@ -157,11 +156,22 @@ def start(
     link.check(join_commands(commands))
 
 
-def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float, needed: Sequence[str] = ()) -> Exit:
+def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> Exit:
     """Wait for the end of a program. The wait blocks on a file lock, so it costs the target no CPU time.
 
-    Raises NeededFailed when one of the `needed` programs fails while it runs, which is seen WAIT_S later at most;
-    DeadlineExpired when it has not ended in time, TargetGone and TargetRebooted.
+    Raises DeadlineExpired when it has not ended in time, TargetGone and TargetRebooted.
+    """
+    ended = wait_while_needed(link, folder, name, (), deadline_s=deadline_s)
+    assert isinstance(ended, Exit)
+    return ended
+
+
+def wait_while_needed(
+    link: Link, folder: PurePosixPath, name: str, needed: Sequence[str], *, deadline_s: float
+) -> Exit | NeededFailed:
+    """Wait for the end of a program, as `wait` does, or until one of the `needed` programs has failed.
+
+    That is seen WAIT_S later at most. Raises as `wait`.
     """
     deadline = time.monotonic() + deadline_s
     command = ["sh", "-c", _WAIT, "sh", str(folder), name, *needed]
@@ -176,7 +186,7 @@ def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float, nee
                 raise
             continue
         if words[:1] == ["failed"] and words[1:] and words[1] in needed:
-            raise NeededFailed(words[1])
+            return NeededFailed(name=words[1])
         return Exit(status=_exit_status(words[0]) if words else None, expired="expired" in words)
 
 
