@@ -40,7 +40,7 @@ def housekeeping() -> None:
 
 
 if source == "-":
-    node.create_timer(0.05, lambda: publisher.publish(String(data=str(time.monotonic_ns()))))
+    node.create_timer(0.02, lambda: publisher.publish(String(data=str(time.monotonic_ns()))))
 else:
     node.create_subscription(String, source, pass_on, 100)
 if stall:
