@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ports import free_domain, free_port
+from ports import free_domain, free_port, give_back_domain
 from ros2 import wheels
 from rtgen import suites as builder
 from rtrun.cli import main
@@ -62,10 +62,12 @@ def bench(built: tuple[Path, Path, str], tmp_path: Path) -> Iterator[Bench]:
     """As that of roscpp, in a domain of its own."""
     prefix, suites, middleware = built
     (tmp_path / "out").mkdir()
-    own = {"ROS_DOMAIN_ID": str(free_domain()), "ROS_LOG_DIR": str(tmp_path / "log")}
+    domain = free_domain()
+    own = {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(tmp_path / "log")}
     own["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     with ended(Bench(suites, tmp_path / "out", set_up(prefix) | own, [], middleware)) as bench:
         yield bench
+    give_back_domain(domain)
 
 
 def communicate(bench: Bench, *arguments: str, subscribers: int = 1) -> tuple[list[Ended], Ended]:
