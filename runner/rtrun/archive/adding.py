@@ -20,7 +20,7 @@ from rtrun.archive.tables import (
     run_table,
     sample_table,
 )
-from rtrun.results.reading import find_copies, find_source, read_series
+from rtrun.results.reading import Source, find_copies, find_source, read_series
 from rtrun.results.record import RunRecord, RunStatus, read_record, verify
 from rtrun.results.series import Series
 
@@ -38,18 +38,22 @@ class Addition:
     notes: tuple[str, ...]
 
 
-def add_results(
-    results: Path, store: Store, origin: Origin, *, samples: bool, on_added: Callable[[int, int], None]
-) -> Addition:
-    """Add every closed run of a folder whose files are those that it was closed with.
-
-    A run that is not ok is added without measurements. `on_added` is told how many runs of how many are in the archive.
-    Raises UsageError when there is no run, InfrastructureError when the archive cannot be read or written; it says how
-    far it came.
-    """
+def find_runs(results: Path) -> Source:
+    """The runs of a folder. Raises UsageError when there is none."""
     source = find_source(results)
     if not source.folders:
         raise UsageError(f"{results}: not a results folder or a run directory")
+    return source
+
+
+def add_results(
+    source: Source, store: Store, origin: Origin, *, samples: bool, on_added: Callable[[int, int], None]
+) -> Addition:
+    """Add every closed run whose files are those that it was closed with.
+
+    A run that is not ok is added without measurements. `on_added` is told how many runs of how many are in the archive.
+    Raises InfrastructureError when the archive cannot be read or written; it says how far it came.
+    """
     refused = [f"{name}: incomplete, it has no run.json" for name in source.incomplete]
     added: list[str] = []
     present: list[str] = []

@@ -8,7 +8,7 @@ from typing import get_args
 
 from rtfiles.quantities import time
 from rtrun.analysis.history import LEAST_BOOTS, Against, compare_figure, compare_misses, level_of_test
-from rtrun.archive.adding import add_results
+from rtrun.archive.adding import add_results, find_runs
 from rtrun.archive.courses import Course, Figure, courses
 from rtrun.archive.queries import Archive, connected
 from rtrun.archive.store import Store, make_archive
@@ -45,7 +45,7 @@ def gate_against(
     """
     with tempfile.TemporaryDirectory() as folder:
         own = make_archive(folder)
-        added = add_results(results, own, Origin(), samples=False, on_added=lambda _count, _total: None)
+        added = add_results(find_runs(results), own, Origin(), samples=False, on_added=lambda _count, _total: None)
         builds: list[Course] = []
         without_course: list[tuple[str, str]] = []
         if added.added:

@@ -49,13 +49,14 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.archive.extra import check_extra
 
     check_extra()
-    from rtrun.archive.adding import add_results
+    from rtrun.archive.adding import add_results, find_runs
     from rtrun.archive.store import make_archive
     from rtrun.archive.tables import Origin
 
+    source = find_runs(args.results)  # no archive is made of nothing
     origin = Origin(commit=args.commit, image=args.image, packages=dict(args.package))
     done = add_results(
-        args.results,
+        source,
         make_archive(args.to),
         origin,
         samples=args.samples,

@@ -56,8 +56,10 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.output import counted, print_json, print_line
     from rtrun.plan.campaign import read_campaign
     from rtrun.plan.run import blocks
+    from rtrun.plan.selection import select
 
     campaign, runs = read_campaign(args.campaign)
+    runs = select(runs, args.expression)
     if args.assume_rate is not None and campaign.until is None:
         raise UsageError(f"{args.campaign}: --assume-rate: the campaign has no goal (until), so its length is known")
     if args.assume_rate is not None and campaign.subject is not None:
