@@ -114,7 +114,7 @@ def _case(
         n=n,
         misses=misses,
         worst_ns=worst_ns,
-        has_reason=not passed,
+        reason="" if passed else None,
     )
 
 

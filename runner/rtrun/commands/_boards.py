@@ -95,7 +95,7 @@ def measure_on(
     chosen: Sequence[Run] | None = None,
     rounds: PlanRounds | None = None,
 ) -> dict[str, RunStatus]:
-    """Measure a campaign, or some of its runs, on these targets. `observer` shows the progress where it is one target."""
+    """Measure a campaign, or the chosen runs of it, on these targets. `observer` shows the progress of one alone."""
     if len(targets) == 1:
         (only,) = targets
         with connect(only.config, only.folder, results / "console.log", notify=observer.note) as target:

@@ -51,12 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print what came out and the next command. 0: every run is ok, 3: some run failed or the target did."""
-    import contextlib
     import shlex
-    import sys
 
     from rtfiles.invocation import as_called
-    from rtfiles.output import print_json, print_line
+    from rtfiles.output import beside_the_answer, print_json, print_line
     from rtrun.commands._boards import print_failed, read_targets
     from rtrun.plan.campaign import read_campaign
     from rtrun.plan.selection import select
@@ -71,8 +69,7 @@ def run(args: argparse.Namespace) -> int:
         return _list_runs(chosen, len(runs), results, as_json=args.json)
     targets = read_targets(args.target, args.targets, args.lg_env)
     run_directory.make_results(results)
-    # Programs get one object on standard output, people the course of it on standard error.
-    with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
+    with beside_the_answer(args.json):
         if campaign.until is None:
             statuses = _measure(campaign, runs, chosen, targets, args, results)
         else:
