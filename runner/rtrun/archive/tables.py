@@ -22,6 +22,7 @@ from rtrun.analysis.histogram import from_samples
 from rtrun.archive.files import ROW_GROUP
 from rtrun.judgement.groups import format_parameters, telling_parameters
 from rtrun.plan.limits import BINS_MAX
+from rtrun.plan.observation import stream_words
 from rtrun.results.record import FILE, RunRecord, moment
 from rtrun.results.series import HistogramSeries, SampleSeries, Series
 from rtrun.targets.inspection.facts import fact_text
@@ -88,13 +89,14 @@ def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
         values or (None, None) for values in (seen.temperature_mc, seen.frequency_khz, seen.load_1min)
     )
     telling = telling_parameters(record.circumstances)
+    observed, others = stream_words(record.suite, telling)
     row: dict[str, Any] = {
         "run_key": key,
         "run": record.run,
         "campaign": record.campaign,
         "suite": record.suite,
         "machine": target.name,
-        "scenario": f"{record.suite.removesuffix('_tests')} {format_parameters(telling)}".rstrip(),
+        "scenario": f"{observed or record.suite.removesuffix('_tests')} {format_parameters(others)}".rstrip(),
         "parameters": _json(telling),
         "condition": record.condition,
         "settings": _json(record.settings),
