@@ -10,6 +10,7 @@ import pytest
 from probes.standin import build, running
 
 from rtrun.cli import main
+from rtrun.probes.session import LIMIT_PER_S
 
 pytestmark = [pytest.mark.ros, pytest.mark.trace]
 
@@ -107,17 +108,21 @@ def test_names_of_any_bytes_a_fork_a_restart_and_20_000_messages_a_second(here, 
         assert main(["observe", "--target", str(here), "--for", "9s", "--results", str(results)]) == 0
         again.kill()
     printed = capsys.readouterr().out
-    assert "of the probes: more events than the limit" in printed and "\x1b" not in printed
-    topics = {}
+    assert "\x1b" not in printed
+    topics, events = {}, 0
     for folder in results.glob("*-messages-*"):
         record = json.loads((folder / f"{folder.name}.json").read_text())
         if not record["requested"]["publisher"].startswith(("standin", "restarted")):
             continue  # of others on this machine
         topics.setdefault(record["requested"]["topic"], []).append(record["requested"])
         rows, counts = np.load(folder / f"{folder.name}.npy"), record["counts"]
+        events += 3 * len(rows)  # a timer calls, too
         # Each is taken by the program itself, directly after it was published.
         assert counts["missing"] == 0 and counts["asked"] == counts["measured"] == len(rows) > 10
         assert np.array_equal(rows[:, 2], np.arange(len(rows))) and (rows[:, 1] > rows[:, 0]).all()
+    # Where the machine is too busy for so many messages, there are fewer events.
+    said = ("of the probes: more events than the limit", "lost by the kernel")
+    assert any(each in printed for each in said) or events < 9 * LIMIT_PER_S
     # The child is a program of its own; one that begins anew goes on in the stream of the one before.
     assert {topic: len(pairs) for topic, pairs in topics.items()} == {
         "/forks": 2,
