@@ -26,6 +26,8 @@ class StreamKind(StrEnum):
     CALLBACK = "callback"
     INTERVALS = "interval"
     PATH = "path"
+    RESPONSE = "response"
+    AGE = "age"
 
     @property
     def suite(self) -> str:
@@ -35,7 +37,12 @@ class StreamKind(StrEnum):
     @property
     def named_by(self) -> str:
         """The parameter of a stream by which it is named."""
-        return {"timer": "node", "callback": "node", "path": "path"}.get(self, "topic")
+        return {"messages": "topic", "interval": "topic", "path": "path", "age": "path"}.get(self, "node")
+
+    @property
+    def is_of_topologies(self) -> bool:
+        """Whether it can be told of the nodes of a topology alone, which write down when they were due."""
+        return self in (StreamKind.RESPONSE, StreamKind.AGE)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -69,7 +76,7 @@ def read_stream_deadline(text: object) -> StreamDeadline:
             f"{text[:60]!r}: takes TOPIC=TIME, as /cmd_vel=5ms, or one of {words} before it, as timer:/node=200us"
         )
     kind = StreamKind(word)
-    if kind is StreamKind.PATH:
+    if kind.named_by == "path":
         read_path(name)
     elif kind.named_by == "topic":
         _check_topic(name)
