@@ -19,8 +19,10 @@ TIMED = ("rtrun.targets.", "rtrun.execution.")
 NO_LIMITS = {
     "ranges of numbers, which take no room": {
         "rtfiles.untrusted.INT64_MAX",
-        "rtrun.plan.campaign.PRIORITY_MAX",
-        *(f"rtrun.plan.limits.{name}" for name in ("COUNT_MAX", "RT_PRIORITY_MAX", "EXIT_STATUS_MAX")),
+        *(
+            f"rtrun.plan.limits.{name}"
+            for name in ("COUNT_MAX", "RT_PRIORITY_MAX", "MEASURING_PRIORITY_MAX", "EXIT_STATUS_MAX")
+        ),
         "rtrun.validity.outcome.LISTED_MAX",
     },
     "what is printed or computed at most": {
@@ -28,6 +30,7 @@ NO_LIMITS = {
         "rtfiles.output.WIDTH_MAX",
         "rtrun.archive.queries._COUNT_MAX",
         "rtrun.archive.queries._GRID_MAX",
+        "rtrun.plan.topology.rates._UNIONS_MAX",
         "rtrun.causes.control.WINDOWS_MAX",
         "rtrun.report.causes.REMEDIES_MAX",
         "rtrun.validity.requirements.NAMED_MAX",

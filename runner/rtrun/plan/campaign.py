@@ -171,7 +171,8 @@ def plan(campaign: Campaign, origin: Place | str, topology: Topology | None = No
         if planned and campaign.until and not planned.deadlines:
             errors.append(f"{top / 'until'}: give deadlines, here or in the topology: it measures until each is proven")
         of_topology: dict[str, suites.Value] = {"topology": topology.name}
-        listed = [replace(run, topology=planned, parameters=of_topology | dict(run.parameters)) for run in listed]
+        measured = listed if planned else []
+        listed = [replace(run, topology=planned, parameters=of_topology | dict(run.parameters)) for run in measured]
     if len(listed) > RUNS_MAX:
         errors.append(f"{top}: makes {len(listed)} runs, at most {RUNS_MAX} are allowed")
     if campaign.until:

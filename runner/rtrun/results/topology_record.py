@@ -11,8 +11,6 @@ from rtrun.plan.limits import Count, TimeNs
 from rtrun.plan.topology.topology import Topology
 
 FILE = "topology.json"
-# A graph of 256 nodes with some thousand hops.
-_BYTES_MAX = 16 << 20
 
 
 class Spread(Config):
@@ -104,4 +102,4 @@ def write_topology(folder: Path, record: TopologyRecord) -> None:
 def read_topology_record(folder: Path) -> TopologyRecord | None:
     """Read topology.json of a run directory; None where it has none. Raises UsageError for a damaged file."""
     path = folder / FILE
-    return read_json(path, TopologyRecord, max_bytes=_BYTES_MAX) if path.is_file() else None
+    return read_json(path, TopologyRecord) if path.is_file() else None

@@ -20,6 +20,7 @@ from rtrun.plan.suites import options
 from rtrun.plan.topology.rates import overloads
 from rtrun.plan.topology.ros2_performance import read_graph
 from rtrun.plan.topology.topology import (
+    NODES_MAX,
     Executor,
     NamedPath,
     Policy,
@@ -30,7 +31,6 @@ from rtrun.plan.topology.topology import (
     Waits,
 )
 
-NODES_MAX = 256
 OTHERS_SUFFIX = ".json"
 """Of files of irobot-ros/ros2-performance."""
 
@@ -108,7 +108,7 @@ class TopologyEntry(Config):
     """Of the thread of each node that does not say otherwise."""
     nodes: Annotated[dict[Name, NodeEntry], Field(min_length=1, max_length=NODES_MAX)]
     topics: dict[TopicName, TopicEntry] = Field(default_factory=dict)
-    paths: list[PathEntry] = Field(default_factory=list)
+    paths: Annotated[list[PathEntry], Field(max_length=NODES_MAX)] = Field(default_factory=list)
     may_overload: bool = False
     """Whether it is measured though it asks for more CPU time than there is."""
 

@@ -17,7 +17,7 @@ from rtfiles.config import Config, Place, matching, read_json
 from rtfiles.errors import UsageError
 from rtfiles.output import listed
 from rtrun.plan.quantities import time_text
-from rtrun.plan.topology.topology import Executor, Reliability, Topology, TopologyNode, TopologyTopic, Waits
+from rtrun.plan.topology.topology import NODES_MAX, Executor, Reliability, Topology, TopologyNode, TopologyTopic, Waits
 
 # Interfaces of its plugin packages, which may stand before the type; those of irobot_interfaces_plugin.
 _TYPE = re.compile(
@@ -25,7 +25,6 @@ _TYPE = re.compile(
 )
 _UNITS = {"b": 1, "kb": 2**10, "mb": 2**20, "int64": 8, "int32": 4, "float32": 4}
 _SHOWN = 4
-_NODES_MAX = 256
 
 Name = Annotated[
     str, matching(r"[A-Za-z][A-Za-z0-9_]{0,63}", "a name of at most 64 letters, digits and _, a letter first")
@@ -85,7 +84,7 @@ class NodeText(Config):
     node_name: Name
     node_namespace: str | None = None
     executor_id: Annotated[int, Field(ge=0, le=10**6)] = 0
-    number: Annotated[int, Field(ge=1, le=_NODES_MAX)] | None = None
+    number: Annotated[int, Field(ge=1, le=NODES_MAX)] | None = None
     publishers: list[TopicEnd] = Field(default_factory=list)
     subscribers: list[TopicEnd] = Field(default_factory=list)
     clients: list[ServiceEnd] = Field(default_factory=list)
@@ -95,7 +94,7 @@ class NodeText(Config):
 class GraphText(Config):
     """Such a file."""
 
-    nodes: Annotated[list[NodeText], Field(min_length=1, max_length=_NODES_MAX)]
+    nodes: Annotated[list[NodeText], Field(min_length=1, max_length=NODES_MAX)]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -16,6 +16,7 @@ from typing import Literal
 Policy = Literal["0", "FIFO", "RR"]
 Reliability = Literal["reliable", "best_effort"]
 
+NODES_MAX = 256
 # Of paths that are looked for at all: some graphs of twenty nodes have millions.
 _PATHS_SOUGHT = 10_000
 
