@@ -45,7 +45,7 @@ def plan_topology(
     _check_each(where / "deadlines", deadlines, lambda deadline: check_deadline(topology, deadline), errors)
     if len(errors) > before:
         return None
-    deadlines = tuple(dict.fromkeys((*_own_deadlines(topology), *deadlines)))
+    deadlines = tuple(dict.fromkeys((*own_deadlines(topology), *deadlines)))
     of_deadlines = (tuple(each.name.split(",")) for each in deadlines if each.kind.named_by == "path")
     named = dict.fromkeys((*(each.topics for each in topology.paths), *paths, *of_deadlines))
     followed = tuple(path for topics in named for path in topology.paths_of(topics))
@@ -63,7 +63,8 @@ def _check_each(where: Place, items: Sequence[T], check: Callable[[T], object], 
             errors.append(f"{where / number}: {error}")
 
 
-def _own_deadlines(topology: Topology) -> Iterator[StreamDeadline]:
+def own_deadlines(topology: Topology) -> Iterator[StreamDeadline]:
+    """The deadlines that stand in the topology file."""
     for node in topology.nodes:
         if node.deadline_ns:
             yield StreamDeadline(kind=StreamKind.RESPONSE, name=node.full_name, deadline_ns=node.deadline_ns)
