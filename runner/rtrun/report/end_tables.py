@@ -12,22 +12,28 @@ from rtrun.judgement.claims.reference import message_rows, oneshot_rows
 from rtrun.judgement.groups import Group
 from rtrun.judgement.layers import LayerPair
 from rtrun.judgement.study import Study, environment
+from rtrun.judgement.topologies import MeasuredTopology
 from rtrun.kinds.output import NON_MEASURING_THREADS
 from rtrun.plan.question import NONE_TOLERATED, Measure
 from rtrun.report import causes, layers
 from rtrun.report.ranking import ranking
 from rtrun.report.tables import Table, printable_table
+from rtrun.report.topology_tables import bound_table, hop_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
 
 
-def end_tables(study: Study, pairs: Sequence[LayerPair], found: causes.Found) -> tuple[Table, ...]:
+def end_tables(
+    study: Study, pairs: Sequence[LayerPair], found: causes.Found, topologies: Sequence[MeasuredTopology]
+) -> tuple[Table, ...]:
     """What stands behind the scenarios, each table with what came out of it.
 
-    `pairs` are those of its layers, `found` is what its traces tell.
+    `pairs` are those of its layers, `found` is what its traces tell, `topologies` are those that were measured.
     """
     tables = [
         *_causes(study, found),
         tracing_cost(study),
+        hop_table(topologies),
+        bound_table(topologies),
         causes.periods(study.source, _judged(study))[0],
         causes.surroundings(study.source, _judged(study))[0],
         _worst_cases(study),
