@@ -51,8 +51,9 @@ def read_size_bytes(value: object) -> int:
 
 
 def size_text(size_bytes: int) -> str:
-    """A size in the largest unit of a thousand of which it is a whole number, as `read_size_bytes` reads it."""
-    unit = next((unit for unit in ("MB", "kB") if size_bytes and not size_bytes % _SIZES[unit]), "B")
+    """A size in the largest unit of which it is a whole number, as `read_size_bytes` reads it."""
+    whole = (unit for unit in ("MiB", "MB", "KiB", "kB") if size_bytes and not size_bytes % _SIZES[unit])
+    unit = next(whole, "B")
     return f"{size_bytes // _SIZES[unit]} {unit}"
 
 

@@ -84,11 +84,15 @@ class NodeEntry(ThreadEntry):
 
 
 class TopicEntry(Config):
-    """A topic as a file has it, where it differs from others."""
+    """What a file says about a topic; None: nothing."""
 
-    payload: Size = 0
-    reliability: Reliability = "reliable"
-    depth: Annotated[int, Field(ge=1, le=10_000)] = 10
+    payload: Size | None = None
+    reliability: Reliability | None = None
+    depth: Annotated[int, Field(ge=1, le=10_000)] | None = None
+
+
+class CommonEntry(ThreadEntry, TopicEntry):
+    """What threads of nodes, and topics, have of which the file does not say otherwise."""
 
 
 class PathEntry(Config):
@@ -104,8 +108,7 @@ class TopologyEntry(Config):
 
     schema_: Literal[1] = Field(alias="schema")
     name: Name
-    common: ThreadEntry = Field(default_factory=ThreadEntry)
-    """Of the thread of each node that does not say otherwise."""
+    common: CommonEntry = Field(default_factory=CommonEntry)
     nodes: Annotated[dict[Name, NodeEntry], Field(min_length=1, max_length=NODES_MAX)]
     topics: dict[TopicName, TopicEntry] = Field(default_factory=dict)
     paths: Annotated[list[PathEntry], Field(max_length=NODES_MAX)] = Field(default_factory=list)
@@ -160,7 +163,7 @@ def _topology(entry: TopologyEntry) -> Topology:
         name=entry.name,
         nodes=nodes,
         executors=tuple(executors.values()),
-        topics=tuple(_topic(name, entry.topics.get(name, TopicEntry())) for name in topics),
+        topics=tuple(_topic(name, entry.topics.get(name, TopicEntry()), entry.common) for name in topics),
         paths=tuple(NamedPath(topics=path.topics, reaction_ns=path.reaction, age_ns=path.age) for path in entry.paths),
         may_overload=entry.may_overload,
     )
@@ -193,8 +196,15 @@ def _node(name: str, node: NodeEntry) -> TopologyNode:
     )
 
 
-def _topic(name: str, topic: TopicEntry) -> TopologyTopic:
-    return TopologyTopic(name=name, payload_bytes=topic.payload, reliability=topic.reliability, depth=topic.depth)
+def _topic(name: str, topic: TopicEntry, common: CommonEntry) -> TopologyTopic:
+    said = common.model_dump(include=set(TopicEntry.model_fields), exclude_none=True)
+    said |= topic.model_dump(exclude_none=True)
+    return TopologyTopic(
+        name=name,
+        payload_bytes=said.get("payload", 0),
+        reliability=said.get("reliability", "reliable"),
+        depth=said.get("depth", 10),
+    )
 
 
 def _mistakes(entry: TopologyEntry, top: Place) -> Iterator[str]:
