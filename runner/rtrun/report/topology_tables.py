@@ -8,8 +8,6 @@ from rtrun.judgement.response_bounds import NodeBound, response_bounds
 from rtrun.judgement.topologies import MeasuredTopology
 from rtrun.report.tables import Table
 
-BOUNDS = "response-bounds"
-
 
 def hop_table(measured: Sequence[MeasuredTopology]) -> Table:
     """A row for each topic at each node that takes it: what became of every message that was sent."""
@@ -50,7 +48,7 @@ def bound_table(measured: Sequence[MeasuredTopology]) -> Table:
     above = [each for each in with_bound if each.broken]
     outcome = f"{len(above)} of {counted(len(with_bound), 'node')} above the bound" if with_bound else "no bound"
     return Table(
-        id=BOUNDS,
+        id="response-bounds",
         title="Responses beside the bound of theory",
         columns=("topology", "node", "CPU", "period", "CPU time max", "wakes late by", "response max", "bound", "what"),
         rows=[_bound_row(label, each) for label, each in bounds],
@@ -62,7 +60,7 @@ def bound_table(measured: Sequence[MeasuredTopology]) -> Table:
             "priority, or of one thread, count as coming before each other. It does not cover chains of nodes, "
             "messages on their way, or what the file does not name.",
         ),
-        how=BOUNDS,
+        how="response-bounds",
     )
 
 

@@ -46,3 +46,12 @@ def test_nothing_received_is_no_copy(tmp_path, capsys):
         (folder / "run.json").write_text(json.dumps(record))
     assert main(["verdict", str(tmp_path), *QUESTION]) == 0
     assert "copy" not in capsys.readouterr().out
+
+
+def test_two_streams_of_one_run_with_the_same_times_are_no_copies(tmp_path, capsys):
+    """As two paths of a topology that begin and end alike; the same path twice is one."""
+    for name, path in (("a", "/x"), ("b", "/y"), ("c", "/y")):
+        oneshot_run(tmp_path, name, latencies(5000, 1), parameters={"path": path}, attempt="", subject="attached")
+    assert main(["verdict", str(tmp_path), *QUESTION]) == 0
+    said = capsys.readouterr().out
+    assert "b: a copy? it and c hold the same samples" in said and "it and a hold" not in said
