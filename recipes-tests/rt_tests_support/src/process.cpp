@@ -143,8 +143,7 @@ void set_up_thread(const std::string& policy, int64_t priority, const std::strin
     const sched_param normal{};
     sched_setscheduler(0, SCHED_OTHER, &normal);
   } else {
-    set_policy(policy, priority, 0);
-    touch_stack();
+    set_policy(policy, priority, 0);  // its stack is locked with the rest of the process
   }
 }
 

@@ -26,6 +26,7 @@ from rtrun.plan.observation import (
     read_subject,
 )
 from rtrun.plan.run import KernelName, Run, interleave, label, never_observed, order_by_kernel
+from rtrun.plan.topology.others import OTHER_NODES
 from rtrun.plan.topology.planning import SUITE as TOPOLOGY
 from rtrun.plan.topology.planning import plan_topology
 from rtrun.plan.topology.reading import read_topology
@@ -171,8 +172,15 @@ def plan(campaign: Campaign, origin: Place | str, topology: Topology | None = No
         if planned and campaign.until and not planned.deadlines:
             errors.append(f"{top / 'until'}: give deadlines, here or in the topology: it measures until each is proven")
         of_topology: dict[str, suites.Value] = {"topology": topology.name}
-        measured = listed if planned else []
-        listed = [replace(run, topology=planned, parameters=of_topology | dict(run.parameters)) for run in measured]
+        listed = [
+            replace(
+                run,
+                topology=planned.beside(str(run.parameters[OTHER_NODES])),
+                parameters=of_topology | dict(run.parameters),
+            )
+            for run in listed
+            if planned
+        ]
     if len(listed) > RUNS_MAX:
         errors.append(f"{top}: makes {len(listed)} runs, at most {RUNS_MAX} are allowed")
     if campaign.until:

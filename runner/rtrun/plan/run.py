@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from rtrun.plan import conditions, suites
 from rtrun.plan.observation import ObservationPlan
+from rtrun.plan.topology.others import OTHER_NODES
 from rtrun.plan.topology.planning import TopologyPlan
 
 KernelName = Literal["standard", "rt"]
@@ -224,7 +225,7 @@ def label(run: Run) -> str:
     """What tells a run from the others of its campaign, for its name."""
     subscribers = run.parameters.get("subscribers")
     words = [suites.output_name(run.suite, run.parameters), *([f"{subscribers}sub"] if subscribers else [])]
-    words += [run.topology.topology.name] if run.topology else []
+    words += [run.topology.topology.name, *str(run.parameters.get(OTHER_NODES) or "").split()] if run.topology else []
     words += [run.middleware] if run.middleware != suites.suite(run.suite).middleware else []
     words += [run.condition] if run.condition != conditions.IDLE else []
     settings = conditions.conditions().settings

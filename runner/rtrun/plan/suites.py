@@ -214,7 +214,7 @@ def options() -> dict[str, Option]:
     """
     choices = tuple(name for name in middleware_names() if name != NONE)
     own = {"middleware": Option(type="choice", choices=choices, default=DEFAULT, help="through what a suite measures")}
-    return suites().options | baselines().options | own
+    return suites().options | baselines().options | observed().options | own
 
 
 def find_suite(name: str) -> Suite | None:

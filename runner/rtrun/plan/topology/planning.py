@@ -1,11 +1,12 @@
 """What a run measures of a topology: which paths, and what has a deadline."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from rtfiles.config import Place
 from rtrun.plan.observation import StreamDeadline, StreamKind
+from rtrun.plan.topology.others import beside, read_other_nodes
 from rtrun.plan.topology.topology import NodePath, Topology
 
 SUITE = "topology"
@@ -24,6 +25,15 @@ class TopologyPlan:
     for_s: float
     paths: tuple[NodePath, ...]
     deadlines: tuple[StreamDeadline, ...] = ()
+    others: tuple[str, ...] = ()
+    """Nodes of the topology that stand beside what is measured: of them nothing is kept."""
+
+    def beside(self, text: str) -> "TopologyPlan":
+        """The plan with other nodes beside it, as `read_other_nodes` takes them; empty: none. Raises ValueError."""
+        if not text:
+            return self
+        topology, others = beside(self.topology, read_other_nodes(text))
+        return replace(self, topology=topology, others=others)
 
 
 def plan_topology(

@@ -293,7 +293,7 @@ int run(int argc, char* argv[]) {
   const CommandLine line(M::name, argc, argv);
   const Process& process = line.process;
   const rt_tests::Options& options = line.options;
-  const rt_tests::Destination destination{rt_tests::destination(options, process.name)};
+  const rt_tests::Destination destination{rt_tests::destination(options, "process-" + process.name)};
   rt_tests::set_up_process(options);
   const rt_tests::CpuDmaLatency cpu_dma_latency(options);
   Run run(process, line.program, options, destination);
