@@ -139,7 +139,8 @@ def write(
     Returns the record that the run itself is closed with. Raises InfrastructureError where they cannot be written.
     """
     programs = [_program(each, tables) for each in record.programs]
-    record = record.model_copy(update={"programs": programs})
+    # Its streams are of the same time: as of an observation, that has passed once.
+    record = record.model_copy(update={"programs": programs, "subject": "attached"})
     written = write_streams(
         folder,
         StreamFacts(
@@ -157,7 +158,7 @@ def write(
     )
     if written.unseen and record.status is RunStatus.OK:
         record = record.model_copy(update={"status": RunStatus.FAILED, "reason": "; ".join(written.unseen)})
-    write_topology(partial, _figures(tables, plan))
+    write_topology(partial, figures(tables, plan))
     return record
 
 
@@ -177,7 +178,8 @@ def _programs(
     return [program for program in programs if program.name in hosts]
 
 
-def _figures(tables: TopologyTables, plan: TopologyPlan) -> TopologyRecord:
+def figures(tables: TopologyTables, plan: TopologyPlan) -> TopologyRecord:
+    """What became of each node, hop and path."""
     return TopologyRecord(
         schema=1,
         topology=tables.topology,

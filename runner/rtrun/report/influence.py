@@ -11,6 +11,7 @@ from rtrun.kinds.known import called
 from rtrun.plan.topology.others import OTHER_NODES
 from rtrun.report.tables import Table
 
+_ROUNDING = 1e-9
 _FIGURES = ("mean", *INFLUENCE_QUANTILES, LATE)
 
 
@@ -29,8 +30,8 @@ def table(found: Sequence[Influence], confidence: float) -> Table:
         outcome=_outcome(found),
         numbers=2,
         notes=(
-            "Alone: the medians of the runs. Beside others: what that adds, in brackets with its "
-            f"{100 * confidence:g} % confidence interval.",
+            "Alone: the medians of the runs. Beside others: what that adds, ± half of its "
+            f"{100 * confidence:g} % confidence interval. Periods that the first node skipped are in no n.",
             *(dict.fromkeys(f"refused: {one.attribution.refused}" for one in found if one.attribution.refused)),
         ),
         how="comparison",
@@ -62,9 +63,12 @@ def _cells(one: Influence) -> tuple[str, ...]:
 
 
 def _cell(added: Added) -> str:
+    half = (added.high - added.low) / 2
     if added.figure == LATE:
-        return f"{added.added:+.2g} ({added.low:+.2g} to {added.high:+.2g})"
-    return f"{signed(added.added)} ({signed(added.low)} to {signed(added.high)})"
+        # Where all runs are alike, as without a late value, nothing is known of how much one differs from the next.
+        alike = "none late" if not added.added else f"{added.added:+.2g} in all runs"
+        return f"{added.added:+.2g} ± {half:.2g}" if half > _ROUNDING else alike
+    return f"{signed(added.added)} ± {time(round(half))}"
 
 
 def _outcome(found: Sequence[Influence]) -> str:

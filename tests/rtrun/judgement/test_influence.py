@@ -9,7 +9,7 @@ from rtrun.judgement.influence import influences
 from rtrun.judgement.study import study
 from rtrun.plan.question import Question
 from rtrun.plan.topology.others import BUSY_NS, beside, read_other_nodes
-from rtrun.plan.topology.topology import Executor, Topology, TopologyNode, Waits
+from rtrun.plan.topology.topology import Executor, Topology, TopologyNode, TopologyTopic, Waits
 from rtrun.report.influence import table
 
 US = 1000
@@ -86,7 +86,7 @@ def test_what_is_no_number_and_kind_is_refused(text):
 def test_nodes_beside_a_topology_take_and_send_nothing_of_it():
     node = TopologyNode(name="other1", executor="x", waits=Waits.PERIOD, period_ns=1000, outputs=("/other2",))
     executor = Executor(name="x", process="x", policy="FIFO", priority=7, cpus=(0,))
-    alone = Topology(name="t", nodes=(node,), executors=(executor,), topics=())
+    alone = Topology(name="t", nodes=(node,), executors=(executor,), topics=(TopologyTopic(name="/other2"),))
     for kind, number in (("idle", 2), ("busy", 2), ("publishing", 4)):
         both, others = beside(alone, read_other_nodes(f"2 {kind} on 1"))
         assert len(others) == number and not set(others) & {"other1"}

@@ -105,7 +105,7 @@ def _read_node(
         number = "no activations" if told is None else f"{told.activations} activations"
         raise UsageError(f"{path}: {len(rows)} rows, the process tells of {number}")
     release, begin, done, end, cpu = (np.ascontiguousarray(rows[:, place]) for place in range(len(ACTIVATION)))
-    check_times(path, release, begin, done, end)
+    check_times(path, release, begin, done, end, cpu)
     if _is_backwards(release, begin, done, end):
         raise UsageError(f"{path}: an activation begins before it is due or before the one before has ended")
     return NodeTable(
