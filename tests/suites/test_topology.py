@@ -190,6 +190,25 @@ def hosts(place):
     return found
 
 
+@pytest.mark.slow
+def test_influence_is_measured_in_turn_and_told_of_each_path(suites, place, capsys):
+    (place / "braking.yml").write_text(CHAIN.replace("300ms, offset: 100ms, busy: 20ms", "1s"))
+    write(place, suites, "cyclonedds")
+    words = ["influence", "braking.yml", "--of", "other_nodes", "--target", "target.yml", "--middleware", "cyclonedds"]
+    words += ["--kinds", "busy", "--nodes", "2", "--cpu", "1", "--for", "1s", "--repeats", "3", "--json"]
+    assert main(words) == 0, capsys.readouterr()
+    measured = {name: each for name, each in records(place).items() if each["suite"] == "topology"}
+    assert Counter(each["parameters"]["other_nodes"] for each in measured.values()) == {"": 3, "2 busy on 1": 3}
+    # Of the other nodes nothing is kept, and nothing is measured again.
+    assert not any("other1" in name for name in records(place))
+    capsys.readouterr()
+    assert main(words) == 0
+    assert {name: each for name, each in records(place).items() if each["suite"] == "topology"} == measured
+    rows = json.loads(capsys.readouterr().out)["influence"]["rows"]
+    assert [row["beside it"] for row in rows] == ["nothing", "2 busy on 1"] * 2
+    assert all(row["mean"] != "-" for row in rows)
+
+
 # The last node has the CPU of the second one for 20 ms, above all of its threads, three times a second.
 CHAIN = """
 schema: 1

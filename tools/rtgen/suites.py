@@ -31,7 +31,7 @@ SUPPORT = "rt_tests_support"
 SAMPLER = "rt_tests_sampler"
 # What hosts the nodes of a graph.
 GRAPH = "topology_tests"
-# communication_tests and the nodes of a graph through transports without ROS, a folder each; every other package is a suite.
+# communication_tests and nodes of graphs through transports without ROS, a folder each; all other packages are suites.
 TRANSPORTS = "transport_tests"
 WITHOUT_ROS = (SUPPORT, SAMPLER, TRANSPORTS)
 # The middleware whose programs have the plain names of suites.yml.

@@ -13,7 +13,7 @@ TOO_LATE = "sent after the node had ended"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Fates:
+class HopFates:
     """The messages of a hop that were sent while it was measured.
 
     sent = taken + overwritten + unused + on_the_way + too_late. `rows`, int64, are those of the hop's table where such
@@ -37,7 +37,7 @@ class Fates:
         return {cause: count for cause, count in causes.items() if count}
 
 
-def fates(tables: TopologyTables, hop: HopTable) -> Fates:
+def fates(tables: TopologyTables, hop: HopTable) -> HopFates:
     """What became of the messages of a hop."""
     publisher = tables.nodes[hop.publisher]
     sent = publisher.release_ns.size - publisher.first
@@ -51,7 +51,7 @@ def fates(tables: TopologyTables, hop: HopTable) -> Fates:
     too_late = int(np.count_nonzero(publisher.done_ns[publisher.first :][~came] > hop.left_ns))
     taken = int(np.count_nonzero(is_taken))
     overwritten = last_taken + 1 - taken
-    return Fates(
+    return HopFates(
         sent=sent,
         taken=taken,
         overwritten=overwritten,

@@ -7,7 +7,7 @@ import numpy as np
 from rtfiles.quantities import time
 from rtrun.analysis.histogram import Int64s
 from rtrun.flows.topology.chains import Spans, ages, origins, reactions
-from rtrun.flows.topology.fates import Fates, fates
+from rtrun.flows.topology.fates import HopFates, fates
 from rtrun.flows.topology.tables import NONE, HopTable, NodeTable, TopologyTables
 from rtrun.flows.values import Stream
 from rtrun.kinds.messages import NOT_SEEN_NS
@@ -57,7 +57,7 @@ def _timer(table: NodeTable, name: str, period_ns: int) -> Stream:
     )
 
 
-def _messages(tables: TopologyTables, hop: HopTable, of_hop: Fates) -> Stream:
+def _messages(tables: TopologyTables, hop: HopTable, of_hop: HopFates) -> Stream:
     publisher, subscriber = tables.nodes[hop.publisher], tables.nodes[hop.subscriber]
     rows = of_hop.rows
     taken = hop.taken[rows]
