@@ -1,7 +1,9 @@
 #include "rt_tests_support/measure/topology.h"
 
 #include <dirent.h>
+#include <unistd.h>
 
+#include <csignal>
 #include <fstream>
 #include <set>
 
@@ -12,6 +14,7 @@ namespace topology {
 namespace {
 
 constexpr char ready[] = "ready.";
+volatile sig_atomic_t status_at_limit = 0;
 constexpr int64_t start_limit_ns = 60 * rt_tests::ns_per_s;
 // From when the last process is ready until all begin: the others have to see that.
 constexpr int64_t start_after_ns = 500 * 1000000;
@@ -143,6 +146,16 @@ void sleep_until(int64_t due_ns, int64_t limit_ns) noexcept {
   due.tv_sec = static_cast<time_t>(due_ns / rt_tests::ns_per_s);
   due.tv_nsec = static_cast<long>(due_ns % rt_tests::ns_per_s);
   clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &due, nullptr);
+}
+
+void end_within_limit(int status) {
+  status_at_limit = status;
+  std::signal(SIGALRM, [](int) {
+    constexpr char text[] = "\tWARNING: the middleware did not end in time, and was left as it was\n";
+    [[maybe_unused]] const auto written = write(STDERR_FILENO, text, sizeof text - 1);
+    _exit(status_at_limit);
+  });
+  alarm(20);
 }
 
 void report(Run& run, const std::vector<Hosted>& threads) {
