@@ -52,7 +52,10 @@ def measured_topologies(study: Study) -> tuple[MeasuredTopology, ...]:
 
 
 def _label(record: RunRecord) -> str:
-    return f"{format_parameters(telling_parameters(record.circumstances))} on {record.target.name}"
+    """Which topology, through what, under which circumstances, and where."""
+    told = telling_parameters(record.circumstances)
+    through = f"{told.pop('topology', '')} through {told.pop('middleware', '')}"
+    return f"{' '.join(filter(None, (through, format_parameters(told))))} on {record.target.name}"
 
 
 def _together(label: str, runs: Sequence[tuple[RunRecord, TopologyRecord]]) -> MeasuredTopology:

@@ -85,7 +85,7 @@ def _folded(words: Iterator[str]) -> Iterator[str]:
 def _rows(topology: Topology) -> Iterator[tuple[str, ...]]:
     rates, of_node = rates_hz(topology), shares(topology)
     for node in topology.nodes:
-        busy = " + ".join(
+        busy = ", ".join(
             [
                 *([time(node.busy_ns)] if node.busy_ns else []),
                 *([f"touches {size_text(node.touched_bytes)}"] if node.touched_bytes else []),
@@ -181,4 +181,4 @@ def _demand_lines(topology: Topology) -> Iterator[str]:
             )
     yield "what middleware and kernel take comes on top"
     if touching := [node.name for node in topology.nodes if node.touched_bytes]:
-        yield f"not in it: the time to touch memory, which is known once measured: {listed(touching, _SHOWN)}"
+        yield f"so does what touching memory takes beyond busy, which is not known yet: {listed(touching, _SHOWN)}"

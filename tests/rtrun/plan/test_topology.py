@@ -264,7 +264,7 @@ def test_plan_draws_each_arrow_once_and_says_what_each_cpu_is_asked_for(tmp_path
     said = capsys.readouterr().out
     assert "lidar ─/points→ detect ─/objects→ fuse ─/state→ control ─/cmd→ brake\nimu ─/imu→ fuse\n" in said
     assert re.search(
-        r"^fuse +on /objects and /imu, 20/s +500 us \+ touches 2 MB +1 % +brain/control, FIFO 80", said, re.M
+        r"^fuse +on /objects and /imu, 20/s +500 us, touches 2 MB +1 % +brain/control, FIFO 80", said, re.M
     )
     assert re.search(r"^control +every 10 ms, newest of /state ", said, re.M)
     assert "CPU 0: 4 % of a CPU asked for: lidar\nCPUs 0-1: 30 % of a CPU asked for: detect\nany CPU: 12 %" in said

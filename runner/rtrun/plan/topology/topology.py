@@ -52,7 +52,7 @@ class Executor:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopologyNode:
-    """A node. `busy_ns` is CPU time of its thread; `touched_bytes` are written and read in each activation.
+    """A node. `busy_ns` is the least CPU time of its thread in an activation, in which `touched_bytes` are written.
 
     With a period it is activated at `offset_ns` + k * `period_ns` after the common start, and takes the newest message
     of each input. `deadline_ns` is that of its response: from when the activation was due to its end.
