@@ -17,7 +17,7 @@ _CHARACTER, _LINE, _PADDING, _WAY, _MARGIN = 6.6, 15.0, 8.0, 96.0, 12.0
 _NARROWEST = 96.0
 _HEAD = 8.0
 # Where on an arrow its text may stand, as parts of its length, the best place first.
-_TRIED = (0.5, 0.38, 0.62, 0.27, 0.73, 0.2, 0.8)
+_TRIED = (0.5, 0.38, 0.62, 0.27, 0.73, 0.2, 0.8, 0.12, 0.88)
 
 # From tick to tick of a timeline.
 _STEPS_NS = [digit * 10**power for power in range(19) for digit in (1, 2, 5)]

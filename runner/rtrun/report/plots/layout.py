@@ -12,7 +12,7 @@ from typing import NamedTuple
 Arrow = tuple[str, str]
 _SWEEPS = 12
 _GAP = 28.0
-_BEND = 8.0  # what an arrow takes in a layer that it passes
+_BEND = 40.0  # what an arrow takes in a layer that it passes
 
 
 class _Place(NamedTuple):
