@@ -38,7 +38,8 @@ NO_LIMITS = {
         "rtrun.kinds.rate.OFF_MAX",
         "rtrun.flows.timers._PERIOD_OFF_MAX",
         "rtrun.flows.hazards._NAMED_MAX",
-        "rtrun.execution.observed_runs._NAME_MAX",
+        "rtrun.execution.stream_runs._NAME_MAX",
+        "rtrun.execution.topology_runs._THREAD_NAME_MAX",
         "rtrun.execution.observation._KERNEL_EVENTS_PER_S",
     },
     "pauses between two attempts, and parts of a time that stands on the page": {

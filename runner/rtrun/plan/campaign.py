@@ -165,7 +165,7 @@ def plan(campaign: Campaign, origin: Place | str, topology: Topology | None = No
             errors.append(f"{where}: no run has all of {pattern}, so there is nothing to leave out")
         listed = kept
     listed += _runs_of(campaign.include, campaign, top / "include", errors)
-    if topology is not None:
+    if topology is not None and campaign.subject is None:
         planned = plan_topology(
             topology, campaign.for_s, paths=campaign.paths, deadlines=campaign.deadlines, where=top, errors=errors
         )
