@@ -1,4 +1,4 @@
-"""Ports and domains that nobody uses, each given out once while its process lives, whichever test process asks."""
+"""Ports and domains that nobody uses, each given out once, whichever test process asks; domains may be given back."""
 
 import errno
 import random
@@ -8,7 +8,7 @@ import socket
 PORTS = range(20_000, 32_000)
 # Of ROS 2: their ports are below those, too (7400 and 250 for each).
 DOMAINS = range(1, 100)
-_given: list[socket.socket] = []
+_given: dict[str, socket.socket] = {}
 
 
 def _claim(what: str) -> bool:
@@ -20,7 +20,7 @@ def _claim(what: str) -> bool:
     except OSError:
         claim.close()
         return False
-    _given.append(claim)
+    _given[what] = claim
     return True
 
 
@@ -29,6 +29,11 @@ def free_domain() -> int:
         if _claim(f"domain-{domain}"):
             return domain
     raise OSError(f"of domains {DOMAINS.start} to {DOMAINS.stop - 1} none is free")
+
+
+def give_back_domain(domain: int) -> None:
+    """For others, now that its programs have ended: there are fewer domains than tests of four releases."""
+    _given.pop(f"domain-{domain}").close()
 
 
 def free_port(host: str = "127.0.0.1") -> int:

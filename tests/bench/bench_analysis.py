@@ -280,6 +280,7 @@ def main() -> int:
         *reports(),
         *report(args.runs, args.samples),
         *archived_year.history(),
+        *archived_year.lab(),
     ]
     # Times of a busy machine say nothing; ratios and memory do.
     busy = next(value for name, value, _, _ in checks if name == _BARE) > _IDLE_MS

@@ -128,7 +128,7 @@ def test_a_mirror_in_the_middle_of_an_update_is_asked_again_past_caches(
 def test_a_release_is_asked_for_by_its_other_name(
     mirror: Mirror, release: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where its own name leads to files that do not belong together, past caches, too; and only while it is that one."""
+    """Where its own name leads to files that do not belong together, past caches, too; only while it is that one."""
     monkeypatch.setattr(debian, "OTHER_NAMES", {RELEASE: "other", "next": "other"})
     other = release / "dists" / "other"
     other.symlink_to(RELEASE)

@@ -33,7 +33,17 @@ def test_a_campaign_on_this_machine(suites, tmp_path, monkeypatch, capsys):
     (tmp_path / "target.yml").write_text(
         f"schema: 1\nname: here\nkind: local\nsuites: {suites}\nros_master_port: {free_port()}\n"
     )
-    assert main(["run", "campaign.yml", "--target", "target.yml"]) == 0, capsys.readouterr()
+    asked = ["run", "campaign.yml", "--target", "target.yml"]
+    assert main([*asked, "-k", "cyclictest", "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)
+    (chosen,) = first["runs"]
+    assert "cyclictest" in chosen and first["runs"][chosen] == "ok" and first["results"] == "results/here"
+    # The campaign goes on with the others, in the same folder.
+    assert main([*asked, "--collect-only", "--json"]) == 0
+    collected = json.loads(capsys.readouterr().out)["runs"]
+    assert [each["run"] for each in collected if each["is_finished"]] == [chosen] and len(collected) == 3
+    assert main(asked) == 0
+    assert "1 of 3 runs are finished" in capsys.readouterr().err
     records = [json.loads(path.read_text()) for path in (tmp_path / "results/here").glob("*/run.json")]
     assert [record["status"] for record in records] == ["ok"] * 3
     publisher_json = [name for record in records for name in record["files"] if name.endswith("-publisher.json")]

@@ -1,14 +1,36 @@
 """`rtrun observe` on unmodified programs: those of the suites tell themselves what they measured."""
 
 import json
+import os
 import subprocess
+import sys
 
 import numpy as np
 import pytest
+from probes.standin import build, running
 
 from rtrun.cli import main
 
 pytestmark = [pytest.mark.ros, pytest.mark.trace]
+
+
+# Starts a program again and again, some time after its end; neither outlives whom it was started by.
+AGAIN = """
+import ctypes, subprocess, sys, time
+die = lambda: ctypes.CDLL(None).prctl(1, 9)
+die()
+for k in range(1000):
+    argv = [sys.argv[1], "300", "300", str((4 + k) * 10**15), "1000", "/again"]
+    with subprocess.Popen(argv, stdout=subprocess.PIPE, preexec_fn=die) as process:
+        process.stdout.readline()
+        process.kill()
+    time.sleep(2)
+"""
+
+
+@pytest.fixture(scope="session")
+def standin(tmp_path_factory):
+    return build(tmp_path_factory.mktemp("standin"))
 
 
 @pytest.fixture
@@ -69,3 +91,37 @@ def test_what_is_observed_lies_between_the_stamps_of_the_programs_themselves(pai
     assert np.array_equal(observed[:, 2], np.arange(len(observed)))
     assert (own[:, 0] <= observed[:, 0]).all() and (observed[:, 0] <= observed[:, 1]).all()
     assert (observed[:, 1] <= own[:, 1]).all()
+
+
+def test_names_of_any_bytes_a_fork_a_restart_and_20_000_messages_a_second(here, standin, tmp_path, capsys):
+    """Of each program what was seen adds up, however many events there are: then the probes rest, and it is said."""
+    results, step, restarted = tmp_path / "results", 1000, standin.with_name("restarted")
+    os.link(standin, restarted)
+    name = b"/\xff\x1b[31m\\\n. ../\xe2\x82"
+    with (
+        running(standin, 500, 10**6, 10**15, step, "/forks", 2000),
+        running(standin, 20_000, 10**6, 2 * 10**15, step, "/many"),
+        running(standin, 200, 10**6, 3 * 10**15, step, os.fsdecode(name)),
+        subprocess.Popen([sys.executable, "-c", AGAIN, restarted]) as again,
+    ):
+        assert main(["observe", "--target", str(here), "--for", "9s", "--results", str(results)]) == 0
+        again.kill()
+    printed = capsys.readouterr().out
+    assert "of the probes: more events than the limit" in printed and "\x1b" not in printed
+    topics = {}
+    for folder in results.glob("*-messages-*"):
+        record = json.loads((folder / f"{folder.name}.json").read_text())
+        if not record["requested"]["publisher"].startswith(("standin", "restarted")):
+            continue  # of others on this machine
+        topics.setdefault(record["requested"]["topic"], []).append(record["requested"])
+        rows, counts = np.load(folder / f"{folder.name}.npy"), record["counts"]
+        # Each is taken by the program itself, directly after it was published.
+        assert counts["missing"] == 0 and counts["asked"] == counts["measured"] == len(rows) > 10
+        assert np.array_equal(rows[:, 2], np.arange(len(rows))) and (rows[:, 1] > rows[:, 0]).all()
+    # The child is a program of its own; one that begins anew goes on in the stream of the one before.
+    assert {topic: len(pairs) for topic, pairs in topics.items()} == {
+        "/forks": 2,
+        "/many": 1,
+        "/again": 1,
+        "/\ufffd?[31m\\?. ../\ufffd": 1,
+    }

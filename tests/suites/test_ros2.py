@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ports import free_domain, free_port
+from ports import free_domain, free_port, give_back_domain
 from ros2 import wheels
 from rtgen import suites as builder
 from rtrun.cli import main
@@ -62,10 +62,12 @@ def bench(built: tuple[Path, Path, str], tmp_path: Path) -> Iterator[Bench]:
     """As that of roscpp, in a domain of its own."""
     prefix, suites, middleware = built
     (tmp_path / "out").mkdir()
-    own = {"ROS_DOMAIN_ID": str(free_domain()), "ROS_LOG_DIR": str(tmp_path / "log")}
+    domain = free_domain()
+    own = {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(tmp_path / "log")}
     own["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     with ended(Bench(suites, tmp_path / "out", set_up(prefix) | own, [], middleware)) as bench:
         yield bench
+    give_back_domain(domain)
 
 
 def communicate(bench: Bench, *arguments: str, subscribers: int = 1) -> tuple[list[Ended], Ended]:
@@ -79,6 +81,12 @@ def communicate(bench: Bench, *arguments: str, subscribers: int = 1) -> tuple[li
 def sent_by(bench: Bench, base: str) -> dict[str, Any]:
     sent: dict[str, Any] = json.loads((bench.folder / f"{base}-publisher.json").read_text())
     return sent
+
+
+def quality(record: dict[str, Any]) -> tuple[str, str]:
+    """The quality of service that the RMW says is in effect."""
+    facts = record["in_effect"]["facts"]
+    return facts["reliability"], facts["depth"]
 
 
 def policies(record: dict[str, Any]) -> set[tuple[str, int]]:
@@ -144,6 +152,7 @@ def test_messages_in_real_time(bench: Bench) -> None:
     assert (sent["rate"]["asked_hz"], sent["rate"]["achieved_hz"]) == (500, achieved_hz)
     for one in (record, sent):
         assert policies(one) == {("FIFO", 95)} and one["in_effect"]["facts"]["rmw"] != ""
+        assert quality(one) == ("reliable", "1000")
 
 
 def test_several_subscribers_and_two_that_are_none(bench: Bench) -> None:
@@ -160,6 +169,7 @@ def test_several_subscribers_and_two_that_are_none(bench: Bench) -> None:
     for number in range(3):
         record = check_outputs(bench.folder, f"{number}ct_gnuplot_l200_fq1000_pl0", bench.middleware)
         assert (record["requested"]["reliability"], record["requested"]["depth"]) == ("best_effort", 200)
+        assert quality(record) == ("best_effort", "200")
         assert record["counts"]["measured"] + record["counts"]["missing"] == 200
     for name, process in deaf.items():
         assert end(process).status == 0
@@ -273,6 +283,30 @@ def test_counted_messages_add_up(bench: Bench, through: str, fault: str) -> None
     assert record["complete"] and record["counts"]["measured"] + record["counts"]["missing"] == 300
     assert (record["counts"]["duplicate"] > 0) == (role == "publisher")
     assert sent_by(bench, base)["counts"] == {"asked": 300, "sent": 300}
+
+
+def test_a_router_that_ends(built: tuple[Path, Path, str], bench: Bench) -> None:
+    """Fast DDS' discovery server, by which the two find each other: while they measure it is killed."""
+    port = free_port()
+    # Fast DDS 3 wants the number of its command "server" before.
+    command = ["42"] if list(built[0].glob("lib/libfastdds.so.3*")) else []
+    server = [built[0] / "bin/fast-discovery-server", *command, "-i", "0", "-l", "127.0.0.1", "-p", str(port)]
+    router = subprocess.Popen(server, env=bench.environment, stdout=subprocess.PIPE, text=True)
+    bench.started.append(router)
+    bench.environment["ROS_DISCOVERY_SERVER"] = f"127.0.0.1:{port}"
+    receiver = bench.start("communication_tests_subscriber", "-r", "3000", "-f", "500")
+    sender = bench.start("communication_tests_publisher", "-r", "3000", "-f", "500", "--subscribers", "1")
+    # One to which nothing comes wakes ten times a second.
+    switches = re.compile(r"^voluntary_ctxt_switches:\s*(\d+)", re.MULTILINE)
+    status = Path(f"/proc/{receiver.pid}/status")
+    wait_until(lambda: int(switches.findall(status.read_text())[0]) > 500, receiver)
+    assert router.poll() is None and sender.poll() is None
+    router.kill()
+    assert end(sender) == Ended(0, "\tINFO: Done publishing...\n", "")
+    assert end(receiver).status == 0
+    record = check_outputs(bench.folder, "ct_gnuplot_l3000_fq500_pl0", bench.middleware)
+    assert record["complete"] and record["counts"]["measured"] + record["counts"]["missing"] == 3000
+    assert sent_by(bench, "ct_gnuplot_l3000_fq500_pl0")["counts"] == {"asked": 3000, "sent": 3000}
 
 
 @pytest.mark.parametrize("program", ["cyclic_timer_tests", "communication_tests_subscriber"])

@@ -125,7 +125,7 @@ def test_i_have_nodes(checkout: Path, sshd: Sshd, cmd_vel: None) -> None:
     for run in (first, second):
         record = json.loads((run / "run.json").read_text())
         assert (record["status"], record["deadline_ns"]) == ("ok", 5_000_000), record["reason"]
-    assert "observed_messages topic=/cmd_vel" in printed.partition("$ rtrun verdict")[2]
+    assert "messages /cmd_vel " in printed.partition("$ rtrun verdict")[2]
 
 
 def test_i_build_images(checkout: Path, sshd: Sshd) -> None:

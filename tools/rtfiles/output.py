@@ -88,6 +88,13 @@ def quietly(asked: bool = True) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def beside_the_answer(asked: bool = True) -> Iterator[None]:
+    """Print everything to standard error meanwhile, because a program reads standard output."""
+    with contextlib.redirect_stdout(sys.stderr) if asked else contextlib.nullcontext():
+        yield
+
+
+@contextlib.contextmanager
 def noting_duration(what: str) -> Iterator[None]:
     """Print how long the body took, unless it fails."""
     start = time.monotonic()

@@ -41,7 +41,6 @@ class PackageSource:
     mirror: str | None
 
 
-
 def source(release: str | None = None) -> PackageSource:
     """The source of a release's packages; without a release that of this machine, and elsewhere than on Debian 12's.
 

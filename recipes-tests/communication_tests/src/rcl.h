@@ -38,6 +38,8 @@ struct Rcl : rt_tests::Rcl {
       return static_cast<int64_t>(count);
     }
 
+    rt_tests::Facts facts() const { return ros2::facts_of(rcl_publisher_get_actual_qos(&publisher_)); }
+
    private:
     Context& context_;
     ros2::Message message_;
@@ -73,6 +75,8 @@ struct Rcl : rt_tests::Rcl {
       rt_tests::check(rcl_subscription_get_publisher_count(&subscription_, &count), "count publishers");
       return static_cast<int64_t>(count);
     }
+
+    rt_tests::Facts facts() const { return ros2::facts_of(rcl_subscription_get_actual_qos(&subscription_)); }
 
    private:
     Context& context_;

@@ -32,6 +32,7 @@ struct Rclcpp : rt_tests::Rclcpp {
     }
     std::string problem() const { return problem_; }
     int64_t subscribers() const { return static_cast<int64_t>(publisher_->get_subscription_count()); }
+    rt_tests::Facts facts() const { return ros2::facts_of(&publisher_->get_actual_qos().get_rmw_qos_profile()); }
 
    private:
     ros2::Message message_;
@@ -48,6 +49,7 @@ struct Rclcpp : rt_tests::Rclcpp {
     }
     void receive(int64_t limit_ns) { context_.spin(limit_ns); }
     int64_t publishers() const { return static_cast<int64_t>(subscription_->get_publisher_count()); }
+    rt_tests::Facts facts() const { return ros2::facts_of(&subscription_->get_actual_qos().get_rmw_qos_profile()); }
 
    private:
     Context& context_;

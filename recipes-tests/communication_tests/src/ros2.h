@@ -2,11 +2,15 @@
 #pragma once
 
 #include <rmw/qos_profiles.h>
+#include <rmw/qos_string_conversions.h>
 
 #include <std_msgs/msg/u_int8_multi_array.hpp>
 
+#include <string>
+
 #include "rt_tests_support/measure/wire.h"
 #include "rt_tests_support/options.h"
+#include "rt_tests_support/report.h"
 
 namespace ros2 {
 
@@ -27,6 +31,17 @@ inline rmw_qos_profile_t quality_of(const rt_tests::Options& options) {
   quality.history = RMW_QOS_POLICY_HISTORY_KEEP_LAST;
   quality.depth = static_cast<std::size_t>(options.number("depth"));
   return quality;
+}
+
+// The quality of service in effect: an RMW may have settings of its own. What it does not know is not told.
+inline rt_tests::Facts facts_of(const rmw_qos_profile_t* quality) {
+  rt_tests::Facts facts;
+  if (!quality) return facts;
+  if (const char* reliability = rmw_qos_reliability_policy_to_str(quality->reliability)) {
+    facts.push_back({"reliability", reliability});
+  }
+  if (quality->depth != RMW_QOS_POLICY_DEPTH_SYSTEM_DEFAULT) facts.push_back({"depth", std::to_string(quality->depth)});
+  return facts;
 }
 
 // Others may publish on the topic, too: what is too short for a stamp is none of ours.

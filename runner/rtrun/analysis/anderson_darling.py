@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rtrun.analysis.distributions import chi_squared_above
 from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.tails import GPD, Float64s, Parameters
 
@@ -57,12 +58,10 @@ def _exceeding(statistic: float, shape: float) -> float:
     The limit is a sum of squared normal variates (Choulakian & Stephens 2001). Its upper tail is
     that of the chi-squared distribution with the same first three moments (Buckley & Eagleson 1988).
     """
-    from scipy.special import chdtrc
-
     mean, variance, third = _moments(min(max(shape, _SHAPES[0]), _SHAPES[1]))
     degrees = 8 * variance**3 / third**2
     standardised = (statistic - mean) / math.sqrt(variance)
-    return float(chdtrc(degrees, max(0.0, degrees + standardised * math.sqrt(2 * degrees))))
+    return chi_squared_above(max(0.0, degrees + standardised * math.sqrt(2 * degrees)), degrees)
 
 
 @functools.lru_cache(maxsize=256)

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rtrun.analysis.distributions import normal_quantiles, student_quantile
 from rtrun.analysis.ranks import ranks
 from rtrun.analysis.welch import standard_error
 
@@ -96,9 +97,7 @@ def _penalty(sorted_ranks: bytes, confidence: float) -> float:
 
 def _normal_scores(ranked: Floats) -> Floats:
     """Standard normal quantiles of ranks (van der Waerden), of which ties have their mean; the scores' mean is 0."""
-    from scipy.special import ndtri
-
-    scores = np.asarray(ndtri(ranked / (ranked.size + 1)))
+    scores = normal_quantiles(ranked / (ranked.size + 1))
     return np.asarray(scores - scores.mean())
 
 
@@ -155,9 +154,7 @@ def _change(values: Floats, place: int, start: int, confidence: float, rng: np.r
 
 
 def _welch(a: Floats, b: Floats, confidence: float) -> tuple[float, float]:
-    from scipy.special import stdtrit
-
     shift = float(b.mean() - a.mean())
     error, degrees = standard_error(a, b)
-    reach = float(stdtrit(degrees, (1 + confidence) / 2)) * error
+    reach = student_quantile((1 + confidence) / 2, degrees) * error
     return shift - reach, shift + reach

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtrun.analysis.distributions import normal_quantiles
+
 ALPHA = 0.01
 # The lowest p-value that n intervals allow is 1 / n.
 LEAST_INTERVALS = 100
@@ -67,11 +69,9 @@ def find_coincidences(quantities: Floats, highest: Floats) -> tuple[Coincidence,
 
 def _scores(values: Floats) -> Floats:
     """Normal scores of the values beyond the median around them, of mean 0 and variance 1; zeros for a constant."""
-    from scipy.special import ndtri
-
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, NEIGHBOURS, mode="reflect"), 2 * NEIGHBOURS + 1)
     _, inverse, counts = np.unique(values - np.median(windows, axis=1), return_inverse=True, return_counts=True)
     # Equal values share the mean of their ranks.
-    scores = ndtri((np.cumsum(counts) - (counts - 1) / 2) / (values.size + 1))[inverse]
+    scores = normal_quantiles((np.cumsum(counts) - (counts - 1) / 2) / (values.size + 1))[inverse]
     deviation = float(np.std(scores))
     return np.asarray((scores - scores.mean()) / deviation) if deviation > 0 else np.zeros(values.size)

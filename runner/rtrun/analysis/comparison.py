@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rtrun.analysis.blocks import Blocks, align
 from rtrun.analysis.deadline import Verdict
+from rtrun.analysis.distributions import normal_quantile, student_quantile
 from rtrun.analysis.effects import holm
 from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.interleaving import is_interleaved
@@ -248,12 +249,10 @@ def ratio_of_misses(a: Verdict, b: Verdict, confidence: float = 0.95) -> Ratio:
 
 def _few_units(units: int, confidence: float) -> float:
     """How much too narrow percentile intervals from few units are: Student's t over the normal quantile."""
-    from scipy.special import ndtri, stdtrit
-
     if units < 2:
         return 1.0
     middle = (1 + confidence) / 2
-    return float(stdtrit(units - 1, middle) / ndtri(middle)) * math.sqrt(units / (units - 1))
+    return student_quantile(middle, units - 1) / normal_quantile(middle) * math.sqrt(units / (units - 1))
 
 
 def _resample(strata: Sequence[Int64s], rng: np.random.Generator) -> NDArray[np.float64]:

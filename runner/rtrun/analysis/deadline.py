@@ -8,6 +8,7 @@ import numpy as np
 
 from rtrun.analysis.constancy import examine_constancy, join_boots
 from rtrun.analysis.dependence import Events, cluster_effect, design_effect, effect_of_few, pool
+from rtrun.analysis.distributions import chi_squared_above, normal_quantile, student_quantile
 from rtrun.analysis.further import chance_of_no_miss, likely_further, longest_burst, missing_without_miss
 from rtrun.analysis.intervals import anytime_interval, anytime_lower
 from rtrun.analysis.stationarity import SIGNIFICANT, Change
@@ -237,15 +238,13 @@ def _effect_between(runs: Sequence[Trials], misses: int, confidence: float) -> f
     (Korn & Graubard 1998), but not beyond what it would be if each boot's misses were one burst, 1 + misses / boots.
     The same holds for boards. Runs of an unknown boot count as a boot each.
     """
-    from scipy.special import chdtrc
-
     boards = _sums(runs, [run.board for run in runs])
     boots = _sums(runs, [run.boot or run.run or str(index) for index, run in enumerate(runs)])
     if len(boots) > 1:
         return max(_effect_of_clusters(clusters, misses, confidence) for clusters in (boards, boots))
     clusters = _sums(runs, [run.run or str(index) for index, run in enumerate(runs)])
     effect = cluster_effect(clusters)
-    if len(clusters) < 2 or chdtrc(len(clusters) - 1, (len(clusters) - 1) * effect) > SIGNIFICANT:
+    if len(clusters) < 2 or chi_squared_above((len(clusters) - 1) * effect, len(clusters) - 1) > SIGNIFICANT:
         return 0.0
     return effect * _few(len(clusters) - 1, confidence)
 
@@ -268,10 +267,8 @@ def _sums(runs: Sequence[Trials], keys: Sequence[str]) -> list[tuple[int, int]]:
 
 def _few(degrees: float, confidence: float) -> float:
     """The squared ratio of Student's t to the normal quantile (Korn & Graubard 1998)."""
-    from scipy.special import ndtri, stdtrit
-
     middle = (1 + confidence) / 2
-    return float((stdtrit(degrees, middle) / ndtri(middle)) ** 2)
+    return (student_quantile(middle, degrees) / normal_quantile(middle)) ** 2
 
 
 def _widened(events: Events, confidence: float) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtrun.analysis.distributions import student_below
 from rtrun.analysis.welch import standard_error
 
 
@@ -30,14 +31,12 @@ def examine_effect(
 
     One-sided tests of Welch (1947): is the shift above `least_ns`, is it below `refuting_ns`?
     """
-    from scipy.special import stdtr
-
     shift = sign * float(b_ns.mean() - a_ns.mean())
     error, degrees = standard_error(a_ns, b_ns)
 
     def chance(distance: float) -> float:
         if error:
-            return float(stdtr(degrees, -distance / error))
+            return student_below(-distance / error, degrees)
         return 0.0 if distance > 0 else 1.0
 
     return Effect(

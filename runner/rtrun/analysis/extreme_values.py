@@ -9,6 +9,7 @@ import numpy as np
 from rtfiles.quantities import time
 from rtrun.analysis import tails
 from rtrun.analysis.dependence import burst_starts, extremal_index
+from rtrun.analysis.distributions import chi_squared_above
 from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.ranks import rank_correlation
 
@@ -251,8 +252,6 @@ def resolution(peaks: Int64s, quantum_ns: int) -> Assumption:
 
 def stays_the_same(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[Assumption]:
     """The checks of resolution, stationarity and dependence that every opinion needs."""
-    from scipy.special import chdtrc
-
     checks = [resolution(peaks, quantum_ns)]
     if np.unique(peaks).size < 3:
         return checks
@@ -268,7 +267,7 @@ def stays_the_same(peaks: Int64s, at: Int64s, n: int, quantum_ns: int) -> list[A
     if n > peaks.size:
         parts = np.bincount(at * 8 // n, minlength=8)
         statistic = float(((parts - peaks.size / 8) ** 2).sum() / (peaks.size / 8))
-        p = float(chdtrc(7, statistic))
+        p = chi_squared_above(statistic, 7)
         checks.append(
             Assumption(
                 name="stationarity",

@@ -1,16 +1,14 @@
 """How many measurements decide a question: beforehand, and from what was seen so far."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtrun.analysis.intervals import anytime_interval, anytime_upper
+from rtrun.analysis.distributions import beta_above, beta_below, poisson_quantile
+from rtrun.analysis.intervals import anytime_interval, anytime_upper, is_upper_below
+from rtrun.analysis.search import where_one
 from rtrun.plan.question import Question
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # Beyond this a number of measurements is no plan: at 1 kHz it is 30 000 years.
 UNATTAINABLE = 10**15
@@ -29,7 +27,7 @@ def longest_burst(misses: float, n: float, effect: float, question: Question) ->
     which none would be seen in n measurements with the chance 1 - confidence. Where misses were seen, each of the two
     gets half of it.
     """
-    if n <= 0 or anytime_upper(misses / effect, n / effect, question.confidence) >= question.probability:
+    if n <= 0 or not is_upper_below(misses / effect, n / effect, question.confidence, question.probability):
         return 0.0
     confidence = (1 + question.confidence) / 2 if misses else question.confidence
     seen = anytime_upper(misses / effect, n / effect, confidence) if misses else 0.0
@@ -38,7 +36,9 @@ def longest_burst(misses: float, n: float, effect: float, question: Question) ->
 
 def proves(misses: float, n: float, effect: float, question: Question) -> bool:
     """Whether the upper end of P(miss) is below the target, and the bursts that are to be covered are."""
-    return longest_burst(misses, n, effect, question) >= question.bursts
+    if question.bursts > 1:
+        return longest_burst(misses, n, effect, question) >= question.bursts
+    return n > 0 and is_upper_below(misses / effect, n / effect, question.confidence, question.probability)
 
 
 def missing_without_miss(misses: int, n: int, effect: float, question: Question) -> int | None:
@@ -61,8 +61,6 @@ def plan_measurements(question: Question, *, rate: float = 0.0) -> tuple[bool, i
     `rate` is that of misses; without misses it is the fewest that prove it. Where some are tolerated, measurements are
     counted in ends of windows, of which as many as overlap are worth one. None where no number decides.
     """
-    from scipy.special import pdtrik
-
     effect = float(question.tolerance.overlap)
     if not rate:
         total = smallest(lambda total: proves(0, total, effect, question), 0)
@@ -71,9 +69,9 @@ def plan_measurements(question: Question, *, rate: float = 0.0) -> tuple[bool, i
     def decided(total: int) -> bool:
         # The number of misses (Poisson) that is unfavourable: many for a proof, few for a refutation.
         if rate < question.probability:
-            misses = effect * math.ceil(max(0.0, float(pdtrik(LIKELY, rate * total / effect))))
+            misses = effect * poisson_quantile(LIKELY, rate * total / effect)
             return proves(misses, total, effect, question)
-        misses = math.floor(max(0.0, float(pdtrik(1 - LIKELY, rate * total / effect))))
+        misses = max(0, poisson_quantile(1 - LIKELY, rate * total / effect) - 1)
         return anytime_interval(misses, total / effect, question.confidence)[0] > question.probability
 
     total = smallest(decided, 0)
@@ -95,9 +93,9 @@ def likely_further(misses: int, n: int, effect: float, question: Question) -> tu
     # When each of the bursts to come arrives, counted in effective measurements from the first one of all.
     arrivals = n * scale + np.cumsum(rng.exponential(size=(_COURSES, _BURSTS_TO_COME)), axis=1) / rates[:, None]
     before = np.column_stack((np.full(_COURSES, n * scale), arrivals[:, :-1]))
-    counts = k + np.arange(_BURSTS_TO_COME, dtype=np.float64)
-    proven_from = _proven_from(counts, effect, question)
-    refuted_until = _refuted_until(counts + 1, question)
+    counts = [k + more for more in range(_BURSTS_TO_COME + 1)]
+    proven_from = np.array(list(_proven_from(counts[:-1], effect, question)))
+    refuted_until = np.array(list(_refuted_until(counts[1:], question)))
     proven = np.where(proven_from < arrivals, np.maximum(proven_from, before), np.inf)
     refuted = np.where(arrivals <= refuted_until, arrivals, np.inf)
     first = np.minimum(proven.min(axis=1), refuted.min(axis=1))
@@ -107,44 +105,41 @@ def likely_further(misses: int, n: int, effect: float, question: Question) -> tu
     return misses / n < question.probability, max(0, math.ceil(total) - n)
 
 
-def _proven_from(counts: Floats, effect: float, question: Question) -> Floats:
-    """From how many effective measurements on so many bursts, shape (b,), are a proof, as `longest_burst` says."""
-    from scipy.special import betaincc
-
+def _proven_from(counts: Sequence[float], effect: float, question: Question) -> Iterator[float]:
+    """From how many effective measurements on each number of bursts is a proof, as `longest_burst` says."""
     several = question.bursts > 1
     alpha = (1 - question.confidence) / (2 if several else 1)
-    whole = np.ceil(counts - 1e-9)
-    levels = alpha / ((whole + 1) * (whole + 2))
+    at = 0.0
+    for count in counts:
+        whole = math.ceil(count - 1e-9)
+        level = alpha / ((whole + 1) * (whole + 2))
 
-    def is_proof(totals: Floats) -> Bools:
-        unseen = -np.expm1(np.log(alpha / 2) / (totals * effect)) if several else 0.0
-        target = np.maximum(question.probability - question.bursts * unseen, 0.0)
-        # The interval ends below the target if, at the target's rate, so few misses have a chance below the level.
-        return np.asarray(betaincc(counts + 1, np.maximum(totals - counts, 1e-9), target) < levels)
+        def how_near(log_more: float, count: float = count, level: float = level) -> float:
+            total = count + math.exp(log_more)
+            unseen = -math.expm1(math.log(alpha / 2) / (total * effect)) if several else 0.0
+            target = max(question.probability - question.bursts * unseen, 0.0)
+            # The interval ends below the target if, at the target's rate, so few misses have a chance below the level.
+            return level / max(beta_above(target, count + 1, total - count), 1e-300)
 
-    return _boundary(is_proof, counts + 1, np.full(counts.size, UNATTAINABLE / effect))
-
-
-def _refuted_until(counts: Floats, question: Question) -> Floats:
-    """Up to how many effective measurements so many bursts, shape (b,), refute it."""
-    from scipy.special import betainc
-
-    whole = np.maximum(1, np.ceil(counts - 1e-9))
-    levels = (1 - question.confidence) / (whole * (whole + 1))
-
-    def is_open(totals: Floats) -> Bools:
-        return np.asarray(betainc(counts, np.maximum(totals - counts, 0.0) + 1, question.probability) >= levels)
-
-    return _boundary(is_open, counts, counts / question.probability)
+        at = where_one(how_near, at or math.log((count + 1) / question.probability))
+        yield count + math.exp(at)
 
 
-def _boundary(condition: Callable[[Floats], Bools], low: Floats, high: Floats) -> Floats:
-    """Where monotone conditions, one for each number, begin to hold between low and high, all of shape (b,)."""
-    for _ in range(36):
-        middle = np.sqrt(low * high)
-        holds = condition(middle)
-        low, high = np.where(holds, low, middle), np.where(holds, middle, high)
-    return high
+def _refuted_until(counts: Sequence[float], question: Question) -> Iterator[float]:
+    """Up to how many effective measurements each number of bursts refutes it."""
+    at = 0.0
+    for count in counts:
+        whole = max(1, math.ceil(count - 1e-9))
+        level = (1 - question.confidence) / (whole * (whole + 1))
+        if question.probability**count >= level:
+            yield count  # if all measurements are misses, these are still too few
+            continue
+
+        def how_near(log_more: float, count: float = count, level: float = level) -> float:
+            return beta_below(question.probability, count, math.exp(log_more) + 1) / level
+
+        at = where_one(how_near, at or math.log(count / question.probability))
+        yield count + math.exp(at)
 
 
 def smallest(condition: Callable[[int], bool], start: int) -> int | None:

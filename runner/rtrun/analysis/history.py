@@ -8,6 +8,7 @@ import numpy as np
 
 from rtrun.analysis.change_points import Floats, levels
 from rtrun.analysis.dependence import cluster_effect
+from rtrun.analysis.distributions import beta_below, gamma_below, normal_quantile, student_quantile
 
 Boots = Sequence[tuple[int, int]]
 
@@ -84,8 +85,6 @@ def compare_figure(
     reference tells: a t distribution with v degrees of freedom has the excess kurtosis 6 / (v - 4). The spread is the
     larger of those on both sides of the median, so that a long upper tail counts whole, and of that in all levels.
     """
-    from scipy.special import ndtri
-
     reference, within = best_level(history)
     mean = float(reference.mean())
     spread, degrees = _spread(reference)
@@ -98,7 +97,7 @@ def compare_figure(
         boots=reference.size,
         value=float(build.mean()),
         limit=limit,
-        noticed=limit + float(ndtri(NOTICED)) * spread / math.sqrt(build.size),
+        noticed=limit + normal_quantile(NOTICED) * spread / math.sqrt(build.size),
         others_too=others.size > 0
         and float(others.mean())
         > mean + allowed + _reach(reference.size, others.size, spread, degrees, LEVEL_OF_OTHERS),
@@ -107,9 +106,7 @@ def compare_figure(
 
 def _reach(old: int, new: int, spread: float, degrees: float, level: float) -> float:
     """By how much the mean of `new` boots may lie above that of `old` ones, with the chance `level` of more."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(degrees, 1 - level)) * spread * math.sqrt(1 / new + 1 / old)
+    return student_quantile(1 - level, degrees) * spread * math.sqrt(1 / new + 1 / old)
 
 
 def _spread(reference: Floats) -> tuple[float, float]:
@@ -160,8 +157,6 @@ def _share_noticed(least: int, history: Boots, build: Boots) -> float:
     Numbers are Poisson's, divided by the design effect. The rates of boots are some times as high or low as their mean:
     so the design effect, less 1, is proportional to the share.
     """
-    from scipy.special import gammainc
-
     measured = sum(n for n, _ in build)
     share = sum(misses for _, misses in history) / sum(n for n, _ in history)
     more = (cluster_effect(history) - 1) / share if share else 0.0
@@ -170,7 +165,9 @@ def _share_noticed(least: int, history: Boots, build: Boots) -> float:
     for _ in range(50):
         middle = (low + high) / 2
         effect = 1 + more * middle
-        low, high = (low, middle) if gammainc(least / effect, measured * middle / effect) >= NOTICED else (middle, high)
+        low, high = (
+            (low, middle) if gamma_below(measured * middle / effect, least / effect) >= NOTICED else (middle, high)
+        )
     return high
 
 
@@ -179,9 +176,7 @@ def chance_of_misses(history: Boots, build: Boots) -> float:
 
     The numbers, (measurements, misses) of each boot, are divided by the design effect of boots (Rao & Scott 1992).
     """
-    from scipy.special import betainc
-
     effect = max(1.0, cluster_effect(history))
     n_a, k_a = (sum(numbers) / effect for numbers in zip(*history, strict=True))
     n_b, k_b = (sum(numbers) / effect for numbers in zip(*build, strict=True))
-    return float(betainc(k_b, k_a + 1, n_b / (n_a + n_b))) if k_b else 1.0
+    return beta_below(n_b / (n_a + n_b), k_b, k_a + 1) if k_b else 1.0

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtrun.analysis.blocks import Blocks
+from rtrun.analysis.distributions import student_quantile
 from rtrun.analysis.interleaving import is_interleaved, seconds
 
 Floats = NDArray[np.float64]
@@ -82,10 +83,8 @@ def attribute(
 
 
 def _added(figure: str, values: tuple[Floats, Floats], times_s: tuple[Floats, Floats], confidence: float) -> Added:
-    from scipy.special import stdtrit
-
     middle, error, degrees = shift_without_drift(values, times_s)
-    half = float(stdtrit(degrees, (1 + confidence) / 2)) * error
+    half = student_quantile((1 + confidence) / 2, degrees) * error
     return Added(
         figure=figure,
         added=middle,

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rtrun.analysis.distributions import chi_squared_above, smirnov_above
 from rtrun.analysis.histogram import Int64s
 
 
@@ -18,14 +19,12 @@ def evenly_spread_p(places: NDArray[np.float64]) -> float:
     """The p-value that places, as parts of 1, are spread evenly: two-sided test of Kolmogorov and Smirnov.
 
     Twice the exact p of one side (Birnbaum & Tingey 1951): above 0.1 too high, below exact to 1 in 10^4, as both sides
-    are seldom so far off. scipy.stats.kstest takes longer to load than a report takes.
+    are seldom so far off.
     """
-    from scipy.special import smirnov
-
     ordered = np.sort(places)
     steps = np.arange(ordered.size + 1) / ordered.size
     farthest = max(float((steps[1:] - ordered).max()), float((ordered - steps[:-1]).max()))
-    return min(1.0, 2 * float(smirnov(ordered.size, farthest)))
+    return min(1.0, 2 * smirnov_above(farthest, ordered.size))
 
 
 def find_period(runs: Sequence[tuple[Int64s, int]]) -> tuple[int, float]:
@@ -35,8 +34,6 @@ def find_period(runs: Sequence[tuple[Int64s, int]]) -> tuple[int, float]:
     is chi-squared with two degrees of freedom a run. Periods of 1, 2, 5, 10, ... and powers of two, from 10 loops to a
     fourth of the shortest run, are tried; the p-value is corrected after Bonferroni.
     """
-    from scipy.special import chdtrc
-
     most = min(loops for _, loops in runs) // 4
     decimal = {step * 10**power for step in (1, 2, 5) for power in range(1, 8)}
     periods = sorted(period for period in decimal | {2**power for power in range(4, 24)} if 10 <= period <= most)
@@ -46,6 +43,6 @@ def find_period(runs: Sequence[tuple[Int64s, int]]) -> tuple[int, float]:
     p_values = []
     for period in periods:
         statistic = sum(2 * abs(np.exp(2j * np.pi * places / period).sum()) ** 2 / places.size for places in counted)
-        p_values.append(float(chdtrc(2 * len(counted), statistic)))
+        p_values.append(chi_squared_above(float(statistic), 2 * len(counted)))
     best = int(np.argmin(p_values))
     return periods[best], min(1.0, p_values[best] * len(periods))

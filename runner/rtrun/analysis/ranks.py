@@ -1,7 +1,9 @@
-"""Ranks, and the correlation of ranks; scipy.stats has both, and takes longer to load than a report takes."""
+"""Ranks, and the correlation of ranks."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from rtrun.analysis.distributions import student_below
 
 
 def ranks(values: ArrayLike) -> NDArray[np.float64]:
@@ -15,8 +17,6 @@ def rank_correlation(first: ArrayLike, second: ArrayLike) -> tuple[float, float]
 
     Both are NaN for fewer than 3 values, and where all of one series are equal.
     """
-    from scipy.special import stdtr
-
     a, b = (each - each.mean() for each in (ranks(first), ranks(second)))
     scale = float(np.sqrt((a @ a) * (b @ b)))
     if scale == 0 or a.size < 3:
@@ -25,4 +25,4 @@ def rank_correlation(first: ArrayLike, second: ArrayLike) -> tuple[float, float]
     if abs(r) == 1:
         return r, 0.0
     t = r * np.sqrt((a.size - 2) / ((1 + r) * (1 - r)))
-    return r, float(2 * stdtr(a.size - 2, -abs(t)))
+    return r, 2 * student_below(-abs(float(t)), a.size - 2)

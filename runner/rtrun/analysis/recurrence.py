@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rtrun.analysis.distributions import binomial_above
 from rtrun.analysis.histogram import Int64s
 
 ALPHA = 0.002
@@ -132,13 +133,11 @@ def _chance_of_arc(phases: NDArray[np.float64], arc: float, step: float) -> floa
     An arc that holds the most begins at one of the points: n P(Bin(n - 1, arc) >= most - 1), Boole's bound. Places in
     steps, a part of the circle, may bring as many into an arc as a step more holds.
     """
-    from scipy.special import bdtrc
-
     ordered = np.sort(phases)
     around = np.concatenate((ordered, ordered + 1))
     inside = np.searchsorted(around, ordered + arc, side="right") - np.arange(ordered.size)
     most = min(ordered.size, int(inside.max()))
-    return 1.0 if most < 2 else ordered.size * float(bdtrc(most - 2, ordered.size - 1, min(1.0, arc + step)))
+    return 1.0 if most < 2 else ordered.size * binomial_above(most - 2, ordered.size - 1, min(1.0, arc + step))
 
 
 def _period(events: Int64s, frequency: float) -> float:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rtrun.analysis.distributions import binomial_above, chi_squared_above
 from rtrun.analysis.histogram import Int64s
 
 # Below this chance something counts as a change. Few misses tell little, so for them the chance may be higher.
@@ -34,11 +35,9 @@ class Change:
 
 def test_of_parts(positions: Int64s, loops: int) -> tuple[float, Int64s]:
     """P-value of the chi-squared test that events come as often in each eighth of the loops, and their counts (8,)."""
-    from scipy.special import chdtrc
-
     counts = np.bincount(positions * PARTS // loops, minlength=PARTS)
     mean = positions.size / PARTS
-    return float(chdtrc(PARTS - 1, float(((counts - mean) ** 2).sum() / mean))), counts
+    return chi_squared_above(float(((counts - mean) ** 2).sum() / mean), PARTS - 1), counts
 
 
 def test_of_ends(positions: Int64s, loops: int) -> tuple[float, int, float]:
@@ -48,16 +47,15 @@ def test_of_ends(positions: Int64s, loops: int) -> tuple[float, int, float]:
     That is exact (order statistics; David & Nagaraja 2003, section 2.1), taken at j = 1, 2, 4, ... from both ends and
     corrected after Bonferroni. A negative fraction is one at the start of the run.
     """
-    from scipy.special import bdtrc
-
     k = positions.size
     j = 2 ** np.arange(k.bit_length())
     at_end = (loops - positions[k - j]) / loops
     at_start = (positions[j - 1] + 1) / loops
-    chances = np.concatenate((bdtrc(j - 1, k, at_end), bdtrc(j - 1, k, at_start)))
-    best = int(chances.argmin())
+    within = np.concatenate((at_end, at_start)).tolist()
+    chances = [binomial_above(count - 1, k, part) for count, part in zip(np.tile(j, 2).tolist(), within, strict=True)]
+    best = int(np.argmin(chances))
     fraction = np.concatenate((at_end, -at_start))[best]
-    return min(1.0, float(chances[best]) * chances.size), int(np.tile(j, 2)[best]), float(fraction)
+    return min(1.0, chances[best] * len(chances)), int(np.tile(j, 2)[best]), float(fraction)
 
 
 def find_change(positions: Int64s, loops: int, events: str, significant: float = SIGNIFICANT) -> Change | None:

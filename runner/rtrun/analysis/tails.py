@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtrun.analysis.distributions import chi_squared_above, chi_squared_exceeded
 from rtrun.analysis.histogram import Int64s
+from rtrun.analysis.search import crossing, lowest_point
 
 Float64s = NDArray[np.float64]
 Parameters = tuple[float, ...]
@@ -79,14 +81,14 @@ def fit(family: Family, sample: Sample) -> tuple[Parameters, float]:
         moved = [first + scale * by for first, by in zip(location, free[2:], strict=True)]
         return (free[0], math.exp(min(free[1], 60.0)), *moved)
 
-    def cost(free: Float64s) -> float:
-        return negative_log_likelihood(family, sample, parameters(free.tolist()))
+    def cost(free: Sequence[float]) -> float:
+        return negative_log_likelihood(family, sample, parameters(free))
 
     with np.errstate(all="ignore"):
         begins = [[first, math.log(scale), *(0.0 for _ in location)] for first in (shape, 0.2, -0.2)]
         best, least = begins[0], math.inf
-        for begin in sorted(begins, key=lambda free: cost(np.array(free))):
-            found, lowest = _lowest(cost, begin, step=0.1, tolerance=1e-6)
+        for begin in sorted(begins, key=cost):
+            found, lowest = lowest_point(cost, begin, step=0.1, tolerance=1e-6)
             if lowest < least - 1e-9:
                 best, least = found, lowest
             # At the limit of the shapes a search may stop too early. Elsewhere each begin leads to the same minimum, as
@@ -94,27 +96,6 @@ def fit(family: Family, sample: Sample) -> tuple[Parameters, float]:
             if _SHAPES[0] + _NEAR_LIMIT < best[0] < _SHAPES[1] - _NEAR_LIMIT:
                 break
     return parameters(best), least
-
-
-def _lowest(
-    cost: Callable[[Float64s], float], begin: Sequence[float], *, step: float, tolerance: float
-) -> tuple[list[float], float]:
-    """Where a cost is lowest, and how low, by a simplex that begins with so wide steps."""
-    from scipy.optimize import minimize
-
-    first = np.array(begin)
-    optimum = minimize(
-        cost,
-        first,
-        method="Nelder-Mead",
-        options={
-            "xatol": 10 * tolerance,
-            "fatol": tolerance,
-            "maxiter": 1500,
-            "initial_simplex": np.vstack([first, first + step * np.eye(first.size)]),
-        },
-    )
-    return optimum.x.tolist(), float(optimum.fun)
 
 
 def negative_log_likelihood(family: Family, sample: Sample, parameters: Parameters) -> float:
@@ -135,11 +116,8 @@ def profile_interval(
 
     Ends are infinite where the likelihood does not bound the level.
     """
-    from scipy.optimize import brentq
-    from scipy.special import chdtri
-
     parameters, least = best
-    limit = math.sqrt(float(chdtri(1, 1 - confidence)) / 2)
+    limit = math.sqrt(chi_squared_exceeded(1 - confidence, 1) / 2)
     point, base = family.level(chance, parameters), float(sample.edges[0])
 
     def begins(level: float, near: Parameters) -> Iterator[list[float]]:
@@ -160,11 +138,11 @@ def profile_interval(
             nonlocal near
             if level not in seen:
 
-                def cost(free: Float64s) -> float:
-                    return negative_log_likelihood(family, sample, family.with_level(level, chance, free.tolist()))
+                def cost(free: Sequence[float]) -> float:
+                    return negative_log_likelihood(family, sample, family.with_level(level, chance, free))
 
-                begin = min(begins(level, near), key=lambda free: cost(np.array(free)))
-                found, lowest = _lowest(cost, begin, step=0.02, tolerance=1e-5)
+                begin = min(begins(level, near), key=cost)
+                found, lowest = lowest_point(cost, begin, step=0.02, tolerance=1e-5)
                 drop = lowest - least
                 # Far beyond the end only the sign is of use: measured values may be impossible there.
                 seen[level] = min(math.sqrt(max(drop, 0.0)), 3 * limit) - limit
@@ -181,7 +159,7 @@ def profile_interval(
                 outer = max(outer, (inner + base) / 2)
             value = beyond(outer)
             if value > 0:
-                return float(brentq(beyond, inner, outer, xtol=abs(outer - inner) / 1024))
+                return crossing(beyond, inner, outer, tolerance=abs(outer - inner) / 1024)
             # The next step goes a little beyond the place where a straight line would have the end.
             distance = abs(outer - point)
             width = distance * min(4.0, max(0.1, 1.1 * limit / max(value + limit, 1e-9) - 1))
@@ -194,8 +172,6 @@ def profile_interval(
 
 def goodness(family: Family, sample: Sample, parameters: Parameters) -> float | None:
     """P-value of the chi-squared test of grouped data (classes of about ten values); None when it cannot be made."""
-    from scipy.special import chdtrc
-
     n = sample.n
     classes = min(20, n // 10)
     if classes < len(parameters) + 2:
@@ -210,7 +186,7 @@ def goodness(family: Family, sample: Sample, parameters: Parameters) -> float | 
         below = family.cdf(sample.edges[ends] + sample.step, parameters)
         expected = n * np.diff(np.concatenate(([0.0], below, [1.0])))
         statistic = float(np.sum((observed - expected) ** 2 / expected))
-    return float(chdtrc(ends.size - len(parameters), statistic)) if math.isfinite(statistic) else 0.0
+    return chi_squared_above(statistic, ends.size - len(parameters)) if math.isfinite(statistic) else 0.0
 
 
 def _gpd_log_sf(x: Float64s, p: Parameters) -> Float64s:

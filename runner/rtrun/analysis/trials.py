@@ -1,5 +1,7 @@
 """What a run says about a deadline: how many values came late or never, and where."""
 
+import bisect
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +15,9 @@ ENOUGH_MISSES = 20
 _LEVEL_EVENTS = 200
 # So many places of misses are kept of a run: enough for every test of where they lie.
 _MOST_PLACES = 4096
+# So many of the highest values are looked at first for what decides windows.
+_HIGHEST = 4096
+_NEVER = np.iinfo(np.int64).max
 _NONE = np.empty(0, np.int64)
 
 
@@ -51,29 +56,56 @@ def high_values(loops: int) -> int:
     return min(_LEVEL_EVENTS, loops // 20)
 
 
-def windowed(values_ns: Int64s, absent: Int64s, tolerance: Tolerance) -> tuple[Int64s, Int64s]:
+def windowed(values_ns: Int64s, absent: Int64s, deadline_ns: int, tolerance: Tolerance) -> tuple[Int64s, Int64s]:
     """Of the windows that end at each loop, of as many loops as `tolerance` names: what decides, and `absent`.
 
     A window holds more misses than are tolerated where its (misses + 1)-th highest value is late: that value, an order
     statistic (David & Nagaraja 2003), stands for the window, so all that holds of values holds of windows. What is
     absent is above every value. Values are int64 (n,), `absent` (a,) their loop positions as in `count_misses`; of both
     together there are among - 1 fewer windows than loops, for windows that a run does not hold are not judged.
-    """
-    from scipy.ndimage import rank_filter
 
+    Of the windows that are not among the highest ones, which are all that is asked of, only this is told: whether the
+    deadline is met.
+    """
     loops, size = values_ns.size + absent.size, tolerance.among
     if loops < size:
         return _NONE, _NONE
-    # rank_filter computes in floating point, so it gets the places of the values in their order.
-    heights, places = np.unique(values_ns, return_inverse=True)
-    every = np.full(loops, heights.size)
+    every = np.full(loops, _NEVER)
     came = np.ones(loops, bool)
     came[absent] = False
-    every[came] = places
-    # Its window is centered: the first whole one is at size // 2.
-    decides = rank_filter(every, rank=-tolerance.misses - 1, size=size)[size // 2 :][: loops - size + 1]
-    never = decides == heights.size
-    return heights[decides[~never]], np.flatnonzero(never).astype(np.int64)
+    every[came] = values_ns
+    late = np.concatenate(([0], np.cumsum(every > deadline_ns)))
+    is_late = late[size:] - late[:-size] > tolerance.misses
+    # As many of the highest values as it takes for enough windows that they decide.
+    for many in (_HIGHEST * 8**power for power in itertools.count()):
+        floor = int(np.partition(every, -many)[-many]) if many < loops else -_NEVER
+        decides = _decided_by(every, floor, tolerance)
+        if many >= loops or np.count_nonzero(decides >= floor) > high_values(is_late.size):
+            break
+    low = min(floor - 1, deadline_ns)
+    decides = np.where(decides >= floor, decides, np.where(is_late, np.maximum(low, deadline_ns + 1), low))
+    never = decides == _NEVER
+    return decides[~never], np.flatnonzero(never).astype(np.int64)
+
+
+def _decided_by(every: Int64s, floor: int, tolerance: Tolerance) -> Int64s:
+    """The (misses + 1)-th highest value of each window, for those in which it is at least `floor`; less for others."""
+    size = tolerance.among
+    entering = np.flatnonzero(every >= floor)
+    # A value is in the windows from its own place on, until that of a window further.
+    places = np.concatenate((entering, entering + size))
+    order = np.argsort(places, kind="stable")
+    heights = np.tile(every[entering], 2)[order].tolist()
+    held: list[int] = []
+    decides = [floor - 1]
+    for height, enters in zip(heights, (order < entering.size).tolist(), strict=True):
+        if enters:
+            bisect.insort(held, height)
+        else:
+            del held[bisect.bisect_left(held, height)]
+        decides.append(held[-tolerance.misses - 1] if len(held) > tolerance.misses else floor - 1)
+    ends = np.concatenate(([0], np.minimum(places[order], every.size), [every.size]))
+    return np.repeat(np.array(decides, np.int64), np.diff(ends))[size - 1 :]
 
 
 def count_misses(
@@ -88,7 +120,7 @@ def count_misses(
     if absent is None:
         absent = np.empty(0, np.int64)
     if tolerance != NONE_TOLERATED:
-        decides, never = windowed(values_ns, absent, tolerance)
+        decides, never = windowed(values_ns, absent, deadline_ns, tolerance)
         return replace(
             count_misses(decides, deadline_ns, never), worst_ns=int(values_ns.max()) if values_ns.size else None
         )

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+from rtrun.analysis.distributions import chi_squared_exceeded
 from rtrun.analysis.extreme_values import (
     Assumption,
     Bound,
@@ -41,8 +42,6 @@ def exponential_tail(runs: Sequence[Tail], probability: float, confidence: float
     taken at which it is not above 1 + 1.64 / sqrt(k) (5 %; its standard error is 1 / sqrt(k)). The mean excess has
     its interval from the gamma distribution, the level from it.
     """
-    from scipy.special import chdtri
-
     n, values, positions = high_values(runs)
     if values.size < _LEAST_PEAKS:
         return refuse("CV", f"{n} measurements leave {values.size} high values", probability, confidence)
@@ -70,7 +69,7 @@ def exponential_tail(runs: Sequence[Tail], probability: float, confidence: float
             continue
         factor = math.log(peaks.size / n / probability)
         tail = (1 - confidence) / 2
-        low, high = (2 * k * mean / float(chdtri(2 * k, p)) for p in (tail, 1 - tail))
+        low, high = (2 * k * mean / chi_squared_exceeded(p, 2 * k) for p in (tail, 1 - tail))
         seen = f"residual CV {variation:.2f}, limit {limit:.2f}"
         if peaks.max() > base + factor * high:
             return refuse("CV", "a value was seen above the bound", probability, confidence, points=k)

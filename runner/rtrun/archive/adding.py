@@ -5,22 +5,24 @@ writers that add the same run write the same bytes under the same name.
 """
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtrun.archive.store import Store, has_whole_table, write_file
+from rtrun.archive.files import read_files
+from rtrun.archive.store import Store, is_whole, write_file
 from rtrun.archive.tables import (
+    SCHEMAS,
     Origin,
     as_parquet,
+    file_of,
     histogram_table,
     key_of,
-    partition_of,
     run_table,
     sample_table,
 )
-from rtrun.results.reading import find_copies, find_source, read_series
+from rtrun.results.reading import Source, find_copies, find_source, read_series
 from rtrun.results.record import RunRecord, RunStatus, read_record, verify
 from rtrun.results.series import Series
 
@@ -38,22 +40,28 @@ class Addition:
     notes: tuple[str, ...]
 
 
-def add_results(
-    results: Path, store: Store, origin: Origin, *, samples: bool, on_added: Callable[[int, int], None]
-) -> Addition:
-    """Add every closed run of a folder whose files are those that it was closed with.
-
-    A run that is not ok is added without measurements. `on_added` is told how many runs of how many are in the archive.
-    Raises UsageError when there is no run, InfrastructureError when the archive cannot be read or written; it says how
-    far it came.
-    """
+def find_runs(results: Path) -> Source:
+    """The runs of a folder. Raises UsageError when there is none."""
     source = find_source(results)
     if not source.folders:
         raise UsageError(f"{results}: not a results folder or a run directory")
+    return source
+
+
+def add_results(
+    source: Source, store: Store, origin: Origin, *, samples: bool, on_added: Callable[[int, int], None]
+) -> Addition:
+    """Add every closed run whose files are those that it was closed with.
+
+    A run that is not ok is added without measurements. `on_added` is told how many runs of how many are in the archive.
+    Raises InfrastructureError when the archive cannot be read or written; it says how far it came.
+    """
     refused = [f"{name}: incomplete, it has no run.json" for name in source.incomplete]
     added: list[str] = []
     present: list[str] = []
     notes: list[str] = []
+    tables = [table for table in SCHEMAS if samples or table != "samples"]
+    there = {table: _files_of_runs(store, table) for table in tables}
     # Attempts that were measured again tell how often the rate that was asked for was not kept.
     folders = [*source.folders, *filter(_missed_its_rate, source.old)]
     copies = _copies(folders)
@@ -63,7 +71,7 @@ def add_results(
             continue
         try:
             record = verify(folder)
-            run = _add_run(folder, record, store, origin, samples)
+            run = _add_run(folder, record, store, origin, there)
             (added if run.is_new else present).append(record.run)
             notes += run.notes
         except UsageError as error:
@@ -99,13 +107,24 @@ class _AddedRun:
     notes: tuple[str, ...]
 
 
-def _add_run(folder: Path, record: RunRecord, store: Store, origin: Origin, samples: bool) -> _AddedRun:
+def _files_of_runs(store: Store, table: str) -> dict[str, str | None]:
+    """The file of each run that a table has; None for one in a pack, which is whole."""
+    files = read_files(store, table)
+    return {**files.alone, **dict.fromkeys(files.newest())}
+
+
+def _add_run(
+    folder: Path, record: RunRecord, store: Store, origin: Origin, there: Mapping[str, Mapping[str, str | None]]
+) -> _AddedRun:
     key = key_of(folder)
-    tables = ["runs"]
-    if record.status is RunStatus.OK:
-        tables = [*(["samples"] if samples else []), "histograms", "runs"]
-    names = {table: f"{table}/{partition_of(record)}/{key}.parquet" for table in tables}
-    missing = [table for table in tables if not has_whole_table(store, names[table])]
+
+    def is_there(table: str) -> bool:
+        path = there[table].get(key, "")
+        return path is None or bool(path and is_whole(store, path))
+
+    # The row of the run is written last.
+    tables = there if record.status is RunStatus.OK else ["runs"]
+    missing = [table for table in tables if not is_there(table)]
     judged: list[Series] = []
     notes: list[str] = []
     if "histograms" in missing or "samples" in missing:
@@ -120,5 +139,5 @@ def _add_run(folder: Path, record: RunRecord, store: Store, origin: Origin, samp
             "histograms": lambda: histogram_table(key, judged),
             "runs": lambda: run_table(key, record, origin),
         }[table]()
-        write_file(store, names[table], as_parquet(rows))
+        write_file(store, file_of(table, key), as_parquet(rows))
     return _AddedRun(is_new=bool(missing), notes=tuple(notes))

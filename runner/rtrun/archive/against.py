@@ -8,22 +8,15 @@ from typing import get_args
 
 from rtfiles.quantities import time
 from rtrun.analysis.history import LEAST_BOOTS, Against, compare_figure, compare_misses, level_of_test
-from rtrun.archive.adding import add_results
+from rtrun.archive.adding import add_results, find_runs
 from rtrun.archive.courses import Course, Figure, courses
-from rtrun.archive.queries import Archive, connected
+from rtrun.archive.runs import RunRow, read_archive
 from rtrun.archive.store import Store, make_archive
 from rtrun.archive.tables import Origin
 from rtrun.judgement.gate import Case, Gate, why_not_accepted
 from rtrun.plan.question import Measure
 from rtrun.targets.inspection.platform import Platform
 
-# The runs that are in no course, and why.
-_WITHOUT_COURSE = """
-    SELECT run, CASE WHEN status = 'ok' THEN 'it has no start time, so it has no place in a history'
-                     ELSE concat_ws(': ', status, reason) END
-    FROM runs WHERE status <> 'ok' OR start_utc IS NULL ORDER BY run
-"""
-_PLACED = "SELECT run_key, run FROM runs WHERE status = 'ok' AND start_utc IS NOT NULL ORDER BY run"
 _SHARE_OF_MARGIN = 0.05  # of the reference, where no margin is given; 1 us at least, as in compare
 
 
@@ -45,16 +38,15 @@ def gate_against(
     """
     with tempfile.TemporaryDirectory() as folder:
         own = make_archive(folder)
-        added = add_results(results, own, Origin(), samples=False, on_added=lambda _count, _total: None)
+        added = add_results(find_runs(results), own, Origin(), samples=False, on_added=lambda _count, _total: None)
         builds: list[Course] = []
         without_course: list[tuple[str, str]] = []
         if added.added:
-            with connected(own) as opened:
-                builds = courses(opened, deadline_ns=deadline_ns, of=of)
-                without_course = opened.connection.execute(_WITHOUT_COURSE).fetchall()
-                without_course += _without_values(opened, builds, of)
-    with connected(archive) as opened:
-        histories = {course.identity: course for course in courses(opened, deadline_ns=deadline_ns, of=of)}
+            build_archive = read_archive(own)
+            builds = courses(build_archive, deadline_ns=deadline_ns, of=of)
+            without_course = _without_course(build_archive.runs, builds, of)
+    known = courses(read_archive(archive), deadline_ns=deadline_ns, of=of)
+    histories = {course.identity: course for course in known}
     reasons = [text.split(": ", 1) for text in (*added.refused, *added.notes)]
     cases = [
         Case(about=name, answer="NOT ANALYSED", text=reason, passed=False)
@@ -67,11 +59,18 @@ def gate_against(
     return Gate(cases=tuple(sorted(cases, key=lambda case: order.index(case.answer))))
 
 
-def _without_values(opened: Archive, builds: Sequence[Course], of: Measure | None) -> list[tuple[str, str]]:
-    """The runs with a start time, but without values of the series that is asked about, so in no course; and why."""
+def _without_course(runs: Sequence[RunRow], builds: Sequence[Course], of: Measure | None) -> list[tuple[str, str]]:
+    """The runs that are in no course, and why."""
     known = {key for build in builds for run in build.runs for key in run.point.run_keys}
-    placed = opened.connection.execute(_PLACED).fetchall()
-    return [(run, f"it has no {of or 'values'}") for key, run in placed if key not in known]
+    reasons = []
+    for row in sorted(runs, key=lambda row: row.run):
+        if row.status != "ok":
+            reasons.append((row.run, ": ".join(filter(None, (row.status, row.reason)))))
+        elif row.start_utc is None:
+            reasons.append((row.run, "it has no start time, so it has no place in a history"))
+        elif row.run_key not in known:
+            reasons.append((row.run, f"it has no {of or 'values'}"))
+    return reasons
 
 
 def _without(history: Course | None, build: Course) -> Course | None:
@@ -115,7 +114,7 @@ def _case(
         n=n,
         misses=misses,
         worst_ns=worst_ns,
-        has_reason=not passed,
+        reason="" if passed else None,
     )
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json
 from rtrun.analysis.change_points import Floats, means_of_units
-from rtrun.archive.queries import Archive, Point, figures
+from rtrun.archive.queries import Point, figures
+from rtrun.archive.runs import Archive, RunRow
 from rtrun.plan.question import Measure
 
 Figure = Literal["p50", "p99", "p99.9", "P(miss)"]
@@ -21,7 +22,6 @@ PERCENTS: dict[Figure, float] = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
 # A percentile needs so many values beyond it in a run.
 _BEYOND = 20
 _TEXTS = ("kernel_release", "kernel_version", "commit", "image", "middleware_version", "governor", "clock_source")
-_OFF_RATE = "SELECT suite, parameters, platform, machine FROM runs WHERE off_rate"
 _NUMBERS = ("temperature_max_mc", "frequency_max_khz", "load_1min_max")
 
 
@@ -111,17 +111,16 @@ class Course:
 def courses(archive: Archive, *, deadline_ns: int, of: Measure | None = None) -> list[Course]:
     """Every course of an archive. Runs without a time are in none, as they have no place."""
     points = {point.run_keys[0]: point for point in figures(archive, "run", deadline_ns=deadline_ns, of=of)}
-    columns = ("run_key", "boot_id", "packages", *_TEXTS, *_NUMBERS)
-    rows = archive.connection.execute(
-        f"SELECT {', '.join(columns)} FROM runs WHERE status = 'ok' AND start_utc IS NOT NULL"
-    ).fetchall()
-    origin = archive.store.address
-    runs = [_run(points[row[0]], dict(zip(columns, row, strict=True)), origin) for row in rows if row[0] in points]
+    runs = [
+        _run(points[row.run_key], row, archive.store.address)
+        for row in archive.runs
+        if row.run_key in points and row.start_utc is not None
+    ]
     runs.sort(key=lambda run: (*_identity(run), run.point.start_utc, run.point.label))
-    missed = Counter(archive.connection.execute(_OFF_RATE).fetchall())
+    missed = Counter((row.suite, row.parameters, row.platform, row.machine) for row in archive.runs if row.off_rate)
     made = []
-    for (suite, _, *others), members in groupby(runs, _identity):
-        made.append(Course(runs=tuple(members), off_rate=missed[suite, *others]))
+    for (suite, _, parameters, platform, machine), members in groupby(runs, _identity):
+        made.append(Course(runs=tuple(members), off_rate=missed[suite, parameters, platform, machine]))
     return made
 
 
@@ -130,16 +129,16 @@ def _identity(run: ArchivedRun) -> tuple[str, str, str, str, str]:
     return point.suite, point.series, point.parameters, point.platform, point.machine
 
 
-def _run(point: Point, row: Mapping[str, object], origin: str) -> ArchivedRun:
-    packages = parse_json(str(row["packages"]), f"{origin}: run {row['run_key']}: packages")
+def _run(point: Point, row: RunRow, origin: str) -> ArchivedRun:
+    packages = parse_json(row.packages, f"{origin}: run {row.run_key}: packages")
     if not isinstance(packages, dict):
-        raise UsageError(f"{origin}: run {row['run_key']}: packages: expected versions by name")
-    facts = {name.removesuffix("_release"): str(row[name]) for name in _TEXTS if row[name] is not None}
+        raise UsageError(f"{origin}: run {row.run_key}: packages: expected versions by name")
+    facts = {name.removesuffix("_release"): text for name in _TEXTS if (text := getattr(row, name)) is not None}
     return ArchivedRun(
         point=point,
-        boot=str(row["boot_id"] or row["run_key"]),
+        boot=row.boot,
         facts=facts | {f"package {name}": str(version) for name, version in packages.items()},
-        readings={name: float(str(row[name])) for name in _NUMBERS if row[name] is not None},
+        readings={name: number for name in _NUMBERS if (number := getattr(row, name)) is not None},
     )
 
 

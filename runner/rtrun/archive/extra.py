@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from rtfiles.errors import UsageError
 from rtfiles.invocation import install_extra
 
-PACKAGES = ("duckdb", "fsspec", "pyarrow", "ruptures")
+PACKAGES = ("fsspec", "pyarrow", "ruptures")
 
 
 def check_extra() -> None:

@@ -4,11 +4,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-from rich import box
-from rich.table import Table
-from rich.text import Text
-
-from rtfiles.output import console, print_line, printable
+from rtfiles.output import print_line, printable
 from rtfiles.quantities import grouped, time
 from rtrun.archive import By
 from rtrun.archive.queries import Point
@@ -22,28 +18,29 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
     """Print the points of one scenario, a row each."""
     print_line(points[0].scenario)
     print_banner(Platform(points[0].platform))
-    table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False, pad_edge=False)
     # The column that --by names stands first, and not a second time among the others.
     leading = {"kernel": ("kernel", "board"), "board": ("board", "kernel")}.get(by, (by, "board", "kernel"))
-    for heading in leading:
-        table.add_column(heading, no_wrap=True)
     percentiles = [f"p{p:g}" for p in _SHOWN]
-    for heading in ("runs", "boots", "n", *percentiles, "max", f"P(> {time(deadline_ns)})"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    rows = [[*leading, "runs", "boots", "n", *percentiles, "max", f"P(> {time(deadline_ns)})"]]
     for point in points:
         names: dict[str, str] = {by: point.label, "board": point.machine, "kernel": point.kernel or "unknown"}
-        table.add_row(
-            *(Text(printable(names[heading])) for heading in leading),
-            f"{len(point.run_keys)}{f', {point.off_rate} off rate' if point.off_rate else ''}",
-            str(point.boots),
-            grouped(point.n),
-            *(time(point.percentiles_ns[p]) for p in _SHOWN),
-            time(point.max_ns),
-            misses_text(point),
+        rows.append(
+            [
+                *(printable(names[heading]) for heading in leading),
+                f"{len(point.run_keys)}{f', {point.off_rate} off rate' if point.off_rate else ''}",
+                str(point.boots),
+                grouped(point.n),
+                *(time(point.percentiles_ns[p]) for p in _SHOWN),
+                time(point.max_ns),
+                misses_text(point),
+            ]
         )
-    screen = console()
-    screen.width = screen.measure(table, options=screen.options.update(max_width=10_000)).maximum
-    screen.print(table)
+    # Not by rich, which takes 5 ms for a row: there may be thousands.
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    rows.insert(1, ["─" * width for width in widths])
+    for row in rows:
+        cells = [f"{text:{'<' if k < len(leading) else '>'}{widths[k]}}" for k, text in enumerate(row)]
+        print_line(("──" if row is rows[1] else "  ").join(cells).rstrip())
 
 
 def misses_text(point: Point) -> str:

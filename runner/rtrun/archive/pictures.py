@@ -83,7 +83,10 @@ def _scale(values: Sequence[float]) -> Scale:
 
 def _line(colour: int, name: str, x: Floats, y: Floats) -> Mark:
     known = np.isfinite(y)
-    return Mark(name=name, kind="solid", x=x[known], y=y[known], colour=colour)
+    # There is no line through one point.
+    return Mark(
+        name=name, kind="solid" if np.count_nonzero(known) > 1 else "dots", x=x[known], y=y[known], colour=colour
+    )
 
 
 def _mark(name: str, x: Sequence[float], y: Sequence[float], colour: int) -> Mark:

@@ -63,6 +63,7 @@ def write_site(
         "deadline": time(deadline_ns),
         "percentiles": [f"p{p:g}" for p in _SHOWN],
         "banner": banners.pop() if len(banners) == 1 else "",
+        "banners": sorted(filter(None, banners)),
         "answer": _answer([card["state"] for card in cards]),
     }
     environment = templates(Path(__file__).parent)

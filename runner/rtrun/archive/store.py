@@ -1,11 +1,12 @@
 """Where an archive is kept: a folder, or any place that fsspec reaches by an address as s3://bucket/archive.
 
-A file is written whole or not at all, and never again: on a disk it is renamed into place, and an object store shows an
-object when all of it has arrived. A half Parquet file can still come from elsewhere (a copy that was cut off, a file
-system after a power cut); it does not count as there, and is written anew.
+A file is written whole or not at all, and no table's file again: on a disk it is renamed into place, and an object
+store shows an object when all of it has arrived. A half Parquet file can still come from elsewhere (a copy that was cut
+off, a file system after a power cut); it does not count as there, and is written anew.
 """
 
-from collections.abc import Iterator
+import contextlib
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from rtfiles.config import Config
 from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.untrusted import text
 
-SCHEMA = 1
+SCHEMA = 2
 MARKER = "archive.json"
 _MAGIC = b"PAR1"  # the first and the last bytes of a whole Parquet file
 
@@ -47,10 +48,6 @@ class Store:
         """The path of a file in the file system."""
         return f"{self.root}/{name}"
 
-    def url(self, name: str) -> str:
-        """The address of a file, or a pattern of files, as other programs take it."""
-        return self.locate(name) if self.is_local else f"{_protocols(self.file_system)[0]}://{self.locate(name)}"
-
 
 def _protocols(file_system: Any) -> tuple[str, ...]:
     protocol = file_system.protocol
@@ -60,7 +57,7 @@ def _protocols(file_system: Any) -> tuple[str, ...]:
 def open_archive(address: str) -> Store:
     """The archive at an address. Raises UsageError when there is none, or a newer version has written it."""
     store = _reach(address)
-    if not _has_marker(store):
+    if _schema_of(store) is None:
         raise UsageError(
             f"{address}: no archive: there is no {MARKER} of one in it; rtrun archive add RESULTS --to makes an archive"
         )
@@ -68,20 +65,22 @@ def open_archive(address: str) -> Store:
 
 
 def make_archive(address: str) -> Store:
-    """The archive at an address, a new one where nothing is.
+    """The archive at an address, to write into: a new one where nothing is, and one of this schema.
 
     Raises UsageError when something else is there, or a newer version has written it.
     """
     store = _reach(address)
-    if not _has_marker(store):
+    schema = _schema_of(store)
+    if schema is None:
         with _naming(store, "cannot be listed"):
             names = store.file_system.ls(store.root, detail=False) if store.file_system.exists(store.root) else []
         # The marker of another writer is renamed into place, and files follow it.
         is_foreign = any(not name.rpartition("/")[2].lstrip(".").startswith(MARKER) for name in names)
-        if is_foreign and not _has_marker(store):
+        if is_foreign and _schema_of(store) is None:
             raise UsageError(
                 f"{address}: holds files, but no {MARKER} of an archive: name an archive, or a new or empty folder"
             )
+    if schema != SCHEMA:  # an older version would not find what this one writes
         write_file(store, MARKER, f'{{"kind": "rtrun archive", "schema": {SCHEMA}}}\n'.encode())
     return store
 
@@ -97,27 +96,27 @@ def _reach(address: str) -> Store:
     return Store(address=address, file_system=file_system, root=root.rstrip("/"))
 
 
-def _has_marker(store: Store) -> bool:
+def _schema_of(store: Store) -> int | None:
+    """The schema that the archive is written in; None where there is none."""
     with _naming(store, "cannot be read"):
         if not store.file_system.exists(store.locate(MARKER)):
-            return False
+            return None
         content = store.file_system.cat_file(store.locate(MARKER))
     try:
         marker = _Marker.model_validate_json(content)
     except ValidationError:  # cut off while it was written: it does not count as there
-        return False
+        return None
     if marker.schema_number > SCHEMA:
         raise UsageError(
             f"{store.address}: written by a newer version, in schema {marker.schema_number}; this one knows schema "
             f"{SCHEMA}: update rtrun"
         )
-    return True
+    return marker.schema_number
 
 
-def has_whole_table(store: Store, name: str) -> bool:
+def is_whole(store: Store, path: str) -> bool:
     """Whether a Parquet file is there from its first to its last byte."""
     with _naming(store, "cannot be read"):
-        path = store.locate(name)
         if not store.file_system.exists(path):
             return False
         size = store.file_system.size(path)
@@ -140,16 +139,27 @@ def write_file(store: Store, name: str, content: bytes) -> None:
 
 
 def find_files(store: Store, folder: str) -> list[str]:
-    """The paths of all Parquet files below a folder of the archive."""
+    """The paths of all Parquet files below a folder of the archive, ascending."""
     with _naming(store, "cannot be listed"):
-        paths = sorted(str(path) for path in store.file_system.glob(store.locate(f"{folder}/**/*.parquet")))
+        known = map(str, store.file_system.find(store.locate(folder)))
+        paths = sorted(path for path in known if path.endswith(".parquet"))
     for path in paths:
         _check_utf8(path)
     return paths
 
 
+def remove_files(store: Store, paths: Sequence[str]) -> None:
+    """Remove files; one that another call has removed is no error. Raises InfrastructureError."""
+    with _naming(store, "a file cannot be removed"), contextlib.suppress(FileNotFoundError):
+        if not store.is_local and paths:
+            store.file_system.rm(list(paths))  # an object store takes a thousand with one request
+        elif store.is_local:
+            for path in paths:
+                Path(path).unlink(missing_ok=True)
+
+
 def _check_utf8(path: str) -> None:
-    """Raise UsageError for a path that DuckDB cannot be given."""
+    """Raise UsageError for a path that pyarrow cannot be given."""
     try:
         text(path)
     except ValueError as error:

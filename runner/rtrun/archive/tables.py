@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 import pyarrow
@@ -20,15 +19,19 @@ import pyarrow.parquet
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import from_samples
+from rtrun.archive.files import ROW_GROUP
 from rtrun.judgement.groups import format_parameters, telling_parameters
 from rtrun.plan.limits import BINS_MAX
+from rtrun.plan.observation import stream_words
 from rtrun.results.record import FILE, RunRecord, moment
 from rtrun.results.series import HistogramSeries, SampleSeries, Series
 from rtrun.targets.inspection.facts import fact_text
 
 Table = Any  # pyarrow has no types
-UNKNOWN_MONTH = "unknown"
-_TEXTS = ("run_key", "run", "campaign", "scenario", "parameters", "condition", "settings", "variant", "platform")
+_TEXTS = (
+    *("run_key", "run", "campaign", "suite", "machine", "scenario", "parameters", "condition", "settings", "variant"),
+    "platform",
+)
 _FACTS = (
     *("platform_evidence", "status", "reason", "boot_id", "address", "kernel_release", "kernel_version"),
     *("architecture", "clock_source", "clock_event", "governor", "middleware_version", "setup"),
@@ -56,6 +59,8 @@ SAMPLES = pyarrow.schema(
         *((name, pyarrow.int64()) for name in ("index", "value_ns")),
     ]
 )
+SCHEMAS = {"histograms": HISTOGRAMS, "samples": SAMPLES, "runs": RUNS}
+"""The tables, in the order in which a run is written."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,14 +77,9 @@ def key_of(folder: Path) -> str:
     return hashlib.sha256((folder / FILE).read_bytes()).hexdigest()
 
 
-def partition_of(record: RunRecord) -> str:
-    """The folder of a run below that of a table: machine, suite, month."""
-    start = _utc(record.start_time)
-    month = f"{start:%Y-%m}" if start else UNKNOWN_MONTH
-    return "/".join(
-        f"{name}={quote(value, safe='')}"
-        for name, value in (("machine", record.target.name), ("suite", record.suite), ("month", month))
-    )
+def file_of(table: str, name: str) -> str:
+    """The path of a file of a table within the archive."""
+    return f"{table}/{name}.parquet"
 
 
 def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
@@ -89,11 +89,14 @@ def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
         values or (None, None) for values in (seen.temperature_mc, seen.frequency_khz, seen.load_1min)
     )
     telling = telling_parameters(record.circumstances)
+    observed, others = stream_words(record.suite, telling)
     row: dict[str, Any] = {
         "run_key": key,
         "run": record.run,
         "campaign": record.campaign,
-        "scenario": f"{record.suite.removesuffix('_tests')} {format_parameters(telling)}".rstrip(),
+        "suite": record.suite,
+        "machine": target.name,
+        "scenario": f"{observed or record.suite.removesuffix('_tests')} {format_parameters(others)}".rstrip(),
         "parameters": _json(telling),
         "condition": record.condition,
         "settings": _json(record.settings),
@@ -187,7 +190,7 @@ def _names(key: str, series: Series, rows: int) -> list[Any]:
 def as_parquet(table: Table) -> bytes:
     """A table as a Parquet file; the same table gives the same bytes."""
     stream = io.BytesIO()
-    pyarrow.parquet.write_table(table, stream, compression="zstd")
+    pyarrow.parquet.write_table(table, stream, compression="zstd", row_group_size=ROW_GROUP, store_schema=False)
     return stream.getvalue()
 
 

@@ -22,15 +22,15 @@ def add_deadline(parser: argparse.ArgumentParser) -> None:
 
 def read_courses(args: argparse.Namespace) -> "tuple[list[Course], int]":
     """Every course of the archive, and the deadline in ns that its misses are of. Raises UsageError as `check_extra`,
-    `open_archive` and `connected` do, InfrastructureError."""
+    `open_archive` and `read_archive` do, InfrastructureError."""
     from rtrun.archive.extra import check_extra
 
     check_extra()
     from rtrun.archive.courses import courses
-    from rtrun.archive.queries import connected
+    from rtrun.archive.runs import read_archive
     from rtrun.archive.store import open_archive
     from rtrun.plan.question import THESIS
 
     deadline_ns = args.deadline or THESIS.deadline_ns
-    with connected(open_archive(args.archive)) as archive:
-        return courses(archive, deadline_ns=deadline_ns, of=args.of), deadline_ns
+    archive = read_archive(open_archive(args.archive))
+    return courses(archive, deadline_ns=deadline_ns, of=args.of), deadline_ns

@@ -16,6 +16,12 @@ def add_campaign(parser: argparse.ArgumentParser) -> None:
     """The campaign file, by its path or by the name of one that is shipped."""
     names = ", ".join(sorted(path.stem for path in CAMPAIGNS.glob("*.yml")))
     parser.add_argument("campaign", type=campaign_file, metavar="CAMPAIGN", help=f"a file, or one of {names}")
+    parser.add_argument(
+        "-k",
+        dest="expression",
+        metavar="EXPRESSION",
+        help="only the runs whose names it is true of, as pytest chooses tests: 'cyclic and not fq1000'",
+    )
 
 
 def campaign_file(text: str) -> Path:

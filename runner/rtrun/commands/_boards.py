@@ -8,8 +8,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rtfiles.errors import UsageError
-from rtfiles.output import console
+from rtfiles.errors import InfrastructureError, UsageError
+from rtfiles.output import console, print_line
 from rtrun.execution import campaign_runner
 from rtrun.execution.board import Observer
 from rtrun.execution.board_progress import showing_boards
@@ -92,13 +92,16 @@ def measure_on(
     observer: Observer,
     *,
     variants: Mapping[str, Variant],
+    chosen: Sequence[Run] | None = None,
     rounds: PlanRounds | None = None,
 ) -> dict[str, RunStatus]:
-    """Measure a campaign on these targets. `observer` shows the progress where it is one target."""
+    """Measure a campaign, or the chosen runs of it, on these targets. `observer` shows the progress of one alone."""
     if len(targets) == 1:
         (only,) = targets
         with connect(only.config, only.folder, results / "console.log", notify=observer.note) as target:
-            return campaign_runner.run_campaign(target, name, runs, results, observer, variants=variants, rounds=rounds)
+            return campaign_runner.run_campaign(
+                target, name, runs, results, observer, chosen=chosen, variants=variants, rounds=rounds
+            )
     with contextlib.ExitStack() as stack:
         lines = stack.enter_context(showing_boards([each.name for each in targets], console()))
         boards = [
@@ -110,8 +113,16 @@ def measure_on(
             for each in targets
         ]
         return campaign_runner.run_campaign_on_boards(
-            boards, name, runs, results, observer, variants=variants, rounds=rounds
+            boards, name, runs, results, observer, chosen=chosen, variants=variants, rounds=rounds
         )
+
+
+def print_failed(statuses: Mapping[str, RunStatus]) -> int:
+    """Print a line for each run that is not ok; return the exit status, which is not 0 where there is one."""
+    bad = {name: status for name, status in statuses.items() if status is not RunStatus.OK}
+    for name, status in bad.items():
+        print_line(f"{name}: {status}")
+    return InfrastructureError.exit_status if bad else 0
 
 
 def _connect(

@@ -37,13 +37,14 @@ def run(args: argparse.Namespace) -> int:
 
     check_extra()
     from rtrun.archive.history import as_data, print_course
-    from rtrun.archive.queries import connected, figures
+    from rtrun.archive.queries import figures
+    from rtrun.archive.runs import read_archive
     from rtrun.archive.store import open_archive
     from rtrun.plan.question import THESIS
 
     deadline_ns = args.deadline or THESIS.deadline_ns
-    with connected(open_archive(args.archive)) as archive:
-        points = figures(archive, args.by, deadline_ns=deadline_ns, of=args.of)
+    archive = read_archive(open_archive(args.archive))
+    points = figures(archive, args.by, deadline_ns=deadline_ns, of=args.of)
     if args.json:
         print_json(as_data(points, by=args.by, deadline_ns=deadline_ns))
         return 0

@@ -115,11 +115,13 @@ def run(args: argparse.Namespace) -> int:
     # What would be known at the end only, hours later.
     run_directory.make_results(results)
     if campaign.until is not None:
-        from rtrun.commands._boards import TargetFile
+        from rtrun.commands._boards import TargetFile, print_failed
         from rtrun.commands._until import measure_until
 
         targets = [TargetFile(config=config, folder=args.target.parent)]
-        status = measure_until(Path("rtrun observe"), campaign, campaign.until, [planned], targets, results)
+        groups = [planned]
+        statuses = measure_until(Path("rtrun observe"), campaign, campaign.until, groups, groups, targets, results)
+        status = print_failed(statuses)
     else:
         status = _observe_once(args, config, planned, results)
     if not args.json:

@@ -56,10 +56,12 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.output import counted, print_json, print_line
     from rtrun.plan.campaign import read_campaign, topology_path
     from rtrun.plan.run import blocks
+    from rtrun.plan.selection import select
     from rtrun.plan.topology.reading import read_topology
     from rtrun.report.topology_text import topology_lines
 
     campaign, runs = read_campaign(args.campaign)
+    runs = select(runs, args.expression)
     if args.assume_rate is not None and campaign.until is None:
         raise UsageError(f"{args.campaign}: --assume-rate: the campaign has no goal (until), so its length is known")
     if args.assume_rate is not None and campaign.has_streams:

@@ -50,6 +50,8 @@ def run(args: argparse.Namespace) -> int:
     print_status("")
     if args.json:
         facts = {
+            "schema": 1,
+            "target": f"{target.name} ({target.address})",
             "platform": asdict(known),
             "equipment": asdict(equipment),
             "services": services,

@@ -49,8 +49,8 @@ def run(args: argparse.Namespace) -> int:
     import yaml
 
     from rtfiles import atomic
-    from rtfiles.output import console, print_line, print_status
-    from rtrun.commands._boards import TargetFile, measure_on
+    from rtfiles.output import console, print_status
+    from rtrun.commands._boards import TargetFile, measure_on, print_failed
     from rtrun.commands._link import linked
     from rtrun.commands.run import fresh
     from rtrun.execution import progress
@@ -58,7 +58,6 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.plan.campaign import read_campaign
     from rtrun.plan.question import Question
     from rtrun.results import run_directory
-    from rtrun.results.record import RunStatus
     from rtrun.targets.config import parse_target, read_target
     from rtrun.targets.inspection import rt_readiness
 
@@ -82,10 +81,7 @@ def run(args: argparse.Namespace) -> int:
         )
     asked = Question(deadline_ns=args.deadline, is_deadline_stated=True)
     _print(study(results, asked, bounds=False), findings, results, file)
-    bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
-    for line in bad:
-        print_line(line)
-    return 3 if bad else 0
+    return print_failed(statuses)
 
 
 def _target(args: argparse.Namespace) -> dict[str, Any] | None:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rtrun.commands._arguments import add_campaign
+from rtrun.commands._arguments import add_campaign, add_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -12,12 +12,13 @@ if TYPE_CHECKING:
     from rtrun.commands._boards import TargetFile
     from rtrun.plan.campaign import Campaign
     from rtrun.plan.run import Run
+    from rtrun.results.record import RunStatus
 
 NAME = "run"
 HELP = "measure a campaign on a target; goes on where an earlier call stopped"
 EXAMPLES = (
     "rtrun run brakes.yml --target board.yml",
-    "rtrun run brakes.yml --target a.yml --target b.yml --results results/nightly",
+    "rtrun run brakes.yml -k 'cyclic and not fq1000' --target a.yml --target b.yml",
 )
 
 
@@ -44,6 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--results", type=Path, metavar="FOLDER", help="default: results/<name of the campaign>")
     parser.add_argument("--fresh", action="store_true", help="begin anew in results/<name>-<n>, keep what is there")
+    parser.add_argument("--collect-only", action="store_true", help="list the runs, and which are finished; no target")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -51,36 +54,59 @@ def run(args: argparse.Namespace) -> int:
     import shlex
 
     from rtfiles.invocation import as_called
-    from rtfiles.output import print_line
-    from rtrun.commands._boards import read_targets
+    from rtfiles.output import beside_the_answer, print_json, print_line
+    from rtrun.commands._boards import print_failed, read_targets
     from rtrun.plan.campaign import read_campaign
+    from rtrun.plan.selection import select
     from rtrun.results import run_directory
 
     campaign, runs = read_campaign(args.campaign)
-    targets = read_targets(args.target, args.targets, args.lg_env)
+    chosen = select(runs, args.expression)
     results: Path = args.results or Path("results") / campaign.name
     if args.fresh:
         results = fresh(results)
+    if args.collect_only:
+        return _list_runs(chosen, len(runs), results, as_json=args.json)
+    targets = read_targets(args.target, args.targets, args.lg_env)
     run_directory.make_results(results)
-    if campaign.until is None:
-        status = _measure(campaign, runs, targets, args, results)
-    else:
-        from rtrun.commands._until import measure_until
+    with beside_the_answer(args.json):
+        if campaign.until is None:
+            statuses = _measure(campaign, runs, chosen, targets, args, results)
+        else:
+            from rtrun.commands._until import measure_until
 
-        status = measure_until(args.campaign, campaign, campaign.until, runs, targets, results)
-    if status == 0:
+            statuses = measure_until(args.campaign, campaign, campaign.until, runs, chosen, targets, results)
+        status = print_failed(statuses)
+    if args.json:
+        print_json({"schema": 1, "campaign": campaign.name, "results": str(results), "runs": statuses})
+    elif status == 0:
         print_line(f"next: {as_called('rtrun')} report {shlex.quote(str(results))}")
     return status
+
+
+def _list_runs(chosen: "Sequence[Run]", planned: int, results: Path, *, as_json: bool) -> int:
+    from rtfiles.output import print_json, print_line
+    from rtrun.results.record import is_finished
+
+    is_done = {each.name: is_finished(results / each.name) for each in chosen}
+    if as_json:
+        print_json({"schema": 1, "runs": [{"run": name, "is_finished": done} for name, done in is_done.items()]})
+        return 0
+    for name, done in is_done.items():
+        print_line(f"{name}  finished" if done else name)
+    print_line(f"{len(chosen)} of {planned} runs, {sum(is_done.values())} of them finished in {results}")
+    return 0
 
 
 def _measure(
     campaign: "Campaign",
     runs: "Sequence[Run]",
+    chosen: "Sequence[Run]",
     targets: "Sequence[TargetFile]",
     args: argparse.Namespace,
     results: Path,
-) -> int:
-    """Measure each run that is not finished, and print the table of all."""
+) -> "dict[str, RunStatus]":
+    """Measure each chosen run that is not finished, and print the table of all that was measured."""
     from rtfiles.errors import InfrastructureError
     from rtfiles.output import console, print_line
     from rtrun.commands._boards import measure_on
@@ -91,27 +117,25 @@ def _measure(
     from rtrun.results.reading import read_runs
     from rtrun.results.record import RunStatus
 
-    statuses: dict[str, RunStatus] = {}
     try:
-        with progress.showing(runs, console()) as shown:
+        with progress.showing(chosen, console()) as shown:
             names = [target.name for target in targets]
-            if not campaign_runner.find_unfinished(results, campaign.name, runs, *names):
-                shown.note(f"all {len(runs)} runs are finished in {results}; --fresh measures again beside them")
-                statuses = {each.name: RunStatus.OK for each in runs}
+            unfinished = {run.name for _, run in campaign_runner.find_unfinished(results, campaign.name, runs, *names)}
+            if unfinished.isdisjoint(run.name for run in chosen):
+                shown.note(f"all {len(chosen)} runs are finished in {results}; --fresh measures again beside them")
+                statuses = {each.name: RunStatus.OK for each in chosen}
             else:
                 variants = variants_of(campaign, args.campaign.parent)
-                statuses = measure_on(targets, campaign.name, runs, results, shown, variants=variants)
+                statuses = measure_on(targets, campaign.name, runs, results, shown, variants=variants, chosen=chosen)
     except (KeyboardInterrupt, InfrastructureError):
-        done = campaign_runner.count_finished(results, runs)
-        kept = f"{done} of {len(runs)} runs are finished and kept in {results}; the same command goes on there"
+        done = campaign_runner.count_finished(results, chosen)
+        kept = f"{done} of {len(chosen)} runs are finished and kept in {results}; the same command goes on there"
         print_line(kept)
         raise
-    measured = read_runs(results)
-    console().print(terminal.answer_of_runs(measured), crop=False)
-    bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
-    for line in (*bad, *said_of(results / each.name for each in runs)):
+    console().print(terminal.answer_of_runs(read_runs(results)), crop=False)
+    for line in said_of(results / each.name for each in chosen):
         print_line(line)
-    return InfrastructureError.exit_status if bad else 0
+    return statuses
 
 
 def fresh(results: Path) -> Path:

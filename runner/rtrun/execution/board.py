@@ -52,6 +52,8 @@ class Session:
     log: Journal
     runs: Sequence[Run]
     """Of the campaign, or the groups of one with rounds."""
+    chosen: Sequence[Run]
+    """Those that this call is to measure."""
     needed: Sequence[Run]
     """Those that are not finished yet."""
     finished: Mapping[str, RunStatus]
@@ -83,7 +85,7 @@ def measure_rounds(
     """
     if len(kernels := dict.fromkeys(run.kernel for run in session.needed if run.kernel)) > 1:
         check_restart(link.target, kernels)
-    numbers = {run.name: number for number, run in enumerate(session.runs)}
+    numbers = {run.name: number for number, run in enumerate(session.chosen)}
     remote = link.target.work_dir / "runs" / session.log.uid
 
     def may_run_go_on() -> bool:

@@ -47,17 +47,20 @@ def run_campaign(
     results: Path,
     observer: Observer,
     *,
+    chosen: Sequence[Run] | None = None,
     variants: Mapping[str, Variant] | None = None,
     rounds: PlanRounds | None = None,
     now: Clock = utc_now,
 ) -> dict[str, RunStatus]:
     """Measure every run that is not finished yet on a target and return run name to status.
 
-    `rounds` plans what is measured instead, from the runs as their groups; the statuses are those of this call then.
-    Raises UsageError when the folder holds another campaign, TargetError when the target cannot go on. What was
-    finished before is kept in either case, and another call continues after it.
+    Of a campaign's `runs` only those `chosen` are measured, all by default. `rounds` plans what is measured instead,
+    from the runs as their groups; the statuses are those of this call then. Raises UsageError when the folder holds
+    another campaign, TargetError when the target cannot go on. What was finished before is kept in either case, and
+    another call continues after it.
     """
-    with _session(results, name, runs, [target.name], observer, variants, rounds, now) as session:
+    chosen = runs if chosen is None else chosen
+    with _session(results, name, runs, chosen, [target.name], observer, variants, rounds, now) as session:
         if session.needed:
             next_round = _next_round(session, blocks(runs), rounds)
             measure_rounds(session, Link(target, observer.note), observer, lambda begun: next_round((), begun))
@@ -71,6 +74,7 @@ def run_campaign_on_boards(
     results: Path,
     observer: Observer,
     *,
+    chosen: Sequence[Run] | None = None,
     variants: Mapping[str, Variant] | None = None,
     rounds: PlanRounds | None = None,
     now: Clock = utc_now,
@@ -81,7 +85,8 @@ def run_campaign_on_boards(
     is left. `observer` takes the remarks that are of no board.
     """
     names = [board.name for board in boards]
-    with _session(results, name, runs, names, observer, variants, rounds, now) as session:
+    chosen = runs if chosen is None else chosen
+    with _session(results, name, runs, chosen, names, observer, variants, rounds, now) as session:
         if session.needed:
             divided = blocks(runs, is_shared=True)
             if rounds is None and len(divided) < len(boards):
@@ -101,6 +106,7 @@ def _session(
     results: Path,
     name: str,
     runs: Sequence[Run],
+    chosen: Sequence[Run],
     targets: Sequence[str],
     observer: Observer,
     variants: Mapping[str, Variant] | None,
@@ -109,12 +115,12 @@ def _session(
 ) -> Iterator[Session]:
     run_directory.make_results(results)
     with _lock(results), _open_journal(results, name, runs, targets) as log:
-        needed, finished = list(runs), dict[str, RunStatus]()
+        needed, finished = list(chosen), dict[str, RunStatus]()
         if rounds is None:
-            needed = [run for _, run in _unfinished(results, runs)]
-            finished = {run.name: RunStatus.OK for run in runs}
-            if 0 < len(needed) < len(runs):
-                observer.note(f"going on in {results}: {len(runs) - len(needed)} of {len(runs)} runs are finished")
+            needed = [run for _, run in _unfinished(results, chosen)]
+            finished = {run.name: RunStatus.OK for run in chosen}
+            if 0 < len(needed) < len(chosen):
+                observer.note(f"going on in {results}: {len(chosen) - len(needed)} of {len(chosen)} runs are finished")
         owners = log.owners()
         log = log.add_targets(targets)
         log.begin_session(now().isoformat())
@@ -122,6 +128,7 @@ def _session(
             campaign=name,
             log=log,
             runs=runs,
+            chosen=chosen,
             needed=needed,
             finished=finished,
             results=results,

@@ -45,9 +45,14 @@ class LateValue:
     text: bytes = b""
 
     @property
+    def due_ns(self) -> int:
+        """When the value would have been 0."""
+        return self.at_ns - self.value_ns
+
+    @property
     def from_ns(self) -> int:
         """From when on events are needed to explain it."""
-        return self.at_ns - self.value_ns - max(control_ns(self.value_ns), BEFORE_NS)
+        return self.due_ns - max(control_ns(self.value_ns), BEFORE_NS)
 
     @property
     def until_ns(self) -> int:
@@ -56,12 +61,25 @@ class LateValue:
 
 @dataclass(slots=True)
 class LateValues:
-    """The first late values of a stream, the number of all, and the limit as it is now."""
+    """The first late values of a stream, the number of all, and the limit as it is now.
+
+    Of values that were late at the same time, as messages that waited behind one another, the one that waited longest
+    is kept: else all that are kept might have waited for one thing.
+    """
 
     above_limit: int = 0
     limit_ns: int | None = None
     """None as long as there are too few values for the quantile."""
     kept: list[LateValue] = field(default_factory=list)
+
+    def keep(self, late: LateValue) -> None:
+        """Keep one that came after those before."""
+        last = self.kept[-1] if self.kept else None
+        if last is not None and late.due_ns < last.at_ns and last.due_ns < late.at_ns:
+            if late.value_ns > last.value_ns and not last.text:
+                self.kept[-1] = late
+        elif len(self.kept) < TRACES_MAX:
+            self.kept.append(late)
 
 
 class LateValueRecord:
@@ -102,10 +120,8 @@ class LateValueRecord:
             return
         places = np.flatnonzero(new.values_ns > limit_ns)
         late.above_limit += places.size
-        for place in places[: TRACES_MAX - len(late.kept)]:
-            late.kept.append(
-                LateValue(value_ns=int(new.values_ns[place]), at_ns=int(new.times_ns[place]), limit_ns=limit_ns)
-            )
+        for place in places:
+            late.keep(LateValue(value_ns=int(new.values_ns[place]), at_ns=int(new.times_ns[place]), limit_ns=limit_ns))
 
     def _limit_ns(self, new: NewValues) -> int | None:
         if self._part is None:

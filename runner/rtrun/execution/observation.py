@@ -28,7 +28,7 @@ _KERNEL_EVENTS_PER_S = 80_000
 # A program that restarts is there again before.
 GONE_NS = 10 * 10**9
 # Seen for paths of topics, and for the causes of late values: they come several times for each message.
-_OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
+OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -89,7 +89,7 @@ class ObservationResult:
 
 def watch(link: Link, scripts: PurePosixPath, plan: ObservationPlan, *, trace: str = "") -> Watched:
     """Look at a target without changing it, and resolve the probes for its programs. Raises TargetError."""
-    wanted = [event for event in events() if plan.followed or trace or event not in _OF_PATHS]
+    wanted = [event for event in events() if plan.followed or trace or event not in OF_PATHS]
     found = find_programs(link, scripts)
     if not found and link.check(["id", "-u"]).strip() != "0":
         raise TargetError(f"{link.target.address}: observing takes root: the programs of other users cannot be seen")

@@ -58,7 +58,8 @@ class TopicRecord(MessageRecord):
             self._recorder.message(publication, reception)
 
     def _publish(self, hit: Hit, thread: ObservedThread) -> None:
-        if hit.values.get("topic") in _OF_ROS:
+        # Bytes without a size: roscpp passes it on within its process, by its pointer.
+        if hit.values.get("topic") in _OF_ROS or ("key0" in hit.values and "size" not in hit.values):
             return
         key = key_of(hit.values)
         process = thread.process

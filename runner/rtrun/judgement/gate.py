@@ -7,7 +7,7 @@ from rtfiles.output import counted
 from rtrun.analysis.deadline import Answer
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
-from rtrun.judgement.verdicts import severity, verdict_line
+from rtrun.judgement.verdicts import sentences, severity, verdict_line
 from rtrun.plan.suites import suites
 from rtrun.results.record import RunRecord
 from rtrun.targets.inspection.platform import Platform, weakest
@@ -28,8 +28,10 @@ class Case:
     worst_ns: int | None = None
     refused: str | None = None
     """Why there is no answer, as `text` says it first."""
-    has_reason: bool = True
-    """Whether something else than its numbers made the answer, or lets it fail: `text` says what."""
+    reason: str | None = None
+    """What else than its numbers made the answer, "" if nothing did; `text` where it is None."""
+    not_accepted: str = ""
+    """Why a proof does not pass."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,18 +120,20 @@ def why_not_accepted(measured: Platform, accepted: Platform) -> str | None:
 def _case(group: Group, name: str, passing: Container[str], platform: Platform, *, is_member: bool) -> Case:
     line, verdict = verdict_line(group, name), group.verdict
     text, passed = line.text, line.answer in passing
-    has_reason = verdict is None or (
-        verdict.answer == Answer.NEEDS_MORE and (verdict.change is not None or verdict.off_rate > 0)
-    )
+    reason = not_accepted = ""
+    if verdict is None:
+        reason = text
+    elif verdict.answer == Answer.NEEDS_MORE and (verdict.change is not None or verdict.off_rate > 0):
+        reason = sentences(verdict)[0]
     if is_member and line.answer == Answer.NEEDS_MORE:
         # The case of all boards together says whether they have measured enough.
         passed = True
     if passed and not all(record.target.is_identified for record in group.records):
-        text, passed = f"{text}; of an unknown board: import it with --board", False
-        has_reason = True
-    if passed and (why := why_not_accepted(group.platform, platform)):
-        text, passed = f"{text}; {why}", False
-        has_reason = True
+        not_accepted = "of an unknown board: import it with --board"
+    elif passed:
+        not_accepted = why_not_accepted(group.platform, platform) or ""
+    if not_accepted:
+        text, passed = f"{text}; {not_accepted}", False
     return Case(
         about=line.about,
         answer=line.answer,
@@ -139,5 +143,6 @@ def _case(group: Group, name: str, passing: Container[str], platform: Platform, 
         misses=verdict.misses if verdict else None,
         worst_ns=verdict.worst_ns if verdict else None,
         refused=verdict.refused if verdict else None,
-        has_reason=has_reason,
+        reason=reason,
+        not_accepted=not_accepted,
     )

@@ -13,6 +13,7 @@ from rtrun.analysis.histogram import Histogram, merge
 from rtrun.analysis.trials import Trials
 from rtrun.judgement.digest import JudgedDigest
 from rtrun.kinds.known import ELSE_IN_2014
+from rtrun.plan.observation import stream_words
 from rtrun.plan.question import Measure, Question
 from rtrun.plan.suites import NOT_TELLING, Value, measures, options
 from rtrun.results.record import RunRecord
@@ -78,8 +79,9 @@ class Group:
     def label(self) -> str:
         """Suite and parameters in a few words; the series, too, where its suite is judged by another one else."""
         told = self.series in ELSE_IN_2014 or (self.of is not None and self.of != measures(self.suite)[0])
-        words = [self.suite.removesuffix("_tests"), self.series if told else ""]
-        return " ".join(filter(None, [*words, format_parameters(self.parameters)]))
+        observed, others = stream_words(self.suite, self.parameters)
+        words = [observed or self.suite.removesuffix("_tests"), self.series if told else ""]
+        return " ".join(filter(None, [*words, format_parameters(others)]))
 
     @property
     def platform(self) -> Platform:

@@ -16,6 +16,24 @@ SUITE = "observation"
 """The suite of a run that observes; what it saw becomes runs of the other suites of observed.yml."""
 ATTACHED = "attached"
 _TOPIC = "topic"
+# Parameters of streams that their names tell.
+_IN_WORDS = frozenset(
+    (
+        "topic",
+        "publisher",
+        "subscriber",
+        "node",
+        "timer",
+        "clock",
+        "period_ns",
+        "callback",
+        "thread",
+        "end",
+        "path",
+        "sink",
+    )
+)
+_NO_SAMPLER = ("sampler", "none")
 
 
 class StreamKind(StrEnum):
@@ -43,6 +61,35 @@ class StreamKind(StrEnum):
     def is_of_topologies(self) -> bool:
         """Whether it can be told of the nodes of a topology alone, which write down when they were due."""
         return self in (StreamKind.RESPONSE, StreamKind.AGE)
+
+
+def stream_words(suite: str, parameters: "Mapping[str, Value]") -> "tuple[str, dict[str, Value]]":
+    """A stream in a few words, and the parameters that these do not tell; no words of what was not observed."""
+    kind = next((kind for kind in StreamKind if kind.suite == suite), None)
+    if kind is None:
+        return "", dict(parameters)
+    told = {key: value for key, value in parameters.items() if key in _IN_WORDS and value is not None}
+
+    def word(before: str, key: str, after: str = "") -> str:
+        return f"{before}{told[key]}{after}" if key in told else ""
+
+    if kind is StreamKind.TIMER:
+        # Its name begins with what it is, and has its period.
+        words = [word("", "timer") or str(kind), word("of ", "node"), word("(", "clock", " clock)")]
+    elif kind is StreamKind.CALLBACK:
+        words = [str(kind), word("", "callback"), word("of ", "node")]
+        words += [word("(thread ", "thread", ")")] if told.get("thread") != 1 else []
+    elif kind is StreamKind.INTERVALS:
+        words = [str(kind), word("", "topic"), word("at ", "end"), word("", "node")]
+    elif kind is StreamKind.RESPONSE:
+        words = [str(kind), word("of ", "node")]
+    elif kind in (StreamKind.PATH, StreamKind.AGE):
+        words = [str(kind), word("", "path"), word("to ", "publisher"), word("-> ", "sink")]
+    else:
+        words = [str(kind), word("", "topic"), word("", "publisher"), word("-> ", "subscriber")]
+    # That nothing samples the target goes without saying where nothing is measured but what runs there.
+    others = {key: value for key, value in parameters.items() if key not in _IN_WORDS and (key, value) != _NO_SAMPLER}
+    return " ".join(filter(None, words)), others
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

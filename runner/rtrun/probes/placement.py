@@ -137,7 +137,7 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
             if is_for is not True:
                 continue
             name = f"{probe.event}_{number}_{index}"
-            line = _line(probe, symbols, name, file.path, library.without)
+            line = line_of(probe, symbols, name, file.path, library.without)
             if isinstance(line, NotProbed):
                 refused.append(RefusedProbe(path=mapped.path, event=probe.event, reason=line.reason))
                 continue
@@ -167,7 +167,7 @@ def _is_for(probe: Probe, symbols: Mapping[str, LibrarySymbols | NotProbed]) -> 
     return True
 
 
-def _line(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without: str) -> str | NotProbed:
+def line_of(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without: str) -> str | NotProbed:
     """What tracefs is told of a probe."""
     values = probe.arguments.get(symbols.architecture)
     if values is None:

@@ -26,6 +26,9 @@ _ARCHITECTURES: dict[tuple[str, int], Architecture] = {
     ("EM_ARM", 32): "armv7",
 }
 _EXECUTABLE = 1
+# What functions begin with on x86 where jumps are guarded, as in Ubuntu: it does nothing. The kernel has it executed by
+# a single step, which takes 9 us on a virtual machine; a push, which mostly follows, it does itself, in 0.7 us.
+_ENDBR64 = bytes.fromhex("f30f1efa")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +40,7 @@ class NotProbed:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LibrarySymbols:
-    """The functions of one file that were looked for: the offset of each, or why it has none.
+    """The functions of one file that were looked for: the offset of each's first instruction, or why it has none.
 
     Names that are not in here are not in the file.
     """
@@ -53,13 +56,13 @@ def read_symbols(path: Path, names: Collection[str]) -> LibrarySymbols | NotProb
     except UsageError as error:
         return NotProbed(str(error))
     try:
-        return _read(ELFFile(io.BytesIO(data)), len(data), names)
+        return _read(ELFFile(io.BytesIO(data)), data, names)
     except Exception as error:
         # pyelftools raises what Python raises of a damaged file: its own, of struct, of lists, of memory.
         return NotProbed(f"no library that can be read: {type(error).__name__}: {str(error)[:120]}")
 
 
-def _read(file: ELFFile, size_bytes: int, names: Collection[str]) -> LibrarySymbols | NotProbed:
+def _read(file: ELFFile, data: bytes, names: Collection[str]) -> LibrarySymbols | NotProbed:
     machine, bits = str(file.header["e_machine"]), file.elfclass
     architecture = _ARCHITECTURES.get((machine, bits)) if file.little_endian else None
     if architecture is None:
@@ -74,7 +77,7 @@ def _read(file: ELFFile, size_bytes: int, names: Collection[str]) -> LibrarySymb
     table = next((each for each in file.iter_sections("SHT_DYNSYM") if isinstance(each, SymbolTableSection)), None)
     if table is None:
         return NotProbed("it has no table of dynamic symbols: its section headers were stripped")
-    if table.num_symbols() > SYMBOLS_MAX or table["sh_size"] > size_bytes:
+    if table.num_symbols() > SYMBOLS_MAX or table["sh_size"] > len(data):
         return NotProbed(f"its table claims {table.num_symbols()} symbols, more than any library has")
     offsets: dict[str, int | NotProbed] = {}
     for symbol in table.iter_symbols():
@@ -82,6 +85,8 @@ def _read(file: ELFFile, size_bytes: int, names: Collection[str]) -> LibrarySymb
         if name not in names or symbol["st_shndx"] == "SHN_UNDEF":
             continue
         offset = _offset(symbol["st_value"], symbol["st_info"]["type"], segments)
+        if architecture == "x86_64" and isinstance(offset, int) and data.startswith(_ENDBR64, offset):
+            offset += len(_ENDBR64)
         if name in offsets and offsets[name] != offset:
             offset = NotProbed("its table has two functions of this name")
         offsets[name] = offset

@@ -52,14 +52,16 @@ def _step(name: str, argument: Argument) -> Callable[[Values], None] | None:
         less = argument.less
 
         def reduce(values: Values) -> None:
-            values[name] = max(0, _number(values[name]) - less)
+            number = _number(values.pop(name))
+            if number >= less:
+                values[name] = number - less
 
         return reduce
     if isinstance(argument, Bytes):
         at, of = argument.at, argument.of
 
         def cut(values: Values) -> None:
-            bits = 8 * min(8, max(0, _number(values[of]) - at))
+            bits = 8 * min(8, max(0, _number(values.get(of, 0)) - at))
             values[name] = _number(values[name]) & (1 << bits) - 1
 
         return cut

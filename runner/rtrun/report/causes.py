@@ -161,7 +161,7 @@ def answer(ranking: Ranking) -> str:
             f"{_percent(named.total_ns, ranking.late_ns)} of their lateness{chance}"
         )
     text = f"No single cause: nothing is the main one of half of {outliers}"
-    return f"{text}; most often it is {culprit_name(first)}, of {first.main}" if first.main else text
+    return f"{text}; most often, for {first.main}, it is {culprit_name(first)}" if first.main else text
 
 
 def culprit_name(culprit: Culprit) -> str:

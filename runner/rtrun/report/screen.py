@@ -114,8 +114,8 @@ def _listed(headings: Sequence[str], rows: "Sequence[Sequence[Text]]") -> "Table
 def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None:
     """Print a row for each case, with whether it passes where they are `judged`.
 
-    A sentence says what each answer rests on where that is asked for, where there is one case alone, and where the
-    numbers do not tell it. Why there is no answer is printed once where it is the same for all.
+    A sentence says what each answer rests on where that is asked for, and where there is one case alone. Else there is
+    a line for what the numbers do not tell, one where it is the same for several.
     """
     if not cases:
         return
@@ -125,11 +125,20 @@ def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None
     refused = refusals.pop() if len(cases) > 1 and len(refusals) == 1 else None
     if refused:
         print_line(f"\nno scenario has an answer: {refused}")
-    told = [case for case in cases if verbose or len(cases) == 1 or (case.has_reason and case.refused is None)]
-    if told:
+    lines: dict[str, list[str]] = {}
+    for case in cases:
+        if verbose or len(cases) == 1:
+            lines.setdefault(f"{case.about}: {case.text.removeprefix(f'{refused}; ')}", [])
+            continue
+        reason = case.text if case.reason is None else case.reason
+        for text in (reason if case.refused is None else "", case.not_accepted if judged else ""):
+            if text:
+                lines.setdefault(text, []).append(case.about)
+    if lines:
         print_line()
-    for case in told:
-        print_line(f"{case.about}: {case.text.removeprefix(f'{refused}; ')}")
+    for text, of in lines.items():
+        about = f"{len(of)} scenarios: " if len(of) > 1 else "".join(f"{name}: " for name in of)
+        print_line(f"{about}{text}")
 
 
 def _table(cases: Sequence[Case], *, judged: bool, width: int) -> "Table":

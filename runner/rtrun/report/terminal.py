@@ -13,6 +13,7 @@ from rich.text import Text
 from rtfiles.output import counted, print_line, printable
 from rtfiles.quantities import time
 from rtrun.kinds.rate import OFF_MAX
+from rtrun.plan.observation import stream_words
 from rtrun.plan.suites import NOT_TELLING, Value, options, output_name, suite
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header, Result
 from rtrun.targets.inspection.platform import Platform, weakest
@@ -83,7 +84,7 @@ def _labels(headers: Sequence[Header]) -> list[tuple[str, str]]:
 
 def _name(header: Header) -> str:
     """The suite; the series only where it is not the one the suite is about."""
-    name = header.suite.removesuffix("_tests")
+    name = stream_words(header.suite, header.parameters)[0] or header.suite.removesuffix("_tests")
     return name if header.is_usual else f"{name} {header.series}"
 
 
@@ -97,7 +98,7 @@ def _time(value_ns: float | None, bin_ns: int) -> str:
 def _parameters(header: Header) -> str:
     """The parameters in a few words: the policy, what the output is named after, and whatever is not the default."""
     words: list[str] = []
-    for key, value in header.parameters.items():
+    for key, value in stream_words(header.suite, header.parameters)[1].items():
         if key == "policy":
             words.insert(0, "OTHER" if value == "0" else str(value))  # as the kernel calls it
         elif key not in NOT_TELLING and value is not None and _is_telling(header.suite, key, value):

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from rtrun.kinds.output import NON_MEASURING_THREADS, Record
 from rtrun.plan import conditions, suites
 from rtrun.plan.conditions import Background, cpu_set
+from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.run import Run
 from rtrun.results.record import Requested
 from rtrun.validity.observations import APART_S, Observation, ThreadState, busy_percent, while_measuring
@@ -96,7 +97,10 @@ def _wrong_threads(
     for output, record in records.items():
         if not fits(_threads_of(record)):
             others = [name for name, state in _named_threads(record) if not fits([state])]
-            where = f" (not so: {', '.join(others[:NAMED_MAX])})" if others else ""
+            middleware = suites.middleware_of(run.suite, run.parameters)
+            given = middlewares()[middleware].threads
+            told = f"; threads of {middleware} take it {given}" if given else ""
+            where = f" (not so: {', '.join(others[:NAMED_MAX])}{told})" if others else ""
             return f"{output}: asked for {_asked_words(asked)}, in effect was {_words_of(_threads_of(record))}{where}"
     for program, after_s, threads in _counted(run, observations, records):
         if not fits(threads):

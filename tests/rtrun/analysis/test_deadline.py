@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import rank_filter
 
 from rtrun.analysis.deadline import Answer, Circumstances, Verdict, judge
 from rtrun.analysis.histogram import Histogram, from_samples
 from rtrun.analysis.intervals import anytime_interval
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
-from rtrun.plan.question import Question
+from rtrun.plan.question import Question, Tolerance
 
 DEADLINE = 400_000
 
@@ -180,3 +181,22 @@ def test_a_largest_value_that_was_printed_in_whole_bins_may_be_above_the_deadlin
     bins = {"values_ns": np.array([1000]), "counts": np.array([9]), "overflow": 1, "overflow_from_ns": 400_000}
     assert Histogram(**bins, max_ns=400_000).above(400_000) == 1
     assert Histogram(**bins, max_ns=400_000).above(400_999) == 0
+
+
+@pytest.mark.parametrize("tolerance", [(1, 2), (0, 7), (3, 100), (40, 90)])
+@pytest.mark.parametrize("deadline_ns", [20_000, 90_000, 2_000_000])
+@pytest.mark.parametrize("step_ns", [1, 10_000])
+def test_windows_are_decided_by_an_order_statistic(tolerance, deadline_ns, step_ns):
+    rng = np.random.default_rng(deadline_ns)
+    values = (50_000 * rng.lognormal(0, 1, 20_000)).astype(np.int64) // step_ns * step_ns
+    values[rng.integers(0, values.size, 60)] = 10**15  # as if it never came
+    misses, among = tolerance
+    decides = rank_filter(values, rank=-misses - 1, size=among)[among // 2 :][: values.size - among + 1]
+    expected = count_misses(decides, deadline_ns)
+    absent = np.flatnonzero(values == 10**15)
+    windows = count_misses(values, deadline_ns, tolerance=Tolerance(misses=misses, among=among))
+    without = count_misses(values[values < 10**15], deadline_ns, absent, Tolerance(misses=misses, among=among))
+    for each in ("n", "late", "misses", "level", "high_at", "high_ns"):
+        assert np.array_equal(getattr(windows, each), getattr(expected, each)), each
+    assert (without.n, without.late + without.absent) == (expected.n, expected.late)
+    assert without.absent == np.count_nonzero(decides == 10**15)

@@ -10,7 +10,7 @@ from report.campaigns import oneshot_run
 
 from rtrun.analysis.histogram import from_samples
 from rtrun.archive.store import make_archive, write_file
-from rtrun.archive.tables import Origin, as_parquet, histogram_table, partition_of, run_table
+from rtrun.archive.tables import Origin, as_parquet, file_of, histogram_table, run_table
 from rtrun.results.record import Observed, RunRecord, RunStatus, TargetFacts
 from rtrun.results.series import Header, HistogramSeries
 from rtrun.targets.inspection.platform import Platform
@@ -35,6 +35,7 @@ def write_course(
     late: Sequence[int] = (),
     platform: Platform = Platform.HARDWARE,
     suite: str = "oneshot_timer_tests",
+    machine: str = "board",
     seed: int = 1,
 ) -> Path:
     """A day for each level; `facts` has kernel, commit, packages and temperature_mc of each, `late` how many misses."""
@@ -60,7 +61,7 @@ def write_course(
                 end_time=f"{start.isoformat()}Z",
                 programs=[],
                 outputs=["o"],
-                target=TargetFacts(name="board", kernel_release=fact.get("kernel", "6.1"), boot_id=f"boot-{day}"),
+                target=TargetFacts(name=machine, kernel_release=fact.get("kernel", "6.1"), boot_id=f"boot-{day}"),
                 files={},
             )
             header = Header(run=record.run, suite=record.suite, output="o", series="measured", parameters={})
@@ -68,10 +69,9 @@ def write_course(
                 header=header, histogram=from_samples(values, 16), top=(), lowest=(), absent_count=0
             )
             origin = Origin(commit=fact.get("commit"), packages=fact.get("packages", {}))
-            key = f"{seed:02d}{day:060d}{k:02d}"
-            place = f"{partition_of(record)}/{key}.parquet"
-            write_file(store, f"histograms/{place}", as_parquet(histogram_table(key, [series])))
-            write_file(store, f"runs/{place}", as_parquet(run_table(key, record, origin)))
+            key = f"{seed:02x}{day:060d}{k:02d}"
+            write_file(store, file_of("histograms", key), as_parquet(histogram_table(key, [series])))
+            write_file(store, file_of("runs", key), as_parquet(run_table(key, record, origin)))
     return archive
 
 

@@ -16,7 +16,7 @@ from report.campaigns import (
 )
 
 from rtrun.analysis.figures import PERCENTILES
-from rtrun.archive import queries
+from rtrun.archive import bins
 from rtrun.cli import main
 from rtrun.judgement.study import study
 
@@ -104,7 +104,7 @@ def test_an_outlier_far_away_is_added_up_as_all_others_are(capsys, tmp_path, mon
     """Beyond a number of places bins are sorted instead."""
     archive = archived(capsys, write_days(tmp_path / "results", 4), tmp_path / "archive")
     points = history(capsys, archive, "--by", "month")
-    monkeypatch.setattr(queries, "_GRID_MAX", 0)
+    monkeypatch.setattr(bins, "_GRID_MAX", 0)
     assert history(capsys, archive, "--by", "month") == points
 
 

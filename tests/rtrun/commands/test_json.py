@@ -1,11 +1,15 @@
 """What commands print for programs: one JSON object, with a schema, and nothing else on standard output."""
 
+import argparse
 import json
 
 import pytest
 from report.campaigns import write_campaign
 from traced import specimen, write_traced_run
 
+import rtrun.cli
+from rtfiles.command import parser_of
+from rtfiles.start import commands_of
 from rtrun.cli import main
 
 # What each has besides `schema`, on the folders `runs`, `traced` and `archive` below.
@@ -22,6 +26,7 @@ COMMANDS = {
     "trends archive": {"changes"},
     "bisect archive --by kernel --order kernels.txt": {"worse"},
     "plan demo": {"runs"},
+    "run demo --collect-only": {"runs"},
 }
 
 
@@ -43,6 +48,18 @@ def test_it_is_one_object_with_a_schema(folder, capsys, monkeypatch, command):
     data = json.loads(printed.out)
     assert status == (1 if command.startswith("gate") else 0), printed.err
     assert data["schema"] >= 1 and COMMANDS[command] <= data.keys()
+
+
+def test_every_command_that_takes_json_is_here():
+    """But for those that need a target: `tests/rtrun/targets` and `tests/suites` have them."""
+    takes = {each.NAME for each in commands_of("rtrun", rtrun.cli.COMMANDS) if "--json" in help_of(each.NAME)}
+    assert takes == {command.split()[0] for command in COMMANDS} | {"probe", "check-rt", "observe"}
+
+
+def help_of(name):
+    parser = parser_of("rtrun", "", commands_of("rtrun", rtrun.cli.COMMANDS))
+    (commands,) = (action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return commands[name].format_help()
 
 
 def test_parts_of_an_outlier_add_up_and_a_damaged_run_is_told(folder, capsys, monkeypatch):

@@ -289,6 +289,8 @@ def test_what_lies_behind_a_short_payload_does_not_count():
     observed = FlowAccumulator(begin_ns=0, horizon_ns=1000)
     observed.feed(
         [
+            # Passed on within its process, by its pointer.
+            hit(1900, "publish", endpoint=0xA0, topic="/a", key0=0, key1=0),
             publish_bytes(2000, (0xFFFFFF05, 0x1111, 1)),
             take_bytes(2100, (0xEEEEEE05, 0x2222, 1)),
             publish_bytes(2200, (5, 0x33445566, 10)),
@@ -297,7 +299,7 @@ def test_what_lies_behind_a_short_payload_does_not_count():
     )
     observed.finish()
     (stream,) = messages(observed).values()
-    assert stream.columns["reception_ns"].tolist() == [2100, 2300]
+    assert stream.columns["reception_ns"].tolist() == [2100, 2300] and stream.counts["published"] == 2
 
 
 def test_stamps_of_two_publishers_that_cannot_be_told_apart():

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import platform
 import subprocess
 import time
 from collections.abc import Iterator
@@ -29,7 +30,10 @@ _names: set[str] = set()
 
 def build(folder: Path, *compiler: str) -> Path:
     """Compile the stand-in with its libraries into a folder, for this machine unless a compiler is given."""
-    compiler = compiler or ("cc",)
+    if not compiler:
+        # As Ubuntu 24.04 compiles its packages, and Debian does not.
+        ubuntu = ("-fcf-protection=branch", "-fno-omit-frame-pointer", "-mno-omit-leaf-frame-pointer")
+        compiler = ("cc", *(ubuntu if platform.machine() == "x86_64" else ()))
     folder.mkdir(exist_ok=True)
     _folders.append(f"{folder}/")
     for name in LIBRARIES:

@@ -135,18 +135,20 @@ def test_a_runner_that_is_silent_leaves_nothing_and_goes_on(way, loopback, here,
     wait_until_nothing_is_left()
 
 
-@pytest.mark.parametrize("way", ["local", "sshd"])
-def test_a_killed_runner_leaves_nothing(way, loopback, here, standin, request, tmp_path):
+@pytest.mark.parametrize(
+    ("way", "kills"), [("local", 6), ("sshd", 6), pytest.param("local", 30, marks=pytest.mark.slow)]
+)
+def test_a_killed_runner_leaves_nothing(way, kills, loopback, here, standin):
     address = here.target.address if way == "local" else loopback.address
     with running(standin, 1000, 10**9) as process:
         code = textwrap.dedent(RUNNER.format(address=address, pid=process.pid))
         code = f"from pathlib import PosixPath\n{code}"
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-        for number in range(6):
+        for number in range(kills):
             with subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE) as runner:
                 # At the beginning, while probes are placed, and later.
                 if number % 3:
-                    for _ in range(number):
+                    for _ in range(number % 6):
                         assert runner.stdout.readline()
                 else:
                     while not left():

@@ -1,5 +1,6 @@
 """Unmodified programs of ROS 2 and ROS 1, observed: each message at both ends, and timers as the programs see them."""
 
+import json
 import os
 import re
 import subprocess
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from probes import standin
+from probes.planted import check_named
 from probes.standin import find, observed, running, skip_without_trace
 
 from ports import free_domain
@@ -22,7 +24,7 @@ from suites.test_ros2 import set_up
 
 pytestmark = [pytest.mark.trace, pytest.mark.ros, pytest.mark.timeout(1200)]
 COUNT = 2000
-TALKER = Path(__file__).with_name("talker.py")
+TALKER, NODE = (Path(__file__).with_name(f"{name}.py") for name in ("talker", "chain_node"))
 RELEASES = ["kilted", pytest.param("jazzy", marks=pytest.mark.ros2)]
 
 
@@ -162,10 +164,11 @@ def test_programs_in_c(here, request, distro, middleware, suites_of, tmp_path):
     # An empty message may come before: with it the programs find one another.
     assert [each[1:] for each in taken] == [each[1:] for each in published] and {pid for pid, *_ in taken} == {pids[0]}
     if middleware == "roscpp":
-        begun = [
-            hit for each in results if isinstance(each, Batch) for hit in each.hits if hit.event == "callback_begin"
-        ]
-        assert len([hit for hit in begun if hit.values["topic"] == "/communication_tests"]) == COUNT
+        hits = [hit for each in results if isinstance(each, Batch) for hit in each.hits]
+        on_topic = [hit for hit in hits if hit.values.get("topic") == "/communication_tests"]
+        assert len([hit for hit in on_topic if hit.event == "callback_begin"]) == COUNT
+        # Where the program publishes, not where a thread of roscpp sends it later.
+        assert {hit.tid for hit in on_topic if hit.event == "publish"} == {pids[1]}
 
 
 @pytest.mark.parametrize("distro", RELEASES)
@@ -192,24 +195,27 @@ def test_a_timer_as_the_program_sees_it(here, distro, suites_of, tmp_path):
 
 
 def test_a_slow_callback_of_the_same_thread_is_what_a_late_message_waited_for(tmp_path, capsys):
-    """`rtrun why` names the timer of the node, and how long it took."""
+    """`rtrun why` names the node's timer for each message that came while it ran: the node says when that was."""
     skip_without_trace()
     environment = ros2_environment("kilted", tmp_path)
     target, results = tmp_path / "here.yml", tmp_path / "results"
     target.write_text("schema: 1\nname: here\nkind: local\n")
-    talker = [sys.executable, TALKER, "talker", 10**6]
+    node = [sys.executable, NODE, "slow", "/chatter", "/again", 0.03, 0.25]
     with (
-        running(sys.executable, TALKER.with_name("slow.py"), env=environment, cwd=tmp_path) as slow,
-        running(*talker, env=environment, cwd=tmp_path),
+        running(*node, env=environment, cwd=tmp_path) as slow,
+        running(sys.executable, TALKER, "talker", 10**6, env=environment, cwd=tmp_path),
     ):
-        assert slow.stdout.readline() == "steady\n"
+        assert "takes\n" in iter(slow.stdout.readline, "")
         call = ["observe", "--target", str(target), "--for", "8s", "--trace", "above=15ms", "--results", str(results)]
         assert main(call) == 0, capsys.readouterr()
-    (folder,) = results.glob("*-messages-chatter-*slow*")
+        slow.kill()
+        printed = slow.stdout.read()
+    (folder,) = results.glob("*-messages-chatter-*chain_node*")
     capsys.readouterr()
-    assert main(["why", str(folder)]) == 0
-    first, *others = capsys.readouterr().out.splitlines()
-    assert first.startswith("earlier callback of its thread timer 250 ms of slow.py (pid "), first
-    pattern = r"its thread was in a callback: timer 250 ms of slow\.py, which began .*, took ([\d.]+) ms"
-    took = re.findall(pattern, "\n".join(others))
+    assert main(["why", str(folder), "--json"]) == 0
+    name = r"timer 250 ms of chain_node\.py"
+    check_named(json.loads(capsys.readouterr().out)["outliers"], printed, name)
+    assert main(["why", str(folder), "--all"]) == 0
+    pattern = rf"its thread was in a callback: {name}.*, which began .*, took ([\d.]+) ms"
+    took = re.findall(pattern, capsys.readouterr().out)
     assert took and min(map(float, took)) >= 30

@@ -110,6 +110,10 @@ def test_values_are_made_canonical():
     converter(published, {})(values)
     # Five bytes, and nothing of what is in memory behind them.
     assert values == {"endpoint": 1, "topic": "/a", "size": 5, "key0": 2**40 - 1, "key1": 0}
+    values |= {"size": 0}
+    converter(published, {})(values)
+    # No bytes at all: what is read in their place counts for nothing, and it is no message of 0 bytes.
+    assert values == {"endpoint": 1, "topic": "/a", "key0": 0, "key1": 0}
     halves = libraries()["libtracetools"].probes[0].arguments["armv7"]
     values = {"endpoint": 1, "topic": "/a", "source_ns_low": 0xFFFFFFFE, "source_ns_high": 0xFFFFFFFF}
     converter(halves, {})(values)

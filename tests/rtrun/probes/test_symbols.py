@@ -35,6 +35,8 @@ def compiled(tmp_path_factory):
     ("compiler", "options", "architecture"),
     [
         ("gcc", ["-O2"], "x86_64"),
+        # What nobody needs to step over is left out.
+        ("gcc", ["-O2", "-fcf-protection=branch"], "x86_64"),
         # Where offsets in the file and addresses differ.
         ("gcc", ["-O2", "-Wl,-z,separate-code,--section-start=.text=0x40000"], "x86_64"),
         ("aarch64-linux-gnu-gcc", ["-O2"], "aarch64"),
@@ -48,7 +50,8 @@ def test_the_offset_is_that_of_the_code(compiled, compiler, options, architectur
     # What a disassembler shows there is what the file has there.
     objdump = compiler.replace("gcc", "objdump")
     code = subprocess.run([objdump, "-d", path], capture_output=True, text=True, check=True).stdout
-    shown = re.search(r"<probed>:\n\s*[0-9a-f]+:\s+((?:[0-9a-f]{2,8} ?)+)", code)[1].split()
+    assert ("endbr64" in code.partition("<probed>:")[2]) == ("-fcf-protection=branch" in options)
+    shown = re.search(r"<probed>:\n(?:.*endbr64.*\n)?\s*[0-9a-f]+:\s+((?:[0-9a-f]{2,8} ?)+)", code)[1].split()
     there = path.read_bytes()[symbols.offsets["probed"] :][: sum(len(word) // 2 for word in shown)]
     # Of ARM the words are shown as numbers.
     expected = b"".join(bytes.fromhex(word)[:: -1 if len(word) > 2 else 1] for word in shown)

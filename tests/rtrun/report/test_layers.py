@@ -7,7 +7,8 @@ from report.campaigns import communication_rows, latencies, oneshot_rows, write_
 
 from rtrun.judgement.layers import differing_in_layer, layer_pairs
 from rtrun.judgement.study import study
-from rtrun.report.layers import table
+from rtrun.report.layers import LayerBar, table
+from rtrun.report.plots.stacks import stacked
 
 CPU80 = {"condition": "cpu", "settings": {"load_percent": 80}}
 
@@ -99,3 +100,19 @@ def test_a_layer_stands_on_the_middleware_below_or_on_the_system(write, tmp_path
     assert [(low.label, high.label) for low, high in found] == [
         (low.label, high.label) for low, high in ((bare, timer), (timer, messages), (socket, messages))
     ]
+
+
+def test_one_long_bar_does_not_hide_the_others():
+    """The picture is as wide as the others need, and says which goes on beyond it."""
+
+    def bar(us, either_way_us=0.0):
+        return LayerBar(label="of a chain", short="one", us=us, low_us=us - either_way_us, high_us=us + either_way_us)
+
+    usual, long = (bar(10.0), bar(10.0, 5.0)), (bar(10.0), bar(2000.0, 5000.0))
+    stacks = stacked([usual, usual, long])
+    assert stacks.width == "25 us"
+    places = [[(part.left, part.width, part.low, part.high) for part in stack.parts] for stack in stacks.bars]
+    assert places[:2] == [[(0, 40, None, None), (40, 40, 60, 100)]] * 2
+    assert places[2] == [(0, 40, None, None), (40, 60, 0, 100)]
+    assert [stack.is_cut for stack in stacks.bars] == [False, False, True]
+    assert "+2 ms" in stacks.bars[2].parts[1].text

@@ -1,5 +1,6 @@
 """This machine as a target: commands as sshd would run them, which test_every_connection.py shows for both."""
 
+import json
 import os
 import signal
 import socket
@@ -106,6 +107,8 @@ def test_probe(tmp_path, monkeypatch, capsys):
     assert main(["probe", "--target", str(tmp_path / "target.yml")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split(None, 1) == ["target", "here (this machine)"]
+    assert main(["probe", "--target", str(tmp_path / "target.yml"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["target"] == "here (this machine)"
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="takes its rights away from a process of root's")

@@ -96,7 +96,7 @@ def test_the_thread_of_a_middleware_that_is_not_as_asked_for_is_named(tmp_path):
     ]
     in_effect = record.in_effect.model_copy(update={"threads": [*threads, *of_middleware]})
     says = find_violation(run_of(), [], [], {"x": record.model_copy(update={"in_effect": in_effect})})
-    assert says.endswith("OTHER 0 on CPUs 0,1 (not so: dds.ev.0, recvUC)")
+    assert says.endswith("OTHER 0 on CPUs 0,1 (not so: dds.ev.0, recvUC; threads of roscpp take it from the process)")
     measuring = run_of(rt_scope="measuring-thread")
     assert find_violation(measuring, [], [], {"x": record.model_copy(update={"in_effect": in_effect})}) is None
 

@@ -34,6 +34,7 @@
 //       bool publish(const Stamp& stamp) noexcept;            // false: no further message can be sent
 //       std::string problem();                                // why, after that
 //       int64_t subscribers();                                // how many are connected; not called between messages
+//       Facts facts();                                        // as that of the context
 //     };
 //
 //     // Calls call_back(stamp) for each message, on the thread that calls receive().
@@ -42,6 +43,7 @@
 //       Subscriber(Context& context, const Options& options, CallBack& call_back);  // throws Failure
 //       void receive(int64_t limit_ns);  // takes what has come, or waits for that, at most so long
 //       int64_t publishers();            // how many are connected
+//       Facts facts();                   // as that of the context
 //     };
 //   };
 #pragma once
@@ -65,17 +67,16 @@ struct Stamp {
   bool last;
 };
 
-template <class Context>
-auto facts_of(Context& context, int) -> decltype(context.facts()) {
-  return context.facts();
+// Adds what a context, a publisher or a subscriber says is in effect of it.
+template <class Part>
+auto add_facts(Facts& facts, Part& part, int) -> decltype(part.facts(), void()) {
+  for (const auto& fact : part.facts()) facts.push_back(fact);
 }
-template <class Context>
-Facts facts_of(Context&, long) {  // of one that says nothing
-  return {};
-}
-template <class Context>
-Facts facts_of(Context& context) {
-  return facts_of(context, 0);
+template <class Part>
+void add_facts(Facts&, Part&, long) {}  // of one that says nothing
+template <class Part>
+void add_facts(Facts& facts, Part& part) {
+  add_facts(facts, part, 0);
 }
 
 // Of a middleware that has none.

@@ -50,7 +50,7 @@ def _timer(table: NodeTable, name: str, period_ns: int) -> Stream:
     due, begin = table.release_ns[table.first :], table.begin_ns[table.first :]
     return Stream(
         kind=StreamKind.TIMER,
-        identity={"node": name, "timer": time(period_ns)},
+        identity={"node": name, "timer": f"timer {time(period_ns)}"},
         columns={"timestamp_ns": begin, "expected_ns": due, "real_ns": begin},
         counts={"measured": due.size, "skipped": table.skipped},
         period_ns=period_ns,

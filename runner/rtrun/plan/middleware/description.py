@@ -33,6 +33,8 @@ class Middleware(Config):
     """Of its programs; `{ros_master_port}` is that of the target."""
     repeated: Names = ()
     """Further arguments of a program that runs once per subscriber, `{number}`; `{token}` is unique to an attempt."""
+    threads: str = ""
+    """From what threads of its own take policy, priority and CPUs; empty: it has none."""
     stands_on: dict[str, Names] = Field(default_factory=dict)
     """Of each kind of measurement the middlewares below it, to which it adds what it costs; none: the system alone."""
 

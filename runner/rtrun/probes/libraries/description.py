@@ -50,7 +50,7 @@ class Named(Config):
 
 
 class Reduced(Config):
-    """A number that is too large by so much; never below 0."""
+    """A number that is too large by so much; one that is smaller gives no value."""
 
     number: Fetch
     less: int

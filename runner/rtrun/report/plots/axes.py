@@ -50,10 +50,11 @@ def shares(title: str, low: float, *, division: Division = Division.LOG, high: f
 
 def dates(title: str, low: float, high: float) -> Axis:
     """An even axis of days; seconds since 1970."""
-    scale = Scale(division=Division.LINEAR, low=low, high=max(high, low + 60))
-    first, span = datetime(1970, 1, 1) + timedelta(seconds=low), scale.high - low
+    around = 0 if high > low else 30  # one moment is in the middle of a minute
+    scale = Scale(division=Division.LINEAR, low=low - around, high=max(high, low + 30))
+    first, span = datetime(1970, 1, 1) + timedelta(seconds=low - around), scale.high - scale.low
     form = "%Y-%m-%d" if span >= 3 * 86400 else "%m-%d %H:%M"
-    marks = [first + timedelta(seconds=span * k / 3) for k in range(4)]
+    marks = [first + timedelta(seconds=span * part) for part in ((1 / 2,) if around else (0, 1 / 3, 2 / 3, 1))]
     ticks = [((mark - datetime(1970, 1, 1)).total_seconds(), f"{mark:{form}}") for mark in marks]
     return Axis(title=title, unit="date", scale=scale, ticks=tuple(ticks))
 

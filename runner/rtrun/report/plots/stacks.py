@@ -1,5 +1,6 @@
 """The picture of layers put upon one another: the mean of the lowest one, then what each layer above adds to it."""
 
+import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,6 +8,8 @@ from rtfiles.quantities import signed, time
 from rtrun.report.layers import LayerBar
 
 _COLOURS = 8  # of the page, 0 to 7
+# A bar so many times as long as most does not set the scale: the others could not be seen.
+_LONGER = 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -21,29 +24,70 @@ class StackPart:
     high: float | None
 
 
-def stacked(chains: Sequence[Sequence[LayerBar]]) -> list[tuple[str, list[StackPart]]]:
-    """A bar for each chain of layers: its name, and its parts from the lowest layer on."""
-    longest = max((sum(max(bar.us, 0.0, bar.high_us) for bar in chain) for chain in chains), default=0.0) or 1.0
-    return [(chain[-1].label, _parts(chain, 100 / longest)) for chain in chains]
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Stack:
+    """The bar of a chain of layers, from the lowest one on."""
+
+    name: str
+    parts: tuple[StackPart, ...]
+    is_cut: bool
+    """The bar, or an interval in it, goes on beyond the picture."""
 
 
-def _parts(chain: Sequence[LayerBar], percent: float) -> list[StackPart]:
-    begin_us, parts = 0.0, []
-    for place, bar in enumerate(chain):
-        ends = (begin_us, begin_us + bar.us)
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Stacks:
+    """The bars of all chains on one scale."""
+
+    bars: tuple[Stack, ...]
+    width: str
+    """What the whole picture stands for."""
+
+
+def stacked(chains: Sequence[Sequence[LayerBar]]) -> Stacks | None:
+    """A bar for each chain of layers; None where there is none."""
+    if not chains:
+        return None
+    width_us = _width_us(chains) or 1.0
+    return Stacks(bars=tuple(_stack(chain, width_us) for chain in chains), width=time(1000 * width_us))
+
+
+def _begins_us(chain: Sequence[LayerBar]) -> list[float]:
+    """Where each layer of a bar begins, and where the last one ends."""
+    ends = [0.0]
+    for bar in chain:
+        ends.append(ends[-1] + bar.us)
+    return ends
+
+
+def _end_us(chain: Sequence[LayerBar]) -> float:
+    """The end of a bar and of the intervals in it."""
+    return max(begin + max(bar.us, bar.high_us) for begin, bar in zip(_begins_us(chain), chain, strict=False))
+
+
+def _width_us(chains: Sequence[Sequence[LayerBar]]) -> float:
+    limit_us = _LONGER * statistics.median(max(_begins_us(chain)) for chain in chains)
+    return max((end for chain in chains if (end := _end_us(chain)) <= limit_us), default=limit_us)
+
+
+def _stack(chain: Sequence[LayerBar], width_us: float) -> Stack:
+    def place(us: float) -> float:
+        return 100 * min(max(us, 0.0), width_us) / width_us
+
+    parts = []
+    for number, (begin_us, bar) in enumerate(zip(_begins_us(chain), chain, strict=False)):
+        left, right = sorted((place(begin_us), place(begin_us + bar.us)))
         told = f"{bar.short} {time(1000 * bar.us)}"
-        if place:
+        if number:
             between = f"{signed(1000 * bar.low_us)} to {signed(1000 * bar.high_us)}"
             told = f"{bar.short} {signed(1000 * bar.us)} ({between})"
         parts.append(
             StackPart(
                 text=told,
-                colour=place % _COLOURS,
-                left=percent * min(ends),
-                width=percent * abs(bar.us),
-                low=percent * (begin_us + bar.low_us) if place else None,
-                high=percent * (begin_us + bar.high_us) if place else None,
+                colour=number % _COLOURS,
+                left=left,
+                width=right - left,
+                low=place(begin_us + bar.low_us) if number else None,
+                high=place(begin_us + bar.high_us) if number else None,
             )
         )
-        begin_us = ends[1]
-    return parts
+    return Stack(name=chain[-1].label, parts=tuple(parts), is_cut=_end_us(chain) > width_us)

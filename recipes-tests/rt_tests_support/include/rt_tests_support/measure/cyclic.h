@@ -53,7 +53,7 @@ int run(int argc, char* argv[]) {
   Session session(program, options, output(options), options.number("repetitions") + 1,
                   grid_ns(1, options.number("frequency_hz")));
   typename Middleware::Context context(argc, argv, program, options);
-  session.surroundings.facts = rt_tests::facts_of(context);
+  rt_tests::add_facts(session.surroundings.facts, context);
   rt_tests::info("Performing latency measurements...");
   measure<Middleware>(options, session, context);
   session.tear_down();

@@ -94,7 +94,7 @@ int run(int argc, char* argv[]) {
   Session session(program, options, output(options), options.number("repetitions"),
                   options.number("timeout_us") * rt_tests::ns_per_us);
   typename Middleware::Context context(argc, argv, program, options);
-  session.surroundings.facts = rt_tests::facts_of(context);
+  rt_tests::add_facts(session.surroundings.facts, context);
   rt_tests::info("Performing ROS Timer latency measurements...");
   rt_tests::info("Running in " + mode(options) + " mode");
   measure<Middleware>(options, session, context);

@@ -77,8 +77,9 @@ int run_publisher(int argc, char* argv[]) {
   const rt_tests::CpuDmaLatency cpu_dma_latency(options);
   rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));
   typename Middleware::Context context(argc, argv, program, options);
-  surroundings.facts = rt_tests::facts_of(context);
   typename Middleware::Publisher publisher(context, options);
+  rt_tests::add_facts(surroundings.facts, context);
+  rt_tests::add_facts(surroundings.facts, publisher);
   rt_tests::set_up_measuring_thread(options);
   rt_tests::catch_stop_signals(nullptr);
 

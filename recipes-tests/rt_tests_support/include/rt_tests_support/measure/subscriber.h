@@ -35,6 +35,8 @@ std::string receive(const rt_tests::Options& options, Session& session, Receptio
     broke = session.outliers.exceeded(reception_ns - stamp.publication_ns, stamp.seq, reception_ns);
   };
   typename Middleware::template Subscriber<decltype(call_back)> subscriber(context, options, call_back);
+  rt_tests::add_facts(session.surroundings.facts, context);
+  rt_tests::add_facts(session.surroundings.facts, subscriber);
 
   session.begin();
   Silence silence(options);
@@ -68,7 +70,6 @@ int run_subscriber(int argc, char* argv[]) {
                   rt_tests::ns_per_s / options.number("frequency_hz"));
   Receptions receptions(session.samples);
   typename Middleware::Context context(argc, argv, program, options);
-  session.surroundings.facts = rt_tests::facts_of(context);
   const std::string ended_by = receive<Middleware>(options, session, receptions, context);
   session.tear_down();
   context.shutdown();

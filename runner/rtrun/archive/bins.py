@@ -1,0 +1,174 @@
+"""The bins of runs in an archive's histograms, read, and figures of several runs' bins together."""
+
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from rtrun.analysis.figures import PERCENTILES
+from rtrun.analysis.histogram import Int64s
+from rtrun.archive.files import Place, TableFile, opened
+from rtrun.archive.store import Store
+from rtrun.plan.limits import TIME_MAX_NS
+
+Bins = tuple[Int64s, Int64s, Int64s]
+"""value_ns, bin_ns and count of the rows of a histogram, shape (n,); NONE where the table has null."""
+NONE = -(2**63)
+_Rows = tuple[list[str | None], Int64s, Bins]
+"""Rows as they are read: the names of series, which of them each row has, and the numbers."""
+_GRID_MAX = 4  # places of a grid for each bin on it
+_COUNT_MAX = 2**53  # of all bins: above, a double no longer counts one by one
+_KEPT = 64  # row groups, of which each takes 4 MB
+_NUMBERS = ("value_ns", "bin_ns", "count")
+
+
+class BinReader:
+    """Reads the bins of one run after the other; of a pack it keeps the row groups that were read last.
+
+    Runs of a pack lie in the order in which they are asked for, so each of its row groups is read once.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._groups: OrderedDict[tuple[str, int], Future[_Rows]] = OrderedDict()
+        self._lock = Lock()
+
+    def read(self, place: Place) -> dict[str, Bins]:
+        """The bins of a run by series. Raises UsageError for a file that is no histogram, InfrastructureError."""
+        if not place.file.is_pack:
+            return _by_series(_read_rows(self._store, place.file, None))
+        parts: dict[str, list[Bins]] = {}
+        first = 0
+        for group in range(place.file.footer.num_row_groups):
+            number = place.file.footer.row_group(group).num_rows
+            low, high = max(place.first, first), min(place.first + place.number, first + number)
+            if low < high:
+                names, codes, numbers = self._group(place.file, group)
+                rows = slice(low - first, high - first)
+                value, width, count = (each[rows] for each in numbers)
+                for series, bins in _by_series((names, codes[rows], (value, width, count))).items():
+                    parts.setdefault(series, []).append(bins)
+            first += number
+        return {series: joined(each) for series, each in parts.items()}
+
+    def _group(self, file: TableFile, group: int) -> _Rows:
+        """A row group of a pack, which the first thread that asks for it reads."""
+        key = (file.path, group)
+        with self._lock:
+            is_known = key in self._groups
+            future = self._groups.setdefault(key, Future())
+            self._groups.move_to_end(key)
+            if len(self._groups) > _KEPT:
+                self._groups.popitem(last=False)
+        if not is_known:
+            try:
+                future.set_result(_read_rows(self._store, file, group))
+            except BaseException as error:
+                future.set_exception(error)
+        return future.result()
+
+
+def _read_rows(store: Store, file: TableFile, group: int | None) -> _Rows:
+    """The rows of a file, or of one of its row groups."""
+    import pyarrow
+
+    with opened(store, file.path, footer=file.footer, dictionary=("series",)) as source:
+        types = {field.name: field.type for field in source.schema_arrow}
+        expected = {"series": pyarrow.dictionary(pyarrow.int32(), pyarrow.string())}
+        expected |= dict.fromkeys(_NUMBERS, pyarrow.int64())
+        if wrong := [name for name, type_ in expected.items() if types.get(name) != type_]:
+            wanted = "string" if wrong[0] == "series" else "int64"
+            raise ValueError(f"{wrong[0]}: expected {wanted}, got {types.get(wrong[0], 'no such column')}")
+        columns = [*expected]
+        if group is None:
+            table = source.read(columns=columns, use_threads=False)
+        else:
+            table = source.read_row_group(group, columns=columns, use_threads=False)
+        series = table["series"].unify_dictionaries().combine_chunks()
+        value, width, count = (table[name].fill_null(NONE).combine_chunks().to_numpy() for name in _NUMBERS)
+        _check_bins(value, width, count)
+        return series.dictionary.to_pylist(), series.indices.fill_null(-1).to_numpy(), (value, width, count)
+
+
+def _by_series(rows: _Rows) -> dict[str, Bins]:
+    names, codes, (value, width, count) = rows
+    if codes.size and (codes == codes[0]).all():
+        return {str(names[codes[0]]): (value, width, count)} if codes[0] >= 0 else {}
+    chosen = {str(names[code]): codes == code for code in np.unique(codes) if code >= 0}
+    return {name: (value[at], width[at], count[at]) for name, at in chosen.items()}
+
+
+def _check_bins(value: Int64s, width: Int64s, count: Int64s) -> None:
+    """Raise ValueError for a number that `histogram_table` never writes."""
+    for name, column, lowest, highest in (
+        ("value_ns", value[value != NONE], -TIME_MAX_NS, TIME_MAX_NS),
+        ("bin_ns", width[width != NONE], 1, TIME_MAX_NS),
+        ("count", count, 0, _COUNT_MAX),
+    ):
+        if column.size and not lowest <= column.min() <= column.max() <= highest:
+            raise ValueError(f"{name}: from {column.min()} to {column.max()}, expected {lowest} to {highest}")
+    if (total := count.sum(dtype=np.float64)) > _COUNT_MAX:
+        raise ValueError(f"count: {total:g} in all, expected at most {_COUNT_MAX}")
+
+
+def joined(bins: Sequence[Bins]) -> Bins:
+    """The rows of several histograms one after the other."""
+    if len(bins) == 1:
+        return bins[0]
+    value, width, count = (np.concatenate(columns) for columns in zip(*bins, strict=True))
+    return value, width, count
+
+
+def merged(bins: Sequence[Bins]) -> Bins:
+    """The same counts with each bin once."""
+    value, width, count = joined(bins)
+    order = np.lexsort((width, value))
+    value, width, count = value[order], width[order], count[order]
+    starts = np.flatnonzero(np.r_[True, (np.diff(value) != 0) | (np.diff(width) != 0)][: value.size])
+    return value[starts], width[starts], np.add.reduceat(count, starts) if starts.size else count
+
+
+def figures_of_bins(bins: Sequence[Bins], deadline_ns: int) -> Mapping[str, Any]:
+    """n, misses, unclear, percentiles_ns and max_ns of a Point, of the bins of its runs."""
+    value, width, count = joined(bins)
+    came, known = value != NONE, width != NONE
+    late = ~came | ~known | (value > deadline_ns - width + 1)
+    is_reached = not np.any(came & ~known & (value < deadline_ns))
+    values, reached = _added_up(value[came], width[came], count[came])
+    percentiles_ns: dict[float, int | None] = dict.fromkeys(PERCENTILES)
+    highest_ns: int | None = None
+    if values.size:
+        # The rank in whole numbers, so that no rounding moves it.
+        ranks = [-(-int(reached[-1]) * round(1000 * p) // 100_000) for p in PERCENTILES]
+        at_ranks = np.searchsorted(reached, ranks)
+        # From here on values are known by number only.
+        limit_ns = min(value[came & ~known].tolist(), default=None)
+        *at_percentiles, highest_ns = (
+            int(each) if limit_ns is None or each < limit_ns else None for each in (*values[at_ranks], values[-1])
+        )
+        percentiles_ns = dict(zip(PERCENTILES, at_percentiles, strict=True))
+    return {
+        "n": int(count.sum()),
+        "misses": int(count[late].sum()) if is_reached else None,
+        "unclear": int(count[came & known & (value <= deadline_ns) & late].sum()),
+        "percentiles_ns": percentiles_ns,
+        "max_ns": highest_ns,
+    }
+
+
+def _added_up(value: Int64s, width: Int64s, count: Int64s) -> tuple[Int64s, Int64s]:
+    """Values ascending, and how many measurements are at each or below, shape (k,)."""
+    step = width[0] if value.size and np.all(width == width[0]) else 0
+    if step > 0:
+        # Bins of one clock lie on a grid: to add up those of many runs there takes a fraction of the time of sorting.
+        lowest = value.min()
+        at, beside = np.divmod(value - lowest, step)
+        if not beside.any() and at.max() < _GRID_MAX * value.size:
+            counts = np.bincount(at, weights=count).astype(np.int64)  # whole numbers below 2**53
+            filled = np.flatnonzero(counts)
+            return lowest + step * filled, np.cumsum(counts[filled])
+    order = np.argsort(value, kind="stable")
+    return value[order], np.cumsum(count[order])

@@ -1,0 +1,159 @@
+"""Files of single runs made into packs of many: `rtrun archive compact`.
+
+A pack is a new file, so nobody who reads is disturbed, and a run that is added meanwhile keeps its own file until the
+next call. A file whose runs are all in newer packs is removed when these are older than a grace, in which whoever has
+listed the files before comes to his end. Two calls at once make packs with the same runs, of which the older one is
+superseded; no file is removed but for newer ones that are there.
+"""
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+import pyarrow
+
+from rtrun.archive.files import AT_ONCE, PACK, Place, TableFile, damaged, name_of, opened, places, read_files
+from rtrun.archive.runs import PACKED_MAX, PARTITIONED, RunRow, in_path, read_runs
+from rtrun.archive.store import Store, remove_files, write_file
+from rtrun.archive.tables import SCHEMAS, Table, as_parquet, file_of
+from rtrun.plan.limits import BINS_MAX
+
+GRACE = timedelta(days=1)
+_TIME = "%Y%m%dT%H%M%SZ"
+# Rows of a pack. One with fewer than half of them is packed again with what came since.
+_ROWS = {"runs": PACKED_MAX, "histograms": BINS_MAX, "samples": BINS_MAX}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Compaction:
+    """What became of the files of an archive.
+
+    `packed` files were made into `packs`, `removed` ones are gone, `waiting` ones are superseded and within the grace.
+    """
+
+    packed: int = 0
+    packs: int = 0
+    removed: int = 0
+    waiting: int = 0
+
+    def __add__(self, other: "Compaction") -> "Compaction":
+        return Compaction(
+            packed=self.packed + other.packed,
+            packs=self.packs + other.packs,
+            removed=self.removed + other.removed,
+            waiting=self.waiting + other.waiting,
+        )
+
+
+def compact(store: Store, *, grace: timedelta, now: datetime) -> Compaction:
+    """Pack the files of an archive and remove those whose grace is over; again, it does nothing more.
+
+    `now` is of UTC. Raises UsageError for a file that is damaged, InfrastructureError; what is done by then stays, and
+    the next call does the rest.
+    """
+    # Runs of a course lie one after the other, as they are asked for.
+    rows = sorted(read_runs(store), key=_along_courses)
+    order = {row.run_key: place for place, row in enumerate(rows)}
+    done = Compaction()
+    for table in SCHEMAS:
+        done += _pack_table(store, table, order, now)
+        done += _remove_superseded(store, table, now - grace)
+    return done
+
+
+def _along_courses(row: RunRow) -> tuple[object, ...]:
+    """The order in which a history asks for runs."""
+    start = row.start_utc or datetime.max
+    return row.scenario, row.parameters, row.platform, row.machine, start, row.run_key
+
+
+def _pack_table(store: Store, table: str, order: Mapping[str, int], now: datetime) -> Compaction:
+    most = _ROWS[table]
+    members: dict[str, list[tuple[str, Place]]] = {}  # the runs that count of each file, by its path
+    for key, place in sorted(places(store, table).items(), key=lambda item: (order.get(item[0], len(order)), item[0])):
+        members.setdefault(place.file.path, []).append((key, place))
+    small = [of_file for of_file in members.values() if _is_small(of_file[0][1].file, most)]
+    small.sort(key=lambda of_file: not of_file[0][1].file.is_pack)  # packs first, else in the order of their runs
+    packs = packed = 0
+    for bundle in _bundles(small, most):
+        if len(bundle) > 1:
+            _write_pack(store, table, bundle, order, now)
+            packs += 1
+            packed += len(bundle)
+    return Compaction(packed=packed, packs=packs)
+
+
+def _is_small(file: TableFile, most: int) -> bool:
+    return not file.is_pack or 2 * file.footer.num_rows <= most
+
+
+_Members = Sequence[tuple[str, Place]]
+"""Runs of one file, by their keys."""
+
+
+def _bundles(files: Iterable[_Members], most: int) -> Iterator[list[_Members]]:
+    """Files one after the other, so many that they have at most `most` rows together."""
+    bundle: list[_Members] = []
+    rows = 0
+    for members in files:
+        number = sum(place.number for _, place in members)
+        if bundle and rows + number > most:
+            yield bundle
+            bundle, rows = [], 0
+        bundle.append(members)
+        rows += number
+    if bundle:
+        yield bundle
+
+
+def _write_pack(store: Store, table: str, bundle: Sequence[_Members], order: Mapping[str, int], now: datetime) -> None:
+    """Write the runs of some files into a new one."""
+    rows: dict[str, Table] = {}
+    with ThreadPoolExecutor(AT_ONCE) as threads:
+        read = threads.map(lambda members: _read(store, table, members[0][1].file), bundle)
+        for members, whole in zip(bundle, read, strict=True):
+            rows |= {key: whole.slice(place.first, place.number) for key, place in members}
+    keys = sorted(rows, key=lambda key: (order.get(key, len(order)), key))
+    digest = hashlib.sha256("\n".join(keys).encode()).hexdigest()
+    content = as_parquet(pyarrow.concat_tables([rows[key] for key in keys]).unify_dictionaries().combine_chunks())
+    write_file(store, file_of(table, f"{PACK}{now.strftime(_TIME)}-{digest[:16]}"), content)
+
+
+def _read(store: Store, table: str, file: TableFile) -> Table:
+    """All of a file, with the columns of its table; in schema 1 some of them stood in its path alone.
+
+    Texts are dictionaries, which take a fraction of the memory.
+    """
+    text = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
+    fields = [(field.name, text if field.type == pyarrow.string() else field.type) for field in SCHEMAS[table]]
+    partitioned = [name for name in PARTITIONED if table == "runs" and f"/{name}=" in file.path]
+    texts = [name for name, type_ in fields if type_ == text and name not in partitioned]
+    with opened(store, file.path, footer=file.footer, dictionary=texts) as source:
+        whole = source.read(use_threads=False)
+        for name in partitioned:
+            whole = whole.append_column(name, pyarrow.array([in_path(file.path, name)] * whole.num_rows))
+        return whole.select([name for name, _ in fields]).cast(pyarrow.schema(fields))
+
+
+def _remove_superseded(store: Store, table: str, before: datetime) -> Compaction:
+    """Remove files of which all runs are in newer packs that are older than the grace."""
+    files = read_files(store, table)
+    newest = files.newest()
+    superseded = [(path, [newest[key]]) for key, path in files.alone.items() if key in newest]
+    for file in files.packs:
+        newer = [newest[key] for key in file.rows]
+        if all(each.path != file.path for each in newer):
+            superseded.append((file.path, newer))
+    over = [path for path, newer in superseded if all(_made(store, file) <= before for file in newer)]
+    remove_files(store, over)
+    return Compaction(removed=len(over), waiting=len(superseded) - len(over))
+
+
+def _made(store: Store, pack: TableFile) -> datetime:
+    """When a pack was made, in UTC."""
+    try:
+        return datetime.strptime(name_of(pack.path).removeprefix(PACK).split("-")[0], _TIME).replace(tzinfo=UTC)
+    except ValueError as error:
+        raise damaged(store, f"{pack.path}: no name of a pack: {error}") from error

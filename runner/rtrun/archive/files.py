@@ -1,0 +1,173 @@
+"""The Parquet files of a table: one of each run, and packs of many runs, which `rtrun archive compact` makes.
+
+The file of a run is named by the run's key, a pack by the time when it was made. In a pack the rows of a run follow one
+another. For a while a run is in several files, with the same rows in each: what counts is the newest pack that has it,
+else its own file. So a reader that has listed the files before or after a pack came finds each run once.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rtfiles.errors import InfrastructureError, UsageError
+from rtrun.archive.store import Store, find_files
+from rtrun.plan.limits import BINS_MAX
+
+if TYPE_CHECKING:
+    from pyarrow.parquet import FileMetaData, ParquetFile
+
+PACK = "pack-"
+ROW_GROUP = 1 << 17
+"""Rows of a row group of a pack at most."""
+# Files that are opened at one time: those of an object store are waited for.
+AT_ONCE = 32
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TableFile:
+    """A file of a table, with the rows of each run in it: (first, number) by the key of the run."""
+
+    path: str
+    footer: "FileMetaData"
+    rows: Mapping[str, tuple[int, int]]
+
+    @property
+    def is_pack(self) -> bool:
+        """Whether it has many runs."""
+        return is_pack(self.path)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the rows of a run are: so many of a file, from its row `first` on."""
+
+    file: TableFile
+    first: int
+    number: int
+
+
+def name_of(path: str) -> str:
+    """The name of a file: the key of its run, or that of a pack."""
+    return path.rpartition("/")[2].removesuffix(".parquet")
+
+
+def is_pack(path: str) -> bool:
+    """Whether a file is a pack of many runs."""
+    return name_of(path).startswith(PACK)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TableFiles:
+    """The files of a table: its packs, newest first, and the paths of files of one run by the key of the run."""
+
+    packs: Sequence[TableFile]
+    alone: Mapping[str, str]
+
+    def newest(self) -> dict[str, TableFile]:
+        """The pack that counts for each run which is in any."""
+        found: dict[str, TableFile] = {}
+        for file in self.packs:
+            for key in file.rows:
+                found.setdefault(key, file)
+        return found
+
+
+def paths_of(store: Store, table: str) -> tuple[list[str], dict[str, str]]:
+    """Packs, newest first, and the files of one run by its key."""
+    paths = find_files(store, table)
+    packs = sorted(filter(is_pack, paths), key=name_of, reverse=True)
+    return packs, {name_of(path): path for path in paths if not is_pack(path)}
+
+
+def read_files(store: Store, table: str) -> TableFiles:
+    """The files of a table. Raises UsageError for a pack that is damaged, InfrastructureError."""
+    packs, alone = paths_of(store, table)
+    with ThreadPoolExecutor(AT_ONCE) as threads:
+        return TableFiles(packs=list(threads.map(partial(_pack, store), packs)), alone=alone)
+
+
+def places(store: Store, table: str) -> dict[str, Place]:
+    """Where each run of a table is. Raises UsageError for a file that is damaged or has too many rows."""
+    files = read_files(store, table)
+    found = {key: Place(file, *file.rows[key]) for key, file in files.newest().items()}
+    others = [(key, path) for key, path in files.alone.items() if key not in found]
+    with ThreadPoolExecutor(AT_ONCE) as threads:
+        footers = threads.map(lambda each: _footer(store, each[1]), others)
+        for (key, path), footer in zip(others, footers, strict=True):
+            rows = {key: (0, footer.num_rows)}
+            found[key] = Place(TableFile(path=path, footer=footer, rows=rows), *rows[key])
+    return found
+
+
+def _footer(store: Store, path: str) -> "FileMetaData":
+    with opened(store, path) as file:
+        return check_rows(file.metadata)
+
+
+def _pack(store: Store, path: str) -> TableFile:
+    """A pack, of which the column of keys is read. Raises UsageError where the rows of a run lie apart."""
+    with opened(store, path, dictionary=("run_key",)) as file:
+        footer = check_rows(file.metadata)
+        if any(footer.row_group(group).num_rows > ROW_GROUP for group in range(footer.num_row_groups)):
+            raise ValueError(f"a row group of more than {ROW_GROUP} rows")
+        column = file.read(columns=["run_key"], use_threads=False)["run_key"].unify_dictionaries().combine_chunks()
+        codes = column.indices.fill_null(-1).to_numpy()
+        starts = np.flatnonzero(np.r_[True, np.diff(codes) != 0][: codes.size])
+        if codes[starts].size != np.unique(codes).size or -1 in codes[starts]:
+            raise ValueError("run_key: the rows of a run lie apart, or a row has none")
+        keys = column.dictionary.take(column.indices.take(starts)).to_pylist()
+        numbers = np.diff(np.r_[starts, codes.size])
+        rows = dict(zip(keys, zip(starts.tolist(), numbers.tolist(), strict=True), strict=True))
+        return TableFile(path=path, footer=footer, rows=rows)
+
+
+def check_rows(footer: "FileMetaData", most: int = BINS_MAX) -> "FileMetaData":
+    """The footer of a file. Raises ValueError where the file has more rows than `most`.
+
+    The number stands at the end of a file, so what is too much is refused before it is read.
+    """
+    if footer.num_rows > most:
+        raise ValueError(f"{footer.num_rows} rows, a file of this table has at most {most}")
+    return footer
+
+
+@contextmanager
+def opened(
+    store: Store, path: str, *, footer: "FileMetaData | None" = None, dictionary: Sequence[str] = ()
+) -> "Iterator[ParquetFile]":
+    """A Parquet file, of which the columns of `dictionary` are read as such.
+
+    Raises UsageError where what is in it is wrong, also for a ValueError that is raised within, InfrastructureError.
+    """
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        # A file of this machine by its path: pyarrow reads it without Python's lock. Of any other it asks for the
+        # ranges that it wants, each with one request.
+        with nullcontext(path) if store.is_local else store.file_system.open(path, "rb", cache_type="none") as source:
+            yield pyarrow.parquet.ParquetFile(
+                source, metadata=footer, read_dictionary=list(dictionary), pre_buffer=not store.is_local
+            )
+    except (pyarrow.ArrowException, ValueError) as error:
+        raise damaged(store, f"{path}: {error}") from error
+    except FileNotFoundError as error:
+        raise InfrastructureError(f"{store.address}: {path}: removed while it was read: ask again") from error
+    except (UsageError, InfrastructureError):
+        raise
+    except Exception as error:  # each object store has exceptions of its own
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InfrastructureError(f"{store.address}: cannot be read: {reason}") from error
+
+
+def damaged(store: Store, what: str) -> UsageError:
+    """The error of a file that is not as rtrun writes it."""
+    return UsageError(
+        f"{store.address}: {what}; rtrun archive add writes the file of a run anew that is not whole; a pack that was "
+        "cut off while it was written can be removed"
+    )

@@ -1,0 +1,163 @@
+"""The table of runs, read: a row for each run that the archive has, each value of the type that docs/archive.md says.
+
+Whoever may write a file of the archive may write anything into it.
+"""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import unquote
+
+import numpy as np
+
+from rtfiles.errors import UsageError
+from rtrun.archive.files import AT_ONCE, Place, check_rows, is_pack, opened, paths_of, places
+from rtrun.archive.store import Store
+from rtrun.targets.inspection.platform import Platform
+
+if TYPE_CHECKING:
+    from pyarrow.parquet import ParquetFile
+
+PACKED_MAX = 1 << 13
+"""Runs of a pack."""
+_TEXT_BYTES_MAX = 1 << 28  # of all texts in a file: those of a run take some KB
+_YEARS = (1900, 3000)
+PARTITIONED = ("machine", "suite")  # in schema 1 they stood in the path alone, as machine=NAME/suite=NAME
+
+
+class RunRow(NamedTuple):
+    """A run: what tells it from others, and its circumstances; None where nothing is known.
+
+    `packages` is JSON; temperature in mC, frequency in kHz; `start_utc` has no zone.
+    """
+
+    run_key: str
+    run: str
+    scenario: str
+    parameters: str
+    platform: str
+    status: str
+    packages: str
+    machine: str
+    suite: str
+    reason: str | None
+    boot_id: str | None
+    kernel_release: str | None
+    kernel_version: str | None
+    commit: str | None
+    image: str | None
+    middleware_version: str | None
+    governor: str | None
+    clock_source: str | None
+    off_rate: bool
+    start_utc: datetime | None
+    temperature_max_mc: float | None
+    frequency_max_khz: float | None
+    load_1min_max: float | None
+
+    @property
+    def boot(self) -> str:
+        """Its boot; one of its own where that is not known."""
+        return self.boot_id or self.run_key
+
+
+_REQUIRED = RunRow._fields[: RunRow._fields.index("reason")]
+_TEXTS = RunRow._fields[: RunRow._fields.index("off_rate")]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Archive:
+    """What an archive has: its runs, in the order of their keys, and where their histograms are."""
+
+    store: Store
+    runs: Sequence[RunRow]
+    histograms: dict[str, Place]
+
+
+def read_archive(store: Store) -> Archive:
+    """What an archive has. Raises UsageError when it has no runs or a file is damaged, InfrastructureError."""
+    # In this order: the histogram of a run is written before its row.
+    runs = read_runs(store)
+    if not runs:
+        raise UsageError(f"{store.address}: there are no runs in this archive")
+    return Archive(store=store, runs=runs, histograms=places(store, "histograms"))
+
+
+def read_runs(store: Store) -> list[RunRow]:
+    """Every run of an archive once, in the order of their keys. Raises UsageError, InfrastructureError."""
+    packs, alone = paths_of(store, "runs")
+    found: dict[str, RunRow] = {}
+    with ThreadPoolExecutor(AT_ONCE) as threads:
+        for rows in threads.map(partial(_rows, store), packs):
+            for row in rows:
+                found.setdefault(row.run_key, row)
+        others = [path for key, path in alone.items() if key not in found]
+        for rows in threads.map(partial(_rows, store), others):
+            found |= {row.run_key: row for row in rows}
+    return [found[key] for key in sorted(found)]
+
+
+def _rows(store: Store, path: str) -> list[RunRow]:
+    import pyarrow
+
+    partitioned = [name for name in PARTITIONED if f"/{name}=" in path]
+    texts = [name for name in _TEXTS if name not in partitioned]
+    with opened(store, path, dictionary=texts) as file:
+        check_rows(file.metadata, PACKED_MAX if is_pack(path) else 1)
+        _check_size(file)
+        in_file = [name for name in RunRow._fields if name not in partitioned]
+        if missing := {*in_file} - {*file.schema_arrow.names}:
+            raise ValueError(f"{min(missing)}: no such column")
+        table = file.read(columns=in_file, use_threads=False)
+        columns = {name: _texts(table, name) for name in texts}
+        columns |= {name: [in_path(path, name)] * table.num_rows for name in partitioned}
+        columns["off_rate"] = table["off_rate"].cast(pyarrow.bool_()).to_pylist()
+        if None in columns["off_rate"]:
+            raise ValueError("off_rate: missing")
+        columns["start_utc"] = list(_times(table["start_utc"].cast(pyarrow.timestamp("us")).to_pylist()))
+        for name in RunRow._fields[RunRow._fields.index("temperature_max_mc") :]:
+            columns[name] = table[name].cast(pyarrow.float64()).to_pylist()
+            if any(value is not None and not np.isfinite(value) for value in columns[name]):
+                raise ValueError(f"{name}: no number")
+        if unknown := set(columns["platform"]) - {*Platform}:
+            raise ValueError(f"platform: {min(unknown)[:40]!r}, expected one of {', '.join(Platform)}")
+    return list(map(RunRow._make, zip(*(columns[name] for name in RunRow._fields), strict=True)))
+
+
+def _check_size(file: "ParquetFile") -> None:
+    """Raise ValueError where the texts of a file take too much memory."""
+    footer = file.metadata
+    size = 0
+    for group in map(footer.row_group, range(footer.num_row_groups)):
+        columns = map(group.column, range(group.num_columns))
+        size += sum(each.total_uncompressed_size for each in columns if each.path_in_schema in _TEXTS)
+    if size > _TEXT_BYTES_MAX:
+        raise ValueError(f"{size} bytes of texts, at most {_TEXT_BYTES_MAX} are read")
+
+
+def _texts(table: Any, name: str) -> list[Any]:
+    """A column of texts; each different one is made once."""
+    import pyarrow
+    import pyarrow.compute
+
+    column = table[name].cast(pyarrow.dictionary(pyarrow.int32(), pyarrow.string()))
+    column = column.unify_dictionaries().combine_chunks()
+    if name in _REQUIRED and column.null_count:
+        raise ValueError(f"{name}: missing")
+    known = [*column.dictionary.to_pylist(), None]
+    return [known[code] for code in column.indices.fill_null(-1).to_pylist()]
+
+
+def _times(moments: Sequence[datetime | None]) -> Iterator[datetime | None]:
+    for moment in moments:
+        if moment is not None and not _YEARS[0] <= moment.year < _YEARS[1]:
+            raise ValueError(f"start_utc: {moment}, expected a time from {_YEARS[0]} to {_YEARS[1]}")
+        yield moment
+
+
+def in_path(path: str, name: str) -> str:
+    """What a folder of schema 1 has by this name."""
+    return unquote(path.partition(f"/{name}=")[2].partition("/")[0])

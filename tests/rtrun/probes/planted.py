@@ -1,0 +1,28 @@
+"""Stalls that a node plants and tells the times of (chain_node.py): what `rtrun why` says is held against them."""
+
+import re
+from typing import Any
+
+CALLBACK = "earlier callback of its thread"
+_STALL = re.compile(r"(\d+) (\d+) (\d+)")
+
+
+def check_named(outliers: list[dict[str, Any]], printed: str, name: str) -> None:
+    """Of each outlier that passed while a stall lasted, most of the time must be that of a callback of this name.
+
+    `outliers` are those of `rtrun why --json`, `printed` is what the node said. Others were late for what else the
+    machine does: nothing is asked of them. Nor is of a stall from which somebody took the CPU, who is named then.
+    """
+    stalls = [tuple(map(int, match.groups())) for match in map(_STALL.fullmatch, printed.splitlines()) if match]
+    undisturbed = [(begin_ns, end_ns) for begin_ns, end_ns, cpu_ns in stalls if cpu_ns > 0.9 * (end_ns - begin_ns)]
+    waited = [
+        each
+        for each in outliers
+        for begin_ns, end_ns in undisturbed
+        if min(end_ns, each["at_ns"]) - max(begin_ns, each["at_ns"] - each["value_ns"]) > 0.75 * each["value_ns"]
+        and not each["note"]  # events were lost within, or none are there
+    ]
+    assert waited, (outliers, stalls)
+    for each in waited:
+        named = [part for part in each["parts"] if part["kind"] == CALLBACK and re.match(name, part["name"])]
+        assert 2 * sum(part["length_ns"] for part in named) > each["value_ns"], each
