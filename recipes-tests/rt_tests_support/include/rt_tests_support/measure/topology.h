@@ -302,7 +302,7 @@ int run(int argc, char* argv[]) {
   const rt_tests::CpuDmaLatency cpu_dma_latency(options);
   Run run(process, line.program, options, destination);
   typename M::Context context(argc, argv, line.program, options);
-  run.surroundings.facts = rt_tests::facts_of(context);
+  rt_tests::add_facts(run.surroundings.facts, context);
   rt_tests::set_up_measuring_thread(options);
   rt_tests::catch_stop_signals(nullptr);
 
