@@ -10,7 +10,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --maxprocesses 8 --
 # Workers and the programs that they start find their modules compiled, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-ros2 test-yocto lock lint docs coverage bench setup setup-demo board suites clean
+.PHONY: demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-ros2 test-topologies test-yocto lock lint docs coverage bench setup setup-demo board suites clean
 
 demo: setup-demo
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -64,6 +64,10 @@ test-why: setup
 	for place in $(or $(PLACES),here rt standard); do \
 	    PYTHONPATH=runner:tests $(BIN)/python tests/why/planted.py --place $$place || failed=1; \
 	done; test -z "$$failed"
+
+# The graphs of irobot-ros/ros2-performance, whose folder irobot_benchmark/topology DIR is, are read whole.
+test-topologies: setup
+	TOPOLOGIES=$(abspath $(DIR)) $(BIN)/pytest tests/rtrun/plan/others_topologies.py
 
 # What docs/archive.md asks polars and a Dask cluster of an archive, and an archive in object storage; installs them.
 test-archive: setup

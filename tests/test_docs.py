@@ -35,6 +35,7 @@ NOT_RUN = {
     "rtrun probe": "a target; tests/integration",
     "rtrun run": "a target; tests/integration",
     "rtrun observe": "programs that run already; tests/suites/test_observe.py",
+    "rtrun influence": "minutes; tests/suites/test_topology.py",
     "rtrun quick": "a minute; tests/suites/test_quick.py",
     "rtrun new-target": "a board; tests/rtrun/commands/test_new_target.py",
     "rtrun compare RESULTS --by kernel": "results on two kernels; tests/rtrun/judgement/test_sides.py",

@@ -19,8 +19,10 @@ TIMED = ("rtrun.targets.", "rtrun.execution.")
 NO_LIMITS = {
     "ranges of numbers, which take no room": {
         "rtfiles.untrusted.INT64_MAX",
-        "rtrun.plan.campaign.PRIORITY_MAX",
-        *(f"rtrun.plan.limits.{name}" for name in ("COUNT_MAX", "RT_PRIORITY_MAX", "EXIT_STATUS_MAX")),
+        *(
+            f"rtrun.plan.limits.{name}"
+            for name in ("COUNT_MAX", "RT_PRIORITY_MAX", "MEASURING_PRIORITY_MAX", "EXIT_STATUS_MAX")
+        ),
         "rtrun.validity.outcome.LISTED_MAX",
     },
     "what is printed or computed at most": {
@@ -28,13 +30,16 @@ NO_LIMITS = {
         "rtfiles.output.WIDTH_MAX",
         "rtrun.archive.queries._COUNT_MAX",
         "rtrun.archive.queries._GRID_MAX",
+        "rtrun.plan.topology.rates._UNIONS_MAX",
+        "rtrun.analysis.response_time.JOBS_MAX",
         "rtrun.causes.control.WINDOWS_MAX",
         "rtrun.report.causes.REMEDIES_MAX",
         "rtrun.validity.requirements.NAMED_MAX",
         "rtrun.kinds.rate.OFF_MAX",
         "rtrun.flows.timers._PERIOD_OFF_MAX",
         "rtrun.flows.hazards._NAMED_MAX",
-        "rtrun.execution.observed_runs._NAME_MAX",
+        "rtrun.execution.stream_runs._NAME_MAX",
+        "rtrun.execution.topology_runs._THREAD_NAME_MAX",
         "rtrun.execution.observation._KERNEL_EVENTS_PER_S",
     },
     "pauses between two attempts, and parts of a time that stands on the page": {

@@ -13,6 +13,7 @@
 
 #include "rt_tests_support/measure/jitter.h"
 #include "rt_tests_support/measure/receptions.h"
+#include "rt_tests_support/measure/topology.h"
 #include "rt_tests_support/blocks.h"
 #include "rt_tests_support/process.h"
 #include "rt_tests_support/measure/shots.h"
@@ -106,6 +107,83 @@ TEST(Allocations, NoneInTheSubscribersBookkeeping) {
   EXPECT_EQ(samples.size(), 10000u);
   EXPECT_GT(receptions.duplicate.count(), 1000);
   EXPECT_GT(receptions.out_of_order.count(), 1000);
+}
+
+namespace {
+
+// A middleware whose topics keep one message each.
+struct Boxes {
+  static constexpr bool counts_processes = false;
+  struct Context {
+    std::vector<unsigned char> message;
+    std::size_t sent = 0;
+  };
+  struct Sender {
+    Sender(Context& context, const topology::Topic& topic) : context_(context) {
+      context.message.assign(topic.message_bytes(), 0);
+    }
+    unsigned char* bytes() { return context_.message.data(); }
+    bool send() { return ++context_.sent > 0; }
+    std::string problem() { return ""; }
+    int64_t subscribers() { return 2; }
+    Context& context_;
+  };
+  template <class CallBack>
+  struct Receiver {
+    Receiver(Context& context, const std::vector<topology::Topic>& inputs, CallBack& call_back)
+        : context_(context), seen_(inputs.size()), call_back_(call_back) {}
+    void receive(int64_t limit_ns) {
+      topology::sleep_until(rt_tests::now_ns(CLOCK_MONOTONIC) + limit_ns, 100000);
+      for (std::size_t input = 0; input < seen_.size(); ++input) {
+        if (seen_[input] == context_.sent) continue;
+        seen_[input] = context_.sent;
+        call_back_(input, context_.message.data(), context_.message.size());
+      }
+    }
+    int64_t publishers(std::size_t) { return 1; }
+    Context& context_;
+    std::vector<std::size_t> seen_;
+    CallBack& call_back_;
+  };
+};
+
+}  // namespace
+
+TEST(Allocations, NoneInTheLoopOfNodes) {
+  const int64_t ms = 1000000;
+  topology::Process process;
+  process.name = "all";
+  process.measure_ns = 200 * ms;
+  process.topics = {{"/t", 100, true, 10}};
+  process.executors = {{"all", "0", 0, ""}};
+  process.nodes = {{"sends", 0, topology::Waits::period, 2 * ms, 0, 10000, 4096, 100, {}, {{0, 2, 1}}},
+                   {"each", 0, topology::Waits::any, 0, 0, 0, 0, 100, {{0, 100}}, {}},
+                   {"newest", 0, topology::Waits::period, 10 * ms, ms, 0, 0, 20, {{0, 100}}, {}}};
+  const rt_tests::Program program = {"", "", "", {"clock"}};
+  const rt_tests::Options options(program);
+  const rt_tests::Destination nowhere{"", ""};
+  topology::Run run(process, program, options, nowhere);
+  Boxes::Context context;
+  topology::ExecutorThread<Boxes> thread(context, run, 0);
+  thread.start();
+  while (!thread.missing().empty()) topology::sleep_until(rt_tests::now_ns(CLOCK_MONOTONIC) + ms, ms);
+  run.start_ns = rt_tests::now_ns(CLOCK_MONOTONIC) + 10 * ms;
+  EXPECT_EQ(allocations_in([&] {
+              thread.begin();
+              thread.wait();
+            }),
+            0);
+  thread.end();
+  EXPECT_EQ(thread.hosted.problem, "");
+  const auto rows = [&](int node) { return static_cast<int64_t>(run.nodes[node]->activations.rows()); };
+  EXPECT_EQ(rows(0) + run.nodes[0]->skipped, 100);
+  EXPECT_GT(rows(0), 1);
+  EXPECT_EQ(rows(1), rows(0));
+  EXPECT_EQ(rows(2) + run.nodes[2]->skipped, 20);
+  // What it took last, it took first of a message that had come.
+  int64_t* const last = run.nodes[2]->activations.row(static_cast<std::size_t>(rows(2)) - 1);
+  const int64_t taken = last[topology::HostedNode::first_input];
+  EXPECT_GE(run.nodes[2]->receptions[0].row(static_cast<std::size_t>(taken))[topology::HostedNode::taken], 0);
 }
 
 TEST(Allocations, NoneInTheWriterOfBlocks) {

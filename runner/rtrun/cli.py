@@ -8,7 +8,7 @@ from rtfiles.start import start
 
 # In the order of --help.
 GROUPS = {
-    "measure": ("quick", "observe", "plan", "run"),
+    "measure": ("quick", "observe", "plan", "run", "influence"),
     "prepare a target": ("new_target", "probe", "check_rt", "build_suites"),
     "judge": ("report", "verdict", "gate", "why", "compare", "show", "verify", "claims", "import_"),
     "long term": ("archive", "history", "trends", "bisect", "site"),

@@ -217,6 +217,7 @@ def test_suites_are_compiled_and_installed(yocto, built_suites):
     transports = [name for name, debian in builder.transports().items() if name in ros.transports or not debian]
     names = described["communication_tests"]["programs"]
     wanted |= {f"transport_tests/{program}_{transport}" for program in names for transport in transports}
+    wanted.add(f"topology_tests/topology_node{client}")
     assert {f"{path.parent.name}/{path.name}" for path in programs} == {*wanted, "rt_tests_sampler/rt_tests_sampler"}
     for path in programs:
         kind = subprocess.run(["file", "-b", path], capture_output=True, text=True, check=True).stdout

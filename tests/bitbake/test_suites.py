@@ -30,6 +30,7 @@ PROGRAMS = {
     "oneshot-timer-tests": ["oneshot_timer_tests"],
     "cyclic-timer-tests": ["cyclic_timer_tests"],
     "communication-tests": ["communication_tests_publisher", "communication_tests_subscriber"],
+    "topology-tests": ["topology_node"],
 }
 ARM = ("32-bit", "ARM", "EABI5")  # words of file(1)
 WITHOUT_A_LIBRARY = ["futex", "tcp", "udp", "unix"]

@@ -26,15 +26,20 @@ from rtgen.kconfig import data as kconfig
 from rtgen.kconfig import fragment, verify
 from rtgen.profile import load_profile
 from rtrun import cli
-from rtrun.execution import journal, resumption, ros_graph
+from rtrun.execution import journal, resumption, ros_graph, topology_runs
 from rtrun.execution.late_values import LateValueRecord
 from rtrun.execution.middleware import roscpp
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.live import LiveFigures
 from rtrun.flows.streams import streams
-from rtrun.kinds.output import Thread, Uname
+from rtrun.flows.topology.late import late_path
+from rtrun.flows.topology.streams import topology_streams
+from rtrun.flows.topology.tables import read_tables
+from rtrun.kinds.output import HostRecord, Thread, Uname
 from rtrun.plan.campaign import Campaign, plan, read_campaign
 from rtrun.plan.goal import Goal
+from rtrun.plan.topology.planning import TopologyPlan
+from rtrun.plan.topology.topology import Executor, Topology, TopologyNode, TopologyTopic, Waits
 from rtrun.probes import placement
 from rtrun.probes.programs import find_programs, parse_programs
 from rtrun.probes.stream import Batch, WatchReader
@@ -57,6 +62,7 @@ from rtrun.results.record import (
     TargetFacts,
 )
 from rtrun.results.record import verify as verify_run
+from rtrun.results.topology_record import write_topology
 from rtrun.targets import processes
 from rtrun.targets.address import Address
 from rtrun.targets.config import read_target
@@ -563,6 +569,45 @@ def _traced_run() -> Files:
         return {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
 
 
+GRAPH_OF_NODES = Topology(
+    name="graph",
+    nodes=(
+        TopologyNode(name="a", executor="a", waits=Waits.PERIOD, period_ns=10_000_000, outputs=("/t",)),
+        TopologyNode(name="b", executor="b", waits=Waits.ANY, inputs=("/t",)),
+    ),
+    executors=(Executor(name="a", process="p"), Executor(name="b", process="p")),
+    topics=(TopologyTopic(name="/t"),),
+)
+
+
+def _tables() -> Files:
+    """What the process of two nodes leaves: the first one sends, the second one takes each message."""
+    begin = np.arange(100, dtype=np.int64) * 10_000_000
+    number, step = np.arange(100, dtype=np.int64), 100_000
+    first = np.column_stack((begin, begin + step, begin + 2 * step, begin + 3 * step, np.full(100, step)))
+    came = np.column_stack((number, begin + 2 * step, begin + 4 * step, number))
+    second = np.column_stack((*(begin + (4 + place) * step for place in range(4)), np.full(100, step), number))
+    host = json.loads(next(path.with_suffix(".json").read_text() for path in sorted(SUITES.glob("*.npy"))))
+    host = {key: value for key, value in host.items() if key in HostRecord.model_fields or key == "schema"}
+    asked = {"policy": "0", "priority": 0, "cpus": "", "left_ns": 2 * 10**9, "foreign": 0}
+    host |= {"start_ns": 0, "measured_ns": 10**9, "executors": [{"name": name} | asked for name in ("a", "b")]}
+    host["nodes"] = [{"name": name, "activations": 100, "skipped": 0} for name in ("a", "b")]
+    files = {"process-p.json": json.dumps(host).encode()}
+    for name, rows in (("a", first), ("b", second), ("b-0", came)):
+        buffer = io.BytesIO()
+        np.save(buffer, rows)
+        files[f"{name}.npy"] = buffer.getvalue()
+    return files
+
+
+def _follow(folder: Path) -> None:
+    tables = read_tables(folder, GRAPH_OF_NODES)
+    plan = TopologyPlan(topology=GRAPH_OF_NODES, for_s=0.5, paths=GRAPH_OF_NODES.all_paths())
+    list(topology_streams(tables, plan))
+    write_topology(folder, topology_runs.figures(tables, plan))
+    late_path(tables, plan.paths[0], 1)
+
+
 def _adopt(folder: Path) -> None:
     shutil.rmtree(folder / "out", ignore_errors=True)
     adopt(next(folder.glob("x.*")), folder / "out", platform=Platform.HARDWARE)
@@ -643,6 +688,7 @@ READERS: dict[str, Reader] = {
     "observations": of_file(_observe, "sampler.stdout", OBSERVED.encode()),
     "baseline": Reader(read=_baseline, seeds=[{"cyclictest.stdout": CYCLICTEST}]),
     "part": of_file(_part, "x.npy.part", *_contents(SUITES, "*.npy")),
+    "tables": Reader(read=_follow, seeds=[_tables()], cost=2),
     "trace": Reader(read=_why, seeds=[_traced_run()], seal=_seal, cost=10),
     # Of results, which may come from a target or from another's hands.
     "run": Reader(

@@ -17,9 +17,11 @@ import pytest
 import rtgen.cli
 import rtrun.cli
 from rtrun.execution import campaign_runner
+from rtrun.flows.topology.tables import read_tables
 from rtrun.plan.campaign import read_campaign
 from rtrun.results import run_directory
 from rtrun.results.reading import read_run
+from rtrun.results.topology_record import read_topology_record
 from rtrun.targets.config import connect, read_target
 from rtrun.targets.connection import Connection
 from rtrun.targets.errors import TargetError, TargetGone
@@ -64,15 +66,37 @@ runs:
 OWN_THREADS = {"zeromq": {"ZMQbg/IO/0", "ZMQbg/Reaper"}, "cyclonedds": {"recv", "recvUC", "tev", "gc"}}
 
 
+# A graph of nodes: a fork, a join, a shared thread, three processes.
+GRAPH = """
+schema: 1
+name: small
+common: {policy: FIFO, priority: 40}
+nodes:
+  lidar:   {period: 200ms, busy: 1ms, outputs: [/points]}
+  detect:  {inputs: [/points], busy: 1ms, outputs: [/objects], cpu: 1}
+  fuse:    {inputs: [/points, /objects], waits_for: all, outputs: [/state], executor: brain}
+  control: {period: 100ms, inputs: [/state], outputs: [/cmd], executor: brain, process: brain}
+  brake:   {inputs: [/cmd], process: brain}
+paths:
+  - {topics: [/points, /objects, /state, /cmd], reaction: 10s}
+"""
+
+
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory):
-    """The folder of EVERY_SUITE, measured by the command on one boot of the board."""
+    """The folder of EVERY_SUITE, and of GRAPH, measured on one boot of the board."""
     folder = tmp_path_factory.mktemp("measured")
-    campaign = write_campaign(folder, EVERY_SUITE)
-    argv = [sys.executable, "-m", "rtrun.cli", "run", campaign, "--target", TOP / "targets" / "qemu.yml"]
-    done = subprocess.run(argv, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "EMULATED: not a real-time statement" in done.stdout
+    write_campaign(folder, EVERY_SUITE)
+    (folder / "small.yml").write_text(GRAPH)
+    of_graph = "schema: 1\nname: graph\ntopology: small.yml\nfor: 4s\nruns: [{middleware: [roscpp, cyclonedds]}]\n"
+    (folder / "graph.yml").write_text(of_graph)
+    with connect(read_target(TOP / "targets" / "qemu.yml"), TOP / "targets", folder / "console.log") as board:
+        for file in ("campaign.yml", "graph.yml"):
+            campaign, runs = read_campaign(folder / file)
+            (folder / "results" / campaign.name).mkdir(parents=True)
+            place, observer = folder / "results" / campaign.name, Watching()
+            statuses = campaign_runner.run_campaign(board, campaign.name, runs, place, observer)
+            assert set(statuses.values()) == {"ok"}, (statuses, observer.notes)
     return folder
 
 
@@ -136,6 +160,29 @@ def test_messages_through_each_middleware_on_the_board(measured):
             threads = record["in_effect"]["threads"]
             assert {(thread["policy"], thread["priority"]) for thread in threads} == {("FIFO", 95)}
             assert {thread["name"] for thread in threads} >= OWN_THREADS.get(run.middleware, set())
+
+
+def test_a_graph_of_nodes_on_the_board(measured, capsys):
+    for name in ("001-topology-small", "002-topology-small-cyclonedds"):
+        folder = measured / "results" / "graph" / name
+        record = read_topology_record(folder)
+        assert {hop.topic for hop in record.hops} == {"/points", "/objects", "/state", "/cmd"}
+        for hop in record.hops:
+            assert hop.sent == hop.taken + hop.overwritten + hop.unused + sum(hop.lost.values()) > 5
+            assert not hop.lost
+        (path,) = record.paths
+        assert path.reaction.max_ns == path.worst[-1].end_ns and path.nodes[-1] == "brake"
+        for node in record.topology.nodes:
+            table = read_tables(folder, record.topology).nodes[node.name]
+            assert table.cpu_ns.min() >= node.busy_ns
+        threads = [
+            (thread["name"], thread["policy"], thread["priority"])
+            for program in json.loads((folder / "run.json").read_text())["programs"]
+            for thread in program["threads"]
+        ]
+        assert {("lidar", "FIFO", 40), ("brain", "FIFO", 40), ("brake", "FIFO", 40)} <= {*threads}
+    assert rtrun.cli.main(["verdict", str(measured / "results" / "graph"), "--probability", "0.5"]) == 0
+    assert "not a real-time statement" in capsys.readouterr().out
 
 
 def test_the_report_says_emulated(measured, tmp_path, capsys):

@@ -23,6 +23,7 @@ def test_support_comes_first() -> None:
         "oneshot_timer_tests",
         "cyclic_timer_tests",
         "communication_tests",
+        "topology_tests",
         "transport_tests",
     ]
 
@@ -78,7 +79,9 @@ def test_build(tmp_path: Path, machine: str) -> None:
         "lib/oneshot_timer_tests/oneshot_timer_tests",
         "lib/rt_tests_sampler/rt_tests_allocations.so",
         "lib/rt_tests_sampler/rt_tests_sampler",
+        "lib/topology_tests/topology_node",
         *(f"lib/transport_tests/{program}_{transport}" for program in messages for transport in suites.transports()),
+        "lib/transport_tests/topology_node_cyclonedds",
     ]
     timers = ["oneshot_timer_tests", "cyclic_timer_tests"]
     assert record["middlewares"] == dict.fromkeys(suites.transports(), messages) | {"roscpp": [*timers, *messages]}
@@ -91,6 +94,7 @@ def test_build(tmp_path: Path, machine: str) -> None:
         "communication_tests_5sub.launch",
         "cyclic_timer_tests.launch",
         "oneshot_timer_tests.launch",
+        "topology_tests.launch",
     ]
     assert (link / "suites.yml").read_bytes() == (suites.sources() / "suites.yml").read_bytes()
 

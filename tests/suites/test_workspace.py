@@ -28,7 +28,8 @@ def test_catkin_make_builds_and_installs_all(tmp_path: Path, monkeypatch: pytest
     programs = {f"{package}/{program}" for program, package in PROGRAMS.items()}
     for name in builder.transports():
         programs |= {f"transport_tests/communication_tests_{role}_{name}" for role in ("publisher", "subscriber")}
-    installed = {str(path.relative_to("ros/lib")) for path in Path("ros/lib").glob("*_tests*/*_test*")}
+    programs |= {"topology_tests/topology_node", "transport_tests/topology_node_cyclonedds"}
+    installed = {str(path.relative_to("ros/lib")) for path in Path("ros/lib").glob("*_tests*/*")}
     assert installed == programs | {"rt_tests_sampler/rt_tests_sampler", "rt_tests_sampler/rt_tests_allocations.so"}
     for program in programs:
         assert output_of(f"ros/lib/{program}", "--help")

@@ -29,7 +29,9 @@ FLAGS = "-O2"
 SUPPORT = "rt_tests_support"
 # What observes a target while it measures, in C.
 SAMPLER = "rt_tests_sampler"
-# communication_tests through transports without ROS, a folder each; every other package is a suite.
+# What hosts the nodes of a graph.
+GRAPH = "topology_tests"
+# communication_tests and nodes of graphs through transports without ROS, a folder each; all other packages are suites.
 TRANSPORTS = "transport_tests"
 WITHOUT_ROS = (SUPPORT, SAMPLER, TRANSPORTS)
 # The middleware whose programs have the plain names of suites.yml.
@@ -68,7 +70,7 @@ def sources() -> Path:
 
 def packages() -> list[str]:
     """The packages in the order of their dependencies."""
-    return [SUPPORT, SAMPLER, *read_yaml(sources() / "suites.yml")["suites"], TRANSPORTS]
+    return [SUPPORT, SAMPLER, *read_yaml(sources() / "suites.yml")["suites"], GRAPH, TRANSPORTS]
 
 
 def transports() -> dict[str, list[str]]:

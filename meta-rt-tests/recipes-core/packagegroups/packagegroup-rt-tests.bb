@@ -7,4 +7,4 @@ PACKAGE_ARCH = "${TUNE_PKGARCH}"
 
 inherit packagegroup ros_distro_noetic
 
-RDEPENDS:${PN} = "communication-tests cyclic-timer-tests oneshot-timer-tests rt-tests-sampler transport-tests"
+RDEPENDS:${PN} = "communication-tests cyclic-timer-tests oneshot-timer-tests rt-tests-sampler topology-tests transport-tests"

@@ -44,13 +44,12 @@ void for_each_thread(Visit visit) {
   closedir(folder);
 }
 
-void set_policy(const Options& options, int tid) {
+void set_policy(const std::string& policy, int64_t priority, int tid) {
   sched_param parameters{};
-  parameters.sched_priority = static_cast<int>(options.number("priority"));
-  const std::string& policy = options.text("policy");
+  parameters.sched_priority = static_cast<int>(priority);
   if (sched_setscheduler(tid, policy == "FIFO" ? SCHED_FIFO : SCHED_RR, &parameters) == 0) return;
   const int reason = errno;
-  throw Failure("cannot run with policy " + policy + " at priority " + options.text("priority") +
+  throw Failure("cannot run with policy " + policy + " at priority " + std::to_string(priority) +
                 ": it needs the capability CAP_SYS_NICE or RLIMIT_RTPRIO of at least that (now " +
                 limit_of(RLIMIT_RTPRIO) + "), and real-time time in its control group: " + std::strerror(reason));
 }
@@ -92,14 +91,16 @@ __attribute__((noinline)) void touch_stack() {
   for (std::size_t i = 0; i < sizeof page; i += 1024) page[i] = 0;
 }
 
-void set_affinity(const std::string& list) {
+void set_policy(const Options& options, int tid) {
+  set_policy(options.text("policy"), options.number("priority"), tid);
+}
+
+void set_affinity(const std::string& list, int tid) {
   cpu_set_t set;
   CPU_ZERO(&set);
   for (int cpu : parse_cpus(list, static_cast<int>(sysconf(_SC_NPROCESSORS_CONF)))) CPU_SET(cpu, &set);
-  for_each_thread([&](int tid) {
-    if (sched_setaffinity(tid, sizeof set, &set) == 0) return;
-    throw Failure("cannot run on the CPUs '" + list + "': " + std::strerror(errno));
-  });
+  if (sched_setaffinity(tid, sizeof set, &set) == 0) return;
+  throw Failure("cannot run on the CPUs '" + list + "': " + std::strerror(errno));
 }
 
 std::string policy_name(int policy) {
@@ -117,7 +118,7 @@ bool is_realtime(const Options& options) { return options.text("policy") != "0";
 
 cpu_set_t set_up_process(const Options& options) {
   const cpu_set_t all = current_cpus();
-  if (!options.text("cpu").empty()) set_affinity(options.text("cpu"));
+  if (!options.text("cpu").empty()) for_each_thread([&](int tid) { set_affinity(options.text("cpu"), tid); });
   if (is_realtime(options)) {
     if (options.text("rt_scope") == "process") for_each_thread([&](int tid) { set_policy(options, tid); });
     lock_memory();
@@ -134,6 +135,16 @@ void set_up_measuring_thread(const Options& options) {
   if (!is_realtime(options)) return;
   reserve_heap();
   if (options.text("rt_scope") != "process") set_policy(options, 0);
+}
+
+void set_up_thread(const std::string& policy, int64_t priority, const std::string& cpus) {
+  if (!cpus.empty()) set_affinity(cpus, 0);
+  if (policy == "0") {
+    const sched_param normal{};
+    sched_setscheduler(0, SCHED_OTHER, &normal);
+  } else {
+    set_policy(policy, priority, 0);  // its stack is locked with the rest of the process
+  }
 }
 
 void share_heap() {

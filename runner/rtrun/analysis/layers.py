@@ -1,7 +1,7 @@
 """What a layer adds to the one that it stands on, from runs of both that were measured in turn."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +15,10 @@ Floats = NDArray[np.float64]
 
 _LEAST_RUNS = 3
 QUANTILES = {"median": 0.5, "p99": 0.99, "p99.99": 0.9999}
+INFLUENCE_QUANTILES = {"median": 0.5, "p99.9": 0.999}
 LATE = "P(late)"
 """The figure that is no time: the share of values above the deadline."""
+_BY_NAME = QUANTILES | INFLUENCE_QUANTILES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +45,12 @@ class Attribution:
 
 
 def attribute(
-    lower: Sequence[Blocks], upper: Sequence[Blocks], *, late_above_ns: int | None = None, confidence: float = 0.95
+    lower: Sequence[Blocks],
+    upper: Sequence[Blocks],
+    *,
+    late_above_ns: int | None = None,
+    confidence: float = 0.95,
+    quantiles: Mapping[str, float] = QUANTILES,
 ) -> Attribution:
     """What `upper` adds to `lower`, from runs of each layer that were measured in turn.
 
@@ -63,7 +70,7 @@ def attribute(
     if times_s[0] is None or times_s[1] is None or not is_interleaved(*starts):
         return Attribution(added=(), refused="the runs were not measured in turn: a drift would be added to the layer")
     least = min(run.n for run in (*lower, *upper))
-    figures = ["mean", *(name for name, quantile in QUANTILES.items() if least * (1 - quantile) >= 1)]
+    figures = ["mean", *(name for name, quantile in quantiles.items() if least * (1 - quantile) >= 1)]
     figures += [] if late_above_ns is None else [LATE]
     added = []
     for figure in figures:
@@ -117,7 +124,7 @@ def shift_without_drift(values: tuple[Floats, Floats], times_s: tuple[Floats, Fl
 
 
 def figure_of(run: Blocks, figure: str, *, late_above_ns: int = 0) -> float:
-    """The mean, one of QUANTILES, in ns, or the share above a limit (LATE) of a run.
+    """The mean, a quantile by its name, in ns, or the share above a limit (LATE) of a run.
 
     Raises ValueError when it has no measurement.
     """
@@ -129,4 +136,4 @@ def figure_of(run: Blocks, figure: str, *, late_above_ns: int = 0) -> float:
     if figure == LATE:
         return float(counts[run.values_ns > late_above_ns].sum()) / run.n
     below = np.cumsum(counts)
-    return float(run.values_ns[np.searchsorted(below, math.ceil(QUANTILES[figure] * below[-1]))])
+    return float(run.values_ns[np.searchsorted(below, math.ceil(_BY_NAME[figure] * below[-1]))])

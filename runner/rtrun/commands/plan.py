@@ -54,21 +54,28 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.errors import UsageError
     from rtfiles.output import counted, print_json, print_line
-    from rtrun.plan.campaign import read_campaign
+    from rtrun.plan.campaign import read_campaign, topology_path
     from rtrun.plan.run import blocks
     from rtrun.plan.selection import select
+    from rtrun.plan.topology.reading import read_topology
+    from rtrun.report.topology_text import topology_lines
 
     campaign, runs = read_campaign(args.campaign)
     runs = select(runs, args.expression)
     if args.assume_rate is not None and campaign.until is None:
         raise UsageError(f"{args.campaign}: --assume-rate: the campaign has no goal (until), so its length is known")
-    if args.assume_rate is not None and campaign.subject is not None:
+    if args.assume_rate is not None and campaign.has_streams:
         raise UsageError(f"{args.campaign}: --assume-rate: how much there is to observe is known when it was observed")
-    is_foreseen = campaign.until is not None and campaign.subject is None
+    is_foreseen = campaign.until is not None and not campaign.has_streams
     forecasts = tuple(_forecasts(campaign.until, runs, args.assume_rate)) if campaign.until and is_foreseen else ()
     if args.json:
         print_json(_as_data(campaign, runs, forecasts))
         return 0
+    if planned := runs[0].topology:
+        given = topology_path(campaign, args.campaign)
+        for line in topology_lines(planned, read_topology(given).remarks if given else ()):
+            print_line(line)
+        print_line()
     divided = blocks(runs)
     for number, block in enumerate(divided):
         if block[0].kernel:
@@ -89,7 +96,8 @@ def run(args: argparse.Namespace) -> int:
         f"about {duration(times['start_and_end_s'])} for set-up and for programs to start and end{restarting}"
     )
     if campaign.until and not is_foreseen:
-        print_line(_observed_goal_line(campaign.until, campaign.deadlines))
+        deadlines = planned.deadlines if planned else campaign.deadlines
+        print_line(_observed_goal_line(campaign.until, deadlines))
     elif campaign.until:
         for line in _goal_lines(campaign.until, runs, forecasts, _prices_of_bursts(campaign.until, runs)):
             print_line(line)
@@ -243,6 +251,7 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
                 "kernel": each.kernel,
                 "trace": each.trace,
                 **({"observation": asdict(each.observation)} if each.observation else {}),
+                **({"topology": asdict(each.topology)} if each.topology else {}),
                 "expected_s": each.expected_s,
                 "settle_s": each.settle_s,
             }

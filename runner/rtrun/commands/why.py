@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import console, counted, print_json, print_line
     from rtrun.causes.ftrace import refuse_trace_cmd
-    from rtrun.report import causes
+    from rtrun.report import causes, late_paths
     from rtrun.report.perfetto import perfetto
     from rtrun.report.tracing_cost import thresholds, tracing_cost_at
     from rtrun.results.goal_file import read_goal
@@ -49,8 +49,12 @@ def run(args: argparse.Namespace) -> int:
     table = causes.table(ranking, explained)
     cost, not_compared = tracing_cost_at(source, of)
     surroundings, not_held = causes.surroundings(source, of)
-    outcome = f"{table.outcome if explained or refused else causes.no_traces(source)}."
-    problems = tuple(dict.fromkeys((*refused, *not_searched, *not_held, *not_compared)))
+    paths, not_cut = late_paths.late_paths(source.folders)
+    if explained or refused or paths is None:
+        outcome = f"{table.outcome if explained or refused else causes.no_traces(source)}."
+    else:
+        outcome = f"{paths.outcome}."
+    problems = tuple(dict.fromkeys((*refused, *not_cut, *not_searched, *not_held, *not_compared)))
     if args.perfetto is not None:
         try:
             atomic.write_bytes(args.perfetto, perfetto(explained))
@@ -58,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError(f"{args.perfetto}: {error.strerror}") from error
     if args.json:
         found = causes.as_data(ranking, explained)
-        others = {each.id: each.as_data() for each in (periods, surroundings, cost) if each is not None}
+        others = {each.id: each.as_data() for each in (paths, periods, surroundings, cost) if each is not None}
         print_json({"schema": 1, "outcome": outcome, **found, **others, "problems": problems})
         return UsageError.exit_status if problems else 0
     print_line(outcome)
@@ -68,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     if table.rows:
         print_line()
         screen.print(causes.for_terminal(table, screen.width))
-    for more in (causes.step_table(explained), periods, surroundings, cost):
+    for more in (causes.step_table(explained), paths, periods, surroundings, cost):
         if more is not None and more.rows:
             print_line()
             print_line(f"{more.title}: {more.outcome}")

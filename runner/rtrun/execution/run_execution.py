@@ -13,7 +13,16 @@ from typing import Any
 
 from rtfiles.errors import InfrastructureError
 from rtfiles.untrusted import MIB, read_end
-from rtrun.execution import clock_record, download, observation, observed_runs, resumption, system
+from rtrun.execution import (
+    clock_record,
+    download,
+    observation,
+    observed_runs,
+    resumption,
+    stream_runs,
+    system,
+    topology_runs,
+)
 from rtrun.execution.middleware.known import SERVICES
 from rtrun.execution.middleware.service import Service
 from rtrun.execution.observation import NOBODY, ObservationResult, Onlooker
@@ -21,6 +30,7 @@ from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt
 from rtrun.execution.run_programs import RunPrograms, programs_of
 from rtrun.execution.run_state import RunEvent, RunLife, RunState, must_give_up
+from rtrun.flows.topology.tables import TopologyTables
 from rtrun.kinds.output import Record, SenderRecord
 from rtrun.plan import conditions, suites
 from rtrun.plan.program import Exit
@@ -47,6 +57,8 @@ CONSOLE_LIMIT_BYTES = 16 * MIB
 FILES_USUAL = 10_000
 # For a folder with some million files.
 LISTING_S = 120.0
+# A lost link ends the input early: what is not whole does not get its name.
+_PUT = 'cat >"$1.new" && [ "$(wc -c <"$1.new")" -eq "$2" ] && mv "$1.new" "$1"'
 # Stands between the state of the target and the list of files.
 _FILES = "== files"
 # Facts of a target that run.json takes from its state under the same names.
@@ -168,16 +180,23 @@ def measure(
     end = _end_background(work, measured, not_started)
     with contextlib.ExitStack() as stack:
         place = folder
-        if run.observation is not None:
+        if run.observation is not None or run.topology is not None:
             # Its streams are runs, too, and get their places together with it.
-            observed_runs.put_aside(folder)
+            stream_runs.put_aside(folder)
             place = stack.enter_context(run_directory.together(folder.parent, folder.name)) / folder.name
         partial = stack.enter_context(run_directory.filling(place))
         refused = _download(work, partial, attempt, end)
         verdict = _judge(work, partial, attempt, end, refused)
+        tables: TopologyTables | str = ""
+        if run.topology is not None and verdict.status is RunStatus.OK:
+            tables = topology_runs.read_run(partial, run, run.topology.topology)
+            if isinstance(tables, str):
+                verdict = replace(verdict, status=RunStatus.INVALID, reason=tables)
         record = _record(work, partial, attempt, end, refused, verdict, now)
         if measured.observed is not None:
             record = observed_runs.write(partial, place, run, record, attempt.before, measured.observed)
+        if run.topology is not None and not isinstance(tables, str):
+            record = topology_runs.write(partial, place, run.topology, record, attempt.before, tables)
         run_directory.close(partial, place, record)
     life.move(RunEvent.CLOSE, f"{record.status}: {record.reason}" if record.reason else record.status)
     processes.remove(work.link, remote)
@@ -254,7 +273,7 @@ def _begin(work: _Work, now: Clock) -> Attempt:
     if not work.programs.names:
         # Nothing of it comes to the target, and no other run there is disturbed.
         return resumption.without_folder(start_time.isoformat(), inspection.read_state(work.link, state_script))
-    return resumption.begin(
+    attempt = resumption.begin(
         work.link,
         work.remote,
         start_time=start_time.isoformat(),
@@ -263,6 +282,10 @@ def _begin(work: _Work, now: Clock) -> Attempt:
         argv={program.name: program.argv for program in work.programs.of_suite},
         state_script=state_script,
     )
+    for name, text in work.programs.texts.items():
+        words = [str(work.remote / name), str(len(text.encode()))]
+        work.link.check(["sh", "-c", _PUT, "sh", *words], stdin=text)
+    return attempt
 
 
 def _service(work: _Work) -> str:
@@ -350,6 +373,8 @@ def _wait(work: _Work, life: RunLife) -> _Measured:
     exits = []
     for program in work.programs.of_suite:
         needed = [] if failure or program.name in awaited else awaited
+        if work.programs.need_one_another and not failure:
+            needed = [name for name in work.programs.suite_names if name != program.name]
         deadline_s = program.deadline_s + END_GRACE_S
         ended = processes.wait_while_needed(link, work.remote, program.name, needed, deadline_s=deadline_s)
         if isinstance(ended, processes.NeededFailed):

@@ -1,10 +1,10 @@
 """The programs of one run: those of its suite, those in the background, and the files they may write."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 
-from rtrun.execution import download, system
+from rtrun.execution import download, system, topology_runs
 from rtrun.execution.preparation import SAMPLER as SAMPLER_PROGRAM
 from rtrun.execution.preparation import Prepared
 from rtrun.plan import conditions, suites
@@ -36,6 +36,10 @@ class RunPrograms:
     """What the suite writes, without ending."""
     file_limits: Mapping[str, int]
     """The files that the run may write, and the largest size of each that is believable, in bytes."""
+    texts: Mapping[str, str] = field(default_factory=dict)
+    """The files that its programs read, by name: they are put into its folder on the target."""
+    need_one_another: bool = False
+    """Whether none of the suite's programs has anything to do once another one has failed."""
 
     @property
     def measuring(self) -> tuple[Program, ...]:
@@ -80,9 +84,15 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
     `token` is unique to one attempt.
     """
     deadline_s = DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S
-    if run.observation is not None:
+    stages: tuple[tuple[Program, ...], ...]
+    of_topology: topology_runs.TopologyPrograms | None = None
+    if run.topology is not None:
+        environment = _environment(prepared, run.middleware)
+        of_topology = topology_runs.topology_programs(prepared, run, run.topology, remote, environment, deadline_s)
+        stages, outputs = (of_topology.programs,), list[str]()
+    elif run.observation is not None:
         deadline_s = run.expected_s + OBSERVED_EXTRA_S
-        stages, outputs = _observed(prepared, run, remote, deadline_s), list[str]()
+        stages, outputs = _observed(prepared, run, remote, deadline_s), []
     else:
         stages, outputs = _of_suite(prepared, run, deadline_s, token)
     of_suite = [program for stage in stages for program in stage]
@@ -118,7 +128,11 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
         background=tuple(background),
         sampler=None if run.settings.get(conditions.SAMPLER) else sampler,
         outputs=tuple(outputs),
-        file_limits=limits | dict.fromkeys(program_json.values(), download.JSON_LIMIT_BYTES),
+        file_limits=limits
+        | dict.fromkeys(program_json.values(), download.JSON_LIMIT_BYTES)
+        | (dict(of_topology.file_limits) if of_topology else {}),
+        texts=of_topology.texts if of_topology else {},
+        need_one_another=of_topology is not None,
     )
 
 

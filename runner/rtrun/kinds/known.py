@@ -13,6 +13,8 @@ KINDS: dict[str, MeasurementKind] = {
     "callback": spans.CALLBACK,
     "interval": interval.KIND,
     "path": spans.PATH,
+    "response": spans.RESPONSE,
+    "age": spans.AGE,
 }
 LOGS: dict[str, LogForm] = {kind.logs.suite: kind.logs for kind in KINDS.values() if kind.logs}
 """The form of the logs of each suite that wrote some in 2014."""

@@ -184,6 +184,34 @@ class SenderRecord(ProgramHead):
     rate: Rate
 
 
+class ExecutorRecord(Config):
+    """A thread of nodes: what was asked of it, when it stopped receiving; `foreign` messages were none of the graph."""
+
+    name: str
+    policy: str
+    priority: Priority
+    cpus: str
+    left_ns: TimeNs
+    foreign: Count
+
+
+class HostedNodeRecord(Config):
+    """A node: its activations, and points of its period that it skipped."""
+
+    name: str
+    activations: Count
+    skipped: Count
+
+
+class HostRecord(ProgramHead):
+    """``process-<name>.json``: a process of a topology; its nodes' tables stand beside it."""
+
+    start_ns: TimeNs
+    measured_ns: TimeNs
+    executors: list[ExecutorRecord]
+    nodes: list[HostedNodeRecord]
+
+
 def no_values() -> Int64s:
     return np.empty(0, np.int64)
 

@@ -32,3 +32,7 @@ CALLBACK = MeasurementKind(
 PATH = MeasurementKind(
     series=partial(_series, "reaction"), called={"reaction": "reaction"}, times=_times, subject="along the path"
 )
+RESPONSE = MeasurementKind(
+    series=partial(_series, "response"), called={"response": "response"}, times=_times, subject="of the node"
+)
+AGE = MeasurementKind(series=partial(_series, "age"), called={"age": "age"}, times=_times, subject="along the path")

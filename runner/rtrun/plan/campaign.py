@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from rtfiles.config import Config, Place, matching, parse, read_yaml_with_place
+from rtfiles.config import Config, Place, UserPath, matching, parse, read_yaml_with_place
 from rtfiles.errors import UsageError
 from rtfiles.wording import unknown
 from rtrun.plan import conditions, suites
 from rtrun.plan.goal import Goal, Time
-from rtrun.plan.limits import Seed
+from rtrun.plan.limits import MEASURING_PRIORITY_MAX, Seed
 from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.observation import SUITE as OBSERVATION
 from rtrun.plan.observation import (
@@ -26,13 +26,16 @@ from rtrun.plan.observation import (
     read_subject,
 )
 from rtrun.plan.run import KernelName, Run, interleave, label, never_observed, order_by_kernel
+from rtrun.plan.topology.others import OTHER_NODES
+from rtrun.plan.topology.planning import SUITE as TOPOLOGY
+from rtrun.plan.topology.planning import plan_topology
+from rtrun.plan.topology.reading import read_topology
+from rtrun.plan.topology.topology import Topology
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.plan.trace import SERIES as TRACE_SERIES
 from rtrun.plan.trace import read_trace, too_few, traced, with_warm_ups
 
 SUBSCRIBERS_MAX = 64
-# The ROS master needs the priority above the suites' (thesis 4.4), and 99 belongs to the kernel.
-PRIORITY_MAX = 97
 REPEATS_MAX = 10_000
 # At a second each, runs enough for a day. A few lists multiply to many millions.
 RUNS_MAX = 100_000
@@ -78,20 +81,31 @@ class Campaign(Config):
     """Measure each run again, round by round, until its deadline is proven or refuted."""
     subject: Annotated[ObservedSystem, BeforeValidator(read_subject)] | None = None
     """Whose programs each run observes; None: the programs of its suite measure."""
+    topology: UserPath | None = None
+    """A topology file, relative to this one: the graph of nodes that each run starts and measures."""
     for_ns: Time | None = Field(default=None, alias="for")
-    """How long a run observes [1min]. This and the next two are of campaigns with a subject."""
+    """How long a run observes [1min]. This and the next two are of campaigns with a subject or a topology."""
     deadlines: list[Annotated[StreamDeadline, BeforeValidator(read_stream_deadline)]] = Field(default_factory=list)
     paths: list[Annotated[tuple[str, ...], BeforeValidator(read_path)]] = Field(default_factory=list)
     """Topics whose reaction time is measured, from the first to the last."""
+
+    @property
+    def has_streams(self) -> bool:
+        """Whether a run leaves several streams with deadlines of their own, in place of what one suite measures."""
+        return self.subject is not None or self.topology is not None
+
+    @property
+    def for_s(self) -> float:
+        """How long a run of streams measures, in seconds."""
+        return (self.for_ns or OBSERVED_NS) / 1e9
 
     @property
     def observation(self) -> ObservationPlan | None:
         """What each run observes; None: the programs of its suite measure."""
         if self.subject is None:
             return None
-        for_s = (self.for_ns or OBSERVED_NS) / 1e9
         deadlines, paths = tuple(self.deadlines), tuple(self.paths)
-        return ObservationPlan(for_s=for_s, system=self.subject, deadlines=deadlines, paths=paths)
+        return ObservationPlan(for_s=self.for_s, system=self.subject, deadlines=deadlines, paths=paths)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,7 +120,13 @@ def read_campaign(path: Path) -> tuple[Campaign, tuple[Run, ...]]:
     """Read a campaign file and plan it. Raises UsageError with every mistake found, one a line."""
     data, top = read_yaml_with_place(path)
     campaign = parse(data, Campaign, top)
-    return campaign, plan(campaign, top)
+    given = topology_path(campaign, path)
+    return campaign, plan(campaign, top, read_topology(given).topology if given else None)
+
+
+def topology_path(campaign: Campaign, path: Path) -> Path | None:
+    """The topology file that a campaign in the file `path` names; None: it names none."""
+    return path.parent / Path(campaign.topology).expanduser() if campaign.topology else None
 
 
 def variants_of(campaign: Campaign, folder: Path) -> dict[str, Variant]:
@@ -120,8 +140,11 @@ def variants_of(campaign: Campaign, folder: Path) -> dict[str, Variant]:
     }
 
 
-def plan(campaign: Campaign, origin: Place | str) -> tuple[Run, ...]:
-    """Return the runs in their order. Raises UsageError ``origin:7: runs.0.key: what is wrong, what is allowed``."""
+def plan(campaign: Campaign, origin: Place | str, topology: Topology | None = None) -> tuple[Run, ...]:
+    """Return the runs in their order; `topology` is that of the file which the campaign names.
+
+    Raises UsageError ``origin:7: runs.0.key: what is wrong, what is allowed``.
+    """
     errors: list[str] = []
     top = Place(origin) if isinstance(origin, str) else origin
     _check_subject(campaign, top, errors)
@@ -142,6 +165,22 @@ def plan(campaign: Campaign, origin: Place | str) -> tuple[Run, ...]:
             errors.append(f"{where}: no run has all of {pattern}, so there is nothing to leave out")
         listed = kept
     listed += _runs_of(campaign.include, campaign, top / "include", errors)
+    if topology is not None and campaign.subject is None:
+        planned = plan_topology(
+            topology, campaign.for_s, paths=campaign.paths, deadlines=campaign.deadlines, where=top, errors=errors
+        )
+        if planned and campaign.until and not planned.deadlines:
+            errors.append(f"{top / 'until'}: give deadlines, here or in the topology: it measures until each is proven")
+        of_topology: dict[str, suites.Value] = {"topology": topology.name}
+        listed = [
+            replace(
+                run,
+                topology=planned.beside(str(run.parameters[OTHER_NODES])),
+                parameters=of_topology | dict(run.parameters),
+            )
+            for run in listed
+            if planned
+        ]
     if len(listed) > RUNS_MAX:
         errors.append(f"{top}: makes {len(listed)} runs, at most {RUNS_MAX} are allowed")
     if campaign.until:
@@ -182,14 +221,16 @@ def _combinations(
 ) -> Iterator[Run]:
     """Yield the runs of an entry, all of their names empty; `overrides` win over its values where it takes them."""
     observation = campaign.observation
-    if observation is not None:
-        entry = {"suite": OBSERVATION} | entry
+    of_streams = OBSERVATION if campaign.subject else TOPOLOGY
+    if campaign.has_streams:
+        entry = {"suite": of_streams} | entry
     of_suite = str(entry.get("suite", ""))
     started = suites.suites().suites | suites.baselines().suites
-    if observation is not None and of_suite != OBSERVATION:
-        errors.append(f"{where / 'suite'}: with subject nothing but that is measured: leave the suite out")
+    if campaign.has_streams and of_suite != of_streams:
+        what = "subject" if campaign.subject else "topology"
+        errors.append(f"{where / 'suite'}: with {what} nothing but that is measured: leave the suite out")
         return
-    if observation is None and of_suite not in started:
+    if not campaign.has_streams and of_suite not in started:
         errors.append(f"{where / 'suite'}: {unknown('suite', of_suite, known=started)}")
         return
     suite = suites.suite(of_suite)
@@ -200,8 +241,9 @@ def _combinations(
     settings = conditions.conditions().settings
     keys = (*_given(takes), *([] if observation is None else ["trace"]), "condition", "repeats", *settings)
     if refused := [key for key in entry if key not in ("suite", *keys)]:
-        of = "a run with subject" if observation else entry["suite"]
-        errors.append(_unknown_keys(where, refused, keys if observation else ("suite", *keys), f"{of} takes"))
+        of = f"a run with {'subject' if observation else 'topology'}" if campaign.has_streams else entry["suite"]
+        allowed = keys if campaign.has_streams else ("suite", *keys)
+        errors.append(_unknown_keys(where, refused, allowed, f"{of} takes"))
     merged = campaign.common | entry | (overrides or {})
     axes = {key: _axis(where / key, key, merged[key], errors) for key in merged if key in keys}
     through = [str(value) for value in axes.get("middleware", [suite.middleware])]
@@ -285,10 +327,15 @@ def _unknown_keys(where: Place, keys: Sequence[str], known: Sequence[str], label
 def _check_subject(campaign: Campaign, where: Place, errors: list[str]) -> None:
     """What is of campaigns with a subject, and of those alone."""
     given = {"for": campaign.for_ns, "deadlines": campaign.deadlines, "paths": campaign.paths}
-    if campaign.subject is None and (key := next((key for key, value in given.items() if value), None)):
-        errors.append(f"{where / key}: is for campaigns with subject: give it, or leave this out")
+    if not campaign.has_streams and (key := next((key for key, value in given.items() if value), None)):
+        errors.append(f"{where / key}: is for campaigns with subject or topology: give one, or leave this out")
+    if campaign.subject is not None and campaign.topology is not None:
+        errors.append(f"{where / 'topology'}: a campaign has a subject or a topology, not both")
     if campaign.until and campaign.subject is not None and not campaign.deadlines:
         errors.append(f"{where / 'until'}: give deadlines: it measures until each is proven or refuted")
+    for number, deadline in enumerate(campaign.deadlines):
+        if campaign.topology is None and deadline.kind.is_of_topologies:
+            errors.append(f"{where / 'deadlines' / number}: {deadline.kind}: is of topologies: no probe sees it")
 
 
 def _check_common(campaign: Campaign, where: Place, errors: list[str]) -> None:
@@ -327,11 +374,11 @@ def _check_goal(campaign: Campaign, runs: Sequence[Run], where: Place, errors: l
     if any(run.repeat > 1 for run in runs):
         errors.append(f"{where}: takes no repeats: each round is one")
     of_goal = campaign.until.model_fields_set if campaign.until else set()
-    if campaign.subject is None and "deadline_ns" not in of_goal:
+    if not campaign.has_streams and "deadline_ns" not in of_goal:
         errors.append(f"{where / 'deadline'}: is missing")
-    if campaign.subject is not None and (own := of_goal & {"deadline_ns", "of"}):
+    if campaign.has_streams and (own := of_goal & {"deadline_ns", "of"}):
         key = "of" if "of" in own else "deadline"
-        errors.append(f"{where / key}: leave it out: with subject each stream has its own deadline")
+        errors.append(f"{where / key}: leave it out: each stream has its own deadline")
     if any(run.parameters.get(suites.ALLOCATIONS) for run in runs):
         errors.append(f"{where}: takes no allocations: counting them costs time, and would be in the answer")
     if any(run.trace for run in runs):
@@ -368,7 +415,8 @@ def _check(where: Place, key: str, value: Any) -> suites.Value:
         return str(value)
     if key in conditions.conditions().settings:
         return conditions.check(key, value, str(where))
-    for limited, limit in (("subscribers", SUBSCRIBERS_MAX), ("priority", PRIORITY_MAX), ("repeats", REPEATS_MAX)):
+    limits = {"subscribers": SUBSCRIBERS_MAX, "priority": MEASURING_PRIORITY_MAX, "repeats": REPEATS_MAX}
+    for limited, limit in limits.items():
         if key == limited and not (isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= limit):
             raise UsageError(f"{where}: {key} takes a whole number from 1 to {limit}, got {value!r}")
     if key in ("subscribers", "repeats"):

@@ -26,6 +26,8 @@ PID_MAX = 2**22
 CPUS_MAX = 8192
 # sched_get_priority_max(2).
 RT_PRIORITY_MAX = 99
+# Of what measures: the ROS master needs the priority above it (thesis 4.4), and 99 belongs to the kernel.
+MEASURING_PRIORITY_MAX = 97
 # Either way: a sensor without a reading may say -274 degrees (THERMAL_TEMP_INVALID), a broken one anything.
 TEMPERATURE_MAX_MC = 1_000_000
 FREQUENCY_MAX_KHZ = 10**8

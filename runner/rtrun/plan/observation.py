@@ -18,7 +18,20 @@ ATTACHED = "attached"
 _TOPIC = "topic"
 # Parameters of streams that their names tell.
 _IN_WORDS = frozenset(
-    ("topic", "publisher", "subscriber", "node", "timer", "clock", "period_ns", "callback", "thread", "end", "path")
+    (
+        "topic",
+        "publisher",
+        "subscriber",
+        "node",
+        "timer",
+        "clock",
+        "period_ns",
+        "callback",
+        "thread",
+        "end",
+        "path",
+        "sink",
+    )
 )
 _NO_SAMPLER = ("sampler", "none")
 
@@ -31,6 +44,8 @@ class StreamKind(StrEnum):
     CALLBACK = "callback"
     INTERVALS = "interval"
     PATH = "path"
+    RESPONSE = "response"
+    AGE = "age"
 
     @property
     def suite(self) -> str:
@@ -40,7 +55,12 @@ class StreamKind(StrEnum):
     @property
     def named_by(self) -> str:
         """The parameter of a stream by which it is named."""
-        return {"timer": "node", "callback": "node", "path": "path"}.get(self, "topic")
+        return {"messages": "topic", "interval": "topic", "path": "path", "age": "path"}.get(self, "node")
+
+    @property
+    def is_of_topologies(self) -> bool:
+        """Whether it can be told of the nodes of a topology alone, which write down when they were due."""
+        return self in (StreamKind.RESPONSE, StreamKind.AGE)
 
 
 def stream_words(suite: str, parameters: "Mapping[str, Value]") -> "tuple[str, dict[str, Value]]":
@@ -61,8 +81,10 @@ def stream_words(suite: str, parameters: "Mapping[str, Value]") -> "tuple[str, d
         words += [word("(thread ", "thread", ")")] if told.get("thread") != 1 else []
     elif kind is StreamKind.INTERVALS:
         words = [str(kind), word("", "topic"), word("at ", "end"), word("", "node")]
-    elif kind is StreamKind.PATH:
-        words = [str(kind), word("", "path"), word("to ", "publisher")]
+    elif kind is StreamKind.RESPONSE:
+        words = [str(kind), word("of ", "node")]
+    elif kind in (StreamKind.PATH, StreamKind.AGE):
+        words = [str(kind), word("", "path"), word("to ", "publisher"), word("-> ", "sink")]
     else:
         words = [str(kind), word("", "topic"), word("", "publisher"), word("-> ", "subscriber")]
     # That nothing samples the target goes without saying where nothing is measured but what runs there.
@@ -101,7 +123,7 @@ def read_stream_deadline(text: object) -> StreamDeadline:
             f"{text[:60]!r}: takes TOPIC=TIME, as /cmd_vel=5ms, or one of {words} before it, as timer:/node=200us"
         )
     kind = StreamKind(word)
-    if kind is StreamKind.PATH:
+    if kind.named_by == "path":
         read_path(name)
     elif kind.named_by == "topic":
         _check_topic(name)

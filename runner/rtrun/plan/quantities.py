@@ -33,6 +33,30 @@ def time_text(time_ns: int) -> str:
     return f"{time_ns // unit_ns}{unit}"
 
 
+_SIZES = {"B": 1, "kB": 10**3, "MB": 10**6, "KiB": 2**10, "MiB": 2**20}
+_SIZE = re.compile(r"([0-9]{1,9}) ?(B|kB|MB|KiB|MiB)", re.ASCII)
+# What is sent or touched at once; more is not sent in one message, and less than boards have.
+SIZE_BYTES_MAX = 2**28
+
+
+def read_size_bytes(value: object) -> int:
+    """Read a size with its unit, as ``100kB``, or a whole number of bytes. Raises ValueError."""
+    parts = _SIZE.fullmatch(value) if isinstance(value, str) else None
+    size = int(parts[1]) * _SIZES[parts[2]] if parts else value
+    if not isinstance(size, int) or isinstance(size, bool) or not 0 <= size <= SIZE_BYTES_MAX:
+        raise ValueError(
+            f"{str(value)[:40]!r} is no size up to 256 MiB: a number of bytes, or with its unit ({', '.join(_SIZES)})"
+        )
+    return size
+
+
+def size_text(size_bytes: int) -> str:
+    """A size in the largest unit of which it is a whole number, as `read_size_bytes` reads it."""
+    whole = (unit for unit in ("MiB", "MB", "KiB", "kB") if size_bytes and not size_bytes % _SIZES[unit])
+    unit = next(whole, "B")
+    return f"{size_bytes // _SIZES[unit]} {unit}"
+
+
 def read_probability(value: object) -> float:
     """Read a probability, both ends excluded. Raises ValueError."""
     # YAML 1.1 takes 1e-6 for a text, as it has no point.

@@ -9,7 +9,7 @@ from rtfiles.quantities import time
 
 Of = Literal["lateness", "jitter"]
 """The values that a question may name. Lateness is how late something came that was due: every latency is one."""
-Measure = Literal["latency", "lateness", "jitter", "duration", "interval", "reaction"]
+Measure = Literal["latency", "lateness", "jitter", "duration", "interval", "reaction", "response", "age"]
 """What a suite measures."""
 
 # So many loops are looked at together at most: a second at 1 kHz.

@@ -12,6 +12,8 @@ from typing import Any, Literal
 
 from rtrun.plan import conditions, suites
 from rtrun.plan.observation import ObservationPlan
+from rtrun.plan.topology.others import OTHER_NODES
+from rtrun.plan.topology.planning import TopologyPlan
 
 KernelName = Literal["standard", "rt"]
 """rt: it calls itself PREEMPT_RT; standard: it does not."""
@@ -43,7 +45,8 @@ class Run:
     `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order; `variant` is
     empty and `kernel` None in a campaign that names none. `trace` is the limit above which it keeps traces as the
     campaign has it (plan/trace.py), `UNTRACED` for the twin of such a run, and empty where nobody asked for traces.
-    `observation` is what a run observes; None: the programs of its suite measure.
+    `observation` is what a run observes, `topology` the graph of nodes that it starts; None, both: the programs of its
+    suite measure.
     """
 
     name: str
@@ -57,6 +60,7 @@ class Run:
     kernel: KernelName | None = None
     trace: str = ""
     observation: ObservationPlan | None = None
+    topology: TopologyPlan | None = None
 
     @property
     def middleware(self) -> str:
@@ -90,8 +94,8 @@ class Run:
 
     def _measuring_s(self, cost_s: float) -> float:
         """How long the measuring takes, in seconds, where `cost_s` comes on top of a timeout, and no period is less."""
-        if self.observation is not None:
-            return self.observation.for_s
+        if of_streams := self.observation or self.topology:
+            return of_streams.for_s
         number = {key: value for key, value in self.parameters.items() if isinstance(value, int)}
         if "duration_s" in number:
             return float(number["duration_s"])
@@ -221,6 +225,7 @@ def label(run: Run) -> str:
     """What tells a run from the others of its campaign, for its name."""
     subscribers = run.parameters.get("subscribers")
     words = [suites.output_name(run.suite, run.parameters), *([f"{subscribers}sub"] if subscribers else [])]
+    words += [run.topology.topology.name, *str(run.parameters.get(OTHER_NODES) or "").split()] if run.topology else []
     words += [run.middleware] if run.middleware != suites.suite(run.suite).middleware else []
     words += [run.condition] if run.condition != conditions.IDLE else []
     settings = conditions.conditions().settings

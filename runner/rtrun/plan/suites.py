@@ -35,6 +35,7 @@ NOT_TELLING = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeou
 
 Subject = Literal["started", "attached"]
 """What a run measures: programs that it starts, or programs that run already."""
+Kind = Literal["oneshot", "cyclic", "messages", "timer", "callback", "interval", "path", "response", "age", "topology"]
 
 
 class Option(Config):
@@ -100,7 +101,7 @@ class Suite(Config):
     """One suite: its programs, the parameters each takes, and what it writes; or what is observed of other programs."""
 
     summary: str
-    kind: Literal["oneshot", "cyclic", "messages", "timer", "callback", "interval", "path"] | None = None
+    kind: Kind | None = None
     """How its samples are read (rtrun.kinds); None: it writes none, as a baseline."""
     subject: Subject = "started"
     measures: Annotated[tuple[Measure, ...], Field(strict=False, min_length=1)]
@@ -213,7 +214,7 @@ def options() -> dict[str, Option]:
     """
     choices = tuple(name for name in middleware_names() if name != NONE)
     own = {"middleware": Option(type="choice", choices=choices, default=DEFAULT, help="through what a suite measures")}
-    return suites().options | baselines().options | own
+    return suites().options | baselines().options | observed().options | own
 
 
 def find_suite(name: str) -> Suite | None:

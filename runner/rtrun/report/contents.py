@@ -10,6 +10,7 @@ from rtrun.analysis.deadline import Answer
 from rtrun.causes.ranking import Ranking
 from rtrun.judgement.layers import layer_pairs
 from rtrun.judgement.study import Study
+from rtrun.judgement.topologies import MeasuredTopology, measured_topologies
 from rtrun.judgement.verdicts import WORST_FIRST, boots_in_words
 from rtrun.report import causes
 from rtrun.report.end_tables import end_tables
@@ -27,7 +28,7 @@ class Contents:
 
     `worst` is the scenario with the highest value, of those with a deadline where there are some; None: nothing was
     measured. `facts` are (what, value).
-    `stacks` are the layers put upon one another.
+    `stacks` are the layers put upon one another, `topologies` the graphs that were measured.
     """
 
     title: str
@@ -40,12 +41,14 @@ class Contents:
     scenarios: tuple[Scenario, ...]
     tables: tuple[Table, ...]
     stacks: tuple[tuple[LayerBar, ...], ...]
+    topologies: tuple[MeasuredTopology, ...]
     left_out: tuple[str, ...]
 
 
 def contents(study: Study) -> Contents:
     """Put a study into words."""
     made, pairs, found = scenarios(study), layer_pairs(study), causes.ranked(study.source)
+    topologies = measured_topologies(study)
     measured = [one for one in made if one.figures.max_ns is not None]
     measured = [one for one in measured if one.group.question] or measured
     return Contents(
@@ -57,8 +60,9 @@ def contents(study: Study) -> Contents:
         question=_question(study),
         facts=tuple(_facts(study)),
         scenarios=made,
-        tables=end_tables(study, pairs, found),
+        tables=end_tables(study, pairs, found, topologies),
         stacks=stacks(pairs),
+        topologies=topologies,
         left_out=tuple(map(printable, study.left_out)),
     )
 

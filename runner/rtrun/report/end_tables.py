@@ -1,7 +1,7 @@
 """The tables behind the scenarios: worst cases, layers, published figures, environment, reproduction."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from rtfiles.output import counted
@@ -10,24 +10,32 @@ from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.worst_case import disagreement
 from rtrun.judgement.claims.reference import message_rows, oneshot_rows
 from rtrun.judgement.groups import Group
+from rtrun.judgement.influence import influences
 from rtrun.judgement.layers import LayerPair
 from rtrun.judgement.study import Study, environment
+from rtrun.judgement.topologies import MeasuredTopology
 from rtrun.kinds.output import NON_MEASURING_THREADS
 from rtrun.plan.question import NONE_TOLERATED, Measure
-from rtrun.report import causes, layers
+from rtrun.report import causes, influence, late_paths, layers
 from rtrun.report.ranking import ranking
 from rtrun.report.tables import Table, printable_table
+from rtrun.report.topology_tables import bound_table, hop_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
 
 
-def end_tables(study: Study, pairs: Sequence[LayerPair], found: causes.Found) -> tuple[Table, ...]:
+def end_tables(
+    study: Study, pairs: Sequence[LayerPair], found: causes.Found, topologies: Sequence[MeasuredTopology]
+) -> tuple[Table, ...]:
     """What stands behind the scenarios, each table with what came out of it.
 
-    `pairs` are those of its layers, `found` is what its traces tell.
+    `pairs` are those of its layers, `found` is what its traces tell, `topologies` are those that were measured.
     """
     tables = [
         *_causes(study, found),
         tracing_cost(study),
+        hop_table(topologies),
+        bound_table(topologies),
+        *(_of_paths(study) if topologies else ()),
         causes.periods(study.source, _judged(study))[0],
         causes.surroundings(study.source, _judged(study))[0],
         _worst_cases(study),
@@ -37,6 +45,14 @@ def end_tables(study: Study, pairs: Sequence[LayerPair], found: causes.Found) ->
         _allocations(study),
     ]
     return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)
+
+
+def _of_paths(study: Study) -> Iterator[Table]:
+    """Of topologies: where the time of late reactions went, and what other nodes added to it."""
+    late, _ = late_paths.late_paths(study.source.folders)
+    if late is not None:
+        yield late
+    yield influence.table(influences(study), study.question.confidence)
 
 
 def _causes(study: Study, found: causes.Found) -> tuple[Table, Table]:

@@ -11,6 +11,7 @@ from rtrun.report.how import explanations
 from rtrun.report.html_pages import drawings, script, templates
 from rtrun.report.plots import axes
 from rtrun.report.plots.charts import plots
+from rtrun.report.plots.graph import drawn_topology
 from rtrun.report.plots.stacks import stacked
 from rtrun.report.scenarios import Scenario
 
@@ -40,6 +41,7 @@ def html(study: Study, contents: Contents) -> str:
         contents=contents,
         cards=cards,
         stacks={layers.TABLE: stacked(contents.stacks)},
+        graphs=[drawn_topology(of) for of in contents.topologies],
         failed=sum(card["style"] == "refuted" for card in cards),
         opened=_OPENED,
         choices={key: values for key, values in choices.items() if len(values) > 1},

@@ -174,8 +174,10 @@ def find_copies(records: Mapping[Path, RunRecord]) -> dict[Path, str]:
     holders: dict[tuple[str, str], list[Path]] = {}
     for folder, record in records.items():
         marks = [("attempt", record.attempt)] if record.attempt else []
+        # Two streams of one run may hold the same times, as two paths do that begin and end alike.
+        identity = f"{record.suite} {sorted(record.parameters.items())}" if record.subject == "attached" else ""
         marks += [
-            ("samples", file.sha256)
+            (f"samples {identity}", file.sha256)
             for name, file in record.files.items()
             if name.endswith(".npy") and file.size_bytes > EMPTY_BYTES
         ]

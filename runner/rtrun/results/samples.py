@@ -71,14 +71,14 @@ def read_samples(path: Path, record: Record | None = None) -> Samples:
     names = suite(record.suite).columns
     if record.columns != [*names]:
         raise UsageError(f"{json_path}: columns: {', '.join(record.columns)}, must be {', '.join(names)}")
-    rows = _read_rows(npy_path, names)
+    rows = read_rows(npy_path, names)
     columns = {name: rows[:, place] for place, name in enumerate(names)}
     series = kind.series(columns, record, npy_path)
     return Samples(path=npy_path, record=record, columns=columns, series=series)
 
 
-def _read_rows(path: Path, names: Sequence[str]) -> Int64s:
-    """Map the rows, shape (rows, columns), of the columns of these names."""
+def read_rows(path: Path, names: Sequence[str]) -> Int64s:
+    """Map the rows, shape (rows, columns), of the columns of these names. Raises UsageError."""
     if path.exists() and not path.is_file():
         raise UsageError(f"{path}: not a regular file")
     try:

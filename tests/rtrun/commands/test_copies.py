@@ -46,3 +46,15 @@ def test_nothing_received_is_no_copy(tmp_path, capsys):
         (folder / "run.json").write_text(json.dumps(record))
     assert main(["verdict", str(tmp_path), *QUESTION]) == 0
     assert "copy" not in capsys.readouterr().out
+
+
+def test_two_streams_of_one_run_with_the_same_times_are_no_copies(tmp_path, capsys):
+    """As two paths of a topology that begin and end alike; the same path twice is one."""
+    write(tmp_path, "a", 1, parameters={"path": "/x"}, subject="attached")
+    for name, path in (("b", "/y"), ("c", "/y")):
+        shutil.copytree(tmp_path / "a", tmp_path / name)
+        record = tmp_path / name / "run.json"
+        record.write_text(record.read_text().replace('"/x"', f'"{path}"'))
+    assert main(["verdict", str(tmp_path), *QUESTION]) == 0
+    said = capsys.readouterr().out
+    assert "b: a copy? it and c hold the same samples" in said and "a: a copy?" not in said

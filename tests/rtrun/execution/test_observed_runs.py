@@ -2,7 +2,7 @@
 
 from written import write_record
 
-from rtrun.execution.observed_runs import put_aside
+from rtrun.execution.stream_runs import put_aside
 
 
 def test_streams_of_an_earlier_attempt_are_put_aside_and_no_others(tmp_path):

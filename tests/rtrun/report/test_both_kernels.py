@@ -34,7 +34,7 @@ def results(tmp_path_factory):
 def test_all_24_published_rows_stand_beside_what_was_measured(results):
     examined = study(results, bounds=False)
     assert len(examined.groups) == 24
-    (published,) = (table for table in end_tables(examined, (), ranked(examined.source)) if table.id == "published")
+    (published,) = (table for table in end_tables(examined, (), ranked(examined.source), ()) if table.id == "published")
     assert published.outcome == "24 of the 24 rows of the one-shot table were measured here"
     assert len(published.rows) == 24 and len({row[:2] for row in published.rows}) == 24
     for label, there, *_ in published.rows:

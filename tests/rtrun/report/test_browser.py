@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
+from made_topology import made_topology, topology_of, write_topology_run
+from plan.test_topology import BRAKING
 from report.campaigns import latencies, oneshot_run
 
 from rtrun.cli import main
@@ -32,7 +34,7 @@ async function opened(address, width, scripts = true) {
   await new Promise((done) => { frame.onload = done; });
   return frame;
 }
-const within = (e) => e.getClientRects().length && !e.closest(".wide table");
+const within = (e) => e.getClientRects().length && !e.closest(".wide > *");
 const named = (elements) => elements.map((e) => `${e.tagName}.${e.getAttribute("class")} ${e.textContent}`).slice(0, 5);
 // Texts that stand over one another.
 function overlapping(texts) {
@@ -53,7 +55,14 @@ async function used(width) {
   for (const card of cards) card.open = card === cards[0] || card === cards.at(-1);
   const shown = (selector) => [...page.querySelectorAll(selector)].filter(within);
   const wide = shown("body *").filter((e) => e.getBoundingClientRect().right > width + 0.5);
-  const overlap = overlapping(shown(".frame .x, .frame .y, .scale .x"));
+  const overlap = overlapping(shown(".frame .x, .frame .y, .scale .x, .ticks .x"));
+  // Of a graph: nodes whose text is wider than they are, texts of arrows that stand over each other or over a node.
+  const boxes = [...page.querySelectorAll(".graph rect, .graph .label text")].map((e) => e.getBoundingClientRect());
+  const graph = [...page.querySelectorAll(".graph .node")].filter((node) => {
+    const [rect, text] = ["rect", "text"].map((name) => node.querySelector(name).getBoundingClientRect());
+    return !(rect.width && rect.left <= text.left && text.right <= rect.right && text.bottom <= rect.bottom);
+  }).map((node) => node.textContent).concat(boxes.flatMap((one, k) => boxes.slice(k + 1).filter((two) =>
+    one.left < two.right && two.left < one.right && one.top < two.bottom - 1 && two.top < one.bottom - 1)));
   const cut = shown(".worst, .tag").filter((e) => e.clientWidth && e.scrollWidth > e.clientWidth + 1);
   const hovers = [...cards[0].querySelectorAll(".frame")].map((frame) => {
     const box = frame.getBoundingClientRect();
@@ -75,7 +84,7 @@ async function used(width) {
   const filtered = [left, rows().length, page.querySelector("#shown").textContent];
   const scroll = page.documentElement.scrollWidth;
   frame.remove();
-  return { scroll, wide: named(wide), overlap: named(overlap), cut: named(cut), dead,
+  return { scroll, wide: named(wide), overlap: named(overlap), cut: named(cut), dead, graph, boxes: boxes.length,
     open, all, linked, hovers, csv, printed, filtered };
 }
 // What a reader sees with every card open.
@@ -112,7 +121,9 @@ class Visit:
 @pytest.fixture(scope="module")
 def folder(campaign, tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
-    assert main(["report", str(campaign), "--output", str(folder / "report.html")]) == 0
+    results = shutil.copytree(campaign, folder / campaign.name)
+    write_topology_run(results / "900-topology", made_topology(topology_of(folder, BRAKING)))
+    assert main(["report", str(results), "--output", str(folder / "report.html")]) == 0
     target = {"name": EVIL, "kernel_release": EVIL, "kernel_version": EVIL}
     hostile = folder / "<b>results"
     for name in ("a<img src=y onerror=missing()>", "b"):
@@ -191,7 +202,8 @@ def test_nothing_is_fetched(visit):
 def test_the_page_holds_on_a_phone_and_on_a_desk(visit, width):
     page = visit.pages[str(width)]
     assert page["scroll"] <= width, page
-    assert [page[what] for what in ("wide", "overlap", "cut", "dead")] == [[], [], [], []]
+    assert [page[what] for what in ("wide", "overlap", "cut", "dead", "graph")] == [[]] * 5
+    assert page["boxes"] == 11, "six nodes, five messages"
     assert page["all"] == 15 and page["open"] == 3, "the worst three of those that failed"
     assert page["linked"].startswith("cyclic_timer FIFO 1000 Hz – ")
     assert page["printed"] == 0 and page["filtered"] == [5, 5, "5 scenarios"]

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 from rtfiles.config import read_yaml
 from rtfiles.errors import UsageError
 from rtgen.profile import Profile, Release
-from rtgen.suites import SAMPLER, SUPPORT, TRANSPORTS, packages, sources, transports
+from rtgen.suites import GRAPH, SAMPLER, SUPPORT, TRANSPORTS, packages, sources, transports
 
 # The client libraries that the suites measure, by the version of ROS.
 CLIENTS = {1: ("roscpp",), 2: ("rcl", "rclcpp")}
@@ -48,8 +48,8 @@ def recipes_of(profile: Profile, release: Release) -> Iterator[Recipe]:
     suites = read_yaml(sources() / "suites.yml")["suites"]
     ros = release.ros_distros[profile.ros_distro]
     for package in packages():
-        if profile.suites and package in (SAMPLER, TRANSPORTS):
-            continue  # 2014 had neither
+        if profile.suites and package in (SAMPLER, GRAPH, TRANSPORTS):
+            continue  # 2014 had none of them
         needs = read_dependencies(sources() / package / "package.xml", ros.version)
         build, run, variables = {*needs.build, *needs.run}, {*needs.run}, {}
         if profile.suites:
@@ -63,6 +63,9 @@ def recipes_of(profile: Profile, release: Release) -> Iterator[Recipe]:
         elif package == SAMPLER:
             summary = "Observes a target while a suite measures"
             description = "A program that records which threads, loads and interrupts there are beside a suite"
+        elif package == GRAPH:
+            summary = "Hosts the nodes of a graph and records what each of them does"
+            description = "A program that runs as each process of a graph of nodes, which a text describes"
         elif package == TRANSPORTS:
             names = sorted({name for name, debian in transports().items() if not debian} | ros.transports.keys())
             build.update(ros.transports.values())

@@ -30,10 +30,12 @@ struct Program {
   std::vector<std::string> keys;          // the options it takes, those of other middlewares included
   std::vector<std::string> columns = {};  // of its samples, as in suites.yml
   const char* middleware = "roscpp";      // through which it measures
+  const char* node = nullptr;             // its name as a node of ROS; none: that of the executable
 
   bool is_of_roscpp() const { return std::string(middleware) == "roscpp"; }
   // roscpp's, which is that of 2014, has the plain name; any other is <name>_<middleware>.
   std::string executable() const { return is_of_roscpp() ? name : std::string(name) + "_" + middleware; }
+  std::string node_name() const { return node ? node : executable(); }
 };
 
 class Options {

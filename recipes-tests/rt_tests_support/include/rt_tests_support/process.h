@@ -34,6 +34,9 @@ cpu_set_t set_up_process(const Options& options);
 // --rt-scope measuring-thread, which the threads that start afterwards inherit; with RR or FIFO the heap reserved.
 void set_up_measuring_thread(const Options& options);
 
+// Policy ("0", RR or FIFO), priority and CPUs of the calling thread alone, of whatever the process has. Throws Failure.
+void set_up_thread(const std::string& policy, int64_t priority, const std::string& cpus);
+
 // Before any thread starts: one heap for all threads, of which nothing is handed back to the kernel.
 void share_heap();
 

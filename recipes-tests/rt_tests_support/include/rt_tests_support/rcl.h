@@ -29,7 +29,7 @@ inline void check(rcl_ret_t status, const char* what) {
 // What rcl says of the end of something changes nothing any more.
 inline void ended(rcl_ret_t) noexcept {}
 
-// Waits for one timer or one subscription.
+// Waits for one timer, or for subscriptions.
 class RclWaitSet {
  public:
   RclWaitSet(rcl_context_t& context, std::size_t subscriptions, std::size_t timers) {
@@ -46,10 +46,17 @@ class RclWaitSet {
     return wait(limit_ns) && set_.timers[0] != nullptr;
   }
   bool wait_for(const rcl_subscription_t& subscription, int64_t limit_ns) {
-    check(rcl_wait_set_clear(&set_), "clear a wait set");
-    check(rcl_wait_set_add_subscription(&set_, &subscription, nullptr), "wait for messages");
-    return wait(limit_ns) && set_.subscriptions[0] != nullptr;
+    return wait_for(&subscription, 1, limit_ns) && has_message(0);
   }
+  bool wait_for(const rcl_subscription_t* subscriptions, std::size_t count, int64_t limit_ns) {
+    check(rcl_wait_set_clear(&set_), "clear a wait set");
+    for (std::size_t i = 0; i < count; ++i) {
+      check(rcl_wait_set_add_subscription(&set_, &subscriptions[i], nullptr), "wait for messages");
+    }
+    return wait(limit_ns);
+  }
+  // Of the subscriptions that were waited for last.
+  bool has_message(std::size_t number) const { return set_.subscriptions[number] != nullptr; }
 
  private:
   bool wait(int64_t limit_ns) {
@@ -79,7 +86,7 @@ struct Rcl {
       check(status, "begin");
       check(ended, "begin");
       const rcl_node_options_t options = rcl_node_get_default_options();
-      check(rcl_node_init(&node_, program.executable().c_str(), "", &context_, &options), "make a node");
+      check(rcl_node_init(&node_, program.node_name().c_str(), "", &context_, &options), "make a node");
     }
     ~Context() {
       ended(rcl_node_fini(&node_));

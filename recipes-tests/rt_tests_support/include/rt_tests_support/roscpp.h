@@ -20,7 +20,7 @@ struct Roscpp {
   class Context {
    public:
     Context(int argc, char* argv[], const Program& program, const Options&) {
-      ros::init(argc, argv, program.name, ros::init_options::NoSigintHandler);
+      ros::init(argc, argv, program.node_name(), ros::init_options::NoSigintHandler);
     }
     ros::NodeHandle& node() {  // the first call starts roscpp's threads
       if (!node_) node_.emplace();

@@ -4,7 +4,7 @@ folder=${ros_setup%/*}
 # Of a library of ROS 2.
 tell_ros2() {
     for prefix in ${folder:-/opt/ros/*}; do
-        for program in "$prefix"/lib/*_tests/*_tests*_"$1" "$prefix/lib/rt_tests_sampler/rt_tests_sampler"; do
+        for program in "$prefix"/lib/*_tests/*_"$1" "$prefix/lib/rt_tests_sampler/rt_tests_sampler"; do
             [ -x "$program" ] && echo "program $program"
         done
         [ -e "$prefix/lib/lib$1.so" ] || continue

@@ -7,7 +7,7 @@ done
 for master in /opt/ros/*/bin/rosmaster /usr/bin/rosmaster; do
     [ -x "$master" ] && echo "server $master"
 done
-for program in /opt/ros/*/lib/*_tests/*_tests* /opt/ros/*/lib/rt_tests_sampler/rt_tests_sampler; do
+for program in /opt/ros/*/lib/*_tests/* /opt/ros/*/lib/rt_tests_sampler/rt_tests_sampler; do
     [ -x "$program" ] && echo "program $program"
 done
 {

@@ -1,0 +1,236 @@
+"""Streams that were measured become runs like any other: a run directory for each, and one for each that is missing."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtfiles.output import listed
+from rtrun.analysis.histogram import Int64s
+from rtrun.execution import clock_record
+from rtrun.execution.late_values import LateValue, LateValues
+from rtrun.flows.values import Stream, differences
+from rtrun.kinds.messages import NOT_SEEN_NS
+from rtrun.kinds.output import Uname
+from rtrun.kinds.timer import UNKNOWN_NS
+from rtrun.plan.observation import StreamDeadline, StreamKind
+from rtrun.plan.run import UNTRACED
+from rtrun.plan.suites import Value
+from rtrun.plan.trace import PARAMETER
+from rtrun.results import run_directory
+from rtrun.results.observed import ObservedOutput, Provenance, TracedValue, write_stream
+from rtrun.results.record import ProgramRecord, RunRecord, RunStatus
+from rtrun.targets.inspection.facts import TargetState, fact_text
+
+# A number and what tells streams apart, in a name that file systems take.
+_NAME_MAX = 100
+_NAMES_SHOWN = 8
+# Parameters that name programs.
+_PARTIES = ("publisher", "subscriber", "node", "sink")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StreamFacts:
+    """What all streams of a run share.
+
+    `record` is that of the run whose streams they are, `trace` the limit above which it kept traces of them.
+    `parameters` are those that tell them from the streams of another run. `programs` finds the programs that parameters
+    of a stream name, of which it is told the keys.
+    """
+
+    record: RunRecord
+    state: TargetState
+    start_time: str
+    end_time: str
+    deadlines: Sequence[StreamDeadline]
+    programs: Callable[[Mapping[str, Value], Sequence[str]], Sequence[ProgramRecord]]
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    trace: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WrittenStreams:
+    """What was not written: `left_out` of streams, and of deadlines of what was not seen, a sentence each."""
+
+    left_out: tuple[str, ...]
+    unseen: tuple[str, ...]
+
+
+def write_streams(
+    folder: Path, facts: StreamFacts, streams: Sequence[Stream], late: Mapping[object, LateValues]
+) -> WrittenStreams:
+    """Write a run for each stream beside `folder`, and one that failed for each deadline of what was not seen.
+
+    `late` has the late values of each stream by its source. Raises InfrastructureError where they cannot be written.
+    """
+    names: set[str] = set()
+    left_out: list[str] = []
+    outputs: list[ObservedOutput] = []
+    without_value: list[tuple[Stream, str]] = []
+    for stream in streams:
+        output = _output(stream, facts.parameters, late.get(stream.source) or LateValues())
+        remarks = stream.remarks or (() if output is not None else ("too few calls to be measured",))
+        left_out += (f"{' '.join(map(str, stream.identity.values()))}: {remark}" for remark in remarks)
+        if output is None:
+            without_value.append((stream, "; ".join(remarks)))
+            continue
+        outputs.append(output)
+        _write_run(_beside(folder, output, facts.parameters, names), facts, output)
+    unseen: list[str] = []
+    for deadline in facts.deadlines:
+        if not any(deadline.is_of(output.suite, output.parameters) for output in outputs):
+            why = (text for stream, text in without_value if deadline.is_of(stream.kind.suite, stream.identity))
+            reason = f"{deadline.kind} {deadline.name}: {next(why, None) or _not_seen(deadline, outputs)}"
+            unseen.append(reason)
+            nothing = ObservedOutput(
+                suite=deadline.kind.suite,
+                parameters={deadline.kind.named_by: deadline.name, **facts.parameters},
+                columns={},
+                asked=0,
+                measured=0,
+            )
+            _write_run(_beside(folder, nothing, facts.parameters, names), facts, nothing, reason=reason)
+    return WrittenStreams(left_out=tuple(left_out), unseen=tuple(unseen))
+
+
+def put_aside(folder: Path) -> None:
+    """Put aside what an earlier attempt at this run has left of its streams."""
+    for path in folder.parent.iterdir():
+        if path.name.startswith(f"{folder.name}-") and path.is_dir():
+            closed = run_directory.closing_record(path)
+            if closed is not None and closed.observed_by == folder.name:
+                path.rename(run_directory.unused(path, "old"))
+
+
+def _not_seen(deadline: StreamDeadline, outputs: Sequence[ObservedOutput]) -> str:
+    """That a stream with a deadline was not there, and which of its kind were."""
+    seen = dict.fromkeys(
+        str(output.parameters[deadline.kind.named_by]) for output in outputs if output.suite == deadline.kind.suite
+    )
+    others = f"; seen were {listed(seen, _NAMES_SHOWN)}" if seen else ""
+    return f"it was not seen{others}"
+
+
+def _beside(folder: Path, output: ObservedOutput, shared: Mapping[str, Value], taken: set[str]) -> Path:
+    """A folder for a stream that no other has."""
+    own = (str(value) for key, value in output.parameters.items() if key not in shared)
+    words = [output.suite.removeprefix("observed_"), *own]
+    plain = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join(words)).strip("-")[:_NAME_MAX]
+    name, again = f"{folder.name}-{plain}", 1
+    while name in taken:
+        again += 1
+        name = f"{folder.name}-{plain}-{again}"
+    taken.add(name)
+    return folder.with_name(name)
+
+
+def _output(stream: Stream, shared: Mapping[str, Value], late: LateValues) -> ObservedOutput | None:
+    """A stream as its samples hold it, with the traces of its late values; None where it has not one value."""
+    columns: dict[str, Int64s] = dict(stream.columns)
+    parameters: dict[str, Value] = {**stream.identity, **shared}
+    first = next(iter(columns.values()))
+    rows = first.size
+    lost = stream.counts.get("lost", 0)
+    measured = rows
+    if stream.kind in (StreamKind.TIMER, StreamKind.INTERVALS):
+        segment = np.zeros(rows, np.int64)
+        segment[stream.cuts[stream.cuts < rows]] = 1
+        columns["segment"] = np.cumsum(segment)
+        measured = differences(first, stream.cuts).size
+    if stream.kind is StreamKind.TIMER and measured:
+        parameters["period_ns"] = stream.period_ns or int(np.median(differences(first, stream.cuts)))
+        columns.setdefault("expected_ns", np.full(rows, UNKNOWN_NS))
+        columns.setdefault("real_ns", first)
+    if stream.kind is StreamKind.MESSAGES:
+        columns.setdefault("callback_end_ns", np.full(rows, NOT_SEEN_NS))
+    if not measured:
+        return None
+    passed_ns = int(first[-1] - first[0])
+    return ObservedOutput(
+        suite=stream.kind.suite,
+        parameters=parameters,
+        columns=columns,
+        asked=measured + lost,
+        measured=measured,
+        missing=lost,
+        duplicate=stream.counts.get("duplicate", 0),
+        out_of_order=stream.counts.get("out_of_order", 0),
+        rate_hz=(rows - 1) * 1e9 / passed_ns if rows > 1 and passed_ns > 0 else None,
+        above_limit=late.above_limit,
+        limit_ns=late.limit_ns,
+        traced=tuple(_traced(stream, late.kept)),
+    )
+
+
+# The column that says when a value was there.
+_TIMES = {
+    StreamKind.MESSAGES: "reception_ns",
+    StreamKind.TIMER: "timestamp_ns",
+    StreamKind.CALLBACK: "end_ns",
+    StreamKind.PATH: "end_ns",
+}
+
+
+def _traced(stream: Stream, kept: Sequence[LateValue]) -> Iterator[TracedValue]:
+    """The late values that have a trace, by the indices that they have in the samples."""
+    for one in kept:
+        rows = np.flatnonzero(stream.columns[_TIMES[stream.kind]] == one.at_ns)
+        if one.text and rows.size:
+            row = int(rows[0])
+            yield TracedValue(
+                index=int(stream.columns["seq"][row]) if stream.kind is StreamKind.MESSAGES else row,
+                value_ns=one.value_ns,
+                limit_ns=one.limit_ns,
+                at_ns=one.at_ns,
+                text=one.text,
+            )
+
+
+def _write_run(folder: Path, facts: StreamFacts, output: ObservedOutput, *, reason: str | None = None) -> None:
+    """Write and close the run of a stream; with a `reason` one that failed."""
+    programs = facts.programs(output.parameters, _PARTIES)
+    # The program that has the values: of messages it is that of the subscriber.
+    measuring = facts.programs(output.parameters, ("subscriber",)) if "subscriber" in output.parameters else programs
+    name = folder.name
+    updated: dict[str, Any] = {
+        "run": name,
+        "suite": output.suite,
+        "subject": "attached",
+        "parameters": dict(output.parameters),
+        "deadline_ns": next(
+            (each.deadline_ns for each in facts.deadlines if each.is_of(output.suite, output.parameters)), None
+        ),
+        "programs": [*programs],
+        "outputs": [name],
+        # Of what has no limit there are no traces.
+        "trace": facts.trace if facts.trace == UNTRACED or output.limit_ns is not None else "",
+    }
+    if output.limit_ns is not None:
+        threshold = {PARAMETER: round(output.limit_ns / 1000)}
+        output = replace(output, parameters={**output.parameters, **threshold})
+        updated["parameters"] = dict(output.parameters)
+    if reason is not None:
+        updated |= {"status": RunStatus.FAILED, "reason": reason, "outputs": []}
+    record = facts.record.model_copy(update=updated)
+    with run_directory.filling(folder) as partial:
+        if reason is None:
+            state = facts.state
+            step_ns = clock_record.record(state, []).step_ns or 1
+            provenance = Provenance(
+                version=version("meta-rt-tests"),
+                host=fact_text(state.host) or "",
+                kernel=Uname(
+                    release=fact_text(state.kernel_release) or "",
+                    version=fact_text(state.kernel_version) or "",
+                    machine=fact_text(state.machine) or "",
+                ),
+                start_time=facts.start_time,
+                end_time=facts.end_time,
+            )
+            threads = [thread for program in measuring for thread in program.threads]
+            write_stream(partial, name, replace(output, clock_step_ns=step_ns), provenance, threads)
+        run_directory.close(partial, folder, record)

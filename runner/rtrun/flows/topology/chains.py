@@ -1,0 +1,89 @@
+"""Paths through a topology: which activation of the source an activation of the sink goes back to.
+
+An activation at the end of a path took a message, which an activation of the node before published, and so on. Reaction
+and age are those of Feiertag, Richter, Nordlander and Jonsson, "A compositional framework for end-to-end path delay
+calculation of automotive systems under different path semantics", CRTS 2008: first to first and last to last, from
+the release of the source to the end of the sink.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtrun.analysis.histogram import Int64s
+from rtrun.flows.topology.tables import NONE, HopTable, NodeTable, TopologyTables
+from rtrun.plan.topology.topology import NodePath
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Spans:
+    """From when to when, int64 (n,) each; `activation`, int64 (n,), are those of the sink at their ends."""
+
+    begin_ns: Int64s
+    end_ns: Int64s
+    activation: Int64s
+
+
+def origins(tables: TopologyTables, path: NodePath) -> tuple[Int64s, ...]:
+    """Of each activation of the sink the activations of the nodes of a path that it goes back to, from source to sink.
+
+    Each is int64 of shape (activations of the sink,); NONE where a node had taken nothing of the path.
+    """
+    rows = np.arange(tables.nodes[path.sink].release_ns.size)
+    found = [rows]
+    for topic, name in zip(reversed(path.topics), reversed(path.nodes[1:]), strict=True):
+        taken = tables.nodes[name].taken[tables.topology.node[name].inputs.index(topic)]
+        # A row NONE takes the last one, which is put right below.
+        rows = np.where(rows == NONE, NONE, taken[rows]) if taken.size else np.full(rows.size, NONE)
+        found.append(rows)
+    return tuple(reversed(found))
+
+
+def ages(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
+    """How old the data are at the end of each activation of the sink; `of` are those of the source, as `origins` has
+    them."""
+    source, sink = tables.nodes[path.nodes[0]], tables.nodes[path.sink]
+    rows = np.flatnonzero(of != NONE)
+    rows = rows[(rows >= sink.first) & (of[rows] >= source.first)]
+    return Spans(begin_ns=source.release_ns[of[rows]], end_ns=sink.end_ns[rows], activation=rows)
+
+
+def reactions(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
+    """From each activation of the source to the first one of the sink whose data are of it, or of a later one.
+
+    Those of the source to which the sink had not yet reacted when the run ended are left out.
+    """
+    source, sink = tables.nodes[path.nodes[0]], tables.nodes[path.sink]
+    # What the sink knows at last: older data may follow newer ones, on the way through a queue.
+    known = np.maximum.accumulate(of) if of.size else of
+    begun = np.arange(source.first, source.release_ns.size)
+    first = np.searchsorted(known, begun)
+    is_answered = first < known.size
+    begun, first = begun[is_answered], first[is_answered]
+    return Spans(begin_ns=source.release_ns[begun], end_ns=sink.end_ns[first], activation=first)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Stage:
+    """A node's part in what came along a path: its activation, and the message that it sent on; None: the last one."""
+
+    node: NodeTable
+    row: int
+    publication_ns: int | None = None
+    reception_ns: int | None = None
+
+
+def stages(tables: TopologyTables, path: NodePath, of: tuple[Int64s, ...], activation: int) -> tuple[Stage, ...]:
+    """What an activation of the sink goes back to, node by node; `of` are the origins of all of its activations."""
+    hops: Mapping[tuple[str, str], HopTable] = {(hop.topic, hop.subscriber): hop for hop in tables.hops}
+    made = []
+    for place, name in enumerate(path.nodes):
+        row = int(of[place][activation])
+        publication_ns = reception_ns = None
+        if place < len(path.topics):
+            hop = hops[path.topics[place], path.nodes[place + 1]]
+            came = int(np.flatnonzero(hop.seq == row)[0])
+            publication_ns, reception_ns = int(hop.publication_ns[came]), int(hop.reception_ns[came])
+        made.append(Stage(node=tables.nodes[name], row=row, publication_ns=publication_ns, reception_ns=reception_ns))
+    return tuple(made)

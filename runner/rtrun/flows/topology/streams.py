@@ -1,0 +1,80 @@
+"""The streams of a topology: what each node, hop and path has measured, as an observation has it of other programs."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from rtfiles.quantities import time
+from rtrun.analysis.histogram import Int64s
+from rtrun.flows.topology.chains import Spans, ages, origins, reactions
+from rtrun.flows.topology.fates import HopFates, fates
+from rtrun.flows.topology.tables import NONE, HopTable, NodeTable, TopologyTables
+from rtrun.flows.values import Stream
+from rtrun.kinds.messages import NOT_SEEN_NS
+from rtrun.plan.observation import StreamKind
+from rtrun.plan.topology.planning import TopologyPlan
+from rtrun.plan.topology.topology import NodePath
+
+
+def topology_streams(tables: TopologyTables, plan: TopologyPlan) -> Iterator[Stream]:
+    """Paths first, then hops, periods and nodes; none of them has what came before it was measured."""
+    for path in plan.paths:
+        of = origins(tables, path)
+        yield _path(StreamKind.PATH, path, reactions(tables, path, of[0]))
+        yield _path(StreamKind.AGE, path, ages(tables, path, of[0]))
+    for hop in tables.hops:
+        if hop.subscriber in plan.others:
+            continue
+        yield _messages(tables, hop, fates(tables, hop))
+    for node in tables.topology.nodes:
+        if node.name in plan.others:
+            continue
+        table, name = tables.nodes[node.name], node.full_name
+        if node.period_ns:
+            yield _timer(table, name, node.period_ns)
+        yield _spans(StreamKind.RESPONSE, {"node": name}, table.release_ns[table.first :], table.end_ns[table.first :])
+        of_callback = {"node": name, "callback": node.name}
+        yield _spans(StreamKind.CALLBACK, of_callback, table.begin_ns[table.first :], table.end_ns[table.first :])
+
+
+def _path(kind: StreamKind, path: NodePath, spans: Spans) -> Stream:
+    return _spans(kind, {"path": path.name, "sink": f"/{path.sink}"}, spans.begin_ns, spans.end_ns)
+
+
+def _spans(kind: StreamKind, identity: Mapping[str, str], begin_ns: Int64s, end_ns: Int64s) -> Stream:
+    columns = {"begin_ns": begin_ns, "end_ns": end_ns}
+    return Stream(kind=kind, identity=identity, columns=columns, counts={"measured": end_ns.size})
+
+
+def _timer(table: NodeTable, name: str, period_ns: int) -> Stream:
+    due, begin = table.release_ns[table.first :], table.begin_ns[table.first :]
+    return Stream(
+        kind=StreamKind.TIMER,
+        identity={"node": name, "timer": f"timer {time(period_ns)}"},
+        columns={"timestamp_ns": begin, "expected_ns": due, "real_ns": begin},
+        counts={"measured": due.size, "skipped": table.skipped},
+        period_ns=period_ns,
+    )
+
+
+def _messages(tables: TopologyTables, hop: HopTable, of_hop: HopFates) -> Stream:
+    publisher, subscriber = tables.nodes[hop.publisher], tables.nodes[hop.subscriber]
+    rows = of_hop.rows
+    taken = hop.taken[rows]
+    end = np.full(rows.size, NOT_SEEN_NS)
+    end[taken != NONE] = subscriber.end_ns[taken[taken != NONE]]
+    return Stream(
+        kind=StreamKind.MESSAGES,
+        identity={"topic": hop.topic, "publisher": f"/{hop.publisher}", "subscriber": f"/{hop.subscriber}"},
+        columns={
+            "publication_ns": hop.publication_ns[rows],
+            "reception_ns": hop.reception_ns[rows],
+            "seq": hop.seq[rows] - publisher.first,
+            "callback_end_ns": end,
+        },
+        counts={
+            "lost": of_hop.sent - rows.size,
+            "duplicate": of_hop.duplicates,
+            "out_of_order": of_hop.out_of_order,
+        },
+    )

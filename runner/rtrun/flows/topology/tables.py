@@ -1,0 +1,170 @@
+"""The tables of a topology's processes, read: a row for each activation of a node, and for each message at an input.
+
+All of it comes from the target, and must be consistent: what a node took, somebody has sent.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rtfiles.config import read_json
+from rtfiles.errors import UsageError
+from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.output import HostRecord
+from rtrun.kinds.rows import check_times
+from rtrun.plan.topology.node_text import WARM_UP_NS
+from rtrun.plan.topology.topology import Topology, TopologyNode
+from rtrun.results.samples import read_rows
+
+ACTIVATION = ("release_ns", "begin_ns", "done_ns", "end_ns", "cpu_ns")
+"""The columns of a node's table; one for each input follows."""
+RECEPTION = ("seq", "publication_ns", "reception_ns", "taken")
+NONE = -1
+"""In place of the number of a message, or of an activation."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class NodeTable:
+    """The activations of a node in their order, each int64 of shape (n,), times of CLOCK_MONOTONIC.
+
+    `taken` has for each input the number of the message that an activation took, which is that of the activation of its
+    publisher. From row `first` on it was measured; before, it was warmed up. `skipped` are points of its period that it
+    skipped.
+    """
+
+    name: str
+    release_ns: Int64s
+    begin_ns: Int64s
+    done_ns: Int64s
+    end_ns: Int64s
+    cpu_ns: Int64s
+    taken: tuple[Int64s, ...]
+    first: int
+    skipped: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class HopTable:
+    """The messages of a topic that came to a node, in the order of their reception, each int64 of shape (n,).
+
+    `taken` is the activation that took a message first, `NONE` for one that none took. After `left_ns` the node
+    received nothing any more.
+    """
+
+    topic: str
+    publisher: str
+    subscriber: str
+    seq: Int64s
+    publication_ns: Int64s
+    reception_ns: Int64s
+    taken: Int64s
+    left_ns: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TopologyTables:
+    """All tables of a run: of nodes by name, of hops in the order of their subscribers, of processes their own json."""
+
+    topology: Topology
+    nodes: Mapping[str, NodeTable]
+    hops: tuple[HopTable, ...]
+    hosts: Mapping[str, HostRecord]
+
+
+def host_name(process: str) -> str:
+    """What the program of a process is called, and the files of the process, without their endings."""
+    return f"process-{process}"
+
+
+def table_names(node: TopologyNode) -> tuple[str, ...]:
+    """The names of a node's tables, without ending: its own, and that of each input."""
+    return (node.name, *(f"{node.name}-{number}" for number in range(len(node.inputs))))
+
+
+def read_tables(folder: Path, topology: Topology) -> TopologyTables:
+    """Read what the processes of a topology have left in a folder. Raises UsageError for what cannot be."""
+    hosts = {name: read_json(folder / f"{host_name(name)}.json", HostRecord) for name in topology.processes}
+    starts = {host.start_ns for host in hosts.values()}
+    if len(starts) > 1:
+        raise UsageError(f"{folder}: the processes began at {len(starts)} different times")
+    measured_from_ns = starts.pop() + WARM_UP_NS
+    nodes = {node.name: _read_node(folder, topology, node, hosts, measured_from_ns) for node in topology.nodes}
+    hops = tuple(hop for node in topology.nodes for hop in _read_hops(folder, topology, node, nodes, hosts))
+    return TopologyTables(topology=topology, nodes=nodes, hops=hops, hosts=hosts)
+
+
+def _read_node(
+    folder: Path, topology: Topology, node: TopologyNode, hosts: Mapping[str, HostRecord], measured_from_ns: int
+) -> NodeTable:
+    path = folder / f"{node.name}.npy"
+    rows = read_rows(path, (*ACTIVATION, *node.inputs))
+    told = next((each for each in hosts[_process(topology, node)].nodes if each.name == node.name), None)
+    if told is None or told.activations != len(rows):
+        number = "no activations" if told is None else f"{told.activations} activations"
+        raise UsageError(f"{path}: {len(rows)} rows, the process tells of {number}")
+    release, begin, done, end, cpu = (np.ascontiguousarray(rows[:, place]) for place in range(len(ACTIVATION)))
+    check_times(path, release, begin, done, end, cpu)
+    if _is_backwards(release, begin, done, end):
+        raise UsageError(f"{path}: an activation begins before it is due or before the one before has ended")
+    return NodeTable(
+        name=node.name,
+        release_ns=release,
+        begin_ns=begin,
+        done_ns=done,
+        end_ns=end,
+        cpu_ns=cpu,
+        taken=tuple(np.ascontiguousarray(rows[:, len(ACTIVATION) + place]) for place in range(len(node.inputs))),
+        first=int(np.searchsorted(release, measured_from_ns)),
+        skipped=told.skipped,
+    )
+
+
+def _is_backwards(release: Int64s, begin: Int64s, done: Int64s, end: Int64s) -> bool:
+    within = bool(np.all(release <= begin) and np.all(begin <= done) and np.all(done <= end))
+    return not within or bool(np.any(begin[1:] < end[:-1])) or bool(np.any(release[1:] < release[:-1]))
+
+
+def _read_hops(
+    folder: Path,
+    topology: Topology,
+    node: TopologyNode,
+    nodes: Mapping[str, NodeTable],
+    hosts: Mapping[str, HostRecord],
+) -> Iterator[HopTable]:
+    host, own = hosts[_process(topology, node)], nodes[node.name]
+    left_ns = next((each.left_ns for each in host.executors if each.name == node.executor), 0)
+    for number, topic in enumerate(node.inputs):
+        path = folder / f"{table_names(node)[number + 1]}.npy"
+        rows = read_rows(path, RECEPTION)
+        seq, publication, reception, taken = (np.ascontiguousarray(rows[:, place]) for place in range(len(RECEPTION)))
+        check_times(path, publication, reception)
+        publisher = topology.publisher[topic].name
+        sent = nodes[publisher].release_ns.size
+        _check_range(path, "seq", seq, 0, sent)
+        _check_range(path, "taken", taken, NONE, own.release_ns.size)
+        _check_range(folder / f"{node.name}.npy", f"message of {topic}", own.taken[number], NONE, sent)
+        if np.any(reception < publication):
+            raise UsageError(f"{path}: a message came before it was published")
+        if not np.isin(own.taken[number][own.taken[number] != NONE], seq).all():
+            raise UsageError(f"{folder / node.name}.npy: takes a message of {topic} that never came")
+        yield HopTable(
+            topic=topic,
+            publisher=publisher,
+            subscriber=node.name,
+            seq=seq,
+            publication_ns=publication,
+            reception_ns=reception,
+            taken=taken,
+            left_ns=left_ns,
+        )
+
+
+def _check_range(path: Path, what: str, values: Int64s, lowest: int, end: int) -> None:
+    if values.size and not (lowest <= int(values.min()) and int(values.max()) < end):
+        raise UsageError(f"{path}: {what}: {values.min()} to {values.max()}, must be from {lowest} to {end - 1}")
+
+
+def _process(topology: Topology, node: TopologyNode) -> str:
+    return topology.executor[node.executor].process

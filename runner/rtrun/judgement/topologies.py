@@ -1,0 +1,136 @@
+"""The topologies of a study: runs of one graph under the same circumstances taken together."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from rtrun.judgement.groups import format_parameters, telling_parameters
+from rtrun.judgement.study import Study
+from rtrun.plan.observation import StreamDeadline, StreamKind
+from rtrun.plan.topology.planning import SUITE, own_deadlines
+from rtrun.results.record import RunRecord, RunStatus
+from rtrun.results.topology_record import (
+    HopFigures,
+    NodeFigures,
+    PathFigures,
+    Spread,
+    TopologyRecord,
+    read_topology_record,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredTopology:
+    """Runs of a topology that are alike.
+
+    `nodes` and `hops` are of all of them: counts added up, of times the worst. `shown` is the run whose critical path
+    took longest, by its name `run`.
+    """
+
+    label: str
+    run: str
+    shown: TopologyRecord
+    nodes: tuple[NodeFigures, ...]
+    hops: tuple[HopFigures, ...]
+    records: tuple[RunRecord, ...]
+
+    @property
+    def critical(self) -> PathFigures | None:
+        """The path that matters in `shown`; None: none was measured."""
+        return _critical(self.shown)
+
+
+def measured_topologies(study: Study) -> tuple[MeasuredTopology, ...]:
+    """The topologies of a study, in the order of their first run. Raises UsageError for a damaged topology.json."""
+    folders = {folder.name: folder for folder in study.source.folders}
+    alike: dict[str, list[tuple[RunRecord, TopologyRecord]]] = {}
+    for record in study.records:
+        if record.suite == SUITE and record.status is RunStatus.OK and record.run in folders:
+            found = read_topology_record(folders[record.run])
+            if found is not None:
+                alike.setdefault(_label(record), []).append((record, found))
+    return tuple(_together(label, runs) for label, runs in alike.items())
+
+
+def _label(record: RunRecord) -> str:
+    """Which topology, through what, under which circumstances, and where."""
+    told = telling_parameters(record.circumstances)
+    through = f"{told.pop('topology', '')} through {told.pop('middleware', '')}"
+    return f"{' '.join(filter(None, (through, format_parameters(told))))} on {record.target.name}"
+
+
+def _together(label: str, runs: Sequence[tuple[RunRecord, TopologyRecord]]) -> MeasuredTopology:
+    worst, shown = max(runs, key=lambda each: _longest_ns(each[1]))
+    figures = [found for _, found in runs]
+    return MeasuredTopology(
+        label=label,
+        run=worst.run,
+        shown=shown,
+        nodes=tuple(
+            _node([each for one in figures for each in one.nodes if each.node == node.node]) for node in shown.nodes
+        ),
+        hops=tuple(
+            _hop(
+                [
+                    each
+                    for one in figures
+                    for each in one.hops
+                    if (each.topic, each.subscriber) == (hop.topic, hop.subscriber)
+                ]
+            )
+            for hop in shown.hops
+        ),
+        records=tuple(record for record, _ in runs),
+    )
+
+
+def _longest_ns(found: TopologyRecord) -> int:
+    path = _critical(found)
+    return path.reaction.max_ns or 0 if path else 0
+
+
+def _critical(found: TopologyRecord) -> PathFigures | None:
+    """The path whose reaction is the largest part of its deadline; where none has one, the longest reaction."""
+    deadlines = {each.name: each for each in own_deadlines(found.topology) if each.kind is StreamKind.PATH}
+    measured = [path for path in found.paths if path.reaction.max_ns is not None]
+    with_deadline = [path for path in measured if ",".join(path.topics) in deadlines]
+    return max(with_deadline or measured, key=lambda path: _urgency(path, deadlines), default=None)
+
+
+def _urgency(path: PathFigures, deadlines: dict[str, StreamDeadline]) -> float:
+    deadline = deadlines.get(",".join(path.topics))
+    return (path.reaction.max_ns or 0) / (deadline.deadline_ns if deadline else 1)
+
+
+def _node(alike: Sequence[NodeFigures]) -> NodeFigures:
+    return NodeFigures(
+        node=alike[0].node,
+        activations=sum(each.activations for each in alike),
+        overruns=sum(each.overruns for each in alike),
+        cpu=_worst(each.cpu for each in alike),
+        response=_worst(each.response for each in alike),
+        lateness=_worst(each.lateness for each in alike),
+    )
+
+
+def _hop(alike: Sequence[HopFigures]) -> HopFigures:
+    causes = dict.fromkeys(cause for each in alike for cause in each.lost)
+    return HopFigures(
+        topic=alike[0].topic,
+        publisher=alike[0].publisher,
+        subscriber=alike[0].subscriber,
+        sent=sum(each.sent for each in alike),
+        taken=sum(each.taken for each in alike),
+        overwritten=sum(each.overwritten for each in alike),
+        unused=sum(each.unused for each in alike),
+        lost={cause: sum(each.lost.get(cause, 0) for each in alike) for cause in causes},
+        latency=_worst(each.latency for each in alike),
+    )
+
+
+def _worst(spreads: Iterable[Spread]) -> Spread:
+    """The largest of all; a median of several runs cannot be told from theirs."""
+    known = [each for each in spreads if each.max_ns is not None]
+    median_ns = known[0].median_ns if len(known) == 1 else None
+    return Spread(
+        median_ns=median_ns, max_ns=max((each.max_ns for each in known if each.max_ns is not None), default=None)
+    )

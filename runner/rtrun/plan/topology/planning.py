@@ -1,0 +1,102 @@
+"""What a run measures of a topology: which paths, and what has a deadline."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from rtfiles.config import Place
+from rtrun.plan.observation import StreamDeadline, StreamKind
+from rtrun.plan.topology.others import beside, read_other_nodes
+from rtrun.plan.topology.topology import NodePath, Topology
+
+SUITE = "topology"
+"""The suite of a run of a topology, whose streams are runs of those of observed.yml."""
+PATHS_MAX = 32
+"""So many paths are measured where nobody names any, the longest ones: each is a run directory for itself."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopologyPlan:
+    """What a run of a topology measures: how long after the common start, which paths, what has which deadline."""
+
+    topology: Topology
+    for_s: float
+    paths: tuple[NodePath, ...]
+    deadlines: tuple[StreamDeadline, ...] = ()
+    others: tuple[str, ...] = ()
+    """Nodes of the topology that stand beside what is measured: of them nothing is kept."""
+
+    def beside(self, text: str) -> "TopologyPlan":
+        """The plan with other nodes beside it, as `read_other_nodes` takes them; empty: none. Raises ValueError."""
+        if not text:
+            return self
+        topology, others = beside(self.topology, read_other_nodes(text))
+        return replace(self, topology=topology, others=others)
+
+
+def plan_topology(
+    topology: Topology,
+    for_s: float,
+    *,
+    paths: Sequence[tuple[str, ...]] = (),
+    deadlines: Sequence[StreamDeadline] = (),
+    where: Place,
+    errors: list[str],
+) -> TopologyPlan | None:
+    """What is measured of a topology: the paths that it and a campaign name, and those of deadlines.
+
+    Where nobody names one, all from source to sink, of more than `PATHS_MAX` the longest ones. None where the campaign,
+    which is at `where`, names paths or deadlines of what is not there: `errors` get what is wrong, one a line.
+    """
+    before = len(errors)
+    _check_each(where / "paths", paths, topology.paths_of, errors)
+    _check_each(where / "deadlines", deadlines, lambda deadline: check_deadline(topology, deadline), errors)
+    if len(errors) > before:
+        return None
+    deadlines = tuple(dict.fromkeys((*own_deadlines(topology), *deadlines)))
+    of_deadlines = (tuple(each.name.split(",")) for each in deadlines if each.kind.named_by == "path")
+    named = dict.fromkeys((*(each.topics for each in topology.paths), *paths, *of_deadlines))
+    followed = tuple(path for topics in named for path in topology.paths_of(topics))
+    if not named:
+        longest = sorted(topology.all_paths(), key=lambda path: -len(path.topics))
+        followed = tuple(longest[:PATHS_MAX])
+    return TopologyPlan(topology=topology, for_s=for_s, paths=followed, deadlines=deadlines)
+
+
+def _check_each(where: Place, items: Sequence[T], check: Callable[[T], object], errors: list[str]) -> None:
+    for number, item in enumerate(items):
+        try:
+            check(item)
+        except ValueError as error:
+            errors.append(f"{where / number}: {error}")
+
+
+def own_deadlines(topology: Topology) -> Iterator[StreamDeadline]:
+    """The deadlines that stand in the topology file."""
+    for node in topology.nodes:
+        if node.deadline_ns:
+            yield StreamDeadline(kind=StreamKind.RESPONSE, name=node.full_name, deadline_ns=node.deadline_ns)
+    for path in topology.paths:
+        for kind, deadline_ns in ((StreamKind.PATH, path.reaction_ns), (StreamKind.AGE, path.age_ns)):
+            if deadline_ns:
+                yield StreamDeadline(kind=kind, name=",".join(path.topics), deadline_ns=deadline_ns)
+
+
+def check_deadline(topology: Topology, deadline: StreamDeadline) -> None:
+    """Refuse a deadline of what is not there. Raises ValueError."""
+    if deadline.kind.named_by == "path":
+        topology.paths_of(tuple(deadline.name.split(",")))
+    elif deadline.kind.named_by == "topic":
+        if not topology.takers.get(deadline.name):
+            taken = ", ".join(topic for topic, takers in topology.takers.items() if takers)
+            raise ValueError(f"{deadline.text}: no node takes {deadline.name}, taken are {taken}")
+    else:
+        names = {
+            node.full_name for node in topology.nodes if deadline.kind is not StreamKind.TIMER or node.period_ns > 0
+        }
+        if deadline.name not in names:
+            what = "node with a period" if deadline.kind is StreamKind.TIMER else "node"
+            known = ", ".join(sorted(names)) or "none"
+            raise ValueError(f"{deadline.text}: no {what} is called {deadline.name}, there are {known}")

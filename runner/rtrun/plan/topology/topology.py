@@ -1,0 +1,202 @@
+"""A topology: nodes, what each waits for, does and sends; the topics between them, and the threads they run in.
+
+A **node** has one rule by which it is activated, one piece of work, and then sends one message on each of its outputs:
+message number n of each output is that of activation n. What has two rules is two nodes that share an executor. An
+**executor** is one thread, which runs the nodes that share it one activation at a time. A **process** has one executor
+or several. A **topic** has one publisher and any number of subscribers.
+"""
+
+import functools
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+Policy = Literal["0", "FIFO", "RR"]
+Reliability = Literal["reliable", "best_effort"]
+
+NODES_MAX = 256
+# Of paths that are looked for at all: some graphs of twenty nodes have millions.
+_PATHS_SOUGHT = 10_000
+
+
+class Waits(StrEnum):
+    """What activates a node: its period, each message that comes, or a new message on all of its inputs."""
+
+    PERIOD = "period"
+    ANY = "any"
+    ALL = "all"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopologyTopic:
+    """A topic: `payload_bytes` of each message beside its header, and how it is delivered."""
+
+    name: str
+    payload_bytes: int = 0
+    reliability: Reliability = "reliable"
+    depth: int = 10
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Executor:
+    """A thread: policy 0 is none, without a priority; no CPUs: all of the target."""
+
+    name: str
+    process: str
+    policy: Policy = "0"
+    priority: int = 0
+    cpus: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopologyNode:
+    """A node. `busy_ns` is the least CPU time of its thread in an activation, in which `touched_bytes` are written.
+
+    With a period it is activated at `offset_ns` + k * `period_ns` after the common start, and takes the newest message
+    of each input. `deadline_ns` is that of its response: from when the activation was due to its end.
+    """
+
+    name: str
+    executor: str
+    waits: Waits
+    period_ns: int = 0
+    offset_ns: int = 0
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    busy_ns: int = 0
+    touched_bytes: int = 0
+    deadline_ns: int | None = None
+
+    @property
+    def full_name(self) -> str:
+        """As ROS has it, and the streams of a run."""
+        return f"/{self.name}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NamedPath:
+    """Topics of which each led to the next one, with the deadlines of the file for what comes along them."""
+
+    topics: tuple[str, ...]
+    reaction_ns: int | None = None
+    age_ns: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NodePath:
+    """A path: `nodes[i]` publishes `topics[i]`, which `nodes[i + 1]` takes."""
+
+    topics: tuple[str, ...]
+    nodes: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """The parameter `path` of its streams, by which a deadline names it."""
+        return ",".join(self.topics)
+
+    @property
+    def sink(self) -> str:
+        """The node at its end."""
+        return self.nodes[-1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topology:
+    """A graph that is known to be sound: each input has its publisher, each topic one, no cycle is without a period.
+
+    Nodes are in the order of the file, topics in that of their publishers. `paths` are those that the file names.
+    """
+
+    name: str
+    nodes: tuple[TopologyNode, ...]
+    executors: tuple[Executor, ...]
+    topics: tuple[TopologyTopic, ...]
+    paths: tuple[NamedPath, ...] = ()
+    may_overload: bool = False
+
+    @functools.cached_property
+    def node(self) -> Mapping[str, TopologyNode]:
+        """The nodes by name."""
+        return {each.name: each for each in self.nodes}
+
+    @functools.cached_property
+    def topic(self) -> Mapping[str, TopologyTopic]:
+        """The topics by name."""
+        return {each.name: each for each in self.topics}
+
+    @functools.cached_property
+    def executor(self) -> Mapping[str, Executor]:
+        """The executors by name."""
+        return {each.name: each for each in self.executors}
+
+    @functools.cached_property
+    def publisher(self) -> Mapping[str, TopologyNode]:
+        """The node that publishes, by topic."""
+        return {topic: node for node in self.nodes for topic in node.outputs}
+
+    @functools.cached_property
+    def takers(self) -> Mapping[str, tuple[TopologyNode, ...]]:
+        """The nodes that take a topic, by its name."""
+        return {topic.name: tuple(node for node in self.nodes if topic.name in node.inputs) for topic in self.topics}
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        """The names of the processes, in the order of their first node."""
+        return tuple(dict.fromkeys(self.executor[node.executor].process for node in self.nodes))
+
+    @property
+    def sources(self) -> tuple[TopologyNode, ...]:
+        """The nodes without inputs."""
+        return tuple(node for node in self.nodes if not node.inputs)
+
+    def is_sink(self, node: TopologyNode) -> bool:
+        """Whether nobody takes what it sends."""
+        return not any(self.takers[topic] for topic in node.outputs)
+
+    def paths_of(self, topics: tuple[str, ...]) -> tuple[NodePath, ...]:
+        """The paths along these topics, one for each node that takes the last one. Raises ValueError for none."""
+        for topic in topics:
+            if topic not in self.topic:
+                raise ValueError(f"no topic is called {topic}, there are {', '.join(self.topic)}")
+        for before, after in itertools.pairwise(topics):
+            if before not in self.publisher[after].inputs:
+                via = self._between(before, after)
+                hint = f"; what leads there is {','.join(via)}" if via else ""
+                raise ValueError(f"{self.publisher[after].name}, which sends {after}, does not take {before}{hint}")
+        nodes = tuple(self.publisher[topic].name for topic in topics)
+        if not self.takers[topics[-1]]:
+            raise ValueError(f"no node takes {topics[-1]}: a path ends with a node")
+        return tuple(NodePath(topics=topics, nodes=(*nodes, last.name)) for last in self.takers[topics[-1]])
+
+    def all_paths(self) -> tuple[NodePath, ...]:
+        """Every path from a source to a sink, in which no node stands twice; no more than some thousand."""
+        found: list[NodePath] = []
+        for source in self.sources:
+            for path in self._onwards((), (source.name,)):
+                if len(found) == _PATHS_SOUGHT:
+                    return tuple(found)
+                found.append(path)
+        return tuple(found)
+
+    def _onwards(self, topics: tuple[str, ...], nodes: tuple[str, ...]) -> Iterator[NodePath]:
+        last = self.node[nodes[-1]]
+        if topics and self.is_sink(last):
+            yield NodePath(topics=topics, nodes=nodes)
+        for topic in last.outputs:
+            for taker in self.takers[topic]:
+                if taker.name not in nodes:
+                    yield from self._onwards((*topics, topic), (*nodes, taker.name))
+
+    def _between(self, before: str, after: str) -> tuple[str, ...]:
+        """The shortest way from one topic to another, both included; empty where there is none."""
+        ways: list[tuple[str, ...]] = [(before,)]
+        seen = {before}
+        for way in ways:
+            if way[-1] == after:
+                return way
+            onwards = dict.fromkeys(topic for node in self.takers[way[-1]] for topic in node.outputs)
+            ways += [(*way, topic) for topic in onwards if topic not in seen]
+            seen |= onwards.keys()
+        return ()

@@ -1,0 +1,86 @@
+"""What other nodes add to a topology's paths, as a table."""
+
+from collections.abc import Sequence
+
+from rtfiles.output import counted
+from rtfiles.quantities import signed, time
+from rtrun.analysis.layers import INFLUENCE_QUANTILES, LATE, Added, figure_of
+from rtrun.judgement.groups import Group
+from rtrun.judgement.influence import Influence, alone_of
+from rtrun.kinds.known import called
+from rtrun.plan.topology.others import OTHER_NODES
+from rtrun.report.tables import Table
+
+_ROUNDING = 1e-9
+_FIGURES = ("mean", *INFLUENCE_QUANTILES, LATE)
+
+
+def table(found: Sequence[Influence], confidence: float) -> Table:
+    """For each path a row of it alone, with its figures, and one for each that stood beside it, with what that adds."""
+    rows = []
+    for alone in alone_of(found):
+        rows.append((_path(alone), "nothing", str(alone.n), *(_alone(alone, figure) for figure in _FIGURES)))
+        beside = [one for one in found if one.alone.key == alone.key]
+        rows += [("", one.other_nodes, str(one.beside.n), *_cells(one)) for one in beside]
+    return Table(
+        id="influence",
+        title="What independent nodes add",
+        columns=("measured", "beside it", "n", *_FIGURES),
+        rows=rows,
+        outcome=_outcome(found),
+        numbers=2,
+        notes=(
+            "Alone: the medians of the runs. Beside others: what that adds, ± half of its "
+            f"{100 * confidence:g} % confidence interval. Periods that the first node skipped are in no n.",
+            *(dict.fromkeys(f"refused: {one.attribution.refused}" for one in found if one.attribution.refused)),
+        ),
+        how="comparison",
+    )
+
+
+def _path(group: Group) -> str:
+    through = f" through {group.parameters.get('middleware')}"
+    return f"{called(group.series) or group.series} {group.parameters['path']} -> {group.parameters['sink']}{through}"
+
+
+def _alone(group: Group, figure: str) -> str:
+    late_ns = group.question.deadline_ns if group.question else 0
+    if figure == LATE:
+        return "-" if not late_ns else f"{_middle(group, figure, late_ns):.2g}"
+    enough = figure == "mean" or min(run.n for run in group.blocks) * (1 - INFLUENCE_QUANTILES[figure]) >= 1
+    return time(round(_middle(group, figure, late_ns))) if enough else "-"
+
+
+def _middle(group: Group, figure: str, late_ns: int) -> float:
+    values = sorted(figure_of(run, figure, late_above_ns=late_ns) for run in group.blocks)
+    half = len(values) // 2
+    return values[half] if len(values) % 2 else (values[half - 1] + values[half]) / 2
+
+
+def _cells(one: Influence) -> tuple[str, ...]:
+    added = {each.figure: each for each in one.attribution.added}
+    return tuple(_cell(added[figure]) if figure in added else "-" for figure in _FIGURES)
+
+
+def _cell(added: Added) -> str:
+    half = (added.high - added.low) / 2
+    if added.figure == LATE:
+        # Where all runs are alike, as without a late value, nothing is known of how much one differs from the next.
+        alike = "none late" if not added.added else f"{added.added:+.2g} in all runs"
+        return f"{added.added:+.2g} ± {half:.2g}" if half > _ROUNDING else alike
+    return f"{signed(added.added)} ± {time(round(half))}"
+
+
+def _outcome(found: Sequence[Influence]) -> str:
+    """The one that adds most to a median beyond doubt."""
+    medians = [(one, each) for one in found for each in one.attribution.added if each.figure == "median"]
+    seen = [(one, each) for one, each in medians if each.low > 0]
+    if not medians:
+        return "too few runs to say what other nodes add"
+    if not seen:
+        return f"none of {counted(len(medians), 'comparison')} shows that other nodes add to a median"
+    one, most = max(seen, key=lambda pair: pair[1].added)
+    return (
+        f"{len(seen)} of {counted(len(medians), 'comparison')} show that other nodes add to the median; most is "
+        f"{signed(most.added)}, of {one.beside.parameters[OTHER_NODES]}"
+    )

@@ -1,0 +1,78 @@
+"""Where the time of a topology's late reactions went, as a table."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rtfiles.errors import UsageError
+from rtfiles.quantities import time
+from rtrun.flows.topology.late import LatePath, PathPart, late_path
+from rtrun.flows.topology.tables import read_tables
+from rtrun.plan.topology.topology import NodePath
+from rtrun.report.tables import Table
+from rtrun.results.topology_record import TopologyRecord, read_topology_record
+
+# A part that made less of a reaction late than this is not listed.
+LISTED_FROM = 0.02
+
+
+def late_paths(folders: Sequence[Path]) -> tuple[Table | None, tuple[str, ...]]:
+    """A row for each part that made reactions late, of the runs of topologies among these; why one cannot be read.
+
+    None where there are no topologies.
+    """
+    found: list[tuple[str, LatePath]] = []
+    refused: list[str] = []
+    for folder in folders:
+        try:
+            if (record := read_topology_record(folder)) is not None:
+                found += ((folder.name, one) for one in _of_run(folder, record))
+        except UsageError as error:
+            refused.append(str(error))
+    if not found:
+        return None, tuple(refused)
+    rows = [
+        (
+            run if number == 0 else "",
+            _path(one) if number == 0 else "",
+            part.what,
+            time(round(part.late_ns)),
+            time(round(part.otherwise_ns)) if one.late < one.reactions else "-",
+            f"{100 * part.extra_ns / one.extra_ns:.0f} %",
+        )
+        for run, one in found
+        for number, part in enumerate(_listed(one))
+    ]
+    return Table(
+        id="late_paths",
+        title="Where late reactions spent their time",
+        columns=("run", "path", "part", "late", "otherwise", "of what made them late"),
+        rows=rows,
+        outcome=_outcome(found),
+        numbers=3,
+        notes=("Means of the late reactions and of the others, from the tables of the nodes themselves.",),
+    ), tuple(refused)
+
+
+def _of_run(folder: Path, record: TopologyRecord) -> list[LatePath]:
+    tables = read_tables(folder, record.topology)
+    deadlines = {path.topics: path.reaction_ns for path in record.topology.paths}
+    paths = (NodePath(topics=tuple(path.topics), nodes=tuple(path.nodes)) for path in record.paths)
+    found = (late_path(tables, path, deadlines.get(path.topics)) for path in paths)
+    return [one for one in found if one is not None and one.extra_ns > 0]
+
+
+def _path(one: LatePath) -> str:
+    return f"{one.path.name} -> {one.path.sink}: {one.late} of {one.reactions} above {time(one.limit_ns)}"
+
+
+def _listed(one: LatePath) -> list[PathPart]:
+    return [part for part in one.parts if part.extra_ns >= LISTED_FROM * one.extra_ns]
+
+
+def _outcome(found: Sequence[tuple[str, LatePath]]) -> str:
+    """The part that made reactions latest, in one sentence."""
+    worst = max((one for _, one in found), key=lambda one: one.parts[0].extra_ns)
+    part = worst.parts[0]
+    share = 100 * part.extra_ns / worst.extra_ns
+    more = f"{time(round(part.extra_ns))} more than otherwise"
+    return f"{part.what}: {more}, {share:.0f} % of what made {worst.path.name} late"

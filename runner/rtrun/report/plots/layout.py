@@ -1,0 +1,159 @@
+"""Where the nodes of a graph stand in a picture: in layers from the top down, with as few arrows across each other.
+
+After Sugiyama, Tagawa & Toda 1981: arrows that close a circle are turned round, layers are longest paths, an arrow over
+several layers bends at a place in each, and the order in a layer follows the means of the neighbours.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+Arrow = tuple[str, str]
+_SWEEPS = 12
+_GAP = 28.0
+_BEND = 40.0  # what an arrow takes in a layer that it passes
+
+
+class _Place(NamedTuple):
+    """A node in its layer, or where an arrow from one node to another passes a layer."""
+
+    one: str
+    two: str
+    layer: int
+
+
+Neighbours = Mapping[_Place, list[_Place]]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Layout:
+    """`layer` and centre `x` of each node; `bends` are the places (layer, x) that an arrow goes through on its way.
+
+    `width` is that of all, `layers` their number.
+    """
+
+    layer: Mapping[str, int]
+    x: Mapping[str, float]
+    bends: Mapping[Arrow, Sequence[tuple[int, float]]]
+    width: float
+    layers: int
+
+
+def layered(widths: Mapping[str, float], arrows: Sequence[Arrow]) -> Layout:
+    """Lay out nodes, given with their widths, and arrows between different ones, each once."""
+    downwards = _downwards(list(widths), arrows)
+    layer = _layers(list(widths), downwards)
+    node = {name: _Place(name, "", layer[name]) for name in widths}
+    width = {node[name]: of_node for name, of_node in widths.items()}
+    links: list[tuple[_Place, _Place]] = []
+    passed: dict[Arrow, list[_Place]] = {}
+    for arrow, (upper, lower) in zip(arrows, downwards, strict=True):
+        passed[arrow] = [_Place(*arrow, at) for at in range(layer[upper] + 1, layer[lower])]
+        width |= dict.fromkeys(passed[arrow], _BEND)
+        links += itertools.pairwise([node[upper], *passed[arrow], node[lower]])
+    rows: list[list[_Place]] = [[] for _ in range(max(layer.values(), default=0) + 1)]
+    above: Neighbours = {each: [] for each in width}
+    below: Neighbours = {each: [] for each in width}
+    for each in width:
+        rows[each.layer].append(each)
+    for one, two in links:
+        below[one].append(two)
+        above[two].append(one)
+    _order(rows, above, below)
+    x = _places(rows, above, below, width)
+    left = min((x[each] - width[each] / 2 for each in width), default=0.0)
+    right = max((x[each] + width[each] / 2 for each in width), default=0.0)
+    bends = {arrow: [(each.layer, x[each] - left) for each in places] for arrow, places in passed.items()}
+    return Layout(
+        layer=layer,
+        x={name: x[node[name]] - left for name in widths},
+        bends={arrow: bent if layer[arrow[0]] < layer[arrow[1]] else bent[::-1] for arrow, bent in bends.items()},
+        width=right - left,
+        layers=len(rows),
+    )
+
+
+def _downwards(names: Sequence[str], arrows: Sequence[Arrow]) -> list[Arrow]:
+    """The arrows, those turned round that would close a circle."""
+    after: dict[str, list[str]] = {name: [] for name in names}
+    for one, two in arrows:
+        after[one].append(two)
+    entered = {two for _, two in arrows}
+    turned: set[Arrow] = set()
+    done: set[str] = set()
+    # From where nothing comes first, so that these stand at the top.
+    for start in (*(name for name in names if name not in entered), *names):
+        way, rest = ([start], [iter(after[start])]) if start not in done else ([], [])
+        done.add(start)
+        while way:
+            following = next(rest[-1], None)
+            if following is None:
+                way.pop()
+                rest.pop()
+            elif following in way:
+                turned.add((way[-1], following))
+            elif following not in done:
+                done.add(following)
+                way.append(following)
+                rest.append(iter(after[following]))
+    return [(two, one) if (one, two) in turned else (one, two) for one, two in arrows]
+
+
+def _layers(names: Sequence[str], arrows: Sequence[Arrow]) -> dict[str, int]:
+    """How many arrows lead to a node at most."""
+    layer = dict.fromkeys(names, 0)
+    for _ in names:
+        moved = False
+        for one, two in arrows:
+            if layer[two] <= layer[one]:
+                layer[two], moved = layer[one] + 1, True
+        if not moved:
+            break
+    return layer
+
+
+def _order(rows: list[list[_Place]], above: Neighbours, below: Neighbours) -> None:
+    """Order each row by the mean places of its neighbours in the row before it, down and up in turn."""
+    for sweep in range(_SWEEPS):
+        neighbours, turn = (above, rows[1:]) if sweep % 2 == 0 else (below, rows[-2::-1])
+        for row in turn:
+            place = {each: number for one in rows for number, each in enumerate(one)}
+            row.sort(key=lambda each: _mean([float(place[other]) for other in neighbours[each]], float(place[each])))
+
+
+def _places(
+    rows: Sequence[Sequence[_Place]],
+    above: Neighbours,
+    below: Neighbours,
+    width: Mapping[_Place, float],
+) -> dict[_Place, float]:
+    """Centres: in the order of the rows, with gaps between them, near the means of their neighbours."""
+    x: dict[_Place, float] = {}
+    for row in rows:
+        at = 0.0
+        for each in row:
+            x[each] = at + width[each] / 2
+            at += width[each] + _GAP
+        for each in row:
+            x[each] -= at / 2
+    for sweep in range(_SWEEPS):
+        for row in rows if sweep % 2 == 0 else rows[::-1]:
+            wanted = [_mean([x[other] for other in (*above[each], *below[each])], x[each]) for each in row]
+            x |= zip(row, _apart(row, wanted, width), strict=True)
+    return x
+
+
+def _apart(row: Sequence[_Place], wanted: Sequence[float], width: Mapping[_Place, float]) -> list[float]:
+    """Places in their order and apart from each other, as near to what is wanted as a pass from each side gets."""
+    least = [(width[one] + width[two]) / 2 + _GAP for one, two in itertools.pairwise(row)]
+    right, left = list(wanted), list(wanted)
+    for place, step in enumerate(least, start=1):
+        right[place] = max(right[place], right[place - 1] + step)
+    for place in range(len(least) - 1, -1, -1):
+        left[place] = min(left[place], left[place + 1] - least[place])
+    return [(one + two) / 2 for one, two in zip(right, left, strict=True)]
+
+
+def _mean(values: Sequence[float], otherwise: float) -> float:
+    return sum(values) / len(values) if values else otherwise
