@@ -14,7 +14,7 @@ from datetime import UTC, datetime, timedelta
 
 import pyarrow
 
-from rtrun.archive.files import AT_ONCE, PACK, Place, TableFile, damaged, name_of, opened, places, read_files
+from rtrun.archive.files import AT_ONCE, PACK, RowRange, TableFile, damaged, name_of, opened, places, read_files
 from rtrun.archive.runs import PACKED_MAX, PARTITIONED, RunRow, in_path, read_runs
 from rtrun.archive.store import Store, remove_files, write_file
 from rtrun.archive.tables import SCHEMAS, Table, as_parquet, file_of
@@ -71,7 +71,7 @@ def _along_courses(row: RunRow) -> tuple[object, ...]:
 
 def _pack_table(store: Store, table: str, order: Mapping[str, int], now: datetime) -> Compaction:
     most = _ROWS[table]
-    members: dict[str, list[tuple[str, Place]]] = {}  # the runs that count of each file, by its path
+    members: dict[str, list[tuple[str, RowRange]]] = {}  # the runs that count of each file, by its path
     for key, place in sorted(places(store, table).items(), key=lambda item: (order.get(item[0], len(order)), item[0])):
         members.setdefault(place.file.path, []).append((key, place))
     small = [of_file for of_file in members.values() if _is_small(of_file[0][1].file, most)]
@@ -89,7 +89,7 @@ def _is_small(file: TableFile, most: int) -> bool:
     return not file.is_pack or 2 * file.footer.num_rows <= most
 
 
-_Members = Sequence[tuple[str, Place]]
+_Members = Sequence[tuple[str, RowRange]]
 """Runs of one file, by their keys."""
 
 

@@ -14,7 +14,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.archive.files import AT_ONCE, Place, check_rows, is_pack, opened, paths_of, places
+from rtrun.archive.files import AT_ONCE, RowRange, check_rows, is_pack, opened, paths_of, places
 from rtrun.archive.store import Store
 from rtrun.targets.inspection.platform import Platform
 
@@ -74,7 +74,7 @@ class Archive:
 
     store: Store
     runs: Sequence[RunRow]
-    histograms: dict[str, Place]
+    histograms: dict[str, RowRange]
 
 
 def read_archive(store: Store) -> Archive:

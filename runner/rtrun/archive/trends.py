@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from itertools import groupby
 from typing import Any, get_args
 
 from rtfiles.quantities import signed, time
@@ -46,16 +47,22 @@ def trends(courses: Sequence[Course], *, confidence: float) -> list[Trend]:
         known = [figure for figure in get_args(Figure) if course.has(figure)]
         for figure in known:
             level = 1 - (1 - confidence) / len(known)  # Bonferroni
+            changes = find_changes(course.values(figure), confidence=level)
+            # Each level ends where the next one may have begun.
+            begins = [0, *(change.latest for change in changes)]
+            ends = [*(change.earliest for change in changes[1:]), None][: len(changes)]
             shown += [
-                _trend(course, figure, change) for change in find_changes(course.values(figure), confidence=level)
+                _trend(course, figure, change, begin, end)
+                for change, begin, end in zip(changes, begins[:-1], ends, strict=True)
             ]
     return shown
 
 
-def _trend(course: Course, figure: Figure, change: ChangePoint) -> Trend:
+def _trend(course: Course, figure: Figure, change: ChangePoint, begin: int, end: int | None) -> Trend:
+    """A change between the levels of the boots from `begin` on and up to `end`."""
     boots = course.boots()
     starts = [boot[0].point.start_utc for boot in boots]
-    before, after = boots[: change.earliest], boots[change.latest :]
+    before, after = boots[begin : change.earliest], boots[change.latest : end]
     return Trend(
         course=course,
         figure=figure,
@@ -69,15 +76,27 @@ def _trend(course: Course, figure: Figure, change: ChangePoint) -> Trend:
 
 
 def _changed_facts(before: Sequence[Sequence[ArchivedRun]], after: Sequence[Sequence[ArchivedRun]]) -> list[str]:
-    """Facts of the last boot before that are others in the first boot after."""
-    old, new = (before[-1] if before else ()), (after[0] if after else ())
-    names = dict.fromkeys(name for run in (*old, *new) for name in run.facts)
+    """Facts of the last boot before that are others in the first boot after.
+
+    Of one whose values come and go within a level (two kernels that are measured in turn), those that the levels have.
+    """
+    names = dict.fromkeys(name for boot in (*before[-1:], *after[:1]) for run in boot for name in run.facts)
     changed = []
     for name in names:
-        values = [", ".join(facts_of(runs, name)) or "not known" for runs in (old, new)]
-        if values[0] != values[1]:
-            changed.append(f"{name.replace('_', ' ')}: {values[0]} -> {values[1]}")
+        values = [[", ".join(facts_of(boot, name)) or "not known" for boot in level] for level in (before, after)]
+        if any(map(_comes_and_goes, values)):
+            sides = [sorted({*each}) for each in values]
+        else:
+            sides = [values[0][-1:], values[1][:1]]
+        if sides[0] != sides[1]:
+            texts = [" and ".join(side) + (" in turn" if len(side) > 1 else "") for side in sides]
+            changed.append(f"{name.replace('_', ' ')}: {texts[0] or 'not known'} -> {texts[1] or 'not known'}")
     return changed
+
+
+def _comes_and_goes(values: Sequence[str]) -> bool:
+    """Whether a value is there again after another one."""
+    return len([*groupby(values)]) > len({*values})
 
 
 def _changed_readings(before: Sequence[Sequence[ArchivedRun]], after: Sequence[Sequence[ArchivedRun]]) -> list[str]:
