@@ -30,6 +30,7 @@ NOT_RUN = {
     "rtgen flash": "writes to a card; tests/rtgen/test_flash.py",
     "rtgen kconfig verify": "a kernel tree; tests/rtgen/test_kconfig_verify.py",
     "rtgen kernel build": "minutes; tests/rtgen/test_kernel_build.py",
+    "rtrun archive annotate ARCHIVE --": "runs that it has; tests/rtrun/archive/test_notes.py",
     "rtrun bisect": "an archive of several commits; tests/rtrun/archive/test_trends.py",
     "rtrun check-rt": "a target; tests/rtrun/targets/test_rt_readiness.py",
     "rtrun probe": "a target; tests/integration",

@@ -10,6 +10,7 @@ from rtfiles.quantities import signed, time
 from rtrun.analysis.change_points import ChangePoint, find_changes
 from rtrun.analysis.effects import examine_effect
 from rtrun.archive.courses import ArchivedRun, Course, Figure, facts_of, readings_of
+from rtrun.archive.notes import AcceptNote
 
 _SIGNIFICANT = 0.01  # of a reading that differs between two levels
 _UNITS = {"temperature_max_mc": (1000, "°C"), "frequency_max_khz": (1000, "MHz"), "load_1min_max": (1, "")}
@@ -33,11 +34,17 @@ class Trend:
     earliest: datetime | None
     latest: datetime | None
     circumstances: tuple[str, ...]
+    accepted: AcceptNote | None
 
     @property
     def is_worse(self) -> bool:
-        """Whether the figure rose."""
-        return self.change.after > self.change.before
+        """Whether the figure rose, and nobody has accepted that."""
+        return self.change.after > self.change.before and self.accepted is None
+
+    @property
+    def word(self) -> str:
+        """What to call it."""
+        return "accepted" if self.accepted else "WORSE" if self.is_worse else "better"
 
 
 def trends(courses: Sequence[Course], *, confidence: float) -> list[Trend]:
@@ -62,6 +69,7 @@ def _trend(course: Course, figure: Figure, change: ChangePoint, begin: int, end:
     """A change between the levels of the boots from `begin` on and up to `end`."""
     boots = course.boots()
     starts = [boot[0].point.start_utc for boot in boots]
+    rose, note, last = change.after > change.before, course.accepted, starts[max(0, change.earliest - 1)]
     before, after = boots[begin : change.earliest], boots[change.latest : end]
     return Trend(
         course=course,
@@ -72,6 +80,8 @@ def _trend(course: Course, figure: Figure, change: ChangePoint, begin: int, end:
         earliest=starts[change.earliest],
         latest=starts[min(change.latest, len(boots) - 1)],
         circumstances=(*_changed_facts(before, after), *_changed_readings(before, after)),
+        # What came before the accepted time is accepted with it, not what comes later.
+        accepted=note if rose and note and last and last < note.begin else None,
     )
 
 
@@ -128,6 +138,7 @@ def as_text(trend: Trend, *, confidence: float) -> list[str]:
         f"{trend.figure} {amounts[0]} -> {amounts[1]}, {100 * confidence:g} % CI of the shift {interval}",
         f"when: {when}",
         f"changed there: {'; '.join(trend.circumstances) or 'nothing that the archive knows'}",
+        *([f"accepted: {trend.accepted.words}"] if trend.accepted else []),
     ]
 
 
@@ -149,6 +160,7 @@ def as_data(trend: Trend) -> dict[str, Any]:
         "platform": course.platform,
         "figure": trend.figure,
         "worse": trend.is_worse,
+        "accepted": trend.accepted and trend.accepted.words,
         **{f"{name}_boot" if name in ("index", "earliest", "latest") else name: value
            for name, value in asdict(trend.change).items()},
         **times,
