@@ -31,7 +31,7 @@ def histogram_text(rng, mean_us, n=20_000):
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize("number", [150, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [150, pytest.param(2000, marks=[pytest.mark.slow, pytest.mark.timeout(900)])])
 def test_years_of_others(capsys, tmp_path, monkeypatch, number):
     rng = np.random.default_rng(33)
     days = number // BOARDS
