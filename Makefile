@@ -69,10 +69,13 @@ test-why: setup
 test-topologies: setup
 	TOPOLOGIES=$(abspath $(DIR)) $(BIN)/pytest tests/rtrun/plan/others_topologies.py
 
-# What docs/archive.md asks polars and a Dask cluster of an archive, and an archive in object storage; installs them.
+# What docs/archive.md asks polars and a Dask cluster of an archive, an archive in object storage, and what Prometheus makes of
+# a site. Installs these beside the tests; Debian's packages of Prometheus are unpacked below build/.
 test-archive: setup
 	$(BIN)/pip install --quiet 'polars>=1.0' 'dask[dataframe,distributed]>=2024.8' 's3fs>=2024.2' 'moto[server,s3]>=5'
-	$(BIN)/pytest -s tests/rtrun/archive/other_programs.py tests/rtrun/archive/object_storage.py
+	mkdir -p build/prometheus && cd build/prometheus && apt-get -q download prometheus prometheus-node-exporter && \
+	    for package in *.deb; do dpkg -x $$package .; done
+	$(BIN)/pytest -s tests/rtrun/archive/other_programs.py tests/rtrun/archive/object_storage.py tests/rtrun/archive/prometheus.py
 
 # The Python packages of `tools/setup dev`: the newest of pyproject.toml's ranges, with hashes, for Python 3.11 and newer.
 # And the wheels of ROS 2 for tests, without what only its programs in Python need.

@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import get_args
 
@@ -10,6 +11,7 @@ from rtfiles.quantities import time
 from rtrun.analysis.history import LEAST_BOOTS, Against, compare_figure, compare_misses, level_of_test
 from rtrun.archive.adding import add_results, find_runs
 from rtrun.archive.courses import Course, Figure, courses
+from rtrun.archive.notes import AcceptNote
 from rtrun.archive.runs import RunRow, read_archive
 from rtrun.archive.store import Store, make_archive
 from rtrun.archive.tables import Origin
@@ -45,16 +47,17 @@ def gate_against(
             build_archive = read_archive(own)
             builds = courses(build_archive, deadline_ns=deadline_ns, of=of)
             without_course = _without_course(build_archive.runs, builds, of)
-    known = courses(read_archive(archive), deadline_ns=deadline_ns, of=of)
-    histories = {course.identity: course for course in known}
+    histories = {course.identity: course for course in courses(read_archive(archive), deadline_ns=deadline_ns, of=of)}
     reasons = [text.split(": ", 1) for text in (*added.refused, *added.notes)]
     cases = [
         Case(about=name, answer="NOT ANALYSED", text=reason, passed=False)
         for name, reason in (*reasons, *without_course)
     ]
     for build in builds:
-        history = _without(histories.get(build.identity), build)
-        cases.append(_case(build, history, margin_ns, false_alarms / len(builds), platform))
+        known = histories.get(build.identity)
+        history = _without(known, build)
+        accepted = known.accepted if known else None
+        cases.append(_case(build, history, accepted, margin_ns, false_alarms / len(builds), platform))
     order = ("NOT ANALYSED", "WORSE", "PERHAPS WORSE", "NO HISTORY", "NOT WORSE")
     return Gate(cases=tuple(sorted(cases, key=lambda case: order.index(case.answer))))
 
@@ -74,23 +77,32 @@ def _without_course(runs: Sequence[RunRow], builds: Sequence[Course], of: Measur
 
 
 def _without(history: Course | None, build: Course) -> Course | None:
-    """The history without the runs of the build; None where nothing is left."""
+    """The history without the runs of the build and those before its level was accepted; None where none is left."""
     if history is None:
         return None
     own = {run.point.run_keys for run in build.runs}
-    others = tuple(run for run in history.runs if run.point.run_keys not in own)
+    begin = history.accepted.begin if history.accepted else datetime.min
+    others = tuple(
+        run for run in history.runs if run.point.run_keys not in own and (run.point.start_utc or begin) >= begin
+    )
     return replace(history, runs=others) if others else None
 
 
 def _case(
-    build: Course, history: Course | None, margin_ns: float | None, false_alarms: float, platform: Platform
+    build: Course,
+    history: Course | None,
+    accepted: AcceptNote | None,
+    margin_ns: float | None,
+    false_alarms: float,
+    platform: Platform,
 ) -> Case:
+    since = f" since its level was accepted from {accepted.begin:%Y-%m-%d} on: {accepted.words}" if accepted else ""
     boots = 0 if history is None else len(history.boots())
     n, misses = (sum(numbers) for numbers in zip(*build.misses(), strict=True))
     worst_ns = max((run.point.max_ns for run in build.runs if run.point.max_ns is not None), default=None)
     shared = [figure for figure in get_args(Figure) if build.has(figure) and history and history.has(figure)]
     if history is None or boots < LEAST_BOOTS or not shared:
-        text = f"{boots} boots of it are in the archive, {LEAST_BOOTS} are needed"
+        text = f"{boots} boots of it are in the archive, {LEAST_BOOTS} are needed{since}"
         if boots >= LEAST_BOOTS:
             text = "too few measurements a run for any figure"
         return Case(
@@ -103,6 +115,8 @@ def _case(
     text = "; ".join(_words(figure, against) for figure, against in worse or exceeds or compared)
     if exceeds and not worse:
         text = f"{text}; {_advice(len(build.boots()))}"
+    if since:
+        text = f"{text}; history{since}"
     passed = not exceeds
     if passed and (why := why_not_accepted(Platform(build.platform), platform)):
         text, passed = f"{text}; {why}", False

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtrun.analysis.figures import PERCENTILES
 from rtrun.analysis.histogram import Int64s
-from rtrun.archive.files import Place, TableFile, opened
+from rtrun.archive.files import RowRange, TableFile, opened
 from rtrun.archive.store import Store
 from rtrun.plan.limits import TIME_MAX_NS
 
@@ -36,7 +36,7 @@ class BinReader:
         self._groups: OrderedDict[tuple[str, int], Future[_Rows]] = OrderedDict()
         self._lock = Lock()
 
-    def read(self, place: Place) -> dict[str, Bins]:
+    def read(self, place: RowRange) -> dict[str, Bins]:
         """The bins of a run by series. Raises UsageError for a file that is no histogram, InfrastructureError."""
         if not place.file.is_pack:
             return _by_series(_read_rows(self._store, place.file, None))

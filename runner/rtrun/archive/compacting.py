@@ -7,15 +7,16 @@ superseded; no file is removed but for newer ones that are there.
 """
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import pyarrow
 
-from rtrun.archive.files import AT_ONCE, PACK, Place, TableFile, damaged, name_of, opened, places, read_files
-from rtrun.archive.runs import PACKED_MAX, PARTITIONED, RunRow, in_path, read_runs
+from rtrun.archive.files import AT_ONCE, PACK, RowRange, TableFile, damaged, name_of, opened, places, read_files
+from rtrun.archive.notes import read_notes
+from rtrun.archive.runs import PACKED_MAX, PARTITIONED, RunRow, in_path, is_kept, read_runs
 from rtrun.archive.store import Store, remove_files, write_file
 from rtrun.archive.tables import SCHEMAS, Table, as_parquet, file_of
 from rtrun.plan.limits import BINS_MAX
@@ -56,10 +57,14 @@ def compact(store: Store, *, grace: timedelta, now: datetime) -> Compaction:
     # Runs of a course lie one after the other, as they are asked for.
     rows = sorted(read_runs(store), key=_along_courses)
     order = {row.run_key: place for place, row in enumerate(rows)}
+    notes = read_notes(store)
     done = Compaction()
     for table in SCHEMAS:
-        done += _pack_table(store, table, order, now)
-        done += _remove_superseded(store, table, now - grace)
+        # Nobody has read since the grace began what is no longer kept since then.
+        since = notes.kept_since(table, (now - grace).replace(tzinfo=None))
+        gone = {row.run_key for row in rows if not is_kept(row, since)}
+        done += _pack_table(store, table, order, gone, now)
+        done += _remove_superseded(store, table, gone, now - grace)
     return done
 
 
@@ -69,28 +74,36 @@ def _along_courses(row: RunRow) -> tuple[object, ...]:
     return row.scenario, row.parameters, row.platform, row.machine, start, row.run_key
 
 
-def _pack_table(store: Store, table: str, order: Mapping[str, int], now: datetime) -> Compaction:
+def _pack_table(store: Store, table: str, order: Mapping[str, int], gone: Container[str], now: datetime) -> Compaction:
     most = _ROWS[table]
-    members: dict[str, list[tuple[str, Place]]] = {}  # the runs that count of each file, by its path
+    members: dict[str, list[tuple[str, RowRange]]] = {}  # the runs that count of each file, by its path
     for key, place in sorted(places(store, table).items(), key=lambda item: (order.get(item[0], len(order)), item[0])):
-        members.setdefault(place.file.path, []).append((key, place))
-    small = [of_file for of_file in members.values() if _is_small(of_file[0][1].file, most)]
+        if key not in gone and place.number:
+            members.setdefault(place.file.path, []).append((key, place))
+    small = [of_file for of_file in members.values() if _is_small(of_file, most)]
     small.sort(key=lambda of_file: not of_file[0][1].file.is_pack)  # packs first, else in the order of their runs
     packs = packed = 0
     for bundle in _bundles(small, most):
-        if len(bundle) > 1:
+        if len(bundle) > 1 or _is_sparse(bundle[0]):
             _write_pack(store, table, bundle, order, now)
             packs += 1
             packed += len(bundle)
     return Compaction(packed=packed, packs=packs)
 
 
-def _is_small(file: TableFile, most: int) -> bool:
-    return not file.is_pack or 2 * file.footer.num_rows <= most
-
-
-_Members = Sequence[tuple[str, Place]]
+_Members = Sequence[tuple[str, RowRange]]
 """Runs of one file, by their keys."""
+
+
+def _is_small(members: _Members, most: int) -> bool:
+    file = members[0][1].file
+    return not file.is_pack or 2 * file.footer.num_rows <= most or _is_sparse(members)
+
+
+def _is_sparse(members: _Members) -> bool:
+    """Whether half of a pack, or more, is of runs that are no longer kept or are in newer packs."""
+    file = members[0][1].file
+    return file.is_pack and 2 * sum(place.number for _, place in members) <= file.footer.num_rows
 
 
 def _bundles(files: Iterable[_Members], most: int) -> Iterator[list[_Members]]:
@@ -137,13 +150,17 @@ def _read(store: Store, table: str, file: TableFile) -> Table:
         return whole.select([name for name, _ in fields]).cast(pyarrow.schema(fields))
 
 
-def _remove_superseded(store: Store, table: str, before: datetime) -> Compaction:
-    """Remove files of which all runs are in newer packs that are older than the grace."""
+def _remove_superseded(store: Store, table: str, gone: Container[str], before: datetime) -> Compaction:
+    """Remove files of which all runs are no longer kept, or are in newer packs that are older than the grace."""
     files = read_files(store, table)
     newest = files.newest()
-    superseded = [(path, [newest[key]]) for key, path in files.alone.items() if key in newest]
+    superseded = [
+        (path, [] if key in gone else [newest[key]])
+        for key, path in files.alone.items()
+        if key in newest or key in gone
+    ]
     for file in files.packs:
-        newer = [newest[key] for key in file.rows]
+        newer = [newest[key] for key in file.rows if key not in gone]
         if all(each.path != file.path for each in newer):
             superseded.append((file.path, newer))
     over = [path for path, newer in superseded if all(_made(store, file) <= before for file in newer)]

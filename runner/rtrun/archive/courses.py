@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
@@ -11,6 +11,7 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json
 from rtrun.analysis.change_points import Floats, means_of_units
+from rtrun.archive.notes import AcceptNote
 from rtrun.archive.queries import Point, figures
 from rtrun.archive.runs import Archive, RunRow
 from rtrun.plan.question import Measure
@@ -42,11 +43,13 @@ class ArchivedRun:
 class Course:
     """Runs of one scenario on one board and platform, first to last, one at least, whatever the kernel.
 
-    `off_rate` counts others, left out because their publisher missed the rate that was asked for.
+    `off_rate` counts others, left out because their publisher missed the rate that was asked for. `accepted` is the
+    last note that accepted its level.
     """
 
     runs: tuple[ArchivedRun, ...]
     off_rate: int = 0
+    accepted: AcceptNote | None = None
 
     @property
     def identity(self) -> tuple[str, str, str, str, str]:
@@ -120,7 +123,8 @@ def courses(archive: Archive, *, deadline_ns: int, of: Measure | None = None) ->
     missed = Counter((row.suite, row.parameters, row.platform, row.machine) for row in archive.runs if row.off_rate)
     made = []
     for (suite, _, parameters, platform, machine), members in groupby(runs, _identity):
-        made.append(Course(runs=tuple(members), off_rate=missed[suite, parameters, platform, machine]))
+        course = Course(runs=tuple(members), off_rate=missed[suite, parameters, platform, machine])
+        made.append(replace(course, accepted=archive.notes.accepted(machine, course.scenario)))
     return made
 
 

@@ -43,7 +43,7 @@ class TableFile:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RowRange:
     """Where the rows of a run are: so many of a file, from its row `first` on."""
 
     file: TableFile
@@ -91,16 +91,16 @@ def read_files(store: Store, table: str) -> TableFiles:
         return TableFiles(packs=list(threads.map(partial(_pack, store), packs)), alone=alone)
 
 
-def places(store: Store, table: str) -> dict[str, Place]:
+def places(store: Store, table: str) -> dict[str, RowRange]:
     """Where each run of a table is. Raises UsageError for a file that is damaged or has too many rows."""
     files = read_files(store, table)
-    found = {key: Place(file, *file.rows[key]) for key, file in files.newest().items()}
+    found = {key: RowRange(file, *file.rows[key]) for key, file in files.newest().items()}
     others = [(key, path) for key, path in files.alone.items() if key not in found]
     with ThreadPoolExecutor(AT_ONCE) as threads:
         footers = threads.map(lambda each: _footer(store, each[1]), others)
         for (key, path), footer in zip(others, footers, strict=True):
             rows = {key: (0, footer.num_rows)}
-            found[key] = Place(TableFile(path=path, footer=footer, rows=rows), *rows[key])
+            found[key] = RowRange(TableFile(path=path, footer=footer, rows=rows), *rows[key])
     return found
 
 

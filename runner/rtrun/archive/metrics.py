@@ -1,4 +1,8 @@
-"""The last figures of every course as OpenMetrics text, and a dashboard of Grafana for them."""
+"""The last figures of every course as OpenMetrics text, and a dashboard of Grafana for them.
+
+No line has a time stamp: Prometheus drops what is older than some minutes, and node_exporter refuses a file with one.
+When a run was begun is a metric of its own.
+"""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -8,16 +12,19 @@ from typing import Any
 from rtfiles.output import printable
 from rtrun.archive.courses import Course
 
-_QUANTILES = {"0.5": 50.0, "0.99": 99.0, "0.999": 99.9, "0.9999": 99.99}
+_PERCENTILES = (50.0, 99.0, 99.9, 99.99)
 
 
 def open_metrics(courses: Sequence[Course], *, deadline_ns: int) -> str:
-    """The last run of every course in the text format of OpenMetrics 1.0, with the time of its start; times in s."""
+    """The last run of every course in the text format of OpenMetrics 1.0; times in s, that of its start since 1970."""
     lines = [
         "# TYPE rtrun_value_seconds gauge",
         "# UNIT rtrun_value_seconds seconds",
-        "# HELP rtrun_value_seconds Quantile of the values of the last run.",
-        *(_line("rtrun_value_seconds", course, value, quantile=name) for course, name, value in _quantiles(courses)),
+        "# HELP rtrun_value_seconds Percentile of the values of the last run.",
+        *(
+            _line("rtrun_value_seconds", course, value, percentile=name)
+            for course, name, value in _percentiles(courses)
+        ),
         "# TYPE rtrun_highest_seconds gauge",
         "# UNIT rtrun_highest_seconds seconds",
         "# HELP rtrun_highest_seconds Highest value of the last run.",
@@ -34,15 +41,25 @@ def open_metrics(courses: Sequence[Course], *, deadline_ns: int) -> str:
     ]
     lines += ["# TYPE rtrun_measurements gauge", "# HELP rtrun_measurements Measurements of the last run."]
     lines += [_line("rtrun_measurements", course, point.n) for course, point in last]
+    lines += [
+        "# TYPE rtrun_run_start_time_seconds gauge",
+        "# UNIT rtrun_run_start_time_seconds seconds",
+        "# HELP rtrun_run_start_time_seconds When the last run was begun, in seconds since 1970.",
+        *(
+            _line("rtrun_run_start_time_seconds", course, point.start_utc.replace(tzinfo=UTC).timestamp())
+            for course, point in last
+            if point.start_utc is not None
+        ),
+    ]
     return "\n".join([*lines, "# EOF"]) + "\n"
 
 
-def _quantiles(courses: Sequence[Course]) -> Iterator[tuple[Course, str, float]]:
+def _percentiles(courses: Sequence[Course]) -> Iterator[tuple[Course, str, float]]:
     for course in courses:
-        for name, percent in _QUANTILES.items():
+        for percent in _PERCENTILES:
             value_ns = course.runs[-1].point.percentiles_ns[percent]
             if value_ns is not None:
-                yield course, name, value_ns / 1e9
+                yield course, f"{percent:g}", value_ns / 1e9
 
 
 def _line(metric: str, course: Course, value: float, **labels: str) -> str:
@@ -55,8 +72,7 @@ def _line(metric: str, course: Course, value: float, **labels: str) -> str:
         **labels,
     }
     words = ",".join(f'{name}="{_escaped(text)}"' for name, text in labels.items())
-    time = "" if point.start_utc is None else f" {point.start_utc.replace(tzinfo=UTC).timestamp():.0f}"
-    return f"{metric}{{{words}}} {value:.9g}{time}"
+    return f"{metric}{{{words}}} {value:.10g}"
 
 
 def _escaped(text: str) -> str:
@@ -67,9 +83,15 @@ def _escaped(text: str) -> str:
 def grafana_dashboard() -> str:
     """A dashboard to import into Grafana, whose data source is chosen there: quantiles, highest values, misses."""
     queries = (
-        ("Quantiles", 'rtrun_value_seconds{machine=~"$machine"}', "{{machine}} {{scenario}} {{quantile}}", "s"),
+        ("Percentiles", 'rtrun_value_seconds{machine=~"$machine"}', "{{machine}} {{scenario}} p{{percentile}}", "s"),
         ("Highest value", 'rtrun_highest_seconds{machine=~"$machine"}', "{{machine}} {{scenario}}", "s"),
         ("Share of misses", 'rtrun_miss_ratio{machine=~"$machine"}', "{{machine}} {{scenario}}", "percentunit"),
+        (
+            "Time since the last run",
+            'time() - rtrun_run_start_time_seconds{machine=~"$machine"}',
+            "{{machine}} {{scenario}}",
+            "s",
+        ),
     )
     source = {"type": "prometheus", "uid": "${source}"}
     panels: list[dict[str, Any]] = [

@@ -97,7 +97,7 @@ def _mark(name: str, x: Sequence[float], y: Sequence[float], colour: int) -> Mar
 def _changes(trends: Sequence[Trend], up: Axis) -> list[Mark]:
     ends = [up.scale.low, up.scale.high]
     return [
-        _mark(f"{one.figure} {'worse' if one.is_worse else 'better'}", [_seconds(one.first_after)] * 2, ends, 1)
+        _mark(f"{one.figure} {one.word.lower()}", [_seconds(one.first_after)] * 2, ends, 1)
         for one in trends
         if one.first_after is not None
     ]

@@ -3,10 +3,11 @@
 Whoever may write a file of the archive may write anything into it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import unquote
@@ -14,7 +15,8 @@ from urllib.parse import unquote
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.archive.files import AT_ONCE, Place, check_rows, is_pack, opened, paths_of, places
+from rtrun.archive.files import AT_ONCE, RowRange, check_rows, is_pack, opened, paths_of, places
+from rtrun.archive.notes import IgnoreNote, Notes, fits_run, read_notes
 from rtrun.archive.store import Store
 from rtrun.targets.inspection.platform import Platform
 
@@ -70,20 +72,50 @@ _TEXTS = RunRow._fields[: RunRow._fields.index("off_rate")]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Archive:
-    """What an archive has: its runs, in the order of their keys, and where their histograms are."""
+    """What an archive has: its runs that count, in the order of their keys, and where their histograms are.
+
+    `ignored` says how many runs do not count, by the reason.
+    """
 
     store: Store
     runs: Sequence[RunRow]
-    histograms: dict[str, Place]
+    histograms: Mapping[str, RowRange]
+    notes: Notes
+    ignored: Mapping[str, int]
 
 
-def read_archive(store: Store) -> Archive:
-    """What an archive has. Raises UsageError when it has no runs or a file is damaged, InfrastructureError."""
+def read_archive(store: Store, now: datetime | None = None) -> Archive:
+    """What an archive has at a time in UTC without a zone, by default this one.
+
+    Raises UsageError when it has no runs or a file is damaged, InfrastructureError.
+    """
+    now = now or datetime.now(UTC).replace(tzinfo=None)
+    notes = read_notes(store)
     # In this order: the histogram of a run is written before its row.
-    runs = read_runs(store)
-    if not runs:
+    rows = read_runs(store)
+    if not rows:
         raise UsageError(f"{store.address}: there are no runs in this archive")
-    return Archive(store=store, runs=runs, histograms=places(store, "histograms"))
+    histograms = places(store, "histograms")
+    runs: list[RunRow] = []
+    ignored: Counter[str] = Counter()
+    for row in (row for row in rows if is_kept(row, notes.kept_since("runs", now))):
+        if (note := ignored_by(row, notes)) is not None:
+            ignored[note.words] += 1
+        else:
+            runs.append(row)
+    since = notes.kept_since("histograms", now)
+    known = {row.run_key: histograms[row.run_key] for row in runs if row.run_key in histograms and is_kept(row, since)}
+    return Archive(store=store, runs=runs, histograms=known, notes=notes, ignored=ignored)
+
+
+def ignored_by(row: RunRow, notes: Notes) -> IgnoreNote | None:
+    """The first note for which a run does not count; None where it does."""
+    return next((note for note in notes.ignores() if fits_run(note, partial(getattr, row), row.start_utc)), None)
+
+
+def is_kept(row: RunRow, since: datetime | None) -> bool:
+    """Whether a run was begun late enough to be kept; None: all are, and so is one without a time."""
+    return since is None or row.start_utc is None or row.start_utc >= since
 
 
 def read_runs(store: Store) -> list[RunRow]:

@@ -26,9 +26,11 @@ _LEAST_BOOTS = 6  # of a course whose changes can be seen
 _SAID = {
     "WORSE": "got worse",
     "BETTER": "got better",
+    "ACCEPTED": "got worse, which was accepted",
     "STEADY": "stayed as they were",
     "NEW": f"are new: a change is seen from {_LEAST_BOOTS} boots on",
 }
+_MARKS = {"WORSE": "✗ WORSE", "better": "✓ BETTER", "accepted": "✓ ACCEPTED"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -108,7 +110,7 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
         "n": grouped(sum(run.point.n for run in course.runs)),
         "misses": sum(run.point.misses or 0 for run in course.runs) if course.has("P(miss)") else "not known how many",
         "changes": [
-            ("refuted" if trend.is_worse else "proven", as_text(trend, confidence=confidence))
+            ("refuted" if trend.is_worse else "proven", _MARKS[trend.word], as_text(trend, confidence=confidence))
             for trend in sorted(trends, key=lambda trend: trend.change.index, reverse=True)
         ],
     }
@@ -127,6 +129,8 @@ def _state(course: Course, trends: Sequence[Trend]) -> _State:
     worse = [figure for figure, trend in last.items() if trend.is_worse]
     if worse:
         return _State(word="WORSE", text=f"WORSE: {', '.join(worse)}", style="refuted", mark="✗")
+    if accepted := [figure for figure, trend in last.items() if trend.accepted]:
+        return _State(word="ACCEPTED", text=f"ACCEPTED: {', '.join(accepted)}", style="proven", mark="✓")
     if last:
         return _State(word="BETTER", text=f"BETTER: {', '.join(last)}", style="proven", mark="✓")
     if len(course.boots()) < _LEAST_BOOTS:

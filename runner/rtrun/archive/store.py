@@ -148,6 +148,21 @@ def find_files(store: Store, folder: str) -> list[str]:
     return paths
 
 
+def read_small_files(store: Store, folder: str, ends: str, *, most: int, max_bytes: int) -> list[tuple[str, bytes]]:
+    """Paths and contents of the files below a folder whose names end so, ascending.
+
+    Raises UsageError where there are more than `most`, or one has more than `max_bytes`; InfrastructureError.
+    """
+    with _naming(store, "cannot be read"):
+        known = store.file_system.find(store.locate(folder), detail=True)
+        sizes = {str(path): int(about["size"] or 0) for path, about in sorted(known.items())}
+        paths = [path for path in sizes if path.endswith(ends) and not path.rpartition("/")[2].startswith(".")]
+        if len(paths) > most or any(sizes[path] > max_bytes for path in paths):
+            raise UsageError(f"{store.locate(folder)}: more than {most} files, or one of more than {max_bytes} bytes")
+        contents = store.file_system.cat(paths) if paths else {}
+    return [(path, contents[path]) for path in paths]
+
+
 def remove_files(store: Store, paths: Sequence[str]) -> None:
     """Remove files; one that another call has removed is no error. Raises InfrastructureError."""
     with _naming(store, "a file cannot be removed"), contextlib.suppress(FileNotFoundError):

@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from itertools import groupby
 from typing import Any, get_args
 
 from rtfiles.quantities import signed, time
 from rtrun.analysis.change_points import ChangePoint, find_changes
 from rtrun.analysis.effects import examine_effect
 from rtrun.archive.courses import ArchivedRun, Course, Figure, facts_of, readings_of
+from rtrun.archive.notes import AcceptNote
 
 _SIGNIFICANT = 0.01  # of a reading that differs between two levels
 _UNITS = {"temperature_max_mc": (1000, "°C"), "frequency_max_khz": (1000, "MHz"), "load_1min_max": (1, "")}
@@ -32,11 +34,17 @@ class Trend:
     earliest: datetime | None
     latest: datetime | None
     circumstances: tuple[str, ...]
+    accepted: AcceptNote | None
 
     @property
     def is_worse(self) -> bool:
-        """Whether the figure rose."""
-        return self.change.after > self.change.before
+        """Whether the figure rose, and nobody has accepted that."""
+        return self.change.after > self.change.before and self.accepted is None
+
+    @property
+    def word(self) -> str:
+        """What to call it."""
+        return "accepted" if self.accepted else "WORSE" if self.is_worse else "better"
 
 
 def trends(courses: Sequence[Course], *, confidence: float) -> list[Trend]:
@@ -46,16 +54,23 @@ def trends(courses: Sequence[Course], *, confidence: float) -> list[Trend]:
         known = [figure for figure in get_args(Figure) if course.has(figure)]
         for figure in known:
             level = 1 - (1 - confidence) / len(known)  # Bonferroni
+            changes = find_changes(course.values(figure), confidence=level)
+            # Each level ends where the next one may have begun.
+            begins = [0, *(change.latest for change in changes)]
+            ends = [*(change.earliest for change in changes[1:]), None][: len(changes)]
             shown += [
-                _trend(course, figure, change) for change in find_changes(course.values(figure), confidence=level)
+                _trend(course, figure, change, begin, end)
+                for change, begin, end in zip(changes, begins[:-1], ends, strict=True)
             ]
     return shown
 
 
-def _trend(course: Course, figure: Figure, change: ChangePoint) -> Trend:
+def _trend(course: Course, figure: Figure, change: ChangePoint, begin: int, end: int | None) -> Trend:
+    """A change between the levels of the boots from `begin` on and up to `end`."""
     boots = course.boots()
     starts = [boot[0].point.start_utc for boot in boots]
-    before, after = boots[: change.earliest], boots[change.latest :]
+    rose, note, last = change.after > change.before, course.accepted, starts[max(0, change.earliest - 1)]
+    before, after = boots[begin : change.earliest], boots[change.latest : end]
     return Trend(
         course=course,
         figure=figure,
@@ -65,19 +80,33 @@ def _trend(course: Course, figure: Figure, change: ChangePoint) -> Trend:
         earliest=starts[change.earliest],
         latest=starts[min(change.latest, len(boots) - 1)],
         circumstances=(*_changed_facts(before, after), *_changed_readings(before, after)),
+        # What came before the accepted time is accepted with it, not what comes later.
+        accepted=note if rose and note and last and last < note.begin else None,
     )
 
 
 def _changed_facts(before: Sequence[Sequence[ArchivedRun]], after: Sequence[Sequence[ArchivedRun]]) -> list[str]:
-    """Facts of the last boot before that are others in the first boot after."""
-    old, new = (before[-1] if before else ()), (after[0] if after else ())
-    names = dict.fromkeys(name for run in (*old, *new) for name in run.facts)
+    """Facts of the last boot before that are others in the first boot after.
+
+    Of one whose values come and go within a level (two kernels that are measured in turn), those that the levels have.
+    """
+    names = dict.fromkeys(name for boot in (*before[-1:], *after[:1]) for run in boot for name in run.facts)
     changed = []
     for name in names:
-        values = [", ".join(facts_of(runs, name)) or "not known" for runs in (old, new)]
-        if values[0] != values[1]:
-            changed.append(f"{name.replace('_', ' ')}: {values[0]} -> {values[1]}")
+        values = [[", ".join(facts_of(boot, name)) or "not known" for boot in level] for level in (before, after)]
+        if any(map(_comes_and_goes, values)):
+            sides = [sorted({*each}) for each in values]
+        else:
+            sides = [values[0][-1:], values[1][:1]]
+        if sides[0] != sides[1]:
+            texts = [" and ".join(side) + (" in turn" if len(side) > 1 else "") for side in sides]
+            changed.append(f"{name.replace('_', ' ')}: {texts[0] or 'not known'} -> {texts[1] or 'not known'}")
     return changed
+
+
+def _comes_and_goes(values: Sequence[str]) -> bool:
+    """Whether a value is there again after another one."""
+    return len([*groupby(values)]) > len({*values})
 
 
 def _changed_readings(before: Sequence[Sequence[ArchivedRun]], after: Sequence[Sequence[ArchivedRun]]) -> list[str]:
@@ -109,6 +138,7 @@ def as_text(trend: Trend, *, confidence: float) -> list[str]:
         f"{trend.figure} {amounts[0]} -> {amounts[1]}, {100 * confidence:g} % CI of the shift {interval}",
         f"when: {when}",
         f"changed there: {'; '.join(trend.circumstances) or 'nothing that the archive knows'}",
+        *([f"accepted: {trend.accepted.words}"] if trend.accepted else []),
     ]
 
 
@@ -130,6 +160,7 @@ def as_data(trend: Trend) -> dict[str, Any]:
         "platform": course.platform,
         "figure": trend.figure,
         "worse": trend.is_worse,
+        "accepted": trend.accepted and trend.accepted.words,
         **{f"{name}_boot" if name in ("index", "earliest", "latest") else name: value
            for name, value in asdict(trend.change).items()},
         **times,

@@ -154,6 +154,12 @@ def read_ends(path: Path) -> tuple[int, int] | None:
     return None if first_ns is None or last_ns is None else (first_ns, last_ns)
 
 
+def has_lines(path: Path) -> bool:
+    """Whether a trace has more than its head: a line that is no comment."""
+    with path.open("rb") as stream:
+        return any(line.strip() and not line.startswith(b"#") for line in stream.read(PIECE_BYTES).split(b"\n"))
+
+
 def _read(stream: BinaryIO, from_ns: int, until_ns: int) -> Trace:
     stream.seek(0)
     events: deque[Event] = deque(maxlen=EVENTS_MAX)

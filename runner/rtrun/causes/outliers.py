@@ -16,7 +16,7 @@ from rtfiles.untrusted import whole_number
 from rtrun.causes.control import Windows, control_ns, windows_before
 from rtrun.causes.cut import cut
 from rtrun.causes.events import Callback, Context
-from rtrun.causes.ftrace import Trace, read_ends, read_trace, refuse_trace_cmd
+from rtrun.causes.ftrace import Trace, has_lines, read_ends, read_trace, refuse_trace_cmd
 from rtrun.causes.group_limits import limits, with_groups
 from rtrun.causes.parts import Part
 from rtrun.causes.reconstruction import reconstruct
@@ -44,7 +44,7 @@ NOT_RECORDED = (
     "(a kernel without CONFIG_TRACER_SNAPSHOT)"
 )
 
-
+EMPTY = "the trace is empty: the kernel recorded no event, or what was recorded was gone when it was copied"
 NO_TIMES = "the trace has no line with a time in seconds: another clock (trace_clock counter or x86-tsc), or no trace"
 # Recording is not paused, and a buffer does not hold events, for so long.
 ANOTHER_CLOCK_NS = 3600 * 10**9
@@ -216,7 +216,7 @@ def _why_none(path: Path, outlier: Outlier) -> str:
     """Why a trace says nothing of an outlier."""
     ends = read_ends(path)
     if ends is None:
-        return NO_TIMES
+        return NO_TIMES if has_lines(path) else EMPTY
     if ends[0] - ANOTHER_CLOCK_NS < outlier.at_ns < ends[1] + ANOTHER_CLOCK_NS:
         return NOT_RECORDED
     hours = abs(ends[0] - outlier.at_ns) / 3600e9

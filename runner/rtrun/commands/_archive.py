@@ -7,6 +7,7 @@ from rtrun.commands._question import add_of, time_argument
 
 if TYPE_CHECKING:
     from rtrun.archive.courses import Course
+    from rtrun.archive.runs import Archive
 
 
 def add_archive(parser: argparse.ArgumentParser) -> None:
@@ -23,14 +24,24 @@ def add_deadline(parser: argparse.ArgumentParser) -> None:
 def read_courses(args: argparse.Namespace) -> "tuple[list[Course], int]":
     """Every course of the archive, and the deadline in ns that its misses are of. Raises UsageError as `check_extra`,
     `open_archive` and `read_archive` do, InfrastructureError."""
-    from rtrun.archive.extra import check_extra
-
-    check_extra()
+    archive = read(args)
     from rtrun.archive.courses import courses
-    from rtrun.archive.runs import read_archive
-    from rtrun.archive.store import open_archive
     from rtrun.plan.question import THESIS
 
     deadline_ns = args.deadline or THESIS.deadline_ns
-    archive = read_archive(open_archive(args.archive))
     return courses(archive, deadline_ns=deadline_ns, of=args.of), deadline_ns
+
+
+def read(args: argparse.Namespace) -> "Archive":
+    """The archive, and a remark on the runs that do not count. Raises as `read_courses` does."""
+    from rtfiles.output import counted, print_note
+    from rtrun.archive.extra import check_extra
+
+    check_extra()
+    from rtrun.archive.runs import read_archive
+    from rtrun.archive.store import open_archive
+
+    archive = read_archive(open_archive(args.archive))
+    for words, number in archive.ignored.items():
+        print_note(f"rtrun: {counted(number, 'run')} ignored: {words}")
+    return archive

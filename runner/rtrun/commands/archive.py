@@ -1,10 +1,14 @@
 """rtrun archive: keep runs of many months and boards in one place."""
 
 import argparse
+from typing import TYPE_CHECKING, Any
 
 from rtrun.commands._archive import add_archive
 from rtrun.commands._arguments import add_results
 from rtrun.commands._question import time_argument
+
+if TYPE_CHECKING:
+    from datetime import datetime
 
 NAME = "archive"
 HELP = "keep runs of many months and boards as Parquet files, in a folder or an object store"
@@ -13,6 +17,15 @@ EXAMPLES = (
     "rtrun archive compact s3://lab/archive",
 )
 FAILS = "a run was refused"
+_TOLD_BY = {
+    "machine": ("--machine", "boards"),
+    "scenario": ("--scenario", "scenarios, as history names them"),
+    "kernel_release": ("--kernel", "kernels"),
+    "commit": ("--commit", "commits"),
+    "image": ("--image", "images"),
+    "boot_id": ("--boot", "boots, by their id"),
+    "run": ("--run", "runs, by their names"),
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,6 +60,61 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how long files stay whose runs are in newer ones, for those who read them [24h]",
     )
     compact.set_defaults(act=_compact)
+    _add_annotate(
+        actions.add_parser("annotate", help="say what others should know of runs; without options: list that")
+    )
+    retain = actions.add_parser("retain", help="say how long a table's rows are kept, for compact to go by")
+    add_archive(retain)
+    retain.add_argument("table", choices=["samples", "histograms", "runs"], help="runs: all of a run")
+    retain.add_argument("age", type=_days, metavar="AGE", help="since the run was begun, as 90d, or forever")
+    _add_who(retain)
+    retain.set_defaults(act=_retain)
+
+
+def _add_annotate(parser: argparse.ArgumentParser) -> None:
+    add_archive(parser)
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--ignore", action="store_true", help="these runs count in no answer")
+    what.add_argument(
+        "--accept",
+        action="store_true",
+        help="the level from --from on is as it should be: what was before counts no more",
+    )
+    what.add_argument("--withdraw", metavar="NAME", help="a note that no longer holds, by its name in the list")
+    _add_who(parser)
+    for name, (option, of) in _TOLD_BY.items():
+        parser.add_argument(option, dest=f"of_{name}", metavar="PATTERN", help=f"which {of}, as 'board-*' [all]")
+    parser.add_argument(
+        "--from", dest="begin", type=_moment, metavar="TIME", help="first start, UTC, as 2026-11-24T10:00"
+    )
+    parser.add_argument(
+        "--to", dest="end", type=_moment, metavar="TIME", help="with --ignore: the start from which on not"
+    )
+    parser.set_defaults(act=_annotate)
+
+
+def _add_who(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--reason", metavar="TEXT", help="why, for whoever reads it later")
+    parser.add_argument("--who", metavar="NAME", help="who says so [the user]")
+
+
+def _days(text: str) -> int | None:
+    number = text.removesuffix("d")
+    if text == "forever":
+        return None
+    if not (text.endswith("d") and number.isascii() and number.isdigit() and 0 < int(number[:9]) <= 100_000):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of days, as 90d, and not forever")
+    return int(number)
+
+
+def _moment(text: str) -> "datetime":
+    from datetime import UTC, datetime
+
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no time, as 2026-11-24 or 2026-11-24T10:00") from error
+    return moment.astimezone(UTC).replace(tzinfo=None) if moment.tzinfo else moment
 
 
 def _package(text: str) -> tuple[str, str]:
@@ -101,4 +169,72 @@ def _compact(args: argparse.Namespace) -> int:
     print_line(f"{counted(done.packed, 'file')} put into {done.packs}, {done.removed} removed")
     if done.waiting:
         print_line(f"{counted(done.waiting, 'file')} with the same runs can be removed when the grace is over")
+    return 0
+
+
+def _head(args: argparse.Namespace) -> dict[str, Any]:
+    """Who says a note, when and why."""
+    import getpass
+    from datetime import UTC, datetime
+
+    from rtfiles.errors import UsageError
+
+    if not args.reason:
+        raise UsageError("--reason: say why, for whoever reads it later")
+    return {
+        "at": datetime.now(UTC).replace(tzinfo=None, microsecond=0),
+        "who": args.who or getpass.getuser(),
+        "reason": args.reason,
+    }
+
+
+def _retain(args: argparse.Namespace) -> int:
+    from rtfiles.output import print_line
+    from rtrun.archive.notes import RetainNote, add_note, in_words
+    from rtrun.archive.store import open_archive
+
+    note = RetainNote(**_head(args), table=args.table, days=args.age)
+    print_line(in_words(add_note(open_archive(args.archive), note), note))
+    return 0
+
+
+def _annotate(args: argparse.Namespace) -> int:
+    from functools import partial
+
+    from rtfiles.errors import UsageError
+    from rtfiles.output import counted, print_line
+    from rtrun.archive import notes
+    from rtrun.archive.runs import read_runs
+    from rtrun.archive.store import open_archive
+
+    store = open_archive(args.archive)
+    held = notes.read_notes(store).held
+    chosen = {name: pattern for name in _TOLD_BY if (pattern := getattr(args, f"of_{name}"))}
+    if args.withdraw:
+        if args.withdraw not in held:
+            raise UsageError(
+                f"{args.archive}: no note {args.withdraw!r}: rtrun archive annotate {args.archive} lists them"
+            )
+        notes.add_note(store, notes.WithdrawNote(**_head(args), note=args.withdraw))
+        print_line(f"withdrawn: {notes.in_words(args.withdraw, held[args.withdraw])}")
+    elif args.accept:
+        if args.begin is None or args.end or not {*chosen} <= {"machine", "scenario"}:
+            raise UsageError("--accept takes --from TIME, and --machine and --scenario alone beside it")
+        accept = notes.AcceptNote(**_head(args), **chosen, begin=args.begin)
+        number = sum(notes.fits_course(accept, row.machine, row.scenario) for row in read_runs(store))
+        if not number:
+            raise UsageError(f"{args.archive}: no run is of these boards and scenarios")
+        print_line(notes.in_words(notes.add_note(store, accept), accept))
+    elif args.ignore:
+        if not (chosen or args.begin or args.end):
+            raise UsageError("--ignore: say which runs, as --machine board-3 --from 2026-11-20")
+        ignore = notes.IgnoreNote(**_head(args), **chosen, begin=args.begin, end=args.end)
+        rows = read_runs(store)
+        number = sum(notes.fits_run(ignore, partial(getattr, row), row.start_utc) for row in rows)
+        if not number:
+            raise UsageError(f"{args.archive}: these are no runs of it")
+        print_line(f"{counted(number, 'run')} of {len(rows)}: {notes.in_words(notes.add_note(store, ignore), ignore)}")
+    else:
+        for name, note in held.items():
+            print_line(notes.in_words(name, note))
     return 0

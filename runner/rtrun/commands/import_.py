@@ -28,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--boot", default="", metavar="ID", help="the boot; runs of an unknown one are a boot each")
     parser.add_argument("--start", default="", metavar="TIME", help="when they were begun, as 2026-11-23T10:00:00")
     parser.add_argument(
-        "--names", metavar="PATTERN", help="read these from the files' names, as '{board}-{kernel}-{start}.txt'"
+        "--names",
+        metavar="PATTERN",
+        help="read these from the files' names, as '{board}-{kernel}-{start}.txt'; with folders '{board}/{start}.txt'",
     )
 
 
@@ -41,17 +43,23 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.targets.inspection.platform import Platform
 
     given = {name: getattr(args, name) for name in FIELDS}
-    read_name = read_pattern(args.names) if args.names else lambda _: {}
+    pattern = read_pattern(args.names) if args.names else None
     refused = []
+    unknown: dict[str, list[str]] = {}
     for path in args.files:
         try:
-            identity = Identity(**{**given, **read_name(path)})
-            for folder, left_out in adopt(path, args.results, platform=Platform(args.platform), identity=identity):
+            identity = Identity(**{**given, **(pattern.read(path) if pattern else {})})
+            called = pattern.name_of(path) if pattern else None
+            made = adopt(path, args.results, platform=Platform(args.platform), identity=identity, called=called)
+            for folder, left_out in made:
                 print_line(str(folder))
                 for text in left_out:
-                    print_line(f"    not known: {text}")
+                    unknown.setdefault(text, []).append(folder.name)
         except UsageError as error:
             refused.append(str(error))
+    # Once for all, of files of years.
+    for text, names in unknown.items():
+        print_line(f"    not known of {names[0] if len(names) == 1 else f'{len(names)} runs'}: {text}")
     if refused:
         raise UsageError("\n".join(refused))
     return 0

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     print_line(f"{counted(len(shown), 'change')} in {rests_on}")
     for trend in shown:
         amount, *rest = as_text(trend, confidence=args.confidence)
-        print_line(f"{'WORSE' if trend.is_worse else 'better'}  {trend.course.label}: {amount}")
+        print_line(f"{trend.word}  {trend.course.label}: {amount}")
         for line in rest:
             print_line(f"    {line}")
     return 0

@@ -4,13 +4,13 @@ import contextlib
 import functools
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
 from rtfiles.errors import InfrastructureError
-from rtrun.execution.allotment import Allotment, NextRound
+from rtrun.execution.allotment import Allotment, NextRound, Round
 from rtrun.execution.board import Observer, Session, measure_rounds
 from rtrun.targets.config import Target
 from rtrun.targets.errors import TargetError, TargetGone
@@ -64,7 +64,12 @@ def measure_on_boards(session: Session, boards: Sequence[Board], next_round: Nex
         if _is_of_this_machine(error) or not isinstance(error, InfrastructureError | KeyboardInterrupt):
             raise error
     if len(work.errors) == len(boards):
-        raise TargetError("\n".join(f"{name}: {error}" for name, error in work.errors.items()))
+        # What is the matter with all, as a coordinator that does not answer, is said once.
+        names: dict[str, list[str]] = {}
+        for name, error in work.errors.items():
+            if name not in work.said:
+                names.setdefault(str(error), []).append(name)
+        raise TargetError("\n".join(f"{', '.join(of)}: {text}" for text, of in names.items()))
 
 
 def _is_of_this_machine(error: BaseException) -> bool:
@@ -78,6 +83,11 @@ class _FarmThreads:
 
     def __init__(self, session: Session, allotment: Allotment) -> None:
         self.errors: dict[str, BaseException] = {}
+        self.said: set[str] = set()
+        """The boards that left their runs to another one that works, which was said."""
+        self._waiting: dict[str, Callable[[], None]] = {}
+        """What says of a board that it left its runs to others, once one of these works."""
+        self._working: set[str] = set()
         self._session, self._allotment = session, allotment
         self._links: list[Link] = []
         self._lock = threading.Lock()
@@ -93,7 +103,11 @@ class _FarmThreads:
                     self._links.append(link)
                     if self._is_stopped:
                         link.interrupt()
-                take = functools.partial(self._allotment.take, board.name)
+
+                def take(begun: Collection[str]) -> Round | None:
+                    self._say_waiting(board)
+                    return self._allotment.take(board.name, begun)
+
                 measure_rounds(self._session, link, board.observer, take)
         except BaseException as raised:
             if isinstance(raised, TargetGone) and self._allotment.is_over:
@@ -109,7 +123,27 @@ class _FarmThreads:
             self._allotment.withdraw(board.name)
             with contextlib.suppress(Exception):
                 is_shown = isinstance(error, InfrastructureError) and not _is_of_this_machine(error)
-                board.observer.left(str(error) if is_shown else None)
+                self._say_left(board, str(error) if is_shown else None)
+
+    def _say_waiting(self, board: Board) -> None:
+        """Say which boards left their runs to others, now that this one can be reached and asks for its own."""
+        with self._lock:
+            self._working.add(board.name)
+            waiting, self._waiting = self._waiting, {}
+            self.said |= waiting.keys()
+        for say in waiting.values():
+            say()
+
+    def _say_left(self, board: Board, error: str | None) -> None:
+        """Say that a board measures no more; that it leaves its runs to others only where one of these works."""
+        with self._lock:
+            self._working.discard(board.name)
+            if error is not None and not self._working:
+                self._waiting[board.name] = functools.partial(board.observer.left, error)
+                return
+            if error is not None:
+                self.said.add(board.name)
+        board.observer.left(error)
 
     def stop(self) -> None:
         """Let every board clean up and end."""

@@ -33,6 +33,10 @@ Found = tuple[Ranking, tuple[Explained, ...], tuple[str, ...]]
 """The ranking of culprits, the outliers that it rests on, and why a run's traces could not be read."""
 
 REMEDIES_MAX = 3
+_RAISE = (
+    "Most outliers have no trace: raise the limit of the campaign (trace: {above: ...}), so that fewer values ask for "
+    "one while another is copied"
+)
 # Idle CPUs and callbacks are listed with an outlier from this share of its value on.
 BESIDE_FROM = 0.1
 # Who took less of all lateness than this is counted, not listed.
@@ -275,8 +279,12 @@ def for_terminal(table: Table, width: int) -> "rich.table.Table":
 
 def without_trace(explained: Iterable[Explained]) -> list[str]:
     """How many outliers have no parts, and why."""
-    notes = [one.note for one in explained if not one.parts]
-    return [f"{counted(notes.count(note), 'outlier')} without parts: {note}" for note in dict.fromkeys(notes)]
+    every = list(explained)
+    notes = [one.note for one in every if not one.parts]
+    said = [f"{counted(notes.count(note), 'outlier')} without parts: {note}" for note in dict.fromkeys(notes)]
+    if 2 * len(notes) > len(every) > 1:
+        said.append(_RAISE)
+    return said
 
 
 def lines(one: Explained) -> Iterator[str]:

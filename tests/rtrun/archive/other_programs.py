@@ -3,19 +3,22 @@
 import json
 
 import pytest
-from archive.examples import answer_of, write_days
+from archive.examples import answer_of, expected_answer, write_mixture
 
 from rtrun.cli import main
 
 
 @pytest.mark.parametrize("program", ["duckdb", "polars", "dask.dataframe"])
-def test_the_same_numbers(capsys, tmp_path, program):
-    archive = tmp_path / "archive"
-    assert main(["archive", "add", str(write_days(tmp_path / "results", 4)), "--to", str(archive)]) == 0
+@pytest.mark.parametrize("is_packed", [False, True])
+def test_the_same_numbers(capsys, tmp_path, program, is_packed):
+    archive = str(tmp_path / "archive")
+    assert main(["archive", "add", str(write_mixture(tmp_path / "results")), "--to", archive]) == 0
+    if is_packed:  # and the files of single runs are there, too
+        assert main(["archive", "compact", archive]) == 0
     capsys.readouterr()
-    assert main(["history", str(archive), "--json"]) == 0
-    points = json.loads(capsys.readouterr().out)["points"]
-    expected = [(*(point[name] for name in ("scenario", "machine", "label", "n")), point["percentiles_ns"]["p99"],
-                 point["misses"]) for point in points]  # fmt: skip
-    assert len(expected) == 4
-    assert answer_of(program, archive) == expected
+    points = []
+    for words in ([], ["--of", "jitter"]):
+        assert main(["history", archive, "--json", *words]) == 0
+        points += json.loads(capsys.readouterr().out)["points"]
+    assert len(points) == 4 + 2 + 2 * 2 and len({(point["machine"], point["label"]) for point in points}) == 4
+    assert answer_of(program, archive) == expected_answer(points)

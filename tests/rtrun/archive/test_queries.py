@@ -5,7 +5,7 @@ import json
 import pyarrow.compute
 import pyarrow.parquet
 import pytest
-from archive.examples import answer_of, write_days
+from archive.examples import answer_of, expected_answer, write_days, write_mixture
 from report.campaigns import (
     cyclic_rows,
     cyclic_run,
@@ -129,16 +129,9 @@ def test_what_a_histogram_does_not_reach_is_not_known(capsys, tmp_path):
 
 def test_duckdb_by_itself_gives_the_same_numbers(capsys, tmp_path):
     """The other programs of docs/archive.md: `make test-archive`."""
-    archive = archived(capsys, write_days(tmp_path / "results", 4), tmp_path / "archive")
-    points = history(capsys, archive)
-    assert answer_of("duckdb", archive) == [
-        (
-            *(point[name] for name in ("scenario", "machine", "label", "n")),
-            point["percentiles_ns"]["p99"],
-            point["misses"],
-        )
-        for point in points
-    ]
+    archive = archived(capsys, write_mixture(tmp_path / "results"), tmp_path / "archive")
+    points = [*history(capsys, archive), *history(capsys, archive, "--of", "jitter")]
+    assert answer_of("duckdb", archive) == expected_answer(points)
 
 
 def write_timer(root, name, day):

@@ -60,6 +60,24 @@ def test_a_change_is_told_with_when_how_much_and_what_changed_there(capsys, slow
         assert not any("same" in text or "roscpp version" in text for text in circumstances)
 
 
+@pytest.mark.parametrize(
+    ("kernels", "told"),
+    [
+        (("6.6.30", "6.1.0", "6.6.30", "6.1.0"), set()),  # in turn all the time: no circumstance of a change
+        (("6.6.30", "6.1.0", "6.1.0", "6.1.0"), {"kernel: 6.1.0 and 6.6.30 in turn -> 6.1.0"}),
+        (("6.1.0", "6.1.0", "6.6.30", "6.6.30"), {"kernel: 6.1.0 -> 6.6.30"}),
+    ],
+)
+def test_kernels_that_are_measured_in_turn_are_no_change(capsys, tmp_path, kernels, told):
+    """What an even and an odd day had before the change and after it."""
+    facts = [{"kernel": kernels[2 * (day >= CHANGED) + day % 2], "commit": f"c{day}"} for day in range(DAYS)]
+    levels = [100.0] * CHANGED + [110.0] * (DAYS - CHANGED)
+    for change in changes(capsys, write_course(tmp_path / "archive", levels, facts=facts)):
+        circumstances = change["circumstances"]
+        assert {text for text in circumstances if text.startswith("kernel")} == told
+        assert any(text.startswith("commit: c1") for text in circumstances)
+
+
 def test_a_change_is_told_in_words(capsys, slower):
     assert main(["trends", str(slower)]) == 0
     first, *lines = capsys.readouterr().out.splitlines()

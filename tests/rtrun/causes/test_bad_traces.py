@@ -4,7 +4,7 @@ import pytest
 from traced import head, line, specimen, switch, waking, write_traced_run
 
 from rtfiles.errors import UsageError
-from rtrun.causes.outliers import NO_TIMES, NOT_RECORDED, explain_run
+from rtrun.causes.outliers import EMPTY, NO_TIMES, NOT_RECORDED, explain_run
 from rtrun.causes.parts import Kind
 from rtrun.cli import main
 from rtrun.results.record import read_record
@@ -81,14 +81,23 @@ def test_times_of_another_clock_are_said(begin_us, tmp_path):
     "text",
     [
         "            bash-1977  [000] ..... 123456789012: sched_waking: comm=x pid=1 prio=4 target_cpu=000\n",
-        "# tracer: nop\n#\n",
         " 0)   0.321 us    |  mutex_lock();\n 0)               |  vfs_read() {\n",
         "not a trace\n\x00\xff\n",
     ],
-    ids=["a clock that counts", "empty", "function_graph", "anything"],
+    ids=["a clock that counts", "function_graph", "anything"],
 )
 def test_a_file_without_times_in_seconds_is_said(text, tmp_path):
     assert explain(tmp_path, HEAD + text).note == NO_TIMES
+
+
+def test_an_empty_trace_is_said_and_what_to_raise_where_most_are(tmp_path, capsys):
+    """It is no trace of another clock."""
+    texts = dict.fromkeys((3, 4), HEAD + "# tracer: nop\n#\n\n")
+    folder = write_traced_run(tmp_path, texts, [1])
+    assert [one.note for one in explain_run(folder, read_record(folder))] == [EMPTY, EMPTY]
+    assert main(["why", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert "2 outliers without parts: the trace is empty" in out and "raise the limit of the campaign" in out
 
 
 @pytest.mark.parametrize(

@@ -24,16 +24,17 @@ NOBODY_KNOWS = Identity()
 
 
 def adopt(
-    path: Path, results: Path, *, platform: Platform, identity: Identity = NOBODY_KNOWS
+    path: Path, results: Path, *, platform: Platform, identity: Identity = NOBODY_KNOWS, called: str | None = None
 ) -> list[tuple[Path, tuple[str, ...]]]:
     """Import one file into `results`; returns each run directory made and what its format leaves out.
 
-    A log keeps its name and is read as a log of its suite; other files become histograms, one run a context. Raises
-    UsageError when the file is none that can be read, or a run of that name exists.
+    `called` is the run's name, by default that of the file. A log keeps its name and is read as a log of its suite;
+    other files become histograms, one run a context. Raises UsageError when the file is none that can be read, or a run
+    of that name exists.
     """
     if printable(path.name) != path.name:
         raise UsageError(f"{printable(str(path))}: a name of plain text is needed, rename the file")
-    name = re.sub(r"[^A-Za-z0-9._-]", "_", path.stem) or "imported"
+    name = re.sub(r"[^A-Za-z0-9._-]", "_", called or path.stem) or "imported"
     if path.suffix == ".log" and b"# Plot data for gnuplot" in read_bytes(path, max_bytes=MAX_SIZE_BYTES):
         log = read_log(path)
         kind = kind_of(log.suite)
@@ -74,7 +75,7 @@ def adopt(
 def _new(results: Path, run: str) -> Path:
     folder = results / run
     if folder.exists():
-        raise UsageError(f"{folder}: there already, give another --out or remove it")
+        raise UsageError(f"{folder}: there already, give another --results or remove it")
     return folder
 
 

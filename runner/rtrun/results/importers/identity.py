@@ -1,7 +1,7 @@
 """What files of other programs do not say: on which board, kernel and boot they were measured, and when."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from hashlib import sha256
@@ -11,6 +11,9 @@ from rtfiles.errors import UsageError
 from rtrun.results.record import UNKNOWN, TargetFacts, moment
 
 _FIELD = re.compile(r"\{([^{}]*)\}")
+_DATE = r"[0-9]{4}-?[0-9]{2}-?[0-9]{2}"
+# Any other field may have the characters that stand between fields: a kernel is 6.6.30-rt30.
+_FORMS = {"start": rf"{_DATE}(?:[T ][0-9:.]+(?:Z|[+-][0-9:]+)?)?"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,27 +42,43 @@ class Identity:
 FIELDS = tuple(field.name for field in fields(Identity))
 
 
-def read_pattern(pattern: str) -> Callable[[Path], Mapping[str, str]]:
-    """What reads fields from file names: ``{board}-{kernel}-{start}.txt``.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NamePattern:
+    """What reads fields from file names: ``{board}-{kernel}-{start}.txt``, and with folders ``{board}/{start}.txt``.
 
-    A field is as short as it can be, and the pattern is of the whole name. What is returned raises UsageError for a
-    name that does not match. Raises UsageError for an unknown field, or one that stands twice.
+    It is of the whole name, and of as many folders above as it has. A field is as short as it can be.
     """
+
+    text: str
+    form: re.Pattern[str]
+
+    def read(self, path: Path) -> Mapping[str, str]:
+        """The fields of a file. Raises UsageError for a name that does not match."""
+        match = self.form.fullmatch("/".join(self._parts(path)))
+        if match is None:
+            raise UsageError(f"{path}: its name is not {self.text}, as --names says")
+        return match.groupdict()
+
+    def name_of(self, path: Path) -> str:
+        """What the run of a file is called: files of different folders may have one name."""
+        return "-".join([*self._parts(path)[:-1], path.stem])
+
+    def _parts(self, path: Path) -> Sequence[str]:
+        return path.resolve().parts[-1 - self.text.count("/") :]
+
+
+def read_pattern(pattern: str) -> NamePattern:
+    """The pattern of a text. Raises UsageError for an unknown field, or one that stands twice."""
     names = _FIELD.findall(pattern)
     for name in names:
         if name not in FIELDS or names.count(name) > 1:
             raise UsageError(f"--names: {{{name}}}: a field once each of {', '.join(f'{{{each}}}' for each in FIELDS)}")
     parts = _FIELD.split(pattern)
-    words = [f"(?P<{part}>.+?)" if place % 2 else re.escape(part) for place, part in enumerate(parts)]
-    compiled = re.compile("".join(words))
-
-    def read(path: Path) -> Mapping[str, str]:
-        match = compiled.fullmatch(path.name)
-        if match is None:
-            raise UsageError(f"{path}: its name is not {pattern}, as --names says")
-        return match.groupdict()
-
-    return read
+    words = [
+        f"(?P<{part}>{_FORMS.get(part, '[^/]+?')})" if place % 2 else re.escape(part)
+        for place, part in enumerate(parts)
+    ]
+    return NamePattern(text=pattern, form=re.compile("".join(words)))
 
 
 def target_facts(identity: Identity, path: Path) -> TargetFacts:

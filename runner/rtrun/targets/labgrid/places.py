@@ -17,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -35,6 +35,7 @@ COORDINATOR = "127.0.0.1:20408"
 CLIENT_S = 120.0
 ANSWER_S = 15.0
 POLL_S = 0.5
+_SAY_AFTER_S = 3.0
 # The first word of the line that `labgrid-client reserve --shell` prints.
 _TOKEN = "export LG_TOKEN="
 # The client reads these, too.
@@ -238,10 +239,12 @@ def _reserve_and_acquire(
     printed = client.call("reserve", "--shell", *(f"{key}={value}" for key, value in wanted.items()))
     token = next((line.removeprefix(_TOKEN) for line in printed.splitlines() if line.startswith(_TOKEN)), "")
     try:
-        if all(place.holder for place in fitting):
-            holders = ", ".join(f"{place.name} is held by {place.holder}" for place in fitting)
-            notify(f"{holders}: reserved, and waited for")
-        _wait(client, token, is_over)
+        is_held = all(place.holder for place in fitting)
+        if is_held:
+            notify(_holders(fitting))
+        # Of several that ask at one time all see the place free: who waits finds out when it has waited.
+        say = None if is_held else notify
+        _wait(client, token, {place.name for place in fitting}, say, is_over)
         name = next((place.name for place in list_places(client.coordinator) if place.reservation == token), None)
         if name is None:
             raise TargetError(f"the coordinator at {client.coordinator} gave no place for the reservation {token}")
@@ -253,13 +256,28 @@ def _reserve_and_acquire(
             client.call("cancel-reservation", token)
 
 
-def _wait(client: _Client, token: str, is_over: Callable[[], bool]) -> None:
-    """Wait until a reservation is allocated to a place."""
+def _holders(places: Sequence[LabgridPlace]) -> str:
+    who = [f"{each.name} is {f'held by {each.holder}' if each.holder else 'reserved'}" for each in places]
+    return f"{', '.join(who)}: reserved, and waited for"
+
+
+def _wait(
+    client: _Client,
+    token: str,
+    fitting: Collection[str],
+    say: Callable[[str], None] | None,
+    is_over: Callable[[], bool],
+) -> None:
+    """Wait until a reservation is allocated to one of the fitting places; say who has them if it takes a while."""
+    say_at = time.monotonic() + _SAY_AFTER_S
     # It prints the reservation every second, which nobody reads.
     with client.started("wait", token, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as waiting:
         while waiting.poll() is None:
             if is_over():
                 raise TargetGone("the campaign was over before the place was free")
+            if say is not None and time.monotonic() > say_at:
+                say(_holders([place for place in list_places(client.coordinator) if place.name in fitting]))
+                say = None
             time.sleep(POLL_S)
         _check(waiting, "wait", waiting.communicate()[1])
 
