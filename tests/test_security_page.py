@@ -28,8 +28,8 @@ NO_LIMITS = {
     "what is printed or computed at most": {
         "rtrun.analysis.recurrence._COUNT_MAX",
         "rtfiles.output.WIDTH_MAX",
-        "rtrun.archive.queries._COUNT_MAX",
-        "rtrun.archive.queries._GRID_MAX",
+        "rtrun.archive.bins._COUNT_MAX",
+        "rtrun.archive.bins._GRID_MAX",
         "rtrun.plan.topology.rates._UNIONS_MAX",
         "rtrun.analysis.response_time.JOBS_MAX",
         "rtrun.causes.control.WINDOWS_MAX",
@@ -46,6 +46,7 @@ NO_LIMITS = {
         "rtrun.execution.system.LOOK_S",
         "rtrun.execution.system.POLL_S",
         "rtrun.targets.labgrid.places.POLL_S",
+        "rtrun.targets.labgrid.places._SAY_AFTER_S",
         "rtrun.targets.link.RETRY_S",
         "rtrun.targets.processes.POLL_S",
         "rtrun.targets.processes._LONG_PAUSES_S",
