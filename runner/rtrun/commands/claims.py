@@ -28,14 +28,15 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.judgement.claims.examiners import examine_claims
     from rtrun.judgement.study import study
     from rtrun.plan.question import Question
-    from rtrun.report.screen import print_styled
+    from rtrun.report.published import published_figures
+    from rtrun.report.screen import print_rows, print_styled
     from rtrun.report.terminal import print_banner
 
     analysed = study(args.results, Question(confidence=args.confidence), bounds=False)
-    examined = examine_claims(analysed)
+    examined, published = examine_claims(analysed), published_figures(analysed)
     if args.json:
-        data = {"schema": 2, "platform": analysed.platform, "claims": [dataclasses.asdict(claim) for claim in examined]}
-        print_json(data)
+        claims = [dataclasses.asdict(claim) for claim in examined]
+        print_json({"schema": 2, "platform": analysed.platform, "claims": claims, "published": published.as_data()})
         return 0
     print_banner(analysed.platform)
     for claim in examined:
@@ -45,6 +46,11 @@ def run(args: argparse.Namespace) -> int:
         if result.runs:
             shown = listed(result.runs, 4)
             print_line(f"           test: {result.test}; runs: {shown}")
+    if published.rows:
+        print_line(f"{published.title}: {published.outcome}")
+        print_rows(published)
+        for text in published.notes:
+            print_line(text)
     for text in analysed.left_out:
         print_line(f"not analysed: {text}")
     return 0

@@ -28,10 +28,11 @@ def run(args: argparse.Namespace) -> int:
     """Print the answer, the ranking, what else is known of the late values, then the worst outliers; write FILE."""
     from rtfiles import atomic
     from rtfiles.errors import UsageError
-    from rtfiles.output import console, counted, print_json, print_line
+    from rtfiles.output import counted, print_json, print_line
     from rtrun.causes.ftrace import refuse_trace_cmd
     from rtrun.report import causes, late_paths
     from rtrun.report.perfetto import perfetto
+    from rtrun.report.screen import print_rows
     from rtrun.report.tracing_cost import thresholds, tracing_cost_at
     from rtrun.results.goal_file import read_goal
     from rtrun.results.reading import find_source
@@ -68,15 +69,14 @@ def run(args: argparse.Namespace) -> int:
     print_line(outcome)
     for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders], of)):
         print_line(note)
-    screen = console()
     if table.rows:
         print_line()
-        screen.print(causes.for_terminal(table, screen.width))
+        print_rows(table)
     for more in (causes.step_table(explained), paths, periods, surroundings, cost):
         if more is not None and more.rows:
             print_line()
             print_line(f"{more.title}: {more.outcome}")
-            screen.print(causes.for_terminal(more, screen.width))
+            print_rows(more)
     worst = sorted((one for one in explained if one.parts), key=lambda one: one.outlier.value_ns, reverse=True)
     for one in worst if args.all else worst[:SHOWN]:
         print_line()

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from rtfiles.errors import UsageError
 from rtfiles.output import counted, printable, showing_progress
@@ -18,14 +18,10 @@ from rtrun.causes.remedies import remedy
 from rtrun.causes.steps import Step
 from rtrun.causes.surroundings import find_unusual
 from rtrun.plan.question import Measure
-from rtrun.report.screen import fitted
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
 from rtrun.targets.inspection.kernel_trace import OPTIONS
-
-if TYPE_CHECKING:
-    import rich.table
 
 T = TypeVar("T")
 
@@ -270,11 +266,6 @@ def step_table(explained: Sequence[Explained]) -> Table:
         ],
         outcome=f"longest in step '{longest}', {_percent(sum(lengths[longest]), whole_ns)} of their latency",
     )
-
-
-def for_terminal(table: Table, width: int) -> "rich.table.Table":
-    """The table for a screen of this width."""
-    return fitted(table.columns, table.rows, range(table.numbers, len(table.columns)), width)
 
 
 def without_trace(explained: Iterable[Explained]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The tables behind the scenarios: worst cases, layers, published figures, environment, reproduction."""
+"""The tables behind the scenarios: worst cases, layers, allocations, environment, reproduction."""
 
 import hashlib
 from collections.abc import Iterator, Sequence
@@ -8,7 +8,6 @@ from rtfiles.output import counted
 from rtfiles.quantities import time
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.worst_case import disagreement
-from rtrun.judgement.claims.reference import message_rows, oneshot_rows
 from rtrun.judgement.groups import Group
 from rtrun.judgement.influence import influences
 from rtrun.judgement.layers import LayerPair
@@ -41,7 +40,6 @@ def end_tables(
         _worst_cases(study),
         ranking(study),
         layers.table(pairs, study.question.confidence),
-        _published(study),
         _allocations(study),
     ]
     return tuple(printable_table(table) for table in (*tables, _environment(study), _reproduce(study)) if table.rows)
@@ -119,33 +117,6 @@ def _bound(bound: Bound) -> tuple[str, str]:
         f"shape {bound.shape:.3f}, {bound.points} points, "
         + ", ".join(f"{c.name} p = {c.p_value:.2g}" for c in bound.checks if c.p_value is not None),
     )
-
-
-def _published(study: Study) -> Table:
-    of_table, others = oneshot_rows(), message_rows()
-    matched = [(row, group) for group in study.as_in_2014 for row in (*of_table, *others) if row.is_like(group)]
-    measured = sum(any(map(row.is_like, study.as_in_2014)) for row in of_table)
-    columns_here, columns_there = ("min", "mean", "max"), ("2014 min", "2014 mean", "2014 max")
-    return Table(
-        id="published",
-        title="Beside the published PandaBoard figures",
-        columns=("suite and parameters", "published", *columns_here, *columns_there),
-        rows=[
-            (group.label, row.place, *_here(group), *(time(1000 * figure) for figure in row.figures_us))
-            for row, group in matched
-        ],
-        outcome=f"{measured} of the {len(of_table)} rows of the one-shot table were measured here",
-        numbers=2,
-        notes=("Another board, kernel or ROS: a difference says nothing about any one of them alone.",),
-    )
-
-
-def _here(group: Group) -> tuple[str, str, str]:
-    lows = [d.figures.min_ns for d in group.digests if d.figures.min_ns is not None]
-    highs = [d.figures.max_ns for d in group.digests if d.figures.max_ns is not None]
-    means = [(d.figures.mean_ns * d.n, d.n) for d in group.digests if d.figures.mean_ns is not None]
-    mean = sum(total for total, _ in means) / sum(n for _, n in means) if means else None
-    return time(min(lows, default=None)), time(mean), time(max(highs, default=None))
 
 
 def _allocations(study: Study) -> Table:

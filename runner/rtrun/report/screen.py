@@ -8,6 +8,7 @@ from rtfiles.output import console, print_line, printable
 from rtfiles.quantities import grouped, time
 from rtrun.analysis.deadline import Answer
 from rtrun.judgement.gate import Case
+from rtrun.report import tables
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -78,6 +79,12 @@ def fitted(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: Cont
     for row in cells:
         made.add_row(*row)
     return made
+
+
+def print_rows(table: tables.Table) -> None:
+    """Print the rows of a table of the report."""
+    screen, shown = console(), tables.printable_table(table)
+    screen.print(fitted(shown.columns, shown.rows, range(shown.numbers, len(shown.columns)), screen.width))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

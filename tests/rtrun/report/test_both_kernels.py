@@ -9,8 +9,7 @@ from rtrun.judgement.claims.examination import Finding
 from rtrun.judgement.claims.examiners import examine_claims
 from rtrun.judgement.study import study
 from rtrun.plan.campaign import read_campaign
-from rtrun.report.causes import ranked
-from rtrun.report.end_tables import end_tables
+from rtrun.report.published import published_figures
 
 CAMPAIGN = Path(__file__).parents[3] / "campaigns" / "thesis-2014.yml"
 
@@ -34,7 +33,7 @@ def results(tmp_path_factory):
 def test_all_24_published_rows_stand_beside_what_was_measured(results):
     examined = study(results, bounds=False)
     assert len(examined.groups) == 24
-    (published,) = (table for table in end_tables(examined, (), ranked(examined.source), ()) if table.id == "published")
+    published = published_figures(examined)
     assert published.outcome == "24 of the 24 rows of the one-shot table were measured here"
     assert len(published.rows) == 24 and len({row[:2] for row in published.rows}) == 24
     for label, there, *_ in published.rows:
