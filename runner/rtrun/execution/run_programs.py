@@ -87,7 +87,7 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
     stages: tuple[tuple[Program, ...], ...]
     of_topology: topology_runs.TopologyPrograms | None = None
     if run.topology is not None:
-        environment = _environment(prepared, run.middleware)
+        environment = (*_environment(prepared, run.middleware), *suites.environment(run.parameters))
         of_topology = topology_runs.topology_programs(prepared, run, run.topology, remote, environment, deadline_s)
         stages, outputs = (of_topology.programs,), list[str]()
     elif run.observation is not None:

@@ -104,11 +104,20 @@ def read_run(folder: Path, run: Run, topology: Topology) -> TopologyTables | str
     for name, host in tables.hosts.items():
         if host.middleware != run.middleware:
             return f"{name}: asked for the middleware {run.middleware}, it measured through {host.middleware}"
-        if wrong := _wrong_thread(topology, name, host):
+        if wrong := _wrong_thread(topology, name, host) or _wrong_fact(name, host, run):
             return wrong
         if foreign := sum(executor.foreign for executor in host.executors):
             return f"{name}: {foreign} messages came that no node of the topology has sent: somebody uses its topics"
     return tables
+
+
+def _wrong_fact(process: str, host: HostRecord, run: Run) -> str | None:
+    """Say what of the middleware is in effect, where a run asks for something else, or None."""
+    for key, fact in host.in_effect.facts.items():
+        asked = run.parameters.get(key)
+        if asked not in (None, "") and str(asked) != fact:
+            return f"{process}: asked for {key} {asked}, in effect was {fact or 'none'}"
+    return None
 
 
 def _wrong_thread(topology: Topology, process: str, host: HostRecord) -> str | None:

@@ -246,7 +246,8 @@ class ExecutorThread {
     last_message_ns_ = now_ns;
     Ends& ends = nodes_[of.node];
     if (!ends.node->receive(of.input, head, now_ns)) {
-      stop("more messages came than there can be");
+      const std::size_t topic = ends.node->description->inputs[of.input].topic;
+      stop("more messages came than there can be: others publish on " + run_.process.topics[topic].name);
     } else if (ends.node->description->waits == Waits::any) {
       activate(ends, now_ns, of.input);
     } else if (ends.node->description->waits == Waits::all && ends.node->has_all_new()) {
