@@ -200,6 +200,7 @@ BAD = [
     "rtrun observe --target missing.yml --for 1s",
     "rtrun plan missing.yml",
     "rtrun run missing.yml --target missing.yml",
+    "rtrun influence missing.yml --of other_nodes --target missing.yml",
     "rtrun new-target --host",
     "rtrun probe --target missing.yml",
     "rtrun check-rt --target missing.yml",

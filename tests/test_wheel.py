@@ -53,6 +53,7 @@ COMMANDS = [
     ("rtrun plan campaign.yml --json", 0, '"schema": 1'),
     ("rtrun run campaign.yml --target target.yml --results measured", 3, "127.0.0.1"),
     ("rtrun observe --target target.yml --for 1s --results observed", 3, "127.0.0.1"),
+    ("rtrun influence missing.yml --of other_nodes --target target.yml", 2, "missing.yml"),
     ("rtrun quick --deadline 1ms --target root@127.0.0.1 --for 1s", 3, "127.0.0.1"),
     ("rtrun build-suites recipes-tests --target target.yml", 3, "127.0.0.1"),
     ("rtrun new-target --host 127.0.0.1 --port 9 --user root", 3, "root@127.0.0.1:9: cannot connect"),

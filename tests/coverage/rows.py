@@ -25,7 +25,8 @@ from rtrun.analysis.blocks import Blocks, cut
 from rtrun.analysis.comparison import ComparisonAnswer, compare, correct
 from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
 from rtrun.analysis.deadline import Answer, Verdict, judge
-from rtrun.analysis.further import Floats, proves, smallest
+from rtrun.analysis.distributions import Floats
+from rtrun.analysis.further import proves, smallest
 from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.intervals import anytime_upper, clopper_pearson
 from rtrun.analysis.layers import attribute

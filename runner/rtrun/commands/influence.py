@@ -14,7 +14,7 @@ NAME = "influence"
 HELP = "what independent nodes add to the times along the paths of a topology: measured beside them and alone, in turn"
 EXAMPLES = (
     "rtrun influence braking.yml --of other_nodes --target board.yml",
-    "rtrun influence braking.yml --of other_nodes --nodes 1,8 --kinds busy --cpu 0 --cpu 1",
+    "rtrun influence braking.yml --of other_nodes --target board.yml --nodes 1,8 --kinds busy --cpu 0 --cpu 1",
 )
 KINDS = ("idle", "busy", "publishing")
 

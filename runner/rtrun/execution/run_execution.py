@@ -376,7 +376,7 @@ def _wait(work: _Work, life: RunLife) -> _Measured:
         if work.programs.need_one_another and not failure:
             needed = [name for name in work.programs.suite_names if name != program.name]
         deadline_s = program.deadline_s + END_GRACE_S
-        ended = processes.wait_while_needed(link, work.remote, program.name, needed, deadline_s=deadline_s)
+        ended = processes.wait(link, work.remote, program.name, deadline_s=deadline_s, needed=needed)
         if isinstance(ended, processes.NeededFailed):
             # As when it fails before: what publishes would go on for as long as if it were there.
             failure = f"{ended.name} ended while {program.name} was running: {_last_word(work, ended.name)}"

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
+from typing import overload
 
 from rtfiles.untrusted import whole_number
 from rtrun.plan.program import Exit, Program
@@ -156,22 +157,19 @@ def start(
     link.check(join_commands(commands))
 
 
-def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> Exit:
-    """Wait for the end of a program. The wait blocks on a file lock, so it costs the target no CPU time.
-
-    Raises DeadlineExpired when it has not ended in time, TargetGone and TargetRebooted.
-    """
-    ended = wait_while_needed(link, folder, name, (), deadline_s=deadline_s)
-    assert isinstance(ended, Exit)
-    return ended
-
-
-def wait_while_needed(
-    link: Link, folder: PurePosixPath, name: str, needed: Sequence[str], *, deadline_s: float
+@overload
+def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> Exit: ...
+@overload
+def wait(
+    link: Link, folder: PurePosixPath, name: str, *, deadline_s: float, needed: Sequence[str]
+) -> Exit | NeededFailed: ...
+def wait(
+    link: Link, folder: PurePosixPath, name: str, *, deadline_s: float, needed: Sequence[str] = ()
 ) -> Exit | NeededFailed:
-    """Wait for the end of a program, as `wait` does, or until one of the `needed` programs has failed.
+    """Wait for the end of a program, or until one of the `needed` programs has failed: seen WAIT_S later at most.
 
-    That is seen WAIT_S later at most. Raises as `wait`.
+    The wait blocks on a file lock, so it costs the target no CPU time. Raises DeadlineExpired when the program has not
+    ended in time, TargetGone and TargetRebooted.
     """
     deadline = time.monotonic() + deadline_s
     command = ["sh", "-c", _WAIT, "sh", str(folder), name, *needed]
