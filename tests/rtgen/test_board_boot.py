@@ -295,8 +295,13 @@ def check_arguments(board: Board, link: Link, scripts: PurePosixPath, program: s
         [hit for hit in hits if hit.event == event] for event in ("publish", "take", "timer_call")
     )
     numbers = [hit.values["source_ns"] for hit in published]
-    assert numbers[0] >= first and numbers == list(range(numbers[0], numbers[0] + len(numbers))) and len(numbers) > 10
-    assert {hit.values["source_ns"] for hit in taken} ^ set(numbers) <= {numbers[0] - 1, numbers[-1]}
+    assert numbers[0] >= first and len(numbers) > 10
+    # An emulator that is starved loses events, and says so; what is seen is in order all the same.
+    if any(batch.gaps for batch in batches):
+        assert numbers == sorted(set(numbers))
+    else:
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+        assert {hit.values["source_ns"] for hit in taken} ^ set(numbers) <= {numbers[0] - 1, numbers[-1]}
     assert {hit.values["topic"] for hit in (*published, *taken)} == {"/a"}
     assert {hit.values["taken"] for hit in taken} == {1}
     assert {(hit.values["period_ns"], hit.values["clock"]) for hit in calls} == {(20_000_000, "steady")}
