@@ -324,7 +324,7 @@ schema: 1
 name: two
 order: interleaved
 seed: 7
-common: {{policy: FIFO, repetitions: 300, frequency_hz: 300, domain_id: {domain}}}
+common: {{policy: FIFO, repetitions: 300, frequency_hz: 50, domain_id: {domain}}}
 runs:
   - {{suite: communication_tests, middleware: [roscpp, {middleware}], subscribers: 2, depth: 300}}
   - {{suite: cyclic_timer_tests, middleware: [roscpp, {middleware}]}}

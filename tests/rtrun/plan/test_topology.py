@@ -188,7 +188,7 @@ def test_a_file_that_is_wrong_is_refused_with_what_would_be_right(tmp_path, line
         ("runs: [{middleware: zeromq}]\n", r"runs.0.middleware: zeromq measures messages, and topology is of topology"),
         (
             "runs: [{repetitions: 3}]\n",
-            r"runs.0: unknown key 'repetitions', a run with topology takes: other_nodes, middleware",
+            r"runs.0: unknown key 'repetitions', a run with topology takes: other_nodes, rmw, domain_id, middleware",
         ),
         ("subject: attached\n" + RUNS, r"topology: a campaign has a subject or a topology, not both"),
     ],
