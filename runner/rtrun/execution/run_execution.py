@@ -1,58 +1,35 @@
-"""One run on a prepared target: resumed or started, waited for or observed, downloaded, judged, closed."""
+"""One run on a prepared target: resumed or started, waited for or observed, ended; then it is closed."""
 
 import contextlib
-import json
 import secrets
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from datetime import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path, PurePosixPath
-from typing import Any
+from pathlib import Path
 
 from rtfiles.errors import InfrastructureError
-from rtfiles.untrusted import MIB, read_end
-from rtrun.execution import (
-    clock_record,
-    download,
-    observation,
-    observed_runs,
-    resumption,
-    stream_runs,
-    system,
-    topology_runs,
-)
-from rtrun.execution.middleware.known import SERVICES
-from rtrun.execution.middleware.service import Service
+from rtrun.execution import download, observation, resumption, system
+from rtrun.execution.closing import Clock, End, Work, close
 from rtrun.execution.observation import NOBODY, ObservationResult, Onlooker
 from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt
-from rtrun.execution.run_programs import RunPrograms, programs_of
+from rtrun.execution.run_programs import programs_of
 from rtrun.execution.run_state import RunEvent, RunLife, RunState, must_give_up
-from rtrun.flows.topology.tables import TopologyTables
-from rtrun.kinds.output import Record, SenderRecord
-from rtrun.plan import conditions, suites
+from rtrun.plan import conditions
 from rtrun.plan.program import Exit
 from rtrun.plan.run import UNTRACED, Run
 from rtrun.results import run_directory
-from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
-from rtrun.targets import building, processes
+from rtrun.results.record import RunRecord
+from rtrun.targets import processes
 from rtrun.targets.connection import parse_listing
 from rtrun.targets.errors import TargetError
-from rtrun.targets.inspection import control_groups
 from rtrun.targets.inspection import facts as inspection
-from rtrun.targets.inspection.control_groups import ControlGroup
-from rtrun.targets.inspection.platform import Platform
-from rtrun.targets.link import OUT_OF_REACH, Link
-from rtrun.validity import baselines, requirements
-from rtrun.validity.outcome import RunOutcome, judge
+from rtrun.targets.link import OUT_OF_REACH
 
 SUBSCRIBED_S = 60.0
 # The target ends a program at its deadline; the runner waits this much longer for that.
 END_GRACE_S = 60.0
-# The end of the console of a board in QEMU, which may print without end.
-CONSOLE_LIMIT_BYTES = 16 * MIB
 # A run has some ten files for each of its programs. Of a folder with more than this the user is told.
 FILES_USUAL = 10_000
 # For a folder with some million files.
@@ -61,50 +38,6 @@ LISTING_S = 120.0
 _PUT = 'cat >"$1.new" && [ "$(wc -c <"$1.new")" -eq "$2" ] && mv "$1.new" "$1"'
 # Stands between the state of the target and the list of files.
 _FILES = "== files"
-# Facts of a target that run.json takes from its state under the same names.
-STATED = ("kernel_release", "kernel_version", "machine", "boot_id", "clocksource", "governor")
-
-Clock = Callable[[], datetime]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Work:
-    """One run, where it is measured and where it is kept."""
-
-    prepared: Prepared
-    campaign: str
-    run: Run
-    folder: Path
-    remote: PurePosixPath
-    programs: RunPrograms
-    token: str
-    onlooker: Onlooker
-
-    @property
-    def link(self) -> Link:
-        return self.prepared.link
-
-    @property
-    def service(self) -> Service | None:
-        """What its middleware needs beside the programs; None: nothing."""
-        return SERVICES.get(self.run.middleware)
-
-    @property
-    def measuring(self) -> list[str]:
-        """The names of the programs that measure: once they run, the target goes on by itself."""
-        return [] if self.run.observation else [program.name for program in self.programs.measuring]
-
-    @property
-    def starts_system(self) -> bool:
-        """Whether it starts the user's system, to observe it."""
-        return bool(self.run.observation and self.programs.of_suite)
-
-    @property
-    def setup(self) -> str | None:
-        """The shell file that sets up what its programs need."""
-        if self.starts_system:
-            return self.prepared.setup or self.link.target.setup
-        return self.prepared.setup_of(self.run.middleware)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,23 +48,6 @@ class _Measured:
     failure: str | None = None
     service: str = ""
     observed: ObservationResult | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _End:
-    """How a run ended on the target."""
-
-    failure: str | None
-    """Why the measuring programs were not started, or were ended, if so."""
-    exits: Sequence[Exit]
-    ended_early: Mapping[str, str]
-    """Background programs that ended before the suite, name to exit status."""
-    service: str
-    """The identity of what its middleware needs; empty: it needs nothing, or that has died."""
-    after: inspection.TargetState
-    """State of the target."""
-    files: Mapping[str, int]
-    """What the run has left in its folder on the target, name to size in bytes."""
 
 
 def measure(
@@ -154,7 +70,7 @@ def measure(
     """
     remote = prepared.link.target.work_dir / "runs" / uid / run.name
     token = secrets.token_hex(4)
-    work = _Work(
+    work = Work(
         prepared=prepared,
         campaign=campaign,
         run=run,
@@ -178,32 +94,13 @@ def measure(
             raise TargetError(f"{error}; the run goes on and is picked up by the next call") from error
         raise
     end = _end_background(work, measured, not_started)
-    with contextlib.ExitStack() as stack:
-        place = folder
-        if run.observation is not None or run.topology is not None:
-            # Its streams are runs, too, and get their places together with it.
-            stream_runs.put_aside(folder)
-            place = stack.enter_context(run_directory.together(folder.parent, folder.name)) / folder.name
-        partial = stack.enter_context(run_directory.filling(place))
-        refused = _download(work, partial, attempt, end)
-        verdict = _judge(work, partial, attempt, end, refused)
-        tables: TopologyTables | str = ""
-        if run.topology is not None and verdict.status is RunStatus.OK:
-            tables = topology_runs.read_run(partial, run, run.topology.topology)
-            if isinstance(tables, str):
-                verdict = replace(verdict, status=RunStatus.INVALID, reason=tables)
-        record = _record(work, partial, attempt, end, refused, verdict, now)
-        if measured.observed is not None:
-            record = observed_runs.write(partial, place, run, record, attempt.before, measured.observed)
-        if run.topology is not None and not isinstance(tables, str):
-            record = topology_runs.write(partial, place, run.topology, record, attempt.before, tables)
-        run_directory.close(partial, place, record)
+    record = close(work, attempt, end, measured.observed, now)
     life.move(RunEvent.CLOSE, f"{record.status}: {record.reason}" if record.reason else record.status)
     processes.remove(work.link, remote)
     return record
 
 
-def _resume(work: _Work, life: RunLife) -> Attempt | None:
+def _resume(work: Work, life: RunLife) -> Attempt | None:
     """Return the attempt of an earlier call that can be picked up, or make room for a new one and return None."""
     others = [*work.programs.load_names, *work.programs.other_names]
     leftovers = resumption.inspect_leftovers(work.link, work.remote, work.programs.suite_names, others)
@@ -226,14 +123,14 @@ def _resume(work: _Work, life: RunLife) -> Attempt | None:
     return None
 
 
-def _give_up(work: _Work) -> None:
+def _give_up(work: Work) -> None:
     """End all that runs of it, and remove its folder on the target."""
     if work.starts_system:
         system.end(work.link, work.prepared.scripts, work.remote)
     processes.give_up(work.link, work.remote, work.programs.names)
 
 
-def _start(work: _Work, life: RunLife, now: Clock) -> tuple[Attempt, str | None]:
+def _start(work: Work, life: RunLife, now: Clock) -> tuple[Attempt, str | None]:
     """Start the background, then the suite; return why its measuring programs were not started, if so.
 
     What is observed is started before the background: how it comes up under a load is no part of the run. Raises
@@ -250,7 +147,7 @@ def _start(work: _Work, life: RunLife, now: Clock) -> tuple[Attempt, str | None]
     return attempt, not_started
 
 
-def _start_system(work: _Work) -> str | None:
+def _start_system(work: Work) -> str | None:
     """Start the user's system where the run names one, and wait until it is ready; return why it is not."""
     assert work.run.observation is not None
     link, scripts, plan = work.link, work.prepared.scripts, work.run.observation
@@ -264,7 +161,7 @@ def _start_system(work: _Work) -> str | None:
     return not_ready
 
 
-def _begin(work: _Work, now: Clock) -> Attempt:
+def _begin(work: Work, now: Clock) -> Attempt:
     start_time = now()
     service = _service(work)
     if work.service and not service:
@@ -288,12 +185,12 @@ def _begin(work: _Work, now: Clock) -> Attempt:
     return attempt
 
 
-def _service(work: _Work) -> str:
+def _service(work: Work) -> str:
     """The identity of what the middleware of the run needs; empty: it needs nothing, or that does not run."""
     return (work.service.identity(work.link) if work.service else None) or ""
 
 
-def _start_background(work: _Work) -> None:
+def _start_background(work: Work) -> None:
     """Start what the condition asks for. Raises TargetError when a program of it ends at once."""
     link, prepared = work.link, work.prepared
     programs = [each.program for each in work.programs.background]
@@ -305,7 +202,7 @@ def _start_background(work: _Work) -> None:
         raise TargetError(f"{link.target.address}: condition {work.run.condition}: {name} does not run: {reason}")
 
 
-def _start_suite(work: _Work) -> str | None:
+def _start_suite(work: Work) -> str | None:
     """Start the sampler, then the suite's programs stage by stage, each when those before it are ready.
 
     Return why the rest was not started: a program that it needs has ended.
@@ -325,7 +222,7 @@ def _start_suite(work: _Work) -> str | None:
     return None
 
 
-def _wait_ready(work: _Work, names: Sequence[str]) -> None:
+def _wait_ready(work: Work, names: Sequence[str]) -> None:
     """Wait until these programs of the suite are ready, or one of them has ended.
 
     Without a service nobody but the programs themselves knows: they wait for one another.
@@ -342,11 +239,11 @@ def _wait_ready(work: _Work, names: Sequence[str]) -> None:
         )
 
 
-def _last_word(work: _Work, name: str) -> str:
+def _last_word(work: Work, name: str) -> str:
     return processes.read_last_line(work.link, work.remote / f"{name}.stderr") or "it said nothing"
 
 
-def _observe(work: _Work, life: RunLife, not_started: str | None, now: Clock) -> _Measured:
+def _observe(work: Work, life: RunLife, not_started: str | None, now: Clock) -> _Measured:
     """Observe what the run is about, then end the user's system where the run has started it."""
     assert work.run.observation is not None
     link, scripts, plan = work.link, work.prepared.scripts, work.run.observation
@@ -366,7 +263,7 @@ def _observe(work: _Work, life: RunLife, not_started: str | None, now: Clock) ->
     return _Measured(exits=exits, failure=failure, observed=observed)
 
 
-def _wait(work: _Work, life: RunLife) -> _Measured:
+def _wait(work: Work, life: RunLife) -> _Measured:
     """Wait for the programs of the suite."""
     link, failure = work.link, None
     awaited = [program.name for program in work.programs.awaited]
@@ -391,12 +288,12 @@ def _wait(work: _Work, life: RunLife) -> _Measured:
     return _Measured(exits=exits, failure=failure, service=service)
 
 
-def _end_background(work: _Work, measured: _Measured, not_started: str | None) -> _End:
+def _end_background(work: Work, measured: _Measured, not_started: str | None) -> End:
     failure = not_started or measured.failure
     limits, state_script = work.programs.file_limits, work.prepared.scripts / "state.sh"
     if not work.programs.names:
         after = inspection.read_state(work.link, state_script)
-        return _End(failure=failure, exits=(), ended_early={}, service="", after=after, files={})
+        return End(failure=failure, exits=(), ended_early={}, service="", after=after, files={})
     ended = processes.end_background(
         work.link,
         work.remote,
@@ -412,133 +309,11 @@ def _end_background(work: _Work, measured: _Measured, not_started: str | None) -
     files = parse_listing(listed)
     if files.total > FILES_USUAL:
         work.link.note(f"{work.remote}: has {files.total} files; those that are not of the run are removed with it")
-    return _End(
+    return End(
         failure=failure,
         exits=measured.exits,
         ended_early=ended.early,
         service=ended.service,
         after=inspection.parse_state(state),
         files=files.sizes,
-    )
-
-
-def _download(work: _Work, partial: Path, attempt: Attempt, end: _End) -> dict[str, str]:
-    """Fill a run directory; return the files that were not taken, name to reason."""
-    refused = download.pull(work.link, work.remote, end.files, partial, work.programs.file_limits)
-    if work.prepared.kernel_config:
-        (partial / "kernel.config.gz").write_bytes(work.prepared.kernel_config)
-    before, after = attempt.before.model_dump(), end.after.model_dump()
-    states = {"schema": 1, "before": before, "after": after, "own_service": attempt.own_service}
-    (partial / "target.json").write_text(json.dumps(states, indent=2) + "\n", encoding="utf-8")
-    console = work.link.target.console
-    if console is not None and console.exists():
-        (partial / "console.log").write_bytes(read_end(console, max_bytes=CONSOLE_LIMIT_BYTES))
-    return refused
-
-
-def _judge(work: _Work, partial: Path, attempt: Attempt, end: _End, refused: Mapping[str, str]) -> RunOutcome:
-    is_of_suite = work.run.observation is None
-    verdict = judge(
-        partial,
-        work.run,
-        work.programs.of_suite if is_of_suite else (),
-        end.exits if is_of_suite else (),
-        work.programs.outputs,
-        refused=refused,
-        background=work.programs.background,
-        ended_early=end.ended_early,
-        is_timed=work.prepared.platform.platform is not Platform.EMULATED,
-    )
-    if end.failure:
-        return replace(verdict, status=RunStatus.FAILED, reason=end.failure)
-    if work.service and end.service != attempt.service:
-        reason = f"{work.service.name} died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
-        return replace(verdict, status=RunStatus.FAILED, reason=reason)
-    return verdict
-
-
-def _take_control_groups(path: Path) -> list[ControlGroup]:
-    """The control groups of a program, whose file is not kept: the record says the same."""
-    if not path.is_file():
-        return []
-    text = path.read_bytes().decode("utf-8", errors="replace")
-    path.unlink()
-    return control_groups.parse_around(text)
-
-
-def _program_record(
-    partial: Path, name: str, argv: list[str], exit_: Exit, head: Record | SenderRecord | None
-) -> ProgramRecord:
-    return ProgramRecord(
-        name=name,
-        argv=argv,
-        exit_status=exit_.status,
-        control_groups=_take_control_groups(partial / f"{name}.cgroups"),
-        rate=head.rate if head else None,
-        costs=head.costs if head else None,
-        loops=head.counts.loops if head else None,
-    )
-
-
-def _built_with(work: _Work) -> dict[str, Any]:
-    """The fact of the target that tells what the suites were built with, where they were built there."""
-    built = f"{work.link.target.work_dir / building.BUILT}/"
-    used = any(program.argv[0].startswith(built) for program in work.programs.of_suite)
-    return {"suites_built_with": dict(work.prepared.equipment.built_with)} if used else {}
-
-
-def _record(
-    work: _Work,
-    partial: Path,
-    attempt: Attempt,
-    end: _End,
-    refused: Mapping[str, str],
-    verdict: RunOutcome,
-    now: Clock,
-) -> RunRecord:
-    run, target = work.run, work.link.target
-    outputs = list(work.programs.outputs)
-    if suites.suite(run.suite).is_baseline and verdict.status is RunStatus.OK:
-        outputs = baselines.keep_histograms(partial, run, suites.output_name(run.suite, run.parameters))
-    return RunRecord(
-        schema=2,
-        run=run.name,
-        campaign=work.campaign,
-        attempt=attempt.uid,
-        suite=run.suite,
-        subject=suites.suite(run.suite).subject,
-        parameters=dict(run.parameters),
-        condition=run.condition,
-        settings=dict(run.settings),
-        repeat=run.repeat,
-        seed=run.seed,
-        variant=run.variant,
-        kernel=run.kernel,
-        trace=run.trace,
-        platform=work.prepared.platform.platform,
-        platform_evidence=work.prepared.platform.evidence,
-        status=verdict.status,
-        reason=verdict.reason,
-        requested=requirements.requested(run, work.programs.background),
-        in_effect=verdict.in_effect,
-        start_time=attempt.start_time,
-        end_time=now().isoformat(),
-        programs=[
-            _program_record(partial, program.name, attempt.argv[program.name], exit_, verdict.heads.get(program.name))
-            for program, exit_ in zip(work.programs.of_suite, end.exits, strict=True)
-        ],
-        outputs=outputs,
-        refused=dict(refused),
-        target=TargetFacts(
-            name=target.place or target.name,
-            address=str(target.address),
-            preempt_rt=inspection.is_preempt_rt(attempt.before),
-            cpus=work.prepared.equipment.cpus,
-            clock=clock_record.record(attempt.before, clock_record.steps_seen(partial, outputs, verdict.records)),
-            setup=work.setup,
-            **_built_with(work),
-            middleware_version=work.prepared.equipment.of(run.middleware).version,
-            **{name: getattr(attempt.before, name) for name in STATED},
-        ),
-        files={},
     )

@@ -6,7 +6,7 @@ import pytest
 from faulty import measure, runs_of
 
 from ports import free_port
-from rtrun.execution import run_execution
+from rtrun.execution import closing
 from rtrun.targets.errors import ConnectionLost
 from rtrun.targets.link import CONSOLE_END_BYTES, Link
 
@@ -28,7 +28,7 @@ def test_a_board_that_is_gone_shows_the_end_of_its_console(target, console):
 
 
 def test_a_run_keeps_the_end_of_the_console(ready_target, tmp_path, wishes, console, monkeypatch):
-    monkeypatch.setattr(run_execution, "CONSOLE_LIMIT_BYTES", 5000)
+    monkeypatch.setattr(closing, "CONSOLE_LIMIT_BYTES", 5000)
     (run,) = runs_of(1)
     target = replace(ready_target, console=console)
     assert measure(target, [run], tmp_path / "results") == ["ok"]

@@ -1,0 +1,249 @@
+"""A run that has ended on its target: what it left is downloaded, judged, and closed with a record."""
+
+import contextlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from rtfiles.untrusted import MIB, read_end
+from rtrun.execution import clock_record, download, observed_runs, stream_runs, topology_runs
+from rtrun.execution.middleware.known import SERVICES
+from rtrun.execution.middleware.service import Service
+from rtrun.execution.observation import ObservationResult, Onlooker
+from rtrun.execution.preparation import Prepared
+from rtrun.execution.resumption import Attempt
+from rtrun.execution.run_programs import RunPrograms
+from rtrun.flows.topology.tables import TopologyTables
+from rtrun.kinds.output import Record, SenderRecord
+from rtrun.plan import suites
+from rtrun.plan.program import Exit
+from rtrun.plan.run import Run
+from rtrun.results import run_directory
+from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
+from rtrun.targets import building
+from rtrun.targets.inspection import control_groups
+from rtrun.targets.inspection import facts as inspection
+from rtrun.targets.inspection.control_groups import ControlGroup
+from rtrun.targets.inspection.platform import Platform
+from rtrun.targets.link import Link
+from rtrun.validity import baselines, requirements
+from rtrun.validity.outcome import RunOutcome, judge
+
+# The end of the console of a board in QEMU, which may print without end.
+CONSOLE_LIMIT_BYTES = 16 * MIB
+# Facts of a target that run.json takes from its state under the same names.
+STATED = ("kernel_release", "kernel_version", "machine", "boot_id", "clocksource", "governor")
+
+Clock = Callable[[], datetime]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Work:
+    """One run, where it is measured and where it is kept."""
+
+    prepared: Prepared
+    campaign: str
+    run: Run
+    folder: Path
+    remote: PurePosixPath
+    programs: RunPrograms
+    token: str
+    onlooker: Onlooker
+
+    @property
+    def link(self) -> Link:
+        return self.prepared.link
+
+    @property
+    def service(self) -> Service | None:
+        """What its middleware needs beside the programs; None: nothing."""
+        return SERVICES.get(self.run.middleware)
+
+    @property
+    def measuring(self) -> list[str]:
+        """The names of the programs that measure: once they run, the target goes on by itself."""
+        return [] if self.run.observation else [program.name for program in self.programs.measuring]
+
+    @property
+    def starts_system(self) -> bool:
+        """Whether it starts the user's system, to observe it."""
+        return bool(self.run.observation and self.programs.of_suite)
+
+    @property
+    def setup(self) -> str | None:
+        """The shell file that sets up what its programs need."""
+        if self.starts_system:
+            return self.prepared.setup or self.link.target.setup
+        return self.prepared.setup_of(self.run.middleware)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class End:
+    """How a run ended on the target."""
+
+    failure: str | None
+    """Why the measuring programs were not started, or were ended, if so."""
+    exits: Sequence[Exit]
+    ended_early: Mapping[str, str]
+    """Background programs that ended before the suite, name to exit status."""
+    service: str
+    """The identity of what its middleware needs; empty: it needs nothing, or that has died."""
+    after: inspection.TargetState
+    """State of the target."""
+    files: Mapping[str, int]
+    """What the run has left in its folder on the target, name to size in bytes."""
+
+
+def close(work: Work, attempt: Attempt, end: End, observed: ObservationResult | None, now: Clock) -> RunRecord:
+    """Fill the directory of a run that has ended on the target, and return the record that it is closed with.
+
+    What was observed, or went through a topology, makes runs of its own beside it. Raises TargetError when the target
+    does not hand over its files.
+    """
+    run = work.run
+    with contextlib.ExitStack() as stack:
+        place = work.folder
+        if run.observation is not None or run.topology is not None:
+            # Its streams are runs, too, and get their places together with it.
+            stream_runs.put_aside(place)
+            place = stack.enter_context(run_directory.together(place.parent, place.name)) / place.name
+        partial = stack.enter_context(run_directory.filling(place))
+        refused = _download(work, partial, attempt, end)
+        verdict = _judge(work, partial, attempt, end, refused)
+        tables: TopologyTables | str = ""
+        if run.topology is not None and verdict.status is RunStatus.OK:
+            tables = topology_runs.read_run(partial, run, run.topology.topology)
+            if isinstance(tables, str):
+                verdict = replace(verdict, status=RunStatus.INVALID, reason=tables)
+        record = _record(work, partial, attempt, end, refused, verdict, now)
+        if observed is not None:
+            record = observed_runs.write(partial, place, run, record, attempt.before, observed)
+        if run.topology is not None and not isinstance(tables, str):
+            record = topology_runs.write(partial, place, run.topology, record, attempt.before, tables)
+        run_directory.close(partial, place, record)
+    return record
+
+
+def _download(work: Work, partial: Path, attempt: Attempt, end: End) -> dict[str, str]:
+    """Fill a run directory; return the files that were not taken, name to reason."""
+    refused = download.pull(work.link, work.remote, end.files, partial, work.programs.file_limits)
+    if work.prepared.kernel_config:
+        (partial / "kernel.config.gz").write_bytes(work.prepared.kernel_config)
+    before, after = attempt.before.model_dump(), end.after.model_dump()
+    states = {"schema": 1, "before": before, "after": after, "own_service": attempt.own_service}
+    (partial / "target.json").write_text(json.dumps(states, indent=2) + "\n", encoding="utf-8")
+    console = work.link.target.console
+    if console is not None and console.exists():
+        (partial / "console.log").write_bytes(read_end(console, max_bytes=CONSOLE_LIMIT_BYTES))
+    return refused
+
+
+def _judge(work: Work, partial: Path, attempt: Attempt, end: End, refused: Mapping[str, str]) -> RunOutcome:
+    is_of_suite = work.run.observation is None
+    verdict = judge(
+        partial,
+        work.run,
+        work.programs.of_suite if is_of_suite else (),
+        end.exits if is_of_suite else (),
+        work.programs.outputs,
+        refused=refused,
+        background=work.programs.background,
+        ended_early=end.ended_early,
+        is_timed=work.prepared.platform.platform is not Platform.EMULATED,
+    )
+    if end.failure:
+        return replace(verdict, status=RunStatus.FAILED, reason=end.failure)
+    if work.service and end.service != attempt.service:
+        reason = f"{work.service.name} died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
+        return replace(verdict, status=RunStatus.FAILED, reason=reason)
+    return verdict
+
+
+def _take_control_groups(path: Path) -> list[ControlGroup]:
+    """The control groups of a program, whose file is not kept: the record says the same."""
+    if not path.is_file():
+        return []
+    text = path.read_bytes().decode("utf-8", errors="replace")
+    path.unlink()
+    return control_groups.parse_around(text)
+
+
+def _program_record(
+    partial: Path, name: str, argv: list[str], exit_: Exit, head: Record | SenderRecord | None
+) -> ProgramRecord:
+    return ProgramRecord(
+        name=name,
+        argv=argv,
+        exit_status=exit_.status,
+        control_groups=_take_control_groups(partial / f"{name}.cgroups"),
+        rate=head.rate if head else None,
+        costs=head.costs if head else None,
+        loops=head.counts.loops if head else None,
+    )
+
+
+def _built_with(work: Work) -> dict[str, Any]:
+    """The fact of the target that tells what the suites were built with, where they were built there."""
+    built = f"{work.link.target.work_dir / building.BUILT}/"
+    used = any(program.argv[0].startswith(built) for program in work.programs.of_suite)
+    return {"suites_built_with": dict(work.prepared.equipment.built_with)} if used else {}
+
+
+def _record(
+    work: Work,
+    partial: Path,
+    attempt: Attempt,
+    end: End,
+    refused: Mapping[str, str],
+    verdict: RunOutcome,
+    now: Clock,
+) -> RunRecord:
+    run, target = work.run, work.link.target
+    outputs = list(work.programs.outputs)
+    if suites.suite(run.suite).is_baseline and verdict.status is RunStatus.OK:
+        outputs = baselines.keep_histograms(partial, run, suites.output_name(run.suite, run.parameters))
+    return RunRecord(
+        schema=2,
+        run=run.name,
+        campaign=work.campaign,
+        attempt=attempt.uid,
+        suite=run.suite,
+        subject=suites.suite(run.suite).subject,
+        parameters=dict(run.parameters),
+        condition=run.condition,
+        settings=dict(run.settings),
+        repeat=run.repeat,
+        seed=run.seed,
+        variant=run.variant,
+        kernel=run.kernel,
+        trace=run.trace,
+        platform=work.prepared.platform.platform,
+        platform_evidence=work.prepared.platform.evidence,
+        status=verdict.status,
+        reason=verdict.reason,
+        requested=requirements.requested(run, work.programs.background),
+        in_effect=verdict.in_effect,
+        start_time=attempt.start_time,
+        end_time=now().isoformat(),
+        programs=[
+            _program_record(partial, program.name, attempt.argv[program.name], exit_, verdict.heads.get(program.name))
+            for program, exit_ in zip(work.programs.of_suite, end.exits, strict=True)
+        ],
+        outputs=outputs,
+        refused=dict(refused),
+        target=TargetFacts(
+            name=target.place or target.name,
+            address=str(target.address),
+            preempt_rt=inspection.is_preempt_rt(attempt.before),
+            cpus=work.prepared.equipment.cpus,
+            clock=clock_record.record(attempt.before, clock_record.steps_seen(partial, outputs, verdict.records)),
+            setup=work.setup,
+            **_built_with(work),
+            middleware_version=work.prepared.equipment.of(run.middleware).version,
+            **{name: getattr(attempt.before, name) for name in STATED},
+        ),
+        files={},
+    )
