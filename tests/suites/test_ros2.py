@@ -372,6 +372,7 @@ export ROS_DOMAIN_ID
 """
 
 
+@pytest.mark.slow  # a minute, for which it waits
 def test_discovery_that_never_completes(
     built: tuple[Path, Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -326,7 +326,8 @@ def test_a_disk_of_the_target_that_is_full_when_the_suite_ends(target, tmp_path,
     assert measure(target, runs_of(1), tmp_path / "results", watching) == ["ok"], watching.ends
 
 
-@pytest.mark.parametrize("sampler", ["script", "program"])
+# The program writes so little that the last block takes most of a minute to fill.
+@pytest.mark.parametrize("sampler", ["script", pytest.param("program", marks=pytest.mark.slow)])
 def test_a_disk_of_the_target_that_is_full_while_the_suite_runs(
     request, target, tmp_path, watching, wishes, small_disk, sampler
 ):
