@@ -81,7 +81,7 @@ class Work:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class End:
+class RunEnd:
     """How a run ended on the target."""
 
     failure: str | None
@@ -97,7 +97,7 @@ class End:
     """What the run has left in its folder on the target, name to size in bytes."""
 
 
-def close(work: Work, attempt: Attempt, end: End, observed: ObservationResult | None, now: Clock) -> RunRecord:
+def close(work: Work, attempt: Attempt, end: RunEnd, observed: ObservationResult | None, now: Clock) -> RunRecord:
     """Fill the directory of a run that has ended on the target, and return the record that it is closed with.
 
     What was observed, or went through a topology, makes runs of its own beside it. Raises TargetError when the target
@@ -127,7 +127,7 @@ def close(work: Work, attempt: Attempt, end: End, observed: ObservationResult | 
     return record
 
 
-def _download(work: Work, partial: Path, attempt: Attempt, end: End) -> dict[str, str]:
+def _download(work: Work, partial: Path, attempt: Attempt, end: RunEnd) -> dict[str, str]:
     """Fill a run directory; return the files that were not taken, name to reason."""
     refused = download.pull(work.link, work.remote, end.files, partial, work.programs.file_limits)
     if work.prepared.kernel_config:
@@ -141,7 +141,7 @@ def _download(work: Work, partial: Path, attempt: Attempt, end: End) -> dict[str
     return refused
 
 
-def _judge(work: Work, partial: Path, attempt: Attempt, end: End, refused: Mapping[str, str]) -> RunOutcome:
+def _judge(work: Work, partial: Path, attempt: Attempt, end: RunEnd, refused: Mapping[str, str]) -> RunOutcome:
     is_of_suite = work.run.observation is None
     verdict = judge(
         partial,
@@ -196,7 +196,7 @@ def _record(
     work: Work,
     partial: Path,
     attempt: Attempt,
-    end: End,
+    end: RunEnd,
     refused: Mapping[str, str],
     verdict: RunOutcome,
     now: Clock,

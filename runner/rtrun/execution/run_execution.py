@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rtfiles.errors import InfrastructureError
 from rtrun.execution import download, observation, resumption, system
-from rtrun.execution.closing import Clock, End, Work, close
+from rtrun.execution.closing import Clock, RunEnd, Work, close
 from rtrun.execution.observation import NOBODY, ObservationResult, Onlooker
 from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt
@@ -288,12 +288,12 @@ def _wait(work: Work, life: RunLife) -> _Measured:
     return _Measured(exits=exits, failure=failure, service=service)
 
 
-def _end_background(work: Work, measured: _Measured, not_started: str | None) -> End:
+def _end_background(work: Work, measured: _Measured, not_started: str | None) -> RunEnd:
     failure = not_started or measured.failure
     limits, state_script = work.programs.file_limits, work.prepared.scripts / "state.sh"
     if not work.programs.names:
         after = inspection.read_state(work.link, state_script)
-        return End(failure=failure, exits=(), ended_early={}, service="", after=after, files={})
+        return RunEnd(failure=failure, exits=(), ended_early={}, service="", after=after, files={})
     ended = processes.end_background(
         work.link,
         work.remote,
@@ -309,7 +309,7 @@ def _end_background(work: Work, measured: _Measured, not_started: str | None) ->
     files = parse_listing(listed)
     if files.total > FILES_USUAL:
         work.link.note(f"{work.remote}: has {files.total} files; those that are not of the run are removed with it")
-    return End(
+    return RunEnd(
         failure=failure,
         exits=measured.exits,
         ended_early=ended.early,
