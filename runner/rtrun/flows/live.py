@@ -15,6 +15,7 @@ from rtrun.flows.timers import ClockOffsets, TimerLog
 from rtrun.flows.values import int64s
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.plan.observation import StreamDeadline, StreamKind
+from rtrun.probes.hits import Gap
 
 _BINS_OF_OCTAVE = 64
 _OCTAVES = 64
@@ -238,11 +239,20 @@ class LiveFigures:
     def _remarks(self) -> Iterator[str]:
         observed = self._observed
         if observed.gaps:
-            missing_s = sum(gap.until_ns - gap.from_ns for gap in observed.gaps) / 1e9
+            missing_s = _covered_ns(observed.gaps) / 1e9
             reasons = ", ".join(dict.fromkeys(gap.reason for gap in observed.gaps))
             yield printable(f"{counted(len(observed.gaps), 'gap')} of {missing_s:.3g} s together: {reasons}")
         if observed.situation.unreadable:
             yield f"{counted(observed.situation.unreadable, 'hit')} did not tell what they should"
+
+
+def _covered_ns(gaps: Iterable[Gap]) -> int:
+    """The time within any of these gaps. Those of two CPUs may overlap."""
+    covered_ns = until_ns = 0
+    for gap in sorted(gaps, key=lambda gap: gap.from_ns):
+        covered_ns += max(0, gap.until_ns - max(gap.from_ns, until_ns))
+        until_ns = max(until_ns, gap.until_ns)
+    return covered_ns
 
 
 def worst_first(rows: Iterable[LiveRow]) -> list[LiveRow]:

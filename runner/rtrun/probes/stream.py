@@ -229,9 +229,8 @@ class WatchReader:
         head = read_head(page, layout)
         if head.has_lost:
             self.lost += head.lost or 0
-            what = f"{head.lost} events" if head.lost is not None else "events"
             before_ns = min(self._last_of_cpu.get(cpu, self.begin_ns), head.begin_ns)
-            self._gaps.append(Gap(before_ns, head.begin_ns, f"the kernel lost {what} of CPU {cpu}"))
+            self._gaps.append(Gap(before_ns, head.begin_ns, f"the kernel lost events of CPU {cpu}"))
         sources, pids = self._sources, self._pids
         at_ns = head.begin_ns
         for at_ns, start, size in read_events(page, layout, head):

@@ -14,6 +14,7 @@ from rtrun.flows.live import LiveFigures
 from rtrun.flows.streams import streams
 from rtrun.flows.values import differences
 from rtrun.plan.observation import StreamKind, read_stream_deadline
+from rtrun.probes.hits import Gap
 from rtrun.report.live import LiveView, live_json, live_line, live_table
 
 DEADLINES = [
@@ -93,6 +94,15 @@ def test_rates_are_of_the_last_second(seen):
     timer = [next(row.rate_hz for row in one.rows if row.kind is StreamKind.TIMER) for one in snapshots[:10]]
     assert timer[2] == 100 and timer[4] == pytest.approx(50, abs=2) and timer[9] == 100
     assert snapshots[4].remarks == ("1 gap of 0.5 s together: the kernel lost events",)
+
+
+def test_time_in_gaps_of_two_cpus_counts_once():
+    observed = FlowAccumulator(begin_ns=0)
+    gaps = ((4, 6, 1), (0, 3, 0), (1, 2, 1), (2, 5, 1))
+    observed.feed([Gap(begin * 10**9, end * 10**9, f"the kernel lost events of CPU {cpu}") for begin, end, cpu in gaps])
+    (remark,) = LiveFigures(observed).snapshot(10**10).remarks
+    reasons = "the kernel lost events of CPU 0, the kernel lost events of CPU 1"
+    assert remark == f"4 gaps of 6 s together: {reasons}"
 
 
 def test_the_table_fits_its_screen(seen):

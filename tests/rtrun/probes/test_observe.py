@@ -136,7 +136,8 @@ def test_a_runner_that_is_silent_leaves_nothing_and_goes_on(way, loopback, here,
 
 
 @pytest.mark.parametrize(
-    ("way", "kills"), [("local", 6), ("sshd", 6), pytest.param("local", 30, marks=pytest.mark.slow)]
+    ("way", "kills"),
+    [("local", 6), ("sshd", 6), pytest.param("local", 30, marks=[pytest.mark.slow, pytest.mark.timeout(600)])],
 )
 def test_a_killed_runner_leaves_nothing(way, kills, loopback, here, standin):
     address = here.target.address if way == "local" else loopback.address

@@ -67,7 +67,7 @@ def test_batches_of_pieces_of_any_size(piece):
     assert [[hit.values["source_ns"] for hit in batch.hits] for batch in batches] == [[], [1, 2, 3], [5]]
     assert {(hit.pid, hit.tid, hit.event) for batch in batches for hit in batch.hits} == {(70, 7, "take")}
     assert [gap.reason.partition(":")[0] for batch in batches for gap in batch.gaps] == [
-        "the kernel lost 9 events of CPU 1", "the probes rested"
+        "the kernel lost events of CPU 1", "the probes rested"
     ]  # fmt: skip
     assert reader.is_done and reader.lost == 9 and batches[-1].realtime_offset_ns == 100
 
