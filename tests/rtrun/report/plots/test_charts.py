@@ -66,8 +66,9 @@ def test_nothing_measured_is_lost_in_a_plot(tmp_path):
 def test_counts_have_colours_once(tmp_path):
     cyclic_run(tmp_path, "a", latencies(40, 1))
     page = drawn(plots_of(tmp_path)["over-time"])
-    counts = [count for _, count in page.colours]
+    colours, counts = zip(*page.colours, strict=True)
     assert len(set(counts)) == len(counts) < 6
+    assert (colours[0], counts[0], colours[-1]) == ("rgb(0,60,120)", "1", "rgb(253,231,55)")
 
 
 def test_a_deadline_far_away_leaves_the_axis_to_the_values(tmp_path):
