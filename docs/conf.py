@@ -10,5 +10,7 @@ smartquotes = False  # -- is an option here
 html_theme = "furo"
 html_title = project
 html_copy_source = False
+html_static_path = html_css_files = ["site.css"]
+html_use_index = False  # nothing is in it
 html_show_copyright = False
 html_show_sphinx = False

@@ -150,7 +150,8 @@ def test_the_readme_links_to_what_is_there() -> None:
 def test_the_site_is_built_only_with_links_that_lead_somewhere(tmp_path: Path, line: str, refused: str | None) -> None:
     words = shlex.split(re.search(r"^\t\$\(BIN\)/(sphinx-build .+) docs build/docs$", MAKEFILE, re.M)[1])  # type: ignore[index]
     assert "lint: docs\n" in MAKEFILE
-    shutil.copy(TOP / "docs/conf.py", tmp_path)
+    for name in ("conf.py", "site.css"):
+        shutil.copy(TOP / "docs" / name, tmp_path)
     (tmp_path / "index.md").write_text(f"# The pages\n\n{line}\n")
     command = [Path(sys.executable).with_name(words[0]), *words[1:], ".", "built"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rtfiles.quantities import grouped
 from rtrun.analysis.dependence import effect_of_few
 from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.intervals import chance_of_so_many
@@ -217,6 +218,6 @@ def _alone(boots: Sequence[Boot], probability: float, confidence: float) -> list
         few = boot.missed_at if boot.missed_at is not None and 1 < boot.missed_at.size < ENOUGH_MISSES else None
         effect = effect_of_few(few, boot.loops) if few is not None else 1.0
         p_value = chance_of_so_many(boot.misses / effect, boot.measured / effect, probability)
-        text = f"one boot of {len(boots)} missed {boot.misses} of {boot.measured} on its own"
+        text = f"one boot of {len(boots)} missed {grouped(boot.misses)} of {grouped(boot.measured)} on its own"
         changes.append(Change(p_value=p_value, significant=1 - confidence, text=text))
     return changes

@@ -310,7 +310,7 @@ def back_test(family: tails.Family, values: Int64s, at: Int64s, n: int, quantum_
     sample = tails.sample_of(first, quantum_ns)
     best = tails.fit(family, sample)
     chance = 0.01 / rest.size
-    _, bound = tails.profile_interval(family, sample, best, chance, 0.95)
+    bound = tails.profile_end(family, sample, best, chance, 0.95, direction=1)
     worst = int(rest.max())
     broken = int((rest > bound).sum())
     unit = "above the threshold " if family.name == "GPD" else ""

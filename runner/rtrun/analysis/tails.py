@@ -116,6 +116,21 @@ def profile_interval(
 
     Ends are infinite where the likelihood does not bound the level.
     """
+    low, high = (profile_end(family, sample, best, chance, confidence, direction=direction) for direction in (-1, 1))
+    return low, high
+
+
+@np.errstate(all="ignore")
+def profile_end(
+    family: Family,
+    sample: Sample,
+    best: tuple[Parameters, float],
+    chance: float,
+    confidence: float,
+    *,
+    direction: int,
+) -> float:
+    """One end of that interval: the lower one with `direction` -1, the upper one with 1."""
     parameters, least = best
     limit = math.sqrt(chi_squared_exceeded(1 - confidence, 1) / 2)
     point, base = family.level(chance, parameters), float(sample.edges[0])
@@ -129,45 +144,41 @@ def profile_interval(
             if scale > 0:
                 yield [shape, math.log(scale)][: len(near) - 1]
 
-    def end(direction: int) -> float:
-        seen = {point: -limit}
-        near = parameters
+    seen = {point: -limit}
+    near = parameters
 
-        def beyond(level: float) -> float:
-            """How far a level is beyond the interval: a root of the likelihood's drop, which is nearly straight."""
-            nonlocal near
-            if level not in seen:
+    def beyond(level: float) -> float:
+        """How far a level is beyond the interval: a root of the likelihood's drop, which is nearly straight."""
+        nonlocal near
+        if level not in seen:
 
-                def cost(free: Sequence[float]) -> float:
-                    return negative_log_likelihood(family, sample, family.with_level(level, chance, free))
+            def cost(free: Sequence[float]) -> float:
+                return negative_log_likelihood(family, sample, family.with_level(level, chance, free))
 
-                begin = min(begins(level, near), key=cost)
-                found, lowest = lowest_point(cost, begin, step=0.02, tolerance=1e-5)
-                drop = lowest - least
-                # Far beyond the end only the sign is of use: measured values may be impossible there.
-                seen[level] = min(math.sqrt(max(drop, 0.0)), 3 * limit) - limit
-                if seen[level] <= 0:
-                    near = family.with_level(level, chance, found)
-            return seen[level]
+            begin = min(begins(level, near), key=cost)
+            found, lowest = lowest_point(cost, begin, step=0.02, tolerance=1e-5)
+            drop = lowest - least
+            # Far beyond the end only the sign is of use: measured values may be impossible there.
+            seen[level] = min(math.sqrt(max(drop, 0.0)), 3 * limit) - limit
+            if seen[level] <= 0:
+                near = family.with_level(level, chance, found)
+        return seen[level]
 
-        inner, width = point, 0.1 * max(point - base, sample.step)
-        for _ in range(24):
-            outer = inner + direction * width
-            if direction < 0:
-                if inner - base < 1e-3 * (point - base):
-                    return base
-                outer = max(outer, (inner + base) / 2)
-            value = beyond(outer)
-            if value > 0:
-                return crossing(beyond, inner, outer, tolerance=abs(outer - inner) / 1024)
-            # The next step goes a little beyond the place where a straight line would have the end.
-            distance = abs(outer - point)
-            width = distance * min(4.0, max(0.1, 1.1 * limit / max(value + limit, 1e-9) - 1))
-            inner = outer
-        return math.inf * direction
-
-    with np.errstate(all="ignore"):
-        return end(-1), end(+1)
+    inner, width = point, 0.1 * max(point - base, sample.step)
+    for _ in range(24):
+        outer = inner + direction * width
+        if direction < 0:
+            if inner - base < 1e-3 * (point - base):
+                return base
+            outer = max(outer, (inner + base) / 2)
+        value = beyond(outer)
+        if value > 0:
+            return crossing(beyond, inner, outer, tolerance=abs(outer - inner) / 1024)
+        # The next step goes a little beyond the place where a straight line would have the end.
+        distance = abs(outer - point)
+        width = distance * min(4.0, max(0.1, 1.1 * limit / max(value + limit, 1e-9) - 1))
+        inner = outer
+    return math.inf * direction
 
 
 def goodness(family: Family, sample: Sample, parameters: Parameters) -> float | None:

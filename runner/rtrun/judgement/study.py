@@ -349,4 +349,9 @@ def _flat(data: dict[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:
         if isinstance(value, dict):
             yield from _flat(value, f"{prefix}{key}.")
         elif isinstance(value, str | int | float) and len(str(value)) <= 300:
-            yield f"{prefix}{key}", str(value)
+            yield f"{prefix}{key}", in_word(value)
+
+
+def in_word(value: str | float) -> str:
+    """A fact as text; a truth value as yes or no."""
+    return ("no", "yes")[value] if isinstance(value, bool) else str(value)

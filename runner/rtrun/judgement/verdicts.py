@@ -70,7 +70,9 @@ def sentences(verdict: Verdict) -> list[str]:
     if verdict.refused:
         parts.insert(0, verdict.refused)
     elif verdict.change is not None:
-        change = f"it did not stay the same: {verdict.change.text} (p = {verdict.change.p_value:.1g})"
+        p_value = verdict.change.p_value
+        chance = f"p = {p_value:.1g}" if p_value > 1e-99 else "p below 1e-99"
+        change = f"it did not stay the same: {verdict.change.text} ({chance})"
         parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), change)
     if missed := off_rate(verdict):
         parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), missed)

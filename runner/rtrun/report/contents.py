@@ -63,7 +63,8 @@ def contents(study: Study) -> Contents:
         tables=end_tables(study, pairs, found, topologies),
         stacks=stacks(pairs),
         topologies=topologies,
-        left_out=tuple(map(printable, study.left_out)),
+        # Who reads the report need not know where the results lay.
+        left_out=tuple(printable(text.removeprefix(f"{study.source.path}/")) for text in study.left_out),
     )
 
 
@@ -74,6 +75,8 @@ def _title(study: Study, made: Sequence[Scenario]) -> str:
 
 
 def _question(study: Study) -> str:
+    if study.groups and not any(group.question for group in study.groups):
+        return "What follows are figures alone: which values are late, a deadline says."
     asked = study.asked
     boots = f", on at least {asked.boots} boots" if asked.boots > 1 else ""
     bursts = f", covering {asked.covered}" if asked.bursts > 1 else ""
@@ -150,7 +153,7 @@ def _next_step(made: Sequence[Scenario], platform: Platform, culprits: Ranking) 
         return f"keep it so: rtrun gate RESULTS{option} fails as soon as the answer is another one"
     if answers and answers <= {Answer.PROVEN, Answer.IF_INDEPENDENT}:
         return "measure with samples, which show whether late values come in bursts; histograms and logs cannot"
-    return "see the scenarios below for what is missing"
+    return f"see {'the scenarios below for what is missing' if made else 'below why it could not be analysed'}"
 
 
 def _facts(study: Study) -> list[tuple[str, str]]:

@@ -5,13 +5,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from rtfiles.output import counted
-from rtfiles.quantities import time
+from rtfiles.quantities import grouped, time
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.worst_case import disagreement
 from rtrun.judgement.groups import Group
 from rtrun.judgement.influence import influences
 from rtrun.judgement.layers import LayerPair
-from rtrun.judgement.study import Study, environment
+from rtrun.judgement.study import Study, environment, in_word
 from rtrun.judgement.topologies import MeasuredTopology
 from rtrun.kinds.output import NON_MEASURING_THREADS
 from rtrun.plan.question import NONE_TOLERATED, Measure
@@ -80,7 +80,7 @@ def _worst_cases(study: Study) -> Table:
         columns=(
             "suite and parameters",
             "method",
-            f"level exceeded once in {1 / study.question.probability:.3g}",
+            f"level exceeded once in {grouped(1 / study.question.probability)}",
             "found",
         ),
         rows=rows,
@@ -114,8 +114,13 @@ def _bound(bound: Bound) -> tuple[str, str]:
         return "refused", bound.refused or "no level"
     return (
         f"{time(bound.level_ns)} ({100 * bound.confidence:g} % CI {time(bound.low_ns)} to {time(bound.high_ns)})",
-        f"shape {bound.shape:.3f}, {bound.points} points, "
-        + ", ".join(f"{c.name} p = {c.p_value:.2g}" for c in bound.checks if c.p_value is not None),
+        ", ".join(
+            [
+                f"shape {bound.shape:.3f}",
+                counted(bound.points, "point"),
+                *(f"{c.name} p = {c.p_value:.2g}" for c in bound.checks if c.p_value is not None),
+            ]
+        ),
     )
 
 
@@ -155,8 +160,14 @@ def _environment(study: Study) -> Table:
             }
             asked = str(one.header.parameters.get("policy", "0"))
             seen.setdefault(f"threads in effect, policy {asked} asked for", {}).update(policies)
-            for key in ("clock", "clock_step_ns", "mlockall"):
-                seen.setdefault(key.replace("_", " "), {})[str(getattr(effect, key))] = None
+            told = {
+                "clock": effect.clock,
+                "step of the clock": effect.clock_step_ns and time(effect.clock_step_ns),
+                "memory is locked (mlockall)": effect.mlockall,
+            }
+            for key, value in told.items():
+                if value is not None:
+                    seen.setdefault(key, {})[in_word(value)] = None
     rows += [(key, "; ".join(sorted(values))) for key, values in seen.items()]
     outcome = (
         f"{len(rows)} facts about {', '.join(sorted({record.target.name for record in study.records})) or 'a file'}"
@@ -175,7 +186,10 @@ def _reproduce(study: Study) -> Table:
     asked = study.question
     of = f" --of {asked.of}" if asked.of else ""
     tolerate = f" --tolerate '{asked.tolerance}'" if asked.tolerance != NONE_TOLERATED else ""
-    command = f"rtrun report RESULTS{of}{tolerate} --deadline {asked.deadline_ns / 1000:g}us"
+    # What was observed has a deadline of its own, or none, unless one is named.
+    is_for_all = all(group.question and group.question.deadline_ns == asked.deadline_ns for group in study.groups)
+    deadline = f" --deadline {asked.deadline_ns / 1000:g}us" if is_for_all else ""
+    command = f"rtrun report RESULTS{of}{tolerate}{deadline}"
     rows.append(("examined", f"{command} --probability {asked.probability:g} --confidence {asked.confidence:g}"))
     rows.append(("input", f"sha256 {digest} of all closing records"))
     rows.append(("seed", "20140715 for every resampling"))
@@ -184,7 +198,7 @@ def _reproduce(study: Study) -> Table:
         title="How to reproduce",
         columns=("what", "how"),
         rows=rows,
-        outcome=f"{len(study.records)} runs, input sha256 {digest}",
+        outcome=f"{counted(len(study.records), 'run')}, input sha256 {digest}",
         numbers=9,
     )
 

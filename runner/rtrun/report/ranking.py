@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtfiles.output import counted
-from rtfiles.quantities import time
+from rtfiles.quantities import grouped, time
 from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.figures import Figures
 from rtrun.judgement.digest import pool_figures
@@ -89,7 +89,7 @@ def _row(place: int, one: _Ranked) -> tuple[str, ...]:
         str(place),
         middleware_of(one.group.suite, one.group.parameters),
         one.answer,
-        f"{one.verdict.misses} of {one.verdict.n}",
+        f"{grouped(one.verdict.misses)} of {grouped(one.verdict.n)}",
         f"{one.verdict.upper:.2g}",
         time(one.figures.max_ns),
         *(time(one.figures.percentiles_ns.get(quantile)) for quantile in _QUANTILES),

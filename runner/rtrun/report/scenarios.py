@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from rtfiles.output import printable
-from rtfiles.quantities import time
+from rtfiles.quantities import grouped, time
 from rtrun.analysis.figures import PERCENTILES, Figures
 from rtrun.judgement.digest import Digest, pool_figures
 from rtrun.judgement.groups import Group
@@ -117,7 +117,7 @@ def _figures(every: Sequence[Digest]) -> Table:
     def row(name: str, series: str, figures: Figures, places: Sequence[int]) -> tuple[str, ...]:
         cells = [name, series, time(figures.max_ns)]
         cells += [time(figures.percentiles_ns.get(p)) for p in reversed(_PERCENTILES)]
-        cells += [*map(time, (figures.min_ns, figures.mean_ns, figures.std_ns)), str(figures.n)]
+        cells += [*map(time, (figures.min_ns, figures.mean_ns, figures.std_ns)), grouped(figures.n)]
         return (*cells, *(str(sum(counts[k] for k in places)) for counts in lost.values()))
 
     rows: list[tuple[str, ...]] = []

@@ -131,7 +131,8 @@ def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None
     refusals = {case.refused for case in cases}
     refused = refusals.pop() if len(cases) > 1 and len(refusals) == 1 else None
     if refused:
-        print_line(f"\nno scenario has an answer: {refused}")
+        print_line()
+        print_line(f"no scenario has an answer: {refused}")
     lines: dict[str, list[str]] = {}
     for case in cases:
         if verbose or len(cases) == 1:

@@ -74,7 +74,7 @@ def test_why_no_scenario_has_an_answer_is_printed_once(emulated, tmp_path, capsy
     output = ["--output", str(tmp_path / "x")] if command[0] == "report" else []
     main([command[0], str(emulated), *command[1:], *output])
     printed = capsys.readouterr().out
-    assert printed.count("no scenario has an answer: measured on an emulated board\n") == 1
+    assert printed.count("\n\nno scenario has an answer: measured on an emulated board\n") == 1
     assert "; measured on" not in printed and ": measured on an emulated board;" not in printed
 
 

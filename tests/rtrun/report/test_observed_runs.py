@@ -11,9 +11,13 @@ import pytest
 from written import write_record
 
 from rtrun.cli import main
+from rtrun.judgement.study import study
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.kinds.output import Thread, Uname
 from rtrun.kinds.timer import UNKNOWN_NS
+from rtrun.plan.question import Question
+from rtrun.report.contents import contents
+from rtrun.report.plots.charts import plots
 from rtrun.results.observed import ObservedOutput, Provenance, write_stream
 
 PERIOD_NS = 10_000_000
@@ -134,6 +138,19 @@ def test_the_gate_asks_of_what_has_a_deadline(rtrun, results):
     for folder in "ac":
         shutil.rmtree(results / folder)
     assert rtrun("gate", results)[0] == 1, "nothing that has a deadline is no pass"
+
+
+def test_the_report_asks_nothing_without_a_deadline_and_says_how_it_was_made(tmp_path):
+    """400 us, which are asked where nobody says otherwise, are asked of no program that ran already."""
+    write(tmp_path, "a", messages())
+    written = contents(study(tmp_path))
+    assert written.question.startswith("What follows are figures alone")
+    (plot,) = (one for one in plots(written.scenarios[0], probability=1e-6) if one.id == "shares")
+    assert [mark.kind for mark in plot.marks] == ["steps"] and "deadline" not in plot.caption
+    rows = {row[0]: row[1] for table in written.tables for row in table.rows}
+    assert "--deadline" not in rows["examined"] and not {"None", "True"} & set(rows.values())
+    named = contents(study(tmp_path, Question(deadline_ns=400_000, is_deadline_stated=True)))
+    assert any("--deadline 400us" in row[1] for table in named.tables for row in table.rows)
 
 
 @pytest.mark.parametrize(

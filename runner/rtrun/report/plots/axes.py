@@ -54,7 +54,7 @@ def dates(title: str, low: float, high: float) -> Axis:
     scale = Scale(division=Division.LINEAR, low=low - around, high=max(high, low + 30))
     first, span = datetime(1970, 1, 1) + timedelta(seconds=low - around), scale.high - scale.low
     form = "%Y-%m-%d" if span >= 3 * 86400 else "%m-%d %H:%M"
-    marks = [first + timedelta(seconds=span * part) for part in ((1 / 2,) if around else (0, 1 / 3, 2 / 3, 1))]
+    marks = [first + timedelta(seconds=span * part) for part in ((1 / 2,) if around else (0, 1 / 2, 1))]
     ticks = [((mark - datetime(1970, 1, 1)).total_seconds(), f"{mark:{form}}") for mark in marks]
     return Axis(title=title, unit="date", scale=scale, ticks=tuple(ticks))
 

@@ -104,22 +104,26 @@ def _exceedance(
     if 1 < len(shown) < _COLOURS:
         labels = enumerate(zip(output_labels(shown), shown, strict=True), start=1)
         marks += [_share_above(k, label, one.histogram) for k, (label, one) in labels]
-    floor = min(0.5 / max(one.n for one in shown), probability)
+    floor = 0.5 / max(one.n for one in shown)
+    if limit_ns is not None:
+        floor = min(floor, probability)
+    tails: list[Mark] = []
     for bound in group.bounds:
         if bound.refused is None and bound.method == "GPD" and bound.high_ns is not None:
-            marks += _tail(bound, along.scale)
+            tails += _tail(bound, along.scale)
             floor = min(floor, bound.probability)
     up = axes.shares("share above", floor / 2)
     ends = [along.scale.low, along.scale.high]
-    marks += _limit(limit_ns, along, up, is_upright=True)
-    marks.append(_mark("limit", f"P = {probability:g}, asked for", ends, [probability] * 2, 1))
+    asked = _limit(limit_ns, along, up, is_upright=True)
+    if asked:
+        asked.append(_mark("limit", f"P = {probability:g}, asked for", ends, [probability] * 2, 1))
     return Plot(
         id="shares",
-        caption="Share of the values above each value, with the fitted tail where there is one. "
-        "What lies right of the deadline is late.",
+        caption=f"Share of the values above each value{', with the fitted tail' if tails else ''}."
+        f"{' What lies right of the deadline is late.' if asked else ''}",
         x=along,
         y=up,
-        marks=marks,
+        marks=[*marks, *tails, *asked],
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtfiles.output import printable
+from rtfiles.quantities import grouped
 from rtrun.analysis.scale import Floats
 from rtrun.report.plots.axes import Axis
 
@@ -191,13 +192,14 @@ def _png(levels: NDArray[np.uint8]) -> bytes:
 
 
 def _colours(most: int) -> list[tuple[str, str]]:
-    """The colours from few to many, each with the count it stands for."""
+    """The colours from few to many, each with the count it stands for, which no other has."""
     top = np.log(max(2, most))
     last = len(_FEW_TO_MANY) - 1
-    return [
-        (f"rgb{colour}".replace(" ", ""), f"{round(float(np.exp(top * k / last))):,}".replace(",", " "))
-        for k, colour in enumerate(_FEW_TO_MANY)
-    ]
+    exact = np.exp(top * np.arange(last + 1) / last)
+    # Of colours whose counts are rounded to the same one the nearest.
+    nearest_last = np.argsort(-np.abs(exact - np.round(exact)), kind="stable").tolist()
+    of_count = {round(float(exact[k])): _FEW_TO_MANY[k] for k in nearest_last}
+    return [(f"rgb{colour}".replace(" ", ""), grouped(count)) for count, colour in sorted(of_count.items())]
 
 
 def rounded(values: Any, digits: int = 6) -> list[float]:
