@@ -67,7 +67,7 @@ test-why: setup
 
 # The graphs of irobot-ros/ros2-performance, whose folder irobot_benchmark/topology DIR is, are read whole.
 test-topologies: setup
-	TOPOLOGIES=$(abspath $(DIR)) $(BIN)/pytest tests/rtrun/plan/others_topologies.py
+	TOPOLOGIES=$(abspath $(or $(DIR),$(error give DIR=, its folder irobot_benchmark/topology))) $(BIN)/pytest tests/rtrun/plan/others_topologies.py
 
 # What docs/archive.md asks polars and a Dask cluster of an archive, an archive in object storage, and what Prometheus makes of
 # a site. Installs these beside the tests; Debian's packages of Prometheus are unpacked below build/.

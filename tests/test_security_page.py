@@ -31,7 +31,7 @@ NO_LIMITS = {
         "rtrun.archive.bins._COUNT_MAX",
         "rtrun.archive.bins._GRID_MAX",
         "rtrun.plan.topology.rates._UNIONS_MAX",
-        "rtrun.analysis.response_time.JOBS_MAX",
+        "rtrun.analysis.response_time.STEPS_MAX",
         "rtrun.causes.control.WINDOWS_MAX",
         "rtrun.report.causes.REMEDIES_MAX",
         "rtrun.validity.requirements.NAMED_MAX",

@@ -8,8 +8,10 @@ after `blocking_ns` at most; nothing else runs on the CPU, the kernel and its in
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-# Of jobs of a task that follow one another without a pause; nearly all CPU time is asked for where there are more.
-JOBS_MAX = 10_000
+# In looking for a bound: the less time is left, the more. Where these are too few nearly all of it is asked for.
+STEPS_MAX = 300_000
+# More than the sum of some hundred shares is rounded by.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -30,7 +32,7 @@ class PeriodicTask:
 def response_bound(task: PeriodicTask, others: Iterable[PeriodicTask]) -> int | None:
     """The longest time from when a task was due to its end, in ns, on a CPU that it shares with others.
 
-    None: there is no bound, as the tasks that come before it ask for all of the CPU or more.
+    None: there is no bound, as it and the tasks that come before it ask for all of the CPU, nearly all, or more.
 
     Joseph & Pandya 1986 ("Finding response times in a real-time system"): the least w with w = C + sum over the tasks
     that come before of ceil(w / T) C, where all are released at one instant. With jitter and blocking: Audsley et al.
@@ -39,19 +41,23 @@ def response_bound(task: PeriodicTask, others: Iterable[PeriodicTask]) -> int | 
     test of Davis, Zabos & Burns 2008. A task of the same priority counts as one that comes before, as it may.
     """
     before = [each for each in others if each.priority >= task.priority]
-    shares = sum(each.cost_ns / each.period_ns for each in (task, *before))
-    if shares > 1 + 1e-12:
+    taken = sum(each.cost_ns / each.period_ns for each in before)
+    if taken + task.cost_ns / task.period_ns > 1 + _ROUNDING:
         return None
-    worst, busy_ns = 0, 0
-    for job in range(1, JOBS_MAX + 1):
+    worst, busy_ns, job, steps = 0, 0, 1, 0
+    while steps < STEPS_MAX:
         own_ns = task.blocking_ns + job * task.cost_ns
-        busy_ns = max(busy_ns, own_ns)
+        # No less than if the others took their shares of it.
+        busy_ns = max(busy_ns, own_ns, int(own_ns / (max(1 - taken, 0) + _ROUNDING)))
         while (longer_ns := own_ns + sum(_interference_ns(each, busy_ns) for each in before)) > busy_ns:
             busy_ns = longer_ns
+            if (steps := steps + len(before)) > STEPS_MAX:
+                return None
         # The first job comes as late as it may, the others are due at their periods after it was.
         worst = max(worst, busy_ns + task.jitter_ns - (job - 1) * task.period_ns)
         if busy_ns + task.jitter_ns <= job * task.period_ns:
             return worst
+        job, steps = job + 1, steps + 1 + len(before)
     return None
 
 

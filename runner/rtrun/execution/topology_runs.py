@@ -29,7 +29,7 @@ from rtrun.plan import suites
 from rtrun.plan.program import Program
 from rtrun.plan.run import Run
 from rtrun.plan.suites import Value, middleware_of
-from rtrun.plan.topology.node_text import WARM_UP_NS, process_text
+from rtrun.plan.topology.node_text import process_text
 from rtrun.plan.topology.planning import TopologyPlan
 from rtrun.plan.topology.rates import most_activations
 from rtrun.plan.topology.topology import NodePath, Topology
@@ -85,7 +85,7 @@ def topology_programs(
 
 def _file_limits(plan: TopologyPlan) -> dict[str, int]:
     topology = plan.topology
-    rows = most_activations(topology, WARM_UP_NS + round(plan.for_s * 1e9))
+    rows = most_activations(topology, plan.measure_ns)
     limits = {f"{host_name(name)}.json": JSON_LIMIT_BYTES for name in topology.processes}
     for node in topology.nodes:
         own, *of_inputs = table_names(node)

@@ -68,7 +68,7 @@ def _bound(of: MeasuredTopology, node: TopologyNode) -> NodeBound:
     )
     bound_ns = response_bound(task, others)
     if bound_ns is None:
-        return replace(known, why_not="it and what comes before it ask for all of the CPU")
+        return replace(known, why_not="it and what comes before it ask for all of the CPU, or nearly")
     assert own is not None
     is_broken = (known.measured_ns or 0) > bound_ns
     return replace(known, bound_ns=bound_ns, broken=_broken(own, bound_ns, of.records) if is_broken else "")

@@ -155,7 +155,7 @@ def _paths(plan: TopologyPlan) -> Iterator[str]:
     if len(plan.paths) > _SHOWN:
         yield f"and {len(plan.paths) - _SHOWN} more paths"
     if not plan.topology.paths and not of_paths and number > len(plan.paths) > 0:
-        yield f"these are the longest of {number} from source to sink; name others under paths"
+        yield f"these are the longest of {number} found from source to sink; name others under paths"
     others: list[StreamDeadline] = [each for each in plan.deadlines if each not in of_paths]
     if others:
         yield f"deadlines: {', '.join(f'{each.kind} {each.name} {time(each.deadline_ns)}' for each in others)}"

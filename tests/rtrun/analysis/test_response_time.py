@@ -1,6 +1,7 @@
 """The bound on response times: worked examples of the literature, and a scheduler of fixed priorities, simulated."""
 
 import random
+from dataclasses import replace
 
 import pytest
 
@@ -28,6 +29,8 @@ LEHOCZKY = tasks((70, 26), (100, 62))
 def test_worked_examples_of_the_literature():
     assert bounds(BURNS) == [3, 6, 20]
     assert bounds(LEHOCZKY) == [26, 118]
+    # Lehoczky, Sha & Ding 1989, schedulable with 95 % of the CPU: the third one ends at 300 of 350.
+    assert bounds(tasks((100, 40), (150, 40), (350, 100))) == [40, 80, 300]
     # With jitter and blocking, by hand: w = 2 + 5 + ceil((w + 4) / 10) 3 = 13, and 1 of jitter of its own.
     of = PeriodicTask(name="a", period_ns=50, cost_ns=5, priority=1, jitter_ns=1, blocking_ns=2)
     other = PeriodicTask(name="b", period_ns=10, cost_ns=3, priority=2, jitter_ns=4)
@@ -37,6 +40,17 @@ def test_worked_examples_of_the_literature():
 def test_no_bound_where_all_of_the_cpu_is_asked_for_and_more():
     assert bounds(tasks((10, 6), (10, 5))) == [6, None]
     assert bounds(tasks((10, 5), (20, 10))) == [5, 20], "all of it, and no more, is enough"
+    late = [replace(task, jitter_ns=1) for task in tasks((10, 5), (20, 10))]
+    assert bounds(late) == [6, None], "once late, such a set is late for ever"
+
+
+@pytest.mark.parametrize("left", [10**-5, 10**-9, 0])
+def test_little_time_that_is_left_is_no_reason_to_look_for_ever(left):
+    """Of two tasks with odd periods that are late at times the second one has a bound, or none is found soon."""
+    first = PeriodicTask(name="a", period_ns=10**9 + 7, cost_ns=5 * 10**8, priority=2, jitter_ns=10**6)
+    rest = int((1 - first.cost_ns / first.period_ns - left) * 10**9)
+    bound = response_bound(PeriodicTask(name="b", period_ns=10**9, cost_ns=rest, priority=1, jitter_ns=10**6), [first])
+    assert bound is None if left < 10**-6 else 10**9 < bound < 10**10
 
 
 def simulated(of, offsets, until, costs=lambda _task, cost: cost):

@@ -133,6 +133,8 @@ def test_deadlines_of_the_file_and_of_the_campaign_are_those_of_the_run(tmp_path
         (["a: {perod: 1ms}"], r":4: nodes.a: unknown key 'perod', did you mean 'period'\? allowed: .*busy"),
         (["a: {period: 5}"], r":4: nodes.a.period: '5' is no time above 0 with its unit"),
         (["a: {period: 1ms, outputs: [x]}"], r"nodes.a.outputs.0: 'x' is not the full name of a topic, .*as /scan"),
+        (["a: {period: 1ms, outputs: [/" + "x" * 200 + "]}"], r"is not the full name of a topic, of at most 200 char"),
+        ([f"n{number}: {{period: 1ms}}" for number in range(257)], r"nodes: takes 256 or fewer entries"),
         (["a-b: {period: 1ms}"], r"nodes.a-b: 'a-b' is not a name of at most 64 letters"),
         (["a: {period: 1ms, waits_for: al}"], r"nodes.a.waits_for: takes 'any' or 'all', got 'al'"),
         (
@@ -196,6 +198,32 @@ def test_a_file_that_is_wrong_is_refused_with_what_would_be_right(tmp_path, line
 def test_a_campaign_asks_for_what_its_topology_has(tmp_path, text, match):
     with pytest.raises(UsageError, match=match):
         read_campaign(campaign(tmp_path, text))
+
+
+@pytest.mark.parametrize("lines", [
+    ["a: {period: 1ns}"],
+    # Each doubles what the one before sends.
+    ["a0: {period: 1ms, outputs: [/x0, /y0]}",
+     *(f"a{n}: {{inputs: [/x{n - 1}, /y{n - 1}], outputs: [/x{n}, /y{n}]}}" for n in range(1, 200))],
+])  # fmt: skip
+def test_what_is_activated_more_often_than_can_be_kept_is_refused(tmp_path, lines):
+    with pytest.raises(UsageError, match=r"test would activate a.* more than 1 000 000 000 times in a run") as refused:
+        read_campaign(campaign(tmp_path, graph=nodes(*lines)))
+    assert len(str(refused.value)) < 300
+
+
+@pytest.mark.parametrize("sink", ["", "sink: {inputs: [/t0]}"])
+def test_a_graph_with_more_paths_than_can_be_looked_at_is_planned(tmp_path, sink, capsys):
+    """Each of 24 nodes takes what all the others send: 10**23 ways lead through them, and none or many to an end."""
+    dense = [f"n{one}: {{period: 10ms, inputs: [{', '.join(f'/t{two}' for two in range(24) if two != one)}, /s], "
+             f"outputs: [/t{one}]}}" for one in range(24)]  # fmt: skip
+    path = campaign(tmp_path, graph=nodes("source: {period: 1ms, outputs: [/s]}", *dense, *filter(None, [sink])))
+    assert main(["plan", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert ("no source leads to a sink" in said) == (not sink)
+    assert bool(re.search(r"these are the longest of \d+ found from source to sink", said)) == bool(sink)
+    paths = read_campaign(path)[1][0].topology.paths
+    assert len(paths) == (32 if sink else 0) and all(len({*one.nodes}) == len(one.nodes) for one in paths)
 
 
 def test_a_probe_sees_no_response(tmp_path):
@@ -290,7 +318,7 @@ OTHERS = {
                  "qos_reliability": "best_effort", "qos_depth": 3, "msg_pass_by": "shared_ptr"},
                 {"topic_name": "health", "msg_type": "irobot_interfaces_plugin::stamped4_int32", "period_ms": 500},
             ],
-            "subscribers": [{"topic_name": "tick", "msg_type": "stamped250kb"}],
+            "subscribers": 2 * [{"topic_name": "tick", "msg_type": "stamped250kb"}],
         },
         {
             "node_name": "watcher",
@@ -331,6 +359,7 @@ def test_a_graph_of_others_is_read_and_what_has_no_counterpart_is_said(tmp_path)
     said = "\n".join(read.remarks)
     for part in (
         "in one executor, of which that of the shortest period takes the inputs: camera (15625us, 500ms)",
+        "a node takes a topic once: further subscriptions of camera /tick",
         "clients: 1: clock reset",
         "servers: 2: watcher_1 reset, watcher_2 reset",
         "node_namespace of watcher_1, watcher_2",
@@ -349,6 +378,13 @@ X = {"topic_name": "x", "msg_type": "stamped10b"}
     [
         ({"publishers": [X]}, "publishers.0: nothing would send it: give period_ms"),
         ({"publishers": [{**X, "msg_type": "string"}]}, "msg_type: unknown type 'string', takes stamped10b"),
+        ({"publishers": [{**X, "msg_type": f"stamped{'9' * 5000}b"}]}, "msg_type: unknown type 'stamped999"),
+        ({"publishers": [{**X, "msg_type": "stamped300mb", "freq_hz": 1}]}, "stamped300mb: takes 256 MiB at most"),
+        ({"publishers": [{**X, "freq_hz": 1e-320}]}, "freq_hz: takes a number from 0.0001 up"),
+        ({"publishers": [{**X, "period_ms": 0.0001}]}, "period_ms: takes a number from 0.001 up"),
+        ({"publishers": 2 * [{**X, "freq_hz": 1}]}, "publishers.1: /x stands there twice: a topic has one publisher"),
+        ({"publishers": [{**X, "freq_hz": 1}], "number": 256}, "/x is published by a_1 already"),
+        ({"publishers": [{**X, "freq_hz": one + 1} for one in range(257)]}, "they stand for 257 nodes here"),
         ({"subscribers": [X]}, "inputs.0: no node publishes /x, nor anything"),
         ({"publisher": []}, "nodes.0: unknown key 'publisher', did you mean 'publishers'"),
         ({"servers": [{"service_name": "x", "srv_type": "y"}]}, "services have no counterpart: nothing is left"),

@@ -14,7 +14,8 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.output import HostRecord
 from rtrun.kinds.rows import check_times
-from rtrun.plan.topology.node_text import WARM_UP_NS
+from rtrun.plan.topology.planning import WARM_UP_NS
+from rtrun.plan.topology.rates import period_points
 from rtrun.plan.topology.topology import Topology, TopologyNode
 from rtrun.results.samples import read_rows
 
@@ -31,7 +32,7 @@ class NodeTable:
 
     `taken` has for each input the number of the message that an activation took, which is that of the activation of its
     publisher. From row `first` on it was measured; before, it was warmed up. `skipped` are points of its period that it
-    skipped.
+    skipped while it was measured.
     """
 
     name: str
@@ -65,9 +66,13 @@ class HopTable:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TopologyTables:
-    """All tables of a run: of nodes by name, of hops in the order of their subscribers, of processes their own json."""
+    """All tables of a run: of nodes by name, of hops in the order of their subscribers, of processes their own json.
+
+    From `until_ns` on no period was begun.
+    """
 
     topology: Topology
+    until_ns: int
     nodes: Mapping[str, NodeTable]
     hops: tuple[HopTable, ...]
     hosts: Mapping[str, HostRecord]
@@ -86,21 +91,19 @@ def table_names(node: TopologyNode) -> tuple[str, ...]:
 def read_tables(folder: Path, topology: Topology) -> TopologyTables:
     """Read what the processes of a topology have left in a folder. Raises UsageError for what cannot be."""
     hosts = {name: read_json(folder / f"{host_name(name)}.json", HostRecord) for name in topology.processes}
-    starts = {host.start_ns for host in hosts.values()}
-    if len(starts) > 1:
-        raise UsageError(f"{folder}: the processes began at {len(starts)} different times")
-    measured_from_ns = starts.pop() + WARM_UP_NS
-    nodes = {node.name: _read_node(folder, topology, node, hosts, measured_from_ns) for node in topology.nodes}
+    times = {(host.start_ns, host.start_ns + host.measured_ns) for host in hosts.values()}
+    if len(times) > 1:
+        raise UsageError(f"{folder}: the processes began and ended at {len(times)} different times")
+    ((_, until_ns),) = times
+    nodes = {node.name: _read_node(folder, topology, node, hosts) for node in topology.nodes}
     hops = tuple(hop for node in topology.nodes for hop in _read_hops(folder, topology, node, nodes, hosts))
-    return TopologyTables(topology=topology, nodes=nodes, hops=hops, hosts=hosts)
+    return TopologyTables(topology=topology, until_ns=until_ns, nodes=nodes, hops=hops, hosts=hosts)
 
 
-def _read_node(
-    folder: Path, topology: Topology, node: TopologyNode, hosts: Mapping[str, HostRecord], measured_from_ns: int
-) -> NodeTable:
-    path = folder / f"{node.name}.npy"
+def _read_node(folder: Path, topology: Topology, node: TopologyNode, hosts: Mapping[str, HostRecord]) -> NodeTable:
+    path, host = folder / f"{node.name}.npy", hosts[_process(topology, node)]
     rows = read_rows(path, (*ACTIVATION, *node.inputs))
-    told = next((each for each in hosts[_process(topology, node)].nodes if each.name == node.name), None)
+    told = next((each for each in host.nodes if each.name == node.name), None)
     if told is None or told.activations != len(rows):
         number = "no activations" if told is None else f"{told.activations} activations"
         raise UsageError(f"{path}: {len(rows)} rows, the process tells of {number}")
@@ -108,6 +111,15 @@ def _read_node(
     check_times(path, release, begin, done, end, cpu)
     if _is_backwards(release, begin, done, end):
         raise UsageError(f"{path}: an activation begins before it is due or before the one before has ended")
+    first, skipped = int(np.searchsorted(release, host.start_ns + WARM_UP_NS)), 0
+    if node.period_ns:
+        points = period_points(node, host.measured_ns)
+        is_on_grid = not ((release - host.start_ns - node.offset_ns) % node.period_ns).any()
+        if not is_on_grid or len(rows) + told.skipped != points:
+            raise UsageError(
+                f"{path}: {len(rows)} activations and {told.skipped} skipped are not the {points} points of its period"
+            )
+        skipped = points - len(rows) - (period_points(node, WARM_UP_NS) - first)
     return NodeTable(
         name=node.name,
         release_ns=release,
@@ -116,8 +128,8 @@ def _read_node(
         end_ns=end,
         cpu_ns=cpu,
         taken=tuple(np.ascontiguousarray(rows[:, len(ACTIVATION) + place]) for place in range(len(node.inputs))),
-        first=int(np.searchsorted(release, measured_from_ns)),
-        skipped=told.skipped,
+        first=first,
+        skipped=skipped,
     )
 
 

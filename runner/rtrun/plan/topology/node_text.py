@@ -9,8 +9,6 @@ from rtrun.plan.topology.planning import TopologyPlan
 from rtrun.plan.topology.rates import cpus_text, most_activations
 
 FORM = 1
-WARM_UP_NS = 500_000_000
-"""What is run before the measuring, and is in no stream."""
 
 
 def process_text(plan: TopologyPlan, process: str) -> str:
@@ -25,11 +23,10 @@ def _lines(plan: TopologyPlan, process: str) -> Iterator[str]:
     nodes = [node for node in topology.nodes if node.executor in executor_numbers]
     topics = list(dict.fromkeys(topic for node in nodes for topic in (*node.inputs, *node.outputs)))
     topic_numbers = {topic: number for number, topic in enumerate(topics)}
-    measure_ns = WARM_UP_NS + round(plan.for_s * 1e9)
-    rows = most_activations(topology, measure_ns)
+    rows = most_activations(topology, plan.measure_ns)
     yield f"topology {FORM}"
     yield f"process {process} {len(topology.processes)}"
-    yield f"measure {measure_ns}"
+    yield f"measure {plan.measure_ns}"
     for name in topics:
         topic = topology.topic[name]
         yield f"topic {topic_numbers[name]} {name} {topic.payload_bytes} {topic.reliability} {topic.depth}"

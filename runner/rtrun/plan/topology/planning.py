@@ -5,14 +5,23 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from rtfiles.config import Place
+from rtfiles.output import listed
+from rtfiles.quantities import grouped
 from rtrun.plan.observation import StreamDeadline, StreamKind
 from rtrun.plan.topology.others import beside, read_other_nodes
+from rtrun.plan.topology.rates import most_activations
 from rtrun.plan.topology.topology import NodePath, Topology
 
 SUITE = "topology"
 """The suite of a run of a topology, whose streams are runs of those of observed.yml."""
 PATHS_MAX = 32
 """So many paths are measured where nobody names any, the longest ones: each is a run directory for itself."""
+
+ACTIVATIONS_MAX = 10**9
+"""Of a node in a run: each is a row that the program keeps in memory."""
+WARM_UP_NS = 500_000_000
+"""What is run before the measuring, and is in no stream."""
+_NAMED = 4
 
 T = TypeVar("T")
 
@@ -28,12 +37,22 @@ class TopologyPlan:
     others: tuple[str, ...] = ()
     """Nodes of the topology that stand beside what is measured: of them nothing is kept."""
 
+    @property
+    def measure_ns(self) -> int:
+        """For how long after the start periods begin."""
+        return measure_ns(self.for_s)
+
     def beside(self, text: str) -> "TopologyPlan":
         """The plan with other nodes beside it, as `read_other_nodes` takes them; empty: none. Raises ValueError."""
         if not text:
             return self
         topology, others = beside(self.topology, read_other_nodes(text))
         return replace(self, topology=topology, others=others)
+
+
+def measure_ns(for_s: float) -> int:
+    """For how long after the start periods begin in a run that measures for so many seconds."""
+    return WARM_UP_NS + round(for_s * 1e9)
 
 
 def plan_topology(
@@ -51,6 +70,10 @@ def plan_topology(
     which is at `where`, names paths or deadlines of what is not there: `errors` get what is wrong, one a line.
     """
     before = len(errors)
+    rows = most_activations(topology, measure_ns(for_s))
+    if often := [name for name, number in rows.items() if number > ACTIVATIONS_MAX]:
+        most = f"more than {grouped(ACTIVATIONS_MAX)} times in a run"
+        errors.append(f"{where}: {topology.name} would activate {listed(often, _NAMED)} {most}, and keeps each")
     _check_each(where / "paths", paths, topology.paths_of, errors)
     _check_each(where / "deadlines", deadlines, lambda deadline: check_deadline(topology, deadline), errors)
     if len(errors) > before:

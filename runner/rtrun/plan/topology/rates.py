@@ -26,7 +26,12 @@ def rates_hz(topology: Topology) -> Mapping[str, float]:
 
 def most_activations(topology: Topology, measure_ns: int) -> Mapping[str, int]:
     """The most activations that each node can have, by name, where periods begin for so long after the start."""
-    return _followed(topology, lambda node: max(0, -((node.offset_ns - measure_ns) // node.period_ns)))
+    return _followed(topology, lambda node: period_points(node, measure_ns))
+
+
+def period_points(node: TopologyNode, measure_ns: int) -> int:
+    """How often the period of a node begins for so long after the start."""
+    return max(0, -((node.offset_ns - measure_ns) // node.period_ns))
 
 
 def _followed(topology: Topology, of_period: Callable[[TopologyNode], NumberT]) -> dict[str, NumberT]:

@@ -51,7 +51,11 @@ Name = Annotated[
     str, matching(r"[A-Za-z][A-Za-z0-9_]{0,63}", "a name of at most 64 letters, digits and _, a letter first")
 ]
 TopicName = Annotated[
-    str, matching(r"(/[A-Za-z][A-Za-z0-9_]*){1,8}", "the full name of a topic, which begins with /, as /scan")
+    str,
+    matching(
+        r"(?=.{1,200}$)(/[A-Za-z][A-Za-z0-9_]*){1,8}",
+        "the full name of a topic, of at most 200 characters, which begins with /, as /scan",
+    ),
 ]
 Time = Annotated[int, BeforeValidator(read_time_ns)]
 Size = Annotated[int, BeforeValidator(read_size_bytes)]

@@ -16,12 +16,12 @@ from pydantic import Field
 from rtfiles.config import Config, Place, matching, read_json
 from rtfiles.errors import UsageError
 from rtfiles.output import listed
-from rtrun.plan.quantities import time_text
+from rtrun.plan.quantities import SIZE_BYTES_MAX, size_text, time_text
 from rtrun.plan.topology.topology import NODES_MAX, Executor, Reliability, Topology, TopologyNode, TopologyTopic, Waits
 
 # Interfaces of its plugin packages, which may stand before the type; those of irobot_interfaces_plugin.
 _TYPE = re.compile(
-    r"(?:[a-z0-9_]+::)?stamped_?(?:([0-9]+)(b|kb|mb)|([0-9]*)_?(int64|int32|float32)|(vector))", re.ASCII
+    r"(?:[a-z0-9_]+::)?stamped_?(?:([0-9]{1,9})(b|kb|mb)|([0-9]{0,9})_?(int64|int32|float32)|(vector))", re.ASCII
 )
 _UNITS = {"b": 1, "kb": 2**10, "mb": 2**20, "int64": 8, "int32": 4, "float32": 4}
 _SHOWN = 4
@@ -30,7 +30,11 @@ Name = Annotated[
     str, matching(r"[A-Za-z][A-Za-z0-9_]{0,63}", "a name of at most 64 letters, digits and _, a letter first")
 ]
 TopicText = Annotated[
-    str, matching(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*){0,7}", "a name of letters, digits, _ and /")
+    str,
+    matching(
+        r"(?=.{1,199}$)/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*){0,7}",
+        "a name of at most 199 letters, digits, _ and /",
+    ),
 ]
 Default = Literal["default"]
 
@@ -48,8 +52,8 @@ class EndText(Config):
     qos_liveliness_lease_duration: Default = "default"
     qos_avoid_ros_namespace_conventions: Literal["true", "false"] = "false"
     msg_pass_by: Literal["unique_ptr", "shared_ptr"] | None = None
-    period_ms: Annotated[float, Field(gt=0, le=10**7)] | None = None
-    freq_hz: Annotated[float, Field(gt=0, le=10**6)] | None = None
+    period_ms: Annotated[float, Field(ge=10**-3, le=10**7)] | None = None
+    freq_hz: Annotated[float, Field(ge=10**-4, le=10**6)] | None = None
 
     @property
     def period_ns(self) -> int | None:
@@ -63,7 +67,7 @@ class TopicEnd(EndText):
 
     topic_name: TopicText
     msg_type: str
-    msg_size: Annotated[int, Field(ge=0, le=2**28)] | None = None
+    msg_size: Annotated[int, Field(ge=0, le=SIZE_BYTES_MAX)] | None = None
 
     @property
     def topic(self) -> str:
@@ -108,6 +112,9 @@ class OthersGraph:
 def read_graph(path: Path) -> OthersGraph:
     """Read a graph of ros2-performance. Raises UsageError with every mistake found, one a line."""
     graph, top = read_json(path, GraphText), Place(str(path))
+    number = sum((text.number or 1) * max(1, len(_by_period(text))) for text in graph.nodes)
+    if number > NODES_MAX:
+        raise UsageError(f"{top / 'nodes'}: they stand for {number} nodes here, takes {NODES_MAX} or fewer")
     named = [
         (f"{text.node_name}_{copy}" if text.number else text.node_name, text, top / "nodes" / number)
         for number, text in enumerate(graph.nodes)
@@ -122,7 +129,7 @@ def read_graph(path: Path) -> OthersGraph:
         raise UsageError(f"{top / 'nodes'}: two nodes would be called {twice}: give each a name of its own")
     publishers = {end.topic: end for _, text, _ in named for end in text.publishers}
     topology = Topology(
-        name=name if name[:1].isalpha() else f"graph_{name}"[:64],
+        name=(name if name[:1].isalpha() else f"graph_{name}")[:64],
         nodes=nodes,
         executors=tuple(
             Executor(name=executor, process=name) for executor in dict.fromkeys(node.executor for node in nodes)
@@ -140,11 +147,16 @@ def _wrong(named: list[tuple[str, NodeText, Place]]) -> Iterator[str]:
                 if _TYPE.fullmatch(end.msg_type) is None:
                     known = "stamped10b (kb, mb), stamped4_int32 (float32, int64) or stamped_vector with msg_size"
                     yield f"{where / key / number / 'msg_type'}: unknown type {end.msg_type[:60]!r}, takes {known}"
+                elif _payload_bytes(end) > SIZE_BYTES_MAX:
+                    most = size_text(SIZE_BYTES_MAX)
+                    yield f"{where / key / number / 'msg_type'}: a message of {end.msg_type}: takes {most} at most"
                 elif types.setdefault(end.topic, end.msg_type) != end.msg_type:
                     other = types[end.topic]
                     yield f"{where / key / number / 'msg_type'}: {end.topic} is {end.msg_type} here, {other} before"
                 if key == "publishers" and not end.period_ns:
                     yield f"{where / key / number}: nothing would send it: give period_ms or freq_hz"
+                if key == "publishers" and end.topic in (other.topic for other in ends[:number]):
+                    yield f"{where / key / number}: {end.topic} stands there twice: a topic has one publisher"
     if all(not text.publishers and not text.subscribers for _, text, _ in named):
         yield f"{named[0][2]}: no node publishes or subscribes, and services have no counterpart: nothing is left"
 
@@ -153,9 +165,7 @@ def _nodes(name: str, text: NodeText) -> Iterator[TopologyNode]:
     """A node for each period at which one of theirs sends, the first takes what it subscribes to."""
     executor = f"executor{text.executor_id}"
     inputs = tuple(dict.fromkeys(end.topic for end in text.subscribers))
-    by_period: dict[int, list[str]] = {}
-    for end in text.publishers:
-        by_period.setdefault(end.period_ns or 0, []).append(end.topic)
+    by_period = _by_period(text)
     for number, (period_ns, topics) in enumerate(sorted(by_period.items())):
         yield TopologyNode(
             name=name if not number else f"{name}_{time_text(period_ns)}",
@@ -167,6 +177,14 @@ def _nodes(name: str, text: NodeText) -> Iterator[TopologyNode]:
         )
     if inputs and not by_period:
         yield TopologyNode(name=name, executor=executor, waits=Waits.ANY, inputs=inputs)
+
+
+def _by_period(text: NodeText) -> dict[int, list[str]]:
+    """The topics that one of their nodes sends, by period."""
+    by_period: dict[int, list[str]] = {}
+    for end in text.publishers:
+        by_period.setdefault(end.period_ns or 0, []).append(end.topic)
+    return by_period
 
 
 def _topic(end: TopicEnd) -> TopologyTopic:
@@ -202,6 +220,14 @@ def _remarks(named: list[tuple[str, NodeText]]) -> Iterator[str]:
         yield "a node that sends takes the newest of its inputs for it; there it sends whatever has come"
     if len({text.executor_id for _, text in named}) == 1 and len(named) > 1:
         yield f"all {len(named)} nodes share one executor, as nodes without executor_id do there"
+    twice = [
+        f"{name} {topic}"
+        for name, text in named
+        for topic, number in Counter(end.topic for end in text.subscribers).items()
+        if number > 1
+    ]
+    if twice:
+        yield f"left out, a node takes a topic once: further subscriptions of {listed(twice, _SHOWN)}"
     for key in ("clients", "servers"):
         services = [f"{name} {end.service_name}" for name, text in named for end in getattr(text, key)]
         if services:

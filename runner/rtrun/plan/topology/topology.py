@@ -8,7 +8,7 @@ or several. A **topic** has one publisher and any number of subscribers.
 
 import functools
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
@@ -17,8 +17,8 @@ Policy = Literal["0", "FIFO", "RR"]
 Reliability = Literal["reliable", "best_effort"]
 
 NODES_MAX = 256
-# Of paths that are looked for at all: some graphs of twenty nodes have millions.
-_PATHS_SOUGHT = 10_000
+# From node to node in looking for paths: some graphs of twenty nodes have more of them than can be counted.
+_STEPS = 10_000
 
 
 class Waits(StrEnum):
@@ -171,23 +171,31 @@ class Topology:
         return tuple(NodePath(topics=topics, nodes=(*nodes, last.name)) for last in self.takers[topics[-1]])
 
     def all_paths(self) -> tuple[NodePath, ...]:
-        """Every path from a source to a sink, in which no node stands twice; no more than some thousand."""
+        """Every path from a source to a sink, in which no node stands twice; of graphs with very many, thousands."""
+        before = {node.name: {self.publisher[topic].name for topic in node.inputs} for node in self.nodes}
+        sinks = [node.name for node in self.nodes if self.is_sink(node)]
+        begun = [NodePath(topics=(), nodes=(source.name,)) for source in reversed(self.sources)]
         found: list[NodePath] = []
-        for source in self.sources:
-            for path in self._onwards((), (source.name,)):
-                if len(found) == _PATHS_SOUGHT:
-                    return tuple(found)
+        for _ in range(_STEPS):
+            if not begun:
+                break
+            path = begun.pop()
+            last = self.node[path.sink]
+            if path.topics and last.name in sinks:
                 found.append(path)
+            # From where a sink can still be reached, through nodes that are not in the path.
+            leads = [name for name in sinks if name not in path.nodes]
+            seen = {*leads, *path.nodes}
+            for name in leads:
+                leads += before[name] - seen
+                seen |= before[name]
+            begun += (
+                NodePath(topics=(*path.topics, topic), nodes=(*path.nodes, taker.name))
+                for topic in reversed(last.outputs)
+                for taker in reversed(self.takers[topic])
+                if taker.name in leads
+            )
         return tuple(found)
-
-    def _onwards(self, topics: tuple[str, ...], nodes: tuple[str, ...]) -> Iterator[NodePath]:
-        last = self.node[nodes[-1]]
-        if topics and self.is_sink(last):
-            yield NodePath(topics=topics, nodes=nodes)
-        for topic in last.outputs:
-            for taker in self.takers[topic]:
-                if taker.name not in nodes:
-                    yield from self._onwards((*topics, topic), (*nodes, taker.name))
 
     def _between(self, before: str, after: str) -> tuple[str, ...]:
         """The shortest way from one topic to another, both included; empty where there is none."""
