@@ -247,7 +247,8 @@ def test_a_publisher_that_waits_for_nobody_ends_on_a_signal(bench: Bench) -> Non
 @pytest.mark.parametrize("payload", [1000, 1024 * 1024])
 def test_fast_dds_by_itself_is_that_of_the_ros2(built: tuple[Path, Path, str], bench: Bench, payload: int) -> None:
     """Its programs find it where nothing is set up."""
-    bench.environment, bench.middleware = {"RT_TESTS_DOMAIN": bench.environment["ROS_DOMAIN_ID"]}, "fastdds"
+    bench.middleware = "fastdds"
+    bench.environment = {"ROS_DOMAIN_ID": bench.environment["ROS_DOMAIN_ID"]}
     (receiver,), sender = communicate(bench, "-r", "50", "-f", "50", "-s", "FIFO", "-l", str(payload))
     assert (sender.status, sender.err, receiver.status, receiver.err) == (0, "", 0, "")
     base = f"ct_gnuplot_l50_fq50_pl{payload}-tnRTFIFO"
@@ -267,7 +268,6 @@ SMALL = ("unshare", "--mount", "sh", "-c", 'mount -t tmpfs -o size=64k none /dev
 def test_counted_messages_add_up(bench: Bench, through: str, fault: str) -> None:
     """What came and what is missing are what was sent, or, of two publishers, what the last message said was sent."""
     bench.middleware = bench.middleware if through == "rcl" else through
-    bench.environment["RT_TESTS_DOMAIN"] = bench.environment["ROS_DOMAIN_ID"]
     before = SMALL if fault == "shared memory full" else ()
     arguments = ("-r", "300", "-f", "200", "-l", "1000")
     receiver = bench.start("communication_tests_subscriber", *arguments, before=before)

@@ -1,11 +1,9 @@
 """communication_tests through transports without ROS, each really run: what comes, what does not, and who dies."""
 
-import fcntl
 import json
 import os
 import signal
 import struct
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ports import free_domain, give_back_domain
 from rtgen import suites as builder
 from rtrun.kinds.output import Record, SenderRecord
 
@@ -25,22 +24,16 @@ each = pytest.mark.parametrize("transport", TRANSPORTS)
 
 @pytest.fixture
 def domain() -> Iterator[int]:
-    """A domain that nobody else on this machine uses meanwhile, also from another checkout."""
-    for number in range(1, 200):
-        with Path(tempfile.gettempdir(), f"rt-tests-domain-{number}").open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                continue
-            yield number
-            return
+    number = free_domain()
+    yield number
+    give_back_domain(number)
 
 
 @pytest.fixture
 def bench(suites: Path, tmp_path: Path, domain: int) -> Iterator[Bench]:
     folder = tmp_path / "out"
     folder.mkdir()
-    environment = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "RT_TESTS_DOMAIN": str(domain)}
+    environment = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "ROS_DOMAIN_ID": str(domain)}
     bench = Bench(suites, folder, environment, [])
     yield bench
     for process in bench.started:
@@ -197,9 +190,9 @@ def test_publisher_and_subscriber_with_different_payloads(bench: Bench, transpor
 @pytest.mark.parametrize(
     ("program", "variable", "value", "message"),
     [
-        ("publisher_tcp", "RT_TESTS_DOMAIN", "231", "takes an integer from 0 to 230, got '231'"),
-        ("subscriber_unix", "RT_TESTS_DOMAIN", "-1", "takes an integer from 0 to 230, got '-1'"),
-        ("subscriber_cyclonedds", "RT_TESTS_DOMAIN", "x", "takes an integer from 0 to 230, got 'x'"),
+        ("publisher_tcp", "ROS_DOMAIN_ID", "231", "takes an integer from 0 to 230, got '231'"),
+        ("subscriber_unix", "ROS_DOMAIN_ID", "-1", "takes an integer from 0 to 230, got '-1'"),
+        ("subscriber_cyclonedds", "ROS_DOMAIN_ID", "x", "takes an integer from 0 to 230, got 'x'"),
         ("subscriber_zeromq", "RT_TESTS_ZEROMQ", "pgm", "takes ipc|tcp, got 'pgm'"),
     ],
 )

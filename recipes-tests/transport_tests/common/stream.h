@@ -25,7 +25,7 @@ template <class Kind>
 struct Stream {
   static constexpr const char* name = Kind::name;
   static constexpr int64_t payload_bytes_max = 16 * 1024 * 1024;
-  using Context = rt_tests::NoContext;
+  using Context = transport::Context;
 
   // Sends each message to one subscriber after the other, and waits while what is sent before has not been taken.
   class Publisher {

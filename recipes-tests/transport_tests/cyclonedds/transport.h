@@ -57,6 +57,7 @@ struct Transport {
     Context(const Context&) = delete;
     Context& operator=(const Context&) = delete;
 
+    rt_tests::Facts facts() const { return transport::facts(); }
     bool ok() const noexcept { return true; }
     void shutdown() {}
     dds_entity_t participant() const noexcept { return participant_; }

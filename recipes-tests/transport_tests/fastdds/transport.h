@@ -45,7 +45,11 @@ struct Transport {
     }
     bool ok() const noexcept { return true; }
     void shutdown() {}
-    rt_tests::Facts facts() const { return {{"fastdds_version", fastdds_versions::version}}; }
+    rt_tests::Facts facts() const {
+      rt_tests::Facts facts = transport::facts();
+      facts.emplace_back("fastdds_version", fastdds_versions::version);
+      return facts;
+    }
     fast::DomainParticipant& participant() const noexcept { return *participant_; }
     fast::Topic* topic() const noexcept { return topic_; }
 

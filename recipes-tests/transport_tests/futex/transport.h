@@ -25,7 +25,7 @@
 struct Transport {
   static constexpr char name[] = "futex";
   static constexpr int64_t payload_bytes_max = 16 * 1024 * 1024;
-  using Context = rt_tests::NoContext;
+  using Context = transport::Context;
 
   static constexpr std::size_t ring_bytes = 16 * 1024 * 1024;
   static constexpr std::size_t slots_min = 8, slots_max = 1000;

@@ -13,7 +13,7 @@
 struct Transport {
   static constexpr char name[] = "udp";
   static constexpr int64_t payload_bytes_max = 65507 - static_cast<int64_t>(sizeof(transport::Head));
-  using Context = rt_tests::NoContext;
+  using Context = transport::Context;
 
   // Whether the other end of a connected socket is still there.
   static bool is_there(const transport::File& file) noexcept {

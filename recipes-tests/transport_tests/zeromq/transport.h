@@ -42,6 +42,7 @@ struct Transport {
               "set policy and priority of its threads");
     }
     void* get() const noexcept { return context_.get(); }
+    rt_tests::Facts facts() const { return transport::facts(); }
     bool ok() const noexcept { return true; }
     void shutdown() {}
 

@@ -248,7 +248,7 @@ def _combinations(
     axes = {key: _axis(where / key, key, merged[key], errors) for key in merged if key in keys}
     through = [str(value) for value in axes.get("middleware", [suite.middleware])]
     for unused in [key for key in takes if key in entry and not any(_is_taken(key, name) for name in through)]:
-        of = ", ".join(suites.options()[unused].through)
+        of = ", ".join(name for name in middlewares() if suites.options()[unused].is_taken_through(name))
         errors.append(f"{where / unused}: is for middleware {of}, and this run's is {', '.join(through)}")
     repeats = axes.pop("repeats", [1])
     if len(repeats) > 1:
