@@ -92,8 +92,10 @@ def test_build(tmp_path: Path, machine: str) -> None:
     assert sorted(path.name for path in link.glob("share/*/launch/*")) == [
         "communication_tests.launch",
         "communication_tests_5sub.launch",
+        "control.topology",
         "cyclic_timer_tests.launch",
         "oneshot_timer_tests.launch",
+        "sensing.topology",
         "topology_tests.launch",
     ]
     assert (link / "suites.yml").read_bytes() == (suites.sources() / "suites.yml").read_bytes()

@@ -151,6 +151,33 @@ def is_measuring(process: "subprocess.Popen[str]") -> bool:
     return bool(caught >> (signal.SIGTERM - 1) & 1)
 
 
+def launch(bench: Bench, package: str, name: str, *words: str) -> str:
+    """Have roslaunch start what a package's launch file names, and return what it says once all of it has ended."""
+    roslaunch = shutil.which("roslaunch")
+    assert roslaunch is not None
+    environment = bench.environment | {
+        "CMAKE_PREFIX_PATH": str(bench.suites),
+        "ROS_PACKAGE_PATH": str(bench.suites / "share"),
+        "ROS_HOME": str(bench.folder),  # where roslaunch starts nodes
+    }
+    process = subprocess.Popen(
+        ["/usr/bin/python3", roslaunch, package, f"{name}.launch", *words],
+        cwd=bench.folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        said, _ = process.communicate(timeout=60)
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            process.communicate()
+    assert process.returncode == 0, said
+    return said
+
+
 @pytest.fixture
 def bench(suites: Path, ros_master: int, tmp_path: Path) -> Iterator[Bench]:
     environment = os.environ | {

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import signal
 import subprocess
 
@@ -16,6 +15,7 @@ from .conftest import (
     defaults_of,
     end,
     is_measuring,
+    launch,
     wait_until,
 )
 
@@ -128,29 +128,9 @@ def test_publisher_of_more_messages_than_expected(bench: Bench) -> None:
 
 
 def test_five_subscribers_by_the_launch_file(bench: Bench) -> None:
-    roslaunch = shutil.which("roslaunch")
-    assert roslaunch is not None
-    environment = bench.environment | {
-        "CMAKE_PREFIX_PATH": str(bench.suites),
-        "ROS_PACKAGE_PATH": str(bench.suites / "share"),
-        "ROS_HOME": str(bench.folder),  # where roslaunch starts nodes
-    }
-    launch = bench.suites / "share" / "communication_tests" / "launch" / "communication_tests_5sub.launch"
-    process = subprocess.Popen(
-        ["/usr/bin/python3", roslaunch, str(launch), "s:=RR", "r:=200", "f:=500", "p:=n", "d:=2", "l:=64"],
-        cwd=bench.folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
+    launch(
+        bench, "communication_tests", "communication_tests_5sub", "s:=RR", "r:=200", "f:=500", "p:=n", "d:=2", "l:=64"
     )
-    try:
-        output, _ = process.communicate(timeout=60)
-    finally:
-        if process.poll() is None:
-            process.terminate()
-            process.communicate()
-    assert process.returncode == 0, output
     for number in range(5):
         record = check_outputs(bench.folder, f"n{number}ct_gnuplot_l200_fq500_pl64-tnRTRR")
         assert record["complete"] is True

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,17 +16,26 @@ import pytest
 
 from ports import free_domain, free_port
 from ros2 import wheels
+from rtfiles.errors import UsageError
 from rtgen import suites as builder
 from rtrun.cli import main
+from rtrun.flows.topology.chains import ages, origins
 from rtrun.flows.topology.fates import fates
 from rtrun.flows.topology.tables import read_tables
+from rtrun.plan.topology.node_text import process_text
+from rtrun.plan.topology.planning import WARM_UP_NS, TopologyPlan
+from rtrun.plan.topology.rates import period_points
+from rtrun.plan.topology.reading import read_topology
 from rtrun.results.topology_record import read_topology_record
 
-# On this machine all are in one domain of Cyclone DDS.
+from .conftest import launch
+
+# Each asks the machine for most of a CPU.
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("topology")]
 
 RTRUN = [sys.executable, "-c", "import sys; from rtrun.cli import main; sys.exit(main(sys.argv[1:]))"]
-# Each rule by which a node is activated, a shared thread and a shared process, a fork and a join, too small a queue.
+# Each rule by which a node is activated, a shared thread and a shared process, a fork and a join, too small a queue,
+# too short a period.
 GRAPH = """
 schema: 1
 name: braking
@@ -38,6 +48,7 @@ nodes:
   control: {period: 10ms, inputs: [/state], busy: 100us, outputs: [/cmd], deadline: 900ms, executor: brain}
   brake:   {inputs: [/cmd], process: brain}
   slow:    {inputs: [/imu], busy: 12ms, policy: 0}
+  over:    {period: 100ms, busy: 130ms, policy: 0, executor: slow, deadline: 60s}
 topics:
   /points: {payload: 20kB}
   /imu: {depth: 2, reliability: best_effort}
@@ -56,11 +67,11 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
-def write(place, suites, *middlewares, more="", target=""):
+def write(place, suites, *middlewares, target=""):
+    # A domain of ROS 2 and of DDS that nobody else on this machine uses meanwhile.
     (place / "campaign.yml").write_text(
-        "schema: 1\nname: braking\ntopology: braking.yml\nfor: 1500ms\n"
-        + more
-        + f"runs: [{{middleware: [{', '.join(middlewares)}]}}]\n"
+        f"schema: 1\nname: braking\ntopology: braking.yml\nfor: 1500ms\ncommon: {{domain_id: {free_domain()}}}\n"
+        f"runs: [{{middleware: [{', '.join(middlewares)}]}}]\n"
     )
     (place / "target.yml").write_text(
         f"schema: 1\nname: here\nkind: local\nsuites: {suites}\n{target or f'ros_master_port: {free_port()}'}\n"
@@ -68,17 +79,12 @@ def write(place, suites, *middlewares, more="", target=""):
     return ["run", "campaign.yml", "--target", "target.yml"]
 
 
-def domain():
-    """Of ROS 2: nobody else on this machine uses it meanwhile."""
-    return f"common: {{domain_id: {free_domain()}}}\n"
-
-
 def records(place):
     return {path.parent.name: json.loads(path.read_text()) for path in place.glob("results/*/*/run.json")}
 
 
 def check(folder, middleware):
-    """Tables, figures and streams of a run tell the same, and every message has one fate."""
+    """Tables, figures and streams of a run tell the same, every message has one fate; the periods that one skipped."""
     streams = [path for path in folder.parent.glob(f"{folder.name}-*") if path.is_dir()]
     record = read_topology_record(folder)
     tables = read_tables(folder, record.topology)
@@ -89,8 +95,9 @@ def check(folder, middleware):
         if node.period_ns:
             due = table.release_ns - tables.hosts[record.topology.executor[node.executor].process].start_ns
             assert ((due - node.offset_ns) % node.period_ns == 0).all() and (np.diff(due) > 0).all()
-            # Each point of its grid has an activation, or was skipped.
-            assert table.release_ns.size + table.skipped == -(-(2 * 10**9 - node.offset_ns) // node.period_ns)
+            # Each point of its grid that was measured has an activation, or was skipped.
+            measured = period_points(node, 2 * 10**9) - period_points(node, WARM_UP_NS)
+            assert figures.activations + figures.overruns == measured
     for hop, figures in zip(tables.hops, record.hops, strict=True):
         of_hop = fates(tables, hop)
         # Counted another way: by the set of numbers that came, and what took them.
@@ -105,6 +112,8 @@ def check(folder, middleware):
         if record.topology.topic[hop.topic].reliability == "reliable":
             assert not figures.lost, (middleware, figures)
         assert of_hop.duplicates == 0
+    (over,) = (each for each in record.nodes if each.node == "over")
+    assert over.overruns >= 2, "of 15 periods of 100 ms it is done with one in 130 ms"
     (lossy,) = (each for each in record.hops if each.subscriber == "slow")
     assert lossy.lost, "a node that takes twice its time loses nothing of a queue of two"
     (join,) = (each for each in record.hops if (each.subscriber, each.topic) == ("fuse", "/imu"))
@@ -126,14 +135,15 @@ def check(folder, middleware):
         assert path.worst[-1].end_ns == reaction.max() and path.worst[0].release_ns >= 0
         for before, after in zip(path.worst, path.worst[1:], strict=False):
             assert before.done_ns <= before.publication_ns <= before.reception_ns <= after.begin_ns, number
+    return over.overruns
 
 
 def test_through_roscpp_and_cyclone(suites, place, capsys):
     assert main(write(place, suites, "roscpp", "cyclonedds")) == 0, capsys.readouterr()
-    found = records(place)
+    found, overruns = records(place), []
     assert {each["status"] for each in found.values()} == {"ok"}
     for name, middleware in (("001-topology-braking", "roscpp"), ("002-topology-braking-cyclonedds", "cyclonedds")):
-        check(place / "results/braking" / name, middleware)
+        overruns.append(check(place / "results/braking" / name, middleware))
         threads = {
             thread["name"]: (thread["policy"], thread["priority"], thread["cpus"])
             for program in found[name]["programs"]
@@ -147,7 +157,18 @@ def test_through_roscpp_and_cyclone(suites, place, capsys):
     assert main(["gate", *question, "--platform", "virtual"]) in (0, 1)
     said = capsys.readouterr().out
     assert said.count("/points,/objects,/state,/cmd") >= 4 and "response of /control" in said
+    # What was due and never done is a miss, however long the deadline is.
+    assert main(["verdict", "results/braking", "--json", *question[1:]]) == 0
+    groups = json.loads(capsys.readouterr().out)["groups"]
+    verdicts = [each["verdict"] for each in groups if each["group"].startswith("response of /over")]
+    assert [each["absent"] for each in verdicts] == overruns and [each["n"] for each in verdicts] == [15, 15]
     assert main(["report", "results/braking", "--probability", "0.5", "--output", "report.html"]) == 0
+    # A process that says less than all of its periods is not believed.
+    damaged = Path(shutil.copytree("results/braking/001-topology-braking", "damaged"))
+    told = damaged / "process-slow.json"
+    told.write_text(re.sub(r'"skipped": *([0-9]+)', lambda each: f'"skipped": {int(each[1]) + 1}', told.read_text()))
+    with pytest.raises(UsageError, match=r"over\.npy: \d+ activations and \d+ skipped are not the 20 points"):
+        read_tables(damaged, read_topology_record(damaged).topology)
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +179,7 @@ def on_ros2(tmp_path_factory):
 
 def test_through_rcl(on_ros2, place, capsys):
     prefix, suites = on_ros2
-    words = write(place, suites, "rcl", more=domain(), target=f"ros_setup: {prefix}/setup.sh")
+    words = write(place, suites, "rcl", target=f"ros_setup: {prefix}/setup.sh")
     assert main(words) == 0, capsys.readouterr()
     assert {each["status"] for each in records(place).values()} == {"ok"}
     check(place / "results/braking/001-topology-braking-rcl", "rcl")
@@ -183,6 +204,33 @@ def test_a_node_that_dies_ends_the_run_with_its_name(suites, place):
     assert hosts(place) == {}
 
 
+LAUNCHED = """
+schema: 1
+name: launched
+nodes:
+  lidar:   {period: 50ms, busy: 1ms, outputs: [/points], process: sensing}
+  detect:  {inputs: [/points], busy: 5ms, outputs: [/objects], process: sensing}
+  control: {period: 10ms, inputs: [/objects], busy: 100us, outputs: [/cmd]}
+  brake:   {inputs: [/cmd], process: control}
+topics: {/points: {payload: 20kB}}
+"""
+
+
+def test_the_launch_file_hosts_the_graph_beside_it(bench):
+    graph = bench.folder / "graph.yml"
+    graph.write_text(LAUNCHED)
+    topology = read_topology(graph).topology
+    for process in topology.processes:
+        text = process_text(TopologyPlan(topology=topology, for_s=5, paths=()), process)
+        assert (bench.suites / f"share/topology_tests/launch/{process}.topology").read_text() == text
+    said = launch(bench, "topology_tests", "topology_tests", f"folder:={bench.folder}")
+    assert said.count("process has finished cleanly") == 2, said
+    tables = read_tables(bench.folder, topology)
+    assert all(fates(tables, hop).taken > 10 for hop in tables.hops)
+    (path,) = topology.all_paths()
+    assert ages(tables, path, origins(tables, path)[0]).end_ns.size > 10
+
+
 def hosts(place):
     """The processes of nodes that run, by the name of their program."""
     found = {}
@@ -199,8 +247,8 @@ def hosts(place):
 @pytest.mark.slow
 def test_influence_is_measured_in_turn_and_told_of_each_path(suites, place, capsys):
     (place / "braking.yml").write_text(CHAIN.replace("300ms, offset: 100ms, busy: 20ms", "1s"))
-    write(place, suites, "cyclonedds")
-    words = ["influence", "braking.yml", "--of", "other_nodes", "--target", "target.yml", "--middleware", "cyclonedds"]
+    write(place, suites, "roscpp")
+    words = ["influence", "braking.yml", "--of", "other_nodes", "--target", "target.yml", "--middleware", "roscpp"]
     words += ["--kinds", "busy", "--nodes", "2", "--cpu", "1", "--for", "1s", "--repeats", "3", "--json"]
     assert main(words) == 0, capsys.readouterr()
     measured = {name: each for name, each in records(place).items() if each["suite"] == "topology"}
@@ -235,7 +283,7 @@ paths:
 def test_a_path_agrees_with_what_is_observed_of_it_and_both_tell_why_it_was_late(on_ros2, place, capsys):
     prefix, suites = on_ros2
     (place / "braking.yml").write_text(CHAIN)
-    words = write(place, suites, "rcl", more=domain(), target=f"ros_setup: {prefix}/setup.sh")
+    words = write(place, suites, "rcl", target=f"ros_setup: {prefix}/setup.sh")
     (place / "campaign.yml").write_text((place / "campaign.yml").read_text().replace("1500ms", "20s"))
     with subprocess.Popen([*RTRUN, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as runner:
         wait_for("*/*/ready.planted_hog", place, runner)
@@ -264,6 +312,9 @@ def test_a_path_agrees_with_what_is_observed_of_it_and_both_tell_why_it_was_late
     # The nodes themselves tell which of them it was.
     assert main(["why", str(run)]) == 0
     first = capsys.readouterr().out.partition("\n")[0]
+    (stream,) = place.glob("results/braking/001-*-paths-*")
+    assert main(["why", str(stream)]) == 0
+    assert capsys.readouterr().out.partition("\n")[0] == first, "a stream is of its run"
     assert re.match(r"(filter|/scan is on its way to filter)\b.* of what made /scan,/objects late", first), first
 
 

@@ -49,7 +49,7 @@ struct Rcl : rt_tests::Rcl {
     unsigned char* bytes() noexcept { return message_.data.data(); }
     bool send() noexcept { return rcl_publish(&publisher_, &message_, nullptr) == RCL_RET_OK; }
     std::string problem() const {
-      return rcl_error_is_set() ? std::string("rcl: cannot publish: ") + rcl_get_error_string().str : "";
+      return std::string("rcl: cannot publish: ") + (rcl_error_is_set() ? rcl_get_error_string().str : "no reason given");
     }
     int64_t subscribers() const {
       std::size_t count = 0;

@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     table = causes.table(ranking, explained)
     cost, not_compared = tracing_cost_at(source, of)
     surroundings, not_held = causes.surroundings(source, of)
-    paths, not_cut = late_paths.late_paths(source.folders)
+    paths, not_cut = late_paths.late_paths([late_paths.run_of(folder) for folder in source.folders])
     if explained or refused or paths is None:
         outcome = f"{table.outcome if explained or refused else causes.no_traces(source)}."
     else:

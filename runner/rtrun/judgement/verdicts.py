@@ -59,7 +59,7 @@ def sentences(verdict: Verdict) -> list[str]:
     what = "late" if verdict.question.tolerance == NONE_TOLERATED else "windows hold too many misses"
     parts = [f"{grouped(verdict.late)} of {grouped(verdict.n)} {what}"]
     if verdict.absent:
-        is_skip = verdict.question.of == "lateness"
+        is_skip = verdict.question.of in ("lateness", "response")
         absent = f"{counted(verdict.absent, 'period')} skipped" if is_skip else f"{verdict.absent} never came"
         parts[0] += f" and {absent}"
     parts.append(f"P({verdict.question.miss}) {_between(verdict)}")

@@ -9,17 +9,22 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.kind import Columns, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record
-from rtrun.kinds.rows import agree, check_times
+from rtrun.kinds.rows import MAX_ABSENT, agree, check_times
 
 
 def _series(name: str, columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
     begin, end = columns["begin_ns"], columns["end_ns"]
     check_times(path, begin, end)
     agree(path, "measured", len(begin), record.counts.measured)
+    agree(path, "missing", record.counts.asked - len(begin), record.counts.missing)
+    if record.counts.missing > MAX_ABSENT:
+        raise UsageError(f"{path}: {record.counts.missing} never ended: none with more than {MAX_ABSENT} is read")
     values = np.asarray(end - begin)
     if values.size and int(values.min()) < 0:
         raise UsageError(f"{path}: row {int(values.argmin())} ends before it begins")
-    return {name: IndexedValues(values_ns=values, index=np.arange(values.size))}
+    # What never ended is known by its number alone: it counts as late, after all the others.
+    absent = np.arange(values.size, values.size + record.counts.missing)
+    return {name: IndexedValues(values_ns=values, index=np.arange(values.size), absent=absent)}
 
 
 def _times(columns: Columns, values: IndexedValues) -> Int64s:

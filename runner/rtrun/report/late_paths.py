@@ -9,20 +9,21 @@ from rtrun.flows.topology.late import LatePath, PathPart, late_path
 from rtrun.flows.topology.tables import read_tables
 from rtrun.plan.topology.topology import NodePath
 from rtrun.report.tables import Table
-from rtrun.results.topology_record import TopologyRecord, read_topology_record
+from rtrun.results.run_directory import closing_record
+from rtrun.results.topology_record import FILE, TopologyRecord, read_topology_record
 
 # A part that made less of a reaction late than this is not listed.
 LISTED_FROM = 0.02
 
 
 def late_paths(folders: Sequence[Path]) -> tuple[Table | None, tuple[str, ...]]:
-    """A row for each part that made reactions late, of the runs of topologies among these; why one cannot be read.
+    """A row for each part that made reactions and responses late, of runs of topologies; why one cannot be read.
 
     None where there are no topologies.
     """
     found: list[tuple[str, LatePath]] = []
     refused: list[str] = []
-    for folder in folders:
+    for folder in dict.fromkeys(folders):
         try:
             if (record := read_topology_record(folder)) is not None:
                 found += ((folder.name, one) for one in _of_run(folder, record))
@@ -33,23 +34,23 @@ def late_paths(folders: Sequence[Path]) -> tuple[Table | None, tuple[str, ...]]:
     rows = [
         (
             run if number == 0 else "",
-            _path(one) if number == 0 else "",
+            f"{_name(one)}: {one.late} of {one.reactions} above {time(one.limit_ns)}" if number == 0 else "",
             part.what,
             time(round(part.late_ns)),
             time(round(part.otherwise_ns)) if one.late < one.reactions else "-",
-            f"{100 * part.extra_ns / one.extra_ns:.0f} %",
+            f"{100 * one.share(part):.0f} %",
         )
         for run, one in found
         for number, part in enumerate(_listed(one))
     ]
     return Table(
         id="late_paths",
-        title="Where late reactions spent their time",
+        title="Where late reactions and responses spent their time",
         columns=("run", "path", "part", "late", "otherwise", "of what made them late"),
         rows=rows,
         outcome=_outcome(found),
         numbers=3,
-        notes=("Means of the late reactions and of the others, from the tables of the nodes themselves.",),
+        notes=("Means of the late ones and of the others, from the tables of the nodes themselves.",),
     ), tuple(refused)
 
 
@@ -57,22 +58,34 @@ def _of_run(folder: Path, record: TopologyRecord) -> list[LatePath]:
     tables = read_tables(folder, record.topology)
     deadlines = {path.topics: path.reaction_ns for path in record.topology.paths}
     paths = (NodePath(topics=tuple(path.topics), nodes=tuple(path.nodes)) for path in record.paths)
-    found = (late_path(tables, path, deadlines.get(path.topics)) for path in paths)
+    found = [late_path(tables, path, deadlines.get(path.topics)) for path in paths]
+    # A response is a reaction along a path of one node.
+    found += (
+        late_path(tables, NodePath(topics=(), nodes=(node.name,)), node.deadline_ns)
+        for node in record.topology.nodes
+        if node.deadline_ns
+    )
     return [one for one in found if one is not None and one.extra_ns > 0]
 
 
-def _path(one: LatePath) -> str:
-    return f"{one.path.name} -> {one.path.sink}: {one.late} of {one.reactions} above {time(one.limit_ns)}"
+def run_of(folder: Path) -> Path:
+    """The run of a topology whose stream a folder holds; the folder itself where it holds none."""
+    closed = None if (folder / FILE).is_file() else closing_record(folder)
+    run = folder.with_name(closed.observed_by) if closed and closed.observed_by else folder
+    return run if (run / FILE).is_file() else folder
+
+
+def _name(one: LatePath) -> str:
+    return f"{one.path.name} -> {one.path.sink}" if one.path.topics else f"response of {one.path.sink}"
 
 
 def _listed(one: LatePath) -> list[PathPart]:
-    return [part for part in one.parts if part.extra_ns >= LISTED_FROM * one.extra_ns]
+    return [part for part in one.parts if one.share(part) >= LISTED_FROM]
 
 
 def _outcome(found: Sequence[tuple[str, LatePath]]) -> str:
     """The part that made reactions latest, in one sentence."""
     worst = max((one for _, one in found), key=lambda one: one.parts[0].extra_ns)
     part = worst.parts[0]
-    share = 100 * part.extra_ns / worst.extra_ns
     more = f"{time(round(part.extra_ns))} more than otherwise"
-    return f"{part.what}: {more}, {share:.0f} % of what made {worst.path.name} late"
+    return f"{part.what}: {more}, {100 * worst.share(part):.0f} % of what made {_name(worst)} late"

@@ -26,7 +26,7 @@ class NodeFigures(Config):
     node: str
     activations: Count
     overruns: Count = 0
-    """Points of its period that it skipped, as the activation before was not over."""
+    """Points of its period that it skipped, as an activation before was not over."""
     cpu: Spread
     """CPU time of its thread in an activation, with what publishing takes there."""
     response: Spread

@@ -2,18 +2,23 @@
 
 import itertools
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rtfiles.errors import UsageError
-from rtrun.flows.topology.chains import ages, origins, reactions, stages
+from rtrun.flows.topology.chains import ages, origins, reactions, stages, unanswered
 from rtrun.flows.topology.fates import fates
 from rtrun.flows.topology.late import late_path
+from rtrun.flows.topology.streams import topology_streams
 from rtrun.flows.topology.tables import NONE, HopTable, NodeTable, TopologyTables
-from rtrun.plan.topology.topology import Executor, Topology, TopologyNode, TopologyTopic, Waits
+from rtrun.plan.observation import StreamKind
+from rtrun.plan.topology.planning import TopologyPlan
+from rtrun.plan.topology.topology import Executor, NodePath, Topology, TopologyNode, TopologyTopic, Waits
 
 MS = 1_000_000
+UNTIL = 400 * MS
 
 
 def graph(rules):
@@ -39,7 +44,7 @@ def graph(rules):
 def play(topology, seed):
     """Play it: tables as the programs would have written them, and of each activation the data that it knew."""
     draw = random.Random(seed)
-    until, free = 400 * MS, dict.fromkeys((each.name for each in topology.executors), 0)
+    until, free = UNTIL, dict.fromkeys((each.name for each in topology.executors), 0)
     rows = {node.name: [] for node in topology.nodes}
     came = {node.name: [] for node in topology.nodes}  # seq, published, received, taken
     arrivals = {node.name: [] for node in topology.nodes}
@@ -110,7 +115,7 @@ def tables_of(topology, rows, came, first_ns):
                 left_ns=10**15,
             )
         )
-    return TopologyTables(topology=topology, nodes=nodes, hops=tuple(hops), hosts={})
+    return TopologyTables(topology=topology, until_ns=UNTIL, nodes=nodes, hops=tuple(hops), hosts={})
 
 
 RULES = [
@@ -146,6 +151,9 @@ def test_reactions_and_ages_are_those_of_the_messages(rules, seed):
     reaction = reactions(tables, path, of[0])
     assert list(zip(reaction.begin_ns.tolist(), reaction.end_ns.tolist(), strict=True)) == expected
     assert len(expected) > 5
+    longest = max(end - begin for begin, end in expected)
+    late = [row[0] for row in rows[source][first + len(expected) :] if row[0] < UNTIL - 2 * longest]
+    assert unanswered(tables, path, reaction) == len(late)
     for activation in reaction.activation:
         walked = stages(tables, path, of, int(activation))
         assert [stage.node.name for stage in walked] == list(path.nodes)
@@ -176,6 +184,20 @@ def test_every_message_has_one_fate(seed):
         assert sum(of_hop.lost.values()) == len(sent) - len(received)
 
 
+@pytest.mark.parametrize(("died_at", "never"), [(30, 0), (29, 0), (28, 0), (27, 0), (26, 0), (25, 1), (10, 16)])
+def test_what_was_never_reacted_to_counts_unless_the_run_ended_too_early_to_see_it(died_at, never):
+    """Of 30 messages of a sensor, one each 10 ms, none reaches the actuator from one on; others take 20 ms."""
+    topology = graph([(Waits.PERIOD, 10), (Waits.ANY, 0)])
+    rows = {"n0": [[10 * MS * n] * 4 + [0, NONE] for n in range(30)], "n1": []}
+    came = {"n0": [], "n1": [[n, 10 * MS * n, (10 * n + 20) * MS, n] for n in range(died_at)]}
+    rows["n1"] = [[received] * 4 + [0, n] for n, _, received, _ in came["n1"]]
+    tables = replace(tables_of(topology, rows, came, 0), until_ns=300 * MS)
+    (path,) = topology.all_paths()
+    plan = TopologyPlan(topology=topology, for_s=0.3, paths=(path,))
+    (reaction,) = (each for each in topology_streams(tables, plan) if each.kind is StreamKind.PATH)
+    assert (reaction.columns["end_ns"].size, reaction.counts["lost"]) == (died_at, never)
+
+
 def test_a_node_that_works_long_is_named():
     """Of thirty reactions one is late, and its second node is what made it so."""
     topology = graph([(Waits.PERIOD, 10), (Waits.ANY, 0), (Waits.ANY, 0)])
@@ -191,6 +213,10 @@ def test_a_node_that_works_long_is_named():
         rows["n2"].append([at + MS + long, at + MS + long, at + 2 * MS + long, at + 2 * MS + long, MS, number])
     cut = late_path(tables_of(topology, rows, came, 0), *topology.all_paths(), 5 * MS)
     assert (cut.late, cut.parts[0].what, cut.parts[0].extra_ns) == (1, "n1 works", 7 * MS)
+    assert [cut.share(part) for part in cut.parts[:2]] == [1, 0]
+    # Its response is told in the same way.
+    response = late_path(tables_of(topology, rows, came, 0), NodePath(topics=(), nodes=("n1",)), 5 * MS)
+    assert (response.late, response.limit_ns, [part.what for part in response.parts]) == (1, 5 * MS, ["n1 works"])
 
 
 def test_what_a_target_cannot_have_measured_is_refused(tmp_path):

@@ -52,7 +52,7 @@ def ages(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
 def reactions(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
     """From each activation of the source to the first one of the sink whose data are of it, or of a later one.
 
-    Those of the source to which the sink had not yet reacted when the run ended are left out.
+    Those of the source to which the sink had not yet reacted when the run ended are left out: see `unanswered`.
     """
     source, sink = tables.nodes[path.nodes[0]], tables.nodes[path.sink]
     # What the sink knows at last: older data may follow newer ones, on the way through a queue.
@@ -62,6 +62,19 @@ def reactions(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
     is_answered = first < known.size
     begun, first = begun[is_answered], first[is_answered]
     return Spans(begin_ns=source.release_ns[begun], end_ns=sink.end_ns[first], activation=first)
+
+
+def unanswered(tables: TopologyTables, path: NodePath, answered: Spans) -> int:
+    """How many activations of the source the sink never reacted to, though the run went on for long enough.
+
+    That is twice the longest reaction that was measured; to what came later no reaction could be seen. `answered` are
+    the reactions, of which there is one at least.
+    """
+    source = tables.nodes[path.nodes[0]]
+    enough_ns = 2 * int((answered.end_ns - answered.begin_ns).max())
+    # What answers an activation answers those before it: the last ones are without.
+    without = source.release_ns[source.first + answered.begin_ns.size :]
+    return int(np.count_nonzero(without < tables.until_ns - enough_ns))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -47,6 +47,10 @@ class LatePath:
         """By how much late ones took longer than the others, on the average."""
         return sum(part.extra_ns for part in self.parts)
 
+    def share(self, part: PathPart) -> float:
+        """Of all that took longer in late ones what a part did."""
+        return part.extra_ns / sum(max(each.extra_ns, 0.0) for each in self.parts)
+
 
 def late_path(tables: TopologyTables, path: NodePath, deadline_ns: int | None) -> LatePath | None:
     """Where the time of the late reactions of a path went; None where there were no reactions."""

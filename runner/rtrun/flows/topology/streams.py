@@ -6,7 +6,7 @@ import numpy as np
 
 from rtfiles.quantities import time
 from rtrun.analysis.histogram import Int64s
-from rtrun.flows.topology.chains import Spans, ages, origins, reactions
+from rtrun.flows.topology.chains import Spans, ages, origins, reactions, unanswered
 from rtrun.flows.topology.fates import HopFates, fates
 from rtrun.flows.topology.tables import NONE, HopTable, NodeTable, TopologyTables
 from rtrun.flows.values import Stream
@@ -20,7 +20,9 @@ def topology_streams(tables: TopologyTables, plan: TopologyPlan) -> Iterator[Str
     """Paths first, then hops, periods and nodes; none of them has what came before it was measured."""
     for path in plan.paths:
         of = origins(tables, path)
-        yield _path(StreamKind.PATH, path, reactions(tables, path, of[0]))
+        answered = reactions(tables, path, of[0])
+        never = unanswered(tables, path, answered) if answered.end_ns.size else 0
+        yield _path(StreamKind.PATH, path, answered, lost=never)
         yield _path(StreamKind.AGE, path, ages(tables, path, of[0]))
     for hop in tables.hops:
         if hop.subscriber in plan.others:
@@ -32,18 +34,20 @@ def topology_streams(tables: TopologyTables, plan: TopologyPlan) -> Iterator[Str
         table, name = tables.nodes[node.name], node.full_name
         if node.period_ns:
             yield _timer(table, name, node.period_ns)
-        yield _spans(StreamKind.RESPONSE, {"node": name}, table.release_ns[table.first :], table.end_ns[table.first :])
-        of_callback = {"node": name, "callback": node.name}
-        yield _spans(StreamKind.CALLBACK, of_callback, table.begin_ns[table.first :], table.end_ns[table.first :])
+        release, begin, end = (each[table.first :] for each in (table.release_ns, table.begin_ns, table.end_ns))
+        # A point of its period that it skipped was due, and never done.
+        yield _spans(StreamKind.RESPONSE, {"node": name}, release, end, lost=table.skipped)
+        yield _spans(StreamKind.CALLBACK, {"node": name, "callback": node.name}, begin, end)
 
 
-def _path(kind: StreamKind, path: NodePath, spans: Spans) -> Stream:
-    return _spans(kind, {"path": path.name, "sink": f"/{path.sink}"}, spans.begin_ns, spans.end_ns)
+def _path(kind: StreamKind, path: NodePath, spans: Spans, *, lost: int = 0) -> Stream:
+    identity = {"path": path.name, "sink": f"/{path.sink}"}
+    return _spans(kind, identity, spans.begin_ns, spans.end_ns, lost=lost)
 
 
-def _spans(kind: StreamKind, identity: Mapping[str, str], begin_ns: Int64s, end_ns: Int64s) -> Stream:
+def _spans(kind: StreamKind, identity: Mapping[str, str], begin_ns: Int64s, end_ns: Int64s, *, lost: int = 0) -> Stream:
     columns = {"begin_ns": begin_ns, "end_ns": end_ns}
-    return Stream(kind=kind, identity=identity, columns=columns, counts={"measured": end_ns.size})
+    return Stream(kind=kind, identity=identity, columns=columns, counts={"measured": end_ns.size, "lost": lost})
 
 
 def _timer(table: NodeTable, name: str, period_ns: int) -> Stream:
