@@ -25,6 +25,8 @@ class Changed:
     comparison: Comparison
     p999_ns: tuple[int | None, int | None]
     max_ns: tuple[int | None, int | None]
+    miss: str | None
+    """What counts as a miss, in words; None: nothing, as it has no deadline."""
     misses: Ratio | None
     runs: tuple[tuple[str, ...], tuple[str, ...]]
 
@@ -154,6 +156,12 @@ def _label(group: Group, *, of_several: bool) -> str:
     return f"{group.label} on {_origin_text(group)}" if of_several else group.label
 
 
+def _miss(a: Group, b: Group) -> str | None:
+    if a.question is None or b.question is None:
+        return None
+    return a.question.miss if a.question == b.question else f"{a.question.miss} in A, {b.question.miss} in B"
+
+
 def _changed(pair: tuple[Group, Group], confidence: float, margin_ns: float | None, tests: int) -> Changed:
     a, b = pair
     figures = pool_figures(a.digests), pool_figures(b.digests)
@@ -169,6 +177,7 @@ def _changed(pair: tuple[Group, Group], confidence: float, margin_ns: float | No
         ),
         p999_ns=(figures[0].percentiles_ns.get(99.9), figures[1].percentiles_ns.get(99.9)),
         max_ns=(figures[0].max_ns, figures[1].max_ns),
+        miss=_miss(a, b),
         misses=ratio_of_misses(a.verdict, b.verdict, confidence) if a.verdict and b.verdict else None,
         runs=(a.runs, b.runs),
     )

@@ -20,7 +20,10 @@ def as_text(compared: Compared) -> str:
         seen = (("p99.9", change.p999_ns), ("max", change.max_ns))
         lines += [f"    {name:7} {time(pair[0])} -> {time(pair[1])}" for name, pair in seen]
         lines += [f"    {_shift(shift, c)}" for shift in c.shifts]
-        lines.append(f"    P({compared.miss}) {_ratio(change.misses, c.confidence)}")
+        if change.miss is None:
+            lines.append("    no deadline was given for it: no P(miss)")
+        else:
+            lines.append(f"    P({change.miss}) {_ratio(change.misses, c.confidence)}")
         lines += [f"    assumes {text}" for text in c.assumes]
     lines += [f"not compared: {text}" for text in compared.ambiguous]
     lines += [f"only in A: {label}" for label in compared.only_a] + [f"only in B: {label}" for label in compared.only_b]

@@ -4,6 +4,7 @@ Each stream has a deadline of its own or none; one that somebody names comes bef
 """
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -128,6 +129,22 @@ def test_a_deadline_that_is_named_comes_before_them(rtrun, results):
     seen = answers(rtrun, results, "--probability", "0.01", "--deadline", "110us")
     assert {suite for suite, each in seen.items() if each["answer"] == "no deadline"} == set()
     assert {each["answer"] for each in seen.values()} == {"REFUTED"}
+
+
+def test_a_comparison_counts_misses_of_each_by_its_own_deadline(rtrun, results):
+    status, said = rtrun("compare", results, results)
+    assert status == 0
+    told = dict(
+        re.findall(r"^[A-Z ]+  (\w+) .*\n(?: {4}(?!P\(|no).*\n)+ {4}(P\(\w+ > [^)]+\)|no deadline)", said, re.M)
+    )
+    assert told == {
+        "messages": "P(value > 5 ms)",
+        "timer": "P(value > 50 us)",
+        "callback": "P(value > 1 ms)",
+        "path": "no deadline",
+        "interval": "no deadline",
+    }
+    assert rtrun("compare", results, results, "--deadline", "110us")[1].count(" > 110 us) ") == 5
 
 
 def test_the_gate_asks_of_what_has_a_deadline(rtrun, results):
