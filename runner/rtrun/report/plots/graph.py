@@ -112,7 +112,7 @@ def drawn_topology(of: MeasuredTopology) -> DrawnTopology:
         nodes=nodes,
         # Drawn last, it lies above the others.
         arrows=arrows[::-1],
-        cycle=_cycle_text(critical) if critical and critical.worst else "",
+        cycle=_cycle_text(critical, topology) if critical and critical.worst else "",
         timeline=tuple(_timeline(critical.worst)) if critical else (),
         ticks=tuple(_ticks(critical.worst[-1].end_ns)) if critical and critical.worst else (),
     )
@@ -245,7 +245,7 @@ def _text_on(
     taken: list[tuple[float, float, float, float]],
 ) -> DrawnText | None:
     """The text of an arrow where nothing else stands; None where there is no such place."""
-    width, height = _CHARACTER * max(len(line) for line, _ in lines), _LINE * len(lines)
+    width, height = _CHARACTER * max(len(line) for line, _ in lines) + _PADDING, _LINE * len(lines)
     pieces = list(itertools.pairwise(points))
     for part in _TRIED:
         for (x, y), (to_x, to_y) in pieces:
@@ -275,8 +275,11 @@ def _hop_told(hop: HopFigures) -> str:
     )
 
 
-def _cycle_text(path: PathFigures) -> str:
-    return printable(f"{' > '.join(path.nodes)}: the longest reaction, {time(path.worst[-1].end_ns)}")
+def _cycle_text(path: PathFigures, topology: Topology) -> str:
+    limits = {each.topics: each.reaction_ns for each in topology.paths}
+    limit_ns = limits.get(tuple(path.topics))
+    deadline = f", deadline {time(limit_ns)}" if limit_ns else ""
+    return printable(f"{' > '.join(path.nodes)}: the longest reaction, {time(path.worst[-1].end_ns)}{deadline}")
 
 
 def _timeline(worst: Sequence[CycleStep]) -> Iterator[TimelineRow]:

@@ -104,7 +104,7 @@ def test_the_report_of_a_run_has_its_graph_its_messages_and_its_bounds(tmp_path,
     write_topology_run(tmp_path / "results" / "002-topology-braking-rcl-r2", record.model_copy(update={"hops": lost}))
     assert main(["report", str(tmp_path / "results"), "--output", str(tmp_path / "a.html")]) == 0
     page = (tmp_path / "a.html").read_text()
-    assert page.count("<svg width=") == 1 and "<b>queue" not in page
+    assert page.count("<svg style=") == 1 and "<b>queue" not in page
     assert main(["report", str(tmp_path / "results"), "--output", str(tmp_path / "a.md")]) == 0
     text = (tmp_path / "a.md").read_text().replace("\\", "")
     assert "15 of 5 215 messages lost" in text
