@@ -1,9 +1,10 @@
-// Preloaded into a suite. PLANT=lock: the thread planted_lock keeps a mutex without priority inheritance for LENGTH_MS,
+// Preloaded into a suite. PLANT=own: a thread of the program at a higher priority has the CPU, again and again. PLANT=lock: the thread planted_lock keeps a mutex without priority inheritance for LENGTH_MS,
 // again and again, and the measuring thread needs it before it takes a time. PLANT=faults: the measuring thread touches
 // memory that the kernel has taken away, again and again.
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <pthread.h>
+#include <sched.h>
 #include <semaphore.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -34,6 +35,28 @@ static void* keep(void* unused) {
   return unused;
 }
 
+static int64_t now_ms(void) {
+  struct timespec now;
+  real_gettime(CLOCK_MONOTONIC, &now);
+  return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
+
+static void* have_the_cpu(void* unused) {
+  const struct timespec pause = {0, 700000000};
+  const struct sched_param higher = {97};
+  cpu_set_t cpus;
+  CPU_ZERO(&cpus);
+  CPU_SET(atoi(getenv("PLANT_CPU")), &cpus);
+  pthread_setname_np(pthread_self(), "planted_own");
+  for (;;) {
+    nanosleep(&pause, NULL);
+    sched_setaffinity(0, sizeof cpus, &cpus);
+    pthread_setschedparam(pthread_self(), SCHED_FIFO, &higher);
+    for (const int64_t end_ms = now_ms() + length_ms; now_ms() < end_ms;) continue;
+  }
+  return unused;
+}
+
 __attribute__((constructor)) static void plant(void) {
   const char *what = getenv("PLANT"), *length = getenv("LENGTH_MS");
   pthread_t thread;
@@ -43,6 +66,7 @@ __attribute__((constructor)) static void plant(void) {
   plants_faults = what && !strcmp(what, "faults");
   sem_init(&wanted, 0, 0);
   if (plants_lock) pthread_create(&thread, NULL, keep, NULL);
+  if (what && !strcmp(what, "own")) pthread_create(&thread, NULL, have_the_cpu, NULL);
   if (plants_faults) memory = mmap(NULL, faulted_bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
 }
 

@@ -16,10 +16,15 @@ from rtrun.causes.parts import NAMELESS, Cause, Kind, Part
 from rtrun.causes.reconstruction import NORMAL_PRIO
 from rtrun.causes.timeline import IDLE_PID, Occupant, Span, State, StateChange, Timeline, Waker, Why
 
+# Who is given the CPU while another thread is throttled, but would not have it else.
+_GIVEN_THE_CPU = frozenset({Kind.SHARED, Kind.EQUAL, Kind.NOT_PREEMPTED, Kind.IDLE_EXIT, Kind.THROTTLED})
+# A thread that was throttled runs so soon after it has time again, unless another one comes first.
+REFILLED_WITHIN_NS = 500_000
 # From a thread it is gone back to the one that woke it, at most so many times: in a trace they may form a circle.
 STEPS_MAX = 10_000
 TIMER = "the timer's own"
 IDLE = "idle"
+BEFORE = "before the trace begins"
 # A fault has no event at its end. A thread whose faults follow one another this closely does little else.
 BETWEEN_FAULTS_NS = 50_000
 
@@ -42,7 +47,8 @@ def cut(
             parts.append(replace(part, begin_ns=begin_ns, end_ns=limit_ns))
         end_ns = min(begin_ns, limit_ns)
     if end_ns > due_ns:
-        parts.append(_unexplained(due_ns, end_ns))
+        begins_ns = (spans[0].begin_ns for spans in timeline.cpus.values() if spans)
+        parts.append(_unexplained(due_ns, end_ns, BEFORE if end_ns <= max(begins_ns, default=0) else ""))
     pieces = (piece for part in reversed(parts) for piece in _not_interrupted(timeline, part))
     slowed = (piece for part in pieces for piece in _slowed(timeline, part))
     return tuple(_joined(piece for part in slowed for piece in _in_callbacks(timeline, pid, callbacks, part)))
@@ -163,7 +169,8 @@ class _Walk:
             if change.waker is None or at_ns <= self.due_ns:
                 continue
             slept = self.timeline.threads[pid][place] if place >= 0 else None
-            if change.waker.context is Context.THREAD and not self._is_held_up(slept, change.waker):
+            hands_over = change.waker.context is Context.THREAD and not change.waker.stops
+            if hands_over and not self._is_held_up(slept, change.waker):
                 pid, place = change.waker.pid, self._running(change.waker.pid, at_ns)
                 continue
             asleep_ns = min(slept.at_ns, at_ns) if slept else self.due_ns
@@ -180,11 +187,13 @@ class _Walk:
             at_ns, place = asleep_ns, place - 1
 
     def _awaited(self, pid: int, waker: Waker, at_ns: int) -> int | None:
-        """The thread of the program that should have woken this one, but waited for a CPU when a timeout woke it.
+        """The thread of the program that should have woken this one, but waited for a CPU when something else did.
 
-        A timer that expires after the value was due is a timeout. Who woke the thread before hands work over to it.
+        That is a timeout, a timer that expires after the value was due, or a signal that stops the program. Who woke
+        the thread before hands work over to it.
         """
-        if waker.expiry is None or waker.expiry.soft_ns is None or waker.expiry.soft_ns <= self.due_ns:
+        expires_ns = waker.expiry.soft_ns if waker.expiry else None
+        if not waker.stops and (expires_ns is None or expires_ns <= self.due_ns):
             return None
         earlier = reversed(self.timeline.threads[pid][: self.timeline.place(pid, at_ns)])
         wakers = (each.waker for each in earlier if each.waker and each.waker.context is Context.THREAD)
@@ -241,8 +250,23 @@ class _Walk:
 
     def _waited(self, pid: int, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Part]:
         prio = self.timeline.prios.get(pid)
+        refilled_ns = self._refilled_ns(prio, cpu, begin_ns, end_ns)
         for span in self._spans(cpu, begin_ns, end_ns):
-            yield self._part(span, cpu, self._who_had(span, pid, prio, begin_ns))
+            cause = self._who_had(span, pid, prio, begin_ns)
+            if span.begin_ns < refilled_ns and cause.kind in _GIVEN_THE_CPU:
+                is_normal = prio is not None and prio >= NORMAL_PRIO
+                cause = Cause(kind=Kind.GROUP) if is_normal else replace(cause, kind=Kind.THROTTLED, above=None)
+            yield self._part(span, cpu, cause)
+
+    def _refilled_ns(self, prio: int | None, cpu: int, begin_ns: int, end_ns: int) -> int:
+        """Until when a thread that waited was throttled: it was given the CPU as soon as it had time again. Else 0."""
+        times = self.timeline.refills_ns.get(prio is not None and prio < NORMAL_PRIO, ())
+        place = bisect_right(times, end_ns) - 1
+        if place < 0 or times[place] <= max(begin_ns, end_ns - REFILLED_WITHIN_NS):
+            return 0
+        occupants = (span.occupant for span in self.timeline.spans(cpu, times[place], end_ns))
+        ran = {who.pid for who in occupants if who is not None and who.context is Context.THREAD}
+        return times[place] if len(ran - self.own) <= 1 else 0
 
     def _who_had(self, span: Span, pid: int, prio: int | None, since_ns: int) -> Cause:
         """Why a thread that could run had to wait for the one that has the CPU."""
@@ -260,20 +284,18 @@ class _Walk:
             kind = Kind.OTHER_THREAD
         elif prio is None or other is None:
             kind = Kind.UNEXPLAINED
-        elif other < 0:
-            kind = Kind.DEADLINE
-        elif other < prio:
-            kind = Kind.HIGHER
+        elif (above := _above(other, prio)) is not None:
+            kind = above
+        elif prio >= NORMAL_PRIO:
+            # Neither has a real-time priority: the scheduler shares the CPU among them, and throttles none.
+            kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.SHARED
         elif other == prio:
             kind = Kind.EQUAL
-        elif prio >= NORMAL_PRIO and not self._printed(who.pid, span.end_ns):
-            # Neither has a real-time priority: the scheduler shares the CPU among them, and throttles none.
-            kind = Kind.SHARED
         elif who.throttled or self._was_chosen(who.pid, since_ns, span.end_ns):
             kind = Kind.THROTTLED
         else:
             kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.NOT_PREEMPTED
-        return Cause(kind=kind, name=who.name, pid=who.pid, prio=other)
+        return Cause(kind=kind, name=who.name, pid=who.pid, prio=other, above=prio if kind is Kind.HIGHER else None)
 
     def _was_chosen(self, pid: int, begin_ns: int, end_ns: int) -> bool:
         """Whether the scheduler gave a thread the CPU that has it at the end of a time, and had not at its begin."""
@@ -294,6 +316,8 @@ class _Walk:
         """The time from when a thread fell asleep until it was woken."""
         if waker.held is not Why.UNKNOWN:
             yield from self._held(pid, slept, waker, asleep_ns, at_ns)
+        elif waker.stops:
+            yield _unexplained(asleep_ns, at_ns, "it slept until it was stopped")
         elif waker.expiry is not None:
             yield from self._timer(pid, waker, asleep_ns, at_ns)
         elif waker.context is Context.THREAD:
@@ -310,12 +334,17 @@ class _Walk:
             )
 
     def _held(self, pid: int, slept: StateChange | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
-        """The time for which a thread was stopped or frozen, latest first: by whom it was stopped, or let go on."""
-        kind, by = (Kind.FROZEN if waker.held is Why.FROZEN else Kind.STOPPED), (waker.pid, waker.name)
-        if kind is Kind.STOPPED and slept is not None:
+        """The time for which a thread was stopped or frozen, latest first: by whom it was stopped, or let go on.
+
+        These need not be one: who stopped it is known from the signal since it last fell asleep before.
+        """
+        kind, by = (Kind.FROZEN if waker.held is Why.FROZEN else Kind.LET_GO_ON), (waker.pid, waker.name)
+        if kind is Kind.LET_GO_ON and slept is not None:
+            changes = self.timeline.threads[pid][: self.timeline.place(pid, slept.at_ns)]
+            awake_ns = next((one.at_ns for one in reversed(changes) if one.state is State.ASLEEP), 0)
             of_program = (one for one in reversed(self.timeline.stops) if one.pid in self.own | {pid})
-            sent = next((one for one in of_program if one.at_ns <= slept.at_ns), None)
-            by = (sent.by_pid, "") if sent else by
+            sent = next((one for one in of_program if awake_ns <= one.at_ns <= slept.at_ns), None)
+            kind, by = (Kind.STOPPED, (sent.by_pid, "")) if sent else (kind, by)
         begin_ns = max(asleep_ns, min(waker.held_ns or asleep_ns, at_ns))
         yield Part(begin_ns=begin_ns, end_ns=at_ns, cause=self._cause(kind, *by), cpu=waker.cpu)
         yield Part(begin_ns=asleep_ns, end_ns=begin_ns, cause=self._cause(Kind.OWN_SLEEP, pid), cpu=waker.cpu)
@@ -347,11 +376,11 @@ class _Walk:
         if who.pid == IDLE_PID:
             return Cause(kind=Kind.TIMER_LATE, name=IDLE)
         other, prio = self.timeline.prios.get(who.pid), self.timeline.prios.get(pid)
-        if who.pid not in self.own and other is not None and prio is not None and other < prio:
-            kind = Kind.DEADLINE if other < 0 else Kind.HIGHER
-        else:
-            kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.TIMER_LATE
-        return Cause(kind=kind, name=who.name, pid=who.pid, prio=other)
+        kind = None
+        if who.pid not in self.own and other is not None and prio is not None:
+            kind = _above(other, prio)
+        kind = kind or (Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.TIMER_LATE)
+        return Cause(kind=kind, name=who.name, pid=who.pid, prio=other, above=prio if kind is Kind.HIGHER else None)
 
     def _softirq(self, pid: int, waker: Waker, at_ns: int) -> Iterator[Part]:
         """From when a softirq was raised until it woke the thread, latest first."""
@@ -370,6 +399,13 @@ class _Walk:
 
     def _part(self, span: Span, cpu: int, cause: Cause) -> Part:
         return Part(begin_ns=span.begin_ns, end_ns=span.end_ns, cause=cause, cpu=cpu)
+
+
+def _above(prio: int, of_waiting: int) -> Kind | None:
+    """Whether a thread comes before another: two without a real-time priority share the CPU, whatever their nice is."""
+    if prio < 0:
+        return Kind.DEADLINE
+    return Kind.HIGHER if prio < min(of_waiting, NORMAL_PRIO) else None
 
 
 def _of_no_thread(occupant: Occupant | None) -> Cause:

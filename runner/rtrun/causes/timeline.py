@@ -65,7 +65,7 @@ class Waker(NamedTuple):
     """What woke a thread: a thread, an interrupt or a softirq, which began at `began_ns`.
 
     `held` is STOPPED or FROZEN where the thread was let go on rather than woken, `held_ns` since when it would have
-    been awake, if that is known.
+    been awake, if that is known. `stops`: it was woken to be stopped, so nobody handed work over.
     """
 
     cpu: int
@@ -77,6 +77,7 @@ class Waker(NamedTuple):
     raised: Raise | None
     held: Why = Why.UNKNOWN
     held_ns: int | None = None
+    stops: bool = False
 
 
 class StateChange(NamedTuple):
@@ -110,6 +111,8 @@ class Timeline:
     """Of each CPU, from when on it had which."""
     late_ns: Mapping[int, Sequence[tuple[int, int]]]
     """Of each CPU, from when a timer should have expired until its interrupt came, in order."""
+    refills_ns: Mapping[bool, Sequence[int]]
+    """When threads that were throttled could go on, apart for those with a real-time priority and those without."""
     callbacks: Mapping[int, Sequence[Callback]] = field(default_factory=dict)
     """Of each thread, one after another."""
 

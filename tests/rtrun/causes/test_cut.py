@@ -232,7 +232,7 @@ CASES = {
     ),
     # By who stopped it, rather than by who let it go on; another signal stops nothing.
     "a program that was stopped": Case(stopped(19), 1410, "STOPPED low 400; ..."),
-    "a program that was stopped by nobody who is seen": Case(stopped(10), 1410, "STOPPED hog 400; ..."),
+    "a program that was stopped by nobody who is seen": Case(stopped(10), 1410, "LET_GO_ON hog 400; ..."),
     # Its timer had not expired: the lock was given free before.
     "a thread that woke another in time did not freeze it": Case(
         START.replace("=500000", "=900000") + switch(200, ME, LOW) + waking(1300, 1, by=3) + switch(1302, LOW, ME)
