@@ -304,8 +304,11 @@ def without_trace(explained: Iterable[Explained]) -> list[str]:
     return said
 
 
-def lines(one: Explained) -> Iterator[str]:
-    """An outlier and what its time consists of, the longest first, a line each; they add up to the value."""
+def lines(one: Explained, *, every: bool = True) -> Iterator[str]:
+    """An outlier and what its time consists of, the longest first, a line each; they add up to the value.
+
+    Unless it is to be `every` part, those that took less than `LISTED_FROM` of it are one.
+    """
     outlier = one.outlier
     at = f"{outlier.at_ns // 10**9}.{outlier.at_ns % 10**9 // 1000:06} s"
     note = f"; {one.note}" if one.note else ""
@@ -316,10 +319,16 @@ def lines(one: Explained) -> Iterator[str]:
     lengths: Counter[tuple[Cause, int | None]] = Counter()
     for part in one.parts:
         lengths[part.cause, part.cpu] += part.length_ns
-    if all(cause.kind is not Kind.UNEXPLAINED for cause, _ in lengths):
-        lengths[Cause(kind=Kind.UNEXPLAINED), None] = 0
+    least_ns = 0 if every else LISTED_FROM * outlier.value_ns
+    short_ns = [ns for (cause, _), ns in lengths.items() if ns < least_ns and cause.kind is not Kind.UNEXPLAINED]
     for (cause, cpu), length_ns in lengths.most_common():
+        if length_ns < least_ns and cause.kind is not Kind.UNEXPLAINED and len(short_ns) > 1:
+            continue
         yield printable(f"  {time(length_ns):>13}  {_cause(cause)}{'' if cpu is None else f', CPU {cpu}'}")
+    if len(short_ns) > 1:
+        yield f"  {time(sum(short_ns)):>13}  {len(short_ns)} more, which took less than 1 % each"
+    if all(cause.kind is not Kind.UNEXPLAINED for cause, _ in lengths):
+        yield f"  {time(0):>13}  {Kind.UNEXPLAINED}"
     for callback in one.callbacks:
         if callback.took_ns is not None and callback.took_ns < BESIDE_FROM * outlier.value_ns:
             continue
