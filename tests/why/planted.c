@@ -1,8 +1,10 @@
-// Preloaded into a suite. PLANT=own: a thread of the program at a higher priority has the CPU, again and again. PLANT=lock: the thread planted_lock keeps a mutex without priority inheritance for LENGTH_MS,
+// Preloaded into a suite. PLANT=fsync: the measuring thread writes a line to a file, and waits for the disk, again and
+// again. PLANT=own: a thread of the program at a higher priority has the CPU, again and again. PLANT=lock: the thread planted_lock keeps a mutex without priority inheritance for LENGTH_MS,
 // again and again, and the measuring thread needs it before it takes a time. PLANT=faults: the measuring thread touches
 // memory that the kernel has taken away, again and again.
 #define _GNU_SOURCE
 #include <dlfcn.h>
+#include <fcntl.h>
 #include <pthread.h>
 #include <sched.h>
 #include <semaphore.h>
@@ -19,7 +21,7 @@ enum { faulted_bytes = 32 << 20 };
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 static sem_t wanted;
 static int (*real_gettime)(clockid_t, struct timespec*);
-static int plants_lock, plants_faults;
+static int plants_lock, plants_faults, log_file = -1;
 static int64_t length_ms, last_ms;
 static char* memory;
 
@@ -67,6 +69,7 @@ __attribute__((constructor)) static void plant(void) {
   sem_init(&wanted, 0, 0);
   if (plants_lock) pthread_create(&thread, NULL, keep, NULL);
   if (what && !strcmp(what, "own")) pthread_create(&thread, NULL, have_the_cpu, NULL);
+  if (what && !strcmp(what, "fsync")) log_file = open("/var/tmp", O_TMPFILE | O_WRONLY | O_APPEND, 0600);
   if (plants_faults) memory = mmap(NULL, faulted_bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
 }
 
@@ -88,11 +91,15 @@ int clock_gettime(clockid_t clock, struct timespec* now) {
   // Other libraries ask for the time before our constructor runs.
   if (!real_gettime) return (int)syscall(SYS_clock_gettime, clock, now);
   const int result = real_gettime(clock, now);
-  if (!measures || !(plants_lock || plants_faults) || !is_time(now)) return result;
+  if (!measures || !(plants_lock || plants_faults || log_file >= 0) || !is_time(now)) return result;
   if (plants_lock) {
     // It gets the lock now, and has it when this thread asks again after its timer.
     sem_post(&wanted);
     return result;
+  }
+  if (log_file >= 0) {
+    if (write(log_file, "late\n", 5) == 5) fsync(log_file);
+    return real_gettime(clock, now);
   }
   munlock(memory, faulted_bytes);
   madvise(memory, faulted_bytes, MADV_NOHUGEPAGE);

@@ -153,17 +153,6 @@ PLANTS = (
         event_lengths=10,
     ),
     Plant(
-        "load",
-        "thread of nice -5, the program at OTHER",
-        Kind.SHARED,
-        "planted_load",
-        places=("here",),
-        policy="0",
-        priority=None,
-        threshold_percent=50,
-        event_lengths=None,
-    ),
-    Plant(
         "io",
         "writers, readers, files, memory",
         Kind.NOT_PREEMPTED,
@@ -174,12 +163,11 @@ PLANTS = (
     ),
     Plant(
         "fsync",
-        "short processes that wait for the disk",
-        Kind.NOT_PREEMPTED,
-        "dd",
+        "fsync of a log in the callback, beside short processes that do so",
+        Kind.BLOCKED,
+        ".*",
         places=("here",),
-        event_lengths=None,
-        threshold_percent=20,
+        preloaded=True,
     ),
     Plant("lock", "thread that keeps a mutex", Kind.LOCK, "planted_lock", preloaded=True),
     Plant(
@@ -203,7 +191,7 @@ def slices(plant: Plant, count: int, place: Place, folder: Path) -> Iterator[lis
     """The outliers of each slice of the runs beside a plant: `count`, then more, run by run, at most as many again."""
     built = preloaded(place, plant.name, plant.cpu, folder) if plant.preloaded else place.built
     (folder / "target.yml").write_text(f"schema: 1\nname: place\nsuites: {built}\n{place.target}")
-    is_beside = not plant.preloaded and plant.kind is not None
+    is_beside = plant.name in plants.PLANTS
     at_first = -(-count // place.slices)
     with beside(place, plant.name, plant.cpu) if is_beside else contextlib.nullcontext():
         for number, runs_wanted in enumerate([at_first] + at_first * [1]):
@@ -270,8 +258,10 @@ def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, boo
             outliers += len(during)
             for alone in (rank([one]) for one in during):
                 first = main_cause(alone) if plant.kind is not None else alone.named
-                named += plant.is_named(first)
-                if not plant.is_named(first):
+                # Whoever it is, several of a kind are as good as one.
+                is_named = plant.is_named(first) or (plant.who == ".*" and alone.named_kind is plant.kind)
+                named += is_named
+                if not is_named:
                     others.append(without_ids(causes.culprit_name(first) if first else "no main cause"))
             if trials == count:
                 break

@@ -27,6 +27,7 @@ SCHED_SETATTR = {"x86_64": 314, "armv7l": 380, "aarch64": 274}
 # Of each period, the runtime that a control group has.
 GROUP = Path("/sys/fs/cgroup/cpu/planted_group")
 LIMIT_PERIOD_US, LIMIT_RUNTIME_US = 100_000, 30_000
+SHARES_MAX = 1 << 18
 MEASURED = "cyclic_timer_te\n"
 SOCKETS = 4000
 RECEIVERS_MAX = 50
@@ -231,14 +232,6 @@ def several(cpu: int, length_ms: int) -> None:
     busy("planted_hog", 98, cpu, length_ms)
 
 
-def load(cpu: int, length_ms: int) -> None:
-    """A thread without a real-time priority that never sleeps, of a higher weight than the measured one."""
-    named("planted_load", cpu)
-    os.nice(-5)
-    while True:
-        spin(length_ms)
-
-
 def stop_by_others(length_ms: int) -> None:
     """As somebody does it by hand: one process stops the program, and another one lets it go on."""
     named("planted_shell", None)
@@ -326,6 +319,8 @@ def limited(file: str, runtime_us: int, cpu: int) -> None:
     try:
         (GROUP / ("cpu.rt_period_us" if is_rt else "cpu.cfs_period_us")).write_text(str(LIMIT_PERIOD_US))
         (GROUP / file).write_text(str(runtime_us))
+        # Other programs of the machine are to take nothing of what the limit leaves.
+        (GROUP / "cpu.shares").write_text(str(SHARES_MAX))
         (GROUP / "cgroup.procs").write_text(str(os.getpid()))
         if is_rt:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
@@ -430,7 +425,6 @@ PLANTS = {
     "deadline": deadline,
     "processes": partial(processes, 99),
     "several": several,
-    "load": load,
     "io": io_mix,
     "fsync": fsync_loop,
     "rt_group": lambda cpu, length_ms: limited("cpu.rt_runtime_us", LIMIT_RUNTIME_US, cpu),

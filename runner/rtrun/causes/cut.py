@@ -20,6 +20,9 @@ from rtrun.causes.timeline import IDLE_PID, Occupant, Span, State, StateChange, 
 _GIVEN_THE_CPU = frozenset({Kind.SHARED, Kind.EQUAL, Kind.NOT_PREEMPTED, Kind.IDLE_EXIT, Kind.THROTTLED})
 # A thread that was throttled runs so soon after it has time again, unless another one comes first.
 REFILLED_WITHIN_NS = 500_000
+# Without a real-time priority it may have to wait for a tick, and for those who wait, too. That is not told from mere
+# sharing, which ends so soon after a refill by chance; so it is believed where a quota was used up, of longer waits.
+REFILLED_AT_TICK_NS, LONGER = 4_500_000, 3
 # From a thread it is gone back to the one that woke it, at most so many times: in a trace they may form a circle.
 STEPS_MAX = 10_000
 TIMER = "the timer's own"
@@ -30,16 +33,23 @@ BETWEEN_FAULTS_NS = 50_000
 
 
 def cut(
-    timeline: Timeline, *, pid: int, own: frozenset[int], due_ns: int, at_ns: int, callbacks: Sequence[Callback] = ()
+    timeline: Timeline,
+    *,
+    pid: int,
+    own: frozenset[int],
+    due_ns: int,
+    at_ns: int,
+    callbacks: Sequence[Callback] = (),
+    used_up: bool = False,
 ) -> tuple[Part, ...]:
     """Cut the time from `due_ns` to `at_ns` into parts in the order of time, which add up to it.
 
     `pid` is the thread that ran at `at_ns`, `own` are the threads of the measured program, `callbacks` what that thread
-    did before, one after another.
+    did before, one after another. `used_up`: the quota of its control group was, in that run.
     """
     parts: list[Part] = []
     end_ns = at_ns
-    for part in _Walk(timeline, pid, own, due_ns).back(at_ns):
+    for part in _Walk(timeline, pid, own, due_ns, used_up).back(at_ns):
         begin_ns, limit_ns = max(part.begin_ns, due_ns), max(min(part.end_ns, end_ns), due_ns)
         if limit_ns < end_ns:
             parts.append(_unexplained(limit_ns, end_ns))
@@ -151,6 +161,7 @@ class _Walk:
     pid: int
     own: frozenset[int]
     due_ns: int
+    used_up: bool
 
     def back(self, at_ns: int) -> Iterator[Part]:
         pid, place = self.pid, self._running(self.pid, at_ns)
@@ -260,9 +271,15 @@ class _Walk:
 
     def _refilled_ns(self, prio: int | None, cpu: int, begin_ns: int, end_ns: int) -> int:
         """Until when a thread that waited was throttled: it was given the CPU as soon as it had time again. Else 0."""
-        times = self.timeline.refills_ns.get(prio is not None and prio < NORMAL_PRIO, ())
+        is_real_time = prio is not None and prio < NORMAL_PRIO
+        times = self.timeline.refills_ns.get(is_real_time, ())
         place = bisect_right(times, end_ns) - 1
-        if place < 0 or times[place] <= max(begin_ns, end_ns - REFILLED_WITHIN_NS):
+        if place < 0 or times[place] <= begin_ns:
+            return 0
+        waited_ns, since_ns = times[place] - begin_ns, end_ns - times[place]
+        if self.used_up and not is_real_time and since_ns < min(REFILLED_AT_TICK_NS, waited_ns / LONGER):
+            return times[place]
+        if since_ns >= REFILLED_WITHIN_NS:
             return 0
         occupants = (span.occupant for span in self.timeline.spans(cpu, times[place], end_ns))
         ran = {who.pid for who in occupants if who is not None and who.context is Context.THREAD}
@@ -328,7 +345,7 @@ class _Walk:
             cause = _of_interrupt(waker.context, waker.name)
             yield Part(begin_ns=waker.began_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
             why = slept.why if slept else Why.UNKNOWN
-            kind = Kind.FAULT if why is Why.FAULT else Kind.OUTSIDE
+            kind = {Why.FAULT: Kind.FAULT, Why.UNINTERRUPTIBLE: Kind.BLOCKED}.get(why, Kind.OUTSIDE)
             yield Part(
                 begin_ns=asleep_ns, end_ns=waker.began_ns, cause=Cause(kind=kind, name=waker.name), cpu=waker.cpu
             )

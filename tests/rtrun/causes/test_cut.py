@@ -42,11 +42,12 @@ def end(us, cpu=0):
     return line(us, "x: y", cpu=cpu)
 
 
-def parts_of(text, *, due=1000, at, pid=1, own=(1,)):
+def parts_of(text, *, due=1000, at, pid=1, own=(1,), used_up=False):
     """What the lines say, as ``KIND name microseconds; ...``; what has one cause and follows each other is one."""
     order = reconstruct(events(text))
     callbacks = order.callbacks.get(pid, ())
-    made = cut(order, pid=pid, own=frozenset(own), due_ns=due * 1000, at_ns=at * 1000, callbacks=callbacks)
+    ends = {"due_ns": due * 1000, "at_ns": at * 1000}
+    made = cut(order, pid=pid, own=frozenset(own), callbacks=callbacks, used_up=used_up, **ends)
     assert sum(part.length_ns for part in made) == (at - due) * 1000
     alike = groupby(made, key=lambda part: (part.cause.kind, part.cause.name, part.cpu))
     lengths = ((kind, name, sum(part.length_ns for part in parts) // 1000) for (kind, name, _), parts in alike)
@@ -60,12 +61,13 @@ def are(parts, expected):
 
 @dataclass(frozen=True)
 class Case:
-    """A trace, the moment at which the value was measured, its parts, and the threads of the program."""
+    """A trace, the moment at which the value was measured, its parts, the threads of the program, and its quota."""
 
     text: str
     at: int
     parts: str
     own: tuple[int, ...] = (1,)
+    used_up: bool = False
 
 
 def timed_out(*, awaited_waits):
@@ -113,10 +115,10 @@ def of_equal(me, other):
     return text + switch(1400, other, me) + end(1410)
 
 
-def of_group(me, function, other=LOW, then=""):
+def of_group(me, function, other=LOW, then="", refilled=1390):
     """The thread waits for another one until a timer of the scheduler expires, whatever that one does."""
     text = START + switch(200, me, other) + expiry(1000)
-    text += line(1390, f"hrtimer_expire_entry: hrtimer=b function={function} now=890000", flags="d.h..") + then
+    text += line(refilled, f"hrtimer_expire_entry: hrtimer=b function={function} now=890000", flags="d.h..") + then
     return text + switch(1400, NEXT if then else other, me, state="R") + end(1410)
 
 
@@ -195,6 +197,21 @@ CASES = {
     ),
     "the budget of a control group beside its equals": Case(
         of_group(ME, "sched_rt_period_timer", other=("equal", 4, 4)), 1410, "...; THROTTLED equal 397; ..."
+    ),
+    # Where a quota was used up, those who waited before may come first.
+    "a quota that was used up": Case(
+        of_group(NORMAL, "sched_cfs_period_timer", then=switch(1320, LOW, NEXT, state="R"), refilled=1310), 1410,
+        "...; GROUP 317; HIGHER other 80; PROGRAM me 10", used_up=True,
+    ),
+    "a refill in the middle of a wait": Case(
+        of_group(NORMAL, "sched_cfs_period_timer", then=switch(1320, LOW, NEXT, state="R"), refilled=1250), 1410,
+        "...; SHARED low 317; ...", used_up=True,
+    ),
+    "a disk that is waited for": Case(
+        I_RUN + switch(1010, ME, LOW, state="D") + line(1390, "irq_handler_entry: irq=53 name=disk", flags="d.h..")
+        + waking(1395, 1, flags="d.h..") + line(1398, "irq_handler_exit: irq=53 ret=handled", flags="d.h..")
+        + switch(1400, LOW, ME) + end(1410),
+        1410, "...; PROGRAM me 5; BLOCKED 53 disk 380; INTERRUPT 53 disk 8; NOT_PREEMPTED low 2; PROGRAM me 10",
     ),
     "the budget of others": Case(of_group(NORMAL, "sched_rt_period_timer"), 1410, "...; SHARED low 397; ..."),
     "another one comes first": Case(
@@ -412,7 +429,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_the_parts_of_a_late_value(case):
-    parts = parts_of(case.text, at=case.at, own=case.own)
+    parts = parts_of(case.text, at=case.at, own=case.own, used_up=case.used_up)
     assert are(parts, case.parts), parts
 
 
