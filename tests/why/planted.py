@@ -274,7 +274,7 @@ def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, boo
 
 def is_during(outlier: Outlier, plant: Plant, place: Place) -> bool:
     """Whether a plant had an event within an outlier. Other outliers are of whatever else the machine does."""
-    if plant.event_lengths is None or plant.preloaded or plant.kind is None or place.address != ThisMachine():
+    if plant.event_lengths is None or plant.kind is None or place.address != ThisMachine():
         return True
     offset_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC) - time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)
     period_ns = plants.period_ms(round(plant.event_lengths * place.length_ms)) * 1_000_000

@@ -14,19 +14,12 @@ from itertools import pairwise
 from rtrun.causes.events import Callback, Context
 from rtrun.causes.parts import NAMELESS, Cause, Kind, Part
 from rtrun.causes.reconstruction import NORMAL_PRIO
-from rtrun.causes.timeline import IDLE_PID, Occupant, Span, State, StateChange, Timeline, Waker, Why
+from rtrun.causes.timeline import Span, State, StateChange, Timeline, Waker, Why
+from rtrun.causes.waits import GIVEN_THE_CPU, CpuWaits, of_interrupt
 
-# Who is given the CPU while another thread is throttled, but would not have it else.
-_GIVEN_THE_CPU = frozenset({Kind.SHARED, Kind.EQUAL, Kind.NOT_PREEMPTED, Kind.IDLE_EXIT, Kind.THROTTLED})
-# A thread that was throttled runs so soon after it has time again, unless another one comes first.
-REFILLED_WITHIN_NS = 500_000
-# Without a real-time priority it may have to wait for a tick, and for those who wait, too. That is not told from mere
-# sharing, which ends so soon after a refill by chance; so it is believed where a quota was used up, of longer waits.
-REFILLED_AT_TICK_NS, LONGER = 4_500_000, 3
 # From a thread it is gone back to the one that woke it, at most so many times: in a trace they may form a circle.
 STEPS_MAX = 10_000
 TIMER = "the timer's own"
-IDLE = "idle"
 BEFORE = "before the trace begins"
 # A fault has no event at its end. A thread whose faults follow one another this closely does little else.
 BETWEEN_FAULTS_NS = 50_000
@@ -49,7 +42,7 @@ def cut(
     """
     parts: list[Part] = []
     end_ns = at_ns
-    for part in _Walk(timeline, pid, own, due_ns, used_up).back(at_ns):
+    for part in _Walk(timeline, pid, own, due_ns, CpuWaits(timeline, pid, own, used_up)).back(at_ns):
         begin_ns, limit_ns = max(part.begin_ns, due_ns), max(min(part.end_ns, end_ns), due_ns)
         if limit_ns < end_ns:
             parts.append(_unexplained(limit_ns, end_ns))
@@ -161,10 +154,10 @@ class _Walk:
     pid: int
     own: frozenset[int]
     due_ns: int
-    used_up: bool
+    waits: CpuWaits
 
     def back(self, at_ns: int) -> Iterator[Part]:
-        pid, place = self.pid, self._running(self.pid, at_ns)
+        pid, place = self.pid, self.timeline.running(self.pid, at_ns)
         for _ in range(STEPS_MAX):
             if at_ns <= self.due_ns or place < 0:
                 return
@@ -182,14 +175,14 @@ class _Walk:
             slept = self.timeline.threads[pid][place] if place >= 0 else None
             hands_over = change.waker.context is Context.THREAD and not change.waker.stops
             if hands_over and not self._is_held_up(slept, change.waker):
-                pid, place = change.waker.pid, self._running(change.waker.pid, at_ns)
+                pid, place = change.waker.pid, self.timeline.running(change.waker.pid, at_ns)
                 continue
             asleep_ns = min(slept.at_ns, at_ns) if slept else self.due_ns
             if change.waker.raised and change.waker.raised.context is Context.THREAD and change.waker.expiry is None:
                 raised = change.waker.raised
                 yield from self._softirq(pid, change.waker, at_ns)
                 pid, at_ns = raised.pid, min(raised.at_ns, at_ns)
-                place = self._running(pid, at_ns)
+                place = self.timeline.running(pid, at_ns)
                 continue
             if (awaited := self._awaited(pid, change.waker, at_ns)) is not None:
                 pid, place = awaited, self.timeline.place(awaited, at_ns)
@@ -214,13 +207,6 @@ class _Walk:
                 return mate
         return None
 
-    def _running(self, pid: int, at_ns: int) -> int:
-        """The place of the change by which a thread ran at a moment: time stamps have microseconds."""
-        changes, place = self.timeline.threads.get(pid, ()), self.timeline.place(pid, at_ns)
-        while place > 0 and changes[place].at_ns == at_ns and changes[place].state is not State.RUNNING:
-            place -= 1
-        return place
-
     def _is_held_up(self, slept: StateChange | None, waker: Waker) -> bool:
         """Whether a thread waits for another that keeps something, or itself, rather than for something to do."""
         if waker.held is not Why.UNKNOWN:
@@ -233,18 +219,14 @@ class _Walk:
         # program woke it.
         return slept.at_ns > self.due_ns and waker.pid not in self.own and self.pid in self.own
 
-    def _cause(self, kind: Kind, pid: int, name: str = "") -> Cause:
-        name = name or self.timeline.names.get(pid, "")
-        return Cause(kind=kind, name=name, pid=pid, prio=self.timeline.prios.get(pid))
-
     def _ran(self, pid: int, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Part]:
         kind = Kind.PROGRAM if pid == self.pid else Kind.OTHER_THREAD
         for span in self._spans(cpu, begin_ns, end_ns):
             who = span.occupant
             if who is not None and who.context is not Context.THREAD:
-                yield self._part(span, cpu, _of_interrupt(who.context, who.name))
+                yield self._part(span, cpu, of_interrupt(who.context, who.name))
             else:
-                yield from self._with_faults(span, cpu, self._cause(kind, pid))
+                yield from self._with_faults(span, cpu, self.waits.cause(kind, pid))
 
     def _with_faults(self, span: Span, cpu: int, cause: Cause) -> Iterator[Part]:
         """The time that a thread ran, latest first, without that between page faults that follow each other."""
@@ -261,73 +243,13 @@ class _Walk:
 
     def _waited(self, pid: int, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Part]:
         prio = self.timeline.prios.get(pid)
-        refilled_ns = self._refilled_ns(prio, cpu, begin_ns, end_ns)
+        refilled_ns = self.waits.refilled_ns(prio, cpu, begin_ns, end_ns)
         for span in self._spans(cpu, begin_ns, end_ns):
-            cause = self._who_had(span, pid, prio, begin_ns)
-            if span.begin_ns < refilled_ns and cause.kind in _GIVEN_THE_CPU:
+            cause = self.waits.who_had(span, pid, prio, begin_ns)
+            if span.begin_ns < refilled_ns and cause.kind in GIVEN_THE_CPU:
                 is_normal = prio is not None and prio >= NORMAL_PRIO
                 cause = Cause(kind=Kind.GROUP) if is_normal else replace(cause, kind=Kind.THROTTLED, above=None)
             yield self._part(span, cpu, cause)
-
-    def _refilled_ns(self, prio: int | None, cpu: int, begin_ns: int, end_ns: int) -> int:
-        """Until when a thread that waited was throttled: it was given the CPU as soon as it had time again. Else 0."""
-        is_real_time = prio is not None and prio < NORMAL_PRIO
-        times = self.timeline.refills_ns.get(is_real_time, ())
-        place = bisect_right(times, end_ns) - 1
-        if place < 0 or times[place] <= begin_ns:
-            return 0
-        waited_ns, since_ns = times[place] - begin_ns, end_ns - times[place]
-        if self.used_up and not is_real_time and since_ns < min(REFILLED_AT_TICK_NS, waited_ns / LONGER):
-            return times[place]
-        if since_ns >= REFILLED_WITHIN_NS:
-            return 0
-        occupants = (span.occupant for span in self.timeline.spans(cpu, times[place], end_ns))
-        ran = {who.pid for who in occupants if who is not None and who.context is Context.THREAD}
-        return times[place] if len(ran - self.own) <= 1 else 0
-
-    def _who_had(self, span: Span, pid: int, prio: int | None, since_ns: int) -> Cause:
-        """Why a thread that could run had to wait for the one that has the CPU."""
-        who = span.occupant
-        if who is None or who.context is not Context.THREAD:
-            return _of_no_thread(who)
-        if who.pid == IDLE_PID:
-            if prio is not None and prio >= NORMAL_PRIO:
-                return Cause(kind=Kind.GROUP if pid in who.passed_over else Kind.IDLE_EXIT)
-            return Cause(kind=Kind.THROTTLED, name=IDLE) if who.throttled else Cause(kind=Kind.IDLE_EXIT)
-        if who.pid == pid:
-            return self._cause(Kind.PROGRAM if pid == self.pid else Kind.OTHER_THREAD, pid)
-        other = who.prio if who.prio is not None else self.timeline.prios.get(who.pid)
-        if who.pid in self.own:
-            kind = Kind.OTHER_THREAD
-        elif prio is None or other is None:
-            kind = Kind.UNEXPLAINED
-        elif (above := _above(other, prio)) is not None:
-            kind = above
-        elif prio >= NORMAL_PRIO:
-            # Neither has a real-time priority: the scheduler shares the CPU among them, and throttles none.
-            kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.SHARED
-        elif other == prio:
-            kind = Kind.EQUAL
-        elif who.throttled or self._was_chosen(who.pid, since_ns, span.end_ns):
-            kind = Kind.THROTTLED
-        else:
-            kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.NOT_PREEMPTED
-        return Cause(kind=kind, name=who.name, pid=who.pid, prio=other, above=prio if kind is Kind.HIGHER else None)
-
-    def _was_chosen(self, pid: int, begin_ns: int, end_ns: int) -> bool:
-        """Whether the scheduler gave a thread the CPU that has it at the end of a time, and had not at its begin."""
-        place = self._running(pid, end_ns - 1)
-        return place >= 0 and begin_ns < self.timeline.threads[pid][place].at_ns
-
-    def _printed(self, pid: int, at_ns: int) -> bool:
-        """Whether a thread had a line for the console since it was given the CPU that it has at a moment.
-
-        A kernel without PREEMPT_RT writes to the console at once, with interrupts or preemption off.
-        """
-        place = self._running(pid, at_ns - 1)
-        began_ns = self.timeline.threads[pid][place].at_ns if place >= 0 else self.timeline.begin_ns
-        times = self.timeline.consoles_ns.get(pid, ())
-        return bisect_left(times, began_ns) < bisect_left(times, at_ns)
 
     def _slept(self, pid: int, slept: StateChange | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """The time from when a thread fell asleep until it was woken."""
@@ -340,9 +262,11 @@ class _Walk:
         elif waker.context is Context.THREAD:
             why = slept.why if slept else Why.UNKNOWN
             kind = {Why.LOCK: Kind.LOCK, Why.FAULT: Kind.FAULT, Why.UNINTERRUPTIBLE: Kind.BLOCKED}.get(why, Kind.LOCK)
-            yield Part(begin_ns=asleep_ns, end_ns=at_ns, cause=self._cause(kind, waker.pid, waker.name), cpu=waker.cpu)
+            yield Part(
+                begin_ns=asleep_ns, end_ns=at_ns, cause=self.waits.cause(kind, waker.pid, waker.name), cpu=waker.cpu
+            )
         else:
-            cause = _of_interrupt(waker.context, waker.name)
+            cause = of_interrupt(waker.context, waker.name)
             yield Part(begin_ns=waker.began_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
             why = slept.why if slept else Why.UNKNOWN
             kind = {Why.FAULT: Kind.FAULT, Why.UNINTERRUPTIBLE: Kind.BLOCKED}.get(why, Kind.OUTSIDE)
@@ -363,52 +287,35 @@ class _Walk:
             sent = next((one for one in of_program if awake_ns <= one.at_ns <= slept.at_ns), None)
             kind, by = (Kind.STOPPED, (sent.by_pid, "")) if sent else (kind, by)
         begin_ns = max(asleep_ns, min(waker.held_ns or asleep_ns, at_ns))
-        yield Part(begin_ns=begin_ns, end_ns=at_ns, cause=self._cause(kind, *by), cpu=waker.cpu)
-        yield Part(begin_ns=asleep_ns, end_ns=begin_ns, cause=self._cause(Kind.OWN_SLEEP, pid), cpu=waker.cpu)
+        yield Part(begin_ns=begin_ns, end_ns=at_ns, cause=self.waits.cause(kind, *by), cpu=waker.cpu)
+        yield Part(begin_ns=asleep_ns, end_ns=begin_ns, cause=self.waits.cause(Kind.OWN_SLEEP, pid), cpu=waker.cpu)
 
     def _timer(self, pid: int, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """From the expiry of a timer until it woke the thread, latest first."""
         expiry = waker.expiry
         began_ns = min(waker.began_ns, at_ns)
         name = waker.name if waker.context is Context.SOFT else TIMER
-        yield Part(begin_ns=began_ns, end_ns=at_ns, cause=_of_interrupt(waker.context, name), cpu=waker.cpu)
+        yield Part(begin_ns=began_ns, end_ns=at_ns, cause=of_interrupt(waker.context, name), cpu=waker.cpu)
         if expiry is None or expiry.soft_ns is None or expiry.hard_ns is None:
             yield _unexplained(asleep_ns, began_ns, "when the timer should have expired is not in the trace")
             return
         soft_ns = max(asleep_ns, min(expiry.soft_ns, began_ns))
         hard_ns = max(soft_ns, min(expiry.hard_ns, began_ns))
         for span in self._spans(waker.cpu, hard_ns, began_ns):
-            yield self._part(span, waker.cpu, self._while_late(span, pid))
+            yield self._part(span, waker.cpu, self.waits.while_late(span, pid))
         yield Part(begin_ns=soft_ns, end_ns=hard_ns, cause=Cause(kind=Kind.TIMER_SLACK), cpu=waker.cpu)
-        yield Part(begin_ns=asleep_ns, end_ns=soft_ns, cause=self._cause(Kind.OWN_SLEEP, pid), cpu=waker.cpu)
-
-    def _while_late(self, span: Span, pid: int) -> Cause:
-        """What a CPU did while the interrupt of a timer should have come, which then woke a thread.
-
-        A thread of higher priority kept that one from running anyway: with interrupts off, as stop_machine, or not.
-        """
-        who = span.occupant
-        if who is None or who.context is not Context.THREAD:
-            return _of_no_thread(who)
-        if who.pid == IDLE_PID:
-            return Cause(kind=Kind.TIMER_LATE, name=IDLE)
-        other, prio = self.timeline.prios.get(who.pid), self.timeline.prios.get(pid)
-        kind = None
-        if who.pid not in self.own and other is not None and prio is not None:
-            kind = _above(other, prio)
-        kind = kind or (Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.TIMER_LATE)
-        return Cause(kind=kind, name=who.name, pid=who.pid, prio=other, above=prio if kind is Kind.HIGHER else None)
+        yield Part(begin_ns=asleep_ns, end_ns=soft_ns, cause=self.waits.cause(Kind.OWN_SLEEP, pid), cpu=waker.cpu)
 
     def _softirq(self, pid: int, waker: Waker, at_ns: int) -> Iterator[Part]:
         """From when a softirq was raised until it woke the thread, latest first."""
         began_ns = min(waker.began_ns, at_ns)
-        yield Part(begin_ns=began_ns, end_ns=at_ns, cause=_of_interrupt(waker.context, waker.name), cpu=waker.cpu)
+        yield Part(begin_ns=began_ns, end_ns=at_ns, cause=of_interrupt(waker.context, waker.name), cpu=waker.cpu)
         raised_ns = min(waker.raised.at_ns, began_ns) if waker.raised else began_ns
         for span in self._spans(waker.cpu, raised_ns, began_ns):
             who = span.occupant
             is_raiser = who is not None and waker.raised is not None and who.pid == waker.raised.pid
-            cause = self._cause(Kind.OTHER_THREAD, who.pid) if who and is_raiser else None
-            yield self._part(span, waker.cpu, cause or self._who_had(span, pid, self.timeline.prios.get(pid), 0))
+            cause = self.waits.cause(Kind.OTHER_THREAD, who.pid) if who and is_raiser else None
+            yield self._part(span, waker.cpu, cause or self.waits.who_had(span, pid, self.timeline.prios.get(pid), 0))
 
     def _spans(self, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Span]:
         """What a CPU did, latest first, no earlier than the window."""
@@ -416,21 +323,3 @@ class _Walk:
 
     def _part(self, span: Span, cpu: int, cause: Cause) -> Part:
         return Part(begin_ns=span.begin_ns, end_ns=span.end_ns, cause=cause, cpu=cpu)
-
-
-def _above(prio: int, of_waiting: int) -> Kind | None:
-    """Whether a thread comes before another: two without a real-time priority share the CPU, whatever their nice is."""
-    if prio < 0:
-        return Kind.DEADLINE
-    return Kind.HIGHER if prio < min(of_waiting, NORMAL_PRIO) else None
-
-
-def _of_no_thread(occupant: Occupant | None) -> Cause:
-    """Of a CPU that an interrupt or a softirq had, or of which nobody knows who had it."""
-    if occupant is None:
-        return Cause(kind=Kind.UNEXPLAINED, name="events are missing")
-    return _of_interrupt(occupant.context, occupant.name)
-
-
-def _of_interrupt(context: Context, name: str) -> Cause:
-    return Cause(kind=Kind.SOFTIRQ if context is Context.SOFT else Kind.INTERRUPT, name=name)

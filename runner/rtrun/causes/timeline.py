@@ -138,3 +138,10 @@ class Timeline:
     def place(self, pid: int, at_ns: int) -> int:
         """The place of the last change of a thread up to a moment; -1 where the trace begins later."""
         return bisect_left(self.threads.get(pid, ()), (at_ns + 1,)) - 1
+
+    def running(self, pid: int, at_ns: int) -> int:
+        """The place of the change by which a thread ran at a moment: time stamps have microseconds."""
+        changes, place = self.threads.get(pid, ()), self.place(pid, at_ns)
+        while place > 0 and changes[place].at_ns == at_ns and changes[place].state is not State.RUNNING:
+            place -= 1
+        return place
