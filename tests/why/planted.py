@@ -48,7 +48,7 @@ schema: 1
 name: planted
 runs:
   - {{suite: cyclic_timer_tests, frequency_hz: {frequency_hz}, repetitions: {repetitions}, policy: {policy},
-     {priority}cpu: "{cpu}", trace: {{above: {threshold_us}us}}, repeats: {runs}}}
+     {priority}cpu: "{cpu}", trace: {{above: {threshold_us}us}}, trace_of: {series}, repeats: {runs}}}
 exclude:
   - {{trace: "off"}}
 """
@@ -208,6 +208,8 @@ def measured(plant: Plant, runs_wanted: int, place: Place, folder: Path, results
         threshold_us=place.threshold_us * plant.threshold_percent // 100,
         cpu=plant.cpu,
         policy=plant.policy,
+        # What is preloaded is in the callback: that is late within, and has begun in time.
+        series="jitter" if plant.preloaded else "lateness",
         priority="" if plant.priority is None else f"priority: {plant.priority}, ",
         runs=runs_wanted,
     )
