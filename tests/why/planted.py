@@ -163,7 +163,7 @@ PLANTS = (
     ),
     Plant(
         "fsync",
-        "fsync of a log in the callback, beside short processes that do so",
+        "log lines with fsync in the callback, beside processes that do so",
         Kind.BLOCKED,
         ".*",
         places=("here",),
