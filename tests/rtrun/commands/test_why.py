@@ -84,6 +84,30 @@ def test_names_of_threads_are_not_cut_off(tmp_path, capsys):
     assert "a_name_of_15_ch  " in capsys.readouterr().out.split("\nwhat ")[1]
 
 
+@pytest.mark.parametrize("width", ["60", "80"])
+def test_the_first_screen_has_the_three_worst_and_no_broken_word(width, tmp_path, capsys, monkeypatch):
+    """Whoever took less than a hundredth of an outlier is summed up there; --all prints every part of every outlier."""
+    monkeypatch.setenv("COLUMNS", width)
+    me, hog, short = ("cyclic_timer_te", 1, 4), ("a_name_of_15_ch", 2, 1), [(f"short_{n}", n, 1) for n in (3, 4)]
+    traces = {}
+    for index in (3, 4, 5, 6):
+        text = head(900_000 + index, index, 1_000_000) + switch(90_000, me, hog, state="R")
+        text += "".join(switch(us, *pair) for us, *pair in zip((990_000, 990_100), (hog, short[0]), short, strict=True))
+        traces[index] = text + switch(990_200, short[1], me, state="R") + line(1_000_001, "local_timer_entry: vector=1")
+    write_traced_run(tmp_path, traces, [1])
+    assert main(["why", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    worst, ranking = out.split("\n1 more outlier: --all prints them, and every part\n")
+    assert (worst.count(" too late: "), worst.count("200 us  2 more, which took less than 1 % each")) == (3, 3)
+    assert max(map(len, ranking.splitlines()[2:-1])) <= int(width)
+    assert set("thread higher priority a_name_of_15_ch real-time above outliers unexplained".split()) <= set(
+        ranking.split()
+    )
+    assert main(["why", str(tmp_path), "--all"]) == 0
+    out = capsys.readouterr().out
+    assert (out.count(" too late: "), out.count("short_3"), "more" in out.split("What late")[0]) == (4, 4, False)
+
+
 def test_an_idle_cpu_that_the_thread_could_not_use_is_said(tmp_path, capsys):
     me, hog, idle, other = ("me", 1, 4), ("hog", 2, 1), ("swapper/1", 0, 120), ("other", 3, 120)
     text = head(1000, 3, 5000) + switch(3000, other, me, cpu=1) + switch(3500, me, other, cpu=1)
