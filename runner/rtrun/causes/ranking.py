@@ -127,20 +127,20 @@ def _identity(cause: Cause) -> _Identity:
 def _alike(cut: Iterable[Explained]) -> Mapping[_Identity, _Identity]:
     """Of threads that are one culprit although they have several names, by kind and name, the name of all.
 
-    That are workers of the kernel, and processes with a number in the name if each is in one outlier alone: they are
+    That are workers of the kernel, and processes with a number in the name if each outlier has another one: they are
     made anew for each job. Other names with numbers are of different things, as the threads of two devices are.
     """
-    outliers: dict[_Identity, dict[tuple[str, int], int]] = defaultdict(Counter)
-    for one in cut:
-        threads = {(part.cause.kind, part.cause.name, part.cause.pid) for part in one.parts}
-        for kind, name, pid in threads:
-            if pid is not None and kind is not Kind.CALLBACK:
-                outliers[kind, re.sub(r"\d+", "#", name)][name, pid] += 1
+    seen: dict[_Identity, list[tuple[int, str, int]]] = defaultdict(list)
+    for number, one in enumerate(cut):
+        for kind, name, pid in {(part.cause.kind, part.cause.name, part.cause.pid) for part in one.parts}:
+            if pid is not None and kind is not Kind.CALLBACK and re.search(r"\d", name):
+                seen[kind, re.sub(r"\d+", "#", name)].append((number, name, pid))
     return {
         (kind, name): (kind, pattern)
-        for (kind, pattern), threads_of in outliers.items()
-        if pattern.startswith("kworker/") or ("#" in pattern and max(threads_of.values()) == 1)
-        for name, _ in threads_of
+        for (kind, pattern), threads in seen.items()
+        if pattern.startswith("kworker/")
+        or len(threads) == len({number for number, _, _ in threads}) == len({pid for _, _, pid in threads})
+        for _, name, _ in threads
     }
 
 

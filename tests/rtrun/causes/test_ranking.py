@@ -84,6 +84,8 @@ def test_processes_with_a_number_in_the_name_are_one_culprit():
     made = rank([*jobs, *[outlier((Kind.HIGHER, f"irq/{pid}-eth", 1000), pid=pid) for pid in (7, 8)] * 2])
     assert [(one.main, one.threads + one.alike) for one in made.culprits] == [(4, 4), (2, 1), (2, 1)]
     assert re.search(r"higher priority job10\d \(4 threads of such names\): the main cause of 4 of 8", answer(made))
+    devices = outlier((Kind.HIGHER, "irq/7-eth", 600), (Kind.HIGHER, "irq/8-eth", 400), pid=7)
+    assert [one.name for one in rank([devices]).culprits] == ["irq/7-eth", "irq/8-eth"]
     workers = [outlier((Kind.HIGHER, f"kworker/1:{pid}", 1000), pid=pid) for pid in (7, 8)] * 2
     assert [one.main for one in rank(workers).culprits] == [4]
 
