@@ -35,6 +35,8 @@ _FUTEX_COMMAND = 127
 # signal(7), the numbers of every architecture that Linux has but MIPS, Alpha, PA-RISC and SPARC: SIGCONT, and SIGSTOP,
 # SIGTSTP, SIGTTIN and SIGTTOU.
 _CONTINUING = 18
+# So soon after the threads that it wakes a signal is said.
+SIGNALLED_WITHIN_NS = 100_000
 _STOPPING = frozenset({19, 20, 21, 22})
 
 # Timers after which threads that used up their time may run again (kernel/sched/rt.c, fair.c).
@@ -321,7 +323,8 @@ class _Builder:
             self.stops.append(event)
             for pid in self.woke.get(event.by_pid, ()):
                 last = self.threads[pid][-1]
-                if last.waker is not None and last.waker.pid == event.by_pid:
+                is_for_that = last.at_ns > event.at_ns - SIGNALLED_WITHIN_NS
+                if is_for_that and last.waker is not None and last.waker.pid == event.by_pid:
                     self.threads[pid][-1] = last._replace(waker=last.waker._replace(stops=True))
         elif event.number == _CONTINUING:
             for pid in self.woke.get(event.by_pid, ()):

@@ -297,6 +297,12 @@ CASES = {
         + switch(95, LOW, ME) + stopped(10),
         1410, "LET_GO_ON hog 400; ...",
     ),
+    "a thread that hands work over, and then stops another program": Case(
+        switch(150, IDLE, SENDER, cpu=1) + switch(200, ME, LOW) + waking(1200, 1, by=6, cpu=1)
+        + line(1390, f"{SENDS}sig=19 {TO_ME.replace('pid=1 ', 'pid=7 ')}", cpu=1, name="sender", pid=6)
+        + switch(1400, LOW, ME) + end(1410),
+        1410, "OTHER_THREAD sender 200; NOT_PREEMPTED low 200; PROGRAM me 10",
+    ),
     # It waits for a mate, who waits for a CPU: who wakes it to stop it has handed no work over.
     "a signal that stops is not what was waited for": Case(
         stopped_while_its_mate_waits(), 1660,
