@@ -265,13 +265,15 @@ class _Walk:
             yield Part(
                 begin_ns=asleep_ns, end_ns=at_ns, cause=self.waits.cause(kind, waker.pid, waker.name), cpu=waker.cpu
             )
+        elif slept is not None and slept.why is Why.UNINTERRUPTIBLE:
+            cause = Cause(kind=Kind.BLOCKED, name=f"{waker.context} {waker.name}")
+            yield Part(begin_ns=asleep_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
         else:
             cause = of_interrupt(waker.context, waker.name)
             yield Part(begin_ns=waker.began_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
             why = slept.why if slept else Why.UNKNOWN
-            kind = {Why.FAULT: Kind.FAULT, Why.UNINTERRUPTIBLE: Kind.BLOCKED}.get(why, Kind.OUTSIDE)
-            name = f"{waker.context} {waker.name}" if kind is Kind.BLOCKED else waker.name
-            yield Part(begin_ns=asleep_ns, end_ns=waker.began_ns, cause=Cause(kind=kind, name=name), cpu=waker.cpu)
+            before = Cause(kind=Kind.FAULT if why is Why.FAULT else Kind.OUTSIDE, name=waker.name)
+            yield Part(begin_ns=asleep_ns, end_ns=waker.began_ns, cause=before, cpu=waker.cpu)
 
     def _held(self, pid: int, slept: StateChange | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """The time for which a thread was stopped or frozen, latest first: by whom it was stopped, or let go on.

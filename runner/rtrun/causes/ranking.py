@@ -166,7 +166,9 @@ def _occurrence(one: Explained, parts: Sequence[Part]) -> _Occurrence:
         usual_ns = min(length_ns, mean_ns if cause.kind in _FREQUENT else mean_ns * length_ns // value_ns)
         windows, as_long = control.count, control.with_at_least(longest.cpu, cause.name, length_ns // 2)
     threads = frozenset((part.cause.name, part.cause.pid) for part in parts if part.cause.pid is not None)
-    return _Occurrence(cause, threads, length_ns, usual_ns, 2 * (length_ns - usual_ns) > value_ns, windows, as_long)
+    # Whether who had the CPU had it by chance is asked of all outliers together.
+    counted_ns = length_ns if cause.kind in _CIRCUMSTANTIAL else length_ns - usual_ns
+    return _Occurrence(cause, threads, length_ns, usual_ns, 2 * counted_ns > value_ns, windows, as_long)
 
 
 def _culprit(kind: Kind, occurred: Sequence[_Occurrence]) -> Culprit:

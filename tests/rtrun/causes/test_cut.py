@@ -211,7 +211,7 @@ CASES = {
         I_RUN + switch(1010, ME, LOW, state="D") + line(1390, "irq_handler_entry: irq=53 name=disk", flags="d.h..")
         + waking(1395, 1, flags="d.h..") + line(1398, "irq_handler_exit: irq=53 ret=handled", flags="d.h..")
         + switch(1400, LOW, ME) + end(1410),
-        1410, "...; PROGRAM me 5; BLOCKED interrupt 53 disk 380; INTERRUPT 53 disk 8; ...",
+        1410, "...; PROGRAM me 5; BLOCKED interrupt 53 disk 385; INTERRUPT 53 disk 3; ...",
     ),
     "the budget of others": Case(of_group(NORMAL, "sched_rt_period_timer"), 1410, "...; SHARED low 397; ..."),
     "another one comes first": Case(

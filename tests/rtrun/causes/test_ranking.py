@@ -48,6 +48,8 @@ def test_a_frequent_thread_is_not_blamed_for_being_frequent():
 def test_who_ran_while_interrupts_were_off_is_not_blamed_for_always_running():
     """A load that has the CPU all the time has it also when the host does not run the virtual machine."""
     assert rank([outlier((Kind.TIMER_LATE, "load", 1000), usual={"load": 1000})] * 3).named is None
+    assert rank([outlier((Kind.NOT_PREEMPTED, "disk", 1000), usual={"disk": 600})] * 8).named is None
+    assert rank([outlier((Kind.NOT_PREEMPTED, "disk", 1000), usual={"disk": 600})] * 10).named is not None, "no chance"
     named = rank([outlier((Kind.TIMER_LATE, "driver", 1000), usual={"driver": 10})] * 3).named
     assert named is not None
     assert named.name == "driver"
