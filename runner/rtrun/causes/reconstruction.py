@@ -38,6 +38,9 @@ _CONTINUING = 18
 # So soon after the threads that it wakes a signal is said.
 SIGNALLED_WITHIN_NS = 100_000
 _STOPPING = frozenset({19, 20, 21, 22})
+# While the copy of a trace is written, nothing may be recorded. Only a thread that runs without having been woken shows
+# that it was so: idle CPUs have no events for as long.
+PAUSED_NS = 10_000_000
 
 # Timers after which threads that used up their time may run again (kernel/sched/rt.c, fair.c).
 _RT_REFILLING = frozenset({"sched_rt_period_timer"})
@@ -139,6 +142,8 @@ class _Builder:
         # Threads that slept on after their timer had expired, and when that was.
         self.overslept_ns: dict[int, int] = {}
         self.lost: list[Lost] = []
+        # The last event of any CPU; and the first one after a time in which none had one.
+        self.last_ns = self.resumed_ns = 0
         self.has_waking = False
         self.not_woken: set[int] = set()
         # The CPU on whose queue a thread is.
@@ -148,6 +153,9 @@ class _Builder:
         cpu = self.cpus.get(event.cpu)
         if cpu is None:
             cpu = self.cpus[event.cpu] = _Cpu(since_ns=event.at_ns, last_ns=event.at_ns)
+        if event.at_ns - self.last_ns > PAUSED_NS:
+            self.resumed_ns = event.at_ns
+        self.last_ns = event.at_ns
         match event:
             case Switch():
                 self._switch(cpu, event)
@@ -242,8 +250,12 @@ class _Builder:
                 self.thawing.discard(pid)
         if next_pid != IDLE_PID:
             self.faults.discard(next_pid)
-            if next_pid not in self.threads:
+            changes = self.threads.get(next_pid)
+            if changes is None:
                 self.not_woken.add(next_pid)
+            elif changes[-1].state is State.ASLEEP and changes[-1].at_ns < self.resumed_ns:
+                # It was woken while nothing was recorded, and could run at the latest since then.
+                changes.append(StateChange(self.resumed_ns, State.WAITING, number))
             self.threads[next_pid].append(StateChange(at_ns, State.RUNNING, number))
 
     def _why(self, event: Switch) -> Why:

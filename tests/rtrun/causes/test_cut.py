@@ -379,6 +379,11 @@ CASES = {
         woken_before(1090, "CPU:1 [LOST 5 EVENTS]\n" + line(1250, "x: y", cpu=1, name="idle", pid=0)),
         1410, "UNEXPLAINED 250; HIGHER hog 150; PROGRAM me 10",
     ),
+    # Nobody is seen to wake it, and no CPU has an event for 20 ms: recording was paused.
+    "a wake-up while recording was paused": Case(
+        BEFORE + end(300) + switch(21_300, LOW, HOG, state="R") + switch(21_400, HOG, ME) + end(21_410), 21_410,
+        "UNEXPLAINED 20300; HIGHER hog 100; PROGRAM me 10",
+    ),
     "a new thread did not wait since the trace began": Case(
         woken_before(
             1090,
