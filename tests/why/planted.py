@@ -110,7 +110,7 @@ PLANTS = (
         places=("here",),
     ),
     Plant("long", "two threads at 98 that began before the trace", Kind.HIGHER, "planted_long", places=("here",)),
-    Plant("longer", "the same, for longer than half is in the trace", Kind.UNEXPLAINED, ".*", places=("here",)),
+    Plant("longer", "the same, of which the trace holds a twentieth", Kind.UNEXPLAINED, ".*", places=("here",)),
     Plant(
         "own",
         "thread of the program at priority 97",

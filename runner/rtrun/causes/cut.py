@@ -262,9 +262,7 @@ class _Walk:
         elif waker.context is Context.THREAD:
             why = slept.why if slept else Why.UNKNOWN
             kind = {Why.LOCK: Kind.LOCK, Why.FAULT: Kind.FAULT, Why.UNINTERRUPTIBLE: Kind.BLOCKED}.get(why, Kind.LOCK)
-            yield Part(
-                begin_ns=asleep_ns, end_ns=at_ns, cause=self.waits.cause(kind, waker.pid, waker.name), cpu=waker.cpu
-            )
+            yield from self._kept(self.waits.cause(kind, waker.pid, waker.name), waker, asleep_ns, at_ns)
         elif slept is not None and slept.why is Why.UNINTERRUPTIBLE:
             cause = Cause(kind=Kind.BLOCKED, name=f"{waker.context} {waker.name}")
             yield Part(begin_ns=asleep_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
@@ -274,6 +272,24 @@ class _Walk:
             why = slept.why if slept else Why.UNKNOWN
             before = Cause(kind=Kind.FAULT if why is Why.FAULT else Kind.OUTSIDE, name=waker.name)
             yield Part(begin_ns=asleep_ns, end_ns=waker.began_ns, cause=before, cpu=waker.cpu)
+
+    def _kept(self, cause: Cause, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
+        """The time for which another thread kept one waiting, latest first, without that in which a limit kept it itself."""
+        changes = self.timeline.threads.get(waker.pid, ())
+        for place in range(self.timeline.place(waker.pid, at_ns), -1, -1):
+            change, until_ns = changes[place], changes[place + 1].at_ns if place + 1 < len(changes) else at_ns
+            if until_ns <= asleep_ns:
+                break
+            waited = (
+                self._waited(waker.pid, change.cpu, change.at_ns, until_ns) if change.state is State.WAITING else ()
+            )
+            for part in waited:
+                begin_ns, end_ns = max(part.begin_ns, asleep_ns), min(part.end_ns, at_ns)
+                if part.cause.kind in (Kind.GROUP, Kind.THROTTLED) and begin_ns < end_ns:
+                    yield Part(begin_ns=end_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
+                    yield replace(part, begin_ns=begin_ns, end_ns=end_ns)
+                    at_ns = begin_ns
+        yield Part(begin_ns=asleep_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
 
     def _held(self, pid: int, slept: StateChange | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """The time for which a thread was stopped or frozen, latest first: by whom it was stopped, or let go on.

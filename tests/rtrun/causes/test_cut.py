@@ -14,7 +14,7 @@ from rtrun.causes.parts import Kind
 from rtrun.causes.reconstruction import reconstruct
 
 ME, HOG, LOW, IDLE, OTHER = ("me", 1, 4), ("hog", 2, 1), ("low", 3, 120), ("idle", 0, 120), ("mate", 5, 4)
-NORMAL = ("me", 1, 120)
+NORMAL, MATE = ("me", 1, 120), ("mate", 5, 120)
 SENDS, TO_ME = "signal_generate: ", "errno=0 code=0 comm=me pid=1 grp=1 res=0"
 BELOW, NEXT = ("below", 7, 49), ("other", 8, 0)
 # The timer of a thread was due at 1000 us, and the clock of the trace is 500 us ahead of the timers' clock.
@@ -212,6 +212,15 @@ CASES = {
         + waking(1395, 1, flags="d.h..") + line(1398, "irq_handler_exit: irq=53 ret=handled", flags="d.h..")
         + switch(1400, LOW, ME) + end(1410),
         1410, "...; PROGRAM me 5; BLOCKED interrupt 53 disk 385; INTERRUPT 53 disk 3; ...",
+    ),
+    "a lock of a thread whose quota was used up": Case(
+        START + switch(200, NORMAL, MATE) + expiry(1000) + switch(1005, MATE, NORMAL, state="R")
+        + line(1010, "sys_futex(uaddr: 0x7f, op: 0x80, val: 2, utime: 0)", name="me", pid=1)
+        + switch(1011, NORMAL, LOW)
+        + line(1390, "hrtimer_expire_entry: hrtimer=b function=sched_cfs_period_timer now=890000", flags="d.h..")
+        + switch(1391, LOW, MATE, state="R") + waking(1400, 1, by=5) + switch(1402, MATE, NORMAL) + end(1410),
+        1410, "...; PROGRAM me 6; GROUP 380; LOCK mate 9; OTHER_THREAD mate 2; PROGRAM me 8",
+        own=(1, 5),
     ),
     "the budget of others": Case(of_group(NORMAL, "sched_rt_period_timer"), 1410, "...; SHARED low 397; ..."),
     "another one comes first": Case(
