@@ -274,7 +274,7 @@ class _Walk:
             yield Part(begin_ns=asleep_ns, end_ns=waker.began_ns, cause=before, cpu=waker.cpu)
 
     def _kept(self, cause: Cause, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
-        """The time for which another thread kept this one, latest first, without that in which a limit kept the other."""
+        """The time for which another thread kept this one, latest first, without that in which a limit kept it back."""
         changes = self.timeline.threads.get(waker.pid, ())
         for place in range(self.timeline.place(waker.pid, at_ns), -1, -1):
             change, until_ns = changes[place], changes[place + 1].at_ns if place + 1 < len(changes) else at_ns
