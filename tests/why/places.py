@@ -40,7 +40,7 @@ kill -s KILL -- -$1"""
 WRAPPER = """\
 #!/bin/sh
 here=${0%%/*}
-PLANT=%s LENGTH_MS=%d LD_PRELOAD=$here/planted.so exec $here/cyclic_timer_tests.real "$@"
+PLANT=%s PLANT_CPU=%d LENGTH_MS=%d LD_PRELOAD=$here/planted.so exec $here/cyclic_timer_tests.real "$@"
 """
 
 
@@ -147,13 +147,13 @@ def wait_for(address: Address) -> None:
             time.sleep(1)
 
 
-def preloaded(place: Place, plant: str, folder: Path) -> Path:
+def preloaded(place: Place, plant: str, cpu: int, folder: Path) -> Path:
     """A copy of the suites whose program is started with planted.c."""
     wrapped = folder / f"with-{plant}"
     shutil.copytree(place.built, wrapped)
     program = wrapped / PROGRAM
     program.rename(program.with_name("cyclic_timer_tests.real"))
-    program.write_text(WRAPPER % (plant, place.length_ms))
+    program.write_text(WRAPPER % (plant, cpu, place.length_ms))
     program.chmod(0o755)
     library = program.with_name("planted.so")
     options = ["-O2", "-shared", "-fPIC", "-o", library, HERE / "planted.c", "-ldl", "-lpthread"]

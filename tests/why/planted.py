@@ -9,6 +9,7 @@ tell what would have been named. The table counts these slices.
 
 import argparse
 import contextlib
+import re
 import signal
 import subprocess
 import sys
@@ -21,31 +22,37 @@ from datetime import date
 from functools import partial
 from pathlib import Path
 
+import plants
 from places import Place, beside, board, preloaded, this_machine
 
 from docs_table import write_rows
+from rtrun.causes.outliers import Explained, Outlier
 from rtrun.causes.parts import Kind
-from rtrun.causes.ranking import Ranking, rank
+from rtrun.causes.ranking import Culprit, Ranking, rank
 from rtrun.report import causes
 from rtrun.results.reading import find_source
+from rtrun.targets.address import ThisMachine
 
 DOCS = Path(__file__).parents[2] / "docs" / "causes.md"
 BEGIN = "<!-- make test-why writes {} from here -->"
 HEAD = """\
-| planted | must come first | came first | trials | traced outliers | slices without trace | otherwise |
-|---|---|---:|---:|---:|---:|---|"""
+| planted | must be named | in | of outliers | others | first in | of trials | slices without trace | otherwise |
+|---|---|---:|---:|---:|---:|---:|---:|---|"""
 AT_LEAST = 0.9
+# An event that begins late, as a process that is started first, begins within this time.
+BEGINS_WITHIN_NS = 50_000_000
 # With fewer than these a row is printed and not written.
 TRIALS = 10
 CAMPAIGN = """\
 schema: 1
 name: planted
 runs:
-  - {{suite: cyclic_timer_tests, frequency_hz: {frequency_hz}, repetitions: {repetitions}, policy: RR,
-     priority: {priority}, cpu: "{cpu}", trace: {{above: {threshold_us}us}}, repeats: {runs}}}
+  - {{suite: cyclic_timer_tests, frequency_hz: {frequency_hz}, repetitions: {repetitions}, policy: {policy},
+     {priority}cpu: "{cpu}", trace: {{above: {threshold_us}us}}, trace_of: {series}, repeats: {runs}}}
 exclude:
   - {{trace: "off"}}
 """
+ENTER = 'group=$1; shift; echo $$ >"$group/cgroup.procs" && exec "$@"'
 PLACES: dict[str, Callable[[Path], AbstractContextManager[Place]]] = {
     "here": this_machine,
     "rt": partial(board, "rt"),
@@ -55,27 +62,113 @@ PLACES: dict[str, Callable[[Path], AbstractContextManager[Place]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Plant:
-    """A culprit: a program of plants.py, or a value of PLANT for planted.c, and the kind and name that must be said."""
+    """A culprit: a program of plants.py, or a value of PLANT for planted.c, and the kind and name that must be said.
+
+    `who` is a regular expression. `other` is a second culprit, which is there at once.
+    """
 
     name: str
     about: str
     kind: Kind | None
     who: str = ""
+    other: tuple[Kind, str] | None = None
     places: tuple[str, ...] = ("here", "rt")
     preloaded: bool = False
     cpu: int = 1
-    priority: int = 95
+    policy: str = "RR"
+    priority: int | None = 95
+    group: str = ""
+    """The control group that the run is started in, which the plant makes."""
+    event_lengths: float | None = 1
+    """How long an event is in lengths of the place, where events come at multiples of a time: plants.pause."""
     threshold_percent: int = 100
     """Of the threshold of the place, where an event does not last as long as another's."""
 
+    @property
+    def expected(self) -> list[tuple[Kind, str]]:
+        return [] if self.kind is None else [(self.kind, self.who), *filter(None, [self.other])]
 
+    def is_named(self, culprit: Culprit | None) -> bool:
+        """Whether what was planted is said, or nothing beside nothing."""
+        if culprit is None:
+            return self.kind is None
+        return any(culprit.kind is kind and re.fullmatch(who, culprit.name) for kind, who in self.expected)
+
+
+GROUP_FOLDER = "/sys/fs/cgroup/cpu/planted_group"
 PLANTS = (
-    Plant("higher", "thread at priority 98", Kind.HIGHER, "planted_hog", ("here", "rt", "standard")),
+    Plant("higher", "thread at priority 98", Kind.HIGHER, "planted_hog", places=("here", "rt", "standard")),
     Plant("equal", "thread at the same priority", Kind.EQUAL, "planted_equal"),
-    Plant("softirq", "a packet for some thousand sockets", Kind.SOFTIRQ, "NET_RX", ("here",)),
-    Plant("throttling", "real-time thread that never sleeps", Kind.THROTTLED, "planted_fair"),
-    Plant("stopped", "the program is stopped (SIGSTOP)", Kind.STOPPED, "planted_stopper", ("here",)),
-    Plant("frozen", "the program's control group is frozen", Kind.FROZEN, "planted_freezer", ("here",)),
+    Plant("softirq", "a packet for some thousand sockets", Kind.SOFTIRQ, "NET_RX", places=("here",)),
+    Plant("throttling", "real-time thread that never sleeps", Kind.THROTTLED, ".*", event_lengths=None),
+    Plant("deadline", "threads at SCHED_DEADLINE, on any CPU", Kind.DEADLINE, "planted_dl", places=("here",)),
+    Plant(
+        "processes",
+        "FIFO 99, a process of its own each time",
+        Kind.HIGHER,
+        r"planted_job\d+",
+        places=("here",),
+    ),
+    Plant("long", "two threads at 98 that began before the trace", Kind.HIGHER, "planted_long", places=("here",)),
+    Plant("longer", "the same, of which the trace holds a twentieth", Kind.UNEXPLAINED, ".*", places=("here",)),
+    Plant(
+        "own",
+        "thread of the program at priority 97",
+        Kind.OTHER_THREAD,
+        "planted_own",
+        places=("here",),
+        preloaded=True,
+    ),
+    Plant(
+        "several",
+        "thread at priority 98, and SIGSTOP",
+        Kind.HIGHER,
+        "planted_hog",
+        (Kind.STOPPED, "planted_stopper"),
+        places=("here",),
+    ),
+    Plant("stopped", "the program is stopped (SIGSTOP)", Kind.STOPPED, "planted_stopper", places=("here",)),
+    Plant("stopped_by_others", "SIGSTOP and SIGCONT by two processes", Kind.STOPPED, "planted_stop", places=("here",)),
+    Plant("frozen", "the program's control group is frozen", Kind.FROZEN, "planted_freezer", places=("here",)),
+    Plant("frozen_v2", "the same, version 2", Kind.FROZEN, "planted_freezer", places=("here",)),
+    Plant(
+        "rt_group",
+        "cpu.rt_runtime_us of the program's control group",
+        Kind.GROUP,
+        "/planted_group .*",
+        places=("here",),
+        group=GROUP_FOLDER,
+        event_lengths=10,
+    ),
+    Plant(
+        "quota",
+        "CFS quota, the program at OTHER",
+        Kind.GROUP,
+        "/planted_group .*",
+        places=("here",),
+        policy="0",
+        priority=None,
+        group=GROUP_FOLDER,
+        threshold_percent=500,
+        event_lengths=10,
+    ),
+    Plant(
+        "io",
+        "writers, readers, files, memory",
+        Kind.NOT_PREEMPTED,
+        "planted_io",
+        places=("here",),
+        event_lengths=None,
+        threshold_percent=20,
+    ),
+    Plant(
+        "fsync",
+        "log lines with fsync in the callback, beside processes that do so",
+        Kind.BLOCKED,
+        ".*",
+        places=("here",),
+        preloaded=True,
+    ),
     Plant("lock", "thread that keeps a mutex", Kind.LOCK, "planted_lock", preloaded=True),
     Plant(
         "faults", "8192 page faults in the callback", Kind.FAULT, "cyclic_timer_te", places=("here",), preloaded=True
@@ -94,17 +187,17 @@ PLANTS = (
 )
 
 
-def slices(plant: Plant, count: int, place: Place, folder: Path) -> Iterator[Ranking]:
-    """The ranking of each slice of the runs beside a plant: `count`, then more, run by run, at most as many again."""
-    built = preloaded(place, plant.name, folder) if plant.preloaded else place.built
+def slices(plant: Plant, count: int, place: Place, folder: Path) -> Iterator[list[Explained]]:
+    """The outliers of each slice of the runs beside a plant: `count`, then more, run by run, at most as many again."""
+    built = preloaded(place, plant.name, plant.cpu, folder) if plant.preloaded else place.built
     (folder / "target.yml").write_text(f"schema: 1\nname: place\nsuites: {built}\n{place.target}")
-    is_beside = not plant.preloaded and plant.kind is not None
+    is_beside = plant.name in plants.PLANTS
     at_first = -(-count // place.slices)
     with beside(place, plant.name, plant.cpu) if is_beside else contextlib.nullcontext():
         for number, runs_wanted in enumerate([at_first] + at_first * [1]):
             results = folder / f"results-{plant.name}-{number}"
             for run in measured(plant, runs_wanted, place, folder, results):
-                yield from rankings(run, place)
+                yield from explained_in(run, place)
 
 
 def measured(plant: Plant, runs_wanted: int, place: Place, folder: Path, results: Path) -> list[Path]:
@@ -114,25 +207,29 @@ def measured(plant: Plant, runs_wanted: int, place: Place, folder: Path, results
         repetitions=place.repetitions * place.slices,
         threshold_us=place.threshold_us * plant.threshold_percent // 100,
         cpu=plant.cpu,
-        priority=plant.priority,
+        policy=plant.policy,
+        # What is preloaded is in the callback: that is late within, and has begun in time.
+        series="jitter" if plant.preloaded else "lateness",
+        priority="" if plant.priority is None else f"priority: {plant.priority}, ",
         runs=runs_wanted,
     )
     (folder / "campaign.yml").write_text(campaign)
     argv = [sys.executable, "-m", "rtrun.cli", "run", folder / "campaign.yml", "--target", folder / "target.yml"]
-    output = run_program([*argv, "--results", results])
+    enter: list[str | Path] = ["sh", "-c", ENTER, "sh", plant.group] if plant.group else []
+    output = run_program([*enter, *argv, "--results", results])
     runs = sorted(path.parent for path in results.glob("*/run.json"))
     if len(runs) != runs_wanted:
         raise RuntimeError(f"{len(runs)} of {runs_wanted} runs\n{output}")
     return runs
 
 
-def rankings(run: Path, place: Place) -> Iterator[Ranking]:
-    """The ranking of each slice of a run."""
+def explained_in(run: Path, place: Place) -> Iterator[list[Explained]]:
+    """The outliers of each slice of a run."""
     explained, refused = causes.explain_source(find_source(run))
     if refused:
         raise RuntimeError("\n".join(refused))
     for first in range(0, place.slices * place.repetitions, place.repetitions):
-        yield rank(one for one in explained if first <= one.outlier.index < first + place.repetitions)
+        yield [one for one in explained if first <= one.outlier.index < first + place.repetitions]
 
 
 def run_program(argv: list[str | Path]) -> str:
@@ -148,26 +245,54 @@ def run_program(argv: list[str | Path]) -> str:
 
 def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, bool]:
     """The row of a plant, and whether it was named, or nothing, often enough."""
-    hits, outliers, trials, untraced, others = 0, 0, 0, 0, []
+    hits, named, outliers, beside, trials, untraced, others = 0, 0, 0, 0, 0, 0, []
     with contextlib.closing(slices(plant, count, place, folder)) as made:
-        for ranking in made:
+        for explained in made:
+            ranking = rank(explained)
             if plant.kind is not None and not ranking.outliers:
                 untraced += 1
                 continue
             trials += 1
-            outliers += ranking.outliers
             # Beside a plant it must be the first of the ranking; beside none, nobody may be named.
-            first = ranking.named if plant.kind is None else next(iter(ranking.culprits), None)
-            if (first and (first.kind, first.name)) == (plant.kind and (plant.kind, plant.who)):
-                hits += 1
-            else:
-                others.append(causes.culprit_name(first) if first else causes.answer(ranking))
+            hits += plant.is_named(ranking.named if plant.kind is None else ranking.culprits[0])
+            during = [one for one in explained if one.parts and is_during(one.outlier, plant, place)]
+            beside += ranking.outliers - len(during)
+            outliers += len(during)
+            for alone in (rank([one]) for one in during):
+                first = main_cause(alone) if plant.kind is not None else alone.named
+                # Whoever it is, several of a kind are as good as one.
+                is_named = plant.is_named(first) or (plant.who == ".*" and alone.named_kind is plant.kind)
+                named += is_named
+                if not is_named:
+                    others.append(without_ids(causes.culprit_name(first) if first else "no main cause"))
             if trials == count:
                 break
-    expected = f"{plant.kind} `{plant.who}`" if plant.kind else "nobody"
+    expected = " or ".join(str(kind) if who == ".*" else f"{kind} `{who}`" for kind, who in plant.expected) or "nobody"
     otherwise = "; ".join(f"{others.count(one)} x {one}" for one in dict.fromkeys(others))
-    row = f"| {plant.about} | {expected} | {hits} | {trials} | {outliers} | {untraced} | {otherwise} |"
-    return row, hits >= AT_LEAST * count
+    numbers = (named, outliers, beside, hits, trials, untraced)
+    row = f"| {plant.about} | {expected} | {' | '.join(map(str, numbers))} | {otherwise} |"
+    return row, hits >= AT_LEAST * count and named >= AT_LEAST * outliers
+
+
+def is_during(outlier: Outlier, plant: Plant, place: Place) -> bool:
+    """Whether a plant had an event within an outlier. Other outliers are of whatever else the machine does."""
+    if plant.event_lengths is None or plant.kind is None or place.address != ThisMachine():
+        return True
+    offset_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC) - time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)
+    period_ns = plants.period_ms(round(plant.event_lengths * place.length_ms)) * 1_000_000
+    since_event_ns = (outlier.at_ns + offset_ns) % period_ns
+    length_ns = int(plant.event_lengths * place.length_ms * 1_000_000)
+    return since_event_ns <= outlier.value_ns + length_ns + BEGINS_WITHIN_NS
+
+
+def main_cause(ranking: Ranking) -> Culprit | None:
+    """What took more than half of the one outlier of a ranking."""
+    return next((one for one in ranking.culprits if one.main), None)
+
+
+def without_ids(said: str) -> str:
+    """The same for processes of one name."""
+    return re.sub(r"pid \d+(, )?", "", said).replace(" ()", "")
 
 
 def main() -> int:

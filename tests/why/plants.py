@@ -6,18 +6,28 @@ is to last, where the program can choose it.
 
 import contextlib
 import ctypes
+import mmap
 import os
 import resource
 import signal
 import socket
+import struct
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 EVERY_MS = 700
 # Within these is a whole period of sched_rt_period_us.
 THROTTLED_MS = 2000
+SCHED_SETATTR = {"x86_64": 314, "armv7l": 380, "aarch64": 274}
+# Of each period, the runtime that a control group has.
+GROUP = Path("/sys/fs/cgroup/cpu/planted_group")
+LIMIT_PERIOD_US, LIMIT_RUNTIME_US = 100_000, 30_000
+SHARES_MAX = 1 << 18
 MEASURED = "cyclic_timer_te\n"
 SOCKETS = 4000
 RECEIVERS_MAX = 50
@@ -34,9 +44,10 @@ PATCHED = (
 )  # fmt: skip
 
 
-def named(name: str, cpu: int) -> None:
+def named(name: str, cpu: int | None) -> None:
     """Give this thread its CPU and the name that `rtrun why` must say. A plant has its name once it is ready."""
-    os.sched_setaffinity(0, {cpu})
+    if cpu is not None:
+        os.sched_setaffinity(0, {cpu})
     ctypes.CDLL(None).prctl(15, name.encode(), 0, 0, 0)  # PR_SET_NAME
 
 
@@ -45,8 +56,13 @@ def pause(length_ms: int) -> None:
 
     On the emulated board the copy of a trace takes 6 s, during which another outlier may get lost.
     """
-    period_s = (EVERY_MS + 30 * length_ms) / 1000
+    period_s = period_ms(length_ms) / 1000
     time.sleep(period_s - time.monotonic() % period_s)
+
+
+def period_ms(length_ms: int) -> int:
+    """The time from one event to the next, which begin at multiples of it on CLOCK_MONOTONIC."""
+    return EVERY_MS + 30 * length_ms
 
 
 @contextlib.contextmanager
@@ -160,6 +176,165 @@ def measured() -> int | None:
     return None
 
 
+def long(lengths: int, cpu: int, length_ms: int) -> None:
+    """Two threads wake each other up, so often that the trace has lost their begin when they end."""
+    ours, theirs = socket.socketpair()
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(98))
+    named("planted_long", cpu)
+    if os.fork() == 0:
+        while True:
+            theirs.send(theirs.recv(1))
+    while True:
+        pause(length_ms)
+        end_ns = time.monotonic_ns() + lengths * length_ms * 1_000_000
+        while time.monotonic_ns() < end_ns:
+            ours.send(b"x")
+            ours.recv(1)
+
+
+def deadline(cpu: int, length_ms: int) -> None:
+    """A thread at SCHED_DEADLINE for each CPU: the kernel lets none of them be bound to one."""
+    for _ in range(1, os.cpu_count() or 1):
+        if os.fork() == 0:
+            break
+    named("planted_dl", None)
+    runtime_ns, period_ns = 2 * length_ms * 1_000_000, 20 * length_ms * 1_000_000
+    # struct sched_attr: size, policy, flags, nice, priority, runtime, deadline, period (sched_setattr(2)).
+    attributes = struct.pack("=IIQiIQQQ", 48, 6, 0, 0, 0, runtime_ns, period_ns, period_ns)
+    if ctypes.CDLL(None, use_errno=True).syscall(SCHED_SETATTR[os.uname().machine], 0, attributes, 0):
+        raise OSError(ctypes.get_errno(), "sched_setattr")
+    while True:
+        pause(length_ms)
+        spin(length_ms)
+
+
+def processes(priority: int, cpu: int, length_ms: int) -> None:
+    """A process with a number and a name of its own for each event, as jobs are started by a script."""
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    named("planted_shop", 1 - cpu)
+    number = 0
+    while True:
+        pause(length_ms)
+        number += 1
+        if os.fork() == 0:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+            named(f"planted_job{number}", cpu)
+            spin(length_ms)
+            os._exit(0)
+        os.wait()
+
+
+def several(cpu: int, length_ms: int) -> None:
+    """Two at once that have nothing to do with each other."""
+    if os.fork() == 0:
+        stop(cpu, length_ms)
+    time.sleep(EVERY_MS / 2000)
+    busy("planted_hog", 98, cpu, length_ms)
+
+
+def stop_by_others(length_ms: int) -> None:
+    """As somebody does it by hand: one process stops the program, and another one lets it go on."""
+    named("planted_shell", None)
+    while True:
+        pause(length_ms)
+        for name, number in (("planted_stop", signal.SIGSTOP), ("planted_go", signal.SIGCONT)):
+            if os.fork() == 0:
+                named(name, None)
+                if (pid := measured()) is not None:
+                    with contextlib.suppress(ProcessLookupError):
+                        os.kill(pid, number)
+                os._exit(0)
+            os.wait()
+            time.sleep(length_ms / 1000)
+
+
+def io_mix(cpu: int, length_ms: int) -> None:
+    """Writers, readers and those who give memory back, on every CPU."""
+    with tempfile.TemporaryDirectory(dir="/var/tmp") as name:
+        folder = Path(name)
+        works = (write_much, write_small, read_direct, make_files, fill_memory)
+        for work in works:
+            if os.fork() == 0:
+                named("planted_io", None)
+                while True:
+                    work(folder)
+        named("planted_mix", None)
+        signal.pause()
+
+
+def write_much(folder: Path) -> None:
+    with (folder / "much").open("wb", buffering=0) as file:
+        for _ in range(4):
+            file.write(bytes(16 << 20))
+        os.fdatasync(file.fileno())
+
+
+def write_small(folder: Path) -> None:
+    with (folder / "small").open("ab", buffering=0) as file:
+        file.write(b"line\n")
+        os.fsync(file.fileno())
+
+
+def read_direct(folder: Path) -> None:
+    memory = mmap.mmap(-1, 1 << 20)
+    file = os.open(__file__, os.O_RDONLY)
+    os.close(file)
+    much = folder / "much"
+    if much.exists():
+        file = os.open(much, os.O_RDONLY | os.O_DIRECT)
+        while os.readv(file, [memory]):
+            pass
+        os.close(file)
+
+
+def make_files(folder: Path) -> None:
+    for number in range(200):
+        (folder / f"file{number}").write_bytes(b"x")
+    for number in range(200):
+        (folder / f"file{number}").unlink()
+
+
+def fill_memory(folder: Path) -> None:
+    memory = mmap.mmap(-1, 128 << 20)
+    memory.write(bytes(128 << 20))
+    memory.close()
+
+
+def fsync_loop(cpu: int, length_ms: int) -> None:
+    """A shell's loop of short processes, each of which writes a file and waits for the disk."""
+    with tempfile.TemporaryDirectory(dir="/var/tmp") as name:
+        named("planted_sync", cpu)
+        copy = ["dd", "if=/dev/zero", f"of={name}/file", "bs=64k", "count=16", "conv=fsync"]
+        while True:
+            subprocess.run(copy, stderr=subprocess.DEVNULL, check=True)
+
+
+def limited(file: str, runtime_us: int, cpu: int) -> None:
+    """A control group with a limit, which a thread of the group uses up; the measured program is started in it.
+
+    The threads of the machine that are not in the group go on.
+    """
+    is_rt = file == "cpu.rt_runtime_us"
+    GROUP.mkdir(exist_ok=True)
+    try:
+        (GROUP / ("cpu.rt_period_us" if is_rt else "cpu.cfs_period_us")).write_text(str(LIMIT_PERIOD_US))
+        (GROUP / file).write_text(str(runtime_us))
+        # Other programs of the machine are to take nothing of what the limit leaves.
+        (GROUP / "cpu.shares").write_text(str(SHARES_MAX))
+        (GROUP / "cgroup.procs").write_text(str(os.getpid()))
+        if is_rt:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
+        named("planted_mate", cpu)
+        while True:
+            pause(2 * runtime_us // 1000)
+            spin(2 * runtime_us // 1000)
+    finally:
+        for pid in (GROUP / "cgroup.procs").read_text().split():
+            with contextlib.suppress(OSError):
+                (GROUP.parent / "cgroup.procs").write_text(pid)
+        GROUP.rmdir()
+
+
 def stop(cpu: int, length_ms: int) -> None:
     """The measured program is stopped by a signal, and goes on."""
     named("planted_stopper", 1 - cpu)
@@ -172,10 +347,11 @@ def stop(cpu: int, length_ms: int) -> None:
                 os.kill(pid, signal.SIGCONT)
 
 
-def freeze(cpu: int, length_ms: int) -> None:
+def freeze(cpu: int, length_ms: int, *, is_v1: bool = True) -> None:
     """The measured program is in a control group that is frozen, and goes on. Version 1, where it is mounted, or 2."""
     mounts = [line.split()[1:4] for line in Path("/proc/mounts").read_text().splitlines()]
-    old = next((path for path, kind, options in mounts if kind == "cgroup" and "freezer" in options.split(",")), None)
+    freezers = (path for path, kind, options in mounts if kind == "cgroup" and "freezer" in options.split(","))
+    old = next(freezers, None) if is_v1 else None
     root = Path(old or next(path for path, kind, _ in mounts if kind == "cgroup2"))
     file, frozen, thawed = ("freezer.state", "FROZEN", "THAWED") if old else ("cgroup.freeze", "1", "0")
     group = root / "planted_frozen"
@@ -244,6 +420,17 @@ PLANTS = {
     "awake": lambda cpu, length_ms: awake(cpu),
     "higher": lambda cpu, length_ms: busy("planted_hog", 98, cpu, length_ms),
     "equal": lambda cpu, length_ms: busy("planted_equal", 95, cpu, length_ms),
+    "long": partial(long, 4),
+    "longer": partial(long, 60),
+    "deadline": deadline,
+    "processes": partial(processes, 99),
+    "several": several,
+    "io": io_mix,
+    "fsync": fsync_loop,
+    "rt_group": lambda cpu, length_ms: limited("cpu.rt_runtime_us", LIMIT_RUNTIME_US, cpu),
+    "quota": lambda cpu, length_ms: limited("cpu.cfs_quota_us", LIMIT_RUNTIME_US, cpu),
+    "stopped_by_others": lambda cpu, length_ms: stop_by_others(length_ms),
+    "frozen_v2": partial(freeze, is_v1=False),
     "softirq": multiply,
     "throttling": throttle,
     "stopped": stop,

@@ -14,27 +14,35 @@ from itertools import pairwise
 from rtrun.causes.events import Callback, Context
 from rtrun.causes.parts import NAMELESS, Cause, Kind, Part
 from rtrun.causes.reconstruction import NORMAL_PRIO
-from rtrun.causes.timeline import IDLE_PID, Occupant, Span, State, StateChange, Timeline, Waker, Why
+from rtrun.causes.timeline import Span, State, StateChange, Timeline, Waker, Why
+from rtrun.causes.waits import GIVEN_THE_CPU, CpuWaits, of_interrupt
 
 # From a thread it is gone back to the one that woke it, at most so many times: in a trace they may form a circle.
 STEPS_MAX = 10_000
 TIMER = "the timer's own"
-IDLE = "idle"
+BEFORE = "before the trace begins"
 # A fault has no event at its end. A thread whose faults follow one another this closely does little else.
 BETWEEN_FAULTS_NS = 50_000
 
 
 def cut(
-    timeline: Timeline, *, pid: int, own: frozenset[int], due_ns: int, at_ns: int, callbacks: Sequence[Callback] = ()
+    timeline: Timeline,
+    *,
+    pid: int,
+    own: frozenset[int],
+    due_ns: int,
+    at_ns: int,
+    callbacks: Sequence[Callback] = (),
+    used_up: bool = False,
 ) -> tuple[Part, ...]:
     """Cut the time from `due_ns` to `at_ns` into parts in the order of time, which add up to it.
 
     `pid` is the thread that ran at `at_ns`, `own` are the threads of the measured program, `callbacks` what that thread
-    did before, one after another.
+    did before, one after another. `used_up`: the quota of its control group was, in that run.
     """
     parts: list[Part] = []
     end_ns = at_ns
-    for part in _Walk(timeline, pid, own, due_ns).back(at_ns):
+    for part in _Walk(timeline, pid, own, due_ns, CpuWaits(timeline, pid, own, used_up)).back(at_ns):
         begin_ns, limit_ns = max(part.begin_ns, due_ns), max(min(part.end_ns, end_ns), due_ns)
         if limit_ns < end_ns:
             parts.append(_unexplained(limit_ns, end_ns))
@@ -42,7 +50,8 @@ def cut(
             parts.append(replace(part, begin_ns=begin_ns, end_ns=limit_ns))
         end_ns = min(begin_ns, limit_ns)
     if end_ns > due_ns:
-        parts.append(_unexplained(due_ns, end_ns))
+        begins_ns = (spans[0].begin_ns for spans in timeline.cpus.values() if spans)
+        parts.append(_unexplained(due_ns, end_ns, BEFORE if end_ns <= max(begins_ns, default=0) else ""))
     pieces = (piece for part in reversed(parts) for piece in _not_interrupted(timeline, part))
     slowed = (piece for part in pieces for piece in _slowed(timeline, part))
     return tuple(_joined(piece for part in slowed for piece in _in_callbacks(timeline, pid, callbacks, part)))
@@ -145,9 +154,10 @@ class _Walk:
     pid: int
     own: frozenset[int]
     due_ns: int
+    waits: CpuWaits
 
     def back(self, at_ns: int) -> Iterator[Part]:
-        pid, place = self.pid, self._running(self.pid, at_ns)
+        pid, place = self.pid, self.timeline.running(self.pid, at_ns)
         for _ in range(STEPS_MAX):
             if at_ns <= self.due_ns or place < 0:
                 return
@@ -163,15 +173,16 @@ class _Walk:
             if change.waker is None or at_ns <= self.due_ns:
                 continue
             slept = self.timeline.threads[pid][place] if place >= 0 else None
-            if change.waker.context is Context.THREAD and not self._is_held_up(slept, change.waker):
-                pid, place = change.waker.pid, self._running(change.waker.pid, at_ns)
+            hands_over = change.waker.context is Context.THREAD and not change.waker.stops
+            if hands_over and not self._is_held_up(slept, change.waker):
+                pid, place = change.waker.pid, self.timeline.running(change.waker.pid, at_ns)
                 continue
             asleep_ns = min(slept.at_ns, at_ns) if slept else self.due_ns
             if change.waker.raised and change.waker.raised.context is Context.THREAD and change.waker.expiry is None:
                 raised = change.waker.raised
                 yield from self._softirq(pid, change.waker, at_ns)
                 pid, at_ns = raised.pid, min(raised.at_ns, at_ns)
-                place = self._running(pid, at_ns)
+                place = self.timeline.running(pid, at_ns)
                 continue
             if (awaited := self._awaited(pid, change.waker, at_ns)) is not None:
                 pid, place = awaited, self.timeline.place(awaited, at_ns)
@@ -180,11 +191,13 @@ class _Walk:
             at_ns, place = asleep_ns, place - 1
 
     def _awaited(self, pid: int, waker: Waker, at_ns: int) -> int | None:
-        """The thread of the program that should have woken this one, but waited for a CPU when a timeout woke it.
+        """The thread of the program that should have woken this one, but waited for a CPU when something else did.
 
-        A timer that expires after the value was due is a timeout. Who woke the thread before hands work over to it.
+        That is a timeout, a timer that expires after the value was due, or a signal that stops the program. Who woke
+        the thread before hands work over to it.
         """
-        if waker.expiry is None or waker.expiry.soft_ns is None or waker.expiry.soft_ns <= self.due_ns:
+        expires_ns = waker.expiry.soft_ns if waker.expiry else None
+        if not waker.stops and (expires_ns is None or expires_ns <= self.due_ns):
             return None
         earlier = reversed(self.timeline.threads[pid][: self.timeline.place(pid, at_ns)])
         wakers = (each.waker for each in earlier if each.waker and each.waker.context is Context.THREAD)
@@ -193,13 +206,6 @@ class _Walk:
             if place >= 0 and self.timeline.threads[mate][place].state is State.WAITING:
                 return mate
         return None
-
-    def _running(self, pid: int, at_ns: int) -> int:
-        """The place of the change by which a thread ran at a moment: time stamps have microseconds."""
-        changes, place = self.timeline.threads.get(pid, ()), self.timeline.place(pid, at_ns)
-        while place > 0 and changes[place].at_ns == at_ns and changes[place].state is not State.RUNNING:
-            place -= 1
-        return place
 
     def _is_held_up(self, slept: StateChange | None, waker: Waker) -> bool:
         """Whether a thread waits for another that keeps something, or itself, rather than for something to do."""
@@ -213,18 +219,14 @@ class _Walk:
         # program woke it.
         return slept.at_ns > self.due_ns and waker.pid not in self.own and self.pid in self.own
 
-    def _cause(self, kind: Kind, pid: int, name: str = "") -> Cause:
-        name = name or self.timeline.names.get(pid, "")
-        return Cause(kind=kind, name=name, pid=pid, prio=self.timeline.prios.get(pid))
-
     def _ran(self, pid: int, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Part]:
         kind = Kind.PROGRAM if pid == self.pid else Kind.OTHER_THREAD
         for span in self._spans(cpu, begin_ns, end_ns):
             who = span.occupant
             if who is not None and who.context is not Context.THREAD:
-                yield self._part(span, cpu, _of_interrupt(who.context, who.name))
+                yield self._part(span, cpu, of_interrupt(who.context, who.name))
             else:
-                yield from self._with_faults(span, cpu, self._cause(kind, pid))
+                yield from self._with_faults(span, cpu, self.waits.cause(kind, pid))
 
     def _with_faults(self, span: Span, cpu: int, cause: Cause) -> Iterator[Part]:
         """The time that a thread ran, latest first, without that between page faults that follow each other."""
@@ -241,128 +243,96 @@ class _Walk:
 
     def _waited(self, pid: int, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Part]:
         prio = self.timeline.prios.get(pid)
+        refilled_ns = self.waits.refilled_ns(prio, cpu, begin_ns, end_ns)
         for span in self._spans(cpu, begin_ns, end_ns):
-            yield self._part(span, cpu, self._who_had(span, pid, prio, begin_ns))
-
-    def _who_had(self, span: Span, pid: int, prio: int | None, since_ns: int) -> Cause:
-        """Why a thread that could run had to wait for the one that has the CPU."""
-        who = span.occupant
-        if who is None or who.context is not Context.THREAD:
-            return _of_no_thread(who)
-        if who.pid == IDLE_PID:
-            if prio is not None and prio >= NORMAL_PRIO:
-                return Cause(kind=Kind.GROUP if pid in who.passed_over else Kind.IDLE_EXIT)
-            return Cause(kind=Kind.THROTTLED, name=IDLE) if who.throttled else Cause(kind=Kind.IDLE_EXIT)
-        if who.pid == pid:
-            return self._cause(Kind.PROGRAM if pid == self.pid else Kind.OTHER_THREAD, pid)
-        other = who.prio if who.prio is not None else self.timeline.prios.get(who.pid)
-        if who.pid in self.own:
-            kind = Kind.OTHER_THREAD
-        elif prio is None or other is None:
-            kind = Kind.UNEXPLAINED
-        elif other < 0:
-            kind = Kind.DEADLINE
-        elif other < prio:
-            kind = Kind.HIGHER
-        elif other == prio:
-            kind = Kind.EQUAL
-        elif prio >= NORMAL_PRIO and not self._printed(who.pid, span.end_ns):
-            # Neither has a real-time priority: the scheduler shares the CPU among them, and throttles none.
-            kind = Kind.SHARED
-        elif who.throttled or self._was_chosen(who.pid, since_ns, span.end_ns):
-            kind = Kind.THROTTLED
-        else:
-            kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.NOT_PREEMPTED
-        return Cause(kind=kind, name=who.name, pid=who.pid, prio=other)
-
-    def _was_chosen(self, pid: int, begin_ns: int, end_ns: int) -> bool:
-        """Whether the scheduler gave a thread the CPU that has it at the end of a time, and had not at its begin."""
-        place = self._running(pid, end_ns - 1)
-        return place >= 0 and begin_ns < self.timeline.threads[pid][place].at_ns
-
-    def _printed(self, pid: int, at_ns: int) -> bool:
-        """Whether a thread had a line for the console since it was given the CPU that it has at a moment.
-
-        A kernel without PREEMPT_RT writes to the console at once, with interrupts or preemption off.
-        """
-        place = self._running(pid, at_ns - 1)
-        began_ns = self.timeline.threads[pid][place].at_ns if place >= 0 else self.timeline.begin_ns
-        times = self.timeline.consoles_ns.get(pid, ())
-        return bisect_left(times, began_ns) < bisect_left(times, at_ns)
+            cause = self.waits.who_had(span, pid, prio, begin_ns)
+            if span.begin_ns < refilled_ns and cause.kind in GIVEN_THE_CPU:
+                is_normal = prio is not None and prio >= NORMAL_PRIO
+                cause = Cause(kind=Kind.GROUP) if is_normal else replace(cause, kind=Kind.THROTTLED, above=None)
+            yield self._part(span, cpu, cause)
 
     def _slept(self, pid: int, slept: StateChange | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """The time from when a thread fell asleep until it was woken."""
         if waker.held is not Why.UNKNOWN:
             yield from self._held(pid, slept, waker, asleep_ns, at_ns)
+        elif waker.stops:
+            yield _unexplained(asleep_ns, at_ns, "it slept until it was stopped")
         elif waker.expiry is not None:
             yield from self._timer(pid, waker, asleep_ns, at_ns)
         elif waker.context is Context.THREAD:
             why = slept.why if slept else Why.UNKNOWN
             kind = {Why.LOCK: Kind.LOCK, Why.FAULT: Kind.FAULT, Why.UNINTERRUPTIBLE: Kind.BLOCKED}.get(why, Kind.LOCK)
-            yield Part(begin_ns=asleep_ns, end_ns=at_ns, cause=self._cause(kind, waker.pid, waker.name), cpu=waker.cpu)
+            yield from self._kept(self.waits.cause(kind, waker.pid, waker.name), waker, asleep_ns, at_ns)
+        elif slept is not None and slept.why is Why.UNINTERRUPTIBLE:
+            cause = Cause(kind=Kind.BLOCKED, name=f"{waker.context} {waker.name}")
+            yield Part(begin_ns=asleep_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
         else:
-            cause = _of_interrupt(waker.context, waker.name)
+            cause = of_interrupt(waker.context, waker.name)
             yield Part(begin_ns=waker.began_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
             why = slept.why if slept else Why.UNKNOWN
-            kind = Kind.FAULT if why is Why.FAULT else Kind.OUTSIDE
-            yield Part(
-                begin_ns=asleep_ns, end_ns=waker.began_ns, cause=Cause(kind=kind, name=waker.name), cpu=waker.cpu
+            before = Cause(kind=Kind.FAULT if why is Why.FAULT else Kind.OUTSIDE, name=waker.name)
+            yield Part(begin_ns=asleep_ns, end_ns=waker.began_ns, cause=before, cpu=waker.cpu)
+
+    def _kept(self, cause: Cause, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
+        """The time for which another thread kept this one, latest first, without that in which a limit kept it back."""
+        changes = self.timeline.threads.get(waker.pid, ())
+        for place in range(self.timeline.place(waker.pid, at_ns), -1, -1):
+            change, until_ns = changes[place], changes[place + 1].at_ns if place + 1 < len(changes) else at_ns
+            if until_ns <= asleep_ns:
+                break
+            waited = (
+                self._waited(waker.pid, change.cpu, change.at_ns, until_ns) if change.state is State.WAITING else ()
             )
+            for part in waited:
+                begin_ns, end_ns = max(part.begin_ns, asleep_ns), min(part.end_ns, at_ns)
+                if part.cause.kind in (Kind.GROUP, Kind.THROTTLED) and begin_ns < end_ns:
+                    yield Part(begin_ns=end_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
+                    yield replace(part, begin_ns=begin_ns, end_ns=end_ns)
+                    at_ns = begin_ns
+        yield Part(begin_ns=asleep_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
 
     def _held(self, pid: int, slept: StateChange | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
-        """The time for which a thread was stopped or frozen, latest first: by whom it was stopped, or let go on."""
-        kind, by = (Kind.FROZEN if waker.held is Why.FROZEN else Kind.STOPPED), (waker.pid, waker.name)
-        if kind is Kind.STOPPED and slept is not None:
+        """The time for which a thread was stopped or frozen, latest first: by whom it was stopped, or let go on.
+
+        These need not be one: who stopped it is known from the signal since it last fell asleep before.
+        """
+        kind, by = (Kind.FROZEN if waker.held is Why.FROZEN else Kind.LET_GO_ON), (waker.pid, waker.name)
+        if kind is Kind.LET_GO_ON and slept is not None:
+            changes = self.timeline.threads[pid][: self.timeline.place(pid, slept.at_ns)]
+            awake_ns = next((one.at_ns for one in reversed(changes) if one.state is State.ASLEEP), 0)
             of_program = (one for one in reversed(self.timeline.stops) if one.pid in self.own | {pid})
-            sent = next((one for one in of_program if one.at_ns <= slept.at_ns), None)
-            by = (sent.by_pid, "") if sent else by
+            sent = next((one for one in of_program if awake_ns <= one.at_ns <= slept.at_ns), None)
+            kind, by = (Kind.STOPPED, (sent.by_pid, "")) if sent else (kind, by)
         begin_ns = max(asleep_ns, min(waker.held_ns or asleep_ns, at_ns))
-        yield Part(begin_ns=begin_ns, end_ns=at_ns, cause=self._cause(kind, *by), cpu=waker.cpu)
-        yield Part(begin_ns=asleep_ns, end_ns=begin_ns, cause=self._cause(Kind.OWN_SLEEP, pid), cpu=waker.cpu)
+        yield Part(begin_ns=begin_ns, end_ns=at_ns, cause=self.waits.cause(kind, *by), cpu=waker.cpu)
+        yield Part(begin_ns=asleep_ns, end_ns=begin_ns, cause=self.waits.cause(Kind.OWN_SLEEP, pid), cpu=waker.cpu)
 
     def _timer(self, pid: int, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
         """From the expiry of a timer until it woke the thread, latest first."""
         expiry = waker.expiry
         began_ns = min(waker.began_ns, at_ns)
         name = waker.name if waker.context is Context.SOFT else TIMER
-        yield Part(begin_ns=began_ns, end_ns=at_ns, cause=_of_interrupt(waker.context, name), cpu=waker.cpu)
+        yield Part(begin_ns=began_ns, end_ns=at_ns, cause=of_interrupt(waker.context, name), cpu=waker.cpu)
         if expiry is None or expiry.soft_ns is None or expiry.hard_ns is None:
             yield _unexplained(asleep_ns, began_ns, "when the timer should have expired is not in the trace")
             return
         soft_ns = max(asleep_ns, min(expiry.soft_ns, began_ns))
         hard_ns = max(soft_ns, min(expiry.hard_ns, began_ns))
         for span in self._spans(waker.cpu, hard_ns, began_ns):
-            yield self._part(span, waker.cpu, self._while_late(span, pid))
+            yield self._part(span, waker.cpu, self.waits.while_late(span, pid))
         yield Part(begin_ns=soft_ns, end_ns=hard_ns, cause=Cause(kind=Kind.TIMER_SLACK), cpu=waker.cpu)
-        yield Part(begin_ns=asleep_ns, end_ns=soft_ns, cause=self._cause(Kind.OWN_SLEEP, pid), cpu=waker.cpu)
-
-    def _while_late(self, span: Span, pid: int) -> Cause:
-        """What a CPU did while the interrupt of a timer should have come, which then woke a thread.
-
-        A thread of higher priority kept that one from running anyway: with interrupts off, as stop_machine, or not.
-        """
-        who = span.occupant
-        if who is None or who.context is not Context.THREAD:
-            return _of_no_thread(who)
-        if who.pid == IDLE_PID:
-            return Cause(kind=Kind.TIMER_LATE, name=IDLE)
-        other, prio = self.timeline.prios.get(who.pid), self.timeline.prios.get(pid)
-        if who.pid not in self.own and other is not None and prio is not None and other < prio:
-            kind = Kind.DEADLINE if other < 0 else Kind.HIGHER
-        else:
-            kind = Kind.CONSOLE if self._printed(who.pid, span.end_ns) else Kind.TIMER_LATE
-        return Cause(kind=kind, name=who.name, pid=who.pid, prio=other)
+        yield Part(begin_ns=asleep_ns, end_ns=soft_ns, cause=self.waits.cause(Kind.OWN_SLEEP, pid), cpu=waker.cpu)
 
     def _softirq(self, pid: int, waker: Waker, at_ns: int) -> Iterator[Part]:
         """From when a softirq was raised until it woke the thread, latest first."""
         began_ns = min(waker.began_ns, at_ns)
-        yield Part(begin_ns=began_ns, end_ns=at_ns, cause=_of_interrupt(waker.context, waker.name), cpu=waker.cpu)
+        yield Part(begin_ns=began_ns, end_ns=at_ns, cause=of_interrupt(waker.context, waker.name), cpu=waker.cpu)
         raised_ns = min(waker.raised.at_ns, began_ns) if waker.raised else began_ns
         for span in self._spans(waker.cpu, raised_ns, began_ns):
             who = span.occupant
             is_raiser = who is not None and waker.raised is not None and who.pid == waker.raised.pid
-            cause = self._cause(Kind.OTHER_THREAD, who.pid) if who and is_raiser else None
-            yield self._part(span, waker.cpu, cause or self._who_had(span, pid, self.timeline.prios.get(pid), 0))
+            cause = self.waits.cause(Kind.OTHER_THREAD, who.pid) if who and is_raiser else None
+            yield self._part(span, waker.cpu, cause or self.waits.who_had(span, pid, self.timeline.prios.get(pid), 0))
 
     def _spans(self, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Span]:
         """What a CPU did, latest first, no earlier than the window."""
@@ -370,14 +340,3 @@ class _Walk:
 
     def _part(self, span: Span, cpu: int, cause: Cause) -> Part:
         return Part(begin_ns=span.begin_ns, end_ns=span.end_ns, cause=cause, cpu=cpu)
-
-
-def _of_no_thread(occupant: Occupant | None) -> Cause:
-    """Of a CPU that an interrupt or a softirq had, or of which nobody knows who had it."""
-    if occupant is None:
-        return Cause(kind=Kind.UNEXPLAINED, name="events are missing")
-    return _of_interrupt(occupant.context, occupant.name)
-
-
-def _of_interrupt(context: Context, name: str) -> Cause:
-    return Cause(kind=Kind.SOFTIRQ if context is Context.SOFT else Kind.INTERRUPT, name=name)

@@ -96,12 +96,13 @@ class TimerStart(NamedTuple):
 
 
 class TimerExpiry(NamedTuple):
-    """hrtimer_expire_entry: `now_ns` is the timer's own clock when its interrupt began."""
+    """hrtimer_expire_entry: `now_ns` is the timer's own clock when its interrupt began, `function` what it calls."""
 
     at_ns: int
     cpu: int
     timer: str
     now_ns: int
+    function: str
 
 
 class Futex(NamedTuple):

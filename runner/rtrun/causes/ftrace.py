@@ -71,7 +71,7 @@ _SOFTIRQ = re.compile(r"vec=\d{1,4} \[action=(\w{1,32})\]", re.ASCII)
 _TIMER_START = re.compile(
     r"hrtimer=(\w{1,32}) function=(\S{1,128}) expires=(\d{1,19}) softexpires=(\d{1,19})\b", re.ASCII
 )
-_TIMER_EXPIRY = re.compile(r"hrtimer=(\w{1,32}) function=\S{1,128} now=(\d{1,19})\b", re.ASCII)
+_TIMER_EXPIRY = re.compile(r"hrtimer=(\w{1,32}) function=(\S{1,128}) now=(\d{1,19})\b", re.ASCII)
 _FREQUENCY = re.compile(r"state=(\d{1,10}) cpu_id=(\d{1,4})\b", re.ASCII)
 _SIGNAL = re.compile(r"sig=(\d{1,3}) errno=-?\d{1,10} code=-?\d{1,10} comm=.{0,64}? pid=(\d{1,10}) grp=", re.ASCII)
 # What the timer of a thread does that sleeps until then (hrtimer_init_sleeper).
@@ -334,7 +334,7 @@ def _timer_start(head: _Head, arguments: str) -> Event | None:
 
 def _timer_expiry(head: _Head, arguments: str) -> Event | None:
     match = _TIMER_EXPIRY.match(arguments)
-    return match and TimerExpiry(head[0], head[1], intern(match[1]), int(match[2]))
+    return match and TimerExpiry(head[0], head[1], intern(match[1]), int(match[3]), intern(match[2]))
 
 
 def _futex(head: _Head, arguments: str) -> Event:

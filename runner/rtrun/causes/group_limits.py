@@ -25,6 +25,11 @@ def with_groups(parts: Sequence[Part], record: RunRecord, prios: Mapping[int, in
     )
 
 
+def uses_up_quota(record: RunRecord) -> bool:
+    """Whether a quota of the program's control groups was used up during a run."""
+    return bool(_throttled(record))
+
+
 def limits(record: RunRecord) -> tuple[str, ...]:
     """The limits of the control groups that a run's programs were in, a sentence each."""
     return tuple(f"{record.run}: {_sentence(group, limit)}" for group, limit in _limited(record))

@@ -17,7 +17,7 @@ from rtrun.causes.control import Windows, control_ns, windows_before
 from rtrun.causes.cut import cut
 from rtrun.causes.events import Callback, Context
 from rtrun.causes.ftrace import Trace, has_lines, read_ends, read_trace, refuse_trace_cmd
-from rtrun.causes.group_limits import limits, with_groups
+from rtrun.causes.group_limits import limits, uses_up_quota, with_groups
 from rtrun.causes.parts import Part
 from rtrun.causes.reconstruction import reconstruct
 from rtrun.causes.steps import Step, steps
@@ -153,7 +153,15 @@ def _explain(
     known = pid in threads
     own = frozenset(threads) if known else _with_name(order, set(threads.values()))
     callbacks = _earlier_callbacks(outlier, order, pid, record)
-    parts = cut(order, pid=pid, own=own, due_ns=outlier.due_ns, at_ns=outlier.at_ns, callbacks=callbacks)
+    parts = cut(
+        order,
+        pid=pid,
+        own=own,
+        due_ns=outlier.due_ns,
+        at_ns=outlier.at_ns,
+        callbacks=callbacks,
+        used_up=uses_up_quota(record),
+    )
     parts = with_groups(parts, record, order.prios)
     late = [(one.due_ns, one.at_ns) for one in all_outliers]
     control = windows_before(order, trace.events, begin_ns=outlier.due_ns, length_ns=outlier.value_ns, late=late)

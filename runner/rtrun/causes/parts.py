@@ -26,7 +26,8 @@ class Kind(StrEnum):
     LOCK = "lock held by"
     FAULT = "page fault"
     STOPPED = "stopped by"
-    FROZEN = "frozen by"
+    LET_GO_ON = "stopped until it was let go on by"
+    FROZEN = "frozen until it was let go on by"
     BLOCKED = "blocked in the kernel, woken by"
     CALLBACK = "earlier callback of its thread"
     OTHER_THREAD = "thread of the measured programs"
@@ -42,12 +43,16 @@ NAMELESS = frozenset({Kind.UNEXPLAINED, Kind.PROGRAM, Kind.OUTSIDE, Kind.OWN_SLE
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cause:
-    """What took time: the name and id of a thread where there is one, and its priority as the kernel counts."""
+    """What took time: the name and id of a thread where there is one, and its priority as the kernel counts.
+
+    `above` is the priority of the thread that waited for one of higher priority.
+    """
 
     kind: Kind
     name: str = ""
     pid: int | None = None
     prio: int | None = None
+    above: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

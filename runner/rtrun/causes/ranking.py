@@ -1,8 +1,9 @@
 """Culprits over all outliers: how often, how long, and how often they ran as long when nothing was late."""
 
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from rtrun.analysis.intervals import chance_of_so_many
@@ -21,7 +22,8 @@ BY_CHANCE = 0.01
 class Culprit:
     """What took time, over all outliers.
 
-    `name`, `pid` and `prio` are those of the thread that took longest, `threads` is the number of threads of that name.
+    `name`, `pid`, `prio` and `above` are those of the thread that took longest, `threads` is the number of threads of
+    that name, `alike` that of threads of names that differ from it in numbers alone.
     `main` is the number of outliers of which it took more than half. `extra_ns` is its time beyond that in windows of
     the same length when nothing was late, `as_long` the number of such windows, of `windows`, in which it had the same
     CPU for at least half as long as in the outlier.
@@ -31,7 +33,9 @@ class Culprit:
     name: str
     pid: int | None
     prio: int | None
+    above: int | None
     threads: int
+    alike: int
     count: int
     main: int
     total_ns: int
@@ -43,11 +47,15 @@ class Culprit:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Ranking:
-    """The culprits of all outliers with a trace, worst first, and the sum of their lateness."""
+    """The culprits of all outliers with a trace, worst first, and the sum of their lateness.
+
+    `main_by_kind` is the number of outliers of which all culprits of a kind together took more than half.
+    """
 
     culprits: tuple[Culprit, ...]
     outliers: int
     late_ns: int
+    main_by_kind: Mapping[Kind, int] = field(default_factory=dict)
 
     @property
     def named(self) -> Culprit | None:
@@ -56,6 +64,16 @@ class Ranking:
         if first is None or 2 * first.main < max(1, self.outliers):
             return None
         return None if self.is_by_chance(first) else first
+
+    @property
+    def named_kind(self) -> Kind | None:
+        """The kind whose culprits together are the main cause of at least half of the outliers, though none alone is.
+
+        None of what depends on who had the CPU by chance.
+        """
+        kinds = [kind for kind in self.main_by_kind if kind not in NAMELESS | _CIRCUMSTANTIAL]
+        most = max(kinds, key=lambda kind: self.main_by_kind[kind], default=None)
+        return None if most is None or 2 * self.main_by_kind[most] < max(1, self.outliers) else most
 
     def is_by_chance(self, culprit: Culprit) -> bool:
         """Whether somebody who had the CPU may have had it just as often if it had nothing to do with the outliers.
@@ -72,18 +90,26 @@ class Ranking:
 def rank(explained: Iterable[Explained]) -> Ranking:
     """Rank the culprits by the number of outliers of which each is the main one, then by time."""
     cut = [one for one in explained if one.parts]
+    alike = _alike(cut)
     occurrences: dict[_Identity, list[_Occurrence]] = defaultdict(list)
+    main_by_kind: Counter[Kind] = Counter()
     for one in cut:
         parts: dict[_Identity, list[Part]] = defaultdict(list)
         for part in one.parts:
-            parts[_identity(part.cause)].append(part)
+            identity = _identity(part.cause)
+            parts[alike.get(identity, identity)].append(part)
+        extra_ns: Counter[Kind] = Counter()
         for culprit, of_culprit in parts.items():
-            occurrences[culprit].append(_occurrence(one, of_culprit))
+            occurrence = _occurrence(one, of_culprit)
+            occurrences[culprit].append(occurrence)
+            extra_ns[culprit[0]] += occurrence.length_ns - occurrence.usual_ns
+        main_by_kind.update(kind for kind, length_ns in extra_ns.items() if 2 * length_ns > one.outlier.value_ns)
     culprits = [_culprit(kind, occurred) for (kind, _), occurred in occurrences.items()]
     return Ranking(
         culprits=tuple(sorted(culprits, key=lambda one: (-one.main, -one.extra_ns, one.kind, one.name))),
         outliers=len(cut),
         late_ns=sum(one.outlier.value_ns for one in cut),
+        main_by_kind=main_by_kind,
     )
 
 
@@ -98,11 +124,31 @@ def _identity(cause: Cause) -> _Identity:
     return cause.kind, "" if cause.kind is Kind.THROTTLED else cause.name
 
 
+def _alike(cut: Iterable[Explained]) -> Mapping[_Identity, _Identity]:
+    """Of threads that are one culprit although they have several names, by kind and name, the name of all.
+
+    That are workers of the kernel, and processes with a number in the name if each outlier has another one: they are
+    made anew for each job. Other names with numbers are of different things, as the threads of two devices are.
+    """
+    seen: dict[_Identity, list[tuple[int, str, int]]] = defaultdict(list)
+    for number, one in enumerate(cut):
+        for kind, name, pid in {(part.cause.kind, part.cause.name, part.cause.pid) for part in one.parts}:
+            if pid is not None and kind is not Kind.CALLBACK and re.search(r"\d", name):
+                seen[kind, re.sub(r"\d+", "#", name)].append((number, name, pid))
+    return {
+        (kind, name): (kind, pattern)
+        for (kind, pattern), threads in seen.items()
+        if pattern.startswith("kworker/")
+        or len(threads) == len({number for number, _, _ in threads}) == len({pid for _, _, pid in threads})
+        for _, name, _ in threads
+    }
+
+
 class _Occurrence(NamedTuple):
     """One culprit in one outlier."""
 
     cause: Cause
-    pids: frozenset[int | None]
+    threads: frozenset[tuple[str, int]]
     length_ns: int
     usual_ns: int
     is_main: bool
@@ -119,22 +165,25 @@ def _occurrence(one: Explained, parts: Sequence[Part]) -> _Occurrence:
         mean_ns = control.mean_ns(longest.cpu, cause.name)
         usual_ns = min(length_ns, mean_ns if cause.kind in _FREQUENT else mean_ns * length_ns // value_ns)
         windows, as_long = control.count, control.with_at_least(longest.cpu, cause.name, length_ns // 2)
-    pids = frozenset(part.cause.pid for part in parts if part.cause.name == cause.name)
-    return _Occurrence(cause, pids, length_ns, usual_ns, 2 * (length_ns - usual_ns) > value_ns, windows, as_long)
+    threads = frozenset((part.cause.name, part.cause.pid) for part in parts if part.cause.pid is not None)
+    # Whether who had the CPU had it by chance is asked of all outliers together.
+    counted_ns = length_ns if cause.kind in _CIRCUMSTANTIAL else length_ns - usual_ns
+    return _Occurrence(cause, threads, length_ns, usual_ns, 2 * counted_ns > value_ns, windows, as_long)
 
 
 def _culprit(kind: Kind, occurred: Sequence[_Occurrence]) -> Culprit:
     worst = max(occurred, key=lambda one: one.length_ns)
     total_ns = sum(one.length_ns for one in occurred)
+    threads = frozenset[tuple[str, int]]().union(*(one.threads for one in occurred))
+    of_name = sum(name == worst.cause.name for name, _ in threads)
     return Culprit(
         kind=kind,
         name=worst.cause.name,
         pid=worst.cause.pid,
         prio=worst.cause.prio,
-        threads=len(
-            frozenset[int | None]().union(*(one.pids for one in occurred if one.cause.name == worst.cause.name))
-            - {None}
-        ),
+        above=worst.cause.above,
+        threads=of_name,
+        alike=0 if kind is Kind.THROTTLED else len(threads) - of_name,
         count=len(occurred),
         main=sum(one.is_main for one in occurred),
         total_ns=total_ns,

@@ -35,7 +35,16 @@ _FUTEX_COMMAND = 127
 # signal(7), the numbers of every architecture that Linux has but MIPS, Alpha, PA-RISC and SPARC: SIGCONT, and SIGSTOP,
 # SIGTSTP, SIGTTIN and SIGTTOU.
 _CONTINUING = 18
+# So soon after the threads that it wakes a signal is said.
+SIGNALLED_WITHIN_NS = 100_000
 _STOPPING = frozenset({19, 20, 21, 22})
+# While the copy of a trace is written, nothing may be recorded. Only a thread that runs without having been woken shows
+# that it was so: idle CPUs have no events for as long.
+PAUSED_NS = 10_000_000
+
+# Timers after which threads that used up their time may run again (kernel/sched/rt.c, fair.c).
+_RT_REFILLING = frozenset({"sched_rt_period_timer"})
+_REFILLING = _RT_REFILLING | {"sched_cfs_period_timer", "sched_cfs_slack_timer"}
 
 
 class _Layer(NamedTuple):
@@ -63,6 +72,8 @@ class _Cpu:
     queued: set[int] = field(default_factory=set)
     queued_normal: set[int] = field(default_factory=set)
     spans: list[Span] = field(default_factory=list)
+    # The place of the first span since the thread was given this CPU.
+    first_of_thread: int = 0
     # The place of the first span since the trace began or events were lost; and by thread the softirq that began before
     # that and ended after it.
     first_known: int = 0
@@ -81,6 +92,13 @@ class _Cpu:
             layer = self.layer()
             self.spans.append(Span(self.since_ns, at_ns, layer.occupant if layer else self.thread))
             self.since_ns = at_ns
+
+    def name_what_ran(self, pid: int, name: str) -> None:
+        """Give a thread the name that it has when it goes: a new process has that of its parent at first."""
+        for place in range(self.first_of_thread, len(self.spans)):
+            span = self.spans[place]
+            if span.occupant is not None and span.occupant.context is Context.THREAD and span.occupant.pid == pid:
+                self.spans[place] = span._replace(occupant=span.occupant._replace(name=name))
 
     def note_late(self, start: TimerStart) -> None:
         """A timer expires in its interrupt: the time for which it had waited for that."""
@@ -116,6 +134,7 @@ class _Builder:
         self.consoles_ns: dict[int, list[int]] = defaultdict(list)
         self.frequencies: dict[int, list[Frequency]] = defaultdict(list)
         self.stops: list[Signal] = []
+        self.refills_ns: dict[bool, list[int]] = defaultdict(list)
         self.callbacks: dict[int, list[Callback]] = defaultdict(list)
         # Of each thread, until it sleeps: whom it woke; and the threads that let a control group go on.
         self.woke: dict[int, list[int]] = defaultdict(list)
@@ -123,6 +142,8 @@ class _Builder:
         # Threads that slept on after their timer had expired, and when that was.
         self.overslept_ns: dict[int, int] = {}
         self.lost: list[Lost] = []
+        # The last event of any CPU; and the first one after a time in which none had one.
+        self.last_ns = self.resumed_ns = 0
         self.has_waking = False
         self.not_woken: set[int] = set()
         # The CPU on whose queue a thread is.
@@ -132,6 +153,9 @@ class _Builder:
         cpu = self.cpus.get(event.cpu)
         if cpu is None:
             cpu = self.cpus[event.cpu] = _Cpu(since_ns=event.at_ns, last_ns=event.at_ns)
+        if event.at_ns - self.last_ns > PAUSED_NS:
+            self.resumed_ns = event.at_ns
+        self.last_ns = event.at_ns
         match event:
             case Switch():
                 self._switch(cpu, event)
@@ -190,6 +214,8 @@ class _Builder:
         if cpu.expiry is None or cpu.expiry.now_ns != event.now_ns:
             cpu.offset_ns = event.at_ns - event.now_ns
         cpu.expiry = event
+        if event.function in _REFILLING:
+            self.refills_ns[event.function in _RT_REFILLING].append(event.at_ns)
         if (start := self.timers.get(event.timer)) is not None:
             cpu.note_late(start)
             if start.wakes is not None:
@@ -199,6 +225,9 @@ class _Builder:
         at_ns, number, pid, name, prio, state, next_pid, next_name, next_prio = event
         can_run = state.startswith("R")
         cpu.close(at_ns)
+        if cpu.thread is not None and cpu.thread.name != name:
+            cpu.name_what_ran(pid, name)
+        cpu.first_of_thread = len(cpu.spans)
         cpu.hard.clear()
         cpu.expiry = None
         self._dequeue(next_pid)
@@ -221,8 +250,12 @@ class _Builder:
                 self.thawing.discard(pid)
         if next_pid != IDLE_PID:
             self.faults.discard(next_pid)
-            if next_pid not in self.threads:
+            changes = self.threads.get(next_pid)
+            if changes is None:
                 self.not_woken.add(next_pid)
+            elif changes[-1].state is State.ASLEEP and changes[-1].at_ns < self.resumed_ns:
+                # It was woken while nothing was recorded, and could run at the latest since then.
+                changes.append(StateChange(self.resumed_ns, State.WAITING, number))
             self.threads[next_pid].append(StateChange(at_ns, State.RUNNING, number))
 
     def _why(self, event: Switch) -> Why:
@@ -300,6 +333,11 @@ class _Builder:
         """A signal is said after the threads that it wakes: what they waited for may be before the trace."""
         if event.number in _STOPPING:
             self.stops.append(event)
+            for pid in self.woke.get(event.by_pid, ()):
+                last = self.threads[pid][-1]
+                is_for_that = last.at_ns > event.at_ns - SIGNALLED_WITHIN_NS
+                if is_for_that and last.waker is not None and last.waker.pid == event.by_pid:
+                    self.threads[pid][-1] = last._replace(waker=last.waker._replace(stops=True))
         elif event.number == _CONTINUING:
             for pid in self.woke.get(event.by_pid, ()):
                 first = self.threads[pid][0]
@@ -382,5 +420,6 @@ def reconstruct(events: Iterable[Event], *, started: Iterable[TimerStart] = ()) 
         consoles_ns=dict(builder.consoles_ns),
         frequencies=dict(builder.frequencies),
         late_ns={number: cpu.late_ns for number, cpu in builder.cpus.items()},
+        refills_ns=dict(builder.refills_ns),
         callbacks=dict(builder.callbacks),
     )

@@ -65,7 +65,7 @@ class Waker(NamedTuple):
     """What woke a thread: a thread, an interrupt or a softirq, which began at `began_ns`.
 
     `held` is STOPPED or FROZEN where the thread was let go on rather than woken, `held_ns` since when it would have
-    been awake, if that is known.
+    been awake, if that is known. `stops`: it was woken to be stopped, so nobody handed work over.
     """
 
     cpu: int
@@ -77,6 +77,7 @@ class Waker(NamedTuple):
     raised: Raise | None
     held: Why = Why.UNKNOWN
     held_ns: int | None = None
+    stops: bool = False
 
 
 class StateChange(NamedTuple):
@@ -110,6 +111,8 @@ class Timeline:
     """Of each CPU, from when on it had which."""
     late_ns: Mapping[int, Sequence[tuple[int, int]]]
     """Of each CPU, from when a timer should have expired until its interrupt came, in order."""
+    refills_ns: Mapping[bool, Sequence[int]]
+    """When threads that were throttled could go on, apart for those with a real-time priority and those without."""
     callbacks: Mapping[int, Sequence[Callback]] = field(default_factory=dict)
     """Of each thread, one after another."""
 
@@ -135,3 +138,10 @@ class Timeline:
     def place(self, pid: int, at_ns: int) -> int:
         """The place of the last change of a thread up to a moment; -1 where the trace begins later."""
         return bisect_left(self.threads.get(pid, ()), (at_ns + 1,)) - 1
+
+    def running(self, pid: int, at_ns: int) -> int:
+        """The place of the change by which a thread ran at a moment: time stamps have microseconds."""
+        changes, place = self.threads.get(pid, ()), self.place(pid, at_ns)
+        while place > 0 and changes[place].at_ns == at_ns and changes[place].state is not State.RUNNING:
+            place -= 1
+        return place

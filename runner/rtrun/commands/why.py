@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the answer, the ranking, what else is known of the late values, then the worst outliers; write FILE."""
+    """Print the answer, what to change, the worst outliers; the ranking, and what else is known; write FILE."""
     from rtfiles import atomic
     from rtfiles.errors import UsageError
     from rtfiles.output import counted, print_json, print_line
@@ -67,24 +67,28 @@ def run(args: argparse.Namespace) -> int:
         print_json({"schema": 1, "outcome": outcome, **found, **others, "problems": problems})
         return UsageError.exit_status if problems else 0
     print_line(outcome)
-    for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders], of)):
+    advice = tuple(causes.remedies(ranking))
+    for note in advice:
         print_line(note)
+    worst = sorted((one for one in explained if one.parts), key=lambda one: one.outlier.value_ns, reverse=True)
+    for one in worst if args.all else worst[:SHOWN]:
+        print_line()
+        for line in causes.lines(one, every=args.all):
+            print_line(line)
+    if len(worst) > SHOWN and not args.all:
+        print_line()
+        print_line(f"{counted(len(worst) - SHOWN, 'more outlier')}: --all prints them, and every part")
     if table.rows:
         print_line()
+        print_line(f"{table.title}:")
         print_rows(table)
+    for note in (*table.notes[len(advice) :], *thresholds([read_record(folder) for folder in source.folders], of)):
+        print_line(note)
     for more in (causes.step_table(explained), paths, periods, surroundings, cost):
         if more is not None and more.rows:
             print_line()
             print_line(f"{more.title}: {more.outcome}")
             print_rows(more)
-    worst = sorted((one for one in explained if one.parts), key=lambda one: one.outlier.value_ns, reverse=True)
-    for one in worst if args.all else worst[:SHOWN]:
-        print_line()
-        for line in causes.lines(one):
-            print_line(line)
-    if len(worst) > SHOWN and not args.all:
-        print_line()
-        print_line(f"{counted(len(worst) - SHOWN, 'more outlier')}: --all prints their parts")
     if args.perfetto is not None:
         print_line(f"written for ui.perfetto.dev: {args.perfetto}")
     if problems:

@@ -1,6 +1,6 @@
 """What is said about the causes of outliers, on the terminal and in a report."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -11,8 +11,9 @@ from rtfiles.errors import UsageError
 from rtfiles.output import counted, printable, showing_progress
 from rtfiles.quantities import time
 from rtrun.causes.outliers import Explained, explain_run
-from rtrun.causes.parts import Cause, Kind
+from rtrun.causes.parts import NAMELESS, Cause, Kind
 from rtrun.causes.ranking import Culprit, Ranking, rank
+from rtrun.causes.reconstruction import NORMAL_PRIO
 from rtrun.causes.recurring import Recurring, recurring
 from rtrun.causes.remedies import remedy
 from rtrun.causes.steps import Step
@@ -29,6 +30,7 @@ Found = tuple[Ranking, tuple[Explained, ...], tuple[str, ...]]
 """The ranking of culprits, the outliers that it rests on, and why a run's traces could not be read."""
 
 REMEDIES_MAX = 3
+NAMES_MAX = 5
 _RAISE = (
     "Most outliers have no trace: raise the limit of the campaign (trace: {above: ...}), so that fewer values ask for "
     "one while another is copied"
@@ -154,36 +156,60 @@ def answer(ranking: Ranking) -> str:
     first = ranking.culprits[0]
     is_half = 2 * first.main >= max(1, ranking.outliers)
     if (named := ranking.named or (first if is_half else None)) is not None:
+        if named.kind in (Kind.UNEXPLAINED, Kind.OUTSIDE):
+            return _not_known(ranking, named)
         perhaps = "Perhaps " if ranking.is_by_chance(named) else ""
         chance = ", which may be by chance" if perhaps else ""
         return (
             f"{perhaps}{culprit_name(named)}: the main cause of {named.main} of {outliers}, "
             f"{_percent(named.total_ns, ranking.late_ns)} of their lateness{chance}"
         )
+    if (kind := ranking.named_kind) is not None:
+        names = [one.name for one in ranking.culprits if one.kind is kind]
+        total_ns = sum(one.total_ns for one in ranking.culprits if one.kind is kind)
+        more = f" and {len(names) - NAMES_MAX} more" if len(names) > NAMES_MAX else ""
+        return printable(
+            f"{kind}, none of them alone: the main cause of {ranking.main_by_kind[kind]} of {outliers}, "
+            f"{_percent(total_ns, ranking.late_ns)} of their lateness: {', '.join(names[:NAMES_MAX])}{more}"
+        )
     text = f"No single cause: nothing is the main one of half of {outliers}"
     return f"{text}; most often, for {first.main}, it is {culprit_name(first)}" if first.main else text
 
 
+def _not_known(ranking: Ranking, first: Culprit) -> str:
+    """The answer where no event shows what most of the time was waited for: that, and what the rest was."""
+    rest = next((one for one in ranking.culprits if one.kind not in NAMELESS), None)
+    return (
+        f"Cannot be known from the traces: {culprit_name(first)} is the main part of {first.main} of "
+        f"{counted(ranking.outliers, 'traced outlier')}, {_percent(first.total_ns, ranking.late_ns)} of their lateness"
+        + (f"; most of the rest is {culprit_name(rest)}" if rest else "")
+    )
+
+
 def culprit_name(culprit: Culprit) -> str:
     """What took the time and, where it is a thread, its id and priority."""
-    if culprit.threads > 1:
+    if culprit.threads + culprit.alike > 1:
         return printable(f"{culprit.kind} {_who(culprit)}")
-    cause = Cause(kind=culprit.kind, name=culprit.name, pid=culprit.pid, prio=culprit.prio)
-    return printable(_cause(cause))
+    return printable(_cause(culprit))
 
 
 def _who(culprit: Culprit) -> str:
     """The name, and how many threads have it: a program that is started again and again has another id each time."""
+    if culprit.alike:
+        return f"{culprit.name} ({culprit.threads + culprit.alike} threads of such names)"
     return culprit.name if culprit.threads < 2 else f"{culprit.name} ({culprit.threads} threads of this name)"
 
 
 def remedies(ranking: Ranking) -> Iterator[str]:
     """What to change about the first culprits, a sentence each, with its source."""
     grave = [one for one in ranking.culprits if one.extra_ns >= REMEDY_FROM * ranking.late_ns]
-    for culprit in grave[:REMEDIES_MAX]:
+    names: dict[str, list[str]] = defaultdict(list)
+    for culprit in grave:
         found = remedy(culprit.kind, culprit.name)
         if found is not None:
-            yield printable(f"{culprit.name or culprit.kind}: {found.advice} ({found.source})")
+            names[f"{found.advice} ({found.source})"].append(culprit.name or culprit.kind)
+    for advice in list(names)[:REMEDIES_MAX]:
+        yield printable(f"{', '.join(names[advice])}: {advice}")
 
 
 def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
@@ -204,7 +230,7 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
             (
                 culprit.kind.value,
                 _who(culprit),
-                _priority(culprit.prio),
+                _priority(culprit),
                 f"{culprit.count} of {ranking.outliers}",
                 str(culprit.main),
                 time(culprit.total_ns),
@@ -278,8 +304,11 @@ def without_trace(explained: Iterable[Explained]) -> list[str]:
     return said
 
 
-def lines(one: Explained) -> Iterator[str]:
-    """An outlier and what its time consists of, the longest first, a line each; they add up to the value."""
+def lines(one: Explained, *, every: bool = True) -> Iterator[str]:
+    """An outlier and what its time consists of, the longest first, a line each; they add up to the value.
+
+    Unless it is to be `every` part, those that took less than `LISTED_FROM` of it are one.
+    """
     outlier = one.outlier
     at = f"{outlier.at_ns // 10**9}.{outlier.at_ns % 10**9 // 1000:06} s"
     note = f"; {one.note}" if one.note else ""
@@ -290,10 +319,16 @@ def lines(one: Explained) -> Iterator[str]:
     lengths: Counter[tuple[Cause, int | None]] = Counter()
     for part in one.parts:
         lengths[part.cause, part.cpu] += part.length_ns
-    if all(cause.kind is not Kind.UNEXPLAINED for cause, _ in lengths):
-        lengths[Cause(kind=Kind.UNEXPLAINED), None] = 0
+    least_ns = 0 if every else LISTED_FROM * outlier.value_ns
+    short_ns = [ns for (cause, _), ns in lengths.items() if ns < least_ns and cause.kind is not Kind.UNEXPLAINED]
     for (cause, cpu), length_ns in lengths.most_common():
+        if length_ns < least_ns and cause.kind is not Kind.UNEXPLAINED and len(short_ns) > 1:
+            continue
         yield printable(f"  {time(length_ns):>13}  {_cause(cause)}{'' if cpu is None else f', CPU {cpu}'}")
+    if len(short_ns) > 1:
+        yield f"  {time(sum(short_ns)):>13}  {len(short_ns)} more, which took less than 1 % each"
+    if all(cause.kind is not Kind.UNEXPLAINED for cause, _ in lengths):
+        yield f"  {time(0):>13}  {Kind.UNEXPLAINED}"
     for callback in one.callbacks:
         if callback.took_ns is not None and callback.took_ns < BESIDE_FROM * outlier.value_ns:
             continue
@@ -306,22 +341,23 @@ def lines(one: Explained) -> Iterator[str]:
             yield f"  meanwhile CPU {cpu} was idle for {time(idle_ns)}: {why}"
 
 
-def _cause(cause: Cause) -> str:
-    return " ".join(filter(None, [cause.kind.value, cause.name, _thread(cause.pid, cause.prio)]))
+def _cause(cause: Cause | Culprit) -> str:
+    """What took the time and, in brackets, a thread's id and priority."""
+    of_thread = "" if cause.pid is None else f"({', '.join(filter(None, [f'pid {cause.pid}', _priority(cause)]))})"
+    return " ".join(filter(None, [cause.kind.value, cause.name, of_thread]))
 
 
-def _thread(pid: int | None, prio: int | None) -> str:
-    """A thread in brackets."""
-    return "" if pid is None else f"({', '.join(filter(None, [f'pid {pid}', _priority(prio)]))})"
+def _priority(cause: Cause | Culprit) -> str:
+    """The priority of a thread and, where it is the higher one, that of the thread that waited."""
+    above = "" if cause.above is None else f" above {_policy(cause.above)}"
+    return "" if cause.prio is None else f"{_policy(cause.prio)}{above}"
 
 
-def _priority(prio: int | None) -> str:
+def _policy(prio: int) -> str:
     """The kernel's `prio` in the words of sched(7)."""
-    if prio is None:
-        return ""
     if prio < 0:
         return "deadline"
-    return f"real-time {99 - prio}" if prio < 100 else f"nice {prio - 120}"
+    return f"real-time {99 - prio}" if prio < NORMAL_PRIO else f"nice {prio - 120}"
 
 
 def _percent(part_ns: int, whole_ns: int) -> str:

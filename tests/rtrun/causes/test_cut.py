@@ -14,6 +14,8 @@ from rtrun.causes.parts import Kind
 from rtrun.causes.reconstruction import reconstruct
 
 ME, HOG, LOW, IDLE, OTHER = ("me", 1, 4), ("hog", 2, 1), ("low", 3, 120), ("idle", 0, 120), ("mate", 5, 4)
+NORMAL, MATE = ("me", 1, 120), ("mate", 5, 120)
+SENDS, TO_ME = "signal_generate: ", "errno=0 code=0 comm=me pid=1 grp=1 res=0"
 BELOW, NEXT = ("below", 7, 49), ("other", 8, 0)
 # The timer of a thread was due at 1000 us, and the clock of the trace is 500 us ahead of the timers' clock.
 START = line(100, "hrtimer_start: hrtimer=a function=hrtimer_wakeup expires=500000 softexpires=500000")
@@ -40,11 +42,12 @@ def end(us, cpu=0):
     return line(us, "x: y", cpu=cpu)
 
 
-def parts_of(text, *, due=1000, at, pid=1, own=(1,)):
+def parts_of(text, *, due=1000, at, pid=1, own=(1,), used_up=False):
     """What the lines say, as ``KIND name microseconds; ...``; what has one cause and follows each other is one."""
     order = reconstruct(events(text))
     callbacks = order.callbacks.get(pid, ())
-    made = cut(order, pid=pid, own=frozenset(own), due_ns=due * 1000, at_ns=at * 1000, callbacks=callbacks)
+    ends = {"due_ns": due * 1000, "at_ns": at * 1000}
+    made = cut(order, pid=pid, own=frozenset(own), callbacks=callbacks, used_up=used_up, **ends)
     assert sum(part.length_ns for part in made) == (at - due) * 1000
     alike = groupby(made, key=lambda part: (part.cause.kind, part.cause.name, part.cpu))
     lengths = ((kind, name, sum(part.length_ns for part in parts) // 1000) for (kind, name, _), parts in alike)
@@ -58,12 +61,13 @@ def are(parts, expected):
 
 @dataclass(frozen=True)
 class Case:
-    """A trace, the moment at which the value was measured, its parts, and the threads of the program."""
+    """A trace, the moment at which the value was measured, its parts, the threads of the program, and its quota."""
 
     text: str
     at: int
     parts: str
     own: tuple[int, ...] = (1,)
+    used_up: bool = False
 
 
 def timed_out(*, awaited_waits):
@@ -111,10 +115,26 @@ def of_equal(me, other):
     return text + switch(1400, other, me) + end(1410)
 
 
+def of_group(me, function, other=LOW, then="", refilled=1390):
+    """The thread waits for another one until a timer of the scheduler expires, whatever that one does."""
+    text = START + switch(200, me, other) + expiry(1000)
+    text += line(refilled, f"hrtimer_expire_entry: hrtimer=b function={function} now=890000", flags="d.h..") + then
+    return text + switch(1400, NEXT if then else other, me, state="R") + end(1410)
+
+
+def stopped_while_its_mate_waits():
+    """The timer wakes the mate, which waits for the hog; when it has woken the thread, both are stopped."""
+    text = START + switch(150, IDLE, SENDER, cpu=1) + switch(200, OTHER, LOW) + waking(210, 1, by=5)
+    text += switch(220, LOW, ME) + switch(230, ME, LOW) + switch(990, LOW, HOG, state="R")
+    text += expiry(1000).replace("pid=1 ", "pid=5 ")
+    text += waking(1300, 1, by=6, cpu=1) + line(1301, f"{SENDS}sig=19 {TO_ME}", cpu=1, name="sender", pid=6)
+    text += switch(1400, HOG, OTHER) + switch(1410, OTHER, ME) + switch(1440, ME, IDLE, state="T")
+    text += waking(1600, 1, by=6, cpu=1) + line(1601, f"{SENDS}sig=18 {TO_ME}", cpu=1, name="sender", pid=6)
+    return text + switch(1650, IDLE, ME) + end(1660)
+
+
 def stopped(signal):
-    text = BEFORE + line(
-        300, f"signal_generate: sig={signal} errno=0 code=0 comm=me pid=1 grp=1 res=0", name="low", pid=3
-    )
+    text = BEFORE + line(300, f"{SENDS}sig={signal} {TO_ME}", name="low", pid=3)
     text += switch(310, LOW, ME) + switch(320, ME, LOW, state="T") + switch(330, LOW, HOG)
     return text + waking(1400, 1, by=2) + switch(1402, HOG, ME, state="R") + end(1410)
 
@@ -157,12 +177,60 @@ CASES = {
     "two at SCHED_DEADLINE": Case(
         of_equal(("me", 1, -1), ("control", 2, -1)), 1410, "...; DEADLINE control 397; ..."
     ),
-    # Nobody throttles: the scheduler chose one with a lower weight.
+    # Nobody throttles, and none is above the other: the scheduler chose one of a lower weight, the same, and a higher.
     "threads without a real-time policy share the CPU": Case(
-        START + switch(200, ("me", 1, 120), LOW) + expiry(1000) + switch(1010, LOW, ("me", 1, 120), state="R")
-        + switch(1020, ("me", 1, 120), ("nice", 7, 130), state="R")
-        + switch(1400, ("nice", 7, 130), ("me", 1, 120), state="R") + end(1410),
-        1410, "...; SHARED nice 380; ...",
+        START + switch(200, NORMAL, LOW) + expiry(1000) + switch(1010, LOW, NORMAL, state="R")
+        + switch(1020, NORMAL, ("nice", 7, 130), state="R")
+        + switch(1200, ("nice", 7, 130), ("same", 8, 120), state="R")
+        + switch(1300, ("same", 8, 120), ("weighty", 5, 100), state="R")
+        + switch(1400, ("weighty", 5, 100), NORMAL, state="R") + end(1410),
+        1410, "...; SHARED nice 180; SHARED same 100; SHARED weighty 100; PROGRAM me 10",
+    ),
+    "interrupts off in one of a higher weight": Case(
+        START + switch(200, NORMAL, ("weighty", 5, 100)) + expiry(1300, late_us=300)
+        + switch(1304, ("weighty", 5, 100), NORMAL, state="R") + end(1310),
+        1310, "TIMER_LATE weighty 300; ...",
+    ),
+    # It is given the CPU as soon as its control group has time again: what others ran meanwhile took none of it.
+    "the quota of a control group beside others": Case(
+        of_group(NORMAL, "sched_cfs_period_timer"), 1410, "...; GROUP 397; ..."
+    ),
+    "the budget of a control group beside its equals": Case(
+        of_group(ME, "sched_rt_period_timer", other=("equal", 4, 4)), 1410, "...; THROTTLED equal 397; ..."
+    ),
+    # Where a quota was used up, those who waited before may come first.
+    "a quota that was used up": Case(
+        of_group(NORMAL, "sched_cfs_period_timer", then=switch(1320, LOW, NEXT, state="R"), refilled=1310), 1410,
+        "...; GROUP 317; HIGHER other 80; PROGRAM me 10", used_up=True,
+    ),
+    "a refill in the middle of a wait": Case(
+        of_group(NORMAL, "sched_cfs_period_timer", then=switch(1320, LOW, NEXT, state="R"), refilled=1250), 1410,
+        "...; SHARED low 317; ...", used_up=True,
+    ),
+    "a disk that is waited for": Case(
+        I_RUN + switch(1010, ME, LOW, state="D") + line(1390, "irq_handler_entry: irq=53 name=disk", flags="d.h..")
+        + waking(1395, 1, flags="d.h..") + line(1398, "irq_handler_exit: irq=53 ret=handled", flags="d.h..")
+        + switch(1400, LOW, ME) + end(1410),
+        1410, "...; PROGRAM me 5; BLOCKED interrupt 53 disk 385; INTERRUPT 53 disk 3; ...",
+    ),
+    "a lock of a thread whose quota was used up": Case(
+        START + switch(200, NORMAL, MATE) + expiry(1000) + switch(1005, MATE, NORMAL, state="R")
+        + line(1010, "sys_futex(uaddr: 0x7f, op: 0x80, val: 2, utime: 0)", name="me", pid=1)
+        + switch(1011, NORMAL, LOW)
+        + line(1390, "hrtimer_expire_entry: hrtimer=b function=sched_cfs_period_timer now=890000", flags="d.h..")
+        + switch(1391, LOW, MATE, state="R") + waking(1400, 1, by=5) + switch(1402, MATE, NORMAL) + end(1410),
+        1410, "...; PROGRAM me 6; GROUP 380; LOCK mate 9; OTHER_THREAD mate 2; PROGRAM me 8",
+        own=(1, 5),
+    ),
+    "the budget of others": Case(of_group(NORMAL, "sched_rt_period_timer"), 1410, "...; SHARED low 397; ..."),
+    "another one comes first": Case(
+        of_group(NORMAL, "sched_cfs_period_timer", then=switch(1395, LOW, NEXT, state="R")), 1410, "...; SHARED ...",
+    ),
+    # As a shell does: the child has its parent's name until it runs another program.
+    "a process that is started anew": Case(
+        BEFORE + switch(990, LOW, ("sh", 2, 1), state="R") + expiry(1000) + switch(1400, ("job17", 2, 1), ME)
+        + end(1410),
+        1410, f"{EXPIRED}; HIGHER job17 397; PROGRAM me 10",
     ),
     # A thread of lower priority was chosen although the measured one could run.
     "throttling": Case(
@@ -232,7 +300,23 @@ CASES = {
     ),
     # By who stopped it, rather than by who let it go on; another signal stops nothing.
     "a program that was stopped": Case(stopped(19), 1410, "STOPPED low 400; ..."),
-    "a program that was stopped by nobody who is seen": Case(stopped(10), 1410, "STOPPED hog 400; ..."),
+    "a program that was stopped by nobody who is seen": Case(stopped(10), 1410, "LET_GO_ON hog 400; ..."),
+    "a program that was stopped by another one before": Case(
+        line(10, f"{SENDS}sig=19 {TO_ME}", name="hog", pid=2) + switch(20, ME, LOW, state="T") + waking(90, 1, by=3)
+        + switch(95, LOW, ME) + stopped(10),
+        1410, "LET_GO_ON hog 400; ...",
+    ),
+    "a thread that hands work over, and then stops another program": Case(
+        switch(150, IDLE, SENDER, cpu=1) + switch(200, ME, LOW) + waking(1200, 1, by=6, cpu=1)
+        + line(1390, f"{SENDS}sig=19 {TO_ME.replace('pid=1 ', 'pid=7 ')}", cpu=1, name="sender", pid=6)
+        + switch(1400, LOW, ME) + end(1410),
+        1410, "OTHER_THREAD sender 200; NOT_PREEMPTED low 200; PROGRAM me 10",
+    ),
+    # It waits for a mate, who waits for a CPU: who wakes it to stop it has handed no work over.
+    "a signal that stops is not what was waited for": Case(
+        stopped_while_its_mate_waits(), 1660,
+        "...; HIGHER hog 397; OTHER_THREAD mate 10; PROGRAM me 30; STOPPED sender 160; ...", own=(1, 5),
+    ),
     # Its timer had not expired: the lock was given free before.
     "a thread that woke another in time did not freeze it": Case(
         START.replace("=500000", "=900000") + switch(200, ME, LOW) + waking(1300, 1, by=3) + switch(1302, LOW, ME)
@@ -295,14 +379,19 @@ CASES = {
     "a trace that begins too late": Case(switch(1400, HOG, ME) + end(1410), 1410, "UNEXPLAINED 400; PROGRAM me 10"),
     # It waited from when every CPU is in the trace: before that, one that is not may have woken it.
     "a thread that was woken before the trace begins": Case(
-        woken_before(1090), 1410, "UNEXPLAINED 100; HIGHER hog 300; PROGRAM me 10"
+        woken_before(1090), 1410, "UNEXPLAINED before the trace begins 100; HIGHER hog 300; PROGRAM me 10"
     ),
     "a CPU that is in the trace later": Case(
-        woken_before(1200), 1410, "UNEXPLAINED 200; HIGHER hog 200; PROGRAM me 10"
+        woken_before(1200), 1410, "UNEXPLAINED before the trace begins 200; HIGHER hog 200; PROGRAM me 10"
     ),
     "a wake-up may be among lost events": Case(
         woken_before(1090, "CPU:1 [LOST 5 EVENTS]\n" + line(1250, "x: y", cpu=1, name="idle", pid=0)),
         1410, "UNEXPLAINED 250; HIGHER hog 150; PROGRAM me 10",
+    ),
+    # Nobody is seen to wake it, and no CPU has an event for 20 ms: recording was paused.
+    "a wake-up while recording was paused": Case(
+        BEFORE + end(300) + switch(21_300, LOW, HOG, state="R") + switch(21_400, HOG, ME) + end(21_410), 21_410,
+        "UNEXPLAINED 20300; HIGHER hog 100; PROGRAM me 10",
     ),
     "a new thread did not wait since the trace began": Case(
         woken_before(
@@ -360,7 +449,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_the_parts_of_a_late_value(case):
-    parts = parts_of(case.text, at=case.at, own=case.own)
+    parts = parts_of(case.text, at=case.at, own=case.own, used_up=case.used_up)
     assert are(parts, case.parts), parts
 
 

@@ -60,7 +60,7 @@ A, B = ("a", 9, 4), ("b", 8, 120)
         ),
         (
             "hrtimer_expire_entry: hrtimer=0000000067ea50c6 function=hrtimer_wakeup now=70",
-            TimerExpiry(5000, 1, "0000000067ea50c6", 70),
+            TimerExpiry(5000, 1, "0000000067ea50c6", 70, "hrtimer_wakeup"),
         ),
         ("sys_futex(uaddr: 0x7f, op: 0x81, val: 1, utime: 0)", Futex(5000, 1, 9, 0x81)),
         ("sys_futex(uaddr: 7f, op: 80, val: 1, utime: 0)", Futex(5000, 1, 9, 0x80)),

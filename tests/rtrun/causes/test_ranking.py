@@ -48,6 +48,8 @@ def test_a_frequent_thread_is_not_blamed_for_being_frequent():
 def test_who_ran_while_interrupts_were_off_is_not_blamed_for_always_running():
     """A load that has the CPU all the time has it also when the host does not run the virtual machine."""
     assert rank([outlier((Kind.TIMER_LATE, "load", 1000), usual={"load": 1000})] * 3).named is None
+    assert rank([outlier((Kind.NOT_PREEMPTED, "disk", 1000), usual={"disk": 600})] * 8).named is None
+    assert rank([outlier((Kind.NOT_PREEMPTED, "disk", 1000), usual={"disk": 600})] * 10).named is not None, "no chance"
     named = rank([outlier((Kind.TIMER_LATE, "driver", 1000), usual={"driver": 10})] * 3).named
     assert named is not None
     assert named.name == "driver"
@@ -78,7 +80,44 @@ def test_who_has_the_cpu_often_is_there_by_chance_in_a_few_outliers():
     assert rank(stopped).named is not None, "of ten outliers it is no chance"
 
 
-@pytest.mark.parametrize("kind", [Kind.OWN_SLEEP, Kind.PROGRAM, Kind.UNEXPLAINED, Kind.OUTSIDE])
+def test_processes_with_a_number_in_the_name_are_one_culprit():
+    """Each job is a process of its own; names with numbers that are there all the time are of different things."""
+    jobs = [outlier((Kind.HIGHER, f"job{pid}", 1000), pid=pid) for pid in range(100, 104)]
+    made = rank([*jobs, *[outlier((Kind.HIGHER, f"irq/{pid}-eth", 1000), pid=pid) for pid in (7, 8)] * 2])
+    assert [(one.main, one.threads + one.alike) for one in made.culprits] == [(4, 4), (2, 1), (2, 1)]
+    assert re.search(r"higher priority job10\d \(4 threads of such names\): the main cause of 4 of 8", answer(made))
+    devices = outlier((Kind.HIGHER, "irq/7-eth", 600), (Kind.HIGHER, "irq/8-eth", 400), pid=7)
+    assert [one.name for one in rank([devices]).culprits] == ["irq/7-eth", "irq/8-eth"]
+    workers = [outlier((Kind.HIGHER, f"kworker/1:{pid}", 1000), pid=pid) for pid in (7, 8)] * 2
+    assert [one.main for one in rank(workers).culprits] == [4]
+
+
+def test_many_who_share_a_cpu_are_the_cause_together():
+    """No thread of a build is the main cause of half of the outliers, but that they share the CPU is of all."""
+    names = ("cc1", "as", "ld", "make", "sh", "cmake")
+    made = rank(outlier((Kind.SHARED, name, 600), (Kind.SHARED, "python", 400)) for name in names)
+    assert answer(made) == (
+        "thread that shares the CPU without real-time priority, none of them alone: the main cause of 6 of 6 traced "
+        "outliers, 100 % of their lateness: as, cc1, cmake, ld, make and 2 more"
+    )
+    assert [note for note in table(made, ()).notes if "-s RR" in note] == [
+        "as, cc1, cmake, ld, make, sh, python: without a real-time policy a thread shares the CPU: run it with one "
+        "(-s RR) (sched(7))"
+    ]
+    by_chance = rank(outlier((Kind.TIMER_LATE, name, 900), (Kind.SHARED, "x", 100)) for name in names)
+    assert answer(by_chance).startswith("No single cause")
+
+
+@pytest.mark.parametrize("kind", [Kind.UNEXPLAINED, Kind.OUTSIDE])
+def test_what_no_event_shows_cannot_be_known(kind):
+    made = rank([outlier((kind, "x", 900), (Kind.HIGHER, "hog", 100))] * 4)
+    assert answer(made) == (
+        f"Cannot be known from the traces: {kind} x is the main part of 4 of 4 traced outliers, 90 % of their "
+        "lateness; most of the rest is thread of higher priority hog"
+    )
+
+
+@pytest.mark.parametrize("kind", [Kind.OWN_SLEEP, Kind.PROGRAM])
 def test_the_answer_is_the_first_row_of_the_table_also_where_that_blames_nobody(kind):
     made = rank([outlier((kind, "x", 1000))] * 22 + [outlier((Kind.HIGHER, "hog", 1000))] * 3)
     assert made.named is None

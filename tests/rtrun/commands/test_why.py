@@ -21,24 +21,26 @@ def results(tmp_path):
 def test_the_answer_comes_first(results, capsys):
     assert main(["why", str(results)]) == 0
     out = capsys.readouterr().out
-    first, second, third = out.splitlines()[:3]
+    first, second, third, worst = out.splitlines()[:4]
     assert first == (
-        "thread of higher priority planted_hog (pid 23165, real-time 98): "
+        "thread of higher priority planted_hog (pid 23165, real-time 98 above real-time 95): "
         "the main cause of 1 of 1 traced outlier, 97 % of their lateness."
     )
     assert second.startswith("planted_hog: give the thread a lower real-time priority than the measured one")
     assert second.endswith("(sched(7), chrt(1))")
-    assert third.startswith("1 outlier without parts: the trace holds nothing of that moment")
+    assert (third, worst.split(":")[0]) == ("", "1.722 ms too late")
+    assert "\n1 outlier without parts: the trace holds nothing of that moment" in out
     lines = [line.split() for line in out.splitlines()]
-    begin = next(k for k, words in enumerate(lines) if words[:4] == ["1.722", "ms", "too", "late:"])
     units = {"ns": 0.001, "us": 1, "ms": 1000}
-    parts = [float(words[0]) * units[words[1]] for words in lines[begin + 1 :] if words[1:2] and words[1] in units]
+    parts = [
+        float(words[0]) * units[words[1]] for words in lines[4 : lines.index([], 3)] if words[1:2] and words[1] in units
+    ]
     assert sum(parts) == pytest.approx(1721.9, abs=1)
     # What no event explains is shown even where that is nothing: in the ranking and with the outlier.
     unexplained = [words for words in lines if "unexplained" in words]
     assert unexplained == [
-        ["unexplained", "0", "of", "1", "0", "0", "us", "0", "us", "-"],
         ["0", "us", "unexplained"],
+        ["unexplained", "0", "of", "1", "0", "0", "us", "0", "us", "-"],
     ]
 
 
@@ -79,8 +81,29 @@ def test_names_of_threads_are_not_cut_off(tmp_path, capsys):
     text += switch(99_999_000, hog, me, state="R")
     write_traced_run(tmp_path, {3: text + line(100_000_001, "local_timer_entry: vector=1")}, [1])
     assert main(["why", str(tmp_path)]) == 0
-    ranking, _ = capsys.readouterr().out.split(" too late")
-    assert "a_name_of_15_ch  " in ranking.split("what ")[1]
+    assert "a_name_of_15_ch  " in capsys.readouterr().out.split("\nwhat ")[1]
+
+
+@pytest.mark.parametrize("width", ["60", "80"])
+def test_the_first_screen_has_the_three_worst_and_no_broken_word(width, tmp_path, capsys, monkeypatch):
+    """Whoever took less than a hundredth of an outlier is summed up there; --all prints every part of every outlier."""
+    monkeypatch.setenv("COLUMNS", width)
+    me, hog, short = ("cyclic_timer_te", 1, 4), ("a_name_of_15_ch", 2, 1), [(f"short_{n}", n, 1) for n in (3, 4)]
+    traces = {}
+    for index in (3, 4, 5, 6):
+        text = head(900_000 + index, index, 1_000_000) + switch(90_000, me, hog, state="R")
+        text += "".join(switch(us, *pair) for us, *pair in zip((990_000, 990_100), (hog, short[0]), short, strict=True))
+        traces[index] = text + switch(990_200, short[1], me, state="R") + line(1_000_001, "local_timer_entry: vector=1")
+    write_traced_run(tmp_path, traces, [1])
+    assert main(["why", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    worst, ranking = out.split("\n1 more outlier: --all prints them, and every part\n")
+    assert (worst.count(" too late: "), worst.count("200 us  2 more, which took less than 1 % each")) == (3, 3)
+    assert max(map(len, ranking.splitlines()[2:-1])) <= int(width)
+    assert {"thread", "higher", "a_name_of_15_ch", "real-time", "unexplained"} <= set(ranking.split())
+    assert main(["why", str(tmp_path), "--all"]) == 0
+    out = capsys.readouterr().out
+    assert (out.count(" too late: "), out.count("short_3"), "more" in out.split("What late")[0]) == (4, 4, False)
 
 
 def test_an_idle_cpu_that_the_thread_could_not_use_is_said(tmp_path, capsys):
@@ -99,8 +122,8 @@ def test_who_took_little_is_counted(tmp_path, capsys):
     text = head(1000, 3, 5000) + switch(3000, hog, me, state="R") + switch(3500, me, hog, state="R")
     text += switch(4985, hog, trifle, state="R") + switch(4990, trifle, me, state="R")
     write_traced_run(tmp_path, {3: text + line(5001, "local_timer_entry: vector=1")}, [1])
-    assert main(["why", str(tmp_path)]) == 0
-    ranking, outlier = capsys.readouterr().out.split(" too late")
+    assert main(["why", str(tmp_path), "--all"]) == 0
+    outlier, ranking = capsys.readouterr().out.split("\nWhat late values waited for:\n")
     assert "1 more took less than 1 % each" in ranking and "trifle" not in ranking
     assert "trifle" in outlier, "the parts of an outlier are all there"
 
@@ -109,7 +132,7 @@ def test_a_section_of_the_report(results, capsys):
     assert main(["report", str(results), "--output", "-", "--format", "markdown"]) == 0
     out = capsys.readouterr().out
     assert "## What late values waited for" in out
-    assert "| thread of higher priority | planted\\_hog | real-time 98 | 1 of 1 | 1 |" in out
+    assert "| thread of higher priority | planted\\_hog | real-time 98 above real-time 95 | 1 of 1 | 1 |" in out
 
 
 def every_500th_is_late(n=20_000):

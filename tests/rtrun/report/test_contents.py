@@ -84,7 +84,9 @@ def test_claims_and_worst_cases_stand_in_a_report_where_they_are_answered(tmp_pa
 def test_next_is_the_cause_and_its_remedy_where_there_are_traces(tmp_path):
     write_traced_run(tmp_path, {1558: specimen(1558)}, [23166, 23175])
     step = contents_of(tmp_path).next_step
-    assert step.startswith("thread of higher priority planted_hog (pid 23165, real-time 98): the main cause of 1 of 1")
+    assert step.startswith(
+        "thread of higher priority planted_hog (pid 23165, real-time 98 above real-time 95): the main cause of 1 of 1"
+    )
     assert ". planted_hog: give the thread a lower real-time priority" in step
 
 
