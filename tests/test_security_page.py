@@ -33,6 +33,7 @@ NO_LIMITS = {
         "rtrun.plan.topology.rates._UNIONS_MAX",
         "rtrun.analysis.response_time.STEPS_MAX",
         "rtrun.causes.control.WINDOWS_MAX",
+        "rtrun.report.causes.NAMES_MAX",
         "rtrun.report.causes.REMEDIES_MAX",
         "rtrun.validity.requirements.NAMED_MAX",
         "rtrun.kinds.rate.OFF_MAX",
