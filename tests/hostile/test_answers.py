@@ -13,6 +13,7 @@ from rtrun.execution import journal, resumption
 from rtrun.execution.middleware import roscpp
 from rtrun.targets.errors import TargetError
 from rtrun.targets.labgrid import places as labgrid
+from rtrun.targets.labgrid.resources import read_resources, ssh_service
 
 SERVICE = "targets:\n  board:\n    resources:\n      NetworkService: {service}\n"
 
@@ -32,7 +33,7 @@ SERVICE = "targets:\n  board:\n    resources:\n      NetworkService: {service}\n
 )
 def test_an_environment_that_names_no_board(printed, message):
     with pytest.raises(TargetError, match=message):
-        labgrid._service(labgrid._resources(printed, "board"), "board")
+        ssh_service(read_resources(printed, "board"), "board")
 
 
 def test_an_acquisition_that_never_ends_is_ended_and_given_back(tmp_path, monkeypatch):

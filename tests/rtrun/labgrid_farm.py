@@ -8,12 +8,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
+from signal import SIGTERM
 from typing import Any
 
 from ports import free_port
-from rtrun.targets.labgrid import places as labgrid
+from rtrun.targets.labgrid import coordinator as labgrid
 
 
 class Farm:
@@ -21,6 +22,35 @@ class Farm:
 
     def __init__(self, folder: Path, port: int) -> None:
         self.folder, self.coordinator = folder, f"127.0.0.1:{port}"
+        self._servers: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, server: str) -> None:
+        """Start `coordinator` or `exporter`, and wait until it is ready."""
+        of_exporter = ("-c", self.coordinator, "-n", "bench", "exporter.yaml")
+        words = ("-l", self.coordinator) if server == "coordinator" else of_exporter
+        log = self.folder / f"{server}.log"
+        with log.open("wb") as output:
+            command = [sys.executable, "-m", f"labgrid.remote.{server}", *words]
+            process = subprocess.Popen(command, cwd=self.folder, stdout=output, stderr=output)
+        self._servers[server] = process
+        while server == "coordinator" and "listening on" not in log.read_text():
+            assert process.poll() is None, log.read_text()
+            time.sleep(0.05)
+
+    def end(self, server: str, signal: int = SIGTERM) -> None:
+        """End a server that may have ended by itself."""
+        self._servers[server].send_signal(signal)
+        self._servers.pop(server).wait(60)
+
+    def end_all(self) -> None:
+        for server in reversed([*self._servers]):
+            self.end(server)
+
+    def await_resources(self, expected: Collection[str]) -> None:
+        """Wait until the exporter offers these, as ``group/kind``."""
+        while not {*expected} <= {f"{each.group}/{each.kind}" for each in labgrid.list_resources(self.coordinator)}:
+            assert self._servers["exporter"].poll() is None, (self.folder / "exporter.log").read_text()
+            time.sleep(0.2)
 
     def client(self, *words: str, user: str | None = None) -> str:
         """Call labgrid's client, as this user or another one; return what it prints."""
@@ -41,37 +71,22 @@ def farm_of(folder: Path, resources: Mapping[str, Mapping[str, Any]], tags: Mapp
     """Run coordinator and exporter; each place has the exported resources of its name, and `tags` where it has any."""
     farm = Farm(folder, free_port())
     (folder / "exporter.yaml").write_text(json.dumps({name: group for name, group in resources.items() if group}))
-    with contextlib.ExitStack() as stack:
-        coordinator = (sys.executable, "-m", "labgrid.remote.coordinator", "-l", farm.coordinator)
-        stack.enter_context(_running(*coordinator, folder=folder, ready="listening on"))
-        exporter = (sys.executable, "-m", "labgrid.remote.exporter", "-c", farm.coordinator, "-n", "bench")
-        exporting = stack.enter_context(_running(*exporter, "exporter.yaml", folder=folder))
-        for name, group in resources.items():
-            farm.client("-p", name, "create")
-            farm.client("-p", name, "add-match", f"bench/{name}/*")
-            if group:
-                farm.client("-p", name, "set-tags", *(f"{key}={value}" for key, value in tags.items()))
-        expected = [f"bench/{name}/{kind}" for name, group in resources.items() for kind in group]
-        while not all(path in farm.client("resources") for path in expected):
-            assert exporting.poll() is None, (folder / "exporter.log").read_text()
-            time.sleep(1)
-        yield farm
-
-
-@contextlib.contextmanager
-def _running(*command: str, folder: Path, ready: str = "") -> "Iterator[subprocess.Popen[bytes]]":
-    """Run a server until the context is left; it is ready when it prints what `ready` says."""
-    log = folder / f"{command[2].rpartition('.')[2]}.log"
-    with log.open("wb") as output:
-        process = subprocess.Popen(command, cwd=folder, stdout=output, stderr=output)
     try:
-        while ready not in log.read_text():
-            assert process.poll() is None, log.read_text()
-            time.sleep(0.05)
-        yield process
+        # What a coordinator wrote that was ended: each call of the client would take a second.
+        places = {
+            name: {
+                "tags": dict(tags) if group else {},
+                "matches": [{"exporter": "bench", "group": name, "cls": "*"}],
+            }
+            for name, group in resources.items()
+        }
+        (folder / "places.yaml").write_text(json.dumps(places))
+        farm.start("coordinator")
+        farm.start("exporter")
+        farm.await_resources([f"{name}/{kind}" for name, group in resources.items() for kind in group])
+        yield farm
     finally:
-        process.terminate()
-        process.wait(60)
+        farm.end_all()
 
 
 @contextlib.contextmanager

@@ -9,18 +9,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtfiles.output import console, print_line
+from rtfiles.output import console, print_line, print_note
 from rtrun.execution import campaign_runner
 from rtrun.execution.board import Observer
 from rtrun.execution.board_progress import showing_boards
 from rtrun.execution.campaign_runner import PlanRounds
 from rtrun.execution.farm import Board
+from rtrun.execution.journal import place_of_begun
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import Run
 from rtrun.results.record import RunStatus
 from rtrun.targets.config import LabgridConfig, Target, TargetConfig, connect, parse_target, read_target
 from rtrun.targets.labgrid import environment as labgrid_environment
 from rtrun.targets.labgrid import places as labgrid
+from rtrun.targets.labgrid.coordinator import coordinator_of, list_places, matching
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,15 +66,19 @@ def read_targets(
 
 
 def _find_places(farm: str, environment: labgrid_environment.Environment | None) -> list[str]:
-    """The places of ``labgrid:KEY=VALUE,...``. Raises UsageError when there are none."""
+    """The places of ``labgrid:KEY=VALUE,...`` that are not in quarantine. Raises UsageError when there are none,
+    TargetError when all are."""
     kind, _, text = farm.partition(":")
     tags = dict(pair.partition("=")[::2] for pair in text.split(","))
     if kind != "labgrid" or not all(tags) or not all(tags.values()):
         raise UsageError(f"--targets {farm}: takes labgrid:KEY=VALUE, tags of the places, several with a comma between")
-    coordinator = labgrid.coordinator_of(None, environment or labgrid_environment.Environment())
-    places = labgrid.list_places(coordinator)
-    if found := [place.name for place in labgrid.matching(places, tags)]:
-        return found
+    coordinator = coordinator_of(None, environment or labgrid_environment.Environment())
+    places = list_places(coordinator)
+    if found := matching(places, tags):
+        healthy, left_out = labgrid.without_quarantine(found)
+        if left_out:
+            print_note(f"rtrun: {left_out}: left out")
+        return [place.name for place in healthy]
     there = ", ".join(place.name for place in places) or "none"
     raise UsageError(f"--targets {farm}: the coordinator at {coordinator} has no such place; its places: {there}")
 
@@ -98,7 +104,9 @@ def measure_on(
     """Measure a campaign, or the chosen runs of it, on these targets. `observer` shows the progress of one alone."""
     if len(targets) == 1:
         (only,) = targets
-        with connect(only.config, only.folder, results / "console.log", notify=observer.note) as target:
+        preferred = place_of_begun(results, only.name)
+        console_log = results / "console.log"
+        with connect(only.config, only.folder, console_log, notify=observer.note, preferred=preferred) as target:
             return campaign_runner.run_campaign(
                 target, name, runs, results, observer, chosen=chosen, variants=variants, rounds=rounds
             )
@@ -107,7 +115,7 @@ def measure_on(
         boards = [
             Board(
                 name=each.name,
-                connect=functools.partial(_connect, each, results / f"console-{each.name}.log", lines[each.name]),
+                connect=functools.partial(_connect, each, results, lines[each.name]),
                 observer=lines[each.name],
             )
             for each in targets
@@ -126,6 +134,7 @@ def print_failed(statuses: Mapping[str, RunStatus]) -> int:
 
 
 def _connect(
-    each: TargetFile, console: Path, observer: Observer, is_over: Callable[[], bool]
+    each: TargetFile, results: Path, observer: Observer, is_over: Callable[[], bool]
 ) -> AbstractContextManager[Target]:
-    return connect(each.config, each.folder, console, notify=observer.note, is_over=is_over)
+    console_log, preferred = results / f"console-{each.name}.log", place_of_begun(results, each.name)
+    return connect(each.config, each.folder, console_log, notify=observer.note, is_over=is_over, preferred=preferred)

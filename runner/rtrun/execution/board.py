@@ -85,6 +85,8 @@ def measure_rounds(
     """
     if len(kernels := dict.fromkeys(run.kernel for run in session.needed if run.kernel)) > 1:
         check_restart(link.target, kernels)
+    if link.target.place is not None:
+        session.log.note_place(session.now().isoformat(), link.target.name, link.target.place)
     numbers = {run.name: number for number, run in enumerate(session.chosen)}
     remote = link.target.work_dir / "runs" / session.log.uid
 

@@ -1,5 +1,6 @@
 """The journal of a campaign, a SQLite file in its results folder: by it a campaign is known again after a crash."""
 
+import contextlib
 import itertools
 import re
 import secrets
@@ -10,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.execution.run_state import RunState
@@ -17,6 +19,7 @@ from rtrun.execution.run_state import RunState
 NAME = "journal.sqlite"
 SESSION = "session"
 GIVEN = "given to"
+_AT = "at place"
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS campaign (uid TEXT NOT NULL, name TEXT NOT NULL, plan TEXT NOT NULL, target TEXT NOT NULL);
@@ -56,6 +59,10 @@ class Journal:
     def give(self, time: str, run: str, target: str) -> None:
         """Record which of several targets is to measure a run. Raises InfrastructureError."""
         self.note(time, run, GIVEN, target)
+
+    def note_place(self, time: str, target: str, place: str) -> None:
+        """Record which place of a farm a target is now. Raises InfrastructureError."""
+        self.note(time, "", _AT, f"{target} {place}")
 
     def owners(self) -> dict[str, str]:
         """The target that each run was given to which is not closed since, by the name of the run.
@@ -126,6 +133,28 @@ class Journal:
     def close(self) -> None:
         """Close the file."""
         self.database.close()
+
+
+def place_of_begun(folder: Path, target: str) -> str | None:
+    """The place of a farm where a target was last, if a run was begun there and not closed; None where nobody knows."""
+    path = folder / NAME
+    if not path.is_file():
+        return None
+    try:
+        with contextlib.closing(sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)) as database:
+            rows = database.execute("SELECT run, what, reason FROM event ORDER BY rowid").fetchall()
+    except sqlite3.Error:
+        return None  # whoever opens it to go on says what is wrong
+    place: str | None = None
+    begun: set[str] = set()
+    for run, what, reason in rows:
+        if what == _AT and isinstance(reason, str) and reason.startswith(f"{target} "):
+            place, begun = reason.partition(" ")[2], set()
+        elif what == RunState.CLOSED:
+            begun.discard(run)
+        elif run:
+            begun.add(run)
+    return place if begun else None
 
 
 def open_journal(folder: Path, name: str, plan: str, *targets: str) -> Journal:

@@ -5,8 +5,7 @@ import functools
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
@@ -24,6 +23,7 @@ from rtrun.targets.errors import ConnectionLost, TargetGone
 from rtrun.targets.inspection.platform import KnownPlatform, Platform
 from rtrun.targets.labgrid import environment as labgrid_environment
 from rtrun.targets.labgrid import places as labgrid
+from rtrun.targets.labgrid.coordinator import coordinator_of
 from rtrun.targets.qemu import emulator as qemu
 from rtrun.targets.ssh.ssh_config import address_of
 
@@ -109,6 +109,8 @@ class LabgridConfig(_Ssh):
     """HOST or HOST:PORT; none: as labgrid's environment file, LG_COORDINATOR, or labgrid's default."""
     environment: UserPath | None = None
     """labgrid's own environment file, relative to this file, for what a place needs beside its resources."""
+    priority: Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)] = 0.0
+    """Of those who wait for a place the highest has it first."""
     boot_s: Annotated[int, Field(ge=1, le=BOOT_MAX_S)] = 180
     """How long the board may take until SSH answers after its power was switched, in seconds."""
 
@@ -211,11 +213,14 @@ def connect(
     *,
     notify: Callable[[str], None] = print_note,
     is_over: Callable[[], bool] = lambda: False,
+    is_check: bool = False,
+    preferred: str | None = None,
 ) -> Iterator[Target]:
     """Yield the target; a board in QEMU is booted, a place of a farm acquired, until the context is left.
 
     Relative paths of the config are relative to `folder`. The serial console of such a board goes to `console`. Where
-    a place is waited for, `notify` is told, until `is_over`.
+    a place is waited for, `notify` is told, until `is_over`. For a health check a place may be in quarantine, and none
+    is waited for: TargetGone. `preferred` is the place to take where it is free.
     """
     suites = _resolve(folder, config.suites) if config.suites is not None else None
     if suites is not None and not suites.is_dir():
@@ -253,7 +258,8 @@ def connect(
     if isinstance(config, SshConfig):
         yield target(address=_address(config, folder, config.host, config.port, config.user), restart=restart)
         return
-    with _place(config, folder, console, notify, is_over) as place:
+    wanted = replace(wanted_place(config, folder), is_check=is_check, preferred=preferred)
+    with labgrid.acquired(wanted, console, notify, is_over) as place:
         cycle = place.power_cycle
         yield target(
             address=_address(config, folder, place.host, place.port, place.user, place.key),
@@ -264,15 +270,17 @@ def connect(
         )
 
 
-def _place(
-    config: LabgridConfig, folder: Path, console: Path, notify: Callable[[str], None], is_over: Callable[[], bool]
-) -> AbstractContextManager[labgrid.AcquiredPlace]:
+def wanted_place(config: LabgridConfig, folder: Path) -> labgrid.WantedPlace:
+    """What a target file asks of which coordinator. Raises UsageError for an environment file that is none."""
     environment = labgrid_environment.Environment()
     if config.environment is not None:
         environment = labgrid_environment.read_environment(_resolve(folder, config.environment))
-    wanted = {"name": config.place} if config.place is not None else config.filter
-    coordinator = labgrid.coordinator_of(config.coordinator, environment)
-    return labgrid.acquired(coordinator, wanted, environment, console, notify, is_over)
+    return labgrid.WantedPlace(
+        coordinator=coordinator_of(config.coordinator, environment),
+        tags={"name": config.place} if config.place is not None else config.filter,
+        environment=environment,
+        priority=config.priority,
+    )
 
 
 def _address(

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -18,8 +19,12 @@ from conftest import SSHD, serve
 from rtfiles.errors import UsageError
 from rtrun.cli import main
 from rtrun.commands._boards import read_targets
+from rtrun.execution.journal import place_of_begun
 from rtrun.targets.config import parse_target
 from rtrun.targets.labgrid import environment as labgrid_environment
+from rtrun.targets.labgrid import watch
+from rtrun.targets.labgrid.coordinator import list_resources
+from rtrun.targets.labgrid.health import after_failure, after_success, in_words
 
 pytest.importorskip("labgrid", reason="pip install meta-rt-tests[farm]")
 
@@ -31,6 +36,7 @@ def on_farm(test):
     return test
 
 
+OFFERED = ["panda-1/NetworkService", "panda-1/NetworkPowerPort", "spare-1/NetworkService"]
 CAMPAIGN = "schema: 1\nname: test\nruns: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101]}]\n"
 
 
@@ -80,8 +86,13 @@ def servers(tmp_path_factory):
             "NetworkPowerPort": stack.enter_context(power_switch(switch)),
             "NetworkSerialPort": {"host": "127.0.0.1", "port": serial, "protocol": "raw"},
         }
-        farm = stack.enter_context(farm_of(folder, {"panda-1": group, "empty-1": {}}, {"board": "panda"}))
-        farm.sshd, farm.switch, farm.cycles = sshd, switch, cycles
+        (folder / "spare").mkdir()
+        spare = stack.enter_context(serve(folder / "spare"))
+        service = {"address": "127.0.0.1", "port": spare.port, "username": spare.user}
+        resources = {"panda-1": group, "spare-1": {"NetworkService": service}, "empty-1": {}}
+        farm = stack.enter_context(farm_of(folder, resources, {"board": "panda"}))
+        farm.client("-p", "spare-1", "set-tags", "board=", "healthy=yes")
+        farm.sshd, farm.switch, farm.cycles, farm.spare = sshd, switch, cycles, spare
         yield farm
 
 
@@ -131,6 +142,7 @@ def test_a_dead_board_is_switched_off_and_on_and_the_campaign_goes_on(farm, caps
     farm.cycles.clear()
     assert main(write_target(farm, place="panda-1")) == 0
     assert farm.cycles == [False, True] and len(records()) == 2
+    assert int(farm.place("panda-1").tags["power_cycles"]) >= 1
     assert "switching its power off and on" in capsys.readouterr().err
 
 
@@ -207,9 +219,131 @@ def test_a_killed_runner_gives_the_place_back_and_the_next_call_goes_on(farm):
     assert farm.place("panda-1").holder
     process.send_signal(signal.SIGKILL)
     process.wait()
+    # Of several places that one is taken again.
+    assert place_of_begun(Path("results/test"), "panda") == "panda-1"
     farm.await_free("panda-1")
     assert main(words) == 0
+    assert place_of_begun(Path("results/test"), "panda") is None
     assert len(records()) == len(farm.wishes.calls()) == 2, "the run that went on was picked up"
+
+
+@on_farm
+def test_what_becomes_of_coordinator_and_exporter_meanwhile_is_said_and_measuring_goes_on(farm, capsys, monkeypatch):
+    """The exporter ends and is there again; the coordinator is killed, and does not know any more who had the place."""
+    monkeypatch.setattr(watch, "WATCH_S", 0.2)
+    words = write_target(farm, place="panda-1")
+    farm.wishes.will(f"await {Path('gate').absolute()}")
+
+    def injure():
+        farm.wishes.await_calls()
+        farm.end("exporter", signal.SIGKILL)
+        while any(each.group == "panda-1" for each in list_resources(farm.coordinator)):
+            time.sleep(0.1)
+        time.sleep(1)
+        farm.start("exporter")
+        farm.await_resources(OFFERED)
+        farm.end("coordinator", signal.SIGKILL)
+        farm.end("exporter")
+        farm.start("coordinator")
+        farm.start("exporter")
+        while not (farm.place("panda-1").holder or "").partition("/")[2].rpartition("-rtrun-")[0]:
+            time.sleep(0.1)
+        Path("gate").touch()
+
+    helper = threading.Thread(target=injure)
+    helper.start()
+    assert main(words) == 0
+    helper.join()
+    err = capsys.readouterr().err
+    said = "nobody offers bench/panda-1/*: the exporter bench ended or was not started (labgrid-exporter)"
+    assert f"place panda-1: {said}; measuring goes on" in err and "place panda-1 is as it was" in err
+    assert [record["status"] for record in records()] == ["ok", "ok"]
+
+
+@on_farm
+def test_an_exporter_that_ended_before_is_said(farm, capsys):
+    farm.end("exporter")
+    try:
+        assert main(write_target(farm, place="panda-1")) == 3
+        assert "place panda-1: nobody offers bench/panda-1/*: the exporter bench ended" in capsys.readouterr().err
+        Path("farm.yml").write_text(json.dumps(json.loads(Path("target.yml").read_text()) | {"place": "panda-1"}))
+        assert main(["farm", "--target", "farm.yml", "--json"]) == 0
+        (place,) = json.loads(capsys.readouterr().out)["places"]
+        assert place["not_offered"] == ["bench/panda-1/*"] and place["console"] is None
+    finally:
+        farm.start("exporter")
+        farm.await_resources(OFFERED)
+
+
+@on_farm
+def test_a_board_that_fails_its_check_twice_is_left_out_until_it_passes(farm, capsys, monkeypatch):
+    """The place spare-1, which others find by healthy=yes, and whose SSH server has ended."""
+    monkeypatch.setenv("LG_COORDINATOR", farm.coordinator)
+    farm.client("-p", "panda-1", "set-tags", "pool=lab")
+    farm.client("-p", "spare-1", "set-tags", "pool=lab")
+    del farm.keys["host_key"]
+    Path("known_hosts").write_text(
+        "".join(f"[127.0.0.1]:{sshd.port} {sshd.host_key}\n" for sshd in (farm.sshd, farm.spare))
+    )
+    words = write_target(farm, filter={"pool": "lab"}, known_hosts="known_hosts", key=str(farm.sshd.key))
+
+    def checked(status):
+        assert main(["farm", "--target", "target.yml", "--check", "--json"]) == status
+        printed = capsys.readouterr()
+        checks = {each["place"]: each for each in json.loads(printed.out)["checks"]}
+        return checks, farm.place("spare-1").tags
+
+    farm.client("-p", "panda-1", "acquire", user="alice")
+    farm.spare.process.kill()
+    farm.spare.process.wait()
+    checks, tags = checked(1)
+    assert checks["panda-1"]["outcome"] == "not checked" and "held by" in checks["panda-1"]["text"]
+    assert checks["spare-1"]["outcome"] == "failed" and "refused" in checks["spare-1"]["text"]
+    assert "refused" in tags["failed_check"] and tags["healthy"] == "yes" and "quarantine" not in tags
+    checks, tags = checked(1)
+    assert checks["spare-1"]["outcome"] == "in quarantine" and "refused" in tags["quarantine"]
+    assert tags["healthy"] == "no" and "failed_check" not in tags
+    farm.client("-p", "panda-1", "release", user="alice")
+    # It is free, and labgrid would lend it.
+    assert main(words) == 0
+    assert {record["target"]["name"] for record in records()} == {"panda-1"}
+    assert [target.name for target in read_targets([], ["labgrid:pool=lab"])] == ["panda-1"]
+    said = capsys.readouterr().err
+    assert "place spare-1 is in quarantine: " in said and said.count("left out") == 1
+    assert main(["archive", "add", "results/test", "--to", "archive"]) == 0
+    capsys.readouterr()
+    monkeypatch.setenv("COLUMNS", "220")
+    assert main(["farm", "--archive", "archive"]) == 0
+    first, _, *_ = (table := capsys.readouterr().out).splitlines()
+    assert first == "3 places, 2 of them cannot be measured on"
+    rows = {line.split()[0]: line for line in table.splitlines()[1:] if line.split()}
+    assert "QUARANTINE: " in rows["spare-1"] and "(since 20" in rows["spare-1"] and "no switch" in rows["spare-1"]
+    assert " free " in rows["panda-1"] and " yes " in rows["panda-1"] and "cyclic_timer" in rows["panda-1"]
+    assert "not known" in rows["spare-1"] and "nobody offers" in rows["empty-1"]
+    again = write_target(farm, place="spare-1", known_hosts="known_hosts", key=str(farm.sshd.key))
+    assert main([*again, "--results", "other"]) == 3
+    assert "place spare-1 is in quarantine: " in capsys.readouterr().err
+    write_target(farm, filter={"pool": "lab"}, known_hosts="known_hosts", key=str(farm.spare.key))
+    subprocess.Popen([SSHD, "-D", "-e", "-f", farm.spare.folder / "config"], stderr=subprocess.DEVNULL)
+    checks, tags = checked(1)
+    assert checks["spare-1"]["outcome"] == "passed" and "its quarantine is over" in checks["spare-1"]["text"]
+    assert tags == {"pool": "lab", "healthy": "yes"}
+
+
+@on_farm
+def test_who_has_the_higher_priority_has_a_place_first(farm):
+    """alice holds it; bob waits for it since longer than rtrun does."""
+    farm.client("-p", "panda-1", "acquire", user="alice")
+    token = farm.client("reserve", "--shell", "name=panda-1", user="bob").partition("LG_TOKEN=")[2].strip()
+    words = write_target(farm, place="panda-1", priority=5)
+    helper = subprocess.Popen([sys.executable, "-m", "rtrun.cli", *words], stderr=subprocess.DEVNULL)
+    while farm.client("reservations").count("owner:") < 2:
+        time.sleep(0.1)
+    farm.client("-p", "panda-1", "release", user="alice")
+    try:
+        assert helper.wait() == 0
+    finally:
+        farm.client("cancel-reservation", token)
 
 
 @on_farm
@@ -253,7 +387,7 @@ def test_no_target_at_all(farm, capsys):
 @pytest.mark.parametrize(
     ("keys", "status", "message"),
     [
-        ({"place": "panda-9"}, 2, "has no place with name=panda-9; its places: panda-1, empty-1"),
+        ({"place": "panda-9"}, 2, "has no place with name=panda-9; its places: empty-1, panda-1, spare-1"),
         ({"filter": {"board": "fish"}}, 2, "has no place with board=fish"),
         ({"place": "empty-1"}, 3, "empty-1"),
         (
@@ -288,3 +422,20 @@ def test_labgrid_is_loaded_for_its_own_targets_only():
         "sys.exit(any(name.split('.')[0] in ('labgrid', 'grpc', 'serial') for name in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_tags_of_health():
+    """Whatever a reason holds, a tag has none of it that ends a tag, and a passed check restores what was before."""
+    tags = {"board": "panda", "healthy": "yes"}
+    day = date(2026, 11, 24)
+    for expected in ("failed_check", "quarantine"):
+        changed = after_failure(tags, "10.0.0.7:22: refused;\n x=y, $(reboot) Ä" + 300 * "z", day)
+        value = changed[expected]
+        assert value.startswith("2026-11-24_10.0.0.7_22_refused_x_y_reboot_zz") and len(value) < 130
+        assert in_words(value).endswith(" (since 2026-11-24)")
+        tags = {name: text for name, text in (tags | changed).items() if text}
+    assert tags.keys() == {"board", "healthy", "quarantine"} and tags["healthy"] == "no"
+    assert after_failure(tags, "again", day) == {}
+    restored = {name: text for name, text in (tags | after_success(tags)).items() if text}
+    assert restored == {"board": "panda", "healthy": "yes"}
+    assert after_success(restored) == {} and in_words("by hand") == "by hand"

@@ -1,0 +1,23 @@
+"""Whether a board can be measured on at all: what `rtrun farm --check` asks it."""
+
+from typing import TYPE_CHECKING
+
+from rtrun.targets.errors import TargetError
+from rtrun.targets.inspection import facts, platform_signs
+
+if TYPE_CHECKING:
+    from rtrun.targets.link import Link
+
+FREE_MIN_BYTES = 64 * 2**20  # what copied suites and the samples of some runs take
+
+
+def check_health(link: "Link") -> str:
+    """What the board is, in a few words. Raises TargetError where it does not answer, lacks tools or has no room."""
+    equipment = facts.inspect(link)
+    if equipment.free_bytes < FREE_MIN_BYTES:
+        raise TargetError(
+            f"{link.target.address}: {equipment.free_bytes // 2**20} MiB are free in {link.target.work_dir}, "
+            f"{FREE_MIN_BYTES // 2**20} are needed"
+        )
+    release = link.check(["uname", "-r"]).strip()[:100]
+    return f"{platform_signs.find_platform(link).platform}, {equipment.cpus} x {equipment.architecture}, {release}"

@@ -1,0 +1,44 @@
+"""What the tags of a place say of its health, and what a check makes of them.
+
+A place that failed its check once has the tag `failed_check`, after the second time in a row `quarantine`, with the day
+and the reason; a passed check takes both away. Labs whose users filter by `healthy=yes` have that tag set to no
+meanwhile. Nothing else remembers it.
+"""
+
+import re
+from collections.abc import Mapping
+from datetime import date
+
+from rtrun.targets.labgrid.coordinator import QUARANTINE
+
+FAILED = "failed_check"
+HEALTHY = "healthy"
+_REASON_MAX = 100  # characters
+
+
+def after_failure(tags: Mapping[str, str], reason: str, today: date) -> dict[str, str]:
+    """The tags to set where a check failed, by name; an empty value removes one."""
+    if QUARANTINE in tags:
+        return {}
+    if FAILED not in tags:
+        return {FAILED: _value(reason, today)}
+    not_healthy = {HEALTHY: "no"} if tags.get(HEALTHY) == "yes" else {}
+    return {QUARANTINE: _value(reason, today), FAILED: ""} | not_healthy
+
+
+def after_success(tags: Mapping[str, str]) -> dict[str, str]:
+    """The tags to set where a check was passed."""
+    healthy = {HEALTHY: "yes"} if QUARANTINE in tags and tags.get(HEALTHY) == "no" else {}
+    return {name: "" for name in (QUARANTINE, FAILED) if name in tags} | healthy
+
+
+def in_words(value: str) -> str:
+    """The value of such a tag for people."""
+    day = re.match(r"\d{4}-\d\d-\d\d_", value, re.ASCII)
+    return f"{value[day.end() :].replace('_', ' ')} (since {day[0][:-1]})" if day else value.replace("_", " ")
+
+
+def _value(reason: str, today: date) -> str:
+    """Day and reason, of characters that every program takes in a tag, none of which ends it."""
+    words = re.sub("[^a-z0-9.-]+", "_", reason.lower()).strip("_")
+    return f"{today.isoformat()}_{words[:_REASON_MAX] or 'unknown'}"

@@ -1,0 +1,55 @@
+"""What becomes of a place of a farm while it is ours: whether its exporter and its coordinator are still there."""
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+
+from rtfiles.errors import InfrastructureError
+from rtrun.targets.labgrid.coordinator import LabgridClient, list_places, list_resources, nobody_offers, unoffered
+
+WATCH_S = 10.0
+
+
+@contextlib.contextmanager
+def watching(client: LabgridClient, name: str, notify: Callable[[str], None], *, is_ours: bool) -> Iterator[None]:
+    """Say once what is wrong with an acquired place while the context lasts, and that it is well again.
+
+    Measuring needs neither coordinator nor exporter, so it goes on. A coordinator that was started again does not know
+    who had a place (labgrid 26): one that is ours, and not acquired by the user before, is acquired again, so that
+    nobody else takes it.
+    """
+    ended = threading.Event()
+
+    def watch() -> None:
+        said = ""
+        while not ended.wait(WATCH_S):
+            wrong = ""
+            try:
+                wrong = _wrong(client, name, ended if is_ours else None)
+            except InfrastructureError as error:
+                wrong = str(error)
+            if wrong != said:
+                notify(f"{wrong}; measuring goes on" if wrong else f"place {name} is as it was")
+                said = wrong
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watcher.join()
+
+
+def _wrong(client: LabgridClient, name: str, ended: threading.Event | None) -> str:
+    """What is wrong with a place; empty where nothing is. It is acquired again until `ended`, None: it is not."""
+    place = next((each for each in list_places(client.coordinator) if each.name == name), None)
+    if place is None:
+        return f"the labgrid coordinator at {client.coordinator} has no place {name} any more"
+    if missing := unoffered(place, list_resources(client.coordinator)):
+        return f"place {name}: {nobody_offers(missing)}"
+    if place.holder is None and ended is not None and not ended.is_set():
+        client.call("-p", name, "acquire")
+    elif place.holder not in (None, client.identity):
+        return f"place {name} is held by {place.holder}, who took it from rtrun"
+    return ""
