@@ -151,19 +151,21 @@ def _read(store: Store, table: str, file: TableFile) -> Table:
 
 
 def _remove_superseded(store: Store, table: str, gone: Container[str], before: datetime) -> Compaction:
-    """Remove files of which all runs are no longer kept, or are in newer packs that are older than the grace."""
+    """Remove files of which all runs are no longer kept, or have been in newer packs for longer than the grace.
+
+    Whether these are superseded themselves is no matter: whoever has listed the files since then takes no older ones.
+    """
     files = read_files(store, table)
-    newest = files.newest()
-    superseded = [
-        (path, [] if key in gone else [newest[key]])
-        for key, path in files.alone.items()
-        if key in newest or key in gone
-    ]
+    since: dict[str, datetime] = {}  # by run: when the first of the packs was made that are newer than a file
+    superseded: list[tuple[str, list[datetime]]] = []
     for file in files.packs:
-        newer = [newest[key] for key in file.rows if key not in gone]
-        if all(each.path != file.path for each in newer):
-            superseded.append((file.path, newer))
-    over = [path for path, newer in superseded if all(_made(store, file) <= before for file in newer)]
+        if all(key in gone or key in since for key in file.rows):
+            superseded.append((file.path, [since[key] for key in file.rows if key not in gone]))
+        since |= dict.fromkeys(file.rows, _made(store, file))
+    for key, path in files.alone.items():
+        if key in gone or key in since:
+            superseded.append((path, [] if key in gone else [since[key]]))
+    over = [path for path, times in superseded if all(time <= before for time in times)]
     remove_files(store, over)
     return Compaction(removed=len(over), waiting=len(superseded) - len(over))
 

@@ -65,6 +65,20 @@ def test_answers_stay_the_same_and_old_files_go_after_the_grace(capsys, archive)
     assert compacted(archive, NOW + 2 * DAY) == Compaction()
 
 
+def test_an_archive_to_which_every_night_adds_stays_small(capsys, tmp_path):
+    """The pack of each night is superseded by that of the next one, before its grace is over."""
+    later, archive = write_course(tmp_path / "later", [100.0] * 8), tmp_path / "archive"
+    make_archive(str(archive))
+    before = answers(capsys, later)
+    for night in range(8):
+        for path in later.glob(f"*/01{night:060d}??.parquet"):
+            (archive / path.parent.name).mkdir(exist_ok=True)
+            path.rename(archive / path.parent.name / path.name)
+        compacted(archive, NOW + night * DAY)
+        assert len(files(archive)) <= 4, "two packs, and the two runs of this night"
+    assert answers(capsys, archive) == before
+
+
 def test_runs_in_packs_are_there_and_new_ones_come_to_them(capsys, archive, tmp_path):
     compacted(archive)
     compacted(archive, NOW + DAY)
