@@ -11,7 +11,7 @@ GROUPS = {
     "measure": ("quick", "observe", "plan", "run", "influence"),
     "prepare a target": ("new_target", "probe", "check_rt", "build_suites"),
     "judge": ("report", "verdict", "gate", "why", "compare", "show", "verify", "claims", "import_"),
-    "long term": ("archive", "history", "trends", "bisect", "site"),
+    "long term": ("archive", "history", "trends", "bisect", "site", "farm", "notify"),
 }
 COMMANDS = tuple(name for names in GROUPS.values() for name in names)
 

@@ -15,6 +15,7 @@ from rtrun.archive.notes import AcceptNote
 from rtrun.archive.runs import RunRow, read_archive
 from rtrun.archive.store import Store, make_archive
 from rtrun.archive.tables import Origin
+from rtrun.archive.trends import changed_facts
 from rtrun.judgement.gate import Case, Gate, why_not_accepted
 from rtrun.plan.question import Measure
 from rtrun.targets.inspection.platform import Platform
@@ -117,6 +118,8 @@ def _case(
         text = f"{text}; {_advice(len(build.boots()))}"
     if since:
         text = f"{text}; history{since}"
+    if exceeds and (changed := changed_facts(history.boots(), build.boots())):
+        text = f"{text}; changed since its last boot: {'; '.join(changed)}"
     passed = not exceeds
     if passed and (why := why_not_accepted(Platform(build.platform), platform)):
         text, passed = f"{text}; {why}", False

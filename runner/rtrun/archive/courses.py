@@ -1,5 +1,6 @@
 """The runs of a scenario by one series on one board in the order of time, with their figures and circumstances."""
 
+import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json
 from rtrun.analysis.change_points import Floats, means_of_units
-from rtrun.archive.notes import AcceptNote
+from rtrun.archive.notes import AcceptNote, KnownNote
 from rtrun.archive.queries import Point, figures
 from rtrun.archive.runs import Archive, RunRow
 from rtrun.plan.question import Measure
@@ -44,12 +45,13 @@ class Course:
     """Runs of one scenario on one board and platform, first to last, one at least, whatever the kernel.
 
     `off_rate` counts others, left out because their publisher missed the rate that was asked for. `accepted` is the
-    last note that accepted its level.
+    last note that accepted its level, `known` are those that say that what is wrong with it is known.
     """
 
     runs: tuple[ArchivedRun, ...]
     off_rate: int = 0
     accepted: AcceptNote | None = None
+    known: tuple[KnownNote, ...] = ()
 
     @property
     def identity(self) -> tuple[str, str, str, str, str]:
@@ -80,6 +82,11 @@ class Course:
     def label(self) -> str:
         """Scenario and board in a few words."""
         return f"{self.scenario} on {self.machine}"
+
+    @property
+    def page(self) -> str:
+        """The name of its page on a site."""
+        return f"{hashlib.sha256(repr(self.identity).encode()).hexdigest()[:16]}.html"
 
     def has(self, figure: Figure) -> bool:
         """Whether each run knows the figure, from enough values."""
@@ -124,7 +131,9 @@ def courses(archive: Archive, *, deadline_ns: int, of: Measure | None = None) ->
     made = []
     for (suite, _, parameters, platform, machine), members in groupby(runs, _identity):
         course = Course(runs=tuple(members), off_rate=missed[suite, parameters, platform, machine])
-        made.append(replace(course, accepted=archive.notes.accepted(machine, course.scenario)))
+        notes, scenario = archive.notes, course.scenario
+        known = tuple(notes.known(machine, scenario))
+        made.append(replace(course, accepted=notes.accepted(machine, scenario), known=known))
     return made
 
 

@@ -62,6 +62,15 @@ class AcceptNote(NoteHead):
     begin: Annotated[datetime, Field(strict=False)]
 
 
+class KnownNote(NoteHead):
+    """What got worse before this was said, on these boards and in these scenarios, is known; so is a quarantine where
+    no scenario is named. It stays WORSE, and nobody is called for it."""
+
+    kind: Literal["known"] = "known"
+    machine: Text | None = None
+    scenario: Text | None = None
+
+
 class RetainNote(NoteHead):
     """How long the rows of a table are kept after a run was begun; None: for ever. The last one of a table counts."""
 
@@ -77,7 +86,8 @@ class WithdrawNote(NoteHead):
     note: Text
 
 
-Note = Annotated[IgnoreNote | AcceptNote | RetainNote | WithdrawNote, Field(discriminator="kind")]
+HeldNote = IgnoreNote | AcceptNote | KnownNote | RetainNote
+Note = Annotated[HeldNote | WithdrawNote, Field(discriminator="kind")]
 PATTERNS = ("machine", "scenario", "kernel_release", "commit", "image", "boot_id", "run")
 """What runs are told by; each is a pattern of the shell, as board-*."""
 
@@ -86,7 +96,7 @@ PATTERNS = ("machine", "scenario", "kernel_release", "commit", "image", "boot_id
 class Notes:
     """The notes of an archive that hold, by name, the first one first."""
 
-    held: Mapping[str, IgnoreNote | AcceptNote | RetainNote]
+    held: Mapping[str, HeldNote]
 
     def ignores(self) -> list[IgnoreNote]:
         """Those that runs are left out for."""
@@ -100,6 +110,14 @@ class Notes:
             if isinstance(note, AcceptNote) and _fits(note.machine, machine) and _fits(note.scenario, scenario)
         ]
         return max(fitting, key=lambda note: note.begin, default=None)
+
+    def known(self, machine: str, scenario: str | None) -> list[KnownNote]:
+        """Those that say that what is wrong is known: of a course, or of a board (`scenario` None)."""
+        return [
+            note
+            for note in self.held.values()
+            if isinstance(note, KnownNote) and _fits(note.machine, machine) and _fits(note.scenario, scenario)
+        ]
 
     def kept_since(self, table: str, now: datetime) -> datetime | None:
         """Runs that were begun before are no longer kept in a table, of the notes that hold at this time in UTC.
@@ -117,7 +135,7 @@ def _fits(pattern: str | None, text: str | None) -> bool:
     return pattern is None or (text is not None and fnmatchcase(text, pattern))
 
 
-def fits_course(note: AcceptNote, machine: str, scenario: str) -> bool:
+def fits_course(note: AcceptNote | KnownNote, machine: str, scenario: str) -> bool:
     """Whether a note is of a run's course, or of one by another series of it, as "cyclic_timer RR 1000 Hz, jitter"."""
     patterns = (note.scenario, note.scenario and note.scenario.rpartition(", ")[0])
     return _fits(note.machine, machine) and any(_fits(pattern, scenario) for pattern in patterns)
@@ -134,9 +152,9 @@ def fits_run(note: IgnoreNote, facts: Callable[[str], str | None], start: dateti
 
 def read_notes(store: Store) -> Notes:
     """The notes that hold. Raises UsageError for a file that is none, InfrastructureError."""
-    found: dict[str, IgnoreNote | AcceptNote | RetainNote] = {}
+    found: dict[str, HeldNote] = {}
     withdrawn: set[str] = set()
-    reader: TypeAdapter[IgnoreNote | AcceptNote | RetainNote | WithdrawNote] = TypeAdapter(Note)
+    reader: TypeAdapter[HeldNote | WithdrawNote] = TypeAdapter(Note)
     for path, content in read_small_files(store, FOLDER, ".json", most=_NOTES_MAX, max_bytes=_BYTES_MAX):
         try:
             note = reader.validate_json(content)
@@ -151,7 +169,7 @@ def read_notes(store: Store) -> Notes:
     return Notes(held={name: note for name, note in found.items() if name not in withdrawn})
 
 
-def add_note(store: Store, note: IgnoreNote | AcceptNote | RetainNote | WithdrawNote) -> str:
+def add_note(store: Store, note: HeldNote | WithdrawNote) -> str:
     """Add a note to an archive; returns its name. Raises InfrastructureError."""
     content = note.model_dump_json(exclude_none=True, indent=1).encode() + b"\n"
     name = f"{note.at.strftime(_TIME)}-{hashlib.sha256(content).hexdigest()[:8]}"
@@ -159,13 +177,15 @@ def add_note(store: Store, note: IgnoreNote | AcceptNote | RetainNote | Withdraw
     return name
 
 
-def in_words(name: str, note: IgnoreNote | AcceptNote | RetainNote) -> str:
+def in_words(name: str, note: HeldNote) -> str:
     """A note in a line."""
     match note:
         case RetainNote():
             what = f"{note.table} are kept {f'for {note.days} days' if note.days else 'for ever'}"
         case AcceptNote():
             what = f"accepted from {note.begin:%Y-%m-%d %H:%M} on: {_selected(note, ('machine', 'scenario'))}"
+        case KnownNote():
+            what = f"known: {_selected(note, ('machine', 'scenario'))}"
         case IgnoreNote():
             times = [
                 f"{word} {time:%Y-%m-%d %H:%M}" for word, time in (("from", note.begin), ("before", note.end)) if time
@@ -174,6 +194,6 @@ def in_words(name: str, note: IgnoreNote | AcceptNote | RetainNote) -> str:
     return f"{name}  {what}: {note.words}"
 
 
-def _selected(note: IgnoreNote | AcceptNote, names: Iterable[str]) -> str:
+def _selected(note: IgnoreNote | AcceptNote | KnownNote, names: Iterable[str]) -> str:
     told: Sequence[str] = [f"{name} {text}" for name in names if (text := getattr(note, name)) is not None]
     return ", ".join(told) or "all"

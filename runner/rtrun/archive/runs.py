@@ -4,7 +4,7 @@ Whoever may write a file of the archive may write anything into it.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -106,6 +106,19 @@ def read_archive(store: Store, now: datetime | None = None) -> Archive:
     since = notes.kept_since("histograms", now)
     known = {row.run_key: histograms[row.run_key] for row in runs if row.run_key in histograms and is_kept(row, since)}
     return Archive(store=store, runs=runs, histograms=known, notes=notes, ignored=ignored)
+
+
+def last_runs(rows: Iterable[RunRow]) -> dict[str, RunRow]:
+    """The run of each board that was begun last, by the board's name."""
+    last: dict[str, RunRow] = {}
+    for row in rows:
+        if row.machine not in last or _begin(row) >= _begin(last[row.machine]):
+            last[row.machine] = row
+    return last
+
+
+def _begin(row: RunRow) -> datetime:
+    return row.start_utc or datetime.min
 
 
 def ignored_by(row: RunRow, notes: Notes) -> IgnoreNote | None:

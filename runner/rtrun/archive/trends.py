@@ -10,7 +10,7 @@ from rtfiles.quantities import signed, time
 from rtrun.analysis.change_points import ChangePoint, find_changes
 from rtrun.analysis.effects import examine_effect
 from rtrun.archive.courses import ArchivedRun, Course, Figure, facts_of, readings_of
-from rtrun.archive.notes import AcceptNote
+from rtrun.archive.notes import AcceptNote, KnownNote
 
 _SIGNIFICANT = 0.01  # of a reading that differs between two levels
 _UNITS = {"temperature_max_mc": (1000, "°C"), "frequency_max_khz": (1000, "MHz"), "load_1min_max": (1, "")}
@@ -40,6 +40,12 @@ class Trend:
     def is_worse(self) -> bool:
         """Whether the figure rose, and nobody has accepted that."""
         return self.change.after > self.change.before and self.accepted is None
+
+    @property
+    def known(self) -> KnownNote | None:
+        """What was said of it once it had begun; None where it is not known, or did not get worse."""
+        begun = self.first_after or datetime.max
+        return next((note for note in self.course.known if self.is_worse and begun <= note.at), None)
 
     @property
     def word(self) -> str:
@@ -79,13 +85,13 @@ def _trend(course: Course, figure: Figure, change: ChangePoint, begin: int, end:
         first_after=starts[change.index],
         earliest=starts[change.earliest],
         latest=starts[min(change.latest, len(boots) - 1)],
-        circumstances=(*_changed_facts(before, after), *_changed_readings(before, after)),
+        circumstances=(*changed_facts(before, after), *_changed_readings(before, after)),
         # What came before the accepted time is accepted with it, not what comes later.
         accepted=note if rose and note and last and last < note.begin else None,
     )
 
 
-def _changed_facts(before: Sequence[Sequence[ArchivedRun]], after: Sequence[Sequence[ArchivedRun]]) -> list[str]:
+def changed_facts(before: Sequence[Sequence[ArchivedRun]], after: Sequence[Sequence[ArchivedRun]]) -> list[str]:
     """Facts of the last boot before that are others in the first boot after.
 
     Of one whose values come and go within a level (two kernels that are measured in turn), those that the levels have.
@@ -139,6 +145,7 @@ def as_text(trend: Trend, *, confidence: float) -> list[str]:
         f"when: {when}",
         f"changed there: {'; '.join(trend.circumstances) or 'nothing that the archive knows'}",
         *([f"accepted: {trend.accepted.words}"] if trend.accepted else []),
+        *([f"known: {trend.known.words}"] if trend.known else []),
     ]
 
 
@@ -161,6 +168,7 @@ def as_data(trend: Trend) -> dict[str, Any]:
         "figure": trend.figure,
         "worse": trend.is_worse,
         "accepted": trend.accepted and trend.accepted.words,
+        "known": trend.known and trend.known.words,
         **{f"{name}_boot" if name in ("index", "earliest", "latest") else name: value
            for name, value in asdict(trend.change).items()},
         **times,

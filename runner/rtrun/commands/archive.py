@@ -80,6 +80,11 @@ def _add_annotate(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="the level from --from on is as it should be: what was before counts no more",
     )
+    what.add_argument(
+        "--known",
+        action="store_true",
+        help="what got worse up to now, or a board in quarantine, is known: nobody is called for it",
+    )
     what.add_argument("--withdraw", metavar="NAME", help="a note that no longer holds, by its name in the list")
     _add_who(parser)
     for name, (option, of) in _TOLD_BY.items():
@@ -225,6 +230,14 @@ def _annotate(args: argparse.Namespace) -> int:
         if not number:
             raise UsageError(f"{args.archive}: no run is of these boards and scenarios")
         print_line(notes.in_words(notes.add_note(store, accept), accept))
+    elif args.known:
+        if args.begin or args.end or not chosen or not {*chosen} <= {"machine", "scenario"}:
+            raise UsageError("--known takes --machine, --scenario or both, and no time: it is of what is wrong now")
+        known = notes.KnownNote(**_head(args), **chosen)
+        fitting = (row for row in read_runs(store) if notes.fits_course(known, row.machine, row.scenario))
+        if "scenario" in chosen and not any(fitting):
+            raise UsageError(f"{args.archive}: no run is of these boards and scenarios")
+        print_line(notes.in_words(notes.add_note(store, known), known))
     elif args.ignore:
         if not (chosen or args.begin or args.end):
             raise UsageError("--ignore: say which runs, as --machine board-3 --from 2026-11-20")

@@ -53,7 +53,7 @@ def test_it_is_one_object_with_a_schema(folder, capsys, monkeypatch, command):
 def test_every_command_that_takes_json_is_here():
     """But for those that need a target: `tests/rtrun/targets` and `tests/suites` have them."""
     takes = {each.NAME for each in commands_of("rtrun", rtrun.cli.COMMANDS) if "--json" in help_of(each.NAME)}
-    assert takes == {command.split()[0] for command in COMMANDS} | {"probe", "check-rt", "observe", "influence"}
+    assert takes == {command.split()[0] for command in COMMANDS} | {"probe", "check-rt", "observe", "influence", "farm"}
 
 
 def help_of(name):

@@ -1,0 +1,110 @@
+"""rtrun notify: tell somebody, once, of what got worse and of boards in quarantine."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rtrun.commands._archive import add_archive, add_deadline, read
+from rtrun.commands._question import add_confidence
+
+if TYPE_CHECKING:
+    from rtrun.archive.alarms import Alarm
+    from rtrun.archive.courses import Course
+    from rtrun.archive.runs import Archive
+
+NAME = "notify"
+HELP = "tell a command, a web hook or by mail of what got worse and of boards in quarantine, once each"
+EXAMPLES = (
+    "rtrun notify lab.yml archive",
+    "rtrun notify lab.yml archive --results results/brakes",
+)
+FALSE_ALARMS = 0.05
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Who is told, of what."""
+    parser.add_argument("receivers", type=Path, metavar="RECEIVERS.yml", help="who is told, and how")
+    add_archive(parser)
+    parser.add_argument(
+        "--results",
+        type=Path,
+        metavar="RESULTS",
+        help="tell of these runs alone, where gate --against says that they are WORSE than the archive",
+    )
+    add_deadline(parser)
+    add_confidence(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Tell every receiver what it has not heard of. Raises InfrastructureError, once all were tried, for those that did
+    not take it."""
+    from datetime import UTC, datetime
+
+    from rtfiles.config import load
+    from rtfiles.errors import InfrastructureError, UsageError
+    from rtfiles.output import counted, print_line
+    from rtrun.archive.extra import check_extra
+
+    check_extra()
+    from rtrun.archive.alarms import in_quarantine
+    from rtrun.archive.courses import courses
+    from rtrun.archive.receivers import Receivers, tell
+    from rtrun.archive.told import ALARMS_MAX, add_told, not_told, read_told
+    from rtrun.plan.question import THESIS
+
+    config = load(args.receivers, Receivers)
+    names = [each.name for each in config.receivers]
+    if len({*names}) < len(names):
+        raise UsageError(f"{args.receivers}: receivers: two of one name: what each was told is kept by its name")
+    archive, deadline_ns = read(args), args.deadline or THESIS.deadline_ns
+    alarms = _worse(args, archive, courses(archive, deadline_ns=deadline_ns, of=args.of), deadline_ns)
+    if config.coordinator and not args.results:
+        from rtrun.targets.labgrid.coordinator import list_places
+
+        alarms += in_quarantine(list_places(config.coordinator), archive.notes)
+    messages = read_told(archive.store)
+    failures = []
+    for receiver in config.receivers:
+        new = not_told(receiver.name, alarms, messages)[:ALARMS_MAX]
+        if not new:
+            continue
+        try:
+            tell(receiver, new, config.site)
+            add_told(archive.store, receiver.name, new, datetime.now(UTC).replace(tzinfo=None))
+        except InfrastructureError as error:
+            failures.append(str(error))
+            continue
+        for alarm in new:
+            print_line(f"{receiver.name} was told: {alarm.about}: {alarm.size}")
+    for alarm in alarms:
+        if alarm.known:
+            print_line(f"known: {alarm.about}: {alarm.known}")
+    if failures:
+        raise InfrastructureError("\n".join(failures))
+    print_line(f"{counted(len(alarms), 'thing')} wrong")
+    return 0
+
+
+def _worse(args: argparse.Namespace, archive: "Archive", known: "list[Course]", deadline_ns: int) -> "list[Alarm]":
+    from rtrun.archive.alarms import worse_builds, worse_courses
+
+    if args.results is None:
+        from rtrun.archive.trends import trends
+
+        return worse_courses(trends(known, confidence=args.confidence), confidence=args.confidence)
+    from rtrun.archive.against import gate_against
+    from rtrun.results.record import FILE
+    from rtrun.targets.inspection.platform import Platform
+
+    judged = gate_against(
+        args.results,
+        archive.store,
+        deadline_ns=deadline_ns,
+        of=args.of,
+        margin_ns=None,
+        false_alarms=FALSE_ALARMS,
+        platform=Platform.VIRTUAL,
+    )
+    # A second boot in the same folder is the same build.
+    first = min(args.results.rglob(FILE), default=args.results)
+    return worse_builds(judged, str(first.read_bytes()), archive.notes, known)
