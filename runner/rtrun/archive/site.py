@@ -1,46 +1,28 @@
-"""A site of static pages about an archive: one of all scenarios, one for each course, and figures for Grafana.
+"""A site of static pages about an archive: all scenarios, all boards, a page for each course, and figures for Grafana.
 
 Pages of the report and of the site share styles and plotting code.
 """
 
-import hashlib
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rtfiles import atomic
 from rtfiles.output import counted
 from rtfiles.quantities import grouped, time
+from rtrun.archive.boards import board_rows, columns_of
 from rtrun.archive.courses import Course
 from rtrun.archive.metrics import grafana_dashboard, open_metrics
 from rtrun.archive.pictures import course_plots
+from rtrun.archive.states import SAID, CourseState, state_of
 from rtrun.archive.trends import Trend, as_text
 from rtrun.report.html_pages import drawings, script, templates
 from rtrun.report.terminal import BANNERS
 from rtrun.targets.inspection.platform import Platform
 
 _SHOWN = (50.0, 99.0, 99.9, 99.99)
-_LEAST_BOOTS = 6  # of a course whose changes can be seen
-_SAID = {
-    "WORSE": "got worse",
-    "BETTER": "got better",
-    "ACCEPTED": "got worse, which was accepted",
-    "STEADY": "stayed as they were",
-    "NEW": f"are new: a change is seen from {_LEAST_BOOTS} boots on",
-}
 _MARKS = {"WORSE": "✗ WORSE", "better": "✓ BETTER", "accepted": "✓ ACCEPTED"}
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _State:
-    """What is said of a course: `word`, `text` with more, the class of its style, and its mark."""
-
-    word: str
-    text: str
-    style: str
-    mark: str
 
 
 def write_site(
@@ -69,8 +51,13 @@ def write_site(
         "answer": _answer([card["state"] for card in cards]),
     }
     environment = templates(Path(__file__).parent)
-    front, page = (environment.get_template(name) for name in ("site.html.j2", "course.html.j2"))
-    pages = {"index.html": front.render(cards=cards, **words)}
+    front, page, boards = (environment.get_template(f"{name}.html.j2") for name in ("site", "course", "boards"))
+    rows = board_rows([(card["course"], card["state"]) for card in cards])
+    worse = sorted({row.board for row in rows if any(cell.state == "WORSE" for cell in row.cells.values())})
+    pages = {
+        "index.html": front.render(cards=cards, **words),
+        "boards.html": boards.render(rows=rows, columns=columns_of(rows), worse=worse, **words),
+    }
     drawing = script("plots.js")
     for card in cards:
         plots = drawings(course_plots(card["course"], card["trends"], deadline_ns=deadline_ns))
@@ -99,8 +86,8 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
         "course": course,
         "trends": trends,
         "label": course.label,
-        "page": f"{hashlib.sha256(repr(course.identity).encode()).hexdigest()[:16]}.html",
-        "state": _state(course, trends),
+        "page": course.page,
+        "state": state_of(course, trends),
         "banner": BANNERS.get(Platform(course.platform), ""),
         "row": rows[0],
         "rows": rows,
@@ -116,23 +103,8 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
     }
 
 
-def _answer(states: Sequence[_State]) -> str:
+def _answer(states: Sequence[CourseState]) -> str:
     """What is known of all courses, in one sentence."""
     counts = Counter(state.word for state in states)
-    said = [f"{counts[word]} {text}" for word, text in _SAID.items() if counts[word]]
+    said = [f"{counts[word]} {text}" for word, text in SAID.items() if counts[word]]
     return f"Of {counted(len(states), 'scenario')} {', '.join(said)}."
-
-
-def _state(course: Course, trends: Sequence[Trend]) -> _State:
-    """WORSE where a figure's last change made it so; NEW where there are too few boots for any change to be seen."""
-    last = {trend.figure: trend for trend in trends}
-    worse = [figure for figure, trend in last.items() if trend.is_worse]
-    if worse:
-        return _State(word="WORSE", text=f"WORSE: {', '.join(worse)}", style="refuted", mark="✗")
-    if accepted := [figure for figure, trend in last.items() if trend.accepted]:
-        return _State(word="ACCEPTED", text=f"ACCEPTED: {', '.join(accepted)}", style="proven", mark="✓")
-    if last:
-        return _State(word="BETTER", text=f"BETTER: {', '.join(last)}", style="proven", mark="✓")
-    if len(course.boots()) < _LEAST_BOOTS:
-        return _State(word="NEW", text="NEW", style="more", mark="?")
-    return _State(word="STEADY", text="STEADY", style="proven", mark="✓")

@@ -1,8 +1,9 @@
 """Archives of many days, written without run directories: each day is a boot with two runs of one-shot timers."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ def write_course(
     platform: Platform = Platform.HARDWARE,
     suite: str = "oneshot_timer_tests",
     machine: str = "board",
+    parameters: Mapping[str, Any] = MappingProxyType({}),
     seed: int = 1,
 ) -> Path:
     """A day for each level; `facts` has kernel, commit, packages and temperature_mc of each, `late` how many misses."""
@@ -51,7 +53,7 @@ def write_course(
                 run=f"{k:03d}-oneshot",
                 campaign="daily",
                 suite=suite,
-                parameters=PARAMETERS,
+                parameters=PARAMETERS | {**parameters},
                 platform=platform,
                 platform_evidence="stated by the test",
                 status=RunStatus.OK,

@@ -1,14 +1,19 @@
 """The static pages about an archive, and the figures for Grafana."""
 
+import html
+import itertools
 import json
 import re
 from datetime import UTC, datetime
+from unittest import mock
 
 import pytest
 from archive.archived import write_course
+from report.test_browser import browse
 
 from rtrun.cli import main
 
+LONG = "the-board-with-a-rather-long-name-on-the-upper-shelf"
 EVIL = "<script>missing()</script>"
 
 
@@ -21,6 +26,23 @@ def site(tmp_path_factory):
     return folder / "pages"
 
 
+@pytest.fixture(scope="module")
+def boards(tmp_path_factory):
+    """Three boards, each measured on two kernels through two middlewares, one of them in two scenarios."""
+    folder = tmp_path_factory.mktemp("boards")
+    kernels = [{"kernel": "6.6.30" if day < 8 else "6.12<b>rt</b>"} for day in range(16)]
+    scenarios = [("rclcpp", "RR"), ("rclcpp", "FIFO"), ("roscpp", "RR")]
+    for seed, (machine, (middleware, policy)) in enumerate(itertools.product(("panda-1", "panda-2", LONG), scenarios)):
+        levels = [100.0] * 16
+        if (machine, middleware, policy) == ("panda-2", "rclcpp", "FIFO"):
+            levels[8:] = [125.0] * 8
+        of = {"middleware": middleware, "policy": policy}
+        with mock.patch("os.fsync"):
+            write_course(folder / "archive", levels, facts=kernels, machine=machine, seed=100 + seed, parameters=of)
+    assert main(["site", str(folder / "archive"), "--output", str(folder / "pages")]) == 0
+    return folder / "pages"
+
+
 def test_the_front_page_has_the_state_of_every_scenario(site):
     page = (site / "index.html").read_text()
     assert "Of 1 scenario 1 got worse." in page
@@ -29,8 +51,70 @@ def test_the_front_page_has_the_state_of_every_scenario(site):
     assert (site / link).is_file()
 
 
+def test_boards_kernels_and_middlewares_are_on_one_page(boards):
+    """A board that got worse through one of two middlewares stands first, and has a row for each of its kernels."""
+    page = (boards / "boards.html").read_text()
+    assert "✗ 1 of 3 boards:" in page and 'href="boards.html"' in (boards / "index.html").read_text()
+    rows = [re.findall(r"<b>(.*?)</b>", row) + row.split("<td")[1:] for row in page.split("<tr")[2:]]
+    assert [row[0] for row in rows] == ["panda-2", "panda-2", "panda-1", "panda-1", LONG, LONG]
+    newest, past = rows[:2]
+    assert re.findall(r'class="(\w+)" data-column="(\w+)"', page)[:2] == [("refuted", "rclcpp"), ("proven", "roscpp")]
+    assert "✗ WORSE, 1 of 2 scenarios" in newest[1] and "p99 1" in newest[1] and "✓ STEADY, 1 scenario<" in newest[2]
+    assert "until 2026-01-08, 2 scenarios" in past[1] and 'class="none"' in past[1]
+    (link,) = re.findall(r'href="(\w+\.html)"', newest[1])
+    assert "WORSE: p50, p99" in (boards / link).read_text()
+    # The line of the newer kernel ends where the whole one does, and is above where that begins.
+    whole, own = (
+        [[*map(float, point.split())] for point in path.split("L")] for path in re.findall(' d="M(.*?)"', newest[1])
+    )
+    assert own == whole[-len(own) :] and len(own) == 16 and own[-1][1] < whole[0][1]
+    assert "6.12&lt;b&gt;" in page and "<b>rt" not in page
+
+
+PROBE = """<!DOCTYPE html><link rel="icon" href="data:,"><body><script>
+addEventListener("load", async () => {
+  const found = {};
+  for (const width of [390, 800, 1400]) {
+    const frame = document.createElement("iframe");
+    frame.style.cssText = `width:${width}px;height:900px;border:0`;
+    frame.src = "boards.html";
+    document.body.append(frame);
+    await new Promise((done) => { frame.onload = done; });
+    const page = frame.contentDocument, cells = [...page.querySelectorAll("td:not(.empty)")];
+    const boxes = cells.map((e) => e.getBoundingClientRect());
+    found[width] = {
+      scroll: page.documentElement.scrollWidth,
+      cells: boxes.filter((box) => box.width > 100 && box.right <= width).length,
+      cut: [...page.querySelectorAll("td *")].filter((e) => e.clientWidth && e.scrollWidth > e.clientWidth + 1).length,
+      over: boxes.filter((a, k) => boxes.some((b, j) => j > k && a.left < b.right - 1 && b.left < a.right - 1 &&
+        a.top < b.bottom - 1 && b.top < a.bottom - 1)).length,
+      lines: [...page.querySelectorAll("svg")].filter((e) => e.getBoundingClientRect().height > 15).length,
+      named: getComputedStyle(cells[0], "::before").content };
+  }
+  const text = document.createElement("pre");
+  text.id = "found";
+  text.textContent = JSON.stringify(found);
+  document.body.replaceChildren(text);
+});
+</script>"""
+
+
+def test_the_page_of_boards_holds_at_every_width(boards, tmp_path):
+    (boards / "probe.html").write_text(PROBE)
+    dom, console = browse(
+        tmp_path, "--allow-file-access-from-files", "--window-size=1500,1000", "--virtual-time-budget=60000",
+        "--dump-dom", f"file://{boards}/probe.html",
+    )  # fmt: skip
+    found = json.loads(html.unescape(re.search(r'<pre id="found">(.*?)</pre>', dom)[1]))
+    assert console == []
+    for width, page in found.items():
+        assert page["scroll"] <= int(width) and (page["cut"], page["over"]) == (0, 0), (width, page)
+        assert (page["cells"], page["lines"]) == (12, 12), (width, page)
+        assert page["named"] == ("none" if width == "1400" else '"rclcpp"')
+
+
 def test_the_page_of_a_scenario_has_its_course(site):
-    (path,) = [path for path in site.glob("*.html") if path.name != "index.html"]
+    (path,) = [path for path in site.glob("*.html") if path.name not in ("index.html", "boards.html")]
     page = path.read_text()
     plots = [json.loads(text) for text in re.findall(r'<script type="application/json">(.*?)</script>', page)]
     *lines, deadline, change, _ = plots[0]["marks"]

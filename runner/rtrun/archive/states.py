@@ -1,0 +1,51 @@
+"""How a course stands, by the last change of each of its figures."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rtrun.archive.courses import Course
+from rtrun.archive.trends import Trend
+
+LEAST_BOOTS = 6  # of a course whose changes can be seen
+SAID = {
+    "WORSE": "got worse",
+    "BETTER": "got better",
+    "KNOWN": "got worse, which is known",
+    "ACCEPTED": "got worse, which was accepted",
+    "STEADY": "stayed as they were",
+    "NEW": f"are new: a change is seen from {LEAST_BOOTS} boots on",
+}
+"""The words of states, the gravest first, and what they say in a sentence."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CourseState:
+    """What is said of a course: `word`, of which figures, the class of its style, and its mark."""
+
+    word: str
+    style: str
+    mark: str
+    figures: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The word and the figures."""
+        word = "WORSE, known" if self.word == "KNOWN" else self.word
+        return f"{word}: {', '.join(self.figures)}" if self.figures else word
+
+
+def state_of(course: Course, trends: Sequence[Trend]) -> CourseState:
+    """WORSE where a figure's last change made it so; NEW where there are too few boots for any change to be seen."""
+    last = {trend.figure: trend for trend in trends}
+    worse = tuple(figure for figure, trend in last.items() if trend.is_worse)
+    if worse and all(last[figure].known for figure in worse):
+        return CourseState(word="KNOWN", style="more", mark="✗", figures=worse)
+    if worse:
+        return CourseState(word="WORSE", style="refuted", mark="✗", figures=worse)
+    if accepted := tuple(figure for figure, trend in last.items() if trend.accepted):
+        return CourseState(word="ACCEPTED", style="proven", mark="✓", figures=accepted)
+    if last:
+        return CourseState(word="BETTER", style="proven", mark="✓", figures=(*last,))
+    if len(course.boots()) < LEAST_BOOTS:
+        return CourseState(word="NEW", style="more", mark="?")
+    return CourseState(word="STEADY", style="proven", mark="✓")
