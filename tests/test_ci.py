@@ -1,14 +1,17 @@
-"""docs/ci.md: the shell of each recipe does what it is to do, and leaves what the recipe publishes.
+"""docs/ci.md and docs/lab.md: the shell of each recipe does what it is to do, and leaves what the recipe publishes.
 
 Stand-ins are `make`, `python3 -m venv`, `pip`, and `rtrun run`, which leaves a made-up campaign; every other command
 is the real one.
 """
 
+import http.server
 import os
 import re
 import shutil
 import subprocess
 import sys
+import threading
+import urllib.parse
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,11 +19,18 @@ import pytest
 import yaml
 from report.campaigns import write_campaign
 
+import rtrun.cli
+from rtfiles.command import parser_of
+from rtfiles.start import commands_of
+
 TOP = Path(__file__).parents[1]
 PAGE = (TOP / "docs" / "ci.md").read_text()
 GITHUB, GITLAB, LAVA, PAGES = (
     yaml.safe_load(block) for block in re.findall(r"^```yaml\n(.*?)^```$", PAGE, re.M | re.S)
 )
+LAB = (TOP / "docs" / "lab.md").read_text()
+LAB_GITHUB, LAB_GITLAB = (yaml.safe_load(block) for block in re.findall(r"^```yaml\n(.*?)^```$", LAB, re.M | re.S))
+UNITS = ("rt-nightly.service", "rt-nightly.timer", "rt-check.service", "rt-check.timer")
 RTRUN = f"""#!/bin/sh
 if [ "$1" = run ]; then
     [ -f "$2" ] && [ -f "$4" ] && [ "$5" = --results ] && mkdir -p results && cp -r made "$6"
@@ -135,3 +145,95 @@ def test_the_pages_become_a_site(checkout):
     assert built >= {str(path.relative_to(TOP / "docs").with_suffix(".html")) for path in (TOP / "docs").rglob("*.md")}
     pages = "".join((checkout / "public" / name).read_text() for name in built)
     assert not re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="https?:', pages)
+
+
+@pytest.fixture
+def lab(checkout):
+    """The folder of docs/lab.md, whose `rtrun run` leaves the campaign in the folder that it is given last."""
+    rtrun = checkout / ".venv/bin/rtrun"
+    made = 'for last; do :; done; mkdir -p results && cp -r made "$last"; exit "${MEASURED:-0}"'
+    rtrun.write_text(f'#!/bin/sh\n[ $1 = run ] && {{ {made}; }}\nexec {sys.executable} -m rtrun.cli "$@"\n')
+    (checkout / "bin/rtrun").symlink_to(rtrun)
+    (checkout / "bin/gh").write_text('#!/bin/sh\necho "$*" >gh; cat >>gh\n')
+    (checkout / "bin/gh").chmod(0o755)
+    told = {"name": "log", "kind": "command", "command": ["tee", "told"]}
+    (checkout / "receivers.yml").write_text(yaml.safe_dump({"schema": 1, "receivers": [told]}))
+    return checkout
+
+
+def in_folder(lab, text):
+    return text.replace("/srv/rt-lab", str(lab))
+
+
+def test_a_night_is_measured_kept_shown_and_told(lab):
+    (script,) = re.findall(r"^```sh\n(.*?)^```$", LAB, re.M | re.S)
+    (lab / "nightly").write_text(in_folder(lab, script))
+    # What was measured before it failed is kept, and the service has failed.
+    status, said = run(lab, ("sh",), [str(lab / "nightly")], {"MEASURED": 3})
+    assert status == 3 and said.endswith("0 things wrong\n"), said
+    assert list((lab / "archive" / "runs").glob("*.parquet")) and (lab / "public" / "boards.html").is_file()
+
+
+def test_systemd_takes_the_units(lab, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("units")
+    blocks = re.findall(r"^```ini\n(.*?)^```$", LAB, re.M | re.S)
+    (lab / "nightly").touch(0o755)
+    for name, block in zip(UNITS, blocks, strict=True):
+        assert f"`{name}`" in LAB or f"/{name}`" in LAB
+        (folder / name).write_text(in_folder(lab, block))
+        for when in re.findall("^OnCalendar=(.*)$", block, re.M):
+            assert "Next elapse" in subprocess.check_output(["systemd-analyze", "calendar", when], text=True)
+    done = subprocess.run(
+        ["systemd-analyze", "verify", *map(str, folder.iterdir())], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.fixture
+def ci(lab):
+    """The same with an rtrun that writes down what it is called with, and whose gate fails."""
+    (lab / ".venv/bin/rtrun").write_text(
+        '#!/bin/sh\necho "$*" >>rtrun\n[ $1 = gate ] || exit 0\necho "WORSE  p50"\nexit 1\n'
+    )
+    yield lab
+    parser = parser_of("rtrun", "", commands_of("rtrun", rtrun.cli.COMMANDS))
+    calls = [parser.parse_args(line.split()) for line in (lab / "rtrun").read_text().splitlines()]
+    assert [call.command for call in calls] == ["run", "gate", "archive", "notify"]
+
+
+def test_github_comments_what_is_worse(ci):
+    measure, gate, comment, keep = (step for step in LAB_GITHUB["jobs"]["measure"]["steps"] if "run" in step)
+    assert "failure()" in comment["if"] and "head.repo" in LAB_GITHUB["jobs"]["measure"]["if"]
+    shell = ("bash", "-e", "-o", "pipefail", "-c")
+    variables = {"TARGET": "lab.yml", "PULL_REQUEST": 7}
+    assert run(ci, shell, [measure["run"], gate["run"]], variables)[0] == 1
+    assert run(ci, shell, [comment["run"], keep["run"]], variables) == (0, "")
+    assert (ci / "gh").read_text() == "pr comment 7 --body-file -\n    WORSE  p50\n"
+
+
+def test_gitlab_comments_what_is_worse(ci):
+    """By the real curl, to a server of our own."""
+    posted = []
+
+    class Api(http.server.BaseHTTPRequestHandler):
+        def do_POST(self):
+            body = self.rfile.read(int(self.headers["Content-Length"])).decode()
+            posted.append((self.path, self.headers["PRIVATE-TOKEN"], urllib.parse.parse_qs(body)["body"][0]))
+            self.send_response(201)
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    job = LAB_GITLAB["measure"]
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Api) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        variables = {
+            "TARGET": "lab.yml", "CI_JOB_STATUS": "failed", "CI_MERGE_REQUEST_IID": 7, "CI_PROJECT_ID": 3,
+            "CI_API_V4_URL": f"http://127.0.0.1:{server.server_port}/api/v4", "LAB_TOKEN": "t",
+            "CI_PIPELINE_SOURCE": "schedule",
+        }  # fmt: skip
+        assert run(ci, ("bash", "-e", "-c"), job["script"], variables)[0] == 1
+        assert run(ci, ("bash", "-e", "-c"), job["after_script"], variables) == (0, "")
+        server.shutdown()
+    assert posted == [("/api/v4/projects/3/merge_requests/7/notes", "t", "    WORSE  p50\n")]

@@ -39,6 +39,8 @@ NOT_RUN = {
     "rtrun site archive": "these",
     "rtrun bisect": "an archive of several commits; tests/rtrun/archive/test_trends.py",
     "rtrun check-rt": "a target; tests/rtrun/targets/test_rt_readiness.py",
+    "rtrun farm": "a labgrid coordinator; tests/rtrun/targets/labgrid",
+    "rtrun notify": "receivers; tests/rtrun/archive/test_notify.py",
     "rtrun probe": "a target; tests/integration",
     "rtrun run": "a target; tests/integration",
     "rtrun observe": "programs that run already; tests/suites/test_observe.py",
