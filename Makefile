@@ -54,9 +54,11 @@ test-yocto: setup
 fuzz: setup
 	PYTHONPATH=runner:tests $(BIN)/python tests/hostile/fuzz.py --seconds $(or $(SECONDS),3600) --seed $(or $(SEED),1)
 
-# A campaign of RUNS through FAULTS (kills, stops, hang-ups, cut links, full disks, damaged files), drawn by SEED.
+# A campaign of RUNS through FAULTS (kills, stops, hang-ups, cut links, full disks, damaged files), drawn by SEED; and
+# CAMPAIGNS on BOARDS of a labgrid farm of which a part is killed KILLS times.
 soak: setup
 	SEED=$(SEED) RUNS=$(RUNS) FAULTS=$(FAULTS) $(BIN)/pytest -s tests/hostile/soak.py
+	SEED=$(SEED) BOARDS=$(BOARDS) CAMPAIGNS=$(CAMPAIGNS) KILLS=$(KILLS) $(BIN)/pytest -s tests/hostile/lab_soak.py
 
 # Culprits planted on this machine and on both kernels of the emulated board, which rtrun why must name; writes the tables
 # of docs/causes.md. Root, an hour and a half; PLACES=here for this machine alone.
@@ -109,6 +111,7 @@ bench: setup
 	$(BIN)/pytest -q -s tests/bench/overhead.py tests/bench/sampler.py
 	$(BIN)/pytest -q -s tests/bench/pulling.py tests/bench/farm.py
 	nice -n 5 $(BIN)/python tests/bench/archived_year.py
+	PYTHONPATH=runner:tests:tests/rtrun nice -n 5 $(BIN)/python tests/bench/lab_month.py
 	PYTHONPATH=tests/rtrun $(BIN)/pytest -q -s tests/bench/causes.py tests/bench/flows.py
 	PYTHONPATH=tests $(BIN)/pytest -q -s tests/bench/observe.py
 
