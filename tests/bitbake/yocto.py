@@ -15,13 +15,13 @@ from rtgen.profile import Profile, Release, RosDistro, load_profile, profile_nam
 
 KEY = "ssh-ed25519 AAAA"
 # What BitBake reports about recipes that are masked.
-MISSING = ("Nothing PROVIDES", "No bb files in default matched")
+MISSING = ("Nothing PROVIDES", "Nothing RPROVIDES", "Required build target", "No bb files in default matched")
 # What it reports about layers that are not ours, about the missing network, and about one recipe run alone.
 FOREIGN = ("omap3-sgx-modules", "osrf-pycommon", "uninative", "Buildfile specified")
 # The value of a variable that names what a recipe needs.
 NEEDS = re.compile(r'(?:(?<!TEST_)DEPENDS|RRECOMMENDS|PACKAGECONFIG)[^\s="]*\s*[?:+.]*=[+.]?\s*"([^"]*)"')
 # What it says when a recipe is missed: its name, and the files of those that need it.
-MISSED = re.compile(r"Nothing PROVIDES '([^']+)' \(but (.+?) DEPENDS on or otherwise requires it\)")
+MISSED = re.compile(r"Nothing R?PROVIDES '([^']+)' \(but (.+?) R?DEPENDS on or otherwise requires it\)")
 
 
 @dataclass(frozen=True)
