@@ -219,6 +219,8 @@ BAD = [
     "rtrun trends missing",
     "rtrun bisect missing --order missing.txt",
     "rtrun site missing --output site",
+    "rtrun farm --target missing.yml",
+    "rtrun notify missing.yml archive",
 ]
 
 

@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.sshd]
 CAMPAIGN = """
 schema: 1
 name: built
-common: {{policy: FIFO, repetitions: 200, domain_id: {domain}}}
+common: {{policy: FIFO, frequency_hz: 50, repetitions: 100, domain_id: {domain}}}
 runs:
   - {{suite: communication_tests, middleware: [roscpp, rcl, futex]}}
   - {{suite: cyclic_timer_tests, middleware: [roscpp, rcl]}}

@@ -315,7 +315,9 @@ def test_a_path_agrees_with_what_is_observed_of_it_and_both_tell_why_it_was_late
     (stream,) = place.glob("results/braking/001-*-paths-*")
     assert main(["why", str(stream)]) == 0
     assert capsys.readouterr().out.partition("\n")[0] == first, "a stream is of its run"
-    assert re.match(r"(filter|/scan is on its way to filter)\b.* of what made /scan,/objects late", first), first
+    assert re.match(r"(filter|/scan is on its way to filter)\b.* of what made /scan,/objects -> control late", first), (
+        first
+    )
 
 
 def wait_for(pattern, place, runner):
