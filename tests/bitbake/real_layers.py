@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from bitbake.debian_tools import work_folder
-from bitbake.yocto import MISSED, unmet_needs
+from bitbake.yocto import MISSED, MISSING, MISSING_OF_WORLD, unmet_needs
 from rtfiles.config import read_yaml
 from rtgen import suites as builder
 from rtgen.checkout import checkout
@@ -143,7 +143,7 @@ def graph(yocto, machine, mask):
     yocto.configure(build, machine, mask)
     (build / "task-depends.dot").unlink(missing_ok=True)
     # What is masked may be missed by recipes that BitBake considers and does not take, as those of an SDK.
-    output = yocto.run("bitbake", "-g", image, build=build, masked=True)
+    output = yocto.run("bitbake", "-g", image, build=build, missing=MISSING)
     drawn = (build / "task-depends.dot").read_text()
     assert unmet_needs(output, drawn) == set()
     tasks = re.findall(r'^"([^"]+)" \[label=', drawn, re.MULTILINE)
@@ -242,7 +242,7 @@ def mask_of_a_world(yocto, needed, settings):
     while True:
         mask = f'BBMASK = "{yocto.mask_of_others_but(needed | missed)}"'
         yocto.write_configuration(build, yocto.shared_layers, [*yocto.local("qemuarm"), *settings, mask])
-        output = yocto.run("bitbake", "-g", "world", build=build, masked=True)
+        output = yocto.run("bitbake", "-g", "world", build=build, missing=MISSING_OF_WORLD)
         more = {name for name, _ in MISSED.findall(output)} - missed
         if not more:
             return mask

@@ -15,7 +15,9 @@ from rtgen.profile import Profile, Release, RosDistro, load_profile, profile_nam
 
 KEY = "ssh-ed25519 AAAA"
 # What BitBake reports about recipes that are masked.
-MISSING = ("Nothing PROVIDES", "Nothing RPROVIDES", "Required build target", "No bb files in default matched")
+MISSING = ("Nothing PROVIDES", "No bb files in default matched")
+# And of a world which needs some of these.
+MISSING_OF_WORLD = (*MISSING, "Nothing RPROVIDES", "Required build target")
 # What it reports about layers that are not ours, about the missing network, and about one recipe run alone.
 FOREIGN = ("omap3-sgx-modules", "osrf-pycommon", "uninative", "Buildfile specified")
 # The value of a variable that names what a recipe needs.
@@ -92,10 +94,10 @@ class Yocto:
         """The layers of others that a machine of the profile has beside the shared ones."""
         return [layer for layer in self.kas(machine)[0] if layer.name not in self.release.layers]
 
-    def run(self, *command: str, build: Path | None = None, masked: bool = False) -> str:
+    def run(self, *command: str, build: Path | None = None, missing: tuple[str, ...] = ()) -> str:
         """Run a command in the build environment; what it said. Neither errors nor warnings of ours may be in it.
 
-        `masked`: most recipes are, so that it is no error if they are missing.
+        `missing`: what is no error, as most recipes are masked.
         """
         core = self.top / ("openembedded-core" if (self.top / "openembedded-core").is_dir() else "poky")
         environment = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "LC_ALL": "en_US.UTF-8", "HOME": str(Path.home())}
@@ -109,11 +111,11 @@ class Yocto:
             ["bash", "-c", script, "bash", str(build or self.build), *command],
             cwd=core, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
         )  # fmt: skip
-        assert done.returncode == 0 or masked, done.stdout[-4000:]
+        assert done.returncode == 0 or missing, done.stdout[-4000:]
         lines = [
             line for line in done.stdout.splitlines() if re.match(r"(Parsing recipes\.\.\.)?(WARNING|ERROR): ", line)
         ]
-        foreign = (*FOREIGN, *(MISSING if masked else ()))
+        foreign = (*FOREIGN, *missing)
         assert [line for line in lines if not any(name in line for name in foreign)] == []
         return done.stdout
 
@@ -121,7 +123,7 @@ class Yocto:
         self, *target: str, names: tuple[str, ...], build: Path | None = None, masked: bool = False
     ) -> dict[str, str]:
         """Variables of a recipe, or of `-b` and its file, expanded, as `bitbake -e` gives them."""
-        output = self.run("bitbake", "-e", *target, build=build, masked=masked)
+        output = self.run("bitbake", "-e", *target, build=build, missing=MISSING if masked else ())
         values = {}
         for name in names:
             match = re.search(rf'^(?:export )?{re.escape(name)}="((?:[^"\\]|\\.|\\\n)*)"$', output, re.MULTILINE)

@@ -277,8 +277,6 @@ def write_small(folder: Path) -> None:
 
 def read_direct(folder: Path) -> None:
     memory = mmap.mmap(-1, 1 << 20)
-    file = os.open(__file__, os.O_RDONLY)
-    os.close(file)
     much = folder / "much"
     if much.exists():
         file = os.open(much, os.O_RDONLY | os.O_DIRECT)

@@ -20,7 +20,10 @@ from rtrun.judgement.gate import Case, Gate, why_not_accepted
 from rtrun.plan.question import Measure
 from rtrun.targets.inspection.platform import Platform
 
-_SHARE_OF_MARGIN = 0.05  # of the reference, where no margin is given; 1 us at least, as in compare
+# A shift that is of no concern, where no margin is given: of the reference, but at least so long, as in compare.
+SHARE_OF_MARGIN, LEAST_MARGIN_NS = 0.05, 1000.0
+CHANGED = "; changed since its last boot: "
+"""What stands between how a case is worse and what changed there."""
 
 
 def gate_against(
@@ -119,7 +122,7 @@ def _case(
     if since:
         text = f"{text}; history{since}"
     if exceeds and (changed := changed_facts(history.boots(), build.boots())):
-        text = f"{text}; changed since its last boot: {'; '.join(changed)}"
+        text = f"{text}{CHANGED}{'; '.join(changed)}"
     passed = not exceeds
     if passed and (why := why_not_accepted(Platform(build.platform), platform)):
         text, passed = f"{text}; {why}", False
@@ -149,8 +152,8 @@ def _compare(figure: Figure, build: Course, history: Course, margin_ns: float | 
         build.values(figure),
         level=level,
         margin=margin_ns,
-        share=_SHARE_OF_MARGIN,
-        least=1000.0,
+        share=SHARE_OF_MARGIN,
+        least=LEAST_MARGIN_NS,
     )
 
 

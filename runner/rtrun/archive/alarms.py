@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Literal
 
+from rtrun.archive.against import CHANGED, LEAST_MARGIN_NS, SHARE_OF_MARGIN
 from rtrun.archive.courses import Course
 from rtrun.archive.notes import Notes
-from rtrun.archive.trends import Trend, as_text
+from rtrun.archive.trends import NOTHING_KNOWN, Trend, as_text
 from rtrun.judgement.gate import Gate
 from rtrun.targets.labgrid.coordinator import LabgridPlace
 from rtrun.targets.labgrid.health import in_words
-
-# A shift that is of no concern, as of `gate --against`.
-LEAST_SHARE, LEAST_NS = 0.05, 1000.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,7 +57,7 @@ def _is_of_concern(trend: Trend) -> bool:
 
 def of_no_concern(figure: str, level: float) -> float:
     """By how much a figure may be above this level without anybody having to hear of it."""
-    return 0.0 if figure == "P(miss)" else max(LEAST_SHARE * level, LEAST_NS)
+    return 0.0 if figure == "P(miss)" else max(SHARE_OF_MARGIN * level, LEAST_MARGIN_NS)
 
 
 def _of_course(course: Course, worse: Sequence[Trend], confidence: float) -> Alarm:
@@ -71,7 +69,7 @@ def _of_course(course: Course, worse: Sequence[Trend], confidence: float) -> Ala
         about=course.label,
         size="; ".join(as_text(trend, confidence=confidence)[0] for trend in worse),
         since=when.removeprefix("when: "),
-        suspected="; ".join(newest.circumstances) or "nothing that the archive knows",
+        suspected="; ".join(newest.circumstances) or NOTHING_KNOWN,
         page=course.page,
         key=_key("worse", *course.identity),
         begins=newest.first_after,
@@ -89,14 +87,14 @@ def worse_builds(gate: Gate, build: str, notes: Notes, pages: Sequence[Course]) 
         if case.answer != "WORSE":
             continue
         scenario, _, machine = case.about.rpartition(" on ")
-        size, _, changed = case.text.partition("; changed since its last boot: ")
+        size, _, changed = case.text.partition(CHANGED)
         alarms.append(
             Alarm(
                 kind="worse build",
                 about=case.about,
                 size=size,
                 since="in these results",
-                suspected=changed or "nothing that the archive knows",
+                suspected=changed or NOTHING_KNOWN,
                 page=page_of.get(case.about),
                 key=_key("build", build, case.about),
                 known=next((note.words for note in notes.known(machine, scenario)), None),

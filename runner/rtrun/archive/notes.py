@@ -3,21 +3,19 @@
 Nothing in the tables is rewritten for them. A note is undone by another one that withdraws it.
 """
 
-import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from fnmatch import fnmatchcase
 from typing import Annotated, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 
 from rtfiles.config import Config
-from rtfiles.errors import UsageError
-from rtrun.archive.store import Store, read_small_files, write_file
+from rtrun.archive.entries import add_entry, read_entries
+from rtrun.archive.store import Store
 
 FOLDER = "notes"
-_TIME = "%Y%m%dT%H%M%SZ"
 _NOTES_MAX = 10_000
 _BYTES_MAX = 1 << 16
 Text = Annotated[str, Field(min_length=1, max_length=1000)]
@@ -155,26 +153,17 @@ def read_notes(store: Store) -> Notes:
     found: dict[str, HeldNote] = {}
     withdrawn: set[str] = set()
     reader: TypeAdapter[HeldNote | WithdrawNote] = TypeAdapter(Note)
-    for path, content in read_small_files(store, FOLDER, ".json", most=_NOTES_MAX, max_bytes=_BYTES_MAX):
-        try:
-            note = reader.validate_json(content)
-        except ValidationError as error:
-            (first, *_) = error.errors()
-            where = ".".join(str(each) for each in first["loc"])
-            raise UsageError(f"{store.address}: {path}: {where}: {first['msg']}") from error
+    for name, note in read_entries(store, FOLDER, reader, most=_NOTES_MAX, max_bytes=_BYTES_MAX):
         if isinstance(note, WithdrawNote):
             withdrawn.add(note.note)
         else:
-            found[path.rpartition("/")[2].removesuffix(".json")] = note
+            found[name] = note
     return Notes(held={name: note for name, note in found.items() if name not in withdrawn})
 
 
 def add_note(store: Store, note: HeldNote | WithdrawNote) -> str:
     """Add a note to an archive; returns its name. Raises InfrastructureError."""
-    content = note.model_dump_json(exclude_none=True, indent=1).encode() + b"\n"
-    name = f"{note.at.strftime(_TIME)}-{hashlib.sha256(content).hexdigest()[:8]}"
-    write_file(store, f"{FOLDER}/{name}.json", content)
-    return name
+    return add_entry(store, FOLDER, note.at, note.model_dump_json(exclude_none=True, indent=1).encode() + b"\n")
 
 
 def in_words(name: str, note: HeldNote) -> str:

@@ -1,16 +1,15 @@
 """Who was told what: files that are added to the archive, one for each message that arrived."""
 
-import hashlib
 from collections.abc import Collection, Sequence
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, TypeAdapter
 
 from rtfiles.config import Config, matching
-from rtfiles.errors import UsageError
 from rtrun.archive.alarms import Alarm, of_no_concern
-from rtrun.archive.store import Store, read_small_files, write_file
+from rtrun.archive.entries import add_entry, read_entries
+from rtrun.archive.store import Store
 
 FOLDER = "told"
 ALARMS_MAX = 4000
@@ -39,15 +38,9 @@ class ToldMessage(Config):
 
 def read_told(store: Store) -> list[ToldMessage]:
     """Every message, the first one first. Raises UsageError for a file that is none, InfrastructureError."""
-    messages = []
-    for path, content in read_small_files(store, FOLDER, ".json", most=_MESSAGES_MAX, max_bytes=_BYTES_MAX):
-        try:
-            messages.append(ToldMessage.model_validate_json(content))
-        except ValidationError as error:
-            (first, *_) = error.errors()
-            where = ".".join(str(each) for each in first["loc"])
-            raise UsageError(f"{store.address}: {path}: {where}: {first['msg']}") from error
-    return messages
+    reader = TypeAdapter(ToldMessage)
+    entries = read_entries(store, FOLDER, reader, most=_MESSAGES_MAX, max_bytes=_BYTES_MAX)
+    return [message for _, message in entries]
 
 
 def add_told(store: Store, receiver: str, alarms: Collection[Alarm], now: datetime) -> None:
@@ -57,9 +50,7 @@ def add_told(store: Store, receiver: str, alarms: Collection[Alarm], now: dateti
         for one in alarms
     ]
     message = ToldMessage(schema=1, at=now, receiver=receiver, alarms=told)
-    content = message.model_dump_json(by_alias=True, exclude_none=True).encode() + b"\n"
-    name = f"{now.strftime('%Y%m%dT%H%M%SZ')}-{hashlib.sha256(content).hexdigest()[:8]}"
-    write_file(store, f"{FOLDER}/{name}.json", content)
+    add_entry(store, FOLDER, now, message.model_dump_json(by_alias=True, exclude_none=True).encode() + b"\n")
 
 
 def not_told(receiver: str, alarms: Sequence[Alarm], messages: Sequence[ToldMessage]) -> list[Alarm]:

@@ -12,6 +12,8 @@ from rtrun.analysis.effects import examine_effect
 from rtrun.archive.courses import ArchivedRun, Course, Figure, facts_of, readings_of
 from rtrun.archive.notes import AcceptNote, KnownNote
 
+NOTHING_KNOWN = "nothing that the archive knows"
+"""What changed with a figure, where nothing else did."""
 _SIGNIFICANT = 0.01  # of a reading that differs between two levels
 _UNITS = {"temperature_max_mc": (1000, "°C"), "frequency_max_khz": (1000, "MHz"), "load_1min_max": (1, "")}
 _NAMES = {"temperature_max_mc": "temperature", "frequency_max_khz": "CPU frequency", "load_1min_max": "load"}
@@ -143,7 +145,7 @@ def as_text(trend: Trend, *, confidence: float) -> list[str]:
     return [
         f"{trend.figure} {amounts[0]} -> {amounts[1]}, {100 * confidence:g} % CI of the shift {interval}",
         f"when: {when}",
-        f"changed there: {'; '.join(trend.circumstances) or 'nothing that the archive knows'}",
+        f"changed there: {'; '.join(trend.circumstances) or NOTHING_KNOWN}",
         *([f"accepted: {trend.accepted.words}"] if trend.accepted else []),
         *([f"known: {trend.known.words}"] if trend.known else []),
     ]

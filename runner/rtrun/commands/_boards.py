@@ -104,9 +104,7 @@ def measure_on(
     """Measure a campaign, or the chosen runs of it, on these targets. `observer` shows the progress of one alone."""
     if len(targets) == 1:
         (only,) = targets
-        preferred = place_of_begun(results, only.name)
-        console_log = results / "console.log"
-        with connect(only.config, only.folder, console_log, notify=observer.note, preferred=preferred) as target:
+        with _connect(only, results, "console.log", observer, lambda: False) as target:
             return campaign_runner.run_campaign(
                 target, name, runs, results, observer, chosen=chosen, variants=variants, rounds=rounds
             )
@@ -115,7 +113,7 @@ def measure_on(
         boards = [
             Board(
                 name=each.name,
-                connect=functools.partial(_connect, each, results, lines[each.name]),
+                connect=functools.partial(_connect, each, results, f"console-{each.name}.log", lines[each.name]),
                 observer=lines[each.name],
             )
             for each in targets
@@ -134,7 +132,13 @@ def print_failed(statuses: Mapping[str, RunStatus]) -> int:
 
 
 def _connect(
-    each: TargetFile, results: Path, observer: Observer, is_over: Callable[[], bool]
+    each: TargetFile, results: Path, console_log: str, observer: Observer, is_over: Callable[[], bool]
 ) -> AbstractContextManager[Target]:
-    console_log, preferred = results / f"console-{each.name}.log", place_of_begun(results, each.name)
-    return connect(each.config, each.folder, console_log, notify=observer.note, is_over=is_over, preferred=preferred)
+    return connect(
+        each.config,
+        each.folder,
+        results / console_log,
+        notify=observer.note,
+        is_over=is_over,
+        preferred=place_of_begun(results, each.name),
+    )

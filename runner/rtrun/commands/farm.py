@@ -208,7 +208,7 @@ def _check(
     from rtrun.targets.errors import TargetError, TargetGone
     from rtrun.targets.inspection.health import check_health
     from rtrun.targets.labgrid import health
-    from rtrun.targets.labgrid.coordinator import QUARANTINE, LabgridClient, list_places, resources_of
+    from rtrun.targets.labgrid.coordinator import QUARANTINE, LabgridClient, find_place, resources_of
     from rtrun.targets.link import Link
 
     def note(text: str) -> None:
@@ -231,7 +231,8 @@ def _check(
     except TargetError as error:
         failure = str(error)
     # Asked again: it is no fault of the board where the coordinator is gone, and somebody may have set tags meanwhile.
-    tags = next((each.tags for each in list_places(coordinator) if each.name == place.name), {})
+    now = find_place(coordinator, place.name)
+    tags = now.tags if now else {}
     changed = health.after_success(tags) if failure is None else health.after_failure(tags, failure, today)
     LabgridClient(coordinator=coordinator, user=getpass.getuser()).set_tags(place.name, changed)
     if failure is None:

@@ -18,7 +18,6 @@ EXAMPLES = (
     "rtrun notify lab.yml archive",
     "rtrun notify lab.yml archive --results results/brakes",
 )
-FALSE_ALARMS = 0.05
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -93,6 +92,7 @@ def _worse(args: argparse.Namespace, archive: "Archive", known: "list[Course]", 
 
         return worse_courses(trends(known, confidence=args.confidence), confidence=args.confidence)
     from rtrun.archive.against import gate_against
+    from rtrun.commands.gate import FALSE_ALARMS
     from rtrun.results.record import FILE
     from rtrun.targets.inspection.platform import Platform
 

@@ -133,6 +133,11 @@ def list_places(coordinator: str) -> list[LabgridPlace]:
     ]
 
 
+def find_place(coordinator: str, name: str) -> LabgridPlace | None:
+    """Ask a coordinator for a place; None where it has none of that name. Raises as `list_places` does."""
+    return next((place for place in list_places(coordinator) if place.name == name), None)
+
+
 def matching(places: Sequence[LabgridPlace], tags: Mapping[str, str]) -> list[LabgridPlace]:
     """The places that have all of these tags, of which `name` is that of the place itself."""
     return [place for place in places if tags.items() <= {**place.tags, "name": place.name}.items()]
@@ -181,6 +186,12 @@ def resources_of(place: LabgridPlace, offered: Sequence[OfferedResource]) -> lis
 def unoffered(place: LabgridPlace, offered: Sequence[OfferedResource]) -> list[str]:
     """The patterns of a place that nothing fits which is offered now."""
     return [pattern for pattern in place.matches if not any(_fits(pattern, each) for each in offered)]
+
+
+def what_ended(coordinator: str, place: LabgridPlace) -> str:
+    """What is said of a place whose exporter ended; empty where all is offered. Raises as `list_places` does."""
+    missing = unoffered(place, list_resources(coordinator))
+    return f"place {place.name}: {nobody_offers(missing)}" if missing else ""
 
 
 def nobody_offers(patterns: Sequence[str]) -> str:

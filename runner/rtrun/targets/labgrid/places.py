@@ -27,12 +27,11 @@ from rtrun.targets.labgrid.coordinator import (
     LabgridClient,
     LabgridPlace,
     allocated,
+    find_place,
     has_power,
     list_places,
-    list_resources,
     matching,
-    nobody_offers,
-    unoffered,
+    what_ended,
 )
 from rtrun.targets.labgrid.environment import Environment
 from rtrun.targets.labgrid.health import in_words
@@ -101,7 +100,7 @@ def acquired(
     """
     environment = wanted.environment
     client = LabgridClient(coordinator=wanted.coordinator, user=os.environ.get("LG_USERNAME") or getpass.getuser())
-    all_fitting = _fitting(replace(wanted, is_check=True))
+    all_fitting = _fitting(wanted)
     with contextlib.ExitStack() as stack:
         name = next((place.name for place in all_fitting if place.holder == client.identity), None)
         is_ours = name is None
@@ -122,9 +121,9 @@ def acquired(
                 client.call(*config, "-p", name, "power", "cycle")
             except TargetError as error:
                 raise _explained(client.coordinator, name, error) from error
-            with contextlib.suppress(InfrastructureError, StopIteration):
-                place = next(each for each in list_places(client.coordinator) if each.name == name)
-                client.set_tags(name, {POWER_CYCLES: str(power_cycles(place) + 1)})
+            with contextlib.suppress(InfrastructureError):
+                if (place := find_place(client.coordinator, name)) is not None:
+                    client.set_tags(name, {POWER_CYCLES: str(power_cycles(place) + 1)})
 
         yield AcquiredPlace(
             name=name,
@@ -138,10 +137,7 @@ def acquired(
 
 
 def _fitting(wanted: WantedPlace) -> list[LabgridPlace]:
-    """The places that are wanted, without those in quarantine.
-
-    Raises UsageError where there are none, TargetError where all are in quarantine.
-    """
+    """The places that are wanted, those in quarantine too. Raises UsageError where there are none."""
     places = list_places(wanted.coordinator)
     fitting = matching(places, wanted.tags)
     if not fitting:
@@ -150,6 +146,11 @@ def _fitting(wanted: WantedPlace) -> list[LabgridPlace]:
         raise UsageError(
             f"the labgrid coordinator at {wanted.coordinator} has no place with {words}; its places: {there}"
         )
+    return fitting
+
+
+def _to_be_had(wanted: WantedPlace, fitting: list[LabgridPlace]) -> list[LabgridPlace]:
+    """Of fitting places those that may be taken. Raises TargetError where all are in quarantine."""
     return fitting if wanted.is_check else without_quarantine(fitting)[0]
 
 
@@ -173,9 +174,9 @@ def power_cycles(place: LabgridPlace) -> int:
 def _explained(coordinator: str, name: str, error: TargetError) -> TargetError:
     """What is wrong with a place, where it is that its exporter ended; else the error."""
     with contextlib.suppress(InfrastructureError):
-        place = next((each for each in list_places(coordinator) if each.name == name), None)
-        if place and (missing := unoffered(place, list_resources(coordinator))):
-            return TargetError(f"place {name}: {nobody_offers(missing)}")
+        place = find_place(coordinator, name)
+        if place and (ended := what_ended(coordinator, place)):
+            return TargetError(ended)
     return error
 
 
@@ -190,7 +191,8 @@ def _reserve_and_acquire(
     say_at: float | None = time.monotonic() + _SAY_AFTER_S
     try:
         while True:
-            fitting = _fitting(wanted)
+            all_fitting = _fitting(wanted)
+            fitting = _to_be_had(wanted, all_fitting)
             is_held = all(place.holder for place in fitting)
             if is_held and wanted.is_check:
                 raise TargetGone(", ".join(f"held by {place.holder}" for place in fitting))
@@ -198,7 +200,7 @@ def _reserve_and_acquire(
             if is_held and say_at is not None:
                 notify(_holders(fitting))
                 say_at = None
-            name = _reserve(client, wanted, fitting, tokens)
+            name = _reserve(client, wanted, fitting, tokens, is_any=len(fitting) == len(all_fitting))
             while name is None:
                 if is_over():
                     raise TargetGone("the campaign was over before the place was free")
@@ -211,7 +213,7 @@ def _reserve_and_acquire(
                 time.sleep(POLL_S)
                 name = _allocated(client.coordinator, tokens)
             # It may have been put into quarantine meanwhile.
-            if any(place.name == name for place in _fitting(wanted)):
+            if any(place.name == name for place in _to_be_had(wanted, _fitting(wanted))):
                 stack.enter_context(_acquire(client, name))
                 return name
             _cancel(client, tokens)
@@ -221,18 +223,18 @@ def _reserve_and_acquire(
 
 
 def _reserve(
-    client: LabgridClient, wanted: WantedPlace, fitting: Sequence[LabgridPlace], tokens: list[str]
+    client: LabgridClient, wanted: WantedPlace, fitting: Sequence[LabgridPlace], tokens: list[str], *, is_any: bool
 ) -> str | None:
     """Reserve a place, and add to `tokens` what names the reservations; the place that was free at once, or None.
 
     The preferred one is had first where it is free.
-    labgrid knows no filter for a tag that a place is not to have. So where some of the wanted ones are in quarantine,
-    the others are reserved by their names, free ones first, until one is had.
+    labgrid knows no filter for a tag that a place is not to have. So where not any of the wanted ones may be had, as
+    some are in quarantine, the others are reserved by their names, free ones first, until one is had.
     """
     filters = [wanted.tags]
     if any(place.name == wanted.preferred and not place.holder and not place.reservation for place in fitting):
         filters = [{"name": str(wanted.preferred)}]
-    elif len(fitting) < len(_fitting(replace(wanted, is_check=True))):
+    elif not is_any:
         free_first = sorted(fitting, key=lambda place: bool(place.holder or place.reservation))
         filters = [{"name": place.name} for place in free_first]
     for tags in filters:

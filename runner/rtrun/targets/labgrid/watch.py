@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable, Iterator
 
 from rtfiles.errors import InfrastructureError
-from rtrun.targets.labgrid.coordinator import LabgridClient, list_places, list_resources, nobody_offers, unoffered
+from rtrun.targets.labgrid.coordinator import LabgridClient, find_place, what_ended
 
 WATCH_S = 10.0
 
@@ -43,11 +43,11 @@ def watching(client: LabgridClient, name: str, notify: Callable[[str], None], *,
 
 def _wrong(client: LabgridClient, name: str, ended: threading.Event | None) -> str:
     """What is wrong with a place; empty where nothing is. It is acquired again until `ended`, None: it is not."""
-    place = next((each for each in list_places(client.coordinator) if each.name == name), None)
+    place = find_place(client.coordinator, name)
     if place is None:
         return f"the labgrid coordinator at {client.coordinator} has no place {name} any more"
-    if missing := unoffered(place, list_resources(client.coordinator)):
-        return f"place {name}: {nobody_offers(missing)}"
+    if ended_there := what_ended(client.coordinator, place):
+        return ended_there
     if place.holder is None and ended is not None and not ended.is_set():
         client.call("-p", name, "acquire")
     elif place.holder not in (None, client.identity):
