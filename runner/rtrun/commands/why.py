@@ -67,7 +67,8 @@ def run(args: argparse.Namespace) -> int:
         print_json({"schema": 1, "outcome": outcome, **found, **others, "problems": problems})
         return UsageError.exit_status if problems else 0
     print_line(outcome)
-    for note in causes.remedies(ranking):
+    advice = tuple(causes.remedies(ranking))
+    for note in advice:
         print_line(note)
     worst = sorted((one for one in explained if one.parts), key=lambda one: one.outlier.value_ns, reverse=True)
     for one in worst if args.all else worst[:SHOWN]:
@@ -81,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         print_line()
         print_line(f"{table.title}:")
         print_rows(table)
-    for note in (*table.notes, *thresholds([read_record(folder) for folder in source.folders], of)):
+    for note in (*table.notes[len(advice) :], *thresholds([read_record(folder) for folder in source.folders], of)):
         print_line(note)
     for more in (causes.step_table(explained), paths, periods, surroundings, cost):
         if more is not None and more.rows:

@@ -243,6 +243,7 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
         outcome=answer(ranking),
         numbers=3,
         notes=(
+            *remedies(ranking),
             *(printable(limit) for limit in dict.fromkeys(limit for one in explained for limit in one.limits)),
             *without_trace(explained),
             *([f"{others} more took less than 1 % each"] if others else []),

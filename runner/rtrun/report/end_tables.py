@@ -56,8 +56,9 @@ def _of_paths(study: Study) -> Iterator[Table]:
 def _causes(study: Study, found: causes.Found) -> tuple[Table, Table]:
     ranking, explained, refused = found
     table = causes.table(ranking, explained)
-    notes = (*causes.remedies(ranking), *table.notes, *thresholds(study.records, _judged(study)), *refused)
-    return replace(table, notes=notes), causes.step_table(explained)
+    return replace(
+        table, notes=(*table.notes, *thresholds(study.records, _judged(study)), *refused)
+    ), causes.step_table(explained)
 
 
 def _judged(study: Study) -> Measure:
