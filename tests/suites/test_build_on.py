@@ -117,7 +117,8 @@ def test_a_target_whose_disk_is_full(tmp_path: Path, small_disk: Path, capsys: p
 
 
 def plant_error(sources: Path) -> None:
-    with (sources / "rt_tests_support/src/background.cpp").open("a") as stream:
+    """In a file that is built after errors.cpp, whose name is no error."""
+    with (sources / "rt_tests_support/src/trace.cpp").open("a") as stream:
         stream.write("int broken = missing_everywhere;\n")
 
 
@@ -128,7 +129,7 @@ def plant_cmake_error(sources: Path) -> None:
 @pytest.mark.parametrize(
     ("plant", "expected"),
     [
-        (plant_error, "background.cpp:"),
+        (plant_error, "trace.cpp:"),
         (plant_error, "error: ‘missing_everywhere’ was not declared in this scope"),
         (plant_cmake_error, "CMake Error at CMakeLists.txt:1 (find_package)"),
     ],

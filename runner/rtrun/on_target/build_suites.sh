@@ -14,14 +14,15 @@ fail() {
     echo "$1" >&2
     exit 1
 }
-# A compiler's errors begin before the end of what is printed, as several compile at a time.
+# A compiler's errors begin before the end of what is printed, as several compile at a time. Without the colon, a line that
+# names a source like errors.cpp would be one.
 fail_with_log() {
     [ "$(df -Pk . | awk 'END {print $4}')" -ge 1024 ] || {
         rm -rf work-* stage # or there is no room for a word
         fail "the target's disk is full (df -h $folder)"
     }
     fail "$1:
-$(sed -n '/[Ee]rror/,$p' log | head -n 12 | cut -c 1-300 | grep . || tail -n 12 log)"
+$(sed -n '/CMake Error\|[Ee]rror: \|undefined reference/,$p' log | head -n 12 | cut -c 1-300 | grep . || tail -n 12 log)"
 }
 
 lacks=
