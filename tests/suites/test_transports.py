@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import struct
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -51,8 +52,16 @@ def communicate(
         for number in range(subscribers)
     ]
     awaiting = ("--subscribers", str(subscribers))
-    sender = end(bench.start(f"communication_tests_publisher_{transport}", *arguments, *awaiting), timeout)
-    return [end(receiver) for receiver in receivers], sender
+    sender = bench.start(f"communication_tests_publisher_{transport}", *arguments, *awaiting)
+    deadline = time.monotonic() + timeout
+    while sender.poll() is None and time.monotonic() < deadline:
+        # A publisher waits for ever for a subscriber that died.
+        dead = [receiver for receiver in receivers if receiver.poll() not in (None, 0)]
+        assert not dead, end(dead[0])
+        time.sleep(0.02)
+    if sender.poll() is None:
+        pytest.fail(f"after {timeout:g} s the publisher runs; {bench.files()}; subscribers: {receivers}")
+    return [end(receiver) for receiver in receivers], end(sender)
 
 
 def check_counts(bench: Bench, output: str, transport: str, subscribers: int = 1) -> list[dict[str, Any]]:
