@@ -68,3 +68,8 @@ def test_what_is_wrong_is_said_before_anything_is_measured(quick, suites, tmp_pa
     status, _, errors = quick("--deadline", "1ms", *given, *words)
     assert status == 2 and message in errors
     assert not (tmp_path / "results").exists()
+
+
+def test_where_the_suites_are_not_it_says_what_makes_them(quick):
+    _, _, errors = quick("--deadline", "1ms", "--suite", "none")
+    assert "rtgen suites build" in errors

@@ -125,6 +125,8 @@ def _campaign(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
             f"{link.target.address}: nothing to measure with: install rt-tests (cyclictest), or the suites "
             f"({as_called('rtgen')} suites build, then --suites FOLDER)"
         )
+    if found == baselines:
+        print_note(f"rtrun: measures {quick.BASELINE} alone: `{as_called('rtgen')} suites build` makes the suites")
     if unknown := [name for name in args.suite if name not in found]:
         raise UsageError(f"--suite {unknown[0]}: not there through {args.middleware}, found: {', '.join(found)}")
     may_real_time = not [line for line in lacks if line != quick.BASELINE]
@@ -166,7 +168,8 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
         without += [f"{group.label}: no P: {why}"] if why else []
         bound = "-" if verdict is None or why else f"{verdict.upper:.2g}"
         misses, worst_ns = (verdict.misses, verdict.worst_ns) if verdict else ("-", None)
-        rows.append((group.label, grouped(group.n), str(misses), bound, time(worst_ns)))
+        judged = verdict.n if verdict else group.n
+        rows.append((group.label, grouped(judged), str(misses), bound, time(worst_ns)))
     confidence = f"{100 * study.question.confidence:g} % confidence"
     print_line(f"What this proves of P({study.miss}), at {confidence}, for this one boot:")
     screen = console()
