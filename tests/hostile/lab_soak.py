@@ -196,8 +196,10 @@ def test_nothing_is_lost_or_run_twice(lab):
             executed.update(path.read_text().split())
             used += 1
         assert not list(board.folder.glob("rt-tests/runs/*/*")), "nothing of a run stays on a board"
-    records = [verify(path.parent) for path in lab.folder.glob("results/*/0*/run.json")]
-    assert len(records) == CAMPAIGNS * RUNS and {record.status for record in records} == {RunStatus.OK}
+    closed = [verify(path.parent) for path in lab.folder.glob("results/*/0*/run.json")]
+    records = [record for record in closed if record.status is RunStatus.OK]
+    assert len(records) == CAMPAIGNS * RUNS, "each run is there, and none was measured again that was whole"
     assert {executed[record.attempt] for record in records} == {1}
-    print(f"{used} boards measured, {executed.total() - len(records)} attempts beside the {len(records)} that count")
-    assert executed.total() == len(records), "no run was measured a second time"
+    again = Counter(record.reason for record in closed if record.status is not RunStatus.OK)
+    print(f"{used} boards measured; measured again: {again or 'nothing'}")
+    assert executed.total() <= len(closed), "no run was measured a second time of which nobody knows"
