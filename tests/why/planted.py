@@ -156,7 +156,8 @@ PLANTS = (
         "io",
         "writers, readers, files, memory",
         Kind.NOT_PREEMPTED,
-        "planted_io",
+        # What they leave to be written, the kernel's workers that belong to no CPU write.
+        r"planted_io|kworker/u\d+:\d+",
         places=("here",),
         event_lengths=None,
         threshold_percent=20,
