@@ -1,6 +1,8 @@
 """The tables behind the scenarios: worst cases, layers, allocations, environment, reproduction."""
 
 import hashlib
+import shlex
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -20,6 +22,7 @@ from rtrun.report.ranking import ranking
 from rtrun.report.tables import Table, printable_table
 from rtrun.report.topology_tables import bound_table, hop_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
+from rtrun.results.record import RunRecord
 
 
 def end_tables(
@@ -178,10 +181,13 @@ def _environment(study: Study) -> Table:
 
 
 def _reproduce(study: Study) -> Table:
-    rows = [
-        ("measured", f"{record.run}: {' ; '.join(' '.join(p.argv) for p in record.programs)}")
-        for record in study.records
-    ]
+    rows = []
+    alike = Counter(_as_asked(record) for record in study.records)
+    for record in study.records:
+        # Of repeated runs the first stands for all: 140 command lines are eight printed pages.
+        if others := alike.pop(_as_asked(record), 0):
+            lines = " ; ".join(shlex.join(program.argv) for program in record.programs)
+            rows.append(("measured", f"{record.run}{f' and {others - 1} like it' if others > 1 else ''}: {lines}"))
     digest = fingerprint(study)
     asked = study.question
     of = f" --of {asked.of}" if asked.of else ""
@@ -201,6 +207,10 @@ def _reproduce(study: Study) -> Table:
         outcome=f"{counted(len(study.records), 'run')}, input sha256 {digest}",
         numbers=9,
     )
+
+
+def _as_asked(record: RunRecord) -> tuple[str, ...]:
+    return (record.target.name, record.suite, *(f"{key}={value}" for key, value in sorted(record.parameters.items())))
 
 
 def fingerprint(study: Study) -> str:

@@ -132,3 +132,12 @@ def test_no_text_holds_a_command_to_a_terminal(tmp_path):
     assert any("FORGED" in text for text in texts(written))
     assert [text for text in texts(written) if not text.isprintable()] == []
     assert all(re.fullmatch("[a-z0-9-]+", one.id) and one.condition.isprintable() for one in written.scenarios)
+
+
+def test_repeated_runs_are_reproduced_by_one_line_that_a_shell_takes(tmp_path: Path) -> None:
+    programs = [{"name": "oneshot_timer_tests", "argv": ["oneshot_timer_tests", "-p", "a b"], "exit_status": 0}]
+    for name, policy in (("a", "RR"), ("b", "RR"), ("c", "FIFO")):
+        oneshot_run(tmp_path, name, LATENCIES_NS[0], policy=policy, programs=programs)
+    (table,) = [each for each in contents_of(tmp_path).tables if each.id == "reproduce"]
+    measured = [how for what, how in table.rows if what == "measured"]
+    assert measured == ["a and 1 like it: oneshot_timer_tests -p 'a b'", "c: oneshot_timer_tests -p 'a b'"]
