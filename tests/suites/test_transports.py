@@ -5,6 +5,7 @@ import os
 import signal
 import struct
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,7 @@ def bench(suites: Path, tmp_path: Path, domain: int) -> Iterator[Bench]:
 
 
 def communicate(
-    bench: Bench, transport: str, *arguments: str, subscribers: int = 1, timeout: float = 60
+    bench: Bench, transport: str, *arguments: str, subscribers: int = 1, timeout: float = 50, is_first: bool = True
 ) -> tuple[list[Ended], Ended]:
     """So many subscribers, each with its number as prefix, and a publisher that awaits them; what they all said."""
     receivers = [
@@ -55,12 +56,25 @@ def communicate(
     sender = bench.start(f"communication_tests_publisher_{transport}", *arguments, *awaiting)
     deadline = time.monotonic() + timeout
     while sender.poll() is None and time.monotonic() < deadline:
-        # A publisher waits for ever for a subscriber that died.
+        # A publisher waits for a subscriber that died, too.
         dead = [receiver for receiver in receivers if receiver.poll() not in (None, 0)]
         assert not dead, end(dead[0])
         time.sleep(0.02)
     if sender.poll() is None:
-        pytest.fail(f"after {timeout:g} s the publisher runs; {bench.files()}; subscribers: {receivers}")
+        for process in (sender, *receivers):
+            process.kill()
+            process.communicate()
+        # Twice on a busy machine participants of Fast DDS 2.9 did not find each other in a minute; of 1900 pairs beside
+        # busy loops all did.
+        assert is_first and transport == "fastdds", f"after {timeout:g} s the publisher runs; {bench.files()}"
+        warnings.warn("participants of Fast DDS did not find each other: once more in another domain", stacklevel=2)
+        for path in bench.folder.iterdir():
+            path.unlink()
+        bench.environment["ROS_DOMAIN_ID"] = str(domain := free_domain())
+        try:
+            return communicate(bench, transport, *arguments, subscribers=subscribers, timeout=timeout, is_first=False)
+        finally:
+            give_back_domain(domain)
     return [end(receiver) for receiver in receivers], end(sender)
 
 
