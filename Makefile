@@ -24,8 +24,8 @@ test: setup
 test-fast: setup
 	$(PYTEST) -m "not kernel and not slow and not boards and not qemu and not ros and not bitbake"
 
-# What takes long: each load of conditions.yml for two and a half minutes beside a suite (twenty minutes), campaigns with
-# a goal on the emulated board, and a labgrid farm on loopback.
+# What takes long (forty minutes): each load of conditions.yml for two and a half minutes beside a suite, ten nodes that are
+# observed for ten minutes, a reset, a power cut and campaigns with a goal on the emulated board, and a labgrid farm.
 test-slow: setup
 	$(BIN)/pytest -m slow
 

@@ -258,6 +258,7 @@ class Remembering:
         return self.context.__exit__(*words)
 
 
+@pytest.mark.slow
 def test_a_reset_and_then_a_power_cut_in_the_middle_of_a_run(tmp_path, monkeypatch):
     """On one board, as each boot takes its time; the outliers are traced on the board that was reset."""
     _, runs = read_campaign(write_campaign(tmp_path, INTERRUPTED))
