@@ -324,8 +324,12 @@ def test_a_board_that_fails_its_check_twice_is_left_out_until_it_passes(farm, ca
     assert main([*again, "--results", "other"]) == 3
     assert "place spare-1 is in quarantine: " in capsys.readouterr().err
     write_target(farm, filter={"pool": "lab"}, known_hosts="known_hosts", key=str(farm.spare.key))
-    subprocess.Popen([SSHD, "-D", "-e", "-f", farm.spare.folder / "config"], stderr=subprocess.DEVNULL)
-    checks, tags = checked(1)
+    server = subprocess.Popen([SSHD, "-D", "-e", "-f", farm.spare.folder / "config"], stderr=subprocess.DEVNULL)
+    try:
+        checks, tags = checked(1)
+    finally:
+        server.kill()
+        server.wait()
     assert checks["spare-1"]["outcome"] == "passed" and "its quarantine is over" in checks["spare-1"]["text"]
     assert tags == {"pool": "lab", "healthy": "yes"}
 
