@@ -158,6 +158,7 @@ PLANTS = (
         Kind.NOT_PREEMPTED,
         # What they leave to be written, the kernel's workers that belong to no CPU write.
         r"planted_io|kworker/u\d+:\d+",
+        other=(Kind.TIMER_LATE, "planted_io"),
         places=("here",),
         event_lengths=None,
         threshold_percent=20,
@@ -268,11 +269,15 @@ def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, boo
                     others.append(without_ids(causes.culprit_name(first) if first else "no main cause"))
             if trials == count:
                 break
-    expected = " or ".join(str(kind) if who == ".*" else f"{kind} `{who}`" for kind, who in plant.expected) or "nobody"
+    # A name a code span: an upright bar would end the cell of the table.
+    names = {who: " or ".join(f"`{name}`" for name in who.split("|")) for _, who in plant.expected}
+    culprits = [str(kind) if who == ".*" else f"{kind} {names[who]}" for kind, who in plant.expected]
+    expected = " or ".join(culprits) or "nobody"
     otherwise = "; ".join(f"{others.count(one)} x {one}" for one in dict.fromkeys(others))
     numbers = (named, outliers, beside, hits, trials, untraced)
     row = f"| {plant.about} | {expected} | {' | '.join(map(str, numbers))} | {otherwise} |"
-    return row, hits >= AT_LEAST * count and named >= AT_LEAST * outliers
+    # Beside nothing, single outliers have causes of their own.
+    return row, hits >= AT_LEAST * count and (plant.kind is None or named >= AT_LEAST * outliers)
 
 
 def is_during(outlier: Outlier, plant: Plant, place: Place) -> bool:
