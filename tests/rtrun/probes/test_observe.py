@@ -33,9 +33,12 @@ RUNNER = """
     address = {address!r}
     target = Target(name="t", address=address, suites=None, work_dir=PurePosixPath("/x"), setup=None, master_port=1,
                     reconnect_s=0, boot_s=0, console=None, failure=lambda: None)
-    with Link(target, print) as link:
+    def say(text):  # print writes the end of a line apart, and two threads speak here
+        sys.stdout.write(text + "\\n")
+        sys.stdout.flush()
+    with Link(target, say) as link:
         for each in observed(link, {pid}):
-            print(type(each).__name__, flush=True)
+            say(type(each).__name__)
 """
 
 
