@@ -21,6 +21,7 @@ from .conftest import Bench, Ended, check_outputs, end, is_measuring, wait_until
 
 TRANSPORTS = sorted(builder.transports())
 ONE_PUBLISHER = sorted(set(TRANSPORTS) - {"cyclonedds", "fastdds"})  # the others know no address of their own
+WAIT_S = 50  # for all that a publisher does; it waits for its subscribers a minute
 each = pytest.mark.parametrize("transport", TRANSPORTS)
 
 
@@ -45,7 +46,7 @@ def bench(suites: Path, tmp_path: Path, domain: int) -> Iterator[Bench]:
 
 
 def communicate(
-    bench: Bench, transport: str, *arguments: str, subscribers: int = 1, timeout: float = 50, is_first: bool = True
+    bench: Bench, transport: str, *arguments: str, subscribers: int = 1, is_first: bool = True
 ) -> tuple[list[Ended], Ended]:
     """So many subscribers, each with its number as prefix, and a publisher that awaits them; what they all said."""
     receivers = [
@@ -54,7 +55,7 @@ def communicate(
     ]
     awaiting = ("--subscribers", str(subscribers))
     sender = bench.start(f"communication_tests_publisher_{transport}", *arguments, *awaiting)
-    deadline = time.monotonic() + timeout
+    deadline = time.monotonic() + WAIT_S
     while sender.poll() is None and time.monotonic() < deadline:
         # A publisher waits for a subscriber that died, too.
         dead = [receiver for receiver in receivers if receiver.poll() not in (None, 0)]
@@ -66,13 +67,13 @@ def communicate(
             process.communicate()
         # Twice on a busy machine participants of Fast DDS 2.9 did not find each other in a minute; of 1900 pairs beside
         # busy loops all did.
-        assert is_first and transport == "fastdds", f"after {timeout:g} s the publisher runs; {bench.files()}"
+        assert is_first and transport == "fastdds", f"after {WAIT_S} s the publisher runs; {bench.files()}"
         warnings.warn("participants of Fast DDS did not find each other: once more in another domain", stacklevel=2)
         for path in bench.folder.iterdir():
             path.unlink()
         bench.environment["ROS_DOMAIN_ID"] = str(domain := free_domain())
         try:
-            return communicate(bench, transport, *arguments, subscribers=subscribers, timeout=timeout, is_first=False)
+            return communicate(bench, transport, *arguments, subscribers=subscribers, is_first=False)
         finally:
             give_back_domain(domain)
     return [end(receiver) for receiver in receivers], end(sender)

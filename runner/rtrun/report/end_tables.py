@@ -1,6 +1,7 @@
 """The tables behind the scenarios: worst cases, layers, allocations, environment, reproduction."""
 
 import hashlib
+import json
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -209,8 +210,8 @@ def _reproduce(study: Study) -> Table:
     )
 
 
-def _as_asked(record: RunRecord) -> tuple[str, ...]:
-    return (record.target.name, record.suite, *(f"{key}={value}" for key, value in sorted(record.parameters.items())))
+def _as_asked(record: RunRecord) -> str:
+    return json.dumps([record.target.name, record.suite, record.circumstances], sort_keys=True)
 
 
 def fingerprint(study: Study) -> str:

@@ -138,6 +138,8 @@ def test_repeated_runs_are_reproduced_by_one_line_that_a_shell_takes(tmp_path: P
     programs = [{"name": "oneshot_timer_tests", "argv": ["oneshot_timer_tests", "-p", "a b"], "exit_status": 0}]
     for name, policy in (("a", "RR"), ("b", "RR"), ("c", "FIFO")):
         oneshot_run(tmp_path, name, LATENCIES_NS[0], policy=policy, programs=programs)
+    oneshot_run(tmp_path, "d", LATENCIES_NS[0], variant="new", programs=programs)
     (table,) = [each for each in contents_of(tmp_path).tables if each.id == "reproduce"]
     measured = [how for what, how in table.rows if what == "measured"]
-    assert measured == ["a and 1 like it: oneshot_timer_tests -p 'a b'", "c: oneshot_timer_tests -p 'a b'"]
+    line = "oneshot_timer_tests -p 'a b'"
+    assert measured == [f"a and 1 like it: {line}", f"c: {line}", f"d: {line}"]
