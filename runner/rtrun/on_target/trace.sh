@@ -3,15 +3,24 @@
 #
 #   trace.sh up CLOCK EVENT...    set up, unless it is there already; CLOCK as in trace_clock: mono_raw, mono;
 #                                 EVENT below `events`, left out where the kernel does not have it
-#   trace.sh down                 take down; one that a suite still uses stays
+#   trace.sh down                 take down; one that a suite still uses stays, and so does for a minute what a campaign
+#                                 with another directory on this target has set up, which is about to use it
 set -u
 tracing=/sys/kernel/tracing
 instance=$tracing/instances/rtrun
 osnoise=$tracing/osnoise/options
 # There while osnoise does without its workload because of us: it is the option of everybody, and goes with a reboot.
 changed=/run/rtrun-osnoise
+# Whose trace it is: the directory of a campaign on this target.
+owner=/run/rtrun-trace-of
+own=$(cd "${0%/*}/.." && pwd)
+
+is_anothers() {
+    [ "$(cat $owner 2>/dev/null)" != "$own" ] && [ -z "$(find $instance -maxdepth 0 -mmin +1)" ]
+}
 
 down() {
+    if [ -d $instance ] && is_anothers; then return; fi
     [ ! -d $instance ] || rmdir $instance 2>/dev/null || return 0
     [ ! -e $changed ] || { echo OSNOISE_WORKLOAD >$osnoise; rm -f $changed; }
 }
@@ -31,6 +40,7 @@ up() {
         down
         [ ! -d $instance ] || { echo "the kernel trace is in use by another run" >&2; exit 1; }
     fi
+    echo "$own" >$owner
     mkdir -p $instance || fail "no kernel trace: $instance cannot be made"
     echo "$1" >$instance/trace_clock || fail "no kernel trace: the kernel has no trace clock $1"
     shift

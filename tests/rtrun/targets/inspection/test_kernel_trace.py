@@ -1,7 +1,9 @@
 """The kernel trace around outliers, over a real sshd and this machine's tracefs: set up, pulled, taken down."""
 
+import os
 import shutil
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -76,9 +78,26 @@ def test_a_runner_that_gives_up_leaves_no_trace_set_up(target, tmp_path, watchin
         assert len(wishes.calls()) == 1, "an error of ours is no reason to give up what measures"
 
 
+def leave(script=SCRIPT):
+    """Set up the trace as a runner did two minutes ago that had another directory and was killed."""
+    subprocess.run([script, "up", "mono"], check=True)
+    os.utime(INSTANCE, times=(time.time() - 120,) * 2)
+
+
 def test_what_a_killed_runner_left_is_gone_with_the_next_campaign(target, tmp_path, watching, wishes):
-    subprocess.run([SCRIPT, "up", "mono"], check=True)
+    leave()
     measure(target, runs_of(1), tmp_path / "results", watching)
+    assert not INSTANCE.exists()
+
+
+def test_what_another_campaign_has_just_set_up_stays(target, tmp_path, watching, wishes):
+    """Its suite has not opened it yet."""
+    subprocess.run([SCRIPT, "up", "mono"], check=True)
+    try:
+        measure(target, runs_of(1), tmp_path / "results", watching)
+        assert INSTANCE.exists()
+    finally:
+        subprocess.run([SCRIPT, "down"], check=True)
     assert not INSTANCE.exists()
 
 
@@ -99,11 +118,11 @@ def osnoise(request, tmp_path, monkeypatch):
 def test_the_workload_of_osnoise_is_as_it_was(target, tmp_path, watching, wishes, osnoise):
     """After the run, and after a runner that was killed."""
     options, before, script = osnoise
-    for words in (["down"], None):
-        subprocess.run([script, "up", "mono"], check=True)
+    for was_killed in (False, True):
+        leave(script)
         assert "NO_OSNOISE_WORKLOAD" in options.read_text().split()
-        if words:
-            subprocess.run([script, *words], check=True)
+        if not was_killed:
+            subprocess.run([script, "down"], check=True)
         else:
             measure(target, runs_of(1), tmp_path / "results", watching)
         assert before in options.read_text().split() and not INSTANCE.exists()
