@@ -25,7 +25,8 @@ test-fast: setup
 	$(PYTEST) -m "not kernel and not slow and not boards and not qemu and not ros and not bitbake"
 
 # What takes long (forty minutes): each load of conditions.yml for two and a half minutes beside a suite, ten nodes that are
-# observed for ten minutes, a reset, a power cut and campaigns with a goal on the emulated board, and a labgrid farm.
+# observed for ten minutes, a reset, a power cut and campaigns with a goal on the emulated board, a labgrid farm, and a
+# systemd that starts nights.
 test-slow: setup
 	$(BIN)/pytest -m slow
 

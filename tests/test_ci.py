@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import threading
+import time
 import urllib.parse
 from pathlib import Path
 from xml.etree import ElementTree
@@ -30,6 +31,8 @@ GITHUB, GITLAB, LAVA, PAGES = (
 )
 LAB = (TOP / "docs" / "lab.md").read_text()
 LAB_GITHUB, LAB_GITLAB = (yaml.safe_load(block) for block in re.findall(r"^```yaml\n(.*?)^```$", LAB, re.M | re.S))
+BLOCKS = re.findall(r"^```ini\n(.*?)^```$", LAB, re.M | re.S)
+(NIGHTLY,) = re.findall(r"^```sh\n(.*?)^```$", LAB, re.M | re.S)
 UNITS = ("rt-nightly.service", "rt-nightly.timer", "rt-check.service", "rt-check.timer")
 RTRUN = f"""#!/bin/sh
 if [ "$1" = run ]; then
@@ -166,8 +169,7 @@ def in_folder(lab, text):
 
 
 def test_a_night_is_measured_kept_shown_and_told(lab):
-    (script,) = re.findall(r"^```sh\n(.*?)^```$", LAB, re.M | re.S)
-    (lab / "nightly").write_text(in_folder(lab, script))
+    (lab / "nightly").write_text(in_folder(lab, NIGHTLY))
     # What was measured before it failed is kept, and the service has failed.
     status, said = run(lab, ("sh",), [str(lab / "nightly")], {"MEASURED": 3})
     assert status == 3 and said.endswith("0 things wrong\n"), said
@@ -176,9 +178,8 @@ def test_a_night_is_measured_kept_shown_and_told(lab):
 
 def test_systemd_takes_the_units(lab, tmp_path_factory):
     folder = tmp_path_factory.mktemp("units")
-    blocks = re.findall(r"^```ini\n(.*?)^```$", LAB, re.M | re.S)
     (lab / "nightly").touch(0o755)
-    for name, block in zip(UNITS, blocks, strict=True):
+    for name, block in zip(UNITS, BLOCKS, strict=True):
         assert f"`{name}`" in LAB or f"/{name}`" in LAB
         (folder / name).write_text(in_folder(lab, block))
         for when in re.findall("^OnCalendar=(.*)$", block, re.M):
@@ -187,6 +188,66 @@ def test_systemd_takes_the_units(lab, tmp_path_factory):
         ["systemd-analyze", "verify", *map(str, folder.iterdir())], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+NIGHTS = """#!/bin/sh
+echo "$(id -un) $PWD $*" >>calls
+# The first night fails.
+[ "$1" != run ] || [ "$(grep -c ' run ' calls)" -gt 1 ]
+"""
+
+
+@pytest.mark.slow
+def test_systemd_starts_what_it_missed_and_what_failed(tmp_path):
+    """systemd itself, in a container of this machine's own files: at its boot the machine was off for two nights."""
+    upper, root = tmp_path / "upper", tmp_path / "root"
+    units, folder = upper / "etc/systemd/system", upper / "srv/rt-lab"
+    files = {units / name: block for name, block in zip(UNITS, BLOCKS, strict=True)} | {
+        # What the test cannot wait for.
+        units / "rt-nightly.timer.d/now.conf": "[Timer]\nRandomizedDelaySec=0\n",
+        units / "rt-nightly.service.d/now.conf": "[Service]\nRestartSec=1s\n",
+        units / "rt-lab.target": "[Unit]\nRequires=basic.target\nWants=rt-nightly.timer rt-check.timer\n",
+        upper / "etc/sysusers.d/rtlab.conf": "u rtlab - - /srv/rt-lab\n",
+        upper / "etc/tmpfiles.d/rtlab.conf": "Z /srv/rt-lab - rtlab rtlab\n",
+        folder / "nightly": NIGHTLY,
+        folder / ".venv/bin/rtrun": NIGHTS,
+        upper / "var/lib/systemd/timers/stamp-rt-nightly.timer": "",
+        upper / "var/lib/systemd/timers/stamp-rt-check.timer": "",
+    }
+    for path, text in files.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        path.chmod(0o755 if path.is_relative_to(folder) else 0o644)
+        if path.name.startswith("stamp-"):
+            os.utime(path, times=(time.time() - 2 * 86400,) * 2)
+    for name in ("root", "work"):
+        (tmp_path / name).mkdir()
+    boot = (
+        f"mount -t overlay overlay -o lowerdir=/,upperdir={upper},workdir={tmp_path}/work {root} && "
+        f"exec systemd-nspawn --register=no --keep-unit --private-network -D {root} --boot --machine rt-lab "
+        "systemd.unit=rt-lab.target systemd.mask=timers.target"
+    )
+    with (tmp_path / "console").open("w") as console:
+        container = subprocess.Popen(
+            ["unshare", "--mount", "sh", "-c", boot], stdin=subprocess.DEVNULL, stdout=console, stderr=console
+        )
+        try:
+            calls = seen(folder / "calls", 12, container)
+        finally:
+            container.terminate()
+            container.wait(60)
+    night = ["run", "archive", "archive", "site", "notify"]
+    assert sorted(command for _, _, command in calls) == sorted([*night, *night, "farm", "notify"])
+    assert {(user, where) for user, where, _ in calls} == {("rtlab", "/srv/rt-lab")}
+
+
+def seen(calls, number, container):
+    """User, folder and command of so many calls, once they are there."""
+    lines = []
+    while len(lines) < number and container.poll() is None:
+        time.sleep(0.2)
+        lines = calls.read_text().splitlines() if calls.exists() else []
+    return [line.split()[:3] for line in lines]
 
 
 @pytest.fixture

@@ -22,8 +22,6 @@ from rtrun.targets.inspection.platform import Platform
 
 # A shift that is of no concern, where no margin is given: of the reference, but at least so long, as in compare.
 SHARE_OF_MARGIN, LEAST_MARGIN_NS = 0.05, 1000.0
-CHANGED = "; changed since its last boot: "
-"""What stands between how a case is worse and what changed there."""
 
 
 def gate_against(
@@ -121,8 +119,6 @@ def _case(
         text = f"{text}; {_advice(len(build.boots()))}"
     if since:
         text = f"{text}; history{since}"
-    if exceeds and (changed := changed_facts(history.boots(), build.boots())):
-        text = f"{text}{CHANGED}{'; '.join(changed)}"
     passed = not exceeds
     if passed and (why := why_not_accepted(Platform(build.platform), platform)):
         text, passed = f"{text}; {why}", False
@@ -135,6 +131,7 @@ def _case(
         misses=misses,
         worst_ns=worst_ns,
         reason="" if passed else None,
+        changed=tuple(changed_facts(history.boots(), build.boots())) if exceeds else (),
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Literal
 
-from rtrun.archive.against import CHANGED, LEAST_MARGIN_NS, SHARE_OF_MARGIN
+from rtrun.archive.against import LEAST_MARGIN_NS, SHARE_OF_MARGIN
 from rtrun.archive.courses import Course
 from rtrun.archive.notes import Notes
 from rtrun.archive.trends import NOTHING_KNOWN, Trend, as_text
@@ -87,14 +87,13 @@ def worse_builds(gate: Gate, build: str, notes: Notes, pages: Sequence[Course]) 
         if case.answer != "WORSE":
             continue
         scenario, _, machine = case.about.rpartition(" on ")
-        size, _, changed = case.text.partition(CHANGED)
         alarms.append(
             Alarm(
                 kind="worse build",
                 about=case.about,
-                size=size,
+                size=case.text,
                 since="in these results",
-                suspected=changed or NOTHING_KNOWN,
+                suspected="; ".join(case.changed) or NOTHING_KNOWN,
                 page=page_of.get(case.about),
                 key=_key("build", build, case.about),
                 known=next((note.words for note in notes.known(machine, scenario)), None),

@@ -32,6 +32,13 @@ class Case:
     """What else than its numbers made the answer, "" if nothing did; `text` where it is None."""
     not_accepted: str = ""
     """Why a proof does not pass."""
+    changed: tuple[str, ...] = ()
+    """What changed since the last boot of an archive before it, where it is worse."""
+
+    @property
+    def in_full(self) -> str:
+        """`text`, and what changed."""
+        return f"{self.text}; changed since its last boot: {'; '.join(self.changed)}" if self.changed else self.text
 
 
 @dataclass(frozen=True, kw_only=True)

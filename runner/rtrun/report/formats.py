@@ -139,9 +139,9 @@ def junit(gate: Gate) -> str:
     for case in gate.cases:
         element = ElementTree.SubElement(suite, "testcase", {"classname": "deadline", "name": _xml(case.about)})
         if case.passed:
-            ElementTree.SubElement(element, "system-out").text = _xml(case.text)
+            ElementTree.SubElement(element, "system-out").text = _xml(case.in_full)
         else:
-            message = _xml(f"{case.answer}: {case.text}")
+            message = _xml(f"{case.answer}: {case.in_full}")
             ElementTree.SubElement(element, "failure", {"type": case.answer, "message": message})
     ElementTree.indent(root, "")
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=False).join(

@@ -136,9 +136,9 @@ def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None
     lines: dict[str, list[str]] = {}
     for case in cases:
         if verbose or len(cases) == 1:
-            lines.setdefault(f"{case.about}: {case.text.removeprefix(f'{refused}; ')}", [])
+            lines.setdefault(f"{case.about}: {case.in_full.removeprefix(f'{refused}; ')}", [])
             continue
-        reason = case.text if case.reason is None else case.reason
+        reason = case.in_full if case.reason is None else case.reason
         for text in (reason if case.refused is None else "", case.not_accepted if judged else ""):
             if text:
                 lines.setdefault(text, []).append(case.about)
