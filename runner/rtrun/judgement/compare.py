@@ -91,8 +91,8 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
         deadline_ns=first.question.deadline_ns,
         miss=first.asked.miss,
         changes=tuple(
-            replace(change, comparison=comparison, label=_label(a, of_several=counts[a.label] > 1))
-            for change, comparison, (a, _) in zip(changes, corrected, pairs, strict=True)
+            replace(change, comparison=comparison, label=_label(a, b, of_several=counts[a.label] > 1))
+            for change, comparison, (a, b) in zip(changes, corrected, pairs, strict=True)
         ),
         only_a=tuple(label for match in matches for label in match.only_a),
         only_b=tuple(label for match in matches for label in match.only_b),
@@ -113,16 +113,29 @@ class _Match:
 
 def _match(a: Sequence[Group], b: Sequence[Group]) -> _Match:
     pairs = tuple((x, y) for x in a for y in b if _origin(x) == _origin(y))
+    if not pairs:
+        # The same boards with another kernel each.
+        first, second = _by_board(a), _by_board(b)
+        pairs = tuple((first[board], second[board]) for board in first if board in second)
     if not pairs and len(a) == len(b) == 1:
         pairs = ((a[0], b[0]),)
     if a and b and not pairs:
         targets = [" and ".join(_origin_text(group) for group in side) for side in (a, b)]
         return _Match(ambiguous=f"{a[0].label}: {targets[0]} in A, {targets[1]} in B: no target is in both")
     only_a, only_b = (
-        tuple(_label(group, of_several=len(side) > 1) for group in side if group.key not in matched)
+        tuple(_label(group, group, of_several=len(side) > 1) for group in side if group.key not in matched)
         for side, matched in ((a, {x.key for x, _ in pairs}), (b, {y.key for _, y in pairs}))
     )
     return _Match(pairs=pairs, only_a=only_a, only_b=only_b)
+
+
+def _by_board(groups: Sequence[Group]) -> dict[tuple[str, int], Group]:
+    """The group of each board that has one alone, by the board and the width of its bins."""
+    found: dict[tuple[str, int], list[Group]] = {}
+    for group in groups:
+        for board in group.boards:
+            found.setdefault((board, _origin(group)[1]), []).append(group)
+    return {board: of_board[0] for board, of_board in found.items() if len(of_board) == 1}
 
 
 def _by_circumstances(side: Study, as_in_2014: set[str]) -> dict[str, list[Group]]:
@@ -152,8 +165,11 @@ def _origin_text(group: Group) -> str:
     return group.target or "an unknown target"
 
 
-def _label(group: Group, *, of_several: bool) -> str:
-    return f"{group.label} on {_origin_text(group)}" if of_several else group.label
+def _label(a: Group, b: Group, *, of_several: bool) -> str:
+    """What a pair is called: where there are several alike, with the target, or the board of two kernels."""
+    if not of_several:
+        return a.label
+    return f"{a.label} on {_origin_text(a) if a.target == b.target else ', '.join(a.boards)}"
 
 
 def _miss(a: Group, b: Group) -> str | None:

@@ -56,17 +56,17 @@ def test_compare_answers_for_the_variants_of_one_folder(tmp_path, capsys):
     assert "DIFFERENT  " not in out and "cyclic_timer RR 100 Hz" in out and "only in" not in out
 
 
-def write_kernels(root, repeats=5):
+def write_kernels(root, repeats=5, board="board"):
     """A campaign on two kernels in turn, a boot for each block: latencies of the standard one are 90 us longer."""
     boot = 0
     for repeat in range(1, repeats + 1):
         for kernel in ("standard", "rt") if repeat % 2 else ("rt", "standard"):
             boot += 1
             is_rt = kernel == "rt"
-            values = latencies(2000, boot, mean_us=90 if is_rt else 180)
-            target = {"name": "board", "kernel_release": "6.1", "preempt_rt": is_rt, "boot_id": f"boot-{boot}"}
+            values = latencies(2000, boot + 100 * len(board), mean_us=90 if is_rt else 180)
+            target = {"name": board, "kernel_release": "6.1", "preempt_rt": is_rt, "boot_id": f"boot-{boot}-{board}"}
             target["kernel_version"] = "#1 SMP PREEMPT_RT" if is_rt else "#1 SMP"
-            name = f"00{1 + is_rt}-{kernel}-r{repeat}"
+            name = f"00{1 + is_rt}-{kernel}-r{repeat}-{board}"
             oneshot_run(root, name, values, logs=True, kernel=kernel, target=target, **at_minute(boot))
     return root
 
@@ -84,6 +84,17 @@ def test_the_kernels_of_one_campaign_are_compared(tmp_path, capsys):
     assert "kernel=" not in lines[1]
 
 
+def test_the_kernels_of_two_boards_are_compared_on_each(tmp_path, capsys):
+    for board in ("panda", "pi"):
+        write_kernels(tmp_path / "runs", board=board)
+    assert main(["compare", str(tmp_path / "runs"), "--by", "kernel", "--json"]) == 0
+    changes = json.loads(capsys.readouterr().out)["changes"]
+    assert {(c["label"].rpartition(" on ")[2], c["comparison"]["answer"]) for c in changes} == {
+        ("panda", "DIFFERENT"),
+        ("pi", "DIFFERENT"),
+    }
+
+
 def test_one_round_of_the_kernels_shows_nothing_but_these_runs(tmp_path, capsys):
     root = write_kernels(tmp_path / "runs", repeats=1)
     assert main(["compare", str(root), "--by", "kernel"]) == 0
@@ -95,7 +106,7 @@ def test_what_has_no_two_kernels_is_refused(tmp_path, capsys):
     assert main(["compare", str(root), "--by", "kernel"]) == 2
     assert "holds no kernels of a campaign" in capsys.readouterr().err
     both = write_kernels(tmp_path / "both", repeats=1)
-    shutil.rmtree(both / "002-rt-r1")
+    shutil.rmtree(both / "002-rt-r1-board")
     assert main(["compare", str(both), "--by", "kernel"]) == 2
     assert "holds the kernels standard: give a second folder" in capsys.readouterr().err
     assert main(["compare", str(root), str(root), "--by", "kernel"]) == 2
