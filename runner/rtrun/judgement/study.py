@@ -164,14 +164,21 @@ class _DigestedRun:
 
 
 def _read_records(folders: Sequence[Path]) -> tuple[dict[Path, RunRecord], list[str]]:
-    """The records of run directories, and why others are refused."""
+    """The records of run directories, and why others are refused.
+
+    Runs of one name, which were measured into several folders and put together here, are told by their folders' names.
+    """
     records, refused = {}, []
     for folder in showing_progress(folders, "reading run"):
         try:
             records[folder] = read_record(folder)
         except UsageError as error:
             refused.append(str(error))
-    return records, refused
+    times = Counter(record.run for record in records.values())
+    return {
+        folder: record.model_copy(update={"run": folder.name}) if times[record.run] > 1 else record
+        for folder, record in records.items()
+    }, refused
 
 
 def _read_run(

@@ -33,6 +33,20 @@ def test_a_log_without_order_passes_only_when_told_to(tmp_path, capsys):
     assert main(["gate", log, "--probability", "1e-3", "--assume-independent"]) == 0
 
 
+def test_runs_of_one_name_that_were_put_together_are_runs_of_their_own(tmp_path, capsys):
+    """Two boots, measured into two folders; as one run of one boot they would be a proof."""
+    for folder, boot, late in (("001", "a", [2500, 7537]), ("001-again", "b", [1250, 3787, 6398, 9083])):
+        values = latencies(10_000, len(late), 90.0)
+        values[late] = 500_000
+        oneshot_run(tmp_path, folder, values, run="001", target={"name": "board", "boot_id": boot})
+    question = [str(tmp_path), "--deadline", "400us", "--probability", "1e-3", "--json"]
+    assert main(["gate", *question]) == 1
+    capsys.readouterr()
+    main(["verdict", *question])
+    (group,) = json.loads(capsys.readouterr().out)["groups"]
+    assert (group["verdict"]["answer"], group["verdict"]["boots"]) == ("NEEDS MORE", 2)
+
+
 @pytest.mark.parametrize(
     ("question", "answer"),
     [(["--probability", "1e-6"], "NEEDS MORE"), (["--deadline", "0.09ms", "--probability", "1e-3"], "REFUTED")],
