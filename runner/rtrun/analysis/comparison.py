@@ -209,7 +209,7 @@ def _figures(a: _Side, b: _Side, bins: _Bins) -> Iterator[tuple[str, tuple[float
     off = (b.mean_ns - a.mean_ns) - float((means[1][0] - means[0][0])[0])
     yield "mean", (a.mean_ns, b.mean_ns), means[1][1] - means[0][1] + off
     for q in QUANTILES:
-        if min(a.n, b.n) * (1 - q) >= _BEYOND:
+        if min(a.n, b.n) >= round(_BEYOND / (1 - q)):
             at_a, at_b = (float(_quantiles(side.whole, bins, q)[0]) for side in (a, b))
             yield f"p{100 * q:g}", (at_a, at_b), _quantiles(b.drawn, bins, q) - _quantiles(a.drawn, bins, q)
 

@@ -22,6 +22,7 @@ from rtrun.archive.tables import (
     run_table,
     sample_table,
 )
+from rtrun.plan.suites import ALLOCATIONS
 from rtrun.results.reading import Source, find_copies, find_source, read_series
 from rtrun.results.record import RunRecord, RunStatus, read_record, verify
 from rtrun.results.series import Series
@@ -122,8 +123,8 @@ def _add_run(
         path = there[table].get(key, "")
         return path is None or bool(path and is_whole(store, path))
 
-    # The row of the run is written last.
-    tables = there if record.status is RunStatus.OK else ["runs"]
+    # The row of the run is written last. Counting allocations is in the times of a run.
+    tables = there if record.status is RunStatus.OK and not record.parameters.get(ALLOCATIONS) else ["runs"]
     missing = [table for table in tables if not is_there(table)]
     judged: list[Series] = []
     notes: list[str] = []

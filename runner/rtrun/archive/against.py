@@ -1,5 +1,6 @@
 """A build against its history: the cases of `rtrun gate --against`."""
 
+import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,6 +19,7 @@ from rtrun.archive.tables import Origin
 from rtrun.archive.trends import changed_facts
 from rtrun.judgement.gate import Case, Gate, why_not_accepted
 from rtrun.plan.question import Measure
+from rtrun.plan.suites import ALLOCATIONS
 from rtrun.targets.inspection.platform import Platform
 
 # A shift that is of no concern, where no margin is given: of the reference, but at least so long, as in compare.
@@ -65,7 +67,7 @@ def gate_against(
 
 
 def _without_course(runs: Sequence[RunRow], builds: Sequence[Course], of: Measure | None) -> list[tuple[str, str]]:
-    """The runs that are in no course, and why."""
+    """The runs that are in no course, and why; those that count allocations are not to be in one."""
     known = {key for build in builds for run in build.runs for key in run.point.run_keys}
     reasons = []
     for row in sorted(runs, key=lambda row: row.run):
@@ -73,7 +75,7 @@ def _without_course(runs: Sequence[RunRow], builds: Sequence[Course], of: Measur
             reasons.append((row.run, ": ".join(filter(None, (row.status, row.reason)))))
         elif row.start_utc is None:
             reasons.append((row.run, "it has no start time, so it has no place in a history"))
-        elif row.run_key not in known:
+        elif row.run_key not in known and not json.loads(row.parameters).get(ALLOCATIONS):
             reasons.append((row.run, f"it has no {of or 'values'}"))
     return reasons
 
@@ -102,8 +104,13 @@ def _case(
     boots = 0 if history is None else len(history.boots())
     n, misses = (sum(numbers) for numbers in zip(*build.misses(), strict=True))
     worst_ns = max((run.point.max_ns for run in build.runs if run.point.max_ns is not None), default=None)
-    shared = [figure for figure in get_args(Figure) if build.has(figure) and history and history.has(figure)]
-    if history is None or boots < LEAST_BOOTS or not shared:
+    shared = [
+        (figure, before, now)
+        for figure in get_args(Figure)
+        if history and (before := history.knowing(figure)) and (now := build.knowing(figure))
+        if len(before.boots()) >= LEAST_BOOTS
+    ]
+    if history is None or not shared:
         text = f"{boots} boots of it are in the archive, {LEAST_BOOTS} are needed{since}"
         if boots >= LEAST_BOOTS:
             text = "too few measurements a run for any figure"
@@ -111,7 +118,7 @@ def _case(
             about=build.label, answer="NO HISTORY", text=text, passed=False, n=n, misses=misses, worst_ns=worst_ns
         )
     level = level_of_test(false_alarms, len(shared))
-    compared = [(figure, _compare(figure, build, history, margin_ns, level)) for figure in shared]
+    compared = [(figure, _compare(figure, now, before, margin_ns, level)) for figure, before, now in shared]
     exceeds = [(figure, against) for figure, against in compared if against.exceeds]
     worse = [(figure, against) for figure, against in exceeds if against.worse]
     text = "; ".join(_words(figure, against) for figure, against in worse or exceeds or compared)
@@ -137,8 +144,10 @@ def _case(
 
 def _advice(boots: int) -> str:
     if boots == 1:
-        return "this may be one bad boot: measure a second boot into the same folder"
-    return f"this may be the worst of its {boots} boots alone: measure another boot into the same folder"
+        return "this may be one bad boot: measure a second boot, and put its runs into the same folder"
+    return (
+        f"this may be the worst of its {boots} boots alone: measure another boot, and put its runs into the same folder"
+    )
 
 
 def _compare(figure: Figure, build: Course, history: Course, margin_ns: float | None, level: float) -> Against:

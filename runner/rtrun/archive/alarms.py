@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import date, datetime
 from typing import Literal
 
 from rtrun.archive.against import LEAST_MARGIN_NS, SHARE_OF_MARGIN
@@ -12,7 +12,7 @@ from rtrun.archive.notes import Notes
 from rtrun.archive.trends import NOTHING_KNOWN, Trend, as_text
 from rtrun.judgement.gate import Gate
 from rtrun.targets.labgrid.coordinator import LabgridPlace
-from rtrun.targets.labgrid.health import in_words
+from rtrun.targets.labgrid.health import in_words, since
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -113,11 +113,16 @@ def in_quarantine(places: Iterable[LabgridPlace], notes: Notes) -> list[Alarm]:
             suspected="see its console, its power and its network",
             page="boards.html",
             key=_key("quarantine", place.name, place.quarantine),
-            known=next((note.words for note in notes.known(place.name, None)), None),
+            known=_known(place.name, since(place.quarantine), notes),
         )
         for place in places
         if place.quarantine is not None
     ]
+
+
+def _known(place: str, day: date | None, notes: Notes) -> str | None:
+    """What was said of a quarantine since it began; one that begins later is another one."""
+    return next((note.words for note in notes.known(place, None) if day is None or day <= note.at.date()), None)
 
 
 def _key(*words: str) -> str:

@@ -42,12 +42,13 @@ def find_suspects(course: Course, fact: str, order: Sequence[str], *, confidence
         return []
     # One boot may have measured several versions: each is a unit of its own.
     ordered = replace(course, runs=tuple(replace(run, boot=f"{run.boot} {run.facts[fact]}") for run in runs))
-    versions = [places[boot[0].facts[fact]] for boot in ordered.boots()]
     suspects = []
     for figure in get_args(Figure):
-        if not ordered.has(figure):
+        knowing = ordered.knowing(figure)
+        if knowing is None:
             continue
-        for change in find_changes(ordered.values(figure), confidence=confidence):
+        versions = [places[boot[0].facts[fact]] for boot in knowing.boots()]
+        for change in find_changes(knowing.values(figure), confidence=confidence):
             good, bad = versions[change.index - 1], versions[change.index]
             if change.after > change.before and good < bad:
                 suspects.append(

@@ -88,15 +88,10 @@ class Course:
         """The name of its page on a site."""
         return f"{hashlib.sha256(repr(self.identity).encode()).hexdigest()[:16]}.html"
 
-    def has(self, figure: Figure) -> bool:
-        """Whether each run knows the figure, from enough values."""
-        if figure == "P(miss)":
-            return all(run.point.misses is not None and run.point.n for run in self.runs)
-        percent = PERCENTS[figure]
-        return all(
-            run.point.percentiles_ns[percent] is not None and run.point.n * (100 - percent) >= 100 * _BEYOND
-            for run in self.runs
-        )
+    def knowing(self, figure: Figure) -> "Course | None":
+        """The course of those runs that know the figure, from enough values; None where none does."""
+        runs = tuple(run for run in self.runs if _knows(run.point, figure))
+        return replace(self, runs=runs) if runs else None
 
     def boots(self) -> tuple[tuple[ArchivedRun, ...], ...]:
         """The runs of each boot, first to last."""
@@ -106,7 +101,10 @@ class Course:
         return tuple(tuple(runs) for runs in members.values())
 
     def values(self, figure: Figure) -> Floats:
-        """The figure of each boot, shape (u,): the mean over its runs, in ns; for P(miss) the share of all misses."""
+        """The figure of each boot, shape (u,): the mean over its runs, in ns; for P(miss) the share of all misses.
+
+        Every run has to know it.
+        """
         if figure == "P(miss)":
             return np.array([misses / n for n, misses in self.misses()])
         percent = PERCENTS[figure]
@@ -135,6 +133,13 @@ def courses(archive: Archive, *, deadline_ns: int, of: Measure | None = None) ->
         known = tuple(notes.known(machine, scenario))
         made.append(replace(course, accepted=notes.accepted(machine, scenario), known=known))
     return made
+
+
+def _knows(point: Point, figure: Figure) -> bool:
+    if figure == "P(miss)":
+        return point.misses is not None and point.n > 0
+    percent = PERCENTS[figure]
+    return point.percentiles_ns[percent] is not None and point.n >= round(100 * _BEYOND / (100 - percent))
 
 
 def _identity(run: ArchivedRun) -> tuple[str, str, str, str, str]:

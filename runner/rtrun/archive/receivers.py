@@ -83,11 +83,11 @@ def tell(receiver: CommandReceiver | HookReceiver | MailReceiver, alarms: Sequen
     try:
         match receiver:
             case CommandReceiver():
-                _call(receiver, as_text(alarms, site))
+                _call(receiver, as_text(alarms, site, most=len(alarms)))
             case HookReceiver():
                 _post(receiver, as_data(alarms, site))
             case MailReceiver():
-                _send(receiver, title(alarms), as_text(alarms, site))
+                _send(receiver, title(alarms), as_text(alarms, site, most=len(alarms)))
     except (OSError, urllib.error.URLError, smtplib.SMTPException, subprocess.SubprocessError) as error:
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise InfrastructureError(f"{receiver.name}: not told: {printable(str(reason))[:300]}") from error
@@ -100,24 +100,24 @@ def title(alarms: Sequence[Alarm]) -> str:
     return f"rtrun: {', '.join(parts)}"
 
 
-def as_text(alarms: Sequence[Alarm], site: str | None) -> str:
-    """The alarms for people, some lines each; of many the first ones."""
+def as_text(alarms: Sequence[Alarm], site: str | None, *, most: int) -> str:
+    """The alarms for people, some lines each, of so many at most."""
     lines = [title(alarms).removeprefix("rtrun: "), ""]
-    for alarm in alarms[:SHOWN_MAX]:
+    for alarm in alarms[:most]:
         shown = _shown(alarm, site)
         word = "QUARANTINE" if alarm.kind == "quarantine" else "WORSE"
         lines += [f"{word}  {shown['about']}", f"  {shown['size']}", f"  since: {shown['since']}"]
         lines += [f"  suspected: {shown['suspected']}", *([f"  {shown['link']}"] if shown["link"] else []), ""]
-    if (more := len(alarms) - SHOWN_MAX) > 0:
+    if (more := len(alarms) - most) > 0:
         lines.append(f"and {more} more")
     return "\n".join(lines).rstrip() + "\n"
 
 
 def as_data(alarms: Sequence[Alarm], site: str | None) -> dict[str, Any]:
-    """The alarms as plain data; `text` is what hooks of chats show."""
+    """The alarms as plain data; `text` is what hooks of chats show: of many the first ones."""
     return {
         "schema": 1,
-        "text": as_text(alarms, site),
+        "text": as_text(alarms, site, most=SHOWN_MAX),
         "alarms": [_shown(alarm, site) for alarm in alarms],
     }
 

@@ -70,6 +70,7 @@ def write_site(
 
 
 def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[str, Any]:
+    misses = [run.point.misses for run in course.runs]
     rows = [
         (
             f"{run.point.start_utc:%Y-%m-%d %H:%M}",
@@ -95,7 +96,7 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
         "boots": len(course.boots()),
         "measured": f"{counted(len(rows), 'run')} on {counted(len(course.boots()), 'boot')}",
         "n": grouped(sum(run.point.n for run in course.runs)),
-        "misses": sum(run.point.misses or 0 for run in course.runs) if course.has("P(miss)") else "not known how many",
+        "misses": "not known how many" if None in misses else sum(filter(None, misses)),
         "changes": [
             ("refuted" if trend.is_worse else "proven", _MARKS[trend.word], as_text(trend, confidence=confidence))
             for trend in sorted(trends, key=lambda trend: trend.change.index, reverse=True)

@@ -21,7 +21,7 @@ _NAMES = {"temperature_max_mc": "temperature", "frequency_max_khz": "CPU frequen
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trend:
-    """A change of one figure of one course.
+    """A change of one figure of one course, of its runs that know the figure.
 
     `last_before` and `first_after` are the starts of the boots that it lies between, `earliest` and `latest` those of
     the boots that the new level may have begun with. `circumstances` name what differs between the two sides of that
@@ -59,15 +59,15 @@ def trends(courses: Sequence[Course], *, confidence: float) -> list[Trend]:
     """Every change of every course; a course without any shows one with the chance 1 - confidence at most."""
     shown: list[Trend] = []
     for course in courses:
-        known = [figure for figure in get_args(Figure) if course.has(figure)]
-        for figure in known:
+        known = [(figure, part) for figure in get_args(Figure) if (part := course.knowing(figure))]
+        for figure, part in known:
             level = 1 - (1 - confidence) / len(known)  # Bonferroni
-            changes = find_changes(course.values(figure), confidence=level)
+            changes = find_changes(part.values(figure), confidence=level)
             # Each level ends where the next one may have begun.
             begins = [0, *(change.latest for change in changes)]
             ends = [*(change.earliest for change in changes[1:]), None][: len(changes)]
             shown += [
-                _trend(course, figure, change, begin, end)
+                _trend(part, figure, change, begin, end)
                 for change, begin, end in zip(changes, begins[:-1], ends, strict=True)
             ]
     return shown

@@ -197,6 +197,9 @@ def test_a_quarantine_is_told_once_and_the_next_one_again(capsys, lab, monkeypat
     annotate(lab, "--known", "--machine", "panda-*")
     places[:] = [LabgridPlace(name="panda-3", tags=tags, matches=(), holder=None, reservation=None)]
     assert "known: panda-3: ticket 7" in notify(capsys, lab) and len(lab.posts) == 2
+    later = {"quarantine": "2999-01-01_x"}
+    places[:] = [LabgridPlace(name="panda-3", tags=later, matches=(), holder=None, reservation=None)]
+    assert "known: panda-3" not in notify(capsys, lab) and len(lab.posts) == 3
 
 
 def test_names_that_are_hostile_are_text_and_nothing_else(lab, tmp_path):
@@ -214,8 +217,10 @@ def test_names_that_are_hostile_are_text_and_nothing_else(lab, tmp_path):
         assert (tmp_path / "count").read_text() == "0\n" and not (tmp_path / "pwned").exists()
     ((_, to, mail),) = lab.mails
     assert to == ["b@example.org"] and mail["Bcc"] is None and mail["Subject"] == "rtrun: 60 scenarios got worse"
-    assert "\x1b" not in (tmp_path / "text").read_text() and "and 10 more" in as_text(alarms, None)
-    assert len(lab.posts[0][1]["alarms"]) == 60
+    assert "\x1b" not in (tmp_path / "text").read_text() and "and 10 more" in as_text(alarms, None, most=50)
+    # Whoever is told of it is told of all.
+    assert len(lab.posts[0][1]["alarms"]) == (tmp_path / "text").read_text().count("\nWORSE  ") == 60
+    assert mail.get_content().count("\nWORSE  ") == 60 and lab.posts[0][1]["text"].count("\nWORSE  ") == 50
 
 
 @pytest.mark.parametrize(

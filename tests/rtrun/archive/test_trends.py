@@ -93,6 +93,15 @@ def test_misses_change_too(capsys, tmp_path):
     assert change["after"] == pytest.approx(3 / 4000)
 
 
+def test_a_short_run_takes_no_figure_from_the_longer_ones(capsys, tmp_path):
+    """A quick try of the same scenario, which is too short for a p99."""
+    archive = write_course(tmp_path / "archive", [100.0] * CHANGED + [110.0] * (DAYS - CHANGED))
+    write_course(archive, [100.0], seed=2, n=1000)
+    assert {change["figure"] for change in changes(capsys, archive)} == {"p50", "p99"}
+    status, output = gate(capsys, write_build(tmp_path / "results", 125.0, 125.0), archive)
+    assert status == 1 and "; p99 " in output
+
+
 def gate(capsys, results, archive, *words):
     status = main(["gate", str(results), "--against", str(archive), *words])
     output = capsys.readouterr()
@@ -163,6 +172,19 @@ def test_a_build_with_a_run_that_failed_does_not_pass(capsys, steady, tmp_path):
     status, output = gate(capsys, results, steady)
     assert status == 1
     assert "002-oneshot" in output and "NOT ANALYSED" in output and "failed: the suite ended with status 1" in output
+
+
+def test_runs_that_count_allocations_are_in_no_history(capsys, tmp_path):
+    """Counting is in their times."""
+    archive = write_course(tmp_path / "archive", [100.0] * 8)
+    results = write_build(tmp_path / "results", 100.0)
+    counting = {"parameters": {"allocations": "counted"}, "start_time": "2027-01-01T11:00:00Z"}
+    oneshot_run(results, "009-counting", latencies(N, 1, 900.0), target={"name": "board"}, **counting)
+    assert gate(capsys, results, archive)[0] == 0
+    assert main(["archive", "add", str(results), "--to", str(archive)]) == 0
+    capsys.readouterr()
+    assert main(["history", str(archive), "--json"]) == 0
+    assert "allocations" not in capsys.readouterr().out
 
 
 def test_a_build_without_times_does_not_pass(capsys, steady, tmp_path):

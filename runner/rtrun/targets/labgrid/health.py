@@ -5,6 +5,7 @@ and the reason; a passed check takes both away. Labs whose users filter by `heal
 meanwhile. Nothing else remembers it.
 """
 
+import contextlib
 import re
 from collections.abc import Mapping
 from datetime import date
@@ -34,8 +35,16 @@ def after_success(tags: Mapping[str, str]) -> dict[str, str]:
 
 def in_words(value: str) -> str:
     """The value of such a tag for people."""
-    day = re.match(r"\d{4}-\d\d-\d\d_", value, re.ASCII)
-    return f"{value[day.end() :].replace('_', ' ')} (since {day[0][:-1]})" if day else value.replace("_", " ")
+    day = since(value)
+    words = value.partition("_")[2] if day else value
+    return words.replace("_", " ") + (f" (since {day})" if day else "")
+
+
+def since(value: str) -> date | None:
+    """The day of such a tag; None for one that somebody set without a day."""
+    with contextlib.suppress(ValueError):
+        return date.fromisoformat(value.partition("_")[0])
+    return None
 
 
 def _value(reason: str, today: date) -> str:
