@@ -92,7 +92,9 @@ def refused(words: list[str], capsys: pytest.CaptureFixture[str], status: int = 
     return capsys.readouterr().err
 
 
-@pytest.mark.parametrize("tools", [("c++", "g++"), ("cmake",), ("make", "ninja"), ("cc", "gcc", "c++", "cmake")])
+@pytest.mark.parametrize(
+    "tools", [("c++", "g++"), ("cmake",), ("make", "ninja"), ("cmake", "ninja"), ("cc", "gcc", "c++", "cmake")]
+)
 def test_a_target_without_tools(
     tools: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

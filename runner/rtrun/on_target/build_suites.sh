@@ -29,7 +29,7 @@ lacks=
 for tool in cc c++ cmake; do
     command -v $tool >/dev/null || lacks="$lacks $tool"
 done
-command -v ninja make >/dev/null || lacks="$lacks make"
+command -v ninja >/dev/null || command -v make >/dev/null || lacks="$lacks make"
 [ -z "$lacks" ] || fail "the target lacks$lacks: install build-essential and cmake, or what the target's system calls them"
 command -v ninja >/dev/null && export CMAKE_GENERATOR=Ninja
 if command -v ccache >/dev/null; then
