@@ -45,6 +45,7 @@ class Link:
         self._connection: Connection | None = None
         self._given_up: TargetError | None = None
         self._is_interrupted = False
+        self._expects_boot = False
 
     def __enter__(self) -> Self:
         self.do(lambda _: None)
@@ -66,6 +67,10 @@ class Link:
         self._is_interrupted = True
         if (connection := self._connection) is not None:
             connection.interrupt()
+
+    def expect_boot(self) -> None:
+        """Give the target the time that it boots in, before its power is switched: it is restarted on purpose."""
+        self._expects_boot = True
 
     def _check_interrupt(self) -> None:
         if self._is_interrupted:
@@ -120,7 +125,8 @@ class Link:
 
     def _connect(self) -> Connection:
         first = not self.boot_id
-        patience_s = self.target.boot_s if first else max(self.target.reconnect_s, self.target.boot_s)
+        booting_s = self.target.power.boot_s if self._expects_boot and self.target.power else self.target.boot_s
+        patience_s = self.target.boot_s if first else max(self.target.reconnect_s, booting_s)
         deadline = time.monotonic() + patience_s
         timeout_s = CONNECT_BOOTING_S if self.target.boot_s else CONNECT_S
         power, since = self.target.power, ""
@@ -152,6 +158,7 @@ class Link:
             raise
         before, self.boot_id = self.boot_id, boot_id
         if before and before != boot_id:
+            self._expects_boot = False
             self._connection = connection
             raise TargetRebooted(f"{self.target.address}: the target was restarted (another boot id)")
         return connection

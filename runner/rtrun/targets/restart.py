@@ -49,6 +49,7 @@ def restart(link: Link, kernel: KernelName | None = None) -> None:
     link.check(["sync"], deadline_s=SHUTDOWN_S)
     request = link.target.restart
     assert request is not None
+    link.expect_boot()
     link.do(request)
     deadline = time.monotonic() + SHUTDOWN_S
     while not _is_restarted(link):

@@ -7,7 +7,7 @@ import pytest
 
 from rtrun.targets import link as link_module
 from rtrun.targets.address import Address
-from rtrun.targets.config import Target
+from rtrun.targets.config import Power, Target
 from rtrun.targets.errors import ConnectionLost, TargetGone
 from rtrun.targets.link import BREAKS_MAX, CONNECT_BOOTING_S, CONNECT_MAX_S, CONNECT_S, RETRY_S, Link, TargetRebooted
 
@@ -31,6 +31,8 @@ class Board:
         self.timeouts_s = []
         self.closed = 0
         self.slept_s = 0.0
+        self.at = lambda now_s: None
+        """What happens to it as time goes by."""
 
 
 @pytest.fixture
@@ -59,6 +61,7 @@ def board(monkeypatch):
         @staticmethod
         def sleep(seconds):
             board.slept_s += seconds
+            board.at(board.slept_s)
 
     monkeypatch.setattr(link_module, "Connection", Connection)
     monkeypatch.setattr(link_module, "time", Time)
@@ -135,6 +138,35 @@ def test_a_restart_is_told_once(board, remarks):
         assert len(board.timeouts_s) == 2, "the connection by which it was found out is used"
         link.drop()
         assert link.do(lambda _: "fine") == "fine"
+
+
+@pytest.mark.parametrize(("boots_within_s", "cycles"), [(80, 0), (100, 1)])
+def test_a_restart_on_purpose_has_the_time_that_the_board_boots_in(board, remarks, boots_within_s, cycles):
+    """A farm lends the board and its power switch: before, the switch cut the power while the board booted."""
+    switched = []
+
+    def cycle():
+        switched.append(board.slept_s)
+
+    target = replace(TARGET, reconnect_s=5, power=Power(cycle=cycle, boot_s=90), restart=lambda _: None)
+    with Link(target, remarks.append) as link:
+        link.expect_boot()
+        link.drop()
+        board.refuses = True
+        board.at = lambda now_s: now_s >= boots_within_s and setattr(board, "refuses", False)
+        board.boot_id = "boot 2"
+        with pytest.raises(TargetRebooted):
+            link.do(lambda _: None)
+        assert len(switched) == cycles
+        # One that nobody asked for has the time for connecting again alone.
+        link.drop()
+        board.refuses, board.at, begin_s = (
+            True,
+            lambda now_s: now_s >= begin_s + 30 and setattr(board, "refuses", False),
+            board.slept_s,
+        )
+        link.do(lambda _: None)
+        assert len(switched) == cycles + 1
 
 
 def test_a_connection_without_a_boot_is_closed(board, remarks):
