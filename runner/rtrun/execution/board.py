@@ -91,7 +91,8 @@ def measure_rounds(
     remote = link.target.work_dir / "runs" / session.log.uid
 
     def may_run_go_on() -> bool:
-        return resumption.may_run_go_on(link, remote, session.known_runs())
+        # What ours needs, as the ROS master, may be what a run of another campaign has found and uses.
+        return resumption.may_run_go_on(link, remote, session.known_runs()) or resumption.is_busy(link)
 
     with link, _PreparedTarget(link, session, may_run_go_on, observer.note) as prepared:
         # Runs that an earlier call left on the board come first: two runs at once would disturb each other.
@@ -130,6 +131,9 @@ def measure_rounds(
                 status, reason = _measure(session, prepared, run, observer, may_be_begun=run.name in begun)
                 session.statuses[run.name] = status
                 observer.ended(number, run, status, reason)
+        if left := begun - foreign - session.statuses.keys():
+            observer.note(f"{', '.join(sorted(left))}: begun by an earlier call, left for one that measures it")
+            return
         # Nothing of the campaign stays on the board, not even an empty folder.
         with contextlib.suppress(TargetRebooted):
             processes.remove(link, remote)

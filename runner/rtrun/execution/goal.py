@@ -90,7 +90,7 @@ def rounds(
     def unfinished(number: int, open_groups: Sequence[Run]) -> list[Run]:
         return [run for run in plan_round(open_groups, number, seed) if findings.boot_of(run) is None]
 
-    def next_round(taken: Collection[str], _begun: Collection[str]) -> Round | None:
+    def next_round(taken: Collection[str], begun: Collection[str]) -> Round | None:
         nonlocal lowest, highest, reported
         for group in groups:
             runs = [run_in_round(group, number) for number in range(lowest, highest + 1)]
@@ -102,7 +102,10 @@ def rounds(
         ]
         while open_groups and not unfinished(lowest, open_groups):
             lowest += 1
-        number, todo = lowest, list[Run]()
+        # What an earlier call left on the board comes first: two runs at once would disturb each other.
+        begun_rounds = {_round_of(name, group) for name in set(begun) - set(taken) for group in open_groups} - {0}
+        left = [n for n in begun_rounds if any(run.name in begun for run in unfinished(n, open_groups))]
+        number, todo = min(left, default=lowest), list[Run]()
         while open_groups and not todo:
             todo = [run for run in unfinished(number, open_groups) if run.name not in taken]
             number += not todo

@@ -40,12 +40,12 @@ for file in attempt.json state; do
     echo
 done
 """
-# Prints the first program that lives of any run and its process group, if that is known.
+# Prints the first program that lives of any run, or of a build beside them, and its process group, if that is known.
 _BUSY = (
     groups.OF_PROGRAM
     + groups.LIVING
     + """
-busy=$(living "$1" | head -n 1)
+busy=$({ living "$1"; living "${1%/*}/building"; } | head -n 1)
 if [ "$busy" ]; then
     name=${busy%.lock}
     find_group || group=
@@ -177,18 +177,28 @@ def _lines(names: Collection[str]) -> str:
     return "".join(f"{name}\n" for name in names)
 
 
+def is_busy(link: Link) -> bool:
+    """Whether a program of any run, or of a build of suites, lives on the target."""
+    return bool(_find_busy(link))
+
+
 def check_idle(link: Link) -> None:
-    """Raise TargetError when a program of any run still lives on the target."""
-    _refuse_busy(link, link.check(["sh", "-c", _BUSY, "sh", str(link.target.work_dir / "runs")]))
+    """Raise TargetError when a program of any run, or of a build of suites, still lives on the target."""
+    _refuse_busy(link, _find_busy(link))
+
+
+def _find_busy(link: Link) -> str:
+    return link.check(["sh", "-c", _BUSY, "sh", str(link.target.work_dir / "runs")])
 
 
 def _refuse_busy(link: Link, printed: str) -> None:
     """Raise TargetError when `_BUSY` printed a program."""
     if busy := printed.splitlines():
         how = f": kill -- -{busy[1]}" if busy[1:] and busy[1].isdecimal() else ""
+        is_run = "/runs/" in busy[0]
+        what, goes_on = ("another run", "resume its campaign") if is_run else ("a build of suites", "wait for it")
         raise TargetError(
-            f"{link.target.address}: another run is still going on: {busy[0]}; "
-            f"resume its campaign, or end it there{how}"
+            f"{link.target.address}: {what} is still going on: {busy[0]}; {goes_on}, or end it there{how}"
         )
 
 
@@ -211,7 +221,8 @@ def begin(
 ) -> Attempt:
     """Make the folder of a run with its attempt file, and the target's state as a script there prints it.
 
-    Raises TargetError when a program of another run still lives on the target: each would disturb the other.
+    Raises TargetError when a program of another run, or a build, still lives on the target: each would disturb the
+    other.
     """
     data = {
         "schema": 1,

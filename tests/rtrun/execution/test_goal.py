@@ -81,15 +81,19 @@ class Board:
         return dataclasses.replace(self.trials[name], run=name, boot=self.boots[name], start_time=name)
 
 
-def measure(board, groups, wanted, *, calls=10**9):
-    """Follow the rounds as the campaign runner does, and be killed before call number `calls`; return the standings."""
+def rounds_of(board, groups, wanted):
     findings = Findings(
         boot_of=lambda run: board.boots.get(run.name),
         has_failed=lambda run: run.name in board.calls and run.name not in board.boots,
         evaluate=lambda: board.evaluate(groups),
         spent_s=lambda: board.spent_s,
     )
-    next_round = rounds(groups, wanted, 7, NEEDED, findings, lambda progress, _: board.told.append(progress))
+    return rounds(groups, wanted, 7, NEEDED, findings, lambda progress, _: board.told.append(progress))
+
+
+def measure(board, groups, wanted, *, calls=10**9):
+    """Follow the rounds as the campaign runner does, and be killed before call number `calls`; return the standings."""
+    next_round = rounds_of(board, groups, wanted)
     while each := next_round((), ()):
         if f"boot{board.boot}" in each.used_boots:
             board.boot += 1
@@ -150,6 +154,16 @@ def test_a_runner_that_is_killed_anywhere_goes_on_as_if_nothing_had_happened(mis
         assert measure(board, groups, wanted) == answers
         assert sorted(board.calls) == sorted(whole.calls), "no run is lost, none is made twice"
         assert board.boot == whole.boot and restarts <= board.boot, "no restart more than without the kill"
+
+
+def test_a_round_that_a_board_holds_a_run_of_comes_first():
+    """Another board had the first round, and is not there."""
+    groups = groups_of(1000)
+    next_round = rounds_of(Board({1000: 0.0}, wanted=goal()), groups, goal())
+    (run,) = next_round((), (f"{groups[0].name}-r2",)).runs
+    assert run.name == f"{groups[0].name}-r2"
+    (run,) = next_round((run.name,), (run.name,)).runs
+    assert run.name == groups[0].name
 
 
 def test_a_run_that_always_fails_does_not_stop_the_others():

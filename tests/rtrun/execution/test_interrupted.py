@@ -7,18 +7,19 @@ import os
 import shutil
 import signal
 import time
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import faulty
 import pytest
 from faulty import record, runs_of
 
-from rtrun.execution import board, campaign_runner, run_execution, run_programs
+from rtrun.execution import board, campaign_runner, resumption, run_execution, run_programs
 from rtrun.execution.middleware import roscpp
 from rtrun.execution.middleware.known import SERVICES
 from rtrun.plan.campaign import Campaign, plan
+from rtrun.plan.program import Program
 from rtrun.results import run_directory
-from rtrun.targets import processes
+from rtrun.targets import deploy, processes
 from rtrun.targets.connection import Connection
 from rtrun.targets.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.targets.link import BREAKS_MAX, Link, TargetRebooted
@@ -222,6 +223,43 @@ def test_a_link_lost_in_a_call_of_the_master(target, monkeypatch, measure, call)
     watching = Watching()
     assert measure(target, runs_of(1), watching) == ["ok"]
     assert any("connecting again" in note for note in watching.notes)
+
+
+def test_a_call_for_other_runs_leaves_a_run_that_has_ended(target, tmp_path, wishes, measure, interrupt):
+    """Nothing of it lives any more; the call that wants it fetches it."""
+    runs = runs_of(2, sampler="none")
+    interrupt(target, runs, stop, Stop)
+    (folder,) = Path(target.work_dir).glob(f"runs/*/{runs[0].name}")
+    while not (folder / "cyclic_timer_tests.exit").exists():
+        time.sleep(0.05)
+    watching = Watching()
+    campaign_runner.run_campaign(target, "test", runs, tmp_path / "results", watching, chosen=runs[1:])
+    assert any(runs[0].name in note and "left for one that measures it" in note for note in watching.notes)
+    assert measure(target, runs) == ["ok", "ok"]
+    assert len(wishes.calls()) == 2
+
+
+def test_a_campaign_that_is_refused_leaves_the_master_to_the_one_that_measures(bare_target, measure, monkeypatch):
+    """It came between two runs, found the master that was there, and uses it."""
+    begun = []
+
+    def begin(link, *words, begin=resumption.begin, **more):
+        begun.append(link)
+        if len(begun) == 2:
+            other = Program(name="suite", argv=("sleep", "300"), deadline_s=300)
+            link.check(["mkdir", "-p", str(others)])
+            processes.start(link, PurePosixPath(deploy.ON_TARGET), others, other)
+        return begin(link, *words, **more)
+
+    others = PurePosixPath(bare_target.work_dir) / "runs/other/run"
+    monkeypatch.setattr(resumption, "begin", begin)
+    with pytest.raises(TargetError, match="another run is still going on"):
+        measure(bare_target, runs_of(2))
+    assert list(Path(bare_target.work_dir).glob("master/*/rosmaster.pid"))
+    with Link(bare_target, print) as link:
+        processes.give_up(link, others)
+    assert measure(bare_target, runs_of(2)) == ["ok", "ok"]
+    assert not list(Path(bare_target.work_dir).glob("master/*"))
 
 
 def test_a_run_of_another_campaign_is_not_disturbed(target, tmp_path, wishes, interrupt):

@@ -118,6 +118,18 @@ def test_what_lies_beside_it_is_not_read(begin, inspect, link, folder, monkeypat
     assert not folder.exists()
 
 
+def test_a_build_of_suites_is_no_idle_target(target, link):
+    """It would be measured beside compilers, and its programs would be replaced by what was built."""
+    folder = PurePosixPath(target.work_dir) / "building"
+    link.check(["mkdir", "-p", str(folder)])
+    build = Program(name="build", argv=("sleep", "300"), deadline_s=300)
+    processes.start(link, PurePosixPath(deploy.ON_TARGET), folder, build)
+    with pytest.raises(TargetError, match=f"a build of suites is still going on: {folder}/build; wait for it"):
+        resumption.check_idle(link)
+    processes.give_up(link, folder)
+    resumption.check_idle(link)
+
+
 def test_a_program_of_another_user_is_seen(link):
     """Its open files are not."""
     if os.geteuid() != 0:
