@@ -25,6 +25,12 @@ def signed(value_ns: float) -> str:
     return f"{'+' if value_ns >= 0 else ''}{time(value_ns)}"
 
 
+def percent(share: float) -> str:
+    """A share in percent to two digits; near all of it to four, as two would say all."""
+    of_hundred = 100 * share
+    return f"{of_hundred:.{2 if of_hundred < 98.5 else 4}g} %"
+
+
 def grouped(number: float) -> str:
     """A whole number, or the nearest one, with spaces between its thousands."""
     return f"{round(number):,}".replace(",", " ")

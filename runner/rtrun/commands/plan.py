@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rtfiles.quantities import duration
+from rtfiles.quantities import duration, percent
 from rtrun.commands._arguments import add_campaign, add_json
 from rtrun.commands._question import probability_argument
 
@@ -195,7 +195,7 @@ def _goal_lines(
         f"until P({asked.miss}) is proven or refuted to be below {goal.probability:g}, "
         f"confidence {goal.confidence:g}, in at most {duration(at_most_s)}: each round repeats these runs"
     )
-    share = f"{100 * unlike_share(goal.boots, goal.confidence):.2g} %"
+    share = percent(unlike_share(goal.boots, goal.confidence))
     yield (
         f"on {counted(goal.boots, 'boot')}: boots of another kind, of which none is measured, may be {share} of all; "
         f"a proof covers {goal.question.covered}"

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from rtfiles.output import counted, printable
-from rtfiles.quantities import duration, grouped, time
+from rtfiles.quantities import duration, grouped, percent, time
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group
@@ -108,12 +108,14 @@ def scope_in_short(verdict: Verdict) -> str:
 
 
 def boots_in_words(verdict: Verdict) -> str:
-    """Of which boots a verdict speaks."""
+    """Of which boots a verdict speaks, or of which boards."""
+    if verdict.boards > 1:
+        return f"for the {verdict.boards} boards together"
     if verdict.boots is None or verdict.unlike_share is None:
         return "on boots that are not known"
     if verdict.boots == 1:
         return "in this boot"
-    return f"for at least {100 * (1 - verdict.unlike_share):.2g} % of boots"
+    return f"for at least {percent(1 - verdict.unlike_share)} of boots"
 
 
 def _bursts_in_words(verdict: Verdict) -> str:
@@ -137,7 +139,7 @@ def _boots(verdict: Verdict) -> list[str]:
         return []
     if verdict.boots == 1:
         return [f"holds for the boot that was measured; for the system measure on {ENOUGH_BOOTS} boots or more"]
-    share = f"boots of another kind, of which none was measured, may be {100 * verdict.unlike_share:.2g} % of all"
+    share = f"boots of another kind, of which none was measured, may be {percent(verdict.unlike_share)} of all"
     return [f"measured on {verdict.boots} boots: {share}"]
 
 

@@ -5,7 +5,7 @@ import json
 import math
 from typing import Any
 
-from rtfiles.quantities import signed, time
+from rtfiles.quantities import percent, signed, time
 from rtrun.analysis.comparison import Comparison, ComparisonAnswer, Ratio, Shift
 from rtrun.judgement.compare import Compared
 from rtrun.report.terminal import banner_of
@@ -46,7 +46,7 @@ def _shift(shift: Shift, c: Comparison) -> str:
 
 
 def _why(c: Comparison) -> str:
-    test = f"largest difference of the distributions {100 * c.distance:.2g} %, p = {c.p_value:.2g} ({c.units})"
+    test = f"largest difference of the distributions {percent(c.distance)}, p = {c.p_value:.2g} ({c.units})"
     if c.answer == ComparisonAnswer.UNDECIDED:
         return f"{min(c.unit_counts)} {c.units} are too few to compare"
     if c.answer == ComparisonAnswer.RUNS_DIFFER:

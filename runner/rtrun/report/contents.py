@@ -49,14 +49,17 @@ def contents(study: Study) -> Contents:
     """Put a study into words."""
     made, pairs, found = scenarios(study), layer_pairs(study), causes.ranked(study.source)
     topologies = measured_topologies(study)
+    # Boards that are alike say together whether they have measured enough.
+    members = [one for one in made if one.group.key in study.members]
+    deciding = [one for one in made if one not in members or one.answer != Answer.NEEDS_MORE]
     measured = [one for one in made if one.figures.max_ns is not None]
     measured = [one for one in measured if one.group.question] or measured
     return Contents(
         title=printable(_title(study, made)),
         banner=banner_of(study.platform, preempt_rt=[one.preempt_rt for one in study.records]) or None,
-        answer=_answer(study, made),
+        answer=_answer(study, deciding),
         worst=max(measured, key=lambda one: one.figures.max_ns or 0, default=None),
-        next_step=_next_step(made, study.platform, found[0]),
+        next_step=_next_step(deciding, study.platform, found[0]),
         question=_question(study),
         facts=tuple(_facts(study)),
         scenarios=made,

@@ -17,6 +17,7 @@ from rtrun.judgement.layers import LayerPair
 from rtrun.judgement.study import Study, environment, in_word
 from rtrun.judgement.topologies import MeasuredTopology
 from rtrun.kinds.output import NON_MEASURING_THREADS
+from rtrun.plan.quantities import time_text
 from rtrun.plan.question import NONE_TOLERATED, Measure
 from rtrun.report import causes, influence, late_paths, layers
 from rtrun.report.ranking import ranking
@@ -195,9 +196,9 @@ def _reproduce(study: Study) -> Table:
     tolerate = f" --tolerate '{asked.tolerance}'" if asked.tolerance != NONE_TOLERATED else ""
     # What was observed has a deadline of its own, or none, unless one is named.
     is_for_all = all(group.question and group.question.deadline_ns == asked.deadline_ns for group in study.groups)
-    deadline = f" --deadline {asked.deadline_ns / 1000:g}us" if is_for_all else ""
+    deadline = f" --deadline {time_text(asked.deadline_ns)}" if is_for_all else ""
     command = f"rtrun report RESULTS{of}{tolerate}{deadline}"
-    rows.append(("examined", f"{command} --probability {asked.probability:g} --confidence {asked.confidence:g}"))
+    rows.append(("examined", f"{command} --probability {asked.probability!r} --confidence {asked.confidence!r}"))
     rows.append(("input", f"sha256 {digest} of all closing records"))
     rows.append(("seed", "20140715 for every resampling"))
     return Table(

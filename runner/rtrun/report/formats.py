@@ -88,7 +88,7 @@ def as_json(study: Study) -> str:
                 "worst_case": _data(group.bounds),
                 "no_worst_case": group.no_bound,
             }
-            for group in study.groups
+            for group in study.answers
         ],
         "series": [_series(one) for one in (*study.digests, *study.others)],
         "left_out": list(study.left_out),

@@ -55,8 +55,8 @@ class Scenario:
 
 
 def scenarios(study: Study) -> tuple[Scenario, ...]:
-    """Every group of a study, the worst answer first, and within an answer the highest value first."""
-    made = [_scenario(group, label, study) for group, label in zip(study.groups, _labels(study), strict=True)]
+    """Every group of a study, and alike boards together, the worst answer first, and within it the highest value."""
+    made = [_scenario(group, label, study) for group, label in zip(study.answers, _labels(study), strict=True)]
     made.sort(key=lambda one: severity(one.answer, one.figures.max_ns))
     seen: Counter[str] = Counter()
     for place, one in enumerate(made):
@@ -71,10 +71,10 @@ def _labels(study: Study) -> list[str]:
     targets = {group.target for group in study.groups}
     loaded = any("condition" in group.parameters for group in study.groups)
     labels = []
-    for group in study.groups:
+    for group in study.answers:
         words = [group.label.replace("condition=", "")]
         words += [IDLE] * (loaded and "condition" not in group.parameters)
-        words += [f"on {group.target}"] * (len(targets) > 1)
+        words += [f"on {f'{len(group.boards)} boards' if group.members else group.target}"] * (len(targets) > 1)
         labels.append(printable(" ".join(words)))
     return labels
 

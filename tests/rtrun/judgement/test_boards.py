@@ -41,6 +41,12 @@ def test_alike_boards_prove_together_what_none_proves_alone(tmp_path, capsys):
     )
     assert main(["gate", str(tmp_path), "-v", *WORDS]) == 0
     assert "holds for the 2 boards together" in capsys.readouterr().out
+    assert main(["report", str(tmp_path), *WORDS, "--format", "markdown", "--output", "-"]) == 0
+    told = capsys.readouterr().out
+    assert "is met in the one scenario" in told and "for the 2 boards together" in told and "not decided" not in told
+    assert main(["report", str(tmp_path), *WORDS, "--format", "json", "--output", "-"]) == 0
+    groups = json.loads(capsys.readouterr().out)["groups"]
+    assert [group["verdict"]["answer"] for group in groups] == ["PROVEN", "NEEDS MORE", "NEEDS MORE"]
 
 
 def test_boards_that_differ_are_not_pooled_and_it_is_said_in_what(tmp_path, capsys):
