@@ -9,10 +9,11 @@ from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import sentences, severity, verdict_line
 from rtrun.plan.suites import suites
+from rtrun.plan.topology.planning import SUITE as TOPOLOGY
 from rtrun.results.record import RunRecord
 from rtrun.targets.inspection.platform import Platform, weakest
 
-ALLOCATIONS = "ALLOCATIONS"
+ALLOCATIONS, PAGE_FAULTS = "ALLOCATIONS", "PAGE FAULTS"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,12 +82,18 @@ def gate(
         if group.question
     ]
     cases += sorted(judged, key=lambda case: severity(case.answer, case.worst_ns))
+    if study.answers and not judged:
+        text = "nothing that was measured has a deadline: give one, as --deadline 1ms"
+        cases.append(Case(about="deadline", answer="NOT ANALYSED", text=text, passed=False))
     cases += [
         Case(about=name, answer="REPEATED", text="cut off by a restart of the target, then measured again", passed=True)
         for name in study.source.repeated
     ]
     if max_page_faults is not None:
-        cases += [case for record in study.records for case in _page_faults(record, max_page_faults)]
+        telling = [record for record in study.records if record.suite in (*suites().suites, TOPOLOGY)]
+        text = "nobody counted them: the programs of these runs are no suite's"
+        cases += [case for record in telling for case in _page_faults(record, max_page_faults)]
+        cases += [] if telling else [Case(about="page faults", answer=PAGE_FAULTS, text=text, passed=False)]
     if max_allocations is not None:
         counted_cases = [case for record in study.records for case in _allocations(record, max_allocations)]
         text = "nobody counted them: give a campaign allocations: [null, counted]"
@@ -98,13 +105,13 @@ def gate(
 
 
 def _page_faults(record: RunRecord, most: int) -> Iterator[Case]:
-    """A case for each program of a suite that had more page faults than it may have, or does not tell them."""
-    for program in record.programs if record.suite in suites().suites else ():
+    """A case for each program that had more page faults than it may have, or does not tell them."""
+    for program in record.programs:
         faults = program.costs.page_faults if program.costs else None
         if faults is None or faults > most:
             had = "it does not tell how many it had" if faults is None else counted(faults, "page fault")
             text = f"{had} while it measured, {most} allowed"
-            yield Case(about=f"{record.run} {program.name}", answer="PAGE FAULTS", text=text, passed=False)
+            yield Case(about=f"{record.run} {program.name}", answer=PAGE_FAULTS, text=text, passed=False)
 
 
 def _allocations(record: RunRecord, most: int) -> Iterator[Case]:

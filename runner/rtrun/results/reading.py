@@ -144,7 +144,7 @@ def find_source(path: Path) -> Source:
         raise UsageError(
             f"{path}: no finished run (one with {FILE}) in it{', give ' if below else ''}{' or '.join(below)}"
         )
-    names = {folder.name for folder in closed}
+    names = {child.name for child in every if is_closed(child)}
     others = [folder.name for folder in folders if folder.name not in names]
     repeated = tuple(name for name in others if (cut_off := _CUT_OFF.fullmatch(name)) and cut_off[1] in names)
     incomplete = tuple(name for name in others if name not in repeated)

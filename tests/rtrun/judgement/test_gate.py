@@ -2,10 +2,12 @@
 
 import json
 import re
+import shutil
 import xml.etree.ElementTree as ElementTree
 
 import pytest
 from report.campaigns import cyclic_run, latencies, oneshot_run
+from written import write_record
 
 from rtrun.cli import main
 from rtrun.plan.quantities import read_time_ns
@@ -136,12 +138,15 @@ def test_a_failed_run_does_not_pass_unseen(tmp_path, capsys):
 
 def test_what_a_restart_cut_off_passes_once_it_was_measured_again(tmp_path, capsys):
     write_oneshot(tmp_path, "a")
-    (tmp_path / "a.incomplete-1").mkdir()
+    # Its warm-up, too.
+    write_oneshot(tmp_path, "a.warm-up")
+    for name in ("a", "a.warm-up"):
+        (tmp_path / f"{name}.incomplete-1").mkdir()
     question = ["gate", str(tmp_path), "--probability", "1e-3"]
     assert main(question) == 0
     printed = capsys.readouterr().out
     assert re.search(r"^pass  REPEATED +a.incomplete-1 +-", printed, re.M)
-    assert "a.incomplete-1: cut off by a restart" in printed
+    assert "2 scenarios: cut off by a restart" in printed
     (tmp_path / "b.incomplete-1").mkdir()
     assert main(question) == 1
     assert "FAIL  NOT ANALYSED  b.incomplete-1" in capsys.readouterr().out
@@ -175,6 +180,21 @@ def test_a_program_with_page_faults_fails_where_they_are_asked_for(tmp_path, cap
     capsys.readouterr()
     assert main([*question, "--max-page-faults", str(allowed)]) == (1 if says else 0)
     assert (says or "") in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_page_faults_of_the_processes_of_a_topology_count_and_of_observed_programs_nobody_does(tmp_path, capsys):
+    process = {"name": "brake", "argv": ["x"], "exit_status": 0, "costs": COSTS | {"minor_faults": 1}, "loops": 5}
+    for suite, programs, says in (("topology", [process], "2 page faults"), ("observed_timers", [], "nobody counted")):
+        write_oneshot(tmp_path / suite)
+        (tmp_path / suite / "b").mkdir()
+        write_record(tmp_path / suite / "b", suite, [], {}, programs=programs, subject="attached")
+        question = ["gate", str(tmp_path / suite), "--probability", "1e-2"]
+        assert main(question) == 0
+        capsys.readouterr()
+        if says == "nobody counted":
+            shutil.rmtree(tmp_path / suite / "a")
+        assert main([*question, "--max-page-faults", "0"]) == 1
+        assert says in capsys.readouterr().out
 
 
 def test_wrong_questions_are_usage_errors(tmp_path, capsys):
