@@ -212,8 +212,9 @@ def _of_variants(entry: Entry, campaign: Campaign, where: Place, errors: list[st
         yield from _combinations(entry, campaign, where, errors)
     for name, variant in campaign.variants.items():
         values = {key: value for key, value in variant.items() if key not in VARIANT_KEYS}
+        programs = tuple(f"{key}: {variant[key]}" for key in VARIANT_KEYS if key in variant)
         for run in _combinations(entry, campaign, where, errors, values):
-            yield replace(run, variant=name)
+            yield replace(run, variant=name, variant_of=programs)
 
 
 def _combinations(
@@ -333,7 +334,10 @@ def _check_subject(campaign: Campaign, where: Place, errors: list[str]) -> None:
         errors.append(f"{where / 'topology'}: a campaign has a subject or a topology, not both")
     if campaign.until and campaign.subject is not None and not campaign.deadlines:
         errors.append(f"{where / 'until'}: give deadlines: it measures until each is proven or refuted")
+    named = [(deadline.kind, deadline.name) for deadline in campaign.deadlines]
     for number, deadline in enumerate(campaign.deadlines):
+        if named.index(named[number]) < number:
+            errors.append(f"{where / 'deadlines' / number}: {deadline.text}: it has another deadline before: give one")
         if campaign.topology is None and deadline.kind.is_of_topologies:
             errors.append(f"{where / 'deadlines' / number}: {deadline.kind}: is of topologies: no probe sees it")
 

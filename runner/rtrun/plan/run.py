@@ -43,10 +43,10 @@ class Run:
     """One planned run: `parameters` holds every parameter of its suite, and `subscribers` where it has some.
 
     `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order; `variant` is
-    empty and `kernel` None in a campaign that names none. `trace` is the limit above which it keeps traces as the
-    campaign has it (plan/trace.py), `UNTRACED` for the twin of such a run, and empty where nobody asked for traces.
-    `observation` is what a run observes, `topology` the graph of nodes that it starts; None, both: the programs of its
-    suite measure.
+    empty and `kernel` None in a campaign that names none; `variant_of` are the programs of the variant as the campaign
+    names them. `trace` is the limit above which it keeps traces as the campaign has it (plan/trace.py), `UNTRACED` for
+    the twin of such a run, and empty where nobody asked for traces. `observation` is what a run observes, `topology`
+    the graph of nodes that it starts; None, both: the programs of its suite measure.
     """
 
     name: str
@@ -57,6 +57,7 @@ class Run:
     repeat: int = 1
     seed: int | None = None
     variant: str = ""
+    variant_of: tuple[str, ...] = ()
     kernel: KernelName | None = None
     trace: str = ""
     observation: ObservationPlan | None = None

@@ -11,7 +11,7 @@ from rtrun.cli import main
 from rtrun.plan.campaign import read_campaign
 from rtrun.plan.quantities import read_time_ns
 from rtrun.plan.question import Tolerance
-from rtrun.plan.run import SET_UP_S
+from rtrun.plan.run import SET_UP_S, digest_of
 from rtrun.results.goal_file import read_goal, write_goal
 
 INTERLEAVED = "order: interleaved\nseed: 7\n"
@@ -113,6 +113,13 @@ def test_every_run_is_planned_for_each_variant_in_one_order(tmp_path):
     assert {run.variant: run.parameters["priority"] for run in runs} == {"old": 95, "new": 90}
     assert all(f"-{run.variant}" in run.name for run in runs)
     assert campaign.variants["new"]["suites"] == "../new"
+    # With other programs it is another campaign: one that was begun does not go on with them.
+    again = (
+        INTERLEAVED
+        + VARIANTS.replace("../new", "../newer")
+        + "runs: [{suite: cyclic_timer_tests, policy: RR, repeats: 5}]\n"
+    )
+    assert digest_of(read_campaign(write(tmp_path, again))[1]) != digest_of(runs)
 
 
 def test_a_variants_value_counts_for_the_runs_that_take_it(tmp_path):

@@ -87,11 +87,12 @@ def test_a_process_is_told_its_part_in_lines_of_words(tmp_path):
 
 
 def test_deadlines_of_the_file_and_of_the_campaign_are_those_of_the_run(tmp_path):
-    further = "deadlines: ['timer:/control=1ms', 'age:/imu,/state=7ms', /imu=2ms]\npaths: ['/imu,/state,/cmd']\n"
+    further = "deadlines: ['timer:/control=1ms', 'age:/imu,/state=7ms', /imu=2ms, 'response:/control=2ms']\n"
+    further += "paths: ['/imu,/state,/cmd']\n"
     _, runs = read_campaign(campaign(tmp_path, further + RUNS))
     plan = runs[0].topology
     assert [each.text for each in plan.deadlines] == [
-        "response:/control=5000000ns",
+        "response:/control=2000000ns",  # 5 ms in the topology
         "path:/points,/objects,/state,/cmd=120000000ns",
         "age:/points,/objects,/state,/cmd=150000000ns",
         "timer:/control=1000000ns",

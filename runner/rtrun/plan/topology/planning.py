@@ -78,7 +78,8 @@ def plan_topology(
     _check_each(where / "deadlines", deadlines, lambda deadline: check_deadline(topology, deadline), errors)
     if len(errors) > before:
         return None
-    deadlines = tuple(dict.fromkeys((*own_deadlines(topology), *deadlines)))
+    # That of the campaign is asked where the topology has another one.
+    deadlines = tuple({(each.kind, each.name): each for each in (*own_deadlines(topology), *deadlines)}.values())
     of_deadlines = (tuple(each.name.split(",")) for each in deadlines if each.kind.named_by == "path")
     named = dict.fromkeys((*(each.topics for each in topology.paths), *paths, *of_deadlines))
     followed = tuple(path for topics in named for path in topology.paths_of(topics))
