@@ -28,7 +28,7 @@ from rtrun.plan.topology.rates import period_points
 from rtrun.plan.topology.reading import read_topology
 from rtrun.results.topology_record import read_topology_record
 
-from .conftest import launch
+from .conftest import end, launch, wait_until
 
 # Each asks the machine for most of a CPU.
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("topology")]
@@ -231,6 +231,24 @@ def test_the_launch_file_hosts_the_graph_beside_it(bench):
     assert ages(tables, path, origins(tables, path)[0]).end_ns.size > 10
 
 
+def test_a_program_that_ros_ends_is_not_whole(bench):
+    """Another one takes its name: the master ends the first, which would publish to nobody until its time is over."""
+    graph = bench.folder / "graph.yml"
+    graph.write_text(LAUNCHED[: LAUNCHED.index("  control:")] + "topics: {/points: {payload: 20kB}}\n")
+    plan = TopologyPlan(topology=read_topology(graph).topology, for_s=30, paths=())
+    (bench.folder / "sensing.topology").write_text(process_text(plan, "sensing"))
+    programs = []
+    for folder in ("first", "second"):
+        (bench.folder / folder).mkdir()
+        programs.append(bench.start("topology_node", "sensing.topology", "--out-dir", folder, "__name:=sensing"))
+        wait_until(lambda folder=folder: any((bench.folder / folder).glob("ready.*")), programs[-1])
+    ended = end(programs[0])
+    programs[1].kill()
+    (record,) = (bench.folder / "first").glob("process-*.json")
+    told = json.loads(record.read_text())
+    assert (ended.status, told["complete"], told["incomplete_reason"]) == (1, False, "ended by ROS"), ended
+
+
 def hosts(place):
     """The processes of nodes that run, by the name of their program."""
     found = {}
@@ -250,15 +268,16 @@ def test_influence_is_measured_in_turn_and_told_of_each_path(suites, place, caps
     write(place, suites, "roscpp")
     words = ["influence", "braking.yml", "--of", "other_nodes", "--target", "target.yml", "--middleware", "roscpp"]
     words += ["--kinds", "busy", "--nodes", "2", "--cpu", "1", "--for", "1s", "--repeats", "3", "--json"]
-    assert main(words) == 0, capsys.readouterr()
+    assert main(words) == 0
+    first = json.loads(capsys.readouterr().out)
     measured = {name: each for name, each in records(place).items() if each["suite"] == "topology"}
     assert Counter(each["parameters"]["other_nodes"] for each in measured.values()) == {"": 3, "2 busy on 1": 3}
     # Of the other nodes nothing is kept, and nothing is measured again.
     assert not any("other1" in name for name in records(place))
-    capsys.readouterr()
     assert main(words) == 0
     assert {name: each for name, each in records(place).items() if each["suite"] == "topology"} == measured
-    rows = json.loads(capsys.readouterr().out)["influence"]["rows"]
+    assert json.loads(capsys.readouterr().out) == first
+    rows = first["influence"]["rows"]
     assert [row["beside it"] for row in rows] == ["nothing", "2 busy on 1"] * 2
     assert all(row["mean"] != "-" for row in rows)
 

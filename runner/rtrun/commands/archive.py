@@ -247,6 +247,8 @@ def _annotate(args: argparse.Namespace) -> int:
         if not number:
             raise UsageError(f"{args.archive}: these are no runs of it")
         print_line(f"{counted(number, 'run')} of {len(rows)}: {notes.in_words(notes.add_note(store, ignore), ignore)}")
+    elif chosen or args.begin or args.end or args.reason:
+        raise UsageError("say what of these runs: --ignore, --accept or --known")
     else:
         for name, note in held.items():
             print_line(notes.in_words(name, note))

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles import atomic
     from rtfiles.errors import UsageError
-    from rtfiles.output import console, print_json, print_line
+    from rtfiles.output import beside_the_answer, console, print_json, print_line
     from rtrun.commands._boards import TargetFile, measure_on
     from rtrun.execution import campaign_runner, progress
     from rtrun.judgement.influence import influences
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     planned, runs = read_campaign(campaign_file)
     bad: list[str] = []
     if campaign_runner.find_unfinished(results, planned.name, runs, target.name):
-        with progress.showing(runs, console()) as shown:
+        with beside_the_answer(args.json), progress.showing(runs, console()) as shown:
             statuses = measure_on([target], planned.name, runs, results, shown, variants={})
         bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
     measured: Study = study(results, Question(), bounds=False)

@@ -158,7 +158,7 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
 
     from rtfiles import atomic
     from rtfiles.errors import InfrastructureError
-    from rtfiles.output import print_line, print_status
+    from rtfiles.output import beside_the_answer, print_line, print_status
     from rtrun.commands._link import linked
     from rtrun.execution import preparation, run_execution
     from rtrun.execution.board import utc_now
@@ -196,7 +196,8 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
         for text in said_of([folder]):
             print_line(text)
     if record.status is not RunStatus.OK:
-        print_line(f"{record.status}: {record.reason}")
+        with beside_the_answer(args.json):
+            print_line(f"{record.status}: {record.reason}")
         return InfrastructureError.exit_status
     return 0
 
