@@ -466,7 +466,7 @@ def _observed_runs() -> list[Files]:
     }
     timer = {"timestamp_ns": at_ns, "expected_ns": at_ns - 5, "real_ns": at_ns, "segment": np.zeros(n, np.int64)}
     text = b"x-70 [000] ..... 1000.000000500: callback_end: took_ns=400 name=timer 1 ms of /b\n"
-    late = TracedValue(index=3, value_ns=900, limit_ns=10, at_ns=int(at_ns[3]) + 900, text=text)
+    late = TracedValue(index=3, value_ns=900, limit_ns=10, at_ns=int(at_ns[3]) + 900, tid=70, text=text)
     streams = [
         ObservedOutput(
             suite="observed_messages", parameters={"topic": "/a", "publisher": "/a", "subscriber": "/b"},

@@ -35,7 +35,8 @@ BEFORE_NS = 50_000_000
 AROUND = 4
 HEAD_BYTES_MAX = 8192
 _HEAD = re.compile(
-    r"# \S{1,255}: (\d{1,18}) ns at index (\d{1,18}) above \d{1,18} ns, at (\d{1,9})\.(\d{6}) s of (\w{1,40})\n",
+    r"# \S{1,255}: (\d{1,18}) ns at index (\d{1,18}) above \d{1,18} ns, at (\d{1,9})\.(\d{6}) s of (\w{1,40})"
+    r"(?: by thread (\d{1,10}))?\n",
     re.ASCII,
 )
 _SHARED = re.compile(r"# in (\S{1,255})\n", re.ASCII)
@@ -52,7 +53,10 @@ ANOTHER_CLOCK_NS = 3600 * 10**9
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outlier:
-    """A value above the limit of the run, at a moment of the clock of the samples, and the file that has its trace."""
+    """A value above the limit of the run, at a moment of the clock of the samples, and the file that has its trace.
+
+    `tid` is the thread that it came to, where the trace names one.
+    """
 
     run: str
     output: str
@@ -61,6 +65,7 @@ class Outlier:
     at_ns: int
     clock: str
     trace: str
+    tid: int | None = None
 
     @property
     def due_ns(self) -> int:
@@ -145,7 +150,7 @@ def _explain(
 
     `threads` are those of the program that measured; `is_message` if its values are latencies of messages.
     """
-    pid = _measured_thread(order, outlier.at_ns, threads)
+    pid = outlier.tid or _measured_thread(order, outlier.at_ns, threads)
     place = bisect_left(trace.events, (outlier.due_ns,))
     if pid is None or place == len(trace.events) or trace.events[place].at_ns > outlier.at_ns:
         return Explained(outlier=outlier, control=Windows(), note=NOT_RECORDED)
@@ -279,4 +284,5 @@ def _read_head(folder: Path, run: str, output: str, name: str) -> Outlier:
         at_ns=whole_number(match[3]) * 1_000_000_000 + whole_number(match[4]) * 1000,
         clock=match[5],
         trace=shared[1] if shared else name,
+        tid=whole_number(match[6]) if match[6] else None,
     )

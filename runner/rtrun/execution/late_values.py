@@ -9,6 +9,7 @@ from operator import itemgetter
 import numpy as np
 
 from rtfiles.output import printable
+from rtrun.analysis.histogram import Int64s
 from rtrun.causes.control import control_ns
 from rtrun.causes.ftrace import CALLBACK_CHARACTERS_MAX
 from rtrun.causes.outliers import AFTER_NS, BEFORE_NS
@@ -33,7 +34,7 @@ TRACED = frozenset({StreamKind.MESSAGES, StreamKind.TIMER, StreamKind.CALLBACK, 
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class LateValue:
-    """A value above the limit that held when it came, at a time of CLOCK_MONOTONIC.
+    """A value above the limit that held when it came, at a time of CLOCK_MONOTONIC, to a thread.
 
     `text` is the kernel's trace around it; it is empty until the events after it are there, and where it was not kept.
     Values that are near one another have the same.
@@ -42,6 +43,7 @@ class LateValue:
     value_ns: int
     at_ns: int
     limit_ns: int
+    tid: int | None
     text: bytes = b""
 
     @property
@@ -99,12 +101,17 @@ class LateValueRecord:
         self._events: list[Hit] = []
         self._gaps: list[Gap] = []
         self._turns: deque[Turn] = deque(maxlen=EVENTS_KEPT)
+        self._hits: deque[tuple[Int64s, Int64s]] = deque()
+        """When there were hits, and of which threads, by batches."""
         self._text_bytes = 0
 
     def record(self, batch: Batch) -> None:
-        """Take the kernel's events of a batch."""
+        """Take the kernel's events of a batch, and which thread each hit was of."""
         self._events += batch.kernel
         self._gaps += batch.gaps
+        if batch.hits:
+            hits = np.array([(hit.at_ns, hit.tid) for hit in batch.hits], dtype=np.int64)
+            self._hits.append((hits[:, 0], hits[:, 1]))
 
     def turn(self, turn: Turn) -> None:
         """Take what a thread had to do; it is told before the values of its batch."""
@@ -121,7 +128,17 @@ class LateValueRecord:
         places = np.flatnonzero(new.values_ns > limit_ns)
         late.above_limit += places.size
         for place in places:
-            late.keep(LateValue(value_ns=int(new.values_ns[place]), at_ns=int(new.times_ns[place]), limit_ns=limit_ns))
+            at_ns = int(new.times_ns[place])
+            tid = self._thread(at_ns)
+            late.keep(LateValue(value_ns=int(new.values_ns[place]), at_ns=at_ns, limit_ns=limit_ns, tid=tid))
+
+    def _thread(self, at_ns: int) -> int | None:
+        """The thread of the hit at a time; None for one that is not kept any more."""
+        for times, tids in reversed(self._hits):
+            if times[0] <= at_ns <= times[-1]:
+                place = int(np.searchsorted(times, at_ns))
+                return int(tids[place]) if times[place] == at_ns else None
+        return None
 
     def _limit_ns(self, new: NewValues) -> int | None:
         if self._part is None:
@@ -144,6 +161,8 @@ class LateValueRecord:
         too_old = bisect_left(self._events, oldest_ns, key=itemgetter(0))
         del self._events[: max(too_old, len(self._events) - EVENTS_KEPT)]
         self._gaps = [gap for gap in self._gaps if gap.until_ns >= oldest_ns]
+        while self._hits and self._hits[0][0][-1] < oldest_ns:
+            self._hits.popleft()
         while self._turns and self._turns[0].begin_ns < oldest_ns:
             self._turns.popleft()
 

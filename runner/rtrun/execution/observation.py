@@ -9,7 +9,7 @@ from rtfiles.output import counted
 from rtrun.causes.outliers import AFTER_NS
 from rtrun.execution.late_values import LateValueRecord
 from rtrun.flows.accumulator import FlowAccumulator
-from rtrun.flows.live import LiveFigures, Snapshot
+from rtrun.flows.live import LiveFigures, Snapshot, gaps_in_words
 from rtrun.flows.recorder import FlowRecorder
 from rtrun.plan.observation import ObservationPlan
 from rtrun.probes import session
@@ -78,6 +78,8 @@ class ObservationResult:
     def remarks(self) -> tuple[str, ...]:
         """What is missing in it, a sentence each."""
         lines = [*refusals(self.began.refused)]
+        if self.flows.gaps:
+            lines.append(f"{gaps_in_words(self.flows.gaps)}: what was then counts as neither seen nor lost")
         if self.finished and self.finished.lost_events:
             lines.append(f"{counted(self.finished.lost_events, 'event')} lost by the kernel: what was then is left out")
         if self.finished and self.finished.rests:
@@ -120,7 +122,7 @@ def observe(
     figures: LiveFigures | None = None
     began, finished = Began(placed=(), refused=()), None
     late = LateValueRecord(trace, kernel_trace.read_symbols(link)) if trace else None
-    start_time, gone_ns = now().isoformat(), 0
+    start_time, gone_ns, until_ns = now().isoformat(), 0, 0
     stream = session.observe(
         link,
         scripts,
@@ -158,6 +160,7 @@ def observe(
                 if late is not None:
                     late.record(each)
                 flows.feed([*each.hits, *each.gaps])
+                until_ns = each.until_ns
                 onlooker.on_second(figures.snapshot(each.until_ns))
                 if late is not None:
                     late.cut(each.until_ns)
@@ -171,7 +174,7 @@ def observe(
         stream.close()
     if flows is None or figures is None:
         raise TargetError(f"{link.target.address}: the probes were placed, but nothing was recorded")
-    flows.finish()
+    flows.finish(until_ns)
     if late is not None:
         figures.snapshot(flows.newest_ns)
         late.cut(flows.newest_ns + AFTER_NS)

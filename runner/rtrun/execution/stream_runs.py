@@ -51,6 +51,10 @@ class StreamFacts:
     parameters: Mapping[str, Value] = field(default_factory=dict)
     trace: str = ""
 
+    def deadline_ns(self, output: ObservedOutput) -> int | None:
+        """The deadline of a stream; None: it has none."""
+        return next((each.deadline_ns for each in self.deadlines if each.is_of(output.suite, output.parameters)), None)
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WrittenStreams:
@@ -78,6 +82,10 @@ def write_streams(
         if output is None:
             without_value.append((stream, "; ".join(remarks)))
             continue
+        deadline_ns = facts.deadline_ns(output)
+        if deadline_ns is not None and stream.open_ns > deadline_ns:
+            # An interval that has not ended, and is a miss whenever it ends.
+            output = replace(output, asked=output.asked + 1, missing=1)
         outputs.append(output)
         _write_run(_beside(folder, output, facts.parameters, names), facts, output)
     unseen: list[str] = []
@@ -186,6 +194,7 @@ def _traced(stream: Stream, kept: Sequence[LateValue]) -> Iterator[TracedValue]:
                 value_ns=one.value_ns,
                 limit_ns=one.limit_ns,
                 at_ns=one.at_ns,
+                tid=one.tid,
                 text=one.text,
             )
 
@@ -201,9 +210,7 @@ def _write_run(folder: Path, facts: StreamFacts, output: ObservedOutput, *, reas
         "suite": output.suite,
         "subject": "attached",
         "parameters": dict(output.parameters),
-        "deadline_ns": next(
-            (each.deadline_ns for each in facts.deadlines if each.is_of(output.suite, output.parameters)), None
-        ),
+        "deadline_ns": facts.deadline_ns(output),
         "programs": [*programs],
         "outputs": [name],
         # Of what has no limit there are no traces.

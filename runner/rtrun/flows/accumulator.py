@@ -39,7 +39,7 @@ class FlowAccumulator:
         on_turn: Callable[[Turn], None] | None = None,
     ) -> None:
         self.begin_ns = begin_ns
-        self.newest_ns = begin_ns
+        self.newest_ns = self.until_ns = begin_ns
         self.gaps: list[Gap] = []
         self.in_gaps = 0
         """Hits within gaps, which are left out."""
@@ -60,6 +60,14 @@ class FlowAccumulator:
     def observe(self, programs: Iterable[ObservedProgram]) -> None:
         """These are the programs now, all of them: others have ended, and a pid may be that of a new one."""
         self._programs.observe(programs)
+        # Of several with one name, the one that began first has the first number, whoever is heard of first.
+        begun = [
+            (process.program.start_ticks, pid, process)
+            for pid, process in self._programs.processes.items()
+            if process.program and process.has_own_name
+        ]
+        for *_, process in sorted(begun, key=itemgetter(0, 1)):
+            self.situation.label(process, process.label)
 
     def offset(self, clock: str, at_ns: int, offset_ns: int) -> None:
         """A clock other than that of the hits was `offset_ns` ahead of it at a time on that; ``system`` is realtime."""
@@ -89,8 +97,9 @@ class FlowAccumulator:
                 turns.see(item, thread)
         self.topics.expire(self.newest_ns)
 
-    def finish(self) -> None:
-        """No more hits come: what waited for later ones is decided."""
+    def finish(self, until_ns: int = 0) -> None:
+        """No more hits come, there were none until then: what waited for later ones is decided."""
+        self.until_ns = max(self.newest_ns, until_ns)
         self.topics.cut()
 
     def _cut(self, gap: Gap) -> None:

@@ -239,11 +239,15 @@ class LiveFigures:
     def _remarks(self) -> Iterator[str]:
         observed = self._observed
         if observed.gaps:
-            missing_s = _covered_ns(observed.gaps) / 1e9
-            reasons = ", ".join(dict.fromkeys(gap.reason for gap in observed.gaps))
-            yield printable(f"{counted(len(observed.gaps), 'gap')} of {missing_s:.3g} s together: {reasons}")
+            yield gaps_in_words(observed.gaps)
         if observed.situation.unreadable:
             yield f"{counted(observed.situation.unreadable, 'hit')} did not tell what they should"
+
+
+def gaps_in_words(gaps: Sequence[Gap]) -> str:
+    """How many there were, of what time, and why."""
+    reasons = ", ".join(dict.fromkeys(gap.reason for gap in gaps))
+    return printable(f"{counted(len(gaps), 'gap')} of {_covered_ns(gaps) / 1e9:.3g} s together: {reasons}")
 
 
 def _covered_ns(gaps: Iterable[Gap]) -> int:

@@ -106,11 +106,14 @@ def label_of(program: ObservedProgram) -> str:
     for word in program.argv:
         if match := _REMAPPED.fullmatch(word):
             told.setdefault("ns" if match[1] == "ns" else "name", set()).add(match[2])
-    names, spaces = told.get("name", set()), told.get("ns", {""})
-    if len(names) == len(spaces) == 1:
-        name = f"{next(iter(spaces)).strip('/')}/{next(iter(names))}"
-        return name if name.startswith("/") else f"/{name}"
-    return _script(program.argv) or program.name
+    script = _script(program.argv) or program.name
+    names, spaces = told.get("name", set()), told.get("ns", set())
+    if not names and len(spaces) == 1:
+        # In the code it is mostly called as its program.
+        names = {script}
+    if len(names) == 1 and len(spaces) <= 1:
+        return full_name(next(iter(names)), next(iter(spaces), ""))
+    return script
 
 
 def _script(argv: Sequence[str]) -> str:

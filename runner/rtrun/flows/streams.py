@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from rtfiles.output import counted, printable
+from rtfiles.quantities import time
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.messages import End, MessagePair
 from rtrun.flows.paths import PathLog
@@ -13,9 +14,11 @@ from rtrun.flows.programs import numbered
 from rtrun.flows.threads import CallbackLog
 from rtrun.flows.timers import ClockOffsets, TimerLog, known_period_ns, lateness, skipped_periods
 from rtrun.flows.topics import PUBLISHER
-from rtrun.flows.values import Stream, int64s
+from rtrun.flows.values import Stream, differences, int64s
 from rtrun.plan.observation import StreamKind
 
+# That a program has ended may be told a round late.
+STALL_NS = 3 * 10**9
 Identity = dict[str, str | int]
 
 
@@ -41,7 +44,7 @@ def _streams(observed: FlowAccumulator) -> Iterator[Stream]:
         yield _callback(callback)
     for (role, _, _), end in observed.topics.ends.items():
         if end.times:
-            yield _intervals(role, end)
+            yield _intervals(role, end, _stalled_ns(role, end, observed))
     for (number, publisher), log in observed.paths.logs.items():
         yield _path(observed.paths.paths[number], publisher, log)
 
@@ -133,10 +136,23 @@ def _durations(kind: StreamKind, identity: Identity, log: CallbackLog | PathLog,
     )
 
 
-def _intervals(role: str, end: End) -> Stream:
+def _stalled_ns(role: str, end: End, observed: FlowAccumulator) -> int:
+    """For how long a publisher that lives has sent nothing at the end, if that is longer than ever before; else 0."""
+    if role != PUBLISHER or end.latest is None:
+        return 0
+    epoch, endpoint = end.latest
+    since_ns = observed.until_ns - end.times[-1]
+    longest_ns = int(differences(int64s(end.times), int64s(end.cuts)).max(initial=STALL_NS))
+    is_seen = endpoint.is_alive and epoch == observed.situation.epoch
+    return since_ns if is_seen and since_ns > longest_ns else 0
+
+
+def _intervals(role: str, end: End, stalled_ns: int) -> Stream:
     """The times at one end of a topic, and what became of the messages there."""
     cuts = int64s(end.cuts)
     remarks: tuple[str, ...] = ()
+    if stalled_ns:
+        remarks = (f"no message in the last {time(stalled_ns)}, though its program lives",)
     counts = {"messages": len(end.times)}
     if role == PUBLISHER:
         counts["never_taken"] = end.forgotten
@@ -153,7 +169,8 @@ def _intervals(role: str, end: End) -> Stream:
             # Of which publisher these are is not known, so they are no loss of a pair.
             remarks = (
                 f"{counted(end.unmatched, 'message')} came whose publication was not seen, of whatever publisher:"
-                " published before, in a gap, by a program that is not observed, or too long ago",
+                " published before, in a gap, by a program that is not observed, too long ago, or by ROS 1 with a"
+                " header whose stamp is no wall time",
             )
     return Stream(
         kind=StreamKind.INTERVALS,
@@ -162,5 +179,6 @@ def _intervals(role: str, end: End) -> Stream:
         counts=counts,
         cuts=cuts[cuts > 0],
         remarks=remarks,
+        open_ns=stalled_ns,
         source=end,
     )

@@ -18,9 +18,14 @@ def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedVa
     row = np.flatnonzero(within_segments(columns["segment"], timestamp.size)) + 1
     values = timestamp[row] - timestamp[row - 1]
     agree(path, "measured", values.size, record.counts.measured)
+    agree(path, "missing", record.counts.asked - values.size, record.counts.missing)
+    if record.counts.missing > 1:
+        raise UsageError(f"{path}: {record.counts.missing} intervals have not ended: only the last one may")
     if values.size and int(values.min()) < 0:
         raise UsageError(f"{path}: the time of row {int(row[values.argmin()])} is before that of the row before")
-    return {"interval": IndexedValues(values_ns=values, index=row)}
+    # One that had not ended when the observation did, beyond its deadline already, is known by its number alone.
+    absent = np.arange(timestamp.size, timestamp.size + record.counts.missing)
+    return {"interval": IndexedValues(values_ns=values, index=row, absent=absent)}
 
 
 def _times(columns: Columns, values: IndexedValues) -> Int64s:

@@ -86,6 +86,7 @@ class WatchReader:
         """Events that the kernel says it has lost; it may not know how many."""
         self.begin_ns = 0
         """Since when events are recorded; 0 before that is known."""
+        self._is_whole = False
         self._placed: list[str] = []
         self._refused: dict[str, str] = {}
         self._last_ns = self._until_ns = 0
@@ -122,10 +123,10 @@ class WatchReader:
             raise TargetError(f"{self._origin}: what watch_probes.sh printed cannot be read: {error}") from error
 
     def rest(self) -> Batch:
-        """What is left when the output has ended."""
+        """What is left when the output has ended; where it was cut off, what came of a round is no whole one."""
         if self._rests_ns is not None:
             self._end_rest(max(self._rests_ns, self._last_ns) + 1)
-        return self._batch(None)
+        return self._batch(None if self._is_whole else 0)
 
     def _take(self) -> Iterator[Ready | Batch]:
         place = 0
@@ -196,9 +197,9 @@ class WatchReader:
             self._refused[name] = reason[:300]
         elif line == "ready":
             yield Ready(placed=tuple(self._placed), refused=dict(self._refused))
-        elif line == "done":
-            self.is_done = True
-        elif word not in ("lost", "left") and line != "rtrun observes":
+        elif line == "done" or word == "left":
+            self.is_done, self._is_whole = line == "done", True
+        elif word != "lost" and line != "rtrun observes":
             raise ValueError(f"unexpected line {line[:80]!r}")
 
     def _end_block(self, kind: str, text: str) -> None:
@@ -294,8 +295,9 @@ class WatchReader:
         for hit in hits:
             if hit.event == _TIMER_CALL and isinstance(hit.values, dict):
                 self._timers.check((hit.pid or -hit.tid, hit.values.get("timer")), hit.values)
-        gaps = tuple(sorted(gap for gap in self._gaps if gap.until_ns <= until_ns))
-        self._gaps = [gap for gap in self._gaps if gap.until_ns > until_ns]
+        # One that lasts longer than the round, too: it comes no later than the hits of other CPUs within it.
+        gaps = tuple(sorted(gap for gap in self._gaps if gap.from_ns <= until_ns))
+        self._gaps = [gap for gap in self._gaps if gap.from_ns > until_ns]
         batch = Batch(
             begin_ns=self.begin_ns,
             until_ns=until_ns,

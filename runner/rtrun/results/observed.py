@@ -68,12 +68,13 @@ def said_of(folders: Iterable[Path]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TracedValue:
-    """A value above a limit, by its index in the samples and when it was there, and the kernel's trace around it."""
+    """A value above a limit, by its index in the samples, when and to which thread it came, and the kernel's trace."""
 
     index: int
     value_ns: int
     limit_ns: int
     at_ns: int
+    tid: int | None
     text: bytes
 
 
@@ -172,7 +173,7 @@ def _write_traces(folder: Path, output: str, stream: ObservedOutput) -> list[str
         seconds, rest_ns = divmod(one.at_ns, 1_000_000_000)
         head = (
             f"# {stream.suite}: {one.value_ns} ns at index {one.index} above {one.limit_ns} ns, "
-            f"at {seconds}.{rest_ns // 1000:06} s of {CLOCK}\n"
+            f"at {seconds}.{rest_ns // 1000:06} s of {CLOCK}{'' if one.tid is None else f' by thread {one.tid}'}\n"
         ).encode()
         shared = written.setdefault(one.text, name)
         (folder / name).write_bytes(head + (one.text if shared == name else f"# in {shared}\n".encode()))

@@ -48,6 +48,10 @@ def test_of_two_threads_that_ran_then_the_main_one_measured(tmp_path):
     text += switch(5010, ME, HOG) + switch(5020, mate, idle, cpu=1)
     (one,) = explained(write_traced_run(tmp_path, {3: text}, [1, 5]))
     assert [part.cause.name for part in one.parts if part.cause.kind is Kind.PROGRAM] == ["cyclic_timer_te"]
+    # Where it is known which thread had the value, that one, whatever the main one did.
+    text = text.replace("\n", " by thread 5\n", 1)
+    (one,) = explained(write_traced_run(tmp_path / "known", {3: text}, [1, 5]))
+    assert [part.cause.name for part in one.parts if part.cause.kind is Kind.PROGRAM] == ["mate"]
 
 
 def test_a_thread_of_a_container_is_known_by_its_name(tmp_path):

@@ -192,6 +192,7 @@ def test_durations_by_callback_and_thread():
     ("argv", "label"),
     [
         (["/opt/talker", "--ros-args", "-r", "__node:=chatty", "-r", "__ns:=/front"], "/front/chatty"),
+        (["/opt/talker", "--ros-args", "-r", "__ns:=/front"], "/front/talker"),
         (["/opt/talker", "--ros-args", "--remap", "talker:__node:=chatty"], "/chatty"),
         (["/opt/talker", "__name:=chatty", "__log:=/x"], "/chatty"),
         (["/opt/container", "a:__node:=one", "b:__node:=two"], "container"),

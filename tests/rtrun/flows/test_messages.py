@@ -163,6 +163,38 @@ def test_a_program_has_one_name_on_all_topics():
     assert observed.situation.pids["/camera#2"] == observed.situation.pids["/camera#2 (2)"] == {2}
 
 
+@pytest.mark.parametrize("heard_first", [1, 2])
+def test_of_two_programs_of_one_name_the_first_is_the_one_that_began_first(heard_first):
+    """In each run the same, so that runs of one stream are pooled and no others."""
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "camera", start_ticks=20), node(2, "camera", start_ticks=10)])
+    observed.feed([publish(1, f"/of_{heard_first}", pid=heard_first)])
+    observed.feed([publish(2, f"/of_{3 - heard_first}", pid=3 - heard_first)])
+    labels = {(end.topic, end.label) for end in observed.topics.ends.values()}
+    assert labels == {("/of_1", "/camera#2"), ("/of_2", "/camera")}
+
+
+def silent_at_the_end(*, living=(1, 2), cut_at_ns=None):
+    """A talker that sends for a second, and then never again, while another program goes on."""
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "talker"), node(2, "other")])
+    observed.feed([publish(n * 10 * MS) for n in range(1, 100)])
+    for _ in range(2):
+        observed.observe([node(pid, name) for pid, name in ((1, "talker"), (2, "other")) if pid in living])
+    if cut_at_ns:
+        observed.feed([gap(0, 0)._replace(from_ns=cut_at_ns, until_ns=cut_at_ns + 1)])
+    observed.feed([publish(30 * S, "/b", pid=2, endpoint=0xC0)])
+    observed.finish(60 * S)
+    return {end: (stream.open_ns, stream.remarks) for end, stream in ends(observed).items()}["publisher", "/talker"]
+
+
+def test_a_publisher_that_hangs_for_good_has_a_stall():
+    stall_ns, (remark,) = silent_at_the_end()
+    assert stall_ns == 60 * S - 990 * MS and remark == "no message in the last 59.01 s, though its program lives"
+    # Of one that ended, and where hits are missing, nothing is known.
+    assert silent_at_the_end(living=(2,)) == silent_at_the_end(cut_at_ns=2 * S) == (0, ())
+
+
 def test_two_programs_of_one_name_are_told_apart():
     lives = [talker(), listener(), listener(pid=5)]
     observed, _ = System(lives).observe()

@@ -13,7 +13,7 @@ from rtrun.probes.stream import Batch, Ready, WatchReader
 from rtrun.probes.timers import TimerChecks
 from rtrun.probes.values import converter
 from rtrun.targets.errors import TargetError
-from watched import HEADERS, PROBE, ROUNDS, TAKE, event, output, page, take
+from watched import BEGUN, HEADERS, PROBE, ROUNDS, TAKE, a_round, event, mark, output, page, take
 
 
 def extend(ns):
@@ -70,6 +70,32 @@ def test_batches_of_pieces_of_any_size(piece):
         "the kernel lost events of CPU 1", "the probes rested"
     ]  # fmt: skip
     assert reader.is_done and reader.lost == 9 and batches[-1].realtime_offset_ns == 100
+
+
+def batches_of(text):
+    reader = WatchReader({"take_0_1": PROBE}, "board", {7: 70})
+    return [*(each for each in reader.feed(text) if isinstance(each, Batch)), reader.rest()]
+
+
+def test_a_gap_that_lasts_longer_than_its_round_comes_with_the_hits_within_it():
+    """The buffer of CPU 1 was overwritten while CPU 0 was printed: its page begins after the mark of the round."""
+    late = page(2500, event(0, take(6)), flags=3 << 30, lost=struct.pack("<Q", 9))
+    first = a_round(1, cpu0=page(1000, BEGUN), cpu1=page(1200, event(0, take(4))))
+    second = a_round(2, cpu0=page(1900, event(0, take(5)) + event(100, mark("round 2"))), cpu1=late)
+    batches = batches_of(output(first, second, a_round(3, cpu0=page(3000, event(0, mark("round 3"))))))
+    (batch,) = [batch for batch in batches if batch.gaps]
+    assert [hit.values["source_ns"] for hit in batch.hits] == [3, 4, 5]
+    assert [(gap.from_ns, gap.until_ns) for gap in batch.gaps] == [(1200, 2500)]
+
+
+@pytest.mark.parametrize("end", [b"", b"pages 1\n", b"done\n", b"left 1_2_3\n"])
+def test_a_round_that_was_cut_off_is_no_whole_one(end):
+    """The pages of another CPU, of before these, did not come."""
+    first, second = a_round(1, cpu0=page(1000, BEGUN)), a_round(2, cpu0=page(2000, event(0, take(5))))
+    *_, last = batches_of(output(first, second, end=end))
+    is_whole = end[:4] in (b"done", b"left")
+    assert [hit.values["source_ns"] for hit in last.hits] == [3, 5] * is_whole
+    assert last.until_ns == (2001 if is_whole else 1010)
 
 
 @settings(max_examples=300)

@@ -114,6 +114,19 @@ def answers(rtrun, results, *options):
     return {each["group"].split(" ")[0]: each for each in groups}
 
 
+@pytest.mark.parametrize("missing", [0, 1])
+def test_an_interval_that_had_not_ended_is_a_miss(tmp_path, missing):
+    parameters = {"topic": "/cmd_vel", "end": "publisher", "node": "/controller"}
+    columns = {"timestamp_ns": AT_NS, "segment": np.zeros(N, np.int64)}
+    stream = ObservedOutput(
+        suite="observed_intervals", parameters=parameters, columns=columns,
+        asked=N - 1 + missing, measured=N - 1, missing=missing,
+    )  # fmt: skip
+    write(tmp_path, "a", stream, deadline_ns=5 * PERIOD_NS)
+    (group,) = study(tmp_path).groups
+    assert (group.verdict.misses, group.verdict.n) == (missing, N - 1 + missing)
+
+
 def test_each_stream_is_held_against_its_own_deadline(rtrun, results):
     seen = {suite: each["answer"] for suite, each in answers(rtrun, results, "--probability", "0.01").items()}
     assert seen == {
