@@ -162,6 +162,21 @@ TEST(Middleware, SubscribersThatDoNotComeAreCounted) {
   }
 }
 
+// It would spin with the CPU of those that still read. In a process of its own: a stop is for good.
+TEST(Middleware, APublisherThatIsStoppedDoesNotWaitForSubscribers) {
+  const auto leave = [] {
+    rt_tests::Program program = {"", "", "", {}};
+    const rt_tests::Options options(program);
+    Fake::Context context(0, nullptr, program, options);
+    Fake::Publisher publisher(context, options);
+    Fake::connected = 2;
+    rt_tests::request_stop();
+    communication::wait_for_subscribers_to_leave(context, publisher);
+    std::exit(Fake::connected > 3 ? 1 : 0);
+  };
+  EXPECT_EXIT(leave(), testing::ExitedWithCode(0), "");
+}
+
 // The messages that went are written, and what came of them adds up.
 TEST(Middleware, APublisherThatCannotGoOnSaysWhy) {
   const Folder folder;

@@ -62,7 +62,11 @@ void wait_for_subscribers(int64_t awaited, Context& context, Publisher& publishe
 template <class Publisher, class Context>
 void wait_for_subscribers_to_leave(Context& context, Publisher& publisher) {
   const int64_t limit_ns = rt_tests::now_ns(CLOCK_MONOTONIC) + 5 * rt_tests::ns_per_s;
-  while (publisher.subscribers() > 0 && context.ok() && rt_tests::now_ns(CLOCK_MONOTONIC) < limit_ns) pause(10000000);
+  // `pause` returns at once when it is to stop.
+  while (!rt_tests::stop_requested() && publisher.subscribers() > 0 && context.ok() &&
+         rt_tests::now_ns(CLOCK_MONOTONIC) < limit_ns) {
+    pause(10000000);
+  }
 }
 
 template <class Middleware>

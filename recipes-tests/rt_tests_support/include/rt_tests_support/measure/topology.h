@@ -92,7 +92,7 @@ template <class M>
 class ExecutorThread {
  public:
   ExecutorThread(typename M::Context& context, Run& run, std::size_t number)
-      : run_(run), executor_(run.process.executors[number]), call_back_{this} {
+      : context_(context), run_(run), executor_(run.process.executors[number]), call_back_{this} {
     std::vector<Topic> topics;
     for (const auto& node : run.nodes) {
       const Node& described = *node->description;
@@ -190,6 +190,8 @@ class ExecutorThread {
     }
     last_message_ns_ = until_ns;
     while (!rt_tests::stop_requested() && hosted.problem.empty()) {
+      // The middleware may ask it to end, as a ROS master does when another node takes its name.
+      if (!context_.ok()) rt_tests::request_stop();
       int64_t next_ns = activate_what_is_due(until_ns);
       const int64_t now_ns = rt_tests::now_ns(CLOCK_MONOTONIC);
       if (next_ns == never) {
@@ -274,6 +276,7 @@ class ExecutorThread {
     rt_tests::request_stop();
   }
 
+  typename M::Context& context_;
   Run& run_;
   const Executor& executor_;
   CallBack call_back_;
