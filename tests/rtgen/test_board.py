@@ -30,6 +30,20 @@ def test_unknown_machine_is_a_usage_error_that_lists_the_known(capsys: pytest.Ca
     assert capsys.readouterr().err == said
 
 
+def test_a_board_with_another_device_tree_is_another_board(
+    some_kernel: kernel.KernelFiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel is the same, byte for byte: a device tree is not in it."""
+    monkeypatch.setenv("META_RT_TESTS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(build, "root_file_system", lambda *_: tmp_path)
+    monkeypatch.setattr(build, "link_board", lambda *args: None)
+    board, folders = machine.find("vexpress-a9"), set()
+    for content in ("one", "another"):
+        (tmp_path / board.dtb).write_text(content)
+        folders.add(build.assemble("vexpress-a9", board, {"rt": some_kernel}, None))
+    assert len(folders) == 2
+
+
 def test_board_record_is_what_formats_md_promises(some_kernel: kernel.KernelFiles) -> None:
     board = machine.find("vexpress-a9")
     entries = build.boot_entries(board, {"rt": some_kernel})

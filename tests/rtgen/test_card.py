@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import struct
 import subprocess
 from collections.abc import Callable
@@ -205,6 +206,57 @@ def test_a_card_has_no_host_key_and_takes_the_keys_given(tmp_path: Path, system:
     assert output("debugfs", "-R", "ls -p /etc/ssh", system).count("ssh_host") == 0
     # What is left is a sound file system.
     assert subprocess.run(["e2fsck", "-f", "-n", system], capture_output=True).returncode == 0
+
+
+def test_keys_with_the_line_ends_of_windows_are_taken(tmp_path: Path, system: Path, key: Path) -> None:
+    login = tmp_path / "login.pub"
+    login.write_bytes(key.with_suffix(".pub").read_bytes().replace(b"\n", b"\r\n"))
+    card.set_keys(system, login)
+    assert "ssh-" in output("debugfs", "-R", "cat /root/.ssh/authorized_keys", system)
+
+
+def test_two_kernels_of_arm64_and_a_copy_of_one_have_room(tmp_path: Path, system: Path) -> None:
+    """Each EFI file has an Image that is not compressed: what is started, one of each kernel, and a new one."""
+    program = tmp_path / "boot.efi"
+    program.touch()
+    os.truncate(program, 45 * MIB)
+    card.write_card(tmp_path / "card.img", "gpt", {f"kernels/{n}": program for n in range(4)}, system)
+
+
+INIT = Path(disk.__file__).parent / "root/etc/init.d"
+
+
+@pytest.mark.parametrize(("behind", "steps"), [(100_000, ["sfdisk", "partx", "resize2fs"]), (2048, ["resize2fs"])])
+def test_a_card_grows_to_its_end_though_the_power_was_cut_between(
+    tmp_path: Path, behind: int, steps: list[str]
+) -> None:
+    """The partition was enlarged already, its file system was not."""
+    part = tmp_path / "class/mmcblk0/mmcblk0p2"
+    part.mkdir(parents=True)
+    (tmp_path / "class/mmcblk0p2").symlink_to(part)
+    for file, text in {"partition": "2", "start": "1000", "size": "5000", "../size": str(6000 + behind)}.items():
+        (part / file).write_text(text)
+    (tmp_path / "bin").mkdir()
+    for name in ("findmnt", "sfdisk", "partx", "resize2fs"):
+        (tmp_path / "bin" / name).write_text(
+            "#!/bin/sh\necho /dev/mmcblk0p2\n" if name == "findmnt" else f"#!/bin/sh\necho {name} >>{tmp_path}/calls\n"
+        )
+        (tmp_path / "bin" / name).chmod(0o755)
+    script = (INIT / "grow").read_text().replace("/sys/class/block", f"{tmp_path}/class")
+    subprocess.run(["sh", "-c", script], env={"PATH": f"{tmp_path}/bin:/usr/bin:/bin"}, check=True)
+    assert (tmp_path / "calls").read_text().split() == steps
+
+
+def test_a_host_key_that_a_power_cut_left_empty_is_made_anew(tmp_path: Path) -> None:
+    lines = re.search(r"^key=.*?^\[ -s .*?\n", (INIT / "start").read_text(), re.M | re.S)
+    assert lines is not None
+    key = tmp_path / "ssh_host_ed25519_key"
+    key.touch()
+    for _ in range(2):
+        subprocess.run(["sh", "-c", lines[0].replace("/etc/ssh", str(tmp_path))], check=True)
+        assert "PRIVATE KEY" in key.read_text()
+        made = key.read_bytes()
+    assert key.read_bytes() == made
 
 
 def test_without_keys_the_one_of_the_image_stays(tmp_path: Path, system: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -139,6 +140,15 @@ def test_what_was_built_is_for_every_user_and_replaces_what_was_built_before(tmp
     assert folder.parent == tmp_path and (folder / "build.json").is_file()
     assert all(path.stat().st_mode & 0o004 for path in (folder, *folder.rglob("*")))
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([f".host-arm-{'0' * 16}", folder.name, "host"])
+
+
+def test_two_builds_at_once_leave_one(tmp_path: Path) -> None:
+    """Both wait for the same entry of the cache, and copy it at the same moment."""
+    for _ in range(10):
+        with ThreadPoolExecutor(4) as builders:
+            folders = list(builders.map(lambda _: suites.build("host", tmp_path / "suites"), range(4)))
+        assert set(folders) == {tmp_path / "suites/host"} and (folders[0] / "build.json").is_file()
+        shutil.rmtree(tmp_path / "suites")
 
 
 @pytest.mark.ros

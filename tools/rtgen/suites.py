@@ -1,5 +1,6 @@
 """Build the packages of recipes-tests one after the other, for this machine and the ROS it has, or for a board."""
 
+import fcntl
 import hashlib
 import json
 import os
@@ -172,11 +173,14 @@ def build(machine: str, place: Path, suite: str | None = None, ros2: Path | None
     if ros2 is not None:
         entry = with_ros2(entry, ros2)
     copy = place / f".{entry.name}"
-    atomic.copy_folder(entry, copy)
-    atomic.replace_link(place / machine, copy.name)
-    for earlier in place.iterdir():
-        if earlier.name.rpartition("-")[0] == f".{machine}" and earlier != copy:
-            shutil.rmtree(earlier)
+    # Two builds at once wait for the same entry, and are here at the same moment.
+    with (cache.root() / "suites" / f".{machine}.place.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        atomic.copy_folder(entry, copy)
+        atomic.replace_link(place / machine, copy.name)
+        for earlier in place.iterdir():
+            if earlier.name.rpartition("-")[0] == f".{machine}" and earlier != copy:
+                shutil.rmtree(earlier)
     return place / machine
 
 

@@ -77,7 +77,9 @@ def assemble(
 
     inputs = [HERE / name for name in ("build.py", "initrd.py", "init.sh", "card.py", "uefi.py", "u_boot.py")]
     keys = [login.read_bytes()] if login is not None else []
-    return cache.entry("board", cache.digest([name, repr(machine), str(root), *inputs, *keys]), build_in)
+    tree = machine.u_boot.device_tree if machine.u_boot is not None else machine.dtb
+    trees = [kernel.device_tree(tree) for kernel in kernels.values()] if tree is not None else []
+    return cache.entry("board", cache.digest([name, repr(machine), str(root), *inputs, *keys, *trees]), build_in)
 
 
 def ram_disk(machine: Machine, kernel: KernelFiles, root: Path) -> bytes:

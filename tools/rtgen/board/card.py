@@ -20,8 +20,9 @@ LOGIN_KEYS = "/root/.ssh/authorized_keys"
 # Thousands of keys.
 LOGIN_BYTES_MAX = 2**20
 MIB = 2**20
-# Room for several kernels.
-BOOT_MIB = 128
+# Room for several kernels, and for a copy of one while boot-kernel replaces what is started: some 45 MB each with UEFI
+# on arm64.
+BOOT_MIB = 256
 # Erase blocks of cards are a few MiB at most; partitions begin on them.
 START_MIB = 4
 
@@ -122,7 +123,7 @@ def set_keys(system: Path, login: Path | None) -> None:
     place = login.parent if login is not None else None
     run(["debugfs", "-w", "-f", "-", system], stdin="".join(f"{line}\n" for line in commands).encode(), folder=place)
     # debugfs ends with status 0 whatever happens.
-    if login is not None and run(["debugfs", "-R", f"cat {LOGIN_KEYS}", system]) != login.read_text(encoding="utf-8"):
+    if login is not None and run(["debugfs", "-R", f"cat {LOGIN_KEYS}", system]) != login.read_bytes().decode():
         raise InfrastructureError(f"{login}: debugfs could not write the keys into the image")
     if run(["debugfs", "-R", f"cat {HOST_KEY}", system]):
         raise InfrastructureError(f"{system}: debugfs could not remove the host key from the image")
