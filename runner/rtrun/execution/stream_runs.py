@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rtfiles.output import listed
+from rtfiles.quantities import time
 from rtrun.analysis.histogram import Int64s
 from rtrun.execution import clock_record
 from rtrun.execution.late_values import LateValue, LateValues
@@ -78,7 +79,7 @@ def write_streams(
     for stream in streams:
         output = _output(stream, facts.parameters, late.get(stream.source) or LateValues())
         remarks = stream.remarks or (() if output is not None else ("too few calls to be measured",))
-        left_out += (f"{' '.join(map(str, stream.identity.values()))}: {remark}" for remark in remarks)
+        left_out += (f"{_in_words(stream)}: {remark}" for remark in remarks)
         if output is None:
             without_value.append((stream, "; ".join(remarks)))
             continue
@@ -86,6 +87,9 @@ def write_streams(
         if deadline_ns is not None and stream.open_ns > deadline_ns:
             # An interval that has not ended, and is a miss whenever it ends.
             output = replace(output, asked=output.asked + 1, missing=1)
+            left_out.append(
+                f"{_in_words(stream)}: no message in the last {time(stream.open_ns)}, though its program lives"
+            )
         outputs.append(output)
         _write_run(_beside(folder, output, facts.parameters, names), facts, output)
     unseen: list[str] = []
@@ -103,6 +107,10 @@ def write_streams(
             )
             _write_run(_beside(folder, nothing, facts.parameters, names), facts, nothing, reason=reason)
     return WrittenStreams(left_out=tuple(left_out), unseen=tuple(unseen))
+
+
+def _in_words(stream: Stream) -> str:
+    return " ".join(map(str, stream.identity.values()))
 
 
 def put_aside(folder: Path) -> None:

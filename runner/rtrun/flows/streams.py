@@ -6,7 +6,6 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from rtfiles.output import counted, printable
-from rtfiles.quantities import time
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.messages import End, MessagePair
 from rtrun.flows.paths import PathLog
@@ -151,8 +150,6 @@ def _intervals(role: str, end: End, stalled_ns: int) -> Stream:
     """The times at one end of a topic, and what became of the messages there."""
     cuts = int64s(end.cuts)
     remarks: tuple[str, ...] = ()
-    if stalled_ns:
-        remarks = (f"no message in the last {time(stalled_ns)}, though its program lives",)
     counts = {"messages": len(end.times)}
     if role == PUBLISHER:
         counts["never_taken"] = end.forgotten
