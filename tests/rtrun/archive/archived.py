@@ -21,11 +21,16 @@ N = 4000
 PARAMETERS: dict[str, Any] = {"policy": "RR", "repetitions": N, "timeout_us": 1000, "busy_mode": 0}
 
 
-def values_of_boots(levels_us: Sequence[float], rng: np.random.Generator, n: int = N) -> list[list[np.ndarray]]:
+def values_of_boots(
+    levels_us: Sequence[float], rng: np.random.Generator, lengths: Sequence[int] = ()
+) -> list[list[np.ndarray]]:
     """Two runs for each boot: the boot differs from its level by 1 %, a run from its boot by half of that."""
     boots = [level * (1 + 0.01 * rng.normal()) for level in levels_us]
     runs = [[boot * (1 + 0.005 * rng.normal()) for _ in range(2)] for boot in boots]
-    return [[(1000 * rng.normal(mean, 3, n)).astype(np.int64) for mean in boot] for boot in runs]
+    return [
+        [(1000 * rng.normal(mean, 3, n)).astype(np.int64) for mean in boot]
+        for boot, n in zip(runs, lengths or [N] * len(runs), strict=True)
+    ]
 
 
 def write_course(
@@ -39,11 +44,14 @@ def write_course(
     machine: str = "board",
     parameters: Mapping[str, Any] = MappingProxyType({}),
     seed: int = 1,
-    n: int = N,
+    lengths: Sequence[int] = (),
 ) -> Path:
-    """A day for each level; `facts` has kernel, commit, packages and temperature_mc of each, `late` how many misses."""
+    """A day for each level, with runs of `lengths` measurements.
+
+    `facts` has kernel, commit, packages and temperature_mc of each day, `late` how many misses.
+    """
     store = make_archive(str(archive))
-    for day, runs in enumerate(values_of_boots(levels_us, np.random.default_rng(seed), n)):
+    for day, runs in enumerate(values_of_boots(levels_us, np.random.default_rng(seed), lengths)):
         fact = facts[day] if facts else {}
         for k, values in enumerate(runs):
             values[: late[day] if late else 0] = 500_000

@@ -95,8 +95,8 @@ def test_misses_change_too(capsys, tmp_path):
 
 def test_a_short_run_takes_no_figure_from_the_longer_ones(capsys, tmp_path):
     """A quick try of the same scenario, which is too short for a p99."""
-    archive = write_course(tmp_path / "archive", [100.0] * CHANGED + [110.0] * (DAYS - CHANGED))
-    write_course(archive, [100.0], seed=2, n=1000)
+    levels = [100.0] * CHANGED + [110.0] * (DAYS - CHANGED)
+    archive = write_course(tmp_path / "archive", levels, lengths=[1000] + [N] * (DAYS - 1))
     assert {change["figure"] for change in changes(capsys, archive)} == {"p50", "p99"}
     status, output = gate(capsys, write_build(tmp_path / "results", 125.0, 125.0), archive)
     assert status == 1 and "; p99 " in output
