@@ -195,12 +195,12 @@ print_programs() {
 
 # Above the limit the events are switched off for so long that the mean is below it.
 rest_above_limit() {
-    # A round of a busy machine takes longer than a second.
+    # A round of a busy machine takes longer than a second. In hundredths, as the kernel tells it.
     read -r now _ </proc/uptime
-    now=${now%.*}
+    now=${now%.*}${now#*.}
     passed=$((now - last))
-    [ $passed -ge 1 ] || passed=1
-    rate=$(((total - before) / passed))
+    [ $passed -ge 50 ] || passed=50
+    rate=$(((total - before) * 100 / passed))
     before=$total
     last=$now
     [ $rate -gt "$limit" ] || return 0
@@ -226,7 +226,7 @@ print_rounds() {
     number=0
     before=0
     read -r last _ </proc/uptime
-    last=${last%.*}
+    last=${last%.*}${last#*.}
     young=
     while :; do
         total=0
