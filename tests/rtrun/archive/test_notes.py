@@ -130,6 +130,7 @@ def test_rows_are_kept_as_long_as_was_said(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (("annotate", "--machine", "board", "--reason", "x"), "say what of these runs: --ignore, --accept or --known"),
         (("annotate", "--ignore", "--reason", "x"), "--ignore: say which runs"),
         (("annotate", "--ignore", "--machine", "board"), "--reason: say why"),
         (("annotate", "--ignore", "--machine", "none", "--reason", "x"), "these are no runs of it"),

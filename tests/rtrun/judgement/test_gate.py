@@ -5,12 +5,15 @@ import re
 import shutil
 import xml.etree.ElementTree as ElementTree
 
+import numpy as np
 import pytest
 from report.campaigns import cyclic_run, latencies, oneshot_run
 from written import write_record
 
 from rtrun.cli import main
+from rtrun.kinds.output import Uname
 from rtrun.plan.quantities import read_time_ns
+from rtrun.results.observed import ObservedOutput, Provenance, write_stream
 
 
 def write_oneshot(root, name="a", n=5000, mean_us=90.0, seed=1, **more):
@@ -195,6 +198,29 @@ def test_page_faults_of_the_processes_of_a_topology_count_and_of_observed_progra
             shutil.rmtree(tmp_path / suite / "a")
         assert main([*question, "--max-page-faults", "0"]) == 1
         assert says in capsys.readouterr().out
+
+
+def test_what_has_no_deadline_fails_by_a_case(tmp_path, capsys):
+    """A JUnit file without one is green where it is shown."""
+    (tmp_path / "a").mkdir()
+    columns = {"timestamp_ns": np.arange(100) * 10**7, "segment": np.zeros(100, np.int64)}
+    parameters = {"topic": "/a", "end": "publisher", "node": "/b"}
+    stream = ObservedOutput(suite="observed_intervals", parameters=parameters, columns=columns, asked=99, measured=99)
+    times = {"start_time": "2026-11-21T10:00:00Z", "end_time": "2026-11-21T10:01:00Z"}
+    kernel = Uname(release="6.1", version="#1", machine="x86_64")
+    write_stream(tmp_path / "a", "a", stream, Provenance(version="1", host="x", kernel=kernel, **times), [])
+    write_record(tmp_path / "a", stream.suite, ["a"], parameters, subject="attached")
+    junit = tmp_path / "gate.xml"
+    assert main(["gate", str(tmp_path), "--probability", "1e-2", "--junit", str(junit)]) == 1
+    assert "nothing that was measured has a deadline" in capsys.readouterr().out
+    assert ElementTree.parse(junit).getroot().attrib["failures"] == "1"
+
+
+def test_differences_near_all_are_no_powers_of_ten(tmp_path, capsys):
+    for name, mean_us in (("a", 90.0), ("b", 900.0)):
+        write_oneshot(tmp_path / name, mean_us=mean_us)
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
+    assert "largest difference of the distributions 100 %" in capsys.readouterr().out.replace("\n", " ")
 
 
 def test_wrong_questions_are_usage_errors(tmp_path, capsys):
