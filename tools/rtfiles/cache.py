@@ -10,7 +10,7 @@ import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 
@@ -62,8 +62,7 @@ def entry(kind: str, key: str, build: Callable[[Path], None]) -> Path:
         return final
     folder.mkdir(parents=True, exist_ok=True)
     _remove_leftovers()
-    with (folder / f".{key}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with locked(kind, key):
         if final.is_dir():
             return final
         work = Path(tempfile.mkdtemp(dir=folder, prefix=f".{key}.tmp-"))
@@ -75,6 +74,16 @@ def entry(kind: str, key: str, build: Callable[[Path], None]) -> Path:
             shutil.rmtree(work, ignore_errors=True)
             raise
     return final
+
+
+@contextlib.contextmanager
+def locked(kind: str, name: str) -> Iterator[None]:
+    """Hold a lock of this name among those of a kind; another process waits for it meanwhile."""
+    folder = root() / kind
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / f".{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def _remove_leftovers() -> None:

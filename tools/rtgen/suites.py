@@ -1,6 +1,5 @@
 """Build the packages of recipes-tests one after the other, for this machine and the ROS it has, or for a board."""
 
-import fcntl
 import hashlib
 import json
 import os
@@ -174,8 +173,7 @@ def build(machine: str, place: Path, suite: str | None = None, ros2: Path | None
         entry = with_ros2(entry, ros2)
     copy = place / f".{entry.name}"
     # Two builds at once wait for the same entry, and are here at the same moment.
-    with (cache.root() / "suites" / f".{machine}.place.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with cache.locked("suites", f"{machine}.place"):
         atomic.copy_folder(entry, copy)
         atomic.replace_link(place / machine, copy.name)
         for earlier in place.iterdir():

@@ -50,8 +50,7 @@ def contents(study: Study) -> Contents:
     made, pairs, found = scenarios(study), layer_pairs(study), causes.ranked(study.source)
     topologies = measured_topologies(study)
     # Boards that are alike say together whether they have measured enough.
-    members = [one for one in made if one.group.key in study.members]
-    deciding = [one for one in made if one not in members or one.answer != Answer.NEEDS_MORE]
+    deciding = [one for one in made if one.group.key not in study.members or one.answer != Answer.NEEDS_MORE]
     measured = [one for one in made if one.figures.max_ns is not None]
     measured = [one for one in measured if one.group.question] or measured
     return Contents(

@@ -138,17 +138,17 @@ def find_source(path: Path) -> Source:
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}") from error
     folders = [child for child in every if not _PUT_ASIDE.search(child.name)]
-    closed = tuple(folder for folder in folders if is_closed(folder))
+    names = {child.name for child in every if is_closed(child)}
+    closed = tuple(folder for folder in folders if folder.name in names)
     if not closed:
         below = sorted({str(record.parent.parent) for record in path.glob(f"*/*/{FILE}")})
         raise UsageError(
             f"{path}: no finished run (one with {FILE}) in it{', give ' if below else ''}{' or '.join(below)}"
         )
-    names = {child.name for child in every if is_closed(child)}
     others = [folder.name for folder in folders if folder.name not in names]
     repeated = tuple(name for name in others if (cut_off := _CUT_OFF.fullmatch(name)) and cut_off[1] in names)
     incomplete = tuple(name for name in others if name not in repeated)
-    old = tuple(child for child in every if _OLD.fullmatch(child.name) and is_closed(child))
+    old = tuple(child for child in every if _OLD.fullmatch(child.name) and child.name in names)
     return Source(path=path, folders=closed, incomplete=incomplete, repeated=repeated, old=old)
 
 

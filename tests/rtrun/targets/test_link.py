@@ -160,11 +160,8 @@ def test_a_restart_on_purpose_has_the_time_that_the_board_boots_in(board, remark
         assert len(switched) == cycles
         # One that nobody asked for has the time for connecting again alone.
         link.drop()
-        board.refuses, board.at, begin_s = (
-            True,
-            lambda now_s: now_s >= begin_s + 30 and setattr(board, "refuses", False),
-            board.slept_s,
-        )
+        board.refuses, answers_s = True, board.slept_s + 30
+        board.at = lambda now_s: now_s >= answers_s and setattr(board, "refuses", False)
         link.do(lambda _: None)
         assert len(switched) == cycles + 1
 
