@@ -95,7 +95,7 @@ def test_what_is_observed_lies_between_the_stamps_of_the_programs_themselves(pai
     assert (observed[:, 1] <= own[:, 1]).all()
 
 
-def _seen(here, results, for_s, capsys, *, lost_most=0) -> tuple[dict[str, int], float, str]:
+def _seen(here, results, for_s, capsys) -> tuple[dict[str, int], float, str]:
     """Of an observation: how many pairs of stand-ins each topic has, their events a second, what was printed."""
     assert main(["observe", "--target", str(here), "--for", f"{for_s}s", "--results", str(results)]) == 0
     topics, rate = Counter(), 0.0
@@ -108,10 +108,8 @@ def _seen(here, results, for_s, capsys, *, lost_most=0) -> tuple[dict[str, int],
         # A timer calls, too. A busy machine is observed for longer than was asked for.
         rate += 3 * len(rows) / (int(rows[-1, 1] - rows[0, 0]) / 1e9)
         # Each is taken by the program itself, directly after it was published.
-        assert counts["missing"] <= lost_most and counts["asked"] - counts["missing"] == counts["measured"] == len(rows)
-        # Consecutive numbers from 0 on, but for those that count as lost.
-        assert len(rows) > 10 and (np.diff(rows[:, 2]) > 0).all()
-        assert (rows[0, 2], rows[-1, 2]) == (0, len(rows) - 1 + counts["missing"])
+        assert counts["missing"] == 0 and counts["asked"] == counts["measured"] == len(rows) > 10
+        assert np.array_equal(rows[:, 2], np.arange(len(rows)))
         assert (rows[:, 1] > rows[:, 0]).all()
     return topics, rate, capsys.readouterr().out
 
@@ -133,12 +131,9 @@ def test_names_of_any_bytes_a_fork_and_a_restart(here, standin, tmp_path, capsys
 
 
 def test_of_20_000_messages_a_second_what_was_seen_adds_up(here, standin, tmp_path, capsys):
-    """However many events there are: then the probes rest, and it is said.
-
-    Known weakness: where so many are lost or left out, one that came may count as lost (one run in fifteen).
-    """
+    """However many events there are: then the probes rest, and it is said."""
     with running(standin, 20_000, 10**6, 2 * 10**15, 1000, "/many"):
-        topics, rate, printed = _seen(here, tmp_path / "results", 5, capsys, lost_most=1)
+        topics, rate, printed = _seen(here, tmp_path / "results", 5, capsys)
     assert topics == {"/many": 1}
     # Where the machine is too busy for so many messages, there are fewer events.
     said = ("of the probes: more events than the limit", "lost by the kernel")

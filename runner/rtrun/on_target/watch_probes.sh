@@ -195,8 +195,8 @@ print_programs() {
 
 # Above the limit the events are switched off for so long that the mean is below it.
 rest_above_limit() {
-    # A round of a busy machine takes longer than a second. In hundredths, as the kernel tells it.
-    read -r now _ </proc/uptime
+    # A round of a busy machine takes longer than a second, and most of it may be after the events were counted. In
+    # hundredths, as the kernel tells it.
     now=${now%.*}${now#*.}
     passed=$((now - last))
     [ $passed -ge 50 ] || passed=50
@@ -229,13 +229,17 @@ print_rounds() {
     last=${last%.*}${last#*.}
     young=
     while :; do
+        # A round that had begun before the end has read some CPUs up to then only.
+        is_last=$is_ended
         total=0
         number=$((number + 1))
         mark "round $number"
         echo "round $number" || exit 1
+        read -r now _ </proc/uptime
         print_realtime
         for cpu in "$instance"/per_cpu/cpu*; do print_cpu "$cpu"; done
-        [ -z "$is_ended" ] || break
+        [ -z "$is_last" ] || break
+        [ -z "$is_ended" ] || continue
         print_programs
         rest_above_limit
         sleep 1 >/dev/null &

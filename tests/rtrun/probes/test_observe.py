@@ -12,13 +12,14 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 from probes import standin as standins
-from probes.standin import SCRIPTS, TRACING, find, left, observed, running, tell, wait_until_nothing_is_left
+from probes.standin import EVENTS, SCRIPTS, TRACING, find, left, observed, running, tell, wait_until_nothing_is_left
 from proxy import proxy_to
 
 from rtrun.probes.libraries.description import events
 from rtrun.probes.placement import place
 from rtrun.probes.programs import find_programs
 from rtrun.probes.session import Batch, Began, Finished, observe
+from rtrun.probes.stream import WatchReader
 from rtrun.targets.errors import TargetError
 from rtrun.targets.link import Link
 
@@ -247,6 +248,25 @@ def test_above_the_limit_the_probes_rest(here, standin):
     jumps = [b.at_ns for a, b in itertools.pairwise(taken) if b.values["source_ns"] != a.values["source_ns"] + 1]
     assert numbers and all(any(gap.from_ns < at < gap.until_ns + 10**8 for gap in gaps) for at in jumps)
     assert results[-1].rests == len(gaps) and results[-1].is_clean
+
+
+def test_what_comes_while_a_round_is_printed_is_there_at_the_end(here, standin):
+    """A round that had begun before the end is not the last one: it has read some CPUs already."""
+    with running(standin, 20_000, 100_000, preexec_fn=lambda: os.sched_setaffinity(0, {0})) as process:
+        found = find(here, process.pid)
+        placement = place(here, found, events=EVENTS)
+        lines = [*(probe.line for probe in placement.probes), "go", ""]
+        argv = [SCRIPTS / "watch_probes.sh", "60", "30", "65536", "1000000", "nothing"]
+        with subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as script:
+            script.stdin.write("\n".join(lines).encode())
+            script.stdin.flush()
+            # Nobody reads what is printed until all was published: the script stands still within a round.
+            process.stdout.readline()
+            printed, _ = script.communicate(timeout=60)
+    reader = WatchReader({probe.name: probe for probe in placement.probes}, "here", {})
+    taken = values_of([*reader.feed(printed), reader.rest()], "take")
+    numbers = [hit.values["source_ns"] for hit in taken]
+    assert len(numbers) > 1000 and numbers == list(range(numbers[0], 100_000))
 
 
 def test_a_program_that_starts_later(here, standin):
