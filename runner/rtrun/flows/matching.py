@@ -2,8 +2,9 @@
 
 A stamp names one message; the same bytes may be published again. So bytes are matched where order alone decides it:
 from a moment on at which none of these bytes can have been on their way, as many were received as were published.
-Two things are taken for granted: nothing is on its way for longer than the horizon, and no program that is not observed
-publishes the same bytes on a topic as one that is.
+Three things are taken for granted: nothing is on its way for longer than the horizon; no program that is not observed
+publishes the same bytes on a topic as one that is; a publisher whose messages were unlike each other, however many were
+seen, did not publish the same bytes while nobody saw it.
 """
 
 from collections import deque
@@ -16,6 +17,8 @@ from rtrun.flows.situation import Situation
 
 # A stamp is carried as a fraction of a second with 32 bits, and comes out a nanosecond beside what went in.
 _STAMP_ROUNDING_NS = (-2, -1, 1, 2)
+# So many messages in a row have to be unlike each other. At 10 Hz they are within the horizon.
+_UNLIKE_MIN = 100
 # Times of a realtime clock, 2014 to 2039: no part of a double that anyone sends looks like them.
 _REALTIME_S = range(1_400_000_000, 2_200_000_000)
 
@@ -90,7 +93,8 @@ class _SameBytes:
     """The publications with one payload, and the receptions of it that are not matched yet, by subscriber.
 
     `is_early`: one from before the begin may have been on its way when it was first seen. So a match is `held` until
-    the payload was not seen again for the horizon. `is_unclear`, or a subscriber in `unclear`: order decides nothing.
+    the payload was not seen again for the horizon, and is none where its publisher repeats itself. `is_unclear`, or a
+    subscriber in `unclear`: order decides nothing.
     """
 
     __slots__ = ("done", "held", "is_early", "is_unclear", "last_ns", "published", "unclear", "waiting")
@@ -116,9 +120,13 @@ class PayloadMatching:
         self._situation = situation
         self._open: dict[Payload, _SameBytes] = {}
         self._oldest: deque[tuple[int, Payload]] = deque()
+        self._unlike: dict[End, int] = {}
+        """Of each publisher: how many messages in a row were unlike all of the horizon before them."""
 
     def publish(self, key: Payload, publication: Publication) -> None:
         same = self._seen(key, publication.at_ns)
+        end = publication.endpoint.end
+        self._unlike[end] = 0 if same.published else self._unlike.get(end, 0) + 1
         same.published.append(publication)
         if same.is_early and len(same.published) > 1:
             self._make_unclear(same)
@@ -216,18 +224,25 @@ class PayloadMatching:
         for end, (reception, of) in list(same.held.items()):
             if of is publication:
                 del same.held[end]
-                self._fates.matched(reception, publication)
+                self._decide(reception, publication)
         same.done = {end: max(0, done - 1) for end, done in same.done.items()}
         self._fates.forgotten(publication)
 
     def _settle(self, same: _SameBytes) -> None:
         """Decide what may be decided of a payload that is not seen any more."""
         for reception, publication in same.held.values():
-            self._fates.matched(reception, publication)
+            self._decide(reception, publication)
         for end in [*same.waiting]:
             self._give_up(same, end, same.waiting.pop(end))
         for publication in same.published:
             self._fates.forgotten(publication)
+
+    def _decide(self, reception: Reception, publication: Publication) -> None:
+        """Of what was held: it may have been published before the begin as well, and this one lost."""
+        if self._unlike.get(publication.endpoint.end, 0) >= _UNLIKE_MIN:
+            self._fates.matched(reception, publication)
+        else:
+            self._fates.ambiguous(reception, [publication])
 
     def cut(self) -> None:
         """Forget everything: what comes next may not be joined with what was."""

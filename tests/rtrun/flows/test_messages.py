@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from made_flows import (
     BEGIN_NS,
@@ -316,6 +316,23 @@ def test_the_same_bytes_in_short(seen, pairs, ambiguous):
     assert ends(observed)["subscriber", "process 2"].counts["ambiguous"] == ambiguous
 
 
+@pytest.mark.parametrize(("unlike", "pairs"), [(99, []), (100, [(0, 1)])])
+def test_of_the_first_bytes_after_the_begin_nobody_knows_unless_their_publisher_does_not_repeat_itself(unlike, pairs):
+    """The same may have been published before, and this one be lost."""
+    observed = FlowAccumulator(begin_ns=0, horizon_ns=1000)
+    payloads = [(number + (7 << 32), 7, 30) for number in range(unlike)]
+    observed.feed([publish_bytes(0, payloads[0]), take_bytes(1, payloads[0])])
+    observed.feed(publish_bytes(10 + number, payload) for number, payload in enumerate(payloads[1:]))
+    observed.feed([publish(5000, "/b", pid=2, endpoint=0xC0)])
+    rows = [
+        (int(sent), int(taken))
+        for stream in messages(observed).values()
+        for sent, taken in zip(stream.columns["publication_ns"], stream.columns["reception_ns"], strict=True)
+    ]
+    assert rows == pairs
+    assert ends(observed)["subscriber", "process 2"].counts["ambiguous"] == 1 - len(pairs)
+
+
 def test_what_lies_behind_a_short_payload_does_not_count():
     observed = FlowAccumulator(begin_ns=0, horizon_ns=1000)
     observed.feed(
@@ -471,6 +488,29 @@ def systems(draw):
     )
 
 
+def ds(tenths):
+    return BEGIN_NS + tenths * S // 10
+
+
+# Published in the gap, taken after it; the same bytes were published again, and lost.
+IN_A_GAP_AND_AGAIN = System(
+    [
+        listener("/listener1", 1, from_ns=ds(0), until_ns=ds(17)),
+        listener("/listener2", 2, from_ns=ds(24), until_ns=ds(36)),
+        talker("/talker3", 3, payloads=30, period_ns=20 * MS, from_ns=ds(-14), until_ns=ds(16)),
+        talker("/talker4", 4, payloads=30, period_ns=300 * MS, from_ns=ds(0), until_ns=ds(27)),
+        talker("/talker5", 5, payloads=30, period_ns=20 * MS, from_ns=ds(21), until_ns=ds(31)),
+    ],
+    seed=29221,
+    loss=0.5,
+    slow=0.1,
+    is_ordered=True,
+    latency_ns=MS // 10,
+    until_ns=ds(36),
+)
+
+
+@example(system=IN_A_GAP_AND_AGAIN, gaps=[(0, 4)], chunk_ns=S // 10)
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     system=systems(),
