@@ -18,7 +18,7 @@ class Context(StrEnum):
 
 
 class Current(NamedTuple):
-    """The thread of the first line that a CPU has in the trace."""
+    """The thread of the first line that a CPU has in the trace, or has after a switch to its idle thread."""
 
     at_ns: int
     cpu: int

@@ -228,9 +228,13 @@ def _ns(seconds: str | bytes, fraction: str | bytes) -> int:
     return int(seconds) * 1_000_000_000 + int(fraction) * (1000 if len(fraction) == 6 else 1)
 
 
+_IDLE = "0"
+"""The thread of an idle CPU."""
+
+
 def parse(lines: Iterable[str]) -> Iterator[Event | None]:
     """Yield the events of a trace's lines, None for a line that is neither an event nor a comment."""
-    cpus: set[str] = set()
+    running: dict[str, str] = {}
     lost: dict[int, int | None] = {}
     second, second_ns = "", 0
     for line in lines:
@@ -243,18 +247,23 @@ def parse(lines: Iterable[str]) -> Iterator[Event | None]:
             continue
         name, pid, cpu, flags, seconds, fraction, event, arguments = match.groups()
         read = _READERS.get(event)
-        if read is None and cpu in cpus and not lost:
+        # Of a CPU without a line before, or one that is idle by those before.
+        is_news = running.get(cpu, _IDLE) == _IDLE and (pid != _IDLE or cpu not in running)
+        if read is None and not is_news and not lost:
             continue
         if seconds != second:
             second, second_ns = seconds, _ns(seconds, "000000")
         at_ns = second_ns + int(fraction) * (1000 if len(fraction) == 6 else 1)
-        if cpu not in cpus:
-            cpus.add(cpu)
+        if is_news:
+            running.setdefault(cpu, pid)
             yield Current(at_ns, int(cpu), int(pid), name)
         if lost and int(cpu) in lost:
             yield Lost(at_ns, int(cpu), lost.pop(int(cpu)))
         if read is not None:
-            yield read((at_ns, int(cpu), int(pid), flags, event), arguments)
+            made = read((at_ns, int(cpu), int(pid), flags, event), arguments)
+            if isinstance(made, Switch):
+                running[cpu] = str(made.next_pid)
+            yield made
 
 
 _Head = tuple[int, int, int, str | None, str]

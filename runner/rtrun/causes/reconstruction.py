@@ -100,6 +100,19 @@ class _Cpu:
             if span.occupant is not None and span.occupant.context is Context.THREAD and span.occupant.pid == pid:
                 self.spans[place] = span._replace(occupant=span.occupant._replace(name=name))
 
+    def forget_idle(self, from_ns: int) -> None:
+        """It is not known whether the CPU was idle from a moment on."""
+        spans = self.spans[self.first_of_thread :]
+        del self.spans[self.first_of_thread :]
+        for span in spans:
+            is_idle = span.occupant is not None and span.occupant.context is Context.THREAD
+            if not is_idle or span.end_ns <= from_ns:
+                self.spans.append(span)
+                continue
+            if span.begin_ns < from_ns:
+                self.spans.append(span._replace(end_ns=from_ns))
+            self.spans.append(Span(max(span.begin_ns, from_ns), span.end_ns, None))
+
     def note_late(self, start: TimerStart) -> None:
         """A timer expires in its interrupt: the time for which it had waited for that."""
         begin_ns = max(start.hard_ns + self.offset_ns, start.at_ns)
@@ -178,11 +191,31 @@ class _Builder:
                 if cpu.thread is None:
                     cpu.thread = Occupant(Context.THREAD, event.name, event.pid, None)
                     self.threads[event.pid].append(StateChange(event.at_ns, State.RUNNING, event.cpu))
+                else:
+                    self._leave_idle(cpu, event)
             case Lost():
                 self._lose(cpu, event)
             case _:
                 self._remember(cpu, event)
         cpu.last_ns = event.at_ns
+
+    def _leave_idle(self, cpu: _Cpu, event: Current) -> None:
+        """A thread runs on a CPU that was last seen to be idle: a kernel may not record how a CPU leaves that state.
+
+        It has run since some time between its wake and now. What the CPU did in between nobody knows.
+        """
+        changes = self.threads.get(event.pid)
+        if not changes or changes[-1].state is not State.WAITING:
+            # The last lines of the thread that went, perhaps.
+            return
+        cpu.close(event.at_ns)
+        cpu.forget_idle(changes[-1].at_ns)
+        cpu.first_of_thread = len(cpu.spans)
+        cpu.hard.clear()
+        cpu.expiry = None
+        self._dequeue(event.pid)
+        cpu.thread = Occupant(Context.THREAD, event.name, event.pid, None)
+        self.threads[event.pid].append(StateChange(event.at_ns, State.RUNNING, event.cpu))
 
     def _remember(self, cpu: _Cpu, event: Event) -> None:
         """What changes nothing at once, but says why something changes later."""

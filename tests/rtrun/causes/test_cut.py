@@ -280,6 +280,18 @@ CASES = {
         START + switch(200, ME, IDLE) + expiry(1300, late_us=300) + switch(1350, IDLE, ME, state="R") + end(1360),
         1360, f"TIMER_LATE idle 300; {EXPIRED}; IDLE_EXIT 47; PROGRAM me 10",
     ),
+    # Seen of a virtual machine: of one CPU no event of its idle thread is recorded. The hog has run since some time
+    # between its wake and its first line.
+    "a CPU that leaves its idle state without a word": Case(
+        START + switch(200, ME, IDLE) + waking(980, 2, by=0, flags="d.h2.") + expiry(1000)
+        + line(1100, "x: y", name="hog", pid=2) + switch(1400, HOG, ME) + end(1410),
+        1410, f"{EXPIRED}; UNEXPLAINED events are missing 97; HIGHER hog 300; PROGRAM me 10",
+    ),
+    "the last lines of a thread that leaves the CPU idle": Case(
+        START + switch(200, ME, IDLE) + line(201, "x: y", name="me", pid=1) + expiry(1300, late_us=300)
+        + switch(1350, IDLE, ME, state="R") + end(1360),
+        1360, f"TIMER_LATE idle 300; {EXPIRED}; IDLE_EXIT 47; PROGRAM me 10",
+    ),
     "an interrupt and a softirq before the thread runs": Case(
         BEFORE + line(950, "irq_handler_entry: irq=53 name=eth0")
         + line(1200, "irq_handler_exit: irq=53 ret=handled") + expiry(1200, late_us=200)
