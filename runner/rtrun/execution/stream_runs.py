@@ -85,11 +85,9 @@ def write_streams(
             continue
         deadline_ns = facts.deadline_ns(output)
         if deadline_ns is not None and stream.open_ns > deadline_ns:
-            # An interval that has not ended, and is a miss whenever it ends.
-            output = replace(output, asked=output.asked + 1, missing=1)
-            left_out.append(
-                f"{_in_words(stream)}: no message in the last {time(stream.open_ns)}, though its program lives"
-            )
+            # It is a miss whenever it comes.
+            output = replace(output, asked=output.asked + 1, missing=output.missing + 1)
+            left_out.append(f"{_in_words(stream)}: {_OPEN[stream.kind].format(time(stream.open_ns))}")
         outputs.append(output)
         _write_run(_beside(folder, output, facts.parameters, names), facts, output)
     unseen: list[str] = []
@@ -182,6 +180,13 @@ def _output(stream: Stream, shared: Mapping[str, Value], late: LateValues) -> Ob
     )
 
 
+# What has not come at the end.
+_OPEN = {
+    StreamKind.MESSAGES: "nothing of what was published in the last {} was taken, though both programs live",
+    StreamKind.TIMER: "a call was due {} ago and did not come, though its program lives: it hangs, or was cancelled",
+    StreamKind.CALLBACK: "a call began {} ago and has not ended",
+    StreamKind.INTERVALS: "no message in the last {}, though its program lives",
+}
 # The column that says when a value was there.
 _TIMES = {
     StreamKind.MESSAGES: "reception_ns",

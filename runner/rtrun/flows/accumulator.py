@@ -1,6 +1,6 @@
 """From the hits of probes to messages, timers, callbacks and paths, while they come in."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from operator import itemgetter
 
 from rtrun.flows.calls import CallRecord
@@ -8,7 +8,7 @@ from rtrun.flows.living import LivingPrograms
 from rtrun.flows.paths import PathRecord
 from rtrun.flows.recorder import FlowRecorder
 from rtrun.flows.situation import Situation
-from rtrun.flows.threads import ObservedThread
+from rtrun.flows.threads import CallbackLog, ObservedThread
 from rtrun.flows.timers import ClockOffsets
 from rtrun.flows.topics import TopicRecord
 from rtrun.flows.turns import Turn, TurnRecord
@@ -101,6 +101,14 @@ class FlowAccumulator:
         """No more hits come, there were none until then: what waited for later ones is decided."""
         self.until_ns = max(self.newest_ns, until_ns)
         self.topics.cut()
+
+    def open_calls(self) -> Iterator[tuple[CallbackLog, int]]:
+        """The callbacks that have begun and not ended, of threads that live, and since when."""
+        for thread in self._programs.threads.values():
+            if thread.is_alive and thread.callbacks:
+                opened = thread.callbacks[-1]
+                if (log := opened.callback.logs.get(thread)) is not None:
+                    yield log, opened.begin_ns
 
     def _cut(self, gap: Gap) -> None:
         self.gaps.append(gap)

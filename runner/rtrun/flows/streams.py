@@ -1,6 +1,6 @@
 """The streams of an observation: what the accumulator has, with names that outlast a restart and columns to keep."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -36,14 +36,16 @@ def streams(observed: FlowAccumulator) -> list[Stream]:
 
 def _streams(observed: FlowAccumulator) -> Iterator[Stream]:
     for pair in observed.topics.pairs.values():
-        yield _messages(pair)
+        yield replace(_messages(pair), open_ns=_untaken_ns(pair, observed))
     for timer in observed.calls.timers.values():
-        yield _timer(timer, observed.offsets)
+        yield replace(_timer(timer, observed.offsets), open_ns=_overdue_ns(timer, observed))
+    called = dict(observed.open_calls())
     for callback in observed.calls.callbacks.values():
-        yield _callback(callback)
+        yield replace(_callback(callback), open_ns=_unended_ns(callback, called, observed))
     for (role, _, _), end in observed.topics.ends.items():
         if end.times:
-            yield _intervals(role, end, _stalled_ns(role, end, observed))
+            open_ns = _silent_ns(end, observed) if role == PUBLISHER else 0
+            yield replace(_intervals(role, end), open_ns=open_ns)
     for (number, publisher), log in observed.paths.logs.items():
         yield _path(observed.paths.paths[number], publisher, log)
 
@@ -135,18 +137,52 @@ def _durations(kind: StreamKind, identity: Identity, log: CallbackLog | PathLog,
     )
 
 
-def _stalled_ns(role: str, end: End, observed: FlowAccumulator) -> int:
-    """For how long a publisher that lives has sent nothing at the end, if that is longer than ever before; else 0."""
-    if role != PUBLISHER or end.latest is None:
+# What has not come at the end, though its program lives.
+
+
+def _stalled_ns(since_ns: int, longest_ns: int, observed: FlowAccumulator) -> int:
+    """For how long something has not come at the end, if that is longer than ever before; else 0."""
+    passed_ns = observed.until_ns - since_ns
+    return passed_ns if passed_ns > max(STALL_NS, longest_ns) else 0
+
+
+def _is_seen(record: End | TimerLog, observed: FlowAccumulator) -> bool:
+    """Whether it lives, and no hits are missing since its last one."""
+    return record.latest is not None and record.latest[1].is_alive and record.latest[0] == observed.situation.epoch
+
+
+def _silent_ns(record: End | TimerLog, observed: FlowAccumulator) -> int:
+    """Since the last message or call."""
+    longest_ns = int(differences(int64s(record.times), int64s(record.cuts)).max(initial=0))
+    return _stalled_ns(record.times[-1], longest_ns, observed) if _is_seen(record, observed) else 0
+
+
+def _overdue_ns(log: TimerLog, observed: FlowAccumulator) -> int:
+    """Since a call was due."""
+    period_ns = known_period_ns(log)
+    return 0 if period_ns is None else max(0, _silent_ns(log, observed) - period_ns)
+
+
+def _untaken_ns(pair: MessagePair, observed: FlowAccumulator) -> int:
+    """Since the first message was published of those after the last that was taken."""
+    publisher, subscriber = pair.publisher, pair.subscriber
+    if not pair.links or not (_is_seen(publisher, observed) and _is_seen(subscriber, observed)):
         return 0
-    epoch, endpoint = end.latest
-    since_ns = observed.until_ns - end.times[-1]
-    longest_ns = int(differences(int64s(end.times), int64s(end.cuts)).max(initial=STALL_NS))
-    is_seen = endpoint.is_alive and epoch == observed.situation.epoch
-    return since_ns if is_seen and since_ns > longest_ns else 0
+    link = pair.links[-1]
+    # Neither has begun anew since then.
+    is_same = publisher.cuts[-1] <= link.first and subscriber.times[subscriber.cuts[-1]] <= link.until_ns
+    is_known = max(pair.ambiguous, default=-1) <= link.last < len(publisher.times) - 1
+    longest_ns = int((int64s(pair.receptions) - int64s(pair.publications)).max(initial=0))
+    return _stalled_ns(publisher.times[link.last + 1], longest_ns, observed) if is_same and is_known else 0
 
 
-def _intervals(role: str, end: End, stalled_ns: int) -> Stream:
+def _unended_ns(log: CallbackLog, called: Mapping[CallbackLog, int], observed: FlowAccumulator) -> int:
+    """Since a callback began."""
+    longest_ns = int((int64s(log.ends) - int64s(log.begins)).max(initial=0))
+    return _stalled_ns(called[log], longest_ns, observed) if log in called else 0
+
+
+def _intervals(role: str, end: End) -> Stream:
     """The times at one end of a topic, and what became of the messages there."""
     cuts = int64s(end.cuts)
     remarks: tuple[str, ...] = ()
@@ -176,6 +212,5 @@ def _intervals(role: str, end: End, stalled_ns: int) -> Stream:
         counts=counts,
         cuts=cuts[cuts > 0],
         remarks=remarks,
-        open_ns=stalled_ns,
         source=end,
     )

@@ -27,8 +27,8 @@ class Stream:
 
     `cuts`, int64, are rows before which hits are missing, or the program began again: that row may not be joined with
     the one before. `period_ns` is that of a timer, where it is known. `remarks` are sentences on what is not known, and
-    why. `open_ns` is for how long nothing came at the end, where that is a stall. `source` is the record that it was
-    read from, by which the same stream is known while it grows.
+    why. `open_ns` is how long a value is at least that had not come at the end, though its program lives; 0 where there
+    is none. `source` is the record that it was read from, by which the same stream is known while it grows.
     """
 
     kind: StreamKind

@@ -21,11 +21,17 @@ def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedVa
     check_times(path, called)
     row = np.flatnonzero(within_segments(columns["segment"], called.size)) + 1
     agree(path, "measured periods", row.size, record.counts.measured)
-    jitter = IndexedValues(values_ns=called[row] - called[row - 1] - period_ns, index=row)
-    return {"lateness": _lateness(columns, row, period_ns, path), "jitter": jitter}
+    overdue = record.counts.missing
+    agree(path, "missing", record.counts.asked - row.size, overdue)
+    if overdue > 1:
+        raise UsageError(f"{path}: {overdue} calls did not come: only the last one may be missing")
+    # One that had not come when the observation ended, beyond its deadline already, is known by its number alone.
+    absent = np.arange(called.size, called.size + overdue)
+    jitter = IndexedValues(values_ns=called[row] - called[row - 1] - period_ns, index=row, absent=absent)
+    return {"lateness": _lateness(columns, row, period_ns, overdue, path), "jitter": jitter}
 
 
-def _lateness(columns: Columns, row: Int64s, period_ns: int, path: Path) -> IndexedValues:
+def _lateness(columns: Columns, row: Int64s, period_ns: int, overdue: int, path: Path) -> IndexedValues:
     """How late each call is on the grid of the timer, whose periods without a call are absent."""
     due, real = np.asarray(columns["expected_ns"]), np.asarray(columns["real_ns"])
     if np.any(due == UNKNOWN_NS):
@@ -37,7 +43,7 @@ def _lateness(columns: Columns, row: Int64s, period_ns: int, path: Path) -> Inde
     if (total := int(skipped.sum(dtype=np.float64))) > MAX_ABSENT:
         raise UsageError(f"{path}: {total} periods were skipped: none with more than {MAX_ABSENT} is read")
     loops = np.arange(row.size) + np.cumsum(skipped)
-    absent = without(loops, int(loops[-1]) + 1) if total else no_values()
+    absent = without(loops, row.size + total + overdue)
     return IndexedValues(values_ns=(real - due)[row], index=row, absent=absent)
 
 

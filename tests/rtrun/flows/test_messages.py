@@ -67,6 +67,10 @@ def check(observed, truth, *, is_complete=True):
         gone = sum(np.searchsorted(np.sort(published_ns), at_ns) not in (0, len(rows)) for at_ns in never)
         assert counts["lost"] <= gone
         received[pair[1]] += counts["received"]
+        if stream.open_ns:
+            untaken = [at_ns for at_ns in truth.published[pair[0]] if at_ns >= observed.until_ns - stream.open_ns]
+            assert untaken[0] == observed.until_ns - stream.open_ns
+            assert not any(taken.get(at_ns) for at_ns in untaken), "it was taken"
         if is_complete:
             seen = set(truth.published[pair[0]])
             of_both = {at_ns: times[0] for at_ns, times in taken.items() if at_ns in seen}
