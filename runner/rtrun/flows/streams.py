@@ -164,13 +164,13 @@ def _overdue_ns(log: TimerLog, observed: FlowAccumulator) -> int:
 
 
 def _untaken_ns(pair: MessagePair, observed: FlowAccumulator) -> int:
-    """Since the first message was published of those after the last that was taken."""
+    """Since the first message was published of those after the last one that the subscriber took of anybody."""
     publisher, subscriber = pair.publisher, pair.subscriber
     if not pair.links or not (_is_seen(publisher, observed) and _is_seen(subscriber, observed)):
         return 0
     link = pair.links[-1]
-    # Neither has begun anew since then.
-    is_same = publisher.cuts[-1] <= link.first and subscriber.times[subscriber.cuts[-1]] <= link.until_ns
+    # The publisher has not begun anew since then.
+    is_same = publisher.cuts[-1] <= link.first and subscriber.times[-1] <= link.until_ns
     is_known = max(pair.ambiguous, default=-1) <= link.last < len(publisher.times) - 1
     longest_ns = int((int64s(pair.receptions) - int64s(pair.publications)).max(initial=0))
     return _stalled_ns(publisher.times[link.last + 1], longest_ns, observed) if is_same and is_known else 0
