@@ -60,7 +60,6 @@ def entry(kind: str, key: str, build: Callable[[Path], None]) -> Path:
     final = folder / key
     if final.is_dir():
         return final
-    folder.mkdir(parents=True, exist_ok=True)
     _remove_leftovers()
     with locked(kind, key):
         if final.is_dir():

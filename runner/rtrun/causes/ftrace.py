@@ -247,8 +247,8 @@ def parse(lines: Iterable[str]) -> Iterator[Event | None]:
             continue
         name, pid, cpu, flags, seconds, fraction, event, arguments = match.groups()
         read = _READERS.get(event)
-        # Of a CPU without a line before, or one that is idle by those before.
-        is_news = running.get(cpu, _IDLE) == _IDLE and (pid != _IDLE or cpu not in running)
+        known = running.get(cpu)
+        is_news = known is None or (known == _IDLE and pid != _IDLE)
         if read is None and not is_news and not lost:
             continue
         if seconds != second:

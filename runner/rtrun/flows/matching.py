@@ -3,8 +3,8 @@
 A stamp names one message; the same bytes may be published again. So bytes are matched where order alone decides it:
 from a moment on at which none of these bytes can have been on their way, as many were received as were published.
 Three things are taken for granted: nothing is on its way for longer than the horizon; no program that is not observed
-publishes the same bytes on a topic as one that is; a publisher whose messages were unlike each other, however many were
-seen, did not publish the same bytes while nobody saw it.
+publishes the same bytes on a topic as one that is; a publisher whose last hundred messages were unlike each other did
+not publish the same bytes while nobody saw it.
 """
 
 from collections import deque

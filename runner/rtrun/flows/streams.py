@@ -38,7 +38,8 @@ def _streams(observed: FlowAccumulator) -> Iterator[Stream]:
     for pair in observed.topics.pairs.values():
         yield replace(_messages(pair), open_ns=_untaken_ns(pair, observed))
     for timer in observed.calls.timers.values():
-        yield replace(_timer(timer, observed.offsets), open_ns=_overdue_ns(timer, observed))
+        made = _timer(timer, observed.offsets)
+        yield replace(made, open_ns=_overdue_ns(made.period_ns, timer, observed))
     called = dict(observed.open_calls())
     for callback in observed.calls.callbacks.values():
         yield replace(_callback(callback), open_ns=_unended_ns(callback, called, observed))
@@ -153,13 +154,14 @@ def _is_seen(record: End | TimerLog, observed: FlowAccumulator) -> bool:
 
 def _silent_ns(record: End | TimerLog, observed: FlowAccumulator) -> int:
     """Since the last message or call."""
+    if not _is_seen(record, observed):
+        return 0
     longest_ns = int(differences(int64s(record.times), int64s(record.cuts)).max(initial=0))
-    return _stalled_ns(record.times[-1], longest_ns, observed) if _is_seen(record, observed) else 0
+    return _stalled_ns(record.times[-1], longest_ns, observed)
 
 
-def _overdue_ns(log: TimerLog, observed: FlowAccumulator) -> int:
+def _overdue_ns(period_ns: int | None, log: TimerLog, observed: FlowAccumulator) -> int:
     """Since a call was due."""
-    period_ns = known_period_ns(log)
     return 0 if period_ns is None else max(0, _silent_ns(log, observed) - period_ns)
 
 
@@ -171,15 +173,18 @@ def _untaken_ns(pair: MessagePair, observed: FlowAccumulator) -> int:
     link = pair.links[-1]
     # The publisher has not begun anew since then.
     is_same = publisher.cuts[-1] <= link.first and subscriber.times[-1] <= link.until_ns
-    is_known = max(pair.ambiguous, default=-1) <= link.last < len(publisher.times) - 1
+    if not is_same or not max(pair.ambiguous, default=-1) <= link.last < len(publisher.times) - 1:
+        return 0
     longest_ns = int((int64s(pair.receptions) - int64s(pair.publications)).max(initial=0))
-    return _stalled_ns(publisher.times[link.last + 1], longest_ns, observed) if is_same and is_known else 0
+    return _stalled_ns(publisher.times[link.last + 1], longest_ns, observed)
 
 
 def _unended_ns(log: CallbackLog, called: Mapping[CallbackLog, int], observed: FlowAccumulator) -> int:
     """Since a callback began."""
+    if log not in called:
+        return 0
     longest_ns = int((int64s(log.ends) - int64s(log.begins)).max(initial=0))
-    return _stalled_ns(called[log], longest_ns, observed) if log in called else 0
+    return _stalled_ns(called[log], longest_ns, observed)
 
 
 def _intervals(role: str, end: End) -> Stream:

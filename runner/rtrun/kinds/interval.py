@@ -8,7 +8,7 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.kind import Columns, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record
-from rtrun.kinds.rows import agree, check_times, within_segments
+from rtrun.kinds.rows import agree, check_times, not_come, within_segments
 
 
 def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
@@ -18,13 +18,9 @@ def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedVa
     row = np.flatnonzero(within_segments(columns["segment"], timestamp.size)) + 1
     values = timestamp[row] - timestamp[row - 1]
     agree(path, "measured", values.size, record.counts.measured)
-    agree(path, "missing", record.counts.asked - values.size, record.counts.missing)
-    if record.counts.missing > 1:
-        raise UsageError(f"{path}: {record.counts.missing} intervals have not ended: only the last one may")
+    absent = not_come(record, values.size, timestamp.size, "intervals have not ended", path)
     if values.size and int(values.min()) < 0:
         raise UsageError(f"{path}: the time of row {int(row[values.argmin()])} is before that of the row before")
-    # One that had not ended when the observation did, beyond its deadline already, is known by its number alone.
-    absent = np.arange(timestamp.size, timestamp.size + record.counts.missing)
     return {"interval": IndexedValues(values_ns=values, index=row, absent=absent)}
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s, pieces
+from rtrun.kinds.output import Record
 from rtrun.plan.limits import TIME_MAX_NS, WALL_TIME_MAX_NS
 
 MAX_ABSENT = 10_000_000  # loops without a value, so that they fit into memory
@@ -44,6 +45,18 @@ def within_segments(segment: Int64s | None, rows: int) -> NDArray[np.bool_]:
     if segment is None:
         return np.ones(max(rows - 1, 0), dtype=bool)
     return np.asarray(segment[1:] == segment[:-1])
+
+
+def not_come(record: Record, measured: int, rows: int, what: str, path: Path) -> Int64s:
+    """The number of a value that had not come when the observation ended, beyond its deadline already: int64, 0 or 1.
+
+    `what` says it of more, for the UsageError that is raised then.
+    """
+    missing = record.counts.missing
+    agree(path, "missing", record.counts.asked - measured, missing)
+    if missing > 1:
+        raise UsageError(f"{path}: {missing} {what}: only the last one may")
+    return np.arange(rows, rows + missing)
 
 
 def without(present: Int64s, number: int) -> Int64s:

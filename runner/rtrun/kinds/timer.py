@@ -8,7 +8,7 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.kind import Columns, MeasurementKind
 from rtrun.kinds.output import IndexedValues, Record, no_values
-from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, check_wall_times, within_segments, without
+from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, check_wall_times, not_come, within_segments, without
 
 UNKNOWN_NS = -1
 """In place of the time at which a call was due, where that is not known."""
@@ -21,14 +21,9 @@ def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedVa
     check_times(path, called)
     row = np.flatnonzero(within_segments(columns["segment"], called.size)) + 1
     agree(path, "measured periods", row.size, record.counts.measured)
-    overdue = record.counts.missing
-    agree(path, "missing", record.counts.asked - row.size, overdue)
-    if overdue > 1:
-        raise UsageError(f"{path}: {overdue} calls did not come: only the last one may be missing")
-    # One that had not come when the observation ended, beyond its deadline already, is known by its number alone.
-    absent = np.arange(called.size, called.size + overdue)
+    absent = not_come(record, row.size, called.size, "calls did not come", path)
     jitter = IndexedValues(values_ns=called[row] - called[row - 1] - period_ns, index=row, absent=absent)
-    return {"lateness": _lateness(columns, row, period_ns, overdue, path), "jitter": jitter}
+    return {"lateness": _lateness(columns, row, period_ns, absent.size, path), "jitter": jitter}
 
 
 def _lateness(columns: Columns, row: Int64s, period_ns: int, overdue: int, path: Path) -> IndexedValues:

@@ -465,6 +465,11 @@ def test_unmatched_publications_are_forgotten_after_the_horizon():
     assert sum(len(matching._open) for matching in observed.topics._matchings()) <= 101
 
 
+def ds(tenths):
+    """So many tenths of a second after the begin."""
+    return BEGIN_NS + tenths * S // 10
+
+
 @st.composite
 def systems(draw):
     """Programs that begin and end at any time; those with payloads in place of stamps double nothing."""
@@ -472,8 +477,8 @@ def systems(draw):
     lives = []
     for pid in range(1, draw(st.integers(2, 5)) + 1):
         times = {
-            "from_ns": BEGIN_NS + draw(st.integers(-20, 30)) * S // 10,
-            "until_ns": BEGIN_NS + draw(st.integers(5, 50)) * S // 10,
+            "from_ns": ds(draw(st.integers(-20, 30))),
+            "until_ns": ds(draw(st.integers(5, 50))),
         }
         if draw(st.booleans()):
             period_ns = draw(st.sampled_from([20, 50, 300])) * MS
@@ -488,12 +493,8 @@ def systems(draw):
         slow=draw(st.sampled_from([0, 0.1])),
         is_ordered=payloads > 0 or draw(st.booleans()),
         latency_ns=draw(st.sampled_from([MS // 10, 10 * MS, 100 * MS])),
-        until_ns=BEGIN_NS + draw(st.integers(5, 50)) * S // 10,
+        until_ns=ds(draw(st.integers(5, 50))),
     )
-
-
-def ds(tenths):
-    return BEGIN_NS + tenths * S // 10
 
 
 # Published in the gap, taken after it; the same bytes were published again, and lost.
