@@ -82,6 +82,16 @@ def test_reading_results_loads_no_more_than_it_takes(
     assert not imported & (never | others)
 
 
+def test_an_archive_is_read_without_pandas(tmp_path: Path) -> None:
+    """pyarrow imports it for most of what turns a column into numbers, which takes as long as an answer."""
+    write_campaign(tmp_path / "results", n=1000)
+    assert rtrun.cli.main(["archive", "add", str(tmp_path / "results"), "--to", str(tmp_path / "archive")]) == 0
+    done = python(PROGRAM.format(program="rtrun", arguments=["history", str(tmp_path / "archive")]))
+    imported = set(done.stderr.splitlines()[-1].split())
+    assert done.returncode == 0 and "pyarrow" in imported
+    assert not imported & {"pandas", "scipy", "duckdb", "paramiko"}
+
+
 def test_nothing_is_said_at_the_end(tmp_path: Path) -> None:
     """duckdb of a program around us prints what is left of it: nothing, unless somebody keeps Python from looking."""
     write_campaign(tmp_path / "results", n=100)

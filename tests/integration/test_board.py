@@ -29,8 +29,9 @@ from rtrun.targets.qemu import emulator as qemu
 from rtrun.targets.qemu import qmp
 from watching import Watching
 
-# The time limit counts for the fixture too: a cold board and the suites for it take some minutes.
-pytestmark = [pytest.mark.qemu, pytest.mark.ros, pytest.mark.timeout(900)]
+# The time limit counts for the fixtures too: a cold board and the suites for it take up to twenty minutes, and each of
+# the fourteen runs up to ninety seconds where three other workers share two cores with the emulator.
+pytestmark = [pytest.mark.qemu, pytest.mark.ros, pytest.mark.timeout(2400)]
 TOP = Path(__file__).parents[2]
 
 

@@ -1,8 +1,10 @@
 """The bins of runs in an archive's histograms, read, and figures of several runs' bins together."""
 
+from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
+from itertools import accumulate
 from threading import Lock
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 
 from rtrun.analysis.figures import PERCENTILES
 from rtrun.analysis.histogram import Int64s
-from rtrun.archive.files import RowRange, TableFile, opened
+from rtrun.archive.files import RowRange, TableFile, numbers_of, opened
 from rtrun.archive.store import Store
 from rtrun.plan.limits import TIME_MAX_NS
 
@@ -34,6 +36,7 @@ class BinReader:
     def __init__(self, store: Store) -> None:
         self._store = store
         self._groups: OrderedDict[tuple[str, int], Future[_Rows]] = OrderedDict()
+        self._first_rows: dict[str, Sequence[int]] = {}
         self._lock = Lock()
 
     def read(self, place: RowRange) -> dict[str, Bins]:
@@ -41,18 +44,26 @@ class BinReader:
         if not place.file.is_pack:
             return _by_series(_read_rows(self._store, place.file, None))
         parts: dict[str, list[Bins]] = {}
-        first = 0
-        for group in range(place.file.footer.num_row_groups):
-            number = place.file.footer.row_group(group).num_rows
-            low, high = max(place.first, first), min(place.first + place.number, first + number)
-            if low < high:
-                names, codes, numbers = self._group(place.file, group)
-                rows = slice(low - first, high - first)
-                value, width, count = (each[rows] for each in numbers)
-                for series, bins in _by_series((names, codes[rows], (value, width, count))).items():
-                    parts.setdefault(series, []).append(bins)
-            first += number
+        starts = self._starts(place.file)
+        low, end = place.first, place.first + place.number
+        for group in range(bisect_right(starts, low) - 1, len(starts) - 1):
+            first, high = starts[group], min(end, starts[group + 1])
+            if low >= high:
+                break
+            names, codes, (value, width, count) = self._group(place.file, group)
+            rows = slice(low - first, high - first)
+            of_run = (names, codes[rows], (value[rows], width[rows], count[rows]))
+            for series, bins in _by_series(of_run).items():
+                parts.setdefault(series, []).append(bins)
+            low = high
         return {series: joined(each) for series, each in parts.items()}
+
+    def _starts(self, file: TableFile) -> Sequence[int]:
+        """The first row of each row group of a pack, and the number of all rows."""
+        if file.path not in self._first_rows:
+            groups = map(file.footer.row_group, range(file.footer.num_row_groups))
+            self._first_rows[file.path] = [0, *accumulate(group.num_rows for group in groups)]
+        return self._first_rows[file.path]
 
     def _group(self, file: TableFile, group: int) -> _Rows:
         """A row group of a pack, which the first thread that asks for it reads."""
@@ -88,9 +99,9 @@ def _read_rows(store: Store, file: TableFile, group: int | None) -> _Rows:
         else:
             table = source.read_row_group(group, columns=columns, use_threads=False)
         series = table["series"].unify_dictionaries().combine_chunks()
-        value, width, count = (table[name].fill_null(NONE).combine_chunks().to_numpy() for name in _NUMBERS)
+        value, width, count = (numbers_of(table[name].combine_chunks(), NONE) for name in _NUMBERS)
         _check_bins(value, width, count)
-        return series.dictionary.to_pylist(), series.indices.fill_null(-1).to_numpy(), (value, width, count)
+        return series.dictionary.to_pylist(), numbers_of(series.indices, -1), (value, width, count)
 
 
 def _by_series(rows: _Rows) -> dict[str, Bins]:

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from rtrun.archive.store import Store, find_files
 from rtrun.plan.limits import BINS_MAX
 
 if TYPE_CHECKING:
+    import pyarrow
     from pyarrow.parquet import FileMetaData, ParquetFile
 
 PACK = "pack-"
@@ -116,14 +117,30 @@ def _pack(store: Store, path: str) -> TableFile:
         if any(footer.row_group(group).num_rows > ROW_GROUP for group in range(footer.num_row_groups)):
             raise ValueError(f"a row group of more than {ROW_GROUP} rows")
         column = file.read(columns=["run_key"], use_threads=False)["run_key"].unify_dictionaries().combine_chunks()
-        codes = column.indices.fill_null(-1).to_numpy()
+        codes = numbers_of(column.indices, -1)
         starts = np.flatnonzero(np.r_[True, np.diff(codes) != 0][: codes.size])
         if codes[starts].size != np.unique(codes).size or -1 in codes[starts]:
             raise ValueError("run_key: the rows of a run lie apart, or a row has none")
-        keys = column.dictionary.take(column.indices.take(starts)).to_pylist()
+        known = column.dictionary.to_pylist()
+        keys = [known[code] for code in codes[starts].tolist()]
         numbers = np.diff(np.r_[starts, codes.size])
         rows = dict(zip(keys, zip(starts.tolist(), numbers.tolist(), strict=True), strict=True))
         return TableFile(path=path, footer=footer, rows=rows)
+
+
+def numbers_of(column: "pyarrow.Array[Any]", null: int) -> np.ndarray[tuple[int], np.dtype[Any]]:
+    """A column of whole numbers, with `null` where it has none, shape (n,).
+
+    From its buffers: what pyarrow has for it imports pandas where that is installed, which takes as long as an answer.
+    """
+    if not len(column):
+        return np.zeros(0, column.type.to_pandas_dtype())
+    rows = slice(column.offset, column.offset + len(column))
+    bits, values = column.buffers()
+    stored = np.frombuffer(values, column.type.to_pandas_dtype())[rows]
+    if not column.null_count:
+        return stored
+    return np.where(np.unpackbits(np.frombuffer(bits, np.uint8), bitorder="little")[rows], stored, null)
 
 
 def check_rows(footer: "FileMetaData", most: int = BINS_MAX) -> "FileMetaData":

@@ -14,6 +14,7 @@ from rtfiles.errors import UsageError
 from rtrun.archive import By
 from rtrun.archive.bins import BinReader, Bins, figures_of_bins, merged
 from rtrun.archive.runs import Archive, RunRow
+from rtrun.archive.store import Store
 from rtrun.kinds.known import called
 from rtrun.plan.limits import BINS_MAX
 from rtrun.plan.question import Measure
@@ -21,6 +22,7 @@ from rtrun.plan.suites import judged, measures
 
 # Rows of histograms that are held at one time, which takes up to 150 bytes each. A run has some ten thousand.
 ROWS_MAX = 2 * BINS_MAX
+_LARGE = 4096  # rows of a group
 _LATEST = datetime.max  # of what has no time: it stands last
 _LABELS: dict[By, Callable[[RunRow], str]] = {
     "day": lambda row: _moment(row, "%Y-%m-%d"),
@@ -103,13 +105,23 @@ def figures(archive: Archive, by: By, *, deadline_ns: int, of: Measure | None = 
     """
     groups = _groups(archive.runs, by)
     reader = BinReader(archive.store)
-    held = (sum(archive.histograms[row.run_key].number for row in _known(archive, group)) for group in groups)
-    largest = min(max(1, *held, 1), ROWS_MAX)
-    # Reading and sorting leave Python's lock to others.
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, ROWS_MAX // largest)) as threads:
+    held = [sum(archive.histograms[row.run_key].number for row in _known(archive, group)) for group in groups]
+    with ThreadPoolExecutor(_threads(archive.store, held)) as threads:
         made = threads.map(lambda group: list(_points(archive, reader, group, deadline_ns, of)), groups)
         points = [point for of_group in made for point in of_group]
     return sorted(points, key=lambda point: (point.scenario, point.parameters, point.platform))
+
+
+def _threads(store: Store, held: Sequence[int]) -> int:
+    """How many threads read and compute groups of so many rows; together they hold at most ROWS_MAX.
+
+    More than one is faster where files are waited for, or where groups are large: only for long arrays does numpy leave
+    Python's lock to others.
+    """
+    if store.is_local and sum(held) < _LARGE * len(held):
+        return 1
+    largest = min(max([1, *held]), ROWS_MAX)
+    return min(os.cpu_count() or 1, ROWS_MAX // largest)
 
 
 def _groups(runs: Sequence[RunRow], by: By) -> list[_Group]:

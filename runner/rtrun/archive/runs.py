@@ -15,7 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.archive.files import AT_ONCE, RowRange, check_rows, is_pack, opened, paths_of, places
+from rtrun.archive.files import AT_ONCE, RowRange, check_rows, is_pack, numbers_of, opened, paths_of, places
 from rtrun.archive.notes import IgnoreNote, Notes, fits_run, read_notes
 from rtrun.archive.store import Store
 from rtrun.targets.inspection.platform import Platform
@@ -193,7 +193,7 @@ def _texts(table: Any, name: str) -> list[Any]:
     if name in _REQUIRED and column.null_count:
         raise ValueError(f"{name}: missing")
     known = [*column.dictionary.to_pylist(), None]
-    return [known[code] for code in column.indices.fill_null(-1).to_pylist()]
+    return [known[code] for code in numbers_of(column.indices, -1).tolist()]
 
 
 def _times(moments: Sequence[datetime | None]) -> Iterator[datetime | None]:

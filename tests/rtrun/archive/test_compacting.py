@@ -12,11 +12,13 @@ import pytest
 from archive.archived import write_course
 from archive.examples import write_days
 from archive.test_adding import FailingStore
+from hypothesis import given, strategies
 from report.campaigns import cyclic_run, latencies, oneshot_run
 
 from rtfiles.errors import InfrastructureError
-from rtrun.archive import compacting
+from rtrun.archive import compacting, tables
 from rtrun.archive.compacting import Compaction, compact
+from rtrun.archive.files import numbers_of
 from rtrun.archive.store import make_archive, open_archive
 from rtrun.cli import main
 
@@ -63,6 +65,22 @@ def test_answers_stay_the_same_and_old_files_go_after_the_grace(capsys, archive)
     assert compacted(archive, NOW + DAY) == Compaction(removed=31)
     assert len(files(archive)) == len(files(archive, "samples")) == 1 and answers(capsys, archive) == before
     assert compacted(archive, NOW + 2 * DAY) == Compaction()
+
+
+@pytest.mark.parametrize("rows", [7, 100])
+def test_a_run_is_read_across_row_groups(capsys, archive, monkeypatch, rows):
+    before = answers(capsys, archive)
+    monkeypatch.setattr(tables, "ROW_GROUP", rows)
+    compacted(archive)
+    (pack,) = (path for path in (archive / "histograms").glob("pack-*"))
+    assert pyarrow.parquet.ParquetFile(pack).num_row_groups > 20
+    assert answers(capsys, archive) == before
+
+
+@given(strategies.lists(strategies.none() | strategies.integers(0, 9)), strategies.integers(0, 4))
+def test_numbers_of_a_column_from_any_row_on(values, first):
+    column = pyarrow.array(values, pyarrow.int64())[first:]
+    assert numbers_of(column, -1).tolist() == [-1 if value is None else value for value in values[first:]]
 
 
 def test_an_archive_to_which_every_night_adds_stays_small(capsys, tmp_path):

@@ -16,7 +16,7 @@ from report.campaigns import (
 )
 
 from rtrun.analysis.figures import PERCENTILES
-from rtrun.archive import bins
+from rtrun.archive import bins, queries
 from rtrun.cli import main
 from rtrun.judgement.study import study
 
@@ -106,6 +106,17 @@ def test_an_outlier_far_away_is_added_up_as_all_others_are(capsys, tmp_path, mon
     points = history(capsys, archive, "--by", "month")
     monkeypatch.setattr(bins, "_GRID_MAX", 0)
     assert history(capsys, archive, "--by", "month") == points
+
+
+def test_groups_are_read_and_computed_in_several_threads_where_they_are_large(capsys, tmp_path, monkeypatch):
+    archive = archived(capsys, write_days(tmp_path / "results", 4), tmp_path / "archive")
+    points = history(capsys, archive, "--by", "run")
+    threads = []
+    monkeypatch.setattr(queries.os, "cpu_count", lambda: 3)
+    monkeypatch.setattr(queries, "_LARGE", 0)
+    pool = queries.ThreadPoolExecutor
+    monkeypatch.setattr(queries, "ThreadPoolExecutor", lambda number: threads.append(number) or pool(number))
+    assert history(capsys, archive, "--by", "run") == points and threads == [3]
 
 
 def test_what_a_histogram_does_not_reach_is_not_known(capsys, tmp_path):
