@@ -21,7 +21,9 @@ Bins = tuple[Int64s, Int64s, Int64s]
 NONE = -(2**63)
 _Rows = tuple[list[str | None], Int64s, Bins]
 """Rows as they are read: the names of series, which of them each row has, and the numbers."""
+_PER_100_000 = [round(1000 * p) for p in PERCENTILES]
 _GRID_MAX = 4  # places of a grid for each bin on it
+_GRID_FROM = 4  # histograms: fewer are sorted faster, as each is in order
 _COUNT_MAX = 2**53  # of all bins: above, a double no longer counts one by one
 _KEPT = 64  # row groups, of which each takes 4 MB
 _NUMBERS = ("value_ns", "bin_ns", "count")
@@ -69,12 +71,13 @@ class BinReader:
         """A row group of a pack, which the first thread that asks for it reads."""
         key = (file.path, group)
         with self._lock:
-            is_known = key in self._groups
-            future = self._groups.setdefault(key, Future())
+            future = self._groups.get(key)
+            if is_new := future is None:
+                future = self._groups[key] = Future()
+                if len(self._groups) > _KEPT:
+                    self._groups.popitem(last=False)
             self._groups.move_to_end(key)
-            if len(self._groups) > _KEPT:
-                self._groups.popitem(last=False)
-        if not is_known:
+        if is_new:
             try:
                 future.set_result(_read_rows(self._store, file, group))
             except BaseException as error:
@@ -145,35 +148,39 @@ def merged(bins: Sequence[Bins]) -> Bins:
 def figures_of_bins(bins: Sequence[Bins], deadline_ns: int) -> Mapping[str, Any]:
     """n, misses, unclear, percentiles_ns and max_ns of a Point, of the bins of its runs."""
     value, width, count = joined(bins)
-    came, known = value != NONE, width != NONE
-    late = ~came | ~known | (value > deadline_ns - width + 1)
-    is_reached = not np.any(came & ~known & (value < deadline_ns))
-    values, reached = _added_up(value[came], width[came], count[came])
+    late = value > deadline_ns - width + 1
+    close = late & (value <= deadline_ns)
+    limit_ns: int | None = None  # from here on values are known by number only
+    added = value, width, count
+    if value.size and NONE in (value.min(), width.min()):
+        came, known = value != NONE, width != NONE
+        late |= ~came | ~known
+        close &= came & known
+        limit_ns = min(value[came & ~known].tolist(), default=None)
+        added = value[came], width[came], count[came]
+    values, reached = _added_up(*added, of=len(bins))
     percentiles_ns: dict[float, int | None] = dict.fromkeys(PERCENTILES)
     highest_ns: int | None = None
     if values.size:
         # The rank in whole numbers, so that no rounding moves it.
-        ranks = [-(-int(reached[-1]) * round(1000 * p) // 100_000) for p in PERCENTILES]
-        at_ranks = np.searchsorted(reached, ranks)
-        # From here on values are known by number only.
-        limit_ns = min(value[came & ~known].tolist(), default=None)
+        ranks = [-(-int(reached[-1]) * each // 100_000) for each in _PER_100_000]
+        at_ranks = values[np.searchsorted(reached, ranks)].tolist()
         *at_percentiles, highest_ns = (
-            int(each) if limit_ns is None or each < limit_ns else None for each in (*values[at_ranks], values[-1])
+            each if limit_ns is None or each < limit_ns else None for each in (*at_ranks, int(values[-1]))
         )
         percentiles_ns = dict(zip(PERCENTILES, at_percentiles, strict=True))
     return {
         "n": int(count.sum()),
-        "misses": int(count[late].sum()) if is_reached else None,
-        "unclear": int(count[came & known & (value <= deadline_ns) & late].sum()),
+        "misses": int(count[late].sum()) if limit_ns is None or limit_ns >= deadline_ns else None,
+        "unclear": int(count[close].sum()),
         "percentiles_ns": percentiles_ns,
         "max_ns": highest_ns,
     }
 
 
-def _added_up(value: Int64s, width: Int64s, count: Int64s) -> tuple[Int64s, Int64s]:
-    """Values ascending, and how many measurements are at each or below, shape (k,)."""
-    step = width[0] if value.size and np.all(width == width[0]) else 0
-    if step > 0:
+def _added_up(value: Int64s, width: Int64s, count: Int64s, *, of: int) -> tuple[Int64s, Int64s]:
+    """Values ascending, of so many histograms, and how many measurements are at each or below, shape (k,)."""
+    if of >= _GRID_FROM and value.size and 0 < (step := width.min()) == width.max():
         # Bins of one clock lie on a grid: to add up those of many runs there takes a fraction of the time of sorting.
         lowest = value.min()
         at, beside = np.divmod(value - lowest, step)

@@ -14,7 +14,7 @@ from datetime import UTC, datetime, timedelta
 
 import pyarrow
 
-from rtrun.archive.files import AT_ONCE, PACK, RowRange, TableFile, damaged, name_of, opened, places, read_files
+from rtrun.archive.files import PACK, RowRange, TableFile, damaged, name_of, opened, places, read_files
 from rtrun.archive.notes import read_notes
 from rtrun.archive.runs import PACKED_MAX, PARTITIONED, RunRow, in_path, is_kept, read_runs
 from rtrun.archive.store import Store, remove_files, write_file
@@ -124,7 +124,7 @@ def _bundles(files: Iterable[_Members], most: int) -> Iterator[list[_Members]]:
 def _write_pack(store: Store, table: str, bundle: Sequence[_Members], order: Mapping[str, int], now: datetime) -> None:
     """Write the runs of some files into a new one."""
     rows: dict[str, Table] = {}
-    with ThreadPoolExecutor(AT_ONCE) as threads:
+    with ThreadPoolExecutor(store.at_once) as threads:
         read = threads.map(lambda members: _read(store, table, members[0][1].file), bundle)
         for members, whole in zip(bundle, read, strict=True):
             rows |= {key: whole.slice(place.first, place.number) for key, place in members}

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 PACK = "pack-"
 ROW_GROUP = 1 << 17
 """Rows of a row group of a pack at most."""
-# Files that are opened at one time: those of an object store are waited for.
-AT_ONCE = 32
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -88,7 +86,7 @@ def paths_of(store: Store, table: str) -> tuple[list[str], dict[str, str]]:
 def read_files(store: Store, table: str) -> TableFiles:
     """The files of a table. Raises UsageError for a pack that is damaged, InfrastructureError."""
     packs, alone = paths_of(store, table)
-    with ThreadPoolExecutor(AT_ONCE) as threads:
+    with ThreadPoolExecutor(store.at_once) as threads:
         return TableFiles(packs=list(threads.map(partial(_pack, store), packs)), alone=alone)
 
 
@@ -97,7 +95,7 @@ def places(store: Store, table: str) -> dict[str, RowRange]:
     files = read_files(store, table)
     found = {key: RowRange(file, *file.rows[key]) for key, file in files.newest().items()}
     others = [(key, path) for key, path in files.alone.items() if key not in found]
-    with ThreadPoolExecutor(AT_ONCE) as threads:
+    with ThreadPoolExecutor(store.at_once) as threads:
         footers = threads.map(lambda each: _footer(store, each[1]), others)
         for (key, path), footer in zip(others, footers, strict=True):
             rows = {key: (0, footer.num_rows)}
@@ -140,7 +138,8 @@ def numbers_of(column: "pyarrow.Array[Any]", null: int) -> np.ndarray[tuple[int]
     stored = np.frombuffer(values, column.type.to_pandas_dtype())[rows]
     if not column.null_count:
         return stored
-    return np.where(np.unpackbits(np.frombuffer(bits, np.uint8), bitorder="little")[rows], stored, null)
+    is_valid = np.unpackbits(np.frombuffer(bits, np.uint8), bitorder="little")[rows].view(bool)
+    return np.where(is_valid, stored, null)
 
 
 def check_rows(footer: "FileMetaData", most: int = BINS_MAX) -> "FileMetaData":

@@ -106,8 +106,11 @@ def figures(archive: Archive, by: By, *, deadline_ns: int, of: Measure | None = 
     groups = _groups(archive.runs, by)
     reader = BinReader(archive.store)
     held = [sum(archive.histograms[row.run_key].number for row in _known(archive, group)) for group in groups]
-    with ThreadPoolExecutor(_threads(archive.store, held)) as threads:
-        made = threads.map(lambda group: list(_points(archive, reader, group, deadline_ns, of)), groups)
+    number = _threads(archive.store, held)
+    with ThreadPoolExecutor(number) as threads:
+        # To hand over so little to a single thread takes as long as to compute it.
+        each = threads.map if number > 1 else map
+        made = each(lambda group: list(_points(archive, reader, group, deadline_ns, of)), groups)
         points = [point for of_group in made for point in of_group]
     return sorted(points, key=lambda point: (point.scenario, point.parameters, point.platform))
 

@@ -15,7 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.archive.files import AT_ONCE, RowRange, check_rows, is_pack, numbers_of, opened, paths_of, places
+from rtrun.archive.files import RowRange, check_rows, is_pack, numbers_of, opened, paths_of, places
 from rtrun.archive.notes import IgnoreNote, Notes, fits_run, read_notes
 from rtrun.archive.store import Store
 from rtrun.targets.inspection.platform import Platform
@@ -135,7 +135,7 @@ def read_runs(store: Store) -> list[RunRow]:
     """Every run of an archive once, in the order of their keys. Raises UsageError, InfrastructureError."""
     packs, alone = paths_of(store, "runs")
     found: dict[str, RunRow] = {}
-    with ThreadPoolExecutor(AT_ONCE) as threads:
+    with ThreadPoolExecutor(store.at_once) as threads:
         for rows in threads.map(partial(_rows, store), packs):
             for row in rows:
                 found.setdefault(row.run_key, row)
@@ -188,7 +188,9 @@ def _texts(table: Any, name: str) -> list[Any]:
     import pyarrow
     import pyarrow.compute
 
-    column = table[name].cast(pyarrow.dictionary(pyarrow.int32(), pyarrow.string()))
+    column, type_ = table[name], pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
+    if column.type != type_:
+        column = column.cast(type_)
     column = column.unify_dictionaries().combine_chunks()
     if name in _REQUIRED and column.null_count:
         raise ValueError(f"{name}: missing")

@@ -6,6 +6,7 @@ off, a file system after a power cut); it does not count as there, and is writte
 """
 
 import contextlib
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from rtfiles.untrusted import text
 
 SCHEMA = 2
 MARKER = "archive.json"
+_REMOTE_AT_ONCE = 32
 _MAGIC = b"PAR1"  # the first and the last bytes of a whole Parquet file
 
 
@@ -43,6 +45,11 @@ class Store:
     def is_local(self) -> bool:
         """Whether it is a folder of this machine."""
         return "file" in _protocols(self.file_system)
+
+    @property
+    def at_once(self) -> int:
+        """How many files to open at one time: those of an object store are waited for, others take the CPU."""
+        return (os.cpu_count() or 1) if self.is_local else _REMOTE_AT_ONCE
 
     def locate(self, name: str) -> str:
         """The path of a file in the file system."""

@@ -101,11 +101,14 @@ def test_runs_of_a_point_are_pooled_by_their_counts(capsys, tmp_path):
 
 
 def test_an_outlier_far_away_is_added_up_as_all_others_are(capsys, tmp_path, monkeypatch):
-    """Beyond a number of places bins are sorted instead."""
-    archive = archived(capsys, write_days(tmp_path / "results", 4), tmp_path / "archive")
-    points = history(capsys, archive, "--by", "month")
-    monkeypatch.setattr(bins, "_GRID_MAX", 0)
-    assert history(capsys, archive, "--by", "month") == points
+    """Of few histograms, and beyond a number of places, bins are sorted instead."""
+    archive = archived(capsys, write_days(tmp_path / "results", 6), tmp_path / "archive")
+    said = []
+    for most, lowest in ((4, 1), (0, 1), (4, 4), (4, 99)):
+        monkeypatch.setattr(bins, "_GRID_MAX", most)
+        monkeypatch.setattr(bins, "_GRID_FROM", lowest)
+        said.append(history(capsys, archive, "--by", "month"))
+    assert said[0] and all(each == said[0] for each in said)
 
 
 def test_groups_are_read_and_computed_in_several_threads_where_they_are_large(capsys, tmp_path, monkeypatch):
