@@ -8,7 +8,6 @@ from rtfiles.output import print_line, printable
 from rtfiles.quantities import grouped, time
 from rtrun.archive import By
 from rtrun.archive.queries import Point
-from rtrun.report.terminal import print_banner
 from rtrun.targets.inspection.platform import Platform
 
 _SHOWN = (50.0, 99.0, 99.9, 99.99)
@@ -16,6 +15,8 @@ _SHOWN = (50.0, 99.0, 99.9, 99.99)
 
 def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
     """Print the points of one scenario, a row each."""
+    from rtrun.report.terminal import print_banner
+
     print_line(points[0].scenario)
     print_banner(Platform(points[0].platform))
     # The column that --by names stands first, and not a second time among the others.
@@ -52,12 +53,13 @@ def misses_text(point: Point) -> str:
 
 def as_data(points: Sequence[Point], *, by: By, deadline_ns: int) -> dict[str, Any]:
     """The points as plain data: times in ns, percentiles by their number."""
+    names = [field.name for field in fields(Point)]
     return {
         "schema": 1,
         "by": by,
         "deadline_ns": deadline_ns,
         "points": [
-            {field.name: getattr(point, field.name) for field in fields(point)}
+            {name: getattr(point, name) for name in names}
             | {
                 "start_utc": point.start_utc.isoformat() + "Z" if point.start_utc else None,
                 "percentiles_ns": {f"p{p:g}": value for p, value in point.percentiles_ns.items()},

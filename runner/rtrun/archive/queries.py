@@ -5,10 +5,11 @@ the report's figure, rounded down to a step of the clock.
 """
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cache
 
 from rtfiles.errors import UsageError
 from rtrun.archive import By
@@ -177,7 +178,7 @@ def _points(
                 f"most {ROWS_MAX} are held: ask for fewer runs together (--by month, day or run)"
             )
         read = reader.read(place)
-        if (series := _series_of(row.suite, read, of)) is not None:
+        if (series := _series_of(row.suite, tuple(read), of)) is not None:
             of_series.setdefault(series, []).append(row)
             bins.setdefault(series, []).append(read[series])
             held += read[series][0].size
@@ -185,7 +186,8 @@ def _points(
         yield _point(group, series, runs, bins[series], deadline_ns)
 
 
-def _series_of(suite: str, names: Iterable[str], of: Measure | None) -> str | None:
+@cache
+def _series_of(suite: str, names: tuple[str, ...], of: Measure | None) -> str | None:
     """Which of these series of a run the question is of; None for none."""
     known = {called(name): name for name in names}
     wanted = measures(suite)

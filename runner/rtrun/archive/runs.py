@@ -21,6 +21,7 @@ from rtrun.archive.store import Store
 from rtrun.targets.inspection.platform import Platform
 
 if TYPE_CHECKING:
+    from pyarrow import DataType
     from pyarrow.parquet import ParquetFile
 
 PACKED_MAX = 1 << 13
@@ -159,12 +160,12 @@ def _rows(store: Store, path: str) -> list[RunRow]:
         table = file.read(columns=in_file, use_threads=False)
         columns = {name: _texts(table, name) for name in texts}
         columns |= {name: [in_path(path, name)] * table.num_rows for name in partitioned}
-        columns["off_rate"] = table["off_rate"].cast(pyarrow.bool_()).to_pylist()
+        columns["off_rate"] = _as(pyarrow.bool_(), table["off_rate"]).to_pylist()
         if None in columns["off_rate"]:
             raise ValueError("off_rate: missing")
-        columns["start_utc"] = list(_times(table["start_utc"].cast(pyarrow.timestamp("us")).to_pylist()))
+        columns["start_utc"] = list(_times(_as(pyarrow.timestamp("us"), table["start_utc"]).to_pylist()))
         for name in RunRow._fields[RunRow._fields.index("temperature_max_mc") :]:
-            columns[name] = table[name].cast(pyarrow.float64()).to_pylist()
+            columns[name] = _as(pyarrow.float64(), table[name]).to_pylist()
             if any(value is not None and not np.isfinite(value) for value in columns[name]):
                 raise ValueError(f"{name}: no number")
         if unknown := set(columns["platform"]) - {*Platform}:
@@ -183,14 +184,16 @@ def _check_size(file: "ParquetFile") -> None:
         raise ValueError(f"{size} bytes of texts, at most {_TEXT_BYTES_MAX} are read")
 
 
+def _as(type_: "DataType", column: Any) -> Any:
+    """A column as one of this type. pyarrow loads its functions only where there is something to convert."""
+    return column if column.type == type_ else column.cast(type_)
+
+
 def _texts(table: Any, name: str) -> list[Any]:
     """A column of texts; each different one is made once."""
     import pyarrow
-    import pyarrow.compute
 
-    column, type_ = table[name], pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
-    if column.type != type_:
-        column = column.cast(type_)
+    column = _as(pyarrow.dictionary(pyarrow.int32(), pyarrow.string()), table[name])
     column = column.unify_dictionaries().combine_chunks()
     if name in _REQUIRED and column.null_count:
         raise ValueError(f"{name}: missing")
