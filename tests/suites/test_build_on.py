@@ -53,10 +53,14 @@ def test_built_there_and_measured(
     assert not (tmp_path / "work/building").exists()
     monkeypatch.chdir(tmp_path)
     Path("campaign.yml").write_text(CAMPAIGN.format(domain=free_domain()))
-    assert main(["run", "campaign.yml", "--target", target]) == 0
-    for path in Path("results/built").glob("*/run.json"):
-        record = json.loads(path.read_text())
-        assert record["status"] == "ok" and record["target"]["suites_built_with"] == built_with
+    status = main(["run", "campaign.yml", "--target", target])
+    records = [json.loads(path.read_text()) for path in Path("results/built").glob("*/run.json")]
+    # A busy machine keeps a publisher from its rate, which is said.
+    invalid = [record["reason"] for record in records if record["status"] != "ok"]
+    assert all("_publisher: asked for 50 Hz, achieved " in reason for reason in invalid), invalid
+    assert len(records) == 5 and status == (3 if invalid else 0)
+    for record in records:
+        assert record["target"]["suites_built_with"] == built_with
         assert all(program["argv"][0].startswith(f"{tmp_path}/work/built/") for program in record["programs"])
     capfd.readouterr()
     assert main(["report", "results/built", "--output", "report.html"]) == 0

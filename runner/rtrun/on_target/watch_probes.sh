@@ -5,7 +5,7 @@
 #   watch_probes.sh SECONDS SILENCE BUFFER_KB LIMIT PATTERN [EVENT...]
 #       SECONDS    after which everything is taken off in any case
 #       SILENCE    seconds without a line after which it is taken off as well, with exit status 4: a link may be dead
-#                  without an end
+#                  without an end. At the end, seconds in which the last events have to be read
 #       BUFFER_KB  of memory for each CPU
 #       LIMIT      events in a second; above it the probes rest for a share of the time
 #       PATTERN    for find_programs.sh beside this file
@@ -247,14 +247,14 @@ print_rounds() {
     done
 }
 
-# The last events are printed first, unless nobody reads any more.
+# The last events are printed first, unless nobody reads any more: a busy machine may read late.
 take_off() {
     trap '' TERM HUP INT ALRM
     trap - EXIT
     if [ -n "$printer" ]; then
         echo 0 >"$instance/tracing_on"
         kill -USR1 "$printer"
-        { sleep 5; kill -TERM 0; } >/dev/null &
+        { sleep "$silence"; kill -TERM 0; } >/dev/null &
         killer=$!
         wait "$printer"
         kill -KILL $killer
@@ -262,7 +262,7 @@ take_off() {
     word=done
     remove "$name" || word="left $name"
     # A dead link takes no more lines.
-    { sleep 5; kill -KILL 0; } >/dev/null 2>&1 &
+    { sleep "$silence"; kill -KILL 0; } >/dev/null 2>&1 &
     killer=$!
     echo "$word"
     kill -KILL $killer

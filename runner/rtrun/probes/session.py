@@ -145,6 +145,8 @@ class _Watching:
         if status == SILENT:
             # As with a connection that breaks: the probes are placed anew, and what lies between is a gap.
             raise ConnectionLost(f"{connection.address}: {stderr.strip().rpartition(chr(10))[2][:300]}")
+        if status > 128:
+            raise TargetError(f"{connection.address}: watch_probes.sh was ended there by signal {status - 128}")
         if status != 0:
             text = stderr.strip().rpartition("\n")[2][:300] or f"watch_probes.sh ended with exit status {status}"
             raise TargetError(f"{connection.address}: {text}")

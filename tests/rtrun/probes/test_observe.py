@@ -250,8 +250,10 @@ def test_above_the_limit_the_probes_rest(here, standin):
     assert results[-1].rests == len(gaps) and results[-1].is_clean
 
 
-def test_what_comes_while_a_round_is_printed_is_there_at_the_end(here, standin):
-    """A round that had begun before the end is not the last one: it has read some CPUs already."""
+@pytest.mark.parametrize("late_s", [0, 12])
+def test_what_comes_while_a_round_is_printed_is_there_at_the_end(here, standin, late_s):
+    """A round that had begun before the end is not the last one: it has read some CPUs already. Who reads late gets all
+    of it."""
     with running(standin, 20_000, 100_000, preexec_fn=lambda: os.sched_setaffinity(0, {0})) as process:
         found = find(here, process.pid)
         placement = place(here, found, events=EVENTS)
@@ -262,7 +264,10 @@ def test_what_comes_while_a_round_is_printed_is_there_at_the_end(here, standin):
             script.stdin.flush()
             # Nobody reads what is printed until all was published: the script stands still within a round.
             process.stdout.readline()
-            printed, _ = script.communicate(timeout=60)
+            script.stdin.close()
+            time.sleep(late_s)
+            printed = script.stdout.read()
+            assert (script.wait(30), printed.endswith(b"\ndone\n")) == (0, True)
     reader = WatchReader({probe.name: probe for probe in placement.probes}, "here", {})
     taken = values_of([*reader.feed(printed), reader.rest()], "take")
     numbers = [hit.values["source_ns"] for hit in taken]
