@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -61,10 +62,18 @@ def program(suites, name, middleware):
     return path
 
 
+def await_libraries(link, pid):
+    """Wait until a program that has only just begun has loaded no further one for a second."""
+    before = None
+    while before != (before := find(link, pid)[0].mapped):
+        time.sleep(1)
+
+
 def watched_exchange(here, listener, talker, environment, folder):
     """Everything that is seen while a program that is there already takes what another publishes that starts then."""
     results = []
     with running(*listener, env=environment, cwd=folder) as receiver:
+        await_libraries(here, receiver.pid)
         stream = observed(here, receiver.pid)
         assert isinstance(next(stream), Began)
         with running(*talker, env=environment, cwd=folder) as sender:
