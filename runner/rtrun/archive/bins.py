@@ -12,7 +12,7 @@ import numpy as np
 
 from rtrun.analysis.figures import PERCENTILES
 from rtrun.analysis.histogram import Int64s
-from rtrun.archive.files import RowRange, TableFile, numbers_of, opened
+from rtrun.archive.files import RowRange, TableFile, coded, numbers_of, opened
 from rtrun.archive.store import Store
 from rtrun.plan.limits import TIME_MAX_NS
 
@@ -64,7 +64,7 @@ class BinReader:
         """The first row of each row group of a pack, and the number of all rows."""
         if file.path not in self._first_rows:
             groups = map(file.footer.row_group, range(file.footer.num_row_groups))
-            self._first_rows[file.path] = [0, *accumulate(group.num_rows for group in groups)]
+            self._first_rows[file.path] = [*accumulate((group.num_rows for group in groups), initial=0)]
         return self._first_rows[file.path]
 
     def _group(self, file: TableFile, group: int) -> _Rows:
@@ -101,10 +101,9 @@ def _read_rows(store: Store, file: TableFile, group: int | None) -> _Rows:
             table = source.read(columns=columns, use_threads=False)
         else:
             table = source.read_row_group(group, columns=columns, use_threads=False)
-        series = table["series"].unify_dictionaries().combine_chunks()
         value, width, count = (numbers_of(table[name].combine_chunks(), NONE) for name in _NUMBERS)
         _check_bins(value, width, count)
-        return series.dictionary.to_pylist(), numbers_of(series.indices, -1), (value, width, count)
+        return *coded(table["series"]), (value, width, count)
 
 
 def _by_series(rows: _Rows) -> dict[str, Bins]:

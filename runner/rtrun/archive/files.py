@@ -114,16 +114,20 @@ def _pack(store: Store, path: str) -> TableFile:
         footer = check_rows(file.metadata)
         if any(footer.row_group(group).num_rows > ROW_GROUP for group in range(footer.num_row_groups)):
             raise ValueError(f"a row group of more than {ROW_GROUP} rows")
-        column = file.read(columns=["run_key"], use_threads=False)["run_key"].unify_dictionaries().combine_chunks()
-        codes = numbers_of(column.indices, -1)
+        known, codes = coded(file.read(columns=["run_key"], use_threads=False)["run_key"])
         starts = np.flatnonzero(np.r_[True, np.diff(codes) != 0][: codes.size])
         if codes[starts].size != np.unique(codes).size or -1 in codes[starts]:
             raise ValueError("run_key: the rows of a run lie apart, or a row has none")
-        known = column.dictionary.to_pylist()
         keys = [known[code] for code in codes[starts].tolist()]
         numbers = np.diff(np.r_[starts, codes.size])
         rows = dict(zip(keys, zip(starts.tolist(), numbers.tolist(), strict=True), strict=True))
         return TableFile(path=path, footer=footer, rows=rows)
+
+
+def coded(column: Any) -> tuple[list[str | None], np.ndarray[tuple[int], np.dtype[Any]]]:
+    """The different texts of a column that was read as a dictionary, and which one each row has, shape (n,), or -1."""
+    whole = column.unify_dictionaries().combine_chunks()
+    return whole.dictionary.to_pylist(), numbers_of(whole.indices, -1)
 
 
 def numbers_of(column: "pyarrow.Array[Any]", null: int) -> np.ndarray[tuple[int], np.dtype[Any]]:

@@ -15,7 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.archive.files import RowRange, check_rows, is_pack, numbers_of, opened, paths_of, places
+from rtrun.archive.files import RowRange, check_rows, coded, is_pack, opened, paths_of, places
 from rtrun.archive.notes import IgnoreNote, Notes, fits_run, read_notes
 from rtrun.archive.store import Store
 from rtrun.targets.inspection.platform import Platform
@@ -194,11 +194,11 @@ def _texts(table: Any, name: str) -> list[Any]:
     import pyarrow
 
     column = _as(pyarrow.dictionary(pyarrow.int32(), pyarrow.string()), table[name])
-    column = column.unify_dictionaries().combine_chunks()
     if name in _REQUIRED and column.null_count:
         raise ValueError(f"{name}: missing")
-    known = [*column.dictionary.to_pylist(), None]
-    return [known[code] for code in numbers_of(column.indices, -1).tolist()]
+    known, codes = coded(column)
+    known.append(None)
+    return [known[code] for code in codes.tolist()]
 
 
 def _times(moments: Sequence[datetime | None]) -> Iterator[datetime | None]:

@@ -188,7 +188,9 @@ class _Builder:
                     self._enqueue(event.pid, event.to_cpu)
             case Current():
                 self.names.setdefault(event.pid, event.name)
-                if cpu.thread is None or self._has_left_idle(cpu, event):
+                if cpu.thread is not None and self._is_waiting(event.pid):
+                    self._leave_idle(cpu, event)
+                if cpu.thread is None:
                     cpu.thread = Occupant(Context.THREAD, event.name, event.pid, None)
                     self.threads[event.pid].append(StateChange(event.at_ns, State.RUNNING, event.cpu))
             case Lost():
@@ -197,22 +199,23 @@ class _Builder:
                 self._remember(cpu, event)
         cpu.last_ns = event.at_ns
 
-    def _has_left_idle(self, cpu: _Cpu, event: Current) -> bool:
-        """Whether a thread runs on a CPU that was last seen to be idle: a kernel may not record how it leaves that.
+    def _is_waiting(self, pid: int) -> bool:
+        """Whether a thread was woken and was not seen to run since; else its lines may be the last before it went."""
+        changes = self.threads.get(pid, [])
+        return bool(changes) and changes[-1].state is State.WAITING
 
-        Then it has run since some time between its wake and now. What the CPU did in between nobody knows.
+    def _leave_idle(self, cpu: _Cpu, event: Current) -> None:
+        """A thread runs on a CPU that was last seen to be idle: a kernel may not record how it leaves that.
+
+        It has run since some time between its wake and now. What the CPU did in between nobody knows.
         """
-        changes = self.threads.get(event.pid)
-        if not changes or changes[-1].state is not State.WAITING:
-            # The last lines of the thread that went, perhaps.
-            return False
         cpu.close(event.at_ns)
-        cpu.forget_idle(changes[-1].at_ns)
+        cpu.forget_idle(self.threads[event.pid][-1].at_ns)
         cpu.first_of_thread = len(cpu.spans)
         cpu.hard.clear()
         cpu.expiry = None
+        cpu.thread = None
         self._dequeue(event.pid)
-        return True
 
     def _remember(self, cpu: _Cpu, event: Event) -> None:
         """What changes nothing at once, but says why something changes later."""

@@ -72,7 +72,7 @@ def test_a_run_is_read_across_row_groups(capsys, archive, monkeypatch, rows):
     before = answers(capsys, archive)
     monkeypatch.setattr(tables, "ROW_GROUP", rows)
     compacted(archive)
-    (pack,) = (path for path in (archive / "histograms").glob("pack-*"))
+    (pack,) = (archive / "histograms").glob("pack-*")
     assert pyarrow.parquet.ParquetFile(pack).num_row_groups > 20
     assert answers(capsys, archive) == before
 
