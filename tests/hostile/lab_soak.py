@@ -29,7 +29,7 @@ from conftest import SSHD, Sshd, serve
 from hostile.soak import WRAPPER
 from rtrun.results.record import RunStatus, verify
 
-pytest.importorskip("labgrid", reason="pip install meta-rt-tests[farm]")
+pytest.importorskip("labgrid", reason="the extra farm is not installed")
 pytestmark = [pytest.mark.sshd, pytest.mark.ros, pytest.mark.timeout(0)]
 
 SEED = int(os.environ.get("SEED") or 1)

@@ -17,7 +17,7 @@ from rtrun.targets.connection import Connection
 from rtrun.targets.errors import ConnectionLost
 from rtrun.targets.qemu import emulator as qemu
 
-pytest.importorskip("labgrid", reason="pip install meta-rt-tests[farm]")
+pytest.importorskip("labgrid", reason="the extra farm is not installed")
 from labgrid_farm import farm_of, power_switch
 
 pytestmark = [pytest.mark.qemu, pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(1800)]

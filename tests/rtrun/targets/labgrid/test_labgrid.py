@@ -26,7 +26,7 @@ from rtrun.targets.labgrid import watch
 from rtrun.targets.labgrid.coordinator import list_resources
 from rtrun.targets.labgrid.health import after_failure, after_success, in_words
 
-pytest.importorskip("labgrid", reason="pip install meta-rt-tests[farm]")
+pytest.importorskip("labgrid", reason="the extra farm is not installed")
 
 
 # Every call of labgrid's client takes a second, and a campaign makes five.
