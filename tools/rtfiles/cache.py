@@ -1,7 +1,8 @@
 """Results of slow builds, kept under the hash of all inputs.
 
 An entry is a folder ``<root>/<kind>/<hash>``, where root is ``$META_RT_TESTS_CACHE`` or
-``${XDG_CACHE_HOME:-~/.cache}/meta-rt-tests``. It appears in one rename, so an interrupted build leaves none.
+``${XDG_CACHE_HOME:-~/.cache}/meta-rt-tests``. It appears in one rename, so an interrupted build leaves none. A cache
+that others could change is refused (`ownership`).
 """
 
 import contextlib
@@ -12,6 +13,8 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+
+from rtfiles import ownership
 
 
 def root() -> Path:
@@ -57,8 +60,10 @@ def entry(kind: str, key: str, build: Callable[[Path], None]) -> Path:
     a killed build leaves its folder, which the next build of any entry removes.
     """
     folder = root() / kind
+    ownership.make_folder(folder)
     final = folder / key
     if final.is_dir():
+        ownership.make_folder(final)  # it may have been put there while others could write to the folder
         return final
     _remove_leftovers()
     with locked(kind, key):
@@ -79,7 +84,7 @@ def entry(kind: str, key: str, build: Callable[[Path], None]) -> Path:
 def locked(kind: str, name: str) -> Iterator[None]:
     """Hold a lock of this name among those of a kind; another process waits for it meanwhile."""
     folder = root() / kind
-    folder.mkdir(parents=True, exist_ok=True)
+    ownership.make_folder(folder)
     with (folder / f".{name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

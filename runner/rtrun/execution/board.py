@@ -20,6 +20,7 @@ from rtrun.plan.run import KernelName, Run
 from rtrun.results.record import RunStatus, is_finished, read_record
 from rtrun.targets import processes
 from rtrun.targets.errors import TargetError
+from rtrun.targets.inspection import work_folder
 from rtrun.targets.inspection.facts import running_kernel
 from rtrun.targets.inspection.kernel_trace import tracing
 from rtrun.targets.link import Link, TargetRebooted
@@ -95,6 +96,8 @@ def measure_rounds(
         return resumption.may_run_go_on(link, remote, session.known_runs()) or resumption.is_busy(link)
 
     with link, _PreparedTarget(link, session, may_run_go_on, observer.note) as prepared:
+        # Before anything is ended or removed by what stands there.
+        work_folder.make(link)
         # Runs that an earlier call left on the board come first: two runs at once would disturb each other.
         begun = frozenset(resumption.list_folders(link, remote, session.known_runs()))
         foreign = {name for name in begun if _is_foreign(session, name, link.target.name)}

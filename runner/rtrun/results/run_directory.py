@@ -7,15 +7,18 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from rtfiles import atomic
+from rtfiles import atomic, ownership
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.results.record import FILE, FileRecord, RunRecord, read_record
 
 
 def make_results(folder: Path) -> None:
-    """Make the folder for the runs of a campaign, unless it is there. Raises InfrastructureError."""
+    """Make the folder for the runs of a campaign, unless it is there.
+
+    Raises UsageError where others could change what it holds, InfrastructureError where it cannot be made.
+    """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        ownership.make_folder(folder)
     except OSError as error:
         raise InfrastructureError(f"{folder}: cannot keep the results: {error.strerror}") from error
     if not os.access(folder, os.W_OK):
@@ -26,12 +29,13 @@ def make_results(folder: Path) -> None:
 def filling(folder: Path) -> Iterator[Path]:
     """Yield an empty folder beside `folder` to fill; nothing of it stays when the context is left by an exception.
 
-    A full local disk, or any other trouble with it, is an InfrastructureError.
+    A full local disk, or any other trouble with it, is an InfrastructureError. Raises as `make_results`, too.
     """
     partial = folder.with_name(f".{folder.name}.partial")
+    make_results(folder.parent)
     try:
         shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
+        partial.mkdir()
         yield partial
     except OSError as error:
         shutil.rmtree(partial, ignore_errors=True)

@@ -72,7 +72,7 @@ class LocalShell:
         # Through a shell, as with SSH: a program that is not there is exit status 127.
         try:
             return subprocess.Popen(
-                ["/bin/sh", "-c", 'exec "$@"', "sh", *argv],
+                ["/bin/sh", "-c", 'umask go-w; exec "$@"', "sh", *argv],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

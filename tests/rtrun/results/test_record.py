@@ -133,7 +133,7 @@ def test_nothing_stays_of_a_run_that_is_not_closed(tmp_path):
 
 def test_run_directories_that_belong_together_are_all_there_or_none_is(tmp_path):
     """The disk is full when the second one is written, and has room for all the next time."""
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k,mode=755", "tmpfs", tmp_path], check=True)
     try:
         for size, kept in ((200_000, []), (50_000, ["001", "001-a", "001-b"])):
             full = pytest.raises(InfrastructureError, match=r"the disk took no more \(.*\); nothing of 001 is kept")

@@ -70,7 +70,7 @@ def test_it_is_in_a_session_of_its_own(link, scripts, folder):
 
 def test_what_has_no_room_for_its_files_is_not_started(link, scripts, folder):
     """Nobody could end it."""
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", folder], check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k,mode=755", "tmpfs", folder], check=True)
     try:
         (folder / "ballast").write_bytes(bytes(2 * 4096))
         with pytest.raises(TargetError, match=r"No space left|is the disk full"):

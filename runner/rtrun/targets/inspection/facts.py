@@ -28,7 +28,7 @@ from rtrun.plan.limits import (
 from rtrun.plan.run import KernelName
 from rtrun.targets.deploy import ON_TARGET
 from rtrun.targets.errors import TargetError
-from rtrun.targets.inspection import architecture
+from rtrun.targets.inspection import architecture, work_folder
 
 if TYPE_CHECKING:
     from rtrun.targets.config import Target
@@ -42,7 +42,7 @@ _KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -
 POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
 # What inspect.sh prints a line of.
 _CODE_NAME = re.compile("[a-z]{1,32}")
-_FACTS = frozenset(("missing", "foreign", "readonly", "program", "elf", "debian", "cpus", "free_kib", "built"))
+_FACTS = frozenset(("missing", "program", "elf", "debian", "cpus", "free_kib", "built"))
 # What the script of a middleware prints a line of.
 _INSTALLED = frozenset(("setup", "server", "version", "program"))
 # Stands before what the script of a middleware prints.
@@ -152,8 +152,12 @@ class Equipment:
 
 
 def inspect(link: "Link") -> Equipment:
-    """Look for tools, middlewares and installed suites. Raises TargetError naming what is missing and the remedy."""
+    """Look for tools, middlewares and installed suites, once the work folder is ours alone.
+
+    Raises TargetError naming what is missing and the remedy.
+    """
     target = link.target
+    work_folder.make(link)
     # Through standard input: nothing can be deployed before the tools for it are known to be there.
     scripts = [SCRIPT.read_text(encoding="utf-8")]
     for name, path in MIDDLEWARE_SCRIPTS.items():
@@ -165,15 +169,6 @@ def inspect(link: "Link") -> Equipment:
     if "missing" in facts:
         raise TargetError(
             f"{target.address}: the target lacks {', '.join(facts['missing'])}: install util-linux, coreutils"
-        )
-    if "foreign" in facts:
-        raise TargetError(
-            f"{target.address}: {target.work_dir} holds what rtrun did not make ({facts['foreign'][0][:200]}): "
-            "name an empty or a new folder as work_dir in the target file"
-        )
-    if "readonly" in facts:
-        raise TargetError(
-            f"{target.address}: {target.work_dir} cannot be written: name another folder as work_dir in the target file"
         )
     programs = [*facts.get("program", []), *(path for one in found.values() for path in one.get("program", []))]
     return Equipment(

@@ -129,7 +129,8 @@ class SshShell:
         word = f"{_WORD}={secrets.token_hex(8)}"
         with self._within(deadline_s + GRACE_S), self._session() as channel:
             channel.settimeout(deadline_s)
-            channel.exec_command(f"export {word}; echo $$; exec {shlex.join(argv)}")
+            # Whatever the login says: nobody else is to write to what is made there.
+            channel.exec_command(f"umask go-w; export {word}; echo $$; exec {shlex.join(argv)}")
             try:
                 # A command may end before it has read everything; its exit status says why.
                 with contextlib.suppress(OSError):

@@ -1,0 +1,42 @@
+"""The runner's folder on a target: made, and used only where nobody else can change what is run from there."""
+
+from typing import TYPE_CHECKING
+
+from rtrun.targets.address import Address
+from rtrun.targets.deploy import ON_TARGET
+from rtrun.targets.errors import TargetError
+
+if TYPE_CHECKING:
+    from rtrun.targets.link import Link
+
+SCRIPT = ON_TARGET / "work_folder.sh"
+_SHOWN_CHARACTERS = 400
+
+
+def make(link: "Link") -> None:
+    """Make the folder, or see that it is ours alone; before anything else is written, or ended, by what stands there.
+
+    Raises TargetError with the reason and the remedy.
+    """
+    folder, address = link.target.work_dir, link.target.address
+    # Through standard input: nothing stands there yet.
+    said = link.check(["sh", "-s", str(folder)], stdin=SCRIPT.read_text(encoding="utf-8"))
+    if not said:
+        return
+    user = address.user if isinstance(address, Address) else "this user"
+    kind, _, why = said[:_SHOWN_CHARACTERS].rstrip().partition(" ")
+    if kind == "foreign":
+        raise TargetError(
+            f"{address}: {folder} holds what rtrun did not make ({why}): "
+            "name an empty or a new folder as work_dir in the target file"
+        )
+    own = f"/home/{user}/rt-tests" if isinstance(address, Address) and user != "root" else "/var/lib/rt-tests"
+    if kind == "readonly":
+        raise TargetError(
+            f"{address}: {folder} cannot be written: {user} may not make or fill {why}: name a folder that {user} may "
+            f"write to in a target file, as 'work_dir: {own}', or log in as root"
+        )
+    raise TargetError(
+        f"{address}: {folder}: others could replace what {user} runs from there: {why}: name a new folder where nobody "
+        f"else may write in a target file, as 'work_dir: {own}', or take that right away (chown, chmod go-w)"
+    )

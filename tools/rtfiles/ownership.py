@@ -1,0 +1,107 @@
+"""Folders that nobody else can change: who may is asked of every folder on the way, before anything is written.
+
+A folder is safe where it belongs to somebody who is trusted, and nobody else may write to it. A look is enough, because
+what was seen stays: from the root down, a name in a safe folder can be given another meaning by the trusted alone. In
+a folder with the sticky bit, as /tmp, others may add names, but neither rename nor remove one that belongs to somebody
+else, so the next folder or link has to belong to the trusted. A folder that is missing there may be made by another
+user in the same moment: `mkdir` takes none that exists, and who made it is seen afterwards.
+
+Trusted are root, the user who runs the program, and the owner of the program: whoever can change what runs gains
+nothing by changing what it writes. For the same reason folders in which the program lies are not looked at. This lets
+root measure in a checkout of somebody else's, as in a container of a CI.
+"""
+
+import contextlib
+import grp
+import os
+import pwd
+import stat
+from pathlib import Path
+
+from rtfiles.errors import UsageError
+
+# As many as the kernel follows (path_resolution(7)).
+LINKS_MAX = 40
+_PROGRAM = Path(__file__)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, and those above it that are missing, unless they are there.
+
+    Raises UsageError where somebody else may change one on the way to it, with the remedy; OSError where one cannot be
+    made.
+    """
+    trusted = _trusted()
+    above_program = {str(folder) for folder in _PROGRAM.resolve().parents}
+    seen, links = "", 0
+    waiting = ["", *path.absolute().parts[1:]]
+    while waiting:
+        name = waiting.pop(0)
+        if name == "..":
+            seen = os.path.dirname(seen)  # noqa: PTH120 - of a path without links, whose root is empty
+            continue
+        place = f"{seen}/{name}" if name else "/"
+        with contextlib.suppress(FileExistsError):
+            if not os.path.lexists(place):
+                Path(place).mkdir(0o755)
+        found = os.lstat(place)
+        if stat.S_ISLNK(found.st_mode):
+            links += 1
+            if links > LINKS_MAX:
+                raise UsageError(f"{path}: more than {LINKS_MAX} links lead there")
+            if found.st_uid not in trusted:
+                raise _unsafe(path, place, f"is a link that belongs to {_name(found.st_uid)}")
+            target = Path(place).readlink()
+            if target.is_absolute():
+                seen = ""
+            waiting = [*(target.parts[1:] if target.is_absolute() else target.parts), *waiting]
+            continue
+        if not stat.S_ISDIR(found.st_mode):
+            raise UsageError(f"{path}: {place} is no folder")
+        if place not in above_program and (why := _objection(found, trusted, is_last=not waiting)):
+            raise _unsafe(path, place, why)
+        seen = place.rstrip("/")
+
+
+def _trusted() -> set[int]:
+    """The numbers of the users who may change a folder."""
+    trusted = {0, os.geteuid(), _PROGRAM.stat().st_uid}
+    if os.geteuid() == 0 and (caller := os.environ.get("SUDO_UID", "")).isascii() and caller.isdigit():
+        trusted.add(int(caller))  # sudo sets it: who may run this as root can do all that root can
+    return trusted
+
+
+def _objection(found: os.stat_result, trusted: set[int], *, is_last: bool) -> str | None:
+    """Why a folder is not safe; None: it is. In the last one, others must not even add names."""
+    if found.st_uid not in trusted:
+        return f"belongs to {_name(found.st_uid)}"
+    if found.st_mode & stat.S_ISVTX and not is_last:
+        return None
+    if found.st_mode & stat.S_IWOTH:
+        return "can be written by every user"
+    if found.st_mode & stat.S_IWGRP and not _is_private(found):
+        return f"can be written by the group {found.st_gid}"
+    return None
+
+
+def _is_private(found: os.stat_result) -> bool:
+    """Whether the group of a folder has no member but its owner, as the group of the same number that users get."""
+    if found.st_uid != found.st_gid:
+        return False
+    with contextlib.suppress(KeyError):
+        owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
+        others = any(user.pw_gid == found.st_gid and user.pw_uid != found.st_uid for user in pwd.getpwall())
+        return not others and set(group.gr_mem) <= {owner}
+    return False
+
+
+def _unsafe(path: Path, place: str, why: str) -> UsageError:
+    remedy = f"name a folder that is yours alone, or take that right away: chown {_name(os.geteuid())}, chmod go-w"
+    return UsageError(f"{path}: others could change what is kept there: {place} {why}: {remedy}")
+
+
+def _name(uid: int) -> str:
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return f"the user {uid}"
