@@ -2,10 +2,14 @@
 
 import re
 import shutil
+import subprocess
+import sys
 
 import pytest
+import yaml
 
 from rtrun.cli import main
+from rtrun.plan.quick import PRIORITY
 from rtrun.results.record import RunStatus, read_record
 
 # It may use the trace of this machine's kernel.
@@ -86,3 +90,48 @@ def test_what_is_wrong_is_said_before_anything_is_measured(quick, suites, tmp_pa
 def test_where_the_suites_are_not_it_says_what_makes_them(quick):
     _, _, errors = quick("--deadline", "1ms", "--suite", "none")
     assert "rtgen suites build" in errors
+
+
+NO_RIGHT = ("prlimit", "--rtprio=0:0", "setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice")
+THE_RIGHT = f"the right to real-time priority {PRIORITY} (root, or rtprio in /etc/security/limits.conf)"
+
+
+def as_ordinary_user(folder, *words):
+    """Call it as one who may not start real-time programs."""
+    argv = [*NO_RIGHT, sys.executable, "-m", "rtrun.cli", "quick", "--deadline", "60s", *map(str, words)]
+    return subprocess.run(argv, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_an_ordinary_user_measures_what_he_may(suites, tmp_path):
+    done = as_ordinary_user(tmp_path, "--for", "3s", "--suites", suites)
+    late = kept_from_its_rate(tmp_path / "results" / "quick")
+    assert done.returncode == (3 if late else 0), done.stdout + done.stderr
+    planned = yaml.safe_load((tmp_path / "results/quick/campaign.yml").read_text())
+    assert planned["common"] == {"policy": "0"}
+    assert {run["suite"] for run in planned["runs"]} == {
+        "cyclic_timer_tests", "oneshot_timer_tests", "communication_tests",
+    }  # fmt: skip
+    left_out = " and without cyclictest" if shutil.which("cyclictest") else ""
+    note = f"rtrun: measures without a real-time policy{left_out}: this user has not {THE_RIGHT}\n"
+    assert note in done.stderr
+
+
+@pytest.mark.skipif(shutil.which("cyclictest") is None, reason="cyclictest is not installed")
+def test_an_ordinary_user_without_suites_is_told_both_ways(tmp_path):
+    done = as_ordinary_user(tmp_path)
+    assert done.returncode == 3 and not (tmp_path / "results").exists()
+    assert "nothing to measure with: make the suites (" in done.stderr
+    assert done.stderr.endswith(f", then --suites FOLDER), and cyclictest needs {THE_RIGHT}\n")
+
+
+def test_nothing_is_proven_where_no_run_counts(quick, tmp_path):
+    """No table stands there without a row."""
+    program = tmp_path / "made/lib/cyclic_timer_tests/cyclic_timer_tests"
+    program.parent.mkdir(parents=True)
+    program.write_text("#!/bin/sh\nexit 1\n")
+    program.chmod(0o755)
+    (tmp_path / "made/build.json").write_text("{}")
+    status, printed, _ = quick("--deadline", "1ms", "--suites", "made", "--suite", "cyclic_timer_tests", "--for", "1s")
+    assert status == 3 and "This proves nothing of P(value > 1 ms): no run counts\n" in printed
+    assert "What this proves" not in printed and "P is below" not in printed
+    assert "not analysed: 001-cyclic_timer_tests" in printed

@@ -118,24 +118,26 @@ def _campaign(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
         inspection.check_suites(folder, link.target, equipment)
         programs |= {path.name: str(path) for path in (folder / "lib").glob("*/*") if path.is_file()}
     lacks = inspection.missing(link, [quick.BASELINE, f"rt_priority={quick.PRIORITY}"])
-    baselines = [] if quick.BASELINE in lacks else [quick.BASELINE]
+    rights = [line for line in lacks if line != quick.BASELINE]
+    # It ends at once where it may not become a real-time program, whatever policy is asked for.
+    baselines = [] if lacks else [quick.BASELINE]
     found = [*baselines, *quick.measurable(programs, args.middleware)]
     if not found:
-        raise TargetError(
-            f"{link.target.address}: nothing to measure with: install rt-tests (cyclictest), or the suites "
-            f"({as_called('rtgen')} suites build, then --suites FOLDER)"
-        )
+        make = f"the suites ({as_called('rtgen')} suites build, then --suites FOLDER)"
+        remedy = f"make {make}" if rights else f"install rt-tests (cyclictest), or {make}"
+        lacking = f", and {quick.BASELINE} needs {rights[0]}" if rights and quick.BASELINE not in lacks else ""
+        raise TargetError(f"{link.target.address}: nothing to measure with: {remedy}{lacking}")
     if found == baselines:
         print_note(f"rtrun: measures {quick.BASELINE} alone: `{as_called('rtgen')} suites build` makes the suites")
     if unknown := [name for name in args.suite if name not in found]:
         raise UsageError(f"--suite {unknown[0]}: not there through {args.middleware}, found: {', '.join(found)}")
-    may_real_time = not [line for line in lacks if line != quick.BASELINE]
-    if not may_real_time and args.policy is None:
-        print_note("rtrun: measures without a real-time policy, for which this user has no right there")
+    if rights and args.policy is None:
+        left_out = "" if quick.BASELINE in lacks else f" and without {quick.BASELINE}"
+        print_note(f"rtrun: measures without a real-time policy{left_out}: this user has not {rights[0]}")
     return quick.campaign(
         [name for name in found if not args.suite or name in args.suite],
         middleware=args.middleware,
-        policy=args.policy or (POLICY if may_real_time else NO_REAL_TIME),
+        policy=args.policy or (NO_REAL_TIME if rights else POLICY),
         duration_s=args.for_ns / 1e9,
         traced_above_ns=args.deadline if _can_trace(link) else None,
     )
@@ -171,9 +173,12 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
         judged = verdict.n if verdict else group.n
         rows.append((group.label, grouped(judged), str(misses), bound, time(worst_ns)))
     confidence = f"{100 * study.question.confidence:g} % confidence"
-    print_line(f"What this proves of P({study.miss}), at {confidence}, for this one boot:")
-    screen = console()
-    screen.print(fitted(("measured", "n", "misses", "P is below", "worst"), rows, range(1, 5), screen.width))
+    if rows:
+        print_line(f"What this proves of P({study.miss}), at {confidence}, for this one boot:")
+        screen = console()
+        screen.print(fitted(("measured", "n", "misses", "P is below", "worst"), rows, range(1, 5), screen.width))
+    else:
+        print_line(f"This proves nothing of P({study.miss}): no run counts")
     for text in (*without, *(f"not analysed: {text}" for text in study.left_out)):
         print_line(text)
     ranking, explained, _ = causes.ranked(study.source)

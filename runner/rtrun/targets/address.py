@@ -28,6 +28,8 @@ class Address:
     known_hosts: tuple[Path, ...] = (Path("~/.ssh/known_hosts"),)
     jump: Self | None = None
     """The SSH server through which this one is reached."""
+    is_jump: bool = False
+    """Others are reached through this one: what a target file says of a host key is not said of it."""
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host

@@ -7,6 +7,7 @@ known_hosts signed it for this host, and its plain key may be listed as well.
 import base64
 import hashlib
 import hmac
+import shlex
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -241,9 +242,21 @@ def check_host_key(address: Address, key: "paramiko.PKey", known: HostKeys) -> N
         )
     listed = f"; {known.source} lists only {', '.join(sorted(set(known.trusted.values())))}" if known.trusted else ""
     signed = f"; no certificate authority of {known.source} vouches for it: {objection}" if known.authorities else ""
-    raise UnacceptedHostKey(
-        f"{address}: unknown host key {shown} ({name}){listed}{signed}; compare it with the board's, then put "
-        f"'host_key: {shown}' into the target file or add the host to {known.source}"
+    raise UnacceptedHostKey(f"{address}: unknown host key {shown} ({name}){listed}{signed}; {_remedy(address, shown)}")
+
+
+def _remedy(address: Address, shown: str) -> str:
+    """How a host key becomes a known one, once somebody has compared it."""
+    files = [str(path.expanduser()) for path in address.known_hosts]
+    if not address.is_jump:
+        listing = f" or add the host to {' and '.join(files)}" if files else ""
+        return f"compare it with the board's, then put 'host_key: {shown}' into the target file{listing}"
+    if not files:
+        return "this is a jump host, whose key must be listed: name a UserKnownHostsFile for it in ~/.ssh/config"
+    ssh = ["ssh", "-o", f"UserKnownHostsFile={files[0]}", "-p", str(address.port), f"{address.user}@{address.host}"]
+    return (
+        "this is a jump host, so a host_key in the target file is not for it: call "
+        f"{shlex.join(ssh)} once, compare the key that it shows with the jump host's own, and answer yes"
     )
 
 

@@ -122,7 +122,7 @@ def _jump(file: Path, lookup: _Lookup, hops: list[str] | None, before: tuple[str
     if parts is None:
         raise UsageError(f"{file}: ProxyJump for {lookup.alias}: {hops[-1]!r} is not [user@]host[:port]")
     user, host, port = parts.groups()
-    return _address(
+    address = _address(
         file,
         host.strip("[]"),
         user=user,
@@ -132,6 +132,7 @@ def _jump(file: Path, lookup: _Lookup, hops: list[str] | None, before: tuple[str
         hops=hops[:-1] or None,
         before=before,
     )
+    return replace(address, is_jump=True)
 
 
 def _read(file: Path, lookup: _Lookup, *, is_active: bool, depth: int) -> None:

@@ -2,6 +2,8 @@
 
 import os
 import pty
+import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -376,8 +378,17 @@ def test_a_jump_host_that_ends(behind, gate):
 @pytest.mark.sshd
 def test_the_key_of_a_jump_host_is_checked(behind, gate, home, sshd):
     (home / ".ssh/known_hosts").write_text("")
-    with pytest.raises(TargetError, match=rf"{gate.user}@127.0.0.1:{gate.port}: unknown host key SHA256:"):
+    with pytest.raises(TargetError, match=rf"{gate.user}@127.0.0.1:{gate.port}: unknown host key SHA256:") as raised:
         Connection(address_of("myboard"))
+    # A host_key in the target file would be taken for the target's, and the jump host stay unknown.
+    said = str(raised.value)
+    assert "put 'host_key" not in said and "a host_key in the target file is not for it" in said
+    # What it says to call makes the key known; there it is answered as by a user who has compared it.
+    (command,) = re.findall(r"call (ssh .*) once, compare", said)
+    call = shlex.split(command)
+    subprocess.run([call[0], "-o", "StrictHostKeyChecking=accept-new", "-o", "BatchMode=yes", *call[1:], "true"],
+                   capture_output=True, check=False)  # fmt: skip
+    Connection(address_of("myboard")).close()
     (home / ".ssh/known_hosts").write_text(f"[127.0.0.1]:{gate.port} {sshd.host_key}\n")
     with pytest.raises(TargetError, match="the host key has changed"):
         Connection(address_of("myboard"))
