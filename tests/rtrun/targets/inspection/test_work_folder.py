@@ -8,7 +8,9 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
+from conftest import serve
 from rtrun.cli import main
+from rtrun.targets.address import ThisMachine
 from rtrun.targets.deploy import ON_TARGET, deploy
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import facts, work_folder
@@ -125,3 +127,23 @@ def test_the_remedy_is_one_for_who_logs_in(target, said, message):
     with pytest.raises(TargetError) as raised:
         work_folder.make(Answering())
     assert message in str(raised.value)
+
+
+@pytest.mark.sshd
+@pytest.mark.parametrize("kind", ["ssh", "local"])
+def test_nothing_is_made_that_others_can_write_to(target, tmp_path, kind):
+    """Whatever the umask of a login is there."""
+    before = os.umask(0)
+    try:
+        (tmp_path / "sshd").mkdir(mode=0o700)
+        with serve(tmp_path / "sshd") as server:
+            there = replace(target, address=server.address if kind == "ssh" else ThisMachine())
+            with Link(there, print) as link:
+                facts.inspect(link)
+                scripts = Path(deploy(link, ON_TARGET, "scripts"))
+                link.check(["sh", "-c", f"umask; : >{scripts}/made"])
+                facts.inspect(link)
+    finally:
+        os.umask(before)
+    made = list(Path(there.work_dir).rglob("*"))
+    assert scripts / "made" in made and all(path.stat().st_mode & 0o022 == 0 for path in made)
