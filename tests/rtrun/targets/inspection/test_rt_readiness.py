@@ -223,7 +223,11 @@ def test_the_script_needs_nothing_but_a_shell(shell):
     assert {line.split(" ", 2)[2] for line in facts["threads"]} >= {name for name in rt_threads() if name}
 
 
-@pytest.mark.parametrize("login", [[], ["setpriv", "--reuid=65534", "--clear-groups"]])
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs a right of root's")
+AS_OTHER = pytest.param(["setpriv", "--reuid=65534", "--clear-groups"], marks=as_root)
+
+
+@pytest.mark.parametrize("login", [[], AS_OTHER])
 def test_real_time_scheduling_is_asked_of_the_kernel(login):
     """Whatever the kernel's configuration says: where a thread becomes a real-time one, nothing is at fault."""
     # As on a target, through standard input: who logs in may not read this checkout, as where that is below /root.
@@ -236,6 +240,7 @@ def test_real_time_scheduling_is_asked_of_the_kernel(login):
     assert finding.status == ("ok" if tried.returncode == 0 else "fault")
 
 
+@as_root
 def test_a_thread_at_sched_deadline_is_shown():
     budget = ["--sched-runtime", "1000000", "--sched-deadline", "50000000", "--sched-period", "100000000"]
     with subprocess.Popen(["chrt", "-d", *budget, "0", "sleep", "60"]) as process:
