@@ -10,19 +10,19 @@ import hashlib
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 import pyarrow
 
-from rtrun.archive.files import PACK, RowRange, TableFile, damaged, name_of, opened, places, read_files
+from rtrun.archive.files import PACK, RowRange, TableFile, damaged, name_of, opened, paths_of, places, read_files
 from rtrun.archive.notes import read_notes
 from rtrun.archive.runs import PACKED_MAX, PARTITIONED, RunRow, in_path, is_kept, read_runs
+from rtrun.archive.stamps import as_stamp, next_stamp, read_stamp
 from rtrun.archive.store import Store, remove_files, write_file
 from rtrun.archive.tables import SCHEMAS, Table, as_parquet, file_of
 from rtrun.plan.limits import BINS_MAX
 
 GRACE = timedelta(days=1)
-_TIME = "%Y%m%dT%H%M%SZ"
 # Rows of a pack. One with fewer than half of them is packed again with what came since.
 _ROWS = {"runs": PACKED_MAX, "histograms": BINS_MAX, "samples": BINS_MAX}
 
@@ -61,7 +61,7 @@ def compact(store: Store, *, grace: timedelta, now: datetime) -> Compaction:
     done = Compaction()
     for table in SCHEMAS:
         # Nobody has read since the grace began what is no longer kept since then.
-        since = notes.kept_since(table, (now - grace).replace(tzinfo=None))
+        since = notes.kept_since(table, now.replace(tzinfo=None), grace)
         gone = {row.run_key for row in rows if not is_kept(row, since)}
         done += _pack_table(store, table, order, gone, now)
         done += _remove_superseded(store, table, gone, now - grace)
@@ -131,7 +131,10 @@ def _write_pack(store: Store, table: str, bundle: Sequence[_Members], order: Map
     keys = sorted(rows, key=lambda key: (order.get(key, len(order)), key))
     digest = hashlib.sha256("\n".join(keys).encode()).hexdigest()
     content = as_parquet(pyarrow.concat_tables([rows[key] for key in keys]).unify_dictionaries().combine_chunks())
-    write_file(store, file_of(table, f"{PACK}{now.strftime(_TIME)}-{digest[:16]}"), content)
+    # The pack is newer than all that are there, whatever the clock of this machine says.
+    stamps = [_words(path)[0] for path in paths_of(store, table)[0]]
+    name = f"{PACK}{next_stamp(stamps, now)}-{as_stamp(now)}-{digest[:16]}"
+    write_file(store, file_of(table, name), content)
 
 
 def _read(store: Store, table: str, file: TableFile) -> Table:
@@ -161,7 +164,8 @@ def _remove_superseded(store: Store, table: str, gone: Container[str], before: d
     for file in files.packs:
         if all(key in gone or key in since for key in file.rows):
             superseded.append((file.path, [since[key] for key in file.rows if key not in gone]))
-        since |= dict.fromkeys(file.rows, _made(store, file))
+        made = _made(store, file)
+        since |= {key: min(made, since.get(key, made)) for key in file.rows}
     for key, path in files.alone.items():
         if key in gone or key in since:
             superseded.append((path, [] if key in gone else [since[key]]))
@@ -170,9 +174,15 @@ def _remove_superseded(store: Store, table: str, gone: Container[str], before: d
     return Compaction(removed=len(over), waiting=len(superseded) - len(over))
 
 
+def _words(path: str) -> list[str]:
+    """The parts of a pack's name: its stamp, when it was made where that was written down, its digest."""
+    return name_of(path).removeprefix(PACK).split("-")
+
+
 def _made(store: Store, pack: TableFile) -> datetime:
-    """When a pack was made, in UTC."""
-    try:
-        return datetime.strptime(name_of(pack.path).removeprefix(PACK).split("-")[0], _TIME).replace(tzinfo=UTC)
-    except ValueError as error:
-        raise damaged(store, f"{pack.path}: no name of a pack: {error}") from error
+    """When a pack was made, in UTC, by the clock of the machine that made it."""
+    stamp, *rest = _words(pack.path)
+    made = next((moment for text in [*rest[:1], stamp] if (moment := read_stamp(text)) is not None), None)
+    if made is None:
+        raise damaged(store, f"{pack.path}: no name of a pack, as {PACK}20261124T101500Z-...")
+    return made

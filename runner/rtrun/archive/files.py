@@ -1,8 +1,9 @@
 """The Parquet files of a table: one of each run, and packs of many runs, which `rtrun archive compact` makes.
 
-The file of a run is named by the run's key, a pack by the time when it was made. In a pack the rows of a run follow one
-another. For a while a run is in several files, with the same rows in each: what counts is the newest pack that has it,
-else its own file. So a reader that has listed the files before or after a pack came finds each run once.
+The file of a run is named by the run's key, a pack by a stamp that is later than those of all packs before it. In a
+pack the rows of a run follow one another. For a while a run is in several files, with the same rows in each: what
+counts is the newest pack that has it, else its own file. So a reader that has listed the files before or after a pack
+came finds each run once.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -3,6 +3,7 @@
 Nothing in the tables is rewritten for them. A note is undone by another one that withdraws it.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -12,13 +13,11 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 
 from rtfiles.config import Config
-from rtrun.archive.entries import add_entry, read_entries
+from rtrun.archive.entries import EntryKind, Moment, Text, add_entry, read_entries, stamp_of
 from rtrun.archive.store import Store
 
-FOLDER = "notes"
 _NOTES_MAX = 10_000
 _BYTES_MAX = 1 << 16
-Text = Annotated[str, Field(min_length=1, max_length=1000)]
 Days = Annotated[int, Field(ge=1, le=100_000)]
 Table = Literal["runs", "histograms", "samples"]
 
@@ -26,7 +25,7 @@ Table = Literal["runs", "histograms", "samples"]
 class NoteHead(Config):
     """Who wrote a note, when (UTC, without a zone) and why."""
 
-    at: Annotated[datetime, Field(strict=False)]
+    at: Moment
     who: Text
     reason: Text
 
@@ -47,8 +46,8 @@ class IgnoreNote(NoteHead):
     image: Text | None = None
     boot_id: Text | None = None
     run: Text | None = None
-    begin: Annotated[datetime | None, Field(strict=False)] = None
-    end: Annotated[datetime | None, Field(strict=False)] = None
+    begin: Moment | None = None
+    end: Moment | None = None
 
 
 class AcceptNote(NoteHead):
@@ -57,7 +56,7 @@ class AcceptNote(NoteHead):
     kind: Literal["accept"] = "accept"
     machine: Text | None = None
     scenario: Text | None = None
-    begin: Annotated[datetime, Field(strict=False)]
+    begin: Moment
 
 
 class KnownNote(NoteHead):
@@ -74,7 +73,7 @@ class RetainNote(NoteHead):
 
     kind: Literal["retain"] = "retain"
     table: Table
-    days: Days | None
+    days: Days | None = None  # earlier versions left it out where they meant for ever
 
 
 class WithdrawNote(NoteHead):
@@ -107,7 +106,7 @@ class Notes:
             for note in self.held.values()
             if isinstance(note, AcceptNote) and _fits(note.machine, machine) and _fits(note.scenario, scenario)
         ]
-        return max(fitting, key=lambda note: note.begin, default=None)
+        return max(reversed(fitting), key=lambda note: note.begin, default=None)
 
     def known(self, machine: str, scenario: str | None) -> list[KnownNote]:
         """Those that say that what is wrong is known: of a course, or of a board (`scenario` None)."""
@@ -117,16 +116,31 @@ class Notes:
             if isinstance(note, KnownNote) and _fits(note.machine, machine) and _fits(note.scenario, scenario)
         ]
 
-    def kept_since(self, table: str, now: datetime) -> datetime | None:
-        """Runs that were begun before are no longer kept in a table, of the notes that hold at this time in UTC.
+    def kept_since(self, table: str, now: datetime, grace: timedelta = timedelta(0)) -> datetime | None:
+        """Runs that were begun before are no longer kept in a table, and have not been for the time of `grace`, by any
+        note that held meanwhile. None: all are kept. `now` is in UTC.
 
         What was measured is not kept for longer than the run that it is of.
         """
-        said = [each for each in self.held.values() if isinstance(each, RetainNote) and each.at <= now]
-        said.sort(key=lambda each: each.at)
-        days: dict[str, int | None] = {each.table: each.days for each in said}  # the last one of a table
-        known = [each for name in {table, "runs"} if (each := days.get(name)) is not None]
-        return now - timedelta(days=min(known)) if known else None
+        known = [days for name in {table, "runs"} if (days := self._days(name, now - grace)) is not None]
+        return now - grace - timedelta(days=min(known)) if known else None
+
+    def _days(self, table: str, since: datetime) -> int | None:
+        """The longest time, in days, for which a table was to be kept at any moment since then; None: for ever.
+
+        The order of notes is that of their stamps. Where two have the same, nobody knows which one was meant to be the
+        last: the longer time holds.
+        """
+        retains = [
+            (stamp_of(name), math.inf if note.days is None else note.days, note.at)
+            for name, note in self.held.items()
+            if isinstance(note, RetainNote) and note.table == table
+        ]
+        held = [math.inf]
+        for _, days, at in sorted(retains):
+            held = [days] if at <= since else [*held, days]
+        longest = max(held)
+        return None if longest == math.inf else int(longest)
 
 
 def _fits(pattern: str | None, text: str | None) -> bool:
@@ -148,12 +162,15 @@ def fits_run(note: IgnoreNote, facts: Callable[[str], str | None], start: dateti
     return all(_fits(getattr(note, name), facts(name)) for name in PATTERNS)
 
 
+_READER: TypeAdapter[HeldNote | WithdrawNote] = TypeAdapter(Note)
+_KIND = EntryKind(folder="notes", reader=_READER, entries_max=_NOTES_MAX, bytes_max=_BYTES_MAX)
+
+
 def read_notes(store: Store) -> Notes:
     """The notes that hold. Raises UsageError for a file that is none, InfrastructureError."""
     found: dict[str, HeldNote] = {}
     withdrawn: set[str] = set()
-    reader: TypeAdapter[HeldNote | WithdrawNote] = TypeAdapter(Note)
-    for name, note in read_entries(store, FOLDER, reader, most=_NOTES_MAX, max_bytes=_BYTES_MAX):
+    for name, note in read_entries(store, _KIND):
         if isinstance(note, WithdrawNote):
             withdrawn.add(note.note)
         else:
@@ -162,8 +179,8 @@ def read_notes(store: Store) -> Notes:
 
 
 def add_note(store: Store, note: HeldNote | WithdrawNote) -> str:
-    """Add a note to an archive; returns its name. Raises InfrastructureError."""
-    return add_entry(store, FOLDER, note.at, note.model_dump_json(exclude_none=True, indent=1).encode() + b"\n")
+    """Add a note to an archive, after all that are there; returns its name. Raises UsageError, InfrastructureError."""
+    return add_entry(store, _KIND, note, note.at)
 
 
 def in_words(name: str, note: HeldNote) -> str:

@@ -15,6 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from rtfiles.errors import UsageError
+from rtrun.archive.entries import YEARS
 from rtrun.archive.files import RowRange, check_rows, coded, is_pack, opened, paths_of, places
 from rtrun.archive.notes import IgnoreNote, Notes, fits_run, read_notes
 from rtrun.archive.store import Store
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 PACKED_MAX = 1 << 13
 """Runs of a pack."""
 _TEXT_BYTES_MAX = 1 << 28  # of all texts in a file: those of a run take some KB
-_YEARS = (1900, 3000)
 PARTITIONED = ("machine", "suite")  # in schema 1 they stood in the path alone, as machine=NAME/suite=NAME
 
 
@@ -203,8 +203,8 @@ def _texts(table: Any, name: str) -> list[Any]:
 
 def _times(moments: Sequence[datetime | None]) -> Iterator[datetime | None]:
     for moment in moments:
-        if moment is not None and not _YEARS[0] <= moment.year < _YEARS[1]:
-            raise ValueError(f"start_utc: {moment}, expected a time from {_YEARS[0]} to {_YEARS[1]}")
+        if moment is not None and not YEARS[0] <= moment.year < YEARS[1]:
+            raise ValueError(f"start_utc: {moment}, expected a time from {YEARS[0]} to {YEARS[1]}")
         yield moment
 
 

@@ -155,6 +155,13 @@ def find_files(store: Store, folder: str) -> list[str]:
     return paths
 
 
+def list_names(store: Store, folder: str) -> list[str]:
+    """The names of the files below a folder of the archive, hidden ones left out. Raises InfrastructureError."""
+    with _naming(store, "cannot be listed"):
+        names = [str(path).rpartition("/")[2] for path in store.file_system.find(store.locate(folder))]
+    return [name for name in names if not name.startswith(".")]
+
+
 def read_small_files(store: Store, folder: str, ends: str, *, most: int, max_bytes: int) -> list[tuple[str, bytes]]:
     """Paths and contents of the files below a folder whose names end so, ascending.
 

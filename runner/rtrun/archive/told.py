@@ -8,49 +8,54 @@ from pydantic import Field, TypeAdapter
 
 from rtfiles.config import Config, matching
 from rtrun.archive.alarms import Alarm, of_no_concern
-from rtrun.archive.entries import add_entry, read_entries
+from rtrun.archive.entries import EntryKind, Moment, add_entry, check_room, read_entries
 from rtrun.archive.store import Store
 
-FOLDER = "told"
-ALARMS_MAX = 4000
+ALARMS_MAX = 3000
 """Of one message."""
 _MESSAGES_MAX = 10_000
 _BYTES_MAX = 1 << 20
-_Time = Annotated[datetime | None, Field(strict=False)]
+_Level = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class ToldAlarm(Config):
     """An alarm of a message, by its key: the last run that was known then, and the levels of its figures."""
 
     key: Annotated[str, matching("[0-9a-f]{64}", "a SHA-256")]
-    last_run: _Time = None
-    levels: Annotated[dict[str, float], Field(max_length=10)] = Field(default_factory=dict)
+    last_run: Moment | None = None
+    levels: Annotated[dict[str, _Level], Field(max_length=10)] = Field(default_factory=dict)
 
 
 class ToldMessage(Config):
     """A message that a receiver took, at a time in UTC without a zone."""
 
     schema_number: Literal[1] = Field(alias="schema")
-    at: Annotated[datetime, Field(strict=False)]
+    at: Moment
     receiver: Annotated[str, Field(min_length=1, max_length=200)]
     alarms: Annotated[list[ToldAlarm], Field(max_length=ALARMS_MAX)]
 
 
+_KIND = EntryKind(folder="told", reader=TypeAdapter(ToldMessage), entries_max=_MESSAGES_MAX, bytes_max=_BYTES_MAX)
+
+
 def read_told(store: Store) -> list[ToldMessage]:
     """Every message, the first one first. Raises UsageError for a file that is none, InfrastructureError."""
-    reader = TypeAdapter(ToldMessage)
-    entries = read_entries(store, FOLDER, reader, most=_MESSAGES_MAX, max_bytes=_BYTES_MAX)
-    return [message for _, message in entries]
+    return [message for _, message in read_entries(store, _KIND)]
+
+
+def check_memory(store: Store, messages: Sequence[ToldMessage], more: int) -> None:
+    """Raise UsageError where the archive cannot remember so many more messages: all would be told again."""
+    check_room(store, _KIND, len(messages), more)
 
 
 def add_told(store: Store, receiver: str, alarms: Collection[Alarm], now: datetime) -> None:
-    """Remember that a receiver was told of alarms. Raises InfrastructureError."""
+    """Remember that a receiver was told of alarms. Raises UsageError, InfrastructureError."""
     told = [
         ToldAlarm(key=one.key, last_run=one.last_run, levels={name: level for name, (level, _) in one.levels.items()})
         for one in alarms
     ]
     message = ToldMessage(schema=1, at=now, receiver=receiver, alarms=told)
-    add_entry(store, FOLDER, now, message.model_dump_json(by_alias=True, exclude_none=True).encode() + b"\n")
+    add_entry(store, _KIND, message, now)
 
 
 def not_told(receiver: str, alarms: Sequence[Alarm], messages: Sequence[ToldMessage]) -> list[Alarm]:

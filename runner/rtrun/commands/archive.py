@@ -1,14 +1,19 @@
 """rtrun archive: keep runs of many months and boards in one place."""
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rtrun.commands._archive import add_archive
 from rtrun.commands._arguments import add_results
-from rtrun.commands._question import time_argument
+from rtrun.commands._question import argument, time_argument
+from rtrun.plan.quantities import read_days
 
 if TYPE_CHECKING:
     from datetime import datetime
+
+    from rtrun.archive.notes import NoteHead
+
+    NoteT = TypeVar("NoteT", bound=NoteHead)
 
 NAME = "archive"
 HELP = "keep runs of many months and boards as Parquet files, in a folder or an object store"
@@ -66,7 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     retain = actions.add_parser("retain", help="say how long a table's rows are kept, for compact to go by")
     add_archive(retain)
     retain.add_argument("table", choices=["samples", "histograms", "runs"], help="runs: all of a run")
-    retain.add_argument("age", type=_days, metavar="AGE", help="since the run was begun, as 90d, or forever")
+    retain.add_argument(
+        "age", type=argument(read_days), metavar="AGE", help="since the run was begun, as 90d, or forever"
+    )
     _add_who(retain)
     retain.set_defaults(act=_retain)
 
@@ -88,7 +95,9 @@ def _add_annotate(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--withdraw", metavar="NAME", help="a note that no longer holds, by its name in the list")
     _add_who(parser)
     for name, (option, of) in _TOLD_BY.items():
-        parser.add_argument(option, dest=f"of_{name}", metavar="PATTERN", help=f"which {of}, as 'board-*' [all]")
+        parser.add_argument(
+            option, dest=f"of_{name}", type=_pattern, metavar="PATTERN", help=f"which {of}, as 'board-*' [all]"
+        )
     parser.add_argument(
         "--from", dest="begin", type=_moment, metavar="TIME", help="first start, UTC, as 2026-11-24T10:00"
     )
@@ -103,23 +112,19 @@ def _add_who(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--who", metavar="NAME", help="who says so [the user]")
 
 
-def _days(text: str) -> int | None:
-    number = text.removesuffix("d")
-    if text == "forever":
-        return None
-    if not (text.endswith("d") and number.isascii() and number.isdigit() and 0 < int(number[:9]) <= 100_000):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of days, as 90d, and not forever")
-    return int(number)
+def _pattern(text: str) -> str:
+    if not text:  # of a shell variable that is not set: it would stand for all
+        raise argparse.ArgumentTypeError("an empty pattern fits nothing: for all of them leave the option out")
+    return text
 
 
 def _moment(text: str) -> "datetime":
-    from datetime import UTC, datetime
+    from datetime import datetime
 
     try:
-        moment = datetime.fromisoformat(text)
+        return datetime.fromisoformat(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r} is no time, as 2026-11-24 or 2026-11-24T10:00") from error
-    return moment.astimezone(UTC).replace(tzinfo=None) if moment.tzinfo else moment
 
 
 def _package(text: str) -> tuple[str, str]:
@@ -177,20 +182,22 @@ def _compact(args: argparse.Namespace) -> int:
     return 0
 
 
-def _head(args: argparse.Namespace) -> dict[str, Any]:
-    """Who says a note, when and why."""
+def _said(args: argparse.Namespace, kind: "type[NoteT]", /, **fields: Any) -> "NoteT":
+    """A note with who says it, when and why."""
     import getpass
     from datetime import UTC, datetime
 
+    from rtfiles.config import parse
     from rtfiles.errors import UsageError
 
     if not args.reason:
         raise UsageError("--reason: say why, for whoever reads it later")
-    return {
-        "at": datetime.now(UTC).replace(tzinfo=None, microsecond=0),
-        "who": args.who or getpass.getuser(),
-        "reason": args.reason,
-    }
+    try:
+        who = args.who or getpass.getuser()
+    except (KeyError, OSError) as error:  # a container may run as a number that has no name
+        raise UsageError("--who: name yourself, the user that this runs as has no name") from error
+    at = datetime.now(UTC).replace(tzinfo=None, microsecond=0)
+    return parse({"at": at, "who": who, "reason": args.reason, **fields}, kind, "the note")
 
 
 def _retain(args: argparse.Namespace) -> int:
@@ -198,7 +205,7 @@ def _retain(args: argparse.Namespace) -> int:
     from rtrun.archive.notes import RetainNote, add_note, in_words
     from rtrun.archive.store import open_archive
 
-    note = RetainNote(**_head(args), table=args.table, days=args.age)
+    note = _said(args, RetainNote, table=args.table, days=args.age)
     print_line(in_words(add_note(open_archive(args.archive), note), note))
     return 0
 
@@ -220,12 +227,12 @@ def _annotate(args: argparse.Namespace) -> int:
             raise UsageError(
                 f"{args.archive}: no note {args.withdraw!r}: rtrun archive annotate {args.archive} lists them"
             )
-        notes.add_note(store, notes.WithdrawNote(**_head(args), note=args.withdraw))
+        notes.add_note(store, _said(args, notes.WithdrawNote, note=args.withdraw))
         print_line(f"withdrawn: {notes.in_words(args.withdraw, held[args.withdraw])}")
     elif args.accept:
         if args.begin is None or args.end or not {*chosen} <= {"machine", "scenario"}:
             raise UsageError("--accept takes --from TIME, and --machine and --scenario alone beside it")
-        accept = notes.AcceptNote(**_head(args), **chosen, begin=args.begin)
+        accept = _said(args, notes.AcceptNote, **chosen, begin=args.begin)
         number = sum(notes.fits_course(accept, row.machine, row.scenario) for row in read_runs(store))
         if not number:
             raise UsageError(f"{args.archive}: no run is of these boards and scenarios")
@@ -233,7 +240,7 @@ def _annotate(args: argparse.Namespace) -> int:
     elif args.known:
         if args.begin or args.end or not chosen or not {*chosen} <= {"machine", "scenario"}:
             raise UsageError("--known takes --machine, --scenario or both, and no time: it is of what is wrong now")
-        known = notes.KnownNote(**_head(args), **chosen)
+        known = _said(args, notes.KnownNote, **chosen)
         fitting = (row for row in read_runs(store) if notes.fits_course(known, row.machine, row.scenario))
         if "scenario" in chosen and not any(fitting):
             raise UsageError(f"{args.archive}: no run is of these boards and scenarios")
@@ -241,7 +248,7 @@ def _annotate(args: argparse.Namespace) -> int:
     elif args.ignore:
         if not (chosen or args.begin or args.end):
             raise UsageError("--ignore: say which runs, as --machine board-3 --from 2026-11-20")
-        ignore = notes.IgnoreNote(**_head(args), **chosen, begin=args.begin, end=args.end)
+        ignore = _said(args, notes.IgnoreNote, **chosen, begin=args.begin, end=args.end)
         rows = read_runs(store)
         number = sum(notes.fits_run(ignore, partial(getattr, row), row.start_utc) for row in rows)
         if not number:

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.archive.alarms import in_quarantine
     from rtrun.archive.courses import courses
     from rtrun.archive.receivers import Receivers, tell
-    from rtrun.archive.told import ALARMS_MAX, add_told, not_told, read_told
+    from rtrun.archive.told import ALARMS_MAX, add_told, check_memory, not_told, read_told
     from rtrun.plan.question import THESIS
 
     config = load(args.receivers, Receivers)
@@ -62,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
         alarms += in_quarantine(list_places(config.coordinator), archive.notes)
     messages = read_told(archive.store)
+    check_memory(archive.store, messages, len(names))
     failures = []
     for receiver in config.receivers:
         new = not_told(receiver.name, alarms, messages)[:ALARMS_MAX]

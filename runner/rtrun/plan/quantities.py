@@ -10,14 +10,17 @@ _UNITS_NS = {
     "min": 60_000_000_000,
     "m": 60_000_000_000,
     "h": 3_600_000_000_000,
+    "d": 86_400_000_000_000,
+    "w": 604_800_000_000_000,
 }
-_TIME = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,9})?)\s?(ns|us|ms|s|min|m|h)", re.ASCII)
+_TIME = re.compile(rf"([0-9]{{1,15}}(?:\.[0-9]{{1,9}})?)\s?({'|'.join(_UNITS_NS)})", re.ASCII)
+FOREVER = "forever"
 # Above 30 years nobody waits for an answer, and 64 bits still hold the time in nanoseconds.
 _TIME_MAX_NS = 30 * 365 * 24 * _UNITS_NS["h"]
 
 
 def read_time_ns(text: object) -> int:
-    """Read a time with its unit, as ``400us``, ``1.5ms`` or ``8h``, into ns. Raises ValueError."""
+    """Read a time with its unit, as ``400us``, ``1.5ms``, ``8h`` or ``90d``, into ns. Raises ValueError."""
     parts = _TIME.fullmatch(text) if isinstance(text, str) else None
     time_ns = round(float(parts[1]) * _UNITS_NS[parts[2]]) if parts else 0
     if not 0 < time_ns <= _TIME_MAX_NS:
@@ -25,6 +28,19 @@ def read_time_ns(text: object) -> int:
             f"{str(text)[:40]!r} is no time above 0 with its unit ({', '.join(_UNITS_NS)}), as 400us or 8h"
         )
     return time_ns
+
+
+def read_days(text: object) -> int | None:
+    """Read a time that is a whole number of days, as ``90d`` or ``12w``; None: ``forever``. Raises ValueError."""
+    if text == FOREVER:
+        return None
+    try:
+        days, rest = divmod(read_time_ns(text), _UNITS_NS["d"])
+    except ValueError as error:
+        raise ValueError(f"{error}, nor {FOREVER!r}") from None
+    if rest:
+        raise ValueError(f"{str(text)[:40]!r} is not a whole number of days, as 90d, 12w or {FOREVER!r}")
+    return days
 
 
 def time_text(time_ns: int) -> str:

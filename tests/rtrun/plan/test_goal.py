@@ -27,7 +27,15 @@ def write(folder, text):
 
 @pytest.mark.parametrize(
     ("text", "time_ns"),
-    [("400us", 400_000), ("1.5ms", 1_500_000), ("8h", 28_800_000_000_000), ("90 min", 5_400_000_000_000), ("1ns", 1)],
+    [
+        ("400us", 400_000),
+        ("1.5ms", 1_500_000),
+        ("8h", 28_800_000_000_000),
+        ("90 min", 5_400_000_000_000),
+        ("1ns", 1),
+        ("7d", 604_800 * 10**9),
+        ("2w", 1_209_600 * 10**9),
+    ],
 )
 def test_a_time_has_a_unit(text, time_ns):
     assert read_time_ns(text) == time_ns
