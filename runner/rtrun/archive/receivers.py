@@ -4,25 +4,34 @@ Names of boards and scenarios may be anybody's. So no text of an alarm is part o
 header: a command has it as standard input, a hook as JSON, a mail as its body.
 """
 
-import contextlib
-import smtplib
+import ipaddress
+import json
+import os
+import re
+import signal
 import subprocess
-import urllib.error
-import urllib.request
+import sys
+import tempfile
+import threading
 from collections import Counter
 from collections.abc import Sequence
-from email.message import EmailMessage
-from email.utils import formatdate, make_msgid
+from pathlib import Path
 from typing import Annotated, Any, Literal
+from urllib.parse import urlsplit
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from rtfiles.config import Config, matching
 from rtfiles.errors import InfrastructureError
 from rtfiles.output import counted, printable
 from rtrun.archive.alarms import Alarm
+from rtrun.targets.address import check_host
 
 RECEIVE_S = 60.0
+"""For all that telling one receiver takes, the look-up of its name included."""
+STDERR_BYTES_MAX = 4096
+"""What is kept of the end of a command's standard error."""
+_STDERR_S = 5.0  # for the end of it, where something in the background keeps it open
 SHOWN_MAX = 50
 """Alarms that a text spells out."""
 _TITLES = {
@@ -32,7 +41,34 @@ _TITLES = {
 }
 _Name = Annotated[str, matching(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,99}", "a name of letters, digits and . _ - and spaces")]
 _Address = Annotated[str, matching(r"[^\s<>,;:\"()\[\]@]{1,64}@[^\s<>,;:\"()\[\]@]{1,255}", "an address, as a@b.org")]
-_Word = Annotated[str, Field(min_length=1)]
+
+
+def _check_server(text: str) -> str:
+    """HOST, HOST:PORT or [ADDRESS]:PORT, as it stands in an address, too. Raises ValueError."""
+    parts = re.fullmatch(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+))(?::([0-9]{1,5}))?", text, re.ASCII)
+    if not parts:
+        raise ValueError(f"{text[:100]!r} is not HOST:PORT, of IPv6 [ADDRESS]:PORT")
+    if parts[1]:
+        ipaddress.IPv6Address(parts[1])
+    else:
+        check_host(parts[2])
+    if parts[3] and not 0 < int(parts[3]) < 1 << 16:
+        raise ValueError(f"{text[:100]!r}: a port is a number from 1 to 65535")
+    return text
+
+
+def _check_url(text: str) -> str:
+    _check_server(urlsplit(text).netloc)
+    return text
+
+
+_Url = Annotated[
+    str,
+    matching(r"https?://[!-~]+", "an address that begins with https:// or http://"),
+    AfterValidator(_check_url),
+]
+_Server = Annotated[str, Field(min_length=1), AfterValidator(_check_server)]
+_Word = Annotated[str, matching(r"[^\0]+", "a word without a NUL")]
 
 
 class CommandReceiver(Config):
@@ -48,7 +84,7 @@ class HookReceiver(Config):
 
     name: _Name
     kind: Literal["hook"]
-    url: Annotated[str, matching(r"https?://[!-~]+", "an address that begins with https:// or http://")]
+    url: _Url
 
 
 class MailReceiver(Config):
@@ -56,7 +92,7 @@ class MailReceiver(Config):
 
     name: _Name
     kind: Literal["mail"]
-    server: Annotated[str, matching(r"[A-Za-z0-9.:\[\]-]+:[0-9]{1,5}", "HOST:PORT")]
+    server: Annotated[_Server, matching(r".+:[0-9]+", "HOST:PORT")]
     sender: _Address = Field(alias="from")
     to: Annotated[list[_Address], Field(min_length=1, max_length=100)]
 
@@ -72,23 +108,34 @@ class Receivers(Config):
     """
 
     schema_number: Literal[1] = Field(alias="schema")
-    site: Annotated[str, matching(r"https?://[!-~]+", "an address that begins with https:// or http://")] | None = None
-    coordinator: _Word | None = None
+    site: _Url | None = None
+    coordinator: _Server | None = None
     receivers: Annotated[list[AnyReceiver], Field(min_length=1, max_length=100)]
 
 
 def tell(receiver: CommandReceiver | HookReceiver | MailReceiver, alarms: Sequence[Alarm], site: str | None) -> None:
-    """Tell a receiver of alarms, of which there is one at least. Raises InfrastructureError where it does not take
-    them."""
+    """Tell a receiver of alarms, of which there is one at least, within RECEIVE_S.
+
+    Raises InfrastructureError where it does not take them, whatever the reason.
+    """
     try:
         match receiver:
             case CommandReceiver():
-                _call(receiver, as_text(alarms, site, most=len(alarms)))
+                _call(receiver.command, as_text(alarms, site, most=len(alarms)))
             case HookReceiver():
-                _post(receiver, as_data(alarms, site))
+                _deliver(kind="hook", url=receiver.url, data=as_data(alarms, site))
             case MailReceiver():
-                _send(receiver, title(alarms), as_text(alarms, site, most=len(alarms)))
-    except (OSError, urllib.error.URLError, smtplib.SMTPException, subprocess.SubprocessError) as error:
+                host, _, port = receiver.server.rpartition(":")
+                _deliver(
+                    kind="mail",
+                    host=host.strip("[]"),
+                    port=int(port),
+                    sender=receiver.sender,
+                    to=receiver.to,
+                    subject=title(alarms),
+                    text=as_text(alarms, site, most=len(alarms)),
+                )
+    except Exception as error:  # of this receiver alone: the others are told
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise InfrastructureError(f"{receiver.name}: not told: {printable(str(reason))[:300]}") from error
 
@@ -128,41 +175,69 @@ def _shown(alarm: Alarm, site: str | None) -> dict[str, str | None]:
     return {**texts, "link": f"{site.rstrip('/')}/{alarm.page}" if site and alarm.page else None}
 
 
-def _call(receiver: CommandReceiver, text: str) -> None:
-    done = subprocess.run(
-        receiver.command,
-        input=text.encode(),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        timeout=RECEIVE_S,
-        check=False,
-    )
-    if done.returncode:
-        last_line = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
-        raise subprocess.SubprocessError(f"{receiver.command[0]} ended with {done.returncode}: {last_line}")
+class _Failed(Exception):
+    """A command ended with a status other than 0, and wrote this line last."""
+
+    def __init__(self, status: int, line: str) -> None:
+        super().__init__(line)
+        self.status = status
 
 
-class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """A POST that is led elsewhere would become a GET."""
-
-    def redirect_request(self, *_: Any) -> None:
-        return None
-
-
-def _post(receiver: HookReceiver, data: dict[str, Any]) -> None:
-    import json
-
-    body = json.dumps(data).encode()
-    request = urllib.request.Request(receiver.url, body, {"Content-Type": "application/json"}, method="POST")
-    with contextlib.closing(urllib.request.build_opener(_NoRedirect).open(request, timeout=RECEIVE_S)):
-        return
+def _call(command: Sequence[str], text: str) -> None:
+    try:
+        _run(command, text.encode())
+    except _Failed as error:
+        raise subprocess.SubprocessError(f"{command[0]} ended with {error.status}: {error}") from None
 
 
-def _send(receiver: MailReceiver, subject: str, text: str) -> None:
-    mail = EmailMessage()
-    mail["Subject"], mail["From"], mail["To"] = subject, receiver.sender, ", ".join(receiver.to)
-    mail["Date"], mail["Message-ID"] = formatdate(), make_msgid(domain="rtrun")
-    mail.set_content(text)
-    host, _, port = receiver.server.rpartition(":")
-    with smtplib.SMTP(host.strip("[]"), int(port), timeout=RECEIVE_S) as server:
-        server.send_message(mail)
+def _deliver(**message: Any) -> None:
+    program = Path(__file__).with_name("delivering.py")
+    _run([sys.executable, "-I", str(program)], json.dumps({**message, "timeout_s": RECEIVE_S}).encode())
+
+
+def _run(command: Sequence[str], content: bytes) -> None:
+    """Run a command that reads content, and wait until it ends, not what it leaves in the background.
+
+    Raises OSError where it cannot be started, _Failed where it fails, and SubprocessError where it takes longer than
+    RECEIVE_S. Then it is killed, with all of its process group.
+    """
+    with tempfile.TemporaryFile() as source:  # of a pipe, it would have to read all
+        source.write(content)
+        source.seek(0)
+        process = subprocess.Popen(
+            command, stdin=source, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+        )
+    end = _End(process)
+    end.start()
+    try:
+        process.wait(RECEIVE_S)
+    except BaseException as error:
+        os.killpg(process.pid, signal.SIGKILL)  # it was not waited for, so the number is still its own
+        process.wait()
+        if isinstance(error, subprocess.TimeoutExpired):
+            raise subprocess.SubprocessError(f"not done within {RECEIVE_S:g} s") from None
+        raise
+    if process.returncode:
+        end.join(_STDERR_S)
+        raise _Failed(process.returncode, end.last_line())
+
+
+class _End(threading.Thread):
+    """Reads a program's standard error, however much it is, and keeps the end of it.
+
+    What the program leaves in the background may write there, too, for as long as this process lives.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        super().__init__(daemon=True)
+        assert process.stderr is not None
+        self._stream = process.stderr
+        self._kept = b""
+
+    def run(self) -> None:
+        while chunk := os.read(self._stream.fileno(), 1 << 16):
+            self._kept = (self._kept + chunk)[-STDERR_BYTES_MAX:]
+
+    def last_line(self) -> str:
+        """The last line that is not empty."""
+        return self._kept.decode(errors="replace").strip().rpartition("\n")[2]

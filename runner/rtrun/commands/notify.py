@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             tell(receiver, new, config.site)
             add_told(archive.store, receiver.name, new, datetime.now(UTC).replace(tzinfo=None))
-        except InfrastructureError as error:
+        except (InfrastructureError, UsageError) as error:
             failures.append(str(error))
             continue
         for alarm in new:
