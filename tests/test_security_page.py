@@ -28,6 +28,7 @@ NO_LIMITS = {
     "what is printed or computed at most": {
         "rtrun.analysis.recurrence._COUNT_MAX",
         "rtfiles.output.WIDTH_MAX",
+        "rtrun.archive.alarms.REASON_MAX",
         "rtrun.archive.bins._COUNT_MAX",
         "rtrun.archive.boards._POINTS_MAX",
         "rtrun.archive.receivers.SHOWN_MAX",

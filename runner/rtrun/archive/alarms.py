@@ -1,4 +1,4 @@
-"""What somebody is to hear of: figures that got worse, a build that is, a board in quarantine."""
+"""What somebody is to hear of: figures that got worse, a build that is, and boards that failed, are away or new."""
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -6,13 +6,20 @@ from dataclasses import dataclass, field
 from datetime import date, datetime
 from typing import Literal
 
+from rtfiles.output import counted
 from rtrun.archive.against import LEAST_MARGIN_NS, SHARE_OF_MARGIN
 from rtrun.archive.courses import Course
+from rtrun.archive.fleet import BoardHealth, ScenarioHealth
 from rtrun.archive.notes import Notes
+from rtrun.archive.states import LEAST_BOOTS
 from rtrun.archive.trends import NOTHING_KNOWN, Trend, as_text
 from rtrun.judgement.gate import Gate
-from rtrun.targets.labgrid.coordinator import LabgridPlace
 from rtrun.targets.labgrid.health import in_words, since
+
+Kind = Literal["worse", "worse build", "failed", "offline", "quarantine", "new"]
+BOARDS_PAGE = "boards.html"
+REASON_MAX = 300
+"""Characters of a run's reason that are told."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,7 +32,7 @@ class Alarm:
     called.
     """
 
-    kind: Literal["worse", "worse build", "quarantine"]
+    kind: Kind
     about: str
     size: str
     since: str
@@ -102,22 +109,60 @@ def worse_builds(gate: Gate, build: str, notes: Notes, pages: Sequence[Course]) 
     return alarms
 
 
-def in_quarantine(places: Iterable[LabgridPlace], notes: Notes) -> list[Alarm]:
-    """An alarm for each place in quarantine."""
-    return [
-        Alarm(
-            kind="quarantine",
-            about=place.name,
-            size=in_words(place.quarantine),
-            since="its second failed check",
-            suspected="see its console, its power and its network",
-            page="boards.html",
-            key=_key("quarantine", place.name, place.quarantine),
-            known=_known(place.name, since(place.quarantine), notes),
-        )
-        for place in places
-        if place.quarantine is not None
-    ]
+def board_alarms(boards: Iterable[BoardHealth], notes: Notes) -> list[Alarm]:
+    """Alarms for each board: scenarios whose last run failed, then whether it is offline, in quarantine, or new."""
+    alarms: list[Alarm] = []
+    for board in boards:
+        alarms += [_failed(board, scenario, notes) for scenario in board.failed]
+        if board.offline:
+            # Once measured in between, it is away anew.
+            since_run = str(board.last_seen)
+            known = next((note.words for note in notes.known(board.board, None)), None)
+            alarms.append(_of_board("offline", board, board.offline, "not known", key=since_run, known=known))
+        if board.quarantine:
+            day = since(board.quarantine)
+            known = _known(board.board, day, notes)
+            when = str(day) if day else "not known: its tag has no day"
+            alarms.append(_of_board("quarantine", board, in_words(board.quarantine), when, board.quarantine, known))
+        if board.is_new:
+            known = next((note.words for note in notes.known(board.board, None)), None)
+            size = f"measured on {counted(board.boots, 'boot')}: changes are seen from {LEAST_BOOTS} boots on"
+            alarms.append(_of_board("new", board, size, "its first run", "", known))
+    return alarms
+
+
+def _of_board(kind: Kind, board: BoardHealth, size: str, when: str, key: str, known: str | None) -> Alarm:
+    return Alarm(
+        kind=kind,
+        about=board.board,
+        size=size,
+        since=f"{when}; {last_seen(board)}",
+        suspected=NOTHING_KNOWN if kind == "new" else "see its console, its power and its network",
+        page=BOARDS_PAGE,
+        key=_key(kind, board.board, key),
+        known=known,
+    )
+
+
+def _failed(board: BoardHealth, scenario: ScenarioHealth, notes: Notes) -> Alarm:
+    first, row = scenario.failures[0], scenario.last
+    since_first = f"{first.start_utc:%Y-%m-%d %H:%M} UTC" if first.start_utc else "an unknown time"
+    fitting = (note for note in notes.known(row.machine, row.scenario) if (first.start_utc or datetime.min) <= note.at)
+    return Alarm(
+        kind="failed",
+        about=f"{row.scenario} on {board.board}",
+        size=f"{scenario.reason[:REASON_MAX]} ({counted(len(scenario.failures), 'run')} in a row)",
+        since=f"{since_first}; {last_seen(board)}",
+        suspected=f"see the run {row.run} in its results folder",
+        page=BOARDS_PAGE,
+        key=_key("failed", board.board, row.suite, row.parameters, row.platform, first.run_key),
+        known=next((note.words for note in fitting), None),
+    )
+
+
+def last_seen(board: BoardHealth) -> str:
+    """When a board last answered, in words."""
+    return f"last seen {board.last_seen:%Y-%m-%d %H:%M} UTC" if board.last_seen else "never seen in a run"
 
 
 def _known(place: str, day: date | None, notes: Notes) -> str | None:

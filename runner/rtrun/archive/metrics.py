@@ -5,18 +5,22 @@ When a run was begun is a metric of its own.
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC
 from typing import Any
 
 from rtfiles.output import printable
 from rtrun.archive.courses import Course
+from rtrun.archive.fleet import BoardHealth, ScenarioHealth
 
 _PERCENTILES = (50.0, 99.0, 99.9, 99.99)
 
 
-def open_metrics(courses: Sequence[Course], *, deadline_ns: int) -> str:
-    """The last run of every course in the text format of OpenMetrics 1.0; times in s, that of its start since 1970."""
+def open_metrics(courses: Sequence[Course], boards: Sequence[BoardHealth], *, deadline_ns: int) -> str:
+    """The last run of every course, and how each board stands, in the text format of OpenMetrics 1.0.
+
+    Times are in s, those of a start since 1970.
+    """
     lines = [
         "# TYPE rtrun_value_seconds gauge",
         "# UNIT rtrun_value_seconds seconds",
@@ -51,7 +55,80 @@ def open_metrics(courses: Sequence[Course], *, deadline_ns: int) -> str:
             if point.start_utc is not None
         ),
     ]
-    return "\n".join([*lines, "# EOF"]) + "\n"
+    return "\n".join([*(lines if courses else []), *_of_boards(boards), "# EOF"]) + "\n"
+
+
+def _of_boards(boards: Sequence[BoardHealth]) -> Iterator[str]:
+    """What is known of each board; what only a farm knows is there for its places alone."""
+    in_farm = [board for board in boards if board.in_farm]
+    yield from _gauge(
+        "rtrun_run_failed",
+        "Whether the last run of a scenario failed.",
+        [(_labels_of(each), bool(each.failures)) for board in boards for each in board.scenarios],
+    )
+    yield from _gauge(
+        "rtrun_board_failed_scenarios",
+        "How many scenarios of a board failed in their last run.",
+        [({"machine": board.board}, len(board.failed)) for board in boards],
+    )
+    yield from _gauge(
+        "rtrun_board_new",
+        "Whether a board was measured on too few boots for changes to be seen.",
+        [({"machine": board.board}, board.is_new) for board in boards],
+    )
+    yield from _gauge(
+        "rtrun_board_offline",
+        "Whether the exporter of a place ended.",
+        [({"machine": board.board}, bool(board.offline)) for board in in_farm],
+    )
+    yield from _gauge(
+        "rtrun_board_quarantined",
+        "Whether a place is in quarantine.",
+        [({"machine": board.board}, bool(board.quarantine)) for board in in_farm],
+    )
+    yield from _gauge(
+        "rtrun_board_last_seen_time_seconds",
+        "When the last run in which a board answered was begun, in seconds since 1970.",
+        [
+            ({"machine": board.board}, board.last_seen.replace(tzinfo=UTC).timestamp())
+            for board in boards
+            if board.last_seen
+        ],
+        unit="seconds",
+    )
+
+
+def _labels_of(scenario: ScenarioHealth) -> dict[str, str]:
+    return {
+        "scenario": scenario.last.scenario,
+        "machine": scenario.last.machine,
+        "platform": scenario.last.platform,
+    }
+
+
+def _gauge(
+    name: str, what: str, samples: Sequence[tuple[Mapping[str, str], float]], unit: str | None = None
+) -> Iterator[str]:
+    """A metric with its samples; nothing where there are none.
+
+    Prometheus refuses a page in which two samples have the same labels, as names do that differ in a control character:
+    of such the highest counts.
+    """
+    if samples:
+        yield f"# TYPE {name} gauge"
+        if unit:
+            yield f"# UNIT {name} {unit}"
+        yield f"# HELP {name} {what}"
+    highest: dict[str, float] = {}
+    for labels, value in samples:
+        words = _words(labels)
+        highest[words] = max(float(value), highest.get(words, float(value)))
+    for words, value in highest.items():
+        yield f"{name}{{{words}}} {value:.10g}"
+
+
+def _words(labels: Mapping[str, str]) -> str:
+    return ",".join(f'{name}="{_escaped(text)}"' for name, text in labels.items())
 
 
 def _percentiles(courses: Sequence[Course]) -> Iterator[tuple[Course, str, float]]:
@@ -71,8 +148,7 @@ def _line(metric: str, course: Course, value: float, **labels: str) -> str:
         "kernel": point.kernel or "unknown",
         **labels,
     }
-    words = ",".join(f'{name}="{_escaped(text)}"' for name, text in labels.items())
-    return f"{metric}{{{words}}} {value:.10g}"
+    return f"{metric}{{{_words(labels)}}} {value:.10g}"
 
 
 def _escaped(text: str) -> str:
@@ -86,6 +162,12 @@ def grafana_dashboard() -> str:
         ("Percentiles", 'rtrun_value_seconds{machine=~"$machine"}', "{{machine}} {{scenario}} p{{percentile}}", "s"),
         ("Highest value", 'rtrun_highest_seconds{machine=~"$machine"}', "{{machine}} {{scenario}}", "s"),
         ("Share of misses", 'rtrun_miss_ratio{machine=~"$machine"}', "{{machine}} {{scenario}}", "percentunit"),
+        (
+            "Scenarios that failed in their last run",
+            'rtrun_board_failed_scenarios{machine=~"$machine"}',
+            "{{machine}}",
+            "none",
+        ),
         (
             "Time since the last run",
             'time() - rtrun_run_start_time_seconds{machine=~"$machine"}',
@@ -112,7 +194,7 @@ def grafana_dashboard() -> str:
             "name": "machine",
             "type": "query",
             "datasource": source,
-            "query": "label_values(rtrun_value_seconds, machine)",
+            "query": "label_values(rtrun_board_failed_scenarios, machine)",
             "multi": True,
             "includeAll": True,
         },

@@ -4,10 +4,8 @@ Names of boards and scenarios may be anybody's. So no text of an alarm is part o
 header: a command has it as standard input, a hook as JSON, a mail as its body.
 """
 
-import ipaddress
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -24,8 +22,8 @@ from pydantic import AfterValidator, Field
 from rtfiles.config import Config, matching
 from rtfiles.errors import InfrastructureError
 from rtfiles.output import counted, printable
-from rtrun.archive.alarms import Alarm
-from rtrun.targets.address import check_host
+from rtrun.archive.alarms import Alarm, Kind
+from rtrun.targets.address import check_server
 
 RECEIVE_S = 60.0
 """For all that telling one receiver takes, the look-up of its name included."""
@@ -34,31 +32,21 @@ STDERR_BYTES_MAX = 4096
 _STDERR_S = 5.0  # for the end of it, where something in the background keeps it open
 SHOWN_MAX = 50
 """Alarms that a text spells out."""
-_TITLES = {
-    "worse": ("scenario", "got worse"),
-    "worse build": ("case", "of a build worse than its history"),
-    "quarantine": ("board", "in quarantine"),
+_TITLES: dict[Kind, tuple[str, str, str]] = {
+    "worse": ("WORSE", "scenario", "got worse"),
+    "worse build": ("WORSE", "case", "of a build worse than its history"),
+    "failed": ("FAILED", "scenario", "failed"),
+    "offline": ("OFFLINE", "board", "offline"),
+    "quarantine": ("QUARANTINE", "board", "in quarantine"),
+    "new": ("NEW", "board", "new"),
 }
+"""By the kind of an alarm: its word, and what is counted in a title."""
 _Name = Annotated[str, matching(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,99}", "a name of letters, digits and . _ - and spaces")]
 _Address = Annotated[str, matching(r"[^\s<>,;:\"()\[\]@]{1,64}@[^\s<>,;:\"()\[\]@]{1,255}", "an address, as a@b.org")]
 
 
-def _check_server(text: str) -> str:
-    """HOST, HOST:PORT or [ADDRESS]:PORT, as it stands in an address, too. Raises ValueError."""
-    parts = re.fullmatch(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+))(?::([0-9]{1,5}))?", text, re.ASCII)
-    if not parts:
-        raise ValueError(f"{text[:100]!r} is not HOST:PORT, of IPv6 [ADDRESS]:PORT")
-    if parts[1]:
-        ipaddress.IPv6Address(parts[1])
-    else:
-        check_host(parts[2])
-    if parts[3] and not 0 < int(parts[3]) < 1 << 16:
-        raise ValueError(f"{text[:100]!r}: a port is a number from 1 to 65535")
-    return text
-
-
 def _check_url(text: str) -> str:
-    _check_server(urlsplit(text).netloc)
+    check_server(urlsplit(text).netloc)
     return text
 
 
@@ -67,7 +55,7 @@ _Url = Annotated[
     matching(r"https?://[!-~]+", "an address that begins with https:// or http://"),
     AfterValidator(_check_url),
 ]
-_Server = Annotated[str, Field(min_length=1), AfterValidator(_check_server)]
+_Server = Annotated[str, Field(min_length=1), AfterValidator(check_server)]
 _Word = Annotated[str, matching(r"[^\0]+", "a word without a NUL")]
 
 
@@ -143,7 +131,7 @@ def tell(receiver: CommandReceiver | HookReceiver | MailReceiver, alarms: Sequen
 def title(alarms: Sequence[Alarm]) -> str:
     """How many there are, without a name."""
     counts = Counter(str(alarm.kind) for alarm in alarms)
-    parts = [f"{counted(counts[kind], noun)} {rest}" for kind, (noun, rest) in _TITLES.items() if counts[kind]]
+    parts = [f"{counted(counts[kind], noun)} {rest}" for kind, (_, noun, rest) in _TITLES.items() if counts[kind]]
     return f"rtrun: {', '.join(parts)}"
 
 
@@ -152,8 +140,7 @@ def as_text(alarms: Sequence[Alarm], site: str | None, *, most: int) -> str:
     lines = [title(alarms).removeprefix("rtrun: "), ""]
     for alarm in alarms[:most]:
         shown = _shown(alarm, site)
-        word = "QUARANTINE" if alarm.kind == "quarantine" else "WORSE"
-        lines += [f"{word}  {shown['about']}", f"  {shown['size']}", f"  since: {shown['since']}"]
+        lines += [f"{_TITLES[alarm.kind][0]}  {shown['about']}", f"  {shown['size']}", f"  since: {shown['since']}"]
         lines += [f"  suspected: {shown['suspected']}", *([f"  {shown['link']}"] if shown["link"] else []), ""]
     if (more := len(alarms) - most) > 0:
         lines.append(f"and {more} more")

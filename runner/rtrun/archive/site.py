@@ -5,14 +5,17 @@ Pages of the report and of the site share styles and plotting code.
 
 from collections import Counter
 from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from rtfiles import atomic
 from rtfiles.output import counted
 from rtfiles.quantities import grouped, time
+from rtrun.archive.alarms import BOARDS_PAGE, REASON_MAX
 from rtrun.archive.boards import board_rows, columns_of
 from rtrun.archive.courses import Course
+from rtrun.archive.fleet import BoardHealth, ScenarioHealth
 from rtrun.archive.metrics import grafana_dashboard, open_metrics
 from rtrun.archive.pictures import course_plots
 from rtrun.archive.states import SAID, CourseState, state_of
@@ -20,6 +23,7 @@ from rtrun.archive.trends import Trend, as_text
 from rtrun.report.html_pages import drawings, script, templates
 from rtrun.report.terminal import BANNERS
 from rtrun.targets.inspection.platform import Platform
+from rtrun.targets.labgrid.health import in_words
 
 _SHOWN = (50.0, 99.0, 99.9, 99.99)
 _MARKS = {"WORSE": "✗ WORSE", "better": "✓ BETTER", "accepted": "✓ ACCEPTED"}
@@ -30,11 +34,16 @@ def write_site(
     archive: str,
     courses: Sequence[Course],
     trends: Sequence[Trend],
+    boards: Sequence[BoardHealth],
     *,
+    farm: str,
     deadline_ns: int,
     confidence: float,
 ) -> list[Path]:
-    """Write every file of the site into a folder that exists; returns them, the front page first. Raises OSError."""
+    """Write every file of the site into a folder that exists; returns them, the front page first. Raises OSError.
+
+    `farm` says what is not known of boards because no farm told it, empty where one did.
+    """
     by_course: dict[tuple[str, str, str, str, str], list[Trend]] = {course.identity: [] for course in courses}
     for trend in trends:
         by_course[trend.course.identity].append(trend)
@@ -51,22 +60,65 @@ def write_site(
         "answer": _answer([card["state"] for card in cards]),
     }
     environment = templates(Path(__file__).parent)
-    front, page, boards = (environment.get_template(f"{name}.html.j2") for name in ("site", "course", "boards"))
+    front, page, overview = (environment.get_template(f"{name}.html.j2") for name in ("site", "course", "boards"))
     rows = board_rows([(card["course"], card["state"]) for card in cards])
     worse = sorted({row.board for row in rows if any(cell.state == "WORSE" for cell in row.cells.values())})
+    ill = [board.board for board in boards if board.is_ill]
+    health = [_health(board) for board in boards]
+    failed = [_failed_row(board, each) for board in boards for each in board.failed]
     pages = {
-        "index.html": front.render(cards=cards, **words),
-        "boards.html": boards.render(rows=rows, columns=columns_of(rows), worse=worse, **words),
+        "index.html": front.render(cards=cards, ill=ill, number=len(boards), failed=failed, **words),
+        BOARDS_PAGE: overview.render(
+            rows=rows, columns=columns_of(rows), worse=worse, ill=ill, health=health, failed=failed, farm=farm, **words
+        ),
     }
     drawing = script("plots.js")
     for card in cards:
         plots = drawings(course_plots(card["course"], card["trends"], deadline_ns=deadline_ns))
         pages[card["page"]] = page.render(card=card, plots=plots, script=drawing, **words)
-    pages["metrics.txt"] = open_metrics(courses, deadline_ns=deadline_ns)
+    pages["metrics.txt"] = open_metrics(courses, boards, deadline_ns=deadline_ns)
     pages["grafana-dashboard.json"] = grafana_dashboard()
     for name, text in pages.items():
         atomic.write_bytes(folder / name, text.encode("utf-8", "replace"))
     return [folder / name for name in pages]
+
+
+def _health(board: BoardHealth) -> dict[str, Any]:
+    """A board with all that is to be said of it, each with the class of its style, and when it was last seen."""
+    said = []
+    if board.quarantine:
+        said.append(("refuted", f"✗ QUARANTINE: {in_words(board.quarantine)}"))
+    if board.offline:
+        said.append(("refuted", f"✗ OFFLINE: {board.offline}"))
+    if board.failed:
+        said.append(("refuted", f"✗ FAILED: {len(board.failed)} of {counted(len(board.scenarios), 'scenario')}"))
+    if board.failed_check:
+        said.append(("more", f"? failed its last check: {in_words(board.failed_check)}"))
+    if board.is_new:
+        said.append(("more", f"? NEW: {counted(board.boots, 'boot')} measured"))
+    return {
+        "board": board.board,
+        "said": said or [("proven", "✓ no run failed" if not board.in_farm else "✓ in order")],
+        "last_seen": _moment(board.last_seen),
+        "last_run": _moment(board.last_run),
+    }
+
+
+def _failed_row(board: BoardHealth, scenario: ScenarioHealth) -> tuple[str, ...]:
+    first, last = scenario.failures[0], scenario.last
+    return (
+        board.board,
+        last.scenario,
+        scenario.reason[:REASON_MAX],
+        _moment(last.start_utc),
+        str(len(scenario.failures)),
+        _moment(first.start_utc),
+        last.run,
+    )
+
+
+def _moment(moment: datetime | None) -> str:
+    return f"{moment:%Y-%m-%d %H:%M}" if moment else "unknown"
 
 
 def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[str, Any]:
@@ -107,5 +159,5 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
 def _answer(states: Sequence[CourseState]) -> str:
     """What is known of all courses, in one sentence."""
     counts = Counter(state.word for state in states)
-    said = [f"{counts[word]} {text}" for word, text in SAID.items() if counts[word]]
+    said = [f"{counts[word]} {text}" for word, text in SAID.items() if counts[word]] or ["nothing is known yet"]
     return f"Of {counted(len(states), 'scenario')} {', '.join(said)}."

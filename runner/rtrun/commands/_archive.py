@@ -24,12 +24,17 @@ def add_deadline(parser: argparse.ArgumentParser) -> None:
 def read_courses(args: argparse.Namespace) -> "tuple[list[Course], int]":
     """Every course of the archive, and the deadline in ns that its misses are of. Raises UsageError as `check_extra`,
     `open_archive` and `read_archive` do, InfrastructureError."""
-    archive = read(args)
+    archive, deadline_ns = read_with_deadline(args)
     from rtrun.archive.courses import courses
+
+    return courses(archive, deadline_ns=deadline_ns, of=args.of), deadline_ns
+
+
+def read_with_deadline(args: argparse.Namespace) -> "tuple[Archive, int]":
+    """The archive, and the deadline in ns. Raises as `read_courses` does."""
     from rtrun.plan.question import THESIS
 
-    deadline_ns = args.deadline or THESIS.deadline_ns
-    return courses(archive, deadline_ns=deadline_ns, of=args.of), deadline_ns
+    return read(args), args.deadline or THESIS.deadline_ns
 
 
 def read(args: argparse.Namespace) -> "Archive":

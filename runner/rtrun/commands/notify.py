@@ -1,4 +1,4 @@
-"""rtrun notify: tell somebody, once, of what got worse and of boards in quarantine."""
+"""rtrun notify: tell somebody, once, of what got worse and failed, and of boards that are offline, ill or new."""
 
 import argparse
 from pathlib import Path
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rtrun.archive.runs import Archive
 
 NAME = "notify"
-HELP = "tell a command, a web hook or by mail of what got worse and of boards in quarantine, once each"
+HELP = "tell a command, a web hook or by mail, once each, of what got worse or failed, and of boards away, ill or new"
 EXAMPLES = (
     "rtrun notify lab.yml archive",
     "rtrun notify lab.yml archive --results results/brakes",
@@ -45,8 +45,9 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.archive.extra import check_extra
 
     check_extra()
-    from rtrun.archive.alarms import in_quarantine
+    from rtrun.archive.alarms import board_alarms
     from rtrun.archive.courses import courses
+    from rtrun.archive.fleet import ask_farm, boards_of
     from rtrun.archive.receivers import Receivers, tell
     from rtrun.archive.told import ALARMS_MAX, add_told, check_memory, not_told, read_told
     from rtrun.plan.question import THESIS
@@ -57,13 +58,16 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{args.receivers}: receivers: two of one name: what each was told is kept by its name")
     archive, deadline_ns = read(args), args.deadline or THESIS.deadline_ns
     alarms = _worse(args, archive, courses(archive, deadline_ns=deadline_ns, of=args.of), deadline_ns)
-    if config.coordinator and not args.results:
-        from rtrun.targets.labgrid.coordinator import list_places
-
-        alarms += in_quarantine(list_places(config.coordinator), archive.notes)
+    failures = []
+    if not args.results:
+        try:
+            farm = ask_farm(config.coordinator) if config.coordinator else None
+        except InfrastructureError as error:  # what is known without it is told
+            farm = None
+            failures.append(str(error))
+        alarms += board_alarms(boards_of(archive.runs, farm), archive.notes)
     messages = read_told(archive.store)
     check_memory(archive.store, messages, len(names))
-    failures = []
     for receiver in config.receivers:
         new = not_told(receiver.name, alarms, messages)[:ALARMS_MAX]
         if not new:
@@ -81,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
             print_line(f"known: {alarm.about}: {alarm.known}")
     if failures:
         raise InfrastructureError("\n".join(failures))
-    print_line(f"{counted(len(alarms), 'thing')} wrong")
+    print_line(f"{counted(sum(alarm.kind != 'new' for alarm in alarms), 'thing')} wrong")
     return 0
 
 

@@ -3,8 +3,9 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._archive import add_archive, add_deadline, read_courses
-from rtrun.commands._question import add_confidence
+from rtrun.commands._archive import add_archive, add_deadline, read_with_deadline
+from rtrun.commands._question import add_confidence, argument
+from rtrun.targets.address import check_server
 
 NAME = "site"
 HELP = "write static pages about an archive: every scenario's state and course, and figures for Grafana"
@@ -12,6 +13,9 @@ EXAMPLES = (
     "rtrun site archive --output public",
     "rtrun site archive --output public --deadline 300us",
 )
+
+
+_NOT_ASKED = "Which boards are offline or in quarantine is not known: no labgrid coordinator was asked (--coordinator)."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,27 +26,48 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_deadline(parser)
     add_confidence(parser)
+    parser.add_argument(
+        "--coordinator",
+        type=argument(check_server),
+        metavar="HOST:PORT",
+        help="of a labgrid farm whose places are on the page of boards, too [LG_COORDINATOR, where that is set]",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the pages. Raises OSError when one cannot be written."""
-    from rtfiles.errors import UsageError
+    """Write the pages. Raises OSError when one cannot be written, InfrastructureError, once they are written without
+    what it knows, where a coordinator does not answer."""
+    import os
+
+    from rtfiles.errors import InfrastructureError, UsageError
     from rtfiles.output import print_line
 
-    known, deadline_ns = read_courses(args)
+    archive, deadline_ns = read_with_deadline(args)
+    from rtrun.archive.courses import courses
+    from rtrun.archive.fleet import ask_farm, boards_of
     from rtrun.archive.site import write_site
     from rtrun.archive.trends import trends
 
-    if not known:
-        raise UsageError(f"{args.archive}: no run in it has a time, so there is no course to show")
+    known = courses(archive, deadline_ns=deadline_ns, of=args.of)
+    farm, missing, failure = None, _NOT_ASKED, None
+    if coordinator := args.coordinator or os.environ.get("LG_COORDINATOR"):
+        try:
+            farm, missing = ask_farm(coordinator), ""
+        except (InfrastructureError, UsageError) as error:  # the second: labgrid is not installed
+            missing = f"Which boards are offline or in quarantine is not known: {error}"
+            failure = error
     args.output.mkdir(parents=True, exist_ok=True)
     written = write_site(
         args.output,
         args.archive,
         known,
         trends(known, confidence=args.confidence),
+        boards_of(archive.runs, farm),
+        farm=missing,
         deadline_ns=deadline_ns,
         confidence=args.confidence,
     )
     print_line(str(written[0]))
+    if failure:
+        raise failure
     return 0

@@ -1,5 +1,6 @@
 """Where a target is: behind an SSH server, with what both sides prove who they are by, or here."""
 
+import ipaddress
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,3 +54,17 @@ def check_host(name: str) -> str:
     if not re.fullmatch(rb"[A-Za-z0-9._:%-]+", encoded):
         raise ValueError("expected the name or the address of a host")
     return name
+
+
+def check_server(text: str) -> str:
+    """HOST, HOST:PORT or [ADDRESS]:PORT, as it stands in an address, too. Raises ValueError."""
+    parts = re.fullmatch(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+))(?::([0-9]{1,5}))?", text, re.ASCII)
+    if not parts:
+        raise ValueError(f"{text[:100]!r} is not HOST:PORT, of IPv6 [ADDRESS]:PORT")
+    if parts[1]:
+        ipaddress.IPv6Address(parts[1])
+    else:
+        check_host(parts[2])
+    if parts[3] and not 0 < int(parts[3]) < 1 << 16:
+        raise ValueError(f"{text[:100]!r}: a port is a number from 1 to 65535")
+    return text

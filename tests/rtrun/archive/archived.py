@@ -1,5 +1,6 @@
 """Archives of many days, written without run directories: each day is a boot with two runs of one-shot timers."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -84,6 +85,39 @@ def write_course(
             write_file(store, file_of("histograms", key), as_parquet(histogram_table(key, [series])))
             write_file(store, file_of("runs", key), as_parquet(run_table(key, record, origin)))
     return archive
+
+
+def write_failed(
+    archive: Path,
+    start: datetime,
+    reason: str | None,
+    *,
+    status: str = "failed",
+    machine: str = "board",
+    boot_id: str | None = None,
+    parameters: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
+    """A run that failed: in an archive it has a row and no measurements. Without `boot_id` the board did not answer."""
+    record = RunRecord(
+        schema=2,
+        run=f"{start:%H%M}-oneshot",
+        campaign="daily",
+        suite="oneshot_timer_tests",
+        parameters=PARAMETERS | {**parameters},
+        platform=Platform.HARDWARE,
+        platform_evidence="stated by the test",
+        status=RunStatus(status),
+        reason=reason,
+        start_time=f"{start.isoformat()}Z",
+        end_time=f"{start.isoformat()}Z",
+        programs=[],
+        outputs=[],
+        target=TargetFacts(name=machine, boot_id=boot_id),
+        files={},
+    )
+    key = hashlib.sha256(record.model_dump_json().encode()).hexdigest()
+    table = run_table(key, record, Origin())
+    write_file(make_archive(str(archive)), file_of("runs", key), as_parquet(table))
 
 
 def write_build(root: Path, *levels_us: float, late: int = 0, seed: int = 99, platform: str = "hardware") -> Path:

@@ -17,7 +17,8 @@ from archive.archived import write_build, write_course
 
 from ports import free_port
 from rtrun.archive import alarms as alarms_module
-from rtrun.archive.alarms import in_quarantine
+from rtrun.archive.alarms import board_alarms
+from rtrun.archive.fleet import Farm, boards_of
 from rtrun.archive.notes import Notes
 from rtrun.archive.receivers import CommandReceiver, HookReceiver, MailReceiver, as_text, tell
 from rtrun.cli import main
@@ -178,12 +179,19 @@ def test_a_quarantine_is_told_once_and_the_next_one_again(capsys, lab, monkeypat
     """The coordinator's answer is made up here; tests/rtrun/targets/labgrid asks a real one."""
     tags = {"quarantine": "2026-11-24_10.0.0.7_22_connection_refused"}
     place = LabgridPlace(name="panda-2", tags=tags, matches=(), holder=None, reservation=None)
-    (alarm,) = in_quarantine([place], Notes(held={}))
+
+    def quarantine_of(place):
+        alarms = board_alarms(boards_of([], Farm(places=[place], offered=[])), Notes(held={}))
+        (alarm,) = (alarm for alarm in alarms if alarm.kind == "quarantine")
+        return alarm
+
+    alarm = quarantine_of(place)
     assert alarm.size == "10.0.0.7 22 connection refused (since 2026-11-24)"
     again = LabgridPlace(name="panda-2", tags={"quarantine": "2026-12-01_x"}, matches=(), holder=None, reservation=None)
-    assert in_quarantine([again], Notes(held={}))[0].key != alarm.key
+    assert quarantine_of(again).key != alarm.key
     places = [place]
-    monkeypatch.setattr("rtrun.targets.labgrid.coordinator.list_places", lambda coordinator: places)
+    monkeypatch.setattr("rtrun.archive.fleet.list_places", lambda coordinator: places)
+    monkeypatch.setattr("rtrun.archive.fleet.list_resources", lambda coordinator: [])
     path = Path(lab.words[1])
     path.write_text(f"{path.read_text()}coordinator: 127.0.0.1:1\n")
     annotate(lab, "--known", "--machine", "board")
@@ -199,7 +207,8 @@ def test_a_quarantine_is_told_once_and_the_next_one_again(capsys, lab, monkeypat
     assert "known: panda-3: ticket 7" in notify(capsys, lab) and len(lab.posts) == 2
     later = {"quarantine": "2999-01-01_x"}
     places[:] = [LabgridPlace(name="panda-3", tags=later, matches=(), holder=None, reservation=None)]
-    assert "known: panda-3" not in notify(capsys, lab) and len(lab.posts) == 3
+    notify(capsys, lab)
+    assert [alarm["kind"] for alarm in lab.posts[2][1]["alarms"]] == ["quarantine"]
 
 
 def test_names_that_are_hostile_are_text_and_nothing_else(lab, tmp_path):

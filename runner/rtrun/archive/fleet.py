@@ -1,0 +1,124 @@
+"""How each board of an archive, and of a labgrid farm, stands: failed, offline, in quarantine, new, when last seen."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from rtrun.archive.runs import RunRow
+from rtrun.archive.states import LEAST_BOOTS
+from rtrun.targets.labgrid.coordinator import (
+    LabgridPlace,
+    OfferedResource,
+    list_places,
+    list_resources,
+    nobody_offers,
+    unoffered,
+)
+from rtrun.targets.labgrid.health import FAILED
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Farm:
+    """The places of a labgrid coordinator, and what its exporters offer now."""
+
+    places: Sequence[LabgridPlace]
+    offered: Sequence[OfferedResource]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ScenarioHealth:
+    """A scenario on a board: its last run, and the runs at the end that failed one after the other, the first one
+    first. A run failed that is not `ok`: it has no measurements that count."""
+
+    last: RunRow
+    failures: Sequence[RunRow]
+
+    @property
+    def reason(self) -> str:
+        """Why its last run failed, or as what it ended."""
+        return f"{self.last.status}: {self.last.reason}" if self.last.reason else self.last.status
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BoardHealth:
+    """A board: its scenarios, on how many boots it was measured, and what the farm says of it.
+
+    `last_run` is the start of its last run, `last_seen` that of the last one in which the board answered; UTC, without
+    a zone. `quarantine` and `failed_check` are tags of its place, `offline` says what nobody offers; all are None, too,
+    where no farm has such a place, or none was asked (`in_farm`).
+    """
+
+    board: str
+    scenarios: Sequence[ScenarioHealth]
+    boots: int
+    last_run: datetime | None
+    last_seen: datetime | None
+    in_farm: bool
+    quarantine: str | None
+    failed_check: str | None
+    offline: str | None
+
+    @property
+    def failed(self) -> list[ScenarioHealth]:
+        """The scenarios whose last run failed."""
+        return [each for each in self.scenarios if each.failures]
+
+    @property
+    def is_new(self) -> bool:
+        """Whether it was measured on too few boots for any change to be seen."""
+        return self.boots < LEAST_BOOTS
+
+    @property
+    def is_ill(self) -> bool:
+        """Whether somebody has to look after it."""
+        return bool(self.failed or self.offline or self.quarantine)
+
+
+def ask_farm(coordinator: str) -> Farm:
+    """What a coordinator says of its places. Raises as `list_places` does."""
+    return Farm(places=list_places(coordinator), offered=list_resources(coordinator))
+
+
+def boards_of(runs: Iterable[RunRow], farm: Farm | None) -> list[BoardHealth]:
+    """Every board that was measured, or is a place of the farm, by name; those that need somebody first."""
+    of_board: dict[str, list[RunRow]] = {}
+    for row in runs:
+        of_board.setdefault(row.machine, []).append(row)
+    places = {place.name: place for place in farm.places} if farm else {}
+    offered = farm.offered if farm else ()
+    boards = [_board(name, of_board.get(name, []), places.get(name), offered) for name in {*of_board, *places}]
+    return sorted(boards, key=lambda one: (not one.is_ill, one.board))
+
+
+def _board(
+    name: str, rows: Sequence[RunRow], place: LabgridPlace | None, offered: Sequence[OfferedResource]
+) -> BoardHealth:
+    scenarios: dict[tuple[str, ...], list[RunRow]] = {}
+    for row in sorted(rows, key=_when):
+        scenarios.setdefault((row.scenario, row.suite, row.parameters, row.platform), []).append(row)
+    tags: Mapping[str, str] = place.tags if place else {}
+    missing = unoffered(place, offered) if place else []
+    return BoardHealth(
+        board=name,
+        scenarios=[_scenario(scenarios[key]) for key in sorted(scenarios)],
+        boots=len({row.boot for row in rows if row.status == "ok"}),
+        last_run=_last(rows),
+        last_seen=_last(row for row in rows if row.status == "ok" or row.boot_id),
+        in_farm=place is not None,
+        quarantine=place.quarantine if place else None,
+        failed_check=tags.get(FAILED),
+        offline=nobody_offers(missing) if missing else None,
+    )
+
+
+def _scenario(rows: Sequence[RunRow]) -> ScenarioHealth:
+    good = max((number for number, row in enumerate(rows) if row.status == "ok"), default=-1)
+    return ScenarioHealth(last=rows[-1], failures=rows[good + 1 :])
+
+
+def _when(row: RunRow) -> tuple[datetime, str]:
+    return row.start_utc or datetime.min, row.run_key  # one without a time says nothing of today
+
+
+def _last(rows: Iterable[RunRow]) -> datetime | None:
+    return max((row.start_utc for row in rows if row.start_utc), default=None)
