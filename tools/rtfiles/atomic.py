@@ -5,24 +5,30 @@ import shutil
 import tempfile
 from pathlib import Path
 
+from rtfiles.errors import UsageError
+
 
 def write_bytes(path: Path, data: bytes, mode: int = 0o644) -> None:
     """Write a file under a temporary name in its folder, flush it to disk, rename it into place.
 
     Where `path` is a link, the file that it names is written. What is no regular file, as /dev/null or a pipe, is
-    written to. The folder must exist. Raises OSError, and leaves no temporary file behind then.
+    written to. The folder must exist. Raises OSError that names `path`, and leaves no temporary file behind then.
     """
+    try:
+        _write(path, data, mode)
+    except OSError as error:
+        error.filename = str(path)  # of a full disk it has none, and of the temporary file another one
+        raise
+
+
+def _write(path: Path, data: bytes, mode: int) -> None:
     named = Path(os.path.realpath(path))
     # Of a link in /proc/<pid>/fd, as /dev/stdout is one, the text may be the path of no file.
     if path.exists() and not named.is_file():
         with path.open("wb") as stream:
             stream.write(data)
         return
-    try:
-        handle, temporary = tempfile.mkstemp(dir=named.parent, prefix=f".{named.name}.")
-    except OSError as error:
-        error.filename = str(path)  # the message has to name the file that was asked for
-        raise
+    handle, temporary = tempfile.mkstemp(dir=named.parent, prefix=f".{named.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
@@ -39,6 +45,18 @@ def write_bytes(path: Path, data: bytes, mode: int = 0o644) -> None:
 def write_text(path: Path, text: str, mode: int = 0o644) -> None:
     """`write_bytes` of UTF-8 text."""
     write_bytes(path, text.encode("utf-8"), mode)
+
+
+def write_named(path: Path, data: bytes) -> None:
+    """`write_bytes` to a place that the user named. Raises UsageError where that cannot be, or there is nothing to
+    write: an empty file would pass for an answer."""
+    if not data:
+        raise UsageError(f"{path}: not written, because there is nothing to write")
+    try:
+        write_bytes(path, data)
+    except (OSError, ValueError) as error:  # the latter for a NUL in the path
+        reason = (isinstance(error, OSError) and error.strerror) or error
+        raise UsageError(f"{path}: cannot be written: {reason}") from error
 
 
 def replace_link(path: Path, target: Path | str) -> None:

@@ -60,7 +60,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _save_config(link: "Link", path: Path) -> None:
     from rtfiles import atomic
-    from rtfiles.errors import UsageError
     from rtrun.targets.errors import TargetError
     from rtrun.targets.inspection import facts as inspection
 
@@ -69,10 +68,7 @@ def _save_config(link: "Link", path: Path) -> None:
         raise TargetError(
             f"{link.target.address}: the kernel keeps no configuration, neither /proc/config.gz nor /boot"
         )
-    try:
-        atomic.write_bytes(path, packed)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
+    atomic.write_named(path, packed)
 
 
 def _as_json(finding: "CheckResult") -> dict[str, Any]:

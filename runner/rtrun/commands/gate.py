@@ -107,10 +107,7 @@ def run(args: argparse.Namespace) -> int:
         print_styled("passed" if judged.passed else "failed")
         print_answers(judged.cases, judged=True, verbose=args.verbose)
     if args.junit:
-        try:
-            atomic.write_text(args.junit, junit(judged))
-        except OSError as error:
-            raise UsageError(f"{args.junit}: {error.strerror}") from error
+        atomic.write_named(args.junit, junit(judged).encode("utf-8", "replace"))
     return 0 if judged.passed else 1
 
 

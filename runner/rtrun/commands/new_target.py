@@ -126,12 +126,8 @@ def _write(output: Path, values: dict[str, Any]) -> None:
     import yaml
 
     from rtfiles import atomic
-    from rtfiles.errors import UsageError
 
-    try:
-        atomic.write_text(output, yaml.safe_dump(values, sort_keys=False, allow_unicode=True))
-    except OSError as error:
-        raise UsageError(f"{output}: cannot be written: {error.strerror}") from error
+    atomic.write_named(output, yaml.safe_dump(values, sort_keys=False, allow_unicode=True).encode())
 
 
 def _lacks(link: "Link") -> list[str]:

@@ -157,7 +157,7 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
     from dataclasses import replace
 
     from rtfiles import atomic
-    from rtfiles.errors import InfrastructureError
+    from rtfiles.errors import InfrastructureError, UsageError
     from rtfiles.output import beside_the_answer, print_line, print_status
     from rtrun.commands._link import linked
     from rtrun.execution import preparation, run_execution
@@ -171,12 +171,16 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
     from rtrun.results.record import RunStatus
 
     if args.perfetto is not None:
-        atomic.write_text(args.perfetto, "")
+        atomic.write_named(args.perfetto, b"{}\n")  # better refused now than after the observation
+    not_drawn: list[UsageError] = []
     recorder = FlowRecorder(DRAWN_MAX) if args.perfetto else None
 
     def draw(observed: ObservationResult) -> None:
         if recorder is not None:
-            atomic.write_text(args.perfetto, flow_trace(recorder, observed.programs))
+            try:
+                atomic.write_named(args.perfetto, flow_trace(recorder, observed.programs).encode())
+            except UsageError as error:  # what was observed is kept all the same
+                not_drawn.append(error)
 
     planned = replace(planned, name=f"{_next_number(results):03}")
     folder, uid = results / planned.name, f"observe-{secrets.token_hex(4)}"
@@ -199,6 +203,8 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
         with beside_the_answer(args.json):
             print_line(f"{record.status}: {record.reason}")
         return InfrastructureError.exit_status
+    if not_drawn:
+        raise not_drawn[0]
     return 0
 
 

@@ -38,7 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the report, and say the verdicts. Raises UsageError when there is nothing to report on."""
     from rtfiles import atomic
-    from rtfiles.errors import UsageError
     from rtfiles.output import print_bytes, print_line, print_note, print_status
     from rtrun.judgement import gate
     from rtrun.report import formats, page, screen
@@ -69,10 +68,7 @@ def run(args: argparse.Namespace) -> int:
     folder = args.results if args.results.is_dir() else args.results.parent
     name = "report" if args.results.is_dir() else f"{args.results.stem}.report"
     output = args.output or folder / f"{name}.{ending}"
-    try:
-        atomic.write_bytes(output, content)
-    except OSError as error:
-        raise UsageError(f"{output}: {error.strerror}") from error
+    atomic.write_named(output, content)
     logs = [
         log for place in analysed.source.folders for log in sorted(place.glob("*.log")) if log.name != "console.log"
     ]

@@ -57,10 +57,9 @@ def run(args: argparse.Namespace) -> int:
         outcome = f"{paths.outcome}."
     problems = tuple(dict.fromkeys((*refused, *not_cut, *not_searched, *not_held, *not_compared)))
     if args.perfetto is not None:
-        try:
-            atomic.write_bytes(args.perfetto, perfetto(explained))
-        except OSError as error:
-            raise UsageError(f"{args.perfetto}: {error.strerror}") from error
+        if not explained:
+            raise UsageError(f"{args.perfetto}: not written: no value of {args.results} has a trace")
+        atomic.write_named(args.perfetto, perfetto(explained))
     if args.json:
         found = causes.as_data(ranking, explained)
         others = {each.id: each.as_data() for each in (paths, periods, surroundings, cost) if each is not None}
