@@ -117,8 +117,12 @@ def write_rows(path, number):
 
 
 def history(archive, *words):
-    """The status, what it said, and the highest memory in MiB."""
-    argv = [sys.executable, "-c", COMMAND, "history", str(archive), *words]
+    return called("history", archive, *words)
+
+
+def called(*words):
+    """The status of a command, what it said, and its own highest memory in MiB."""
+    argv = [sys.executable, "-c", COMMAND, *map(str, words)]
     done = subprocess.run(argv, capture_output=True, text=True, check=True)
     status, peak_kib = done.stdout.split()[-2:]
     return int(status), done.stderr, int(peak_kib) / 1024
@@ -132,6 +136,25 @@ def test_more_rows_than_a_run_has_in_few_bytes(archive, table, rows, what):
     status, said, peak_mib = history(archive, "--json")
     assert status == 2 and what in said, said
     assert peak_mib < MEMORY_MIB
+
+
+GROUPS_MEMORY_MIB = 200
+
+
+@pytest.mark.parametrize("table", ["runs", "histograms"])
+@pytest.mark.parametrize("groups", [1024, 1025, 20_000])
+@pytest.mark.parametrize("command", [("history",), ("archive", "compact"), ("trends",)])
+def test_many_row_groups_are_refused_before_their_list_is_read(archive, table, groups, command):
+    """A footer of 20 000 row groups takes hundreds of MiB; the runs' file has one row more than one of a run."""
+    path = sorted((archive / table).rglob("*.parquet"))[0]
+    rows = pyarrow.concat_tables([pyarrow.parquet.ParquetFile(path).read()] * groups).combine_chunks().slice(0, groups)
+    pyarrow.parquet.write_table(rows, path, row_group_size=1, store_schema=False)
+    status, said, peak_mib = called(*command, archive)
+    assert peak_mib < GROUPS_MEMORY_MIB
+    if groups > 1024:
+        assert status == 2 and f"{path}: its footer is damaged, or lists more than 1024 row groups: " in said
+    else:
+        assert status == (2 if table == "runs" else 0), said
 
 
 def test_many_files_are_not_held_at_one_time(tmp_path):

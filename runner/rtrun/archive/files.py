@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 PACK = "pack-"
 ROW_GROUP = 1 << 17
 """Rows of a row group of a pack at most."""
+GROUPS_MAX = 1024
+"""Row groups of a file: what a footer says of each takes 6 KB of memory, and the rows of a run are in 32 at most."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -173,7 +175,11 @@ def opened(
         # ranges that it wants, each with one request.
         with nullcontext(path) if store.is_local else store.file_system.open(path, "rb", cache_type="none") as source:
             yield pyarrow.parquet.ParquetFile(
-                source, metadata=footer, read_dictionary=list(dictionary), pre_buffer=not store.is_local
+                source,
+                metadata=footer,
+                read_dictionary=list(dictionary),
+                pre_buffer=not store.is_local,
+                thrift_container_size_limit=GROUPS_MAX,  # of every list in a footer
             )
     except (pyarrow.ArrowException, ValueError) as error:
         raise damaged(store, f"{path}: {error}") from error
@@ -183,6 +189,10 @@ def opened(
         raise
     except Exception as error:  # each object store has exceptions of its own
         reason = " ".join(str(error).split()) or type(error).__name__
+        if "thrift" in reason.lower():  # of pyarrow, which has no exception of its own for it
+            raise damaged(
+                store, f"{path}: its footer is damaged, or lists more than {GROUPS_MAX} row groups: {reason}"
+            ) from error
         raise InfrastructureError(f"{store.address}: cannot be read: {reason}") from error
 
 

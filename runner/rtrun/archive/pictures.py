@@ -78,7 +78,9 @@ def _scale(values: Sequence[float]) -> Scale:
     low, high = min(values), max(values)
     if low > 0 and high > _SPAN * low:
         return Scale(division=Division.LOG, low=low / 1.2, high=high * 1.2)
-    return Scale(division=Division.LINEAR, low=min(0.0, low), high=high * 1.05 or 1.0)
+    # Zero is on it; values that fire early are all below.
+    low, high = min(0.0, low), max(0.0, high)
+    return Scale(division=Division.LINEAR, low=low * 1.05, high=high * 1.05 if high else float(low == 0))
 
 
 def _line(colour: int, name: str, x: Floats, y: Floats) -> Mark:

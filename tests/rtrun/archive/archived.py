@@ -46,15 +46,19 @@ def write_course(
     parameters: Mapping[str, Any] = MappingProxyType({}),
     seed: int = 1,
     lengths: Sequence[int] = (),
+    constant_ns: int | None = None,
 ) -> Path:
     """A day for each level, with runs of `lengths` measurements.
 
-    `facts` has kernel, commit, packages and temperature_mc of each day, `late` how many misses.
+    `facts` has kernel, commit, packages and temperature_mc of each day, `late` how many misses. With `constant_ns` all
+    values are that.
     """
     store = make_archive(str(archive))
     for day, runs in enumerate(values_of_boots(levels_us, np.random.default_rng(seed), lengths)):
         fact = facts[day] if facts else {}
         for k, values in enumerate(runs):
+            if constant_ns is not None:
+                values[:] = constant_ns
             values[: late[day] if late else 0] = 500_000
             start = START + timedelta(days=day, hours=k)
             temperature = fact.get("temperature_mc")

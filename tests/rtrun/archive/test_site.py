@@ -3,15 +3,19 @@
 import html
 import itertools
 import json
+import math
 import re
 from datetime import UTC, datetime
 from unittest import mock
 
 import pytest
 from archive.archived import write_course
+from hypothesis import given, strategies
 from report.test_browser import browse
 
+from rtrun.archive.pictures import _scale
 from rtrun.cli import main
+from rtrun.report.plots.axes import times
 
 LONG = "the-board-with-a-rather-long-name-on-the-upper-shelf"
 EVIL = "<script>missing()</script>"
@@ -145,6 +149,27 @@ def test_figures_for_grafana(site):
     dashboard = json.loads((site / "grafana-dashboard.json").read_text())
     asked = {panel["targets"][0]["expr"].partition("{")[0].split()[-1] for panel in dashboard["panels"]}
     assert asked <= names
+
+
+@pytest.mark.parametrize("value_ns", [-5, -1, 0, 1, -(10**12), 10**12])
+@pytest.mark.parametrize("days", [1, 3])
+def test_values_that_are_all_the_same(tmp_path, capsys, value_ns, days):
+    """A timer that fires 5 ns early each time is one that a clock of large steps shows."""
+    archive = write_course(tmp_path / "archive", [100.0] * days, constant_ns=value_ns)
+    assert main(["site", str(archive), "--output", str(tmp_path / "pages")]) == 0, capsys.readouterr().err
+    (page,) = [path for path in (tmp_path / "pages").glob("*.html") if path.name not in ("index.html", "boards.html")]
+    assert "NaN" not in page.read_text() and '"values"' in page.read_text()
+
+
+@given(strategies.lists(strategies.integers(-(2**62), 2**62), min_size=1, max_size=5))
+def test_a_plot_holds_all_of_its_values(values):
+    """Whatever they are, the axis ascends, and its low end is at none of them but the lowest."""
+    scale = _scale(values)
+    axis = times("x", scale)
+    assert math.isfinite(scale.low) and math.isfinite(scale.high) and scale.low < scale.high
+    assert scale.low <= min(values) and max(values) <= scale.high
+    places = [float(scale.at(value)) for value, _ in axis.ticks]
+    assert len(places) >= 2 and places == sorted({*places})
 
 
 def test_an_archive_without_times_has_no_site(capsys, tmp_path):
