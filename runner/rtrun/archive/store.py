@@ -158,6 +158,7 @@ def find_files(store: Store, folder: str) -> list[str]:
 def list_names(store: Store, folder: str) -> list[str]:
     """The names of the files below a folder of the archive, hidden ones left out. Raises InfrastructureError."""
     with _naming(store, "cannot be listed"):
+        store.file_system.invalidate_cache()  # others may have written since this process listed the folder
         names = [str(path).rpartition("/")[2] for path in store.file_system.find(store.locate(folder))]
     return [name for name in names if not name.startswith(".")]
 

@@ -9,9 +9,11 @@ from datetime import UTC, datetime, timedelta
 from itertools import count, pairwise
 from unittest import mock
 
+import fsspec
 import pytest
 from archive.archived import write_build, write_course
 from archive.test_compacting import NOW, answers, compacted, files
+from fsspec.implementations.memory import MemoryFileSystem
 from hypothesis import HealthCheck, Phase, given, settings, strategies
 from pydantic import ValidationError
 
@@ -386,3 +388,41 @@ def test_times_of_notes_with_a_zone_are_compared_in_utc():
     assert note.at == datetime(2026, 11, 24, 8)
     with pytest.raises(ValidationError, match="expected a time between 1900 and 3000"):
         KnownNote.model_validate_json('{"at": "9999-12-31T23:59:59-02:00", "who": "x", "reason": "x"}')
+
+
+class CachingStore(MemoryFileSystem):
+    """An object store whose client remembers what a folder had when it was listed first, as that of S3 does."""
+
+    protocol = "caching"
+    store: dict = {}  # noqa: RUF012
+    pseudo_dirs = [""]  # noqa: RUF012
+    cachable = False  # each machine has a client of its own
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self._listed = {}
+
+    @classmethod
+    def _strip_protocol(cls, path):
+        return super()._strip_protocol(path.removeprefix("caching://"))
+
+    def find(self, path, *, detail=False):
+        if path not in self._listed:
+            self._listed[path] = super().find(path, detail=True)
+        return self._listed[path] if detail else sorted(self._listed[path])
+
+    def invalidate_cache(self, path=None):
+        self._listed.clear()
+
+
+def test_what_another_machine_wrote_meanwhile_is_in_sight():
+    fsspec.register_implementation("caching", CachingStore, clobber=True)
+    fast, slow = (make_archive("caching://bucket/archive") for _ in range(2))
+    read_notes(slow)
+    days = datetime(2026, 11, 25), datetime(2026, 11, 24)
+    for store, at, reason in zip((fast, slow), days, ("first", "second"), strict=True):
+        add_note(store, KnownNote(at=at, who="x", reason=reason))
+    assert [note.reason for note in read_notes(open_archive("caching://bucket/archive")).held.values()] == [
+        "first",
+        "second",
+    ]
