@@ -93,6 +93,45 @@ def test_a_kernel_that_is_too_old_for_the_machine(data):
         render(data, "arm64", "3.4")
 
 
+def test_a_fragment_sets_what_is_wanted_and_nothing_else(data):
+    for machine in data.machines:
+        for kernel in data.kernels_of(machine):
+            assert rendered(data, machine, kernel) == data.wanted(machine, kernel)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "nearest"),
+    [
+        ("2.6", "3.4"),
+        ("4.19", "5.15"),
+        ("5.10", "5.15"),
+        ("5.19", "6.1"),
+        ("6.8", "6.6"),
+        ("6.9", "6.6"),  # as near as 6.12
+        ("6.10", "6.12"),
+        ("7.0", "7.1"),  # two after 6.18
+        ("8.3", "7.2"),
+    ],
+)
+def test_the_nearest_data_of_a_kernel(data, kernel, nearest):
+    basis = data.basis(kernel)
+    assert (basis.options_of, basis.rt_of) == (kernel, nearest)
+    assert basis.remark(kernel) == f" (by the data of {nearest}, the nearest)"
+
+
+def test_a_kernel_with_data_is_its_own_basis(data):
+    for kernel in data.kernels:
+        basis = data.basis(kernel)
+        assert (basis.options_of, basis.rt_of, basis.remark(kernel)) == (kernel, kernel, "")
+
+
+def test_what_a_kernel_without_data_cannot_have_is_not_asked_of_it(data):
+    """The options say since when they exist: those of its nearest data may be newer than the kernel."""
+    assert {"OSNOISE_TRACER", "SLUB_CPU_PARTIAL"} <= data.wanted("arm64", "5.15").keys()
+    assert "OSNOISE_TRACER" not in data.wanted("arm64", "5.10")
+    assert "SLUB_CPU_PARTIAL" not in data.wanted("arm64", "7.0")
+
+
 def test_errata_that_a_multiplatform_kernel_cannot_have_are_never_rendered(data):
     for kernel in data.kernels:
         assert not {"ARM_ERRATA_743622", "ARM_ERRATA_751472"} & rendered(data, "pandaboard-es", kernel).keys()

@@ -11,8 +11,8 @@ from rtfiles.errors import UsageError
 from rtgen.cli import main
 from rtgen.kconfig import data as kconfig
 from rtgen.kconfig import debian_source
-from rtgen.kconfig.fragment import parse_fragment
-from rtgen.kconfig.render import render
+from rtgen.kconfig.fragment import kernel_of, parse_fragment
+from rtgen.kconfig.render import config_line, render
 from rtgen.kconfig.tree import ARCHITECTURES, open_tree
 from rtgen.kconfig.verify import merge, read_base, verify_config, verify_tree
 
@@ -186,10 +186,16 @@ def test_a_tree_with_what_is_no_text(copy, capsys, file):
     assert error.startswith("rtgen: ") and error.endswith(f"/{file}: not UTF-8 text\n")
 
 
-def test_tree_of_an_unknown_version(copy, capsys):
+def test_a_tree_of_a_version_without_data(copy, capsys):
     makefile = copy / "Makefile"
     makefile.write_text(makefile.read_text().replace("PATCHLEVEL = 1\n", "PATCHLEVEL = 2\n", 1))
-    assert main(["kconfig", "verify", "--source", str(copy)]) == 2
+    verify = ["kconfig", "verify", "--source", str(copy), "--machine", "qemu-armv7"]
+    assert main(verify) == 0
+    said = r"^qemu-armv7, Linux 6\.2\.\S+ \(by the data of 6\.1, the nearest\), qemu-armv7_defconfig: all \d\d options"
+    assert re.search(said, capsys.readouterr().out, re.M)
+    assert main([*verify, "--kernel", "5.15"]) == 0
+    assert " (by the data of 5.15), qemu-armv7_defconfig: all " in capsys.readouterr().out
+    assert main([*verify, "--kernel", "6.2"]) == 2
     assert "unknown kernel '6.2', did you mean '6.12'? known: 3.4, 5.15, 6.1" in capsys.readouterr().err
 
 
@@ -234,6 +240,41 @@ class TestFinishedConfig:
         mismatches = {item.symbol: (item.want, item.got) for item in verdict.mismatches}
         assert mismatches == {"PREEMPT_RT": ("y", "n"), "KSM": ("n", "y")}
         assert "merged pages fault again" in verdict.mismatches[-1].reason
+
+    @pytest.mark.parametrize(
+        ("machine", "head", "said"),
+        [
+            ("arm64", "Linux/arm64 5.10.104-tegra", "arm64, Linux 5.10 (by the data of 5.15, the nearest), "),
+            ("x86-64", "Linux/x86 6.8.1", "x86-64, Linux 6.8 (by the data of 6.6, the nearest), "),
+            ("x86-64", "Linux/x86_64 7.0.0-rc1", "x86-64, Linux 7.0 (by the data of 7.1, the nearest), "),
+            ("arm", "Linux/arm 6.1.176", "arm, Linux 6.1, "),
+        ],
+    )
+    def test_every_kernel_is_compared_with_the_nearest_data(self, data, tmp_path, capsys, machine, head, said):
+        """A Jetson's, and those of Ubuntu 24.04 and 26.04."""
+        kernel = kernel_of(f"# {head} Kernel Configuration\n")
+        lines = [config_line(*pair) for pair in data.wanted(machine, kernel).items()]
+        path = tmp_path / "config"
+        path.write_text("\n".join([f"# {head} Kernel Configuration", *lines, ""]))
+        verify = ["kconfig", "verify", "--machine", machine, "--config", str(path)]
+        assert main(verify) == 0
+        assert capsys.readouterr().out == f"{said}{path}: all {len(lines)} options hold\n"
+        path.write_text(path.read_text().replace("CONFIG_PREEMPT_RT=y\n", ""))
+        assert main(verify) == 1
+        out = capsys.readouterr().out
+        assert f"{said}{path}: 1 of {len(lines)} options do not hold\n  PREEMPT_RT: wanted y, is n: " in out
+
+    def test_an_option_selects_the_data(self, data, finished, tmp_path, capsys):
+        path = tmp_path / ".config"
+        path.write_text(finished)
+        verify = ["kconfig", "verify", "--machine", "qemu-armv7", "--config", str(path), "--kernel"]
+        assert main([*verify, "3.4"]) == 1
+        out = capsys.readouterr().out
+        assert "qemu-armv7, Linux 6.1 (by the data of 3.4), " in out and "PREEMPT_RT_FULL: wanted y, is n" in out
+        assert main([*verify, "6.1"]) == 0
+        assert f"qemu-armv7, Linux 6.1, {path}: all " in capsys.readouterr().out
+        assert main([*verify, "5.10"]) == 2
+        assert "unknown kernel '5.10', did you mean '5.15'? known: 3.4, 5.15, 6.1" in capsys.readouterr().err
 
     def test_cut_gzip(self, finished, tmp_path, capsys):
         path = tmp_path / "config.gz"

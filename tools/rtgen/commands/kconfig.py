@@ -41,6 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verify.add_argument(
         "--config", type=Path, metavar="FILE", help="a finished .config, a /boot/config-*, a copy of /proc/config.gz"
     )
+    verify.add_argument(
+        "--kernel", metavar="VERSION", help="compare with the data of this version (default: its own, or the nearest)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -91,21 +94,18 @@ def _verify(args: argparse.Namespace) -> int:
     if args.fragment and not args.machine:
         raise UsageError("kconfig verify: --fragment FILE needs --machine, for the bases it is put on")
     from rtgen.kconfig import debian_source
-    from rtgen.kconfig.fragment import parse_fragment
-    from rtgen.kconfig.render import render
     from rtgen.kconfig.tree import open_tree
-    from rtgen.kconfig.verify import load_fragment, verify_tree
+    from rtgen.kconfig.verify import load_fragment, rendered, verify_tree
 
     given = load_fragment(args.fragment) if args.fragment else None
     tree = debian_source.open_debian(data) if args.source == "debian" else open_tree(Path(args.source))
-    data.kernel(tree.kernel)
-    known = [name for name in data.machines if tree.kernel in data.kernels_of(name)]
+    basis = data.basis(tree.kernel, args.kernel)
+    known = [name for name in data.machines if basis.rt_of in data.kernels_of(name)]
     failed = False
     for name in [args.machine] if args.machine else known:
-        rendered = parse_fragment(render(data, name, tree.kernel), "rendered")
+        fragment, origin = (rendered(data, name, basis), None) if given is None else (given, str(args.fragment))
         for base in data.machine(name).bases:
-            fragment, origin = (rendered, None) if given is None else (given, str(args.fragment))
-            failed |= report(verify_tree(data, tree, name, base, fragment, origin))
+            failed |= report(verify_tree(data, tree, name, base, fragment, origin, args.kernel))
     return int(failed)
 
 
@@ -116,7 +116,7 @@ def _verify_config(args: argparse.Namespace, data: "Data") -> int:
     if not args.machine or args.fragment:
         raise UsageError("kconfig verify: --config FILE takes --machine, and no --fragment")
     data.machine(args.machine)
-    return int(report(verify_config(data, args.machine, read_text(args.config), str(args.config))))
+    return int(report(verify_config(data, args.machine, read_text(args.config), str(args.config), args.kernel)))
 
 
 def report(verdict: "Verification") -> bool:

@@ -53,6 +53,11 @@ class Concern(config.Config):
 Architecture = Literal["arm", "arm64", "x86-64"]  # the keys of tree.ARCHITECTURES
 
 
+# How many releases there were from 3.0 up to X.0. From 6 on it is taken for granted that each major version has 20.
+_BEFORE = {3: 0, 4: 20, 5: 41, 6: 61}
+_OF_A_MAJOR = 20
+
+
 class KernelVersion(config.Config):
     """A kernel version: the symbol that enables PREEMPT_RT, and the patch series for where mainline lacks it."""
 
@@ -116,6 +121,23 @@ class _Sources(config.Config):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Basis:
+    """The data that a kernel is compared with: the options that exist in `options_of`, and the PREEMPT_RT of `rt_of`.
+
+    `rt_of` is a version of ``kernels.yml``. `options_of` is the same one where it was selected, else the kernel itself.
+    """
+
+    options_of: str
+    rt_of: str
+
+    def remark(self, kernel: str) -> str:
+        """What has to be reported where the data are not those of that kernel; empty where they are."""
+        if self.rt_of == kernel:
+            return ""
+        return f" (by the data of {self.rt_of}{'' if self.options_of == self.rt_of else ', the nearest'})"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Data:
     """Everything in a ``kconfig/`` folder."""
 
@@ -130,6 +152,19 @@ class Data:
         if version not in self.kernels:
             raise UsageError(unknown("kernel", version, known=self.kernels))
         return self.kernels[version]
+
+    def basis(self, kernel: str, selected: str | None = None) -> Basis:
+        """What a kernel of any version is compared with: its own data, the nearest, or those of a selected version.
+
+        Of two that are equally near the older one counts: what the newer one has may be missing. Raises UsageError for
+        a selected version that is unknown.
+        """
+        if selected is not None:
+            self.kernel(selected)
+            return Basis(options_of=selected, rt_of=selected)
+        number = _release(kernel)
+        nearest = min(self.kernels, key=lambda known: (abs(_release(known) - number), version_key(known)))
+        return Basis(options_of=kernel, rt_of=nearest)
 
     def source(self, version: str | None = None) -> DebianSource:
         """The pinned source of a kernel, without a version the first one. Raises UsageError, naming the pinned ones."""
@@ -169,8 +204,7 @@ class Data:
         return None if self.machine(machine).architecture in known.rt_mainline else known.rt_series
 
     def options(self, machine: str, kernel: str) -> dict[str, tuple[KernelOption, ...]]:
-        """The options of a machine that hold for a kernel, by concern, in the order of the files."""
-        self.kernel(kernel)
+        """The options of a machine that hold for a kernel of any version, by concern, in the order of the files."""
         return {
             concern: tuple(option for option in self.concerns[concern].options if option.holds_for(kernel))
             for concern in self.machine(machine).concerns
@@ -181,6 +215,12 @@ class Data:
         return {
             option.symbol: str(option.value) for group in self.options(machine, kernel).values() for option in group
         }
+
+
+def _release(version: str) -> int:
+    """The place of a version like ``6.12`` in the row of all releases since 3.0."""
+    major, minor = version_key(version)
+    return _BEFORE.get(major, _BEFORE[6] + _OF_A_MAJOR * (major - 6)) + minor
 
 
 def version_key(version: str) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ from rtfiles.errors import UsageError
 from rtfiles.untrusted import read_text
 from rtfiles.wording import did_you_mean
 from rtgen.kconfig import explain
-from rtgen.kconfig.data import Data
+from rtgen.kconfig.data import Basis, Data
 from rtgen.kconfig.fragment import CONFIG_BYTES_MAX, Line, kernel_of, parse, parse_defconfig, parse_fragment, values
 from rtgen.kconfig.render import config_line
 from rtgen.kconfig.tree import ARCHITECTURES, Architecture, Tree, run_conf
@@ -49,17 +49,23 @@ def merge(base: Sequence[Line], fragment: Sequence[Line]) -> str:
 
 
 def verify_tree(
-    data: Data, tree: Tree, machine: str, base: str, fragment: Sequence[Line], origin: str | None
+    data: Data,
+    tree: Tree,
+    machine: str,
+    base: str,
+    fragment: Sequence[Line],
+    origin: str | None,
+    selected: str | None = None,
 ) -> Verification:
     """Merge a fragment onto a base of the machine, and compare the .config that ``conf`` makes with fragment and data.
 
     Options of the data count even if the fragment leaves them out or contradicts them. `origin` names the file of the
-    fragment, None if it is the rendered one. Raises UsageError when the tree's version is unknown.
+    fragment, None if it is the rendered one; `selected` is as in `Data.basis`.
     """
-    data.kernel(tree.kernel)
+    basis = data.basis(tree.kernel, selected)
     architecture = ARCHITECTURES[data.machine(machine).architecture]
     given = values(tuple(fragment))
-    wanted = given | data.wanted(machine, tree.kernel)
+    wanted = given | data.wanted(machine, basis.options_of)
     config = run_conf(tree, architecture, merge(read_base(data, tree, architecture, base), fragment))
     got = values(parse(config, ".config"))
     known = tree.symbols(architecture)
@@ -79,34 +85,45 @@ def verify_tree(
             elif origin and given[name] != value:
                 number = next(line.number for line in fragment if line.symbol == name)
                 why = f"{origin}:{number} says {given[name]}; {why}"
-        series = data.rt_series(machine, tree.kernel)
-        if series and name == data.kernel(tree.kernel).rt_symbol and (name not in known or "ARCH_SUPPORTS_RT" in why):
+        series = data.rt_series(machine, basis.rt_of)
+        if series and name == data.kernel(basis.rt_of).rt_symbol and (name not in known or "ARCH_SUPPORTS_RT" in why):
             why = f"this tree lacks the patch series {series} ({why})"
         mismatches.append(Mismatch(symbol=name, want=value, got=_shown(name, got, known), reason=why))
     return Verification(
-        subject=f"{machine}, Linux {tree.release}, {base}",
+        subject=f"{machine}, Linux {tree.release}{basis.remark(tree.kernel)}, {base}",
         checked=len(wanted), mismatches=tuple(mismatches), config=config,
     )  # fmt: skip
 
 
-def verify_config(data: Data, machine: str, text: str, origin: str) -> Verification:
-    """Compare a finished .config with the data. Raises UsageError when its head names no known kernel version."""
+def rendered(data: Data, machine: str, basis: Basis) -> tuple[Line, ...]:
+    """What the fragment of a machine sets, for a kernel of any version."""
+    wanted = data.wanted(machine, basis.options_of)
+    return tuple(Line(symbol, value, number) for number, (symbol, value) in enumerate(wanted.items(), start=1))
+
+
+def verify_config(data: Data, machine: str, text: str, origin: str, selected: str | None = None) -> Verification:
+    """Compare a finished .config with the data; `selected` is as in `Data.basis`.
+
+    Raises UsageError when its head names no version of a kernel.
+    """
     kernel = kernel_of(text)
     if kernel is None:
         raise UsageError(
             f"{origin}:1: not a finished .config, "
             "its head must be '# Linux/<architecture> <version> Kernel Configuration'"
         )
-    wanted = data.wanted(machine, kernel)
+    basis = data.basis(kernel, selected)
+    wanted = data.wanted(machine, basis.options_of)
     got = values(parse(text, origin))
     mismatches = tuple(
-        Mismatch(symbol=name, want=value, got=got.get(name, "n"), reason=_why_not(data, machine, kernel, name))
+        Mismatch(symbol=name, want=value, got=got.get(name, "n"), reason=_why_not(data, machine, basis, name))
         for name, value in wanted.items()
         if got.get(name, "n") != value
     )
     return Verification(
-        subject=f"{machine}, Linux {kernel}, {origin}", checked=len(wanted), mismatches=mismatches, config=text
-    )
+        subject=f"{machine}, Linux {kernel}{basis.remark(kernel)}, {origin}",
+        checked=len(wanted), mismatches=mismatches, config=text,
+    )  # fmt: skip
 
 
 def load_fragment(path: Path) -> tuple[Line, ...]:
@@ -118,6 +135,6 @@ def _shown(name: str, got: Mapping[str, str], known: frozenset[str]) -> str:
     return got.get(name, "n" if name in known else "nothing")
 
 
-def _why_not(data: Data, machine: str, kernel: str, symbol: str) -> str:
-    options = (option for group in data.options(machine, kernel).values() for option in group)
+def _why_not(data: Data, machine: str, basis: Basis, symbol: str) -> str:
+    options = (option for group in data.options(machine, basis.options_of).values() for option in group)
     return next(option.reason for option in options if option.symbol == symbol)
