@@ -124,7 +124,7 @@ struct Boxes {
       context.message.assign(topic.message_bytes(), 0);
     }
     unsigned char* bytes() { return context_.message.data(); }
-    bool send() { return ++context_.sent > 0; }
+    bool send() noexcept { return ++context_.sent > 0; }
     std::string problem() { return ""; }
     int64_t subscribers() { return 2; }
     Context& context_;

@@ -189,12 +189,12 @@ TEST_F(BlocksTest, TheWriterIsOfNormalPriorityWhateverTheRest) {
 TEST_F(BlocksTest, TheWriterRunsOnTheCpusThatAreLeft) {
   const auto cpus = read_threads()[0].cpus;
   if (cpus.size() < 2) GTEST_SKIP() << "one CPU leaves nothing";
-  static const Program program = {"", "", "", {"cpu", "policy"}};
+  static const Program program = {"", "", "", {"cpu", "policy", "rt_scope"}};
   Options options(program);
   options.assign("--cpu", std::to_string(cpus[0]));
-  const cpu_set_t spare = set_up_process(options);
-  EXPECT_FALSE(CPU_ISSET(cpus[0], &spare));
-  EXPECT_EQ(CPU_COUNT(&spare), static_cast<int>(cpus.size()) - 1);
+  const ProcessSetUp set_up(options);
+  const CpuSet& spare = set_up.spare_cpus();
+  EXPECT_EQ(spare.cpus(), std::vector<int>(cpus.begin() + 1, cpus.end()));
   Samples<1> samples(10);
   Blocks blocks(npy, samples, long_ns, spare, period_ms);
   EXPECT_EQ(read_threads()[1].cpus, std::vector<int>(cpus.begin() + 1, cpus.end()));

@@ -7,6 +7,7 @@
 #include <iterator>
 #include <stdexcept>
 
+#include "rt_tests_support/measure/activations.h"
 #include "rt_tests_support/measure/cyclic.h"
 #include "rt_tests_support/measure/oneshot.h"
 #include "rt_tests_support/measure/publisher.h"
@@ -21,6 +22,7 @@ struct Fake {
   static inline int shutdowns = 0;
   static inline int64_t connected = 0;   // subscribers: one more each time that they are counted
   static inline int64_t sent_at_most = 0;
+  static inline bool throws = false;     // when it cannot send
   static inline std::vector<rt_tests::Stamp> sent;
 
   struct Context : rt_tests::NoContext {
@@ -55,13 +57,16 @@ struct Fake {
 
   struct Publisher {
     Publisher(Context&, const rt_tests::Options&) {}
-    bool publish(const rt_tests::Stamp& stamp) {
-      if (static_cast<int64_t>(sent.size()) == sent_at_most) return false;
-      sent.push_back(stamp);
-      return true;
+    bool publish(const rt_tests::Stamp& stamp) noexcept {
+      if (static_cast<int64_t>(sent.size()) == sent_at_most && !throws) return false;
+      return sending.succeeds([&] {
+        if (static_cast<int64_t>(sent.size()) == sent_at_most) throw std::runtime_error("no room");
+        sent.push_back(stamp);
+      });
     }
-    std::string problem() const { return "it is full"; }
+    std::string problem() const { return throws ? sending.problem(name) : "it is full"; }
     int64_t subscribers() { return sent.empty() ? connected++ : 0; }
+    rt_tests::Sending sending;
   };
 
   template <class CallBack>
@@ -191,6 +196,37 @@ TEST(Middleware, APublisherThatCannotGoOnSaysWhy) {
   EXPECT_TRUE(has(json, "\"incomplete_reason\": \"the publisher left, last message seen: 3\"")) << json;
   EXPECT_TRUE(has(json, "\"measured\": 4") && has(json, "\"missing\": 0")) << json;
   Fake::sent.clear();
+}
+
+// roscpp's send may throw in the middle of a measurement: that is an end with a reason, as any other.
+TEST(Middleware, APublisherThatThrowsSaysWhy) {
+  const Folder folder;
+  Fake::sent_at_most = 4;
+  Fake::throws = true;
+  testing::internal::CaptureStderr();
+  EXPECT_EQ(called(communication::publisher_main<Fake>, {"-r", "10", "-f", "10000", "--out-dir", folder.path}), 1);
+  EXPECT_EQ(testing::internal::GetCapturedStderr(), "\tERROR: fake: cannot publish: no room after 4 of 10 messages\n");
+  EXPECT_TRUE(has(folder / "ct_gnuplot_l10_fq10000_pl0-publisher.json", "\"sent\": 4"));
+  Fake::throws = false;
+  Fake::sent.clear();
+}
+
+TEST(Middleware, WhatIsNoExceptionOfTheStandardIsToldToo) {
+  rt_tests::Sending sending;
+  EXPECT_TRUE(sending.succeeds([] {}));
+  EXPECT_EQ(sending.problem("m"), "");
+  EXPECT_FALSE(sending.succeeds([] { throw 5; }));
+  EXPECT_EQ(sending.problem("m"), "m: cannot publish: something that is no std::exception was thrown");
+}
+
+// What its thread catches: the node itself lets it pass.
+TEST(Middleware, AnActivationThatThrowsIsNotTheEndOfTheProgram) {
+  topology::Node described{};
+  described.activations_max = 1;
+  described.outputs = {{0, 1, 1}};
+  topology::HostedNode node(described);
+  const auto publish = [](std::size_t, int64_t) { throw std::runtime_error("no room"); };
+  EXPECT_THROW(node.activate(0, topology::HostedNode::all_inputs, publish), std::runtime_error);
 }
 
 TEST(Middleware, APayloadBeyondItsLimitIsRefused) {

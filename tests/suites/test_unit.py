@@ -17,6 +17,7 @@ PROGRAMS = (
     "middleware",
     "allocations",
     "blocks",
+    "heaps",
     "process",
     "trace",
 )

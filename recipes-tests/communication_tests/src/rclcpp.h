@@ -3,7 +3,6 @@
 
 #include "rt_tests_support/rclcpp.h"
 
-#include <exception>
 #include <string>
 
 #include "ros2.h"
@@ -22,22 +21,16 @@ struct Rclcpp : rt_tests::Rclcpp {
 
     bool publish(const rt_tests::Stamp& stamp) noexcept {
       communication::write_stamp(stamp, message_.data.data());
-      try {
-        publisher_->publish(message_);
-        return true;
-      } catch (const std::exception& failure) {
-        problem_ = std::string("rclcpp: cannot publish: ") + failure.what();
-        return false;
-      }
+      return sending_.succeeds([this] { publisher_->publish(message_); });
     }
-    std::string problem() const { return problem_; }
+    std::string problem() const { return sending_.problem(name); }
     int64_t subscribers() const { return static_cast<int64_t>(publisher_->get_subscription_count()); }
     rt_tests::Facts facts() const { return ros2::facts_of(&publisher_->get_actual_qos().get_rmw_qos_profile()); }
 
    private:
     ros2::Message message_;
     rclcpp::Publisher<ros2::Message>::SharedPtr publisher_;
-    std::string problem_;
+    rt_tests::Sending sending_;
   };
 
   template <class CallBack>

@@ -18,20 +18,20 @@ struct Roscpp : rt_tests::Roscpp {
         : publisher_(context.node().advertise<Message>(topic, queue)) {
       message_.payload.assign(static_cast<std::size_t>(options.number("payload_bytes")), 0xff);
     }
-    bool publish(const rt_tests::Stamp& stamp) {
+    bool publish(const rt_tests::Stamp& stamp) noexcept {
       message_.seq = stamp.seq;
       message_.last_msg = stamp.last;
       message_.sec = static_cast<uint32_t>(stamp.publication_ns / rt_tests::ns_per_s);
       message_.nsec = static_cast<uint32_t>(stamp.publication_ns % rt_tests::ns_per_s);
-      publisher_.publish(message_);
-      return true;
+      return sending_.succeeds([this] { publisher_.publish(message_); });
     }
-    std::string problem() const { return ""; }
+    std::string problem() const { return sending_.problem(name); }
     int64_t subscribers() const { return publisher_.getNumSubscribers(); }
 
    private:
     ros::Publisher publisher_;
     Message message_;
+    rt_tests::Sending sending_;
   };
 
   template <class CallBack>

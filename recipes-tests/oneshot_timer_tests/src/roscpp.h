@@ -2,6 +2,7 @@
 #pragma once
 
 #include <atomic>
+#include <exception>
 #include <thread>
 
 #include "rt_tests_support/measure/oneshot.h"
@@ -15,9 +16,15 @@ struct Roscpp : rt_tests::Roscpp {
         : box_(box), busy_(options, context, timer, box) {
       if (options.number("busy_mode") == 1) return;
       spinner_ = std::thread([this, &context, &timer] {
-        while (!ended_ && context.ok()) {
-          timer.spin(rt_tests::spin_limit_ns);
-          if (box_.settle()) box_.wake();
+        try {
+          while (!ended_ && context.ok()) {
+            timer.spin(rt_tests::spin_limit_ns);
+            if (box_.settle()) box_.wake();
+          }
+        } catch (...) {
+          thrown_ = std::current_exception();
+          threw_ = true;
+          rt_tests::request_stop();
         }
         if (!context.ok()) rt_tests::request_stop();
       });
@@ -26,12 +33,20 @@ struct Roscpp : rt_tests::Roscpp {
       ended_ = true;
       if (spinner_.joinable()) spinner_.join();
     }
-    bool wait() { return spinner_.joinable() ? box_.wait() : busy_.wait(); }
+    // Throws what the spinning thread has thrown.
+    bool wait() {
+      if (!spinner_.joinable()) return busy_.wait();
+      const bool is_settled = box_.wait();
+      if (threw_) std::rethrow_exception(thrown_);
+      return is_settled;
+    }
 
    private:
     oneshot::ShotBox& box_;
     oneshot::SpinningWaiter<Context, Timer> busy_;
     std::atomic<bool> ended_{false};
+    std::exception_ptr thrown_;
+    std::atomic<bool> threw_{false};  // then the other one is complete
     std::thread spinner_;
   };
 };

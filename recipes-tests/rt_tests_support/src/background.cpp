@@ -19,7 +19,7 @@ constexpr std::size_t stack_bytes = 128 * 1024;  // locked with the rest of the 
 constexpr int lowest_nice = 19;
 }  // namespace
 
-Background::Background(const char* name, int period_ms, const cpu_set_t& cpus, std::function<void()> work)
+Background::Background(const char* name, int period_ms, const CpuSet& cpus, std::function<void()> work)
     : period_ms_(period_ms), work_(std::move(work)) {
   // The period must not depend on the wall clock, which may jump.
   pthread_condattr_t monotonic;
@@ -35,7 +35,7 @@ Background::Background(const char* name, int period_ms, const cpu_set_t& cpus, s
   pthread_attr_setschedpolicy(&attributes, SCHED_OTHER);
   const sched_param none{};
   pthread_attr_setschedparam(&attributes, &none);
-  pthread_attr_setaffinity_np(&attributes, sizeof cpus, &cpus);
+  pthread_attr_setaffinity_np(&attributes, cpus.bytes(), cpus.get());
 
   // Signals end a measurement, so only the measuring threads take them.
   sigset_t all, before;

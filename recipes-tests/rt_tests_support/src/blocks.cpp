@@ -12,7 +12,7 @@
 namespace rt_tests {
 
 Blocks::Blocks(const std::string& npy, const int64_t* rows, std::size_t capacity, std::size_t columns,
-               std::function<std::size_t()> size, const cpu_set_t& cpus, int period_ms)
+               std::function<std::size_t()> size, const CpuSet& cpus, int period_ms)
     : path_(npy + ".part"),
       header_(npy_header(capacity, columns)),
       rows_(rows),

@@ -12,6 +12,16 @@ void warning(const std::string& line) { std::cerr << "\tWARNING: " << line << st
 
 void error(const std::string& line) { std::cerr << "\tERROR: " << line << std::endl; }
 
+std::string text_of(const std::exception_ptr& thrown) {
+  try {
+    std::rethrow_exception(thrown);
+  } catch (const std::exception& failure) {
+    return failure.what();
+  } catch (...) {
+    return "something that is no std::exception was thrown";
+  }
+}
+
 int guarded(const std::function<int()>& body) {
   try {
     return body();

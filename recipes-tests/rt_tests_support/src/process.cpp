@@ -26,6 +26,9 @@ namespace {
 // Each thread's stack is locked as a whole. The threads of roscpp use 12 KiB of it; the default size is 8 MiB.
 constexpr std::size_t thread_stack_bytes = 256 * 1024;
 constexpr std::size_t touched_stack_bytes = 256 * 1024;
+// Half of the largest that a heap of a thread's own may have where addresses have 32 bits.
+constexpr std::size_t thread_heap_reserve_bytes = 512 * 1024;
+constexpr int heaps_max = 1024;
 constexpr char cpu_dma_latency[] = "/dev/cpu_dma_latency";
 
 std::string limit_of(__rlimit_resource resource) {
@@ -44,11 +47,18 @@ void for_each_thread(Visit visit) {
   closedir(folder);
 }
 
+std::vector<int> all_threads() {
+  std::vector<int> tids;
+  for_each_thread([&](int tid) { tids.push_back(tid); });
+  return tids;
+}
+
 void set_policy(const std::string& policy, int64_t priority, int tid) {
   sched_param parameters{};
   parameters.sched_priority = static_cast<int>(priority);
   if (sched_setscheduler(tid, policy == "FIFO" ? SCHED_FIFO : SCHED_RR, &parameters) == 0) return;
   const int reason = errno;
+  if (reason == ESRCH) return;  // the thread ended in the meantime
   throw Failure("cannot run with policy " + policy + " at priority " + std::to_string(priority) +
                 ": it needs the capability CAP_SYS_NICE or RLIMIT_RTPRIO of at least that (now " +
                 limit_of(RLIMIT_RTPRIO) + "), and real-time time in its control group: " + std::strerror(reason));
@@ -70,8 +80,8 @@ int release_unicode_tables(dl_phdr_info* library, std::size_t, void*) {
   return 1;
 }
 
-void lock_memory() {
-  share_heap();
+void lock_memory(Heaps heaps) {
+  set_up_heaps(heaps);
   pthread_attr_t attributes;
   pthread_attr_init(&attributes);
   pthread_attr_setstacksize(&attributes, thread_stack_bytes);
@@ -86,6 +96,14 @@ void lock_memory() {
   dl_iterate_phdr(release_unicode_tables, nullptr);
 }
 
+void fill_heap(std::size_t bytes) {
+  void* const reserve = malloc(bytes);
+  if (!reserve) throw std::bad_alloc();
+  const auto page = static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
+  for (std::size_t i = 0; i < bytes; i += page) static_cast<volatile char*>(reserve)[i] = 0;
+  free(reserve);
+}
+
 __attribute__((noinline)) void touch_stack() {
   volatile char page[touched_stack_bytes];
   for (std::size_t i = 0; i < sizeof page; i += 1024) page[i] = 0;
@@ -96,10 +114,8 @@ void set_policy(const Options& options, int tid) {
 }
 
 void set_affinity(const std::string& list, int tid) {
-  cpu_set_t set;
-  CPU_ZERO(&set);
-  for (int cpu : parse_cpus(list, static_cast<int>(sysconf(_SC_NPROCESSORS_CONF)))) CPU_SET(cpu, &set);
-  if (sched_setaffinity(tid, sizeof set, &set) == 0) return;
+  const CpuSet cpus(parse_cpus(list, static_cast<int>(sysconf(_SC_NPROCESSORS_CONF))));
+  if (cpus.apply_to(tid) || errno == ESRCH) return;
   throw Failure("cannot run on the CPUs '" + list + "': " + std::strerror(errno));
 }
 
@@ -116,19 +132,29 @@ std::string policy_name(int policy) {
 
 bool is_realtime(const Options& options) { return options.text("policy") != "0"; }
 
-cpu_set_t set_up_process(const Options& options) {
-  const cpu_set_t all = current_cpus();
-  if (!options.text("cpu").empty()) for_each_thread([&](int tid) { set_affinity(options.text("cpu"), tid); });
+Heaps heaps_of(const Options& options) {
+  return options.text("rt_scope") == "process" ? Heaps::one : Heaps::per_thread;
+}
+
+ProcessSetUp::ProcessSetUp(const Options& options, Heaps heaps) : options_(options), threads_(all_threads()) {
+  const CpuSet all = current_cpus();
+  if (!options.text("cpu").empty()) {
+    for (const int tid : threads_) set_affinity(options.text("cpu"), tid);
+  }
   if (is_realtime(options)) {
-    if (options.text("rt_scope") == "process") for_each_thread([&](int tid) { set_policy(options, tid); });
-    lock_memory();
+    lock_memory(heaps);
     touch_stack();
   }
-  const cpu_set_t chosen = current_cpus();
-  cpu_set_t spare;
-  CPU_AND(&spare, &all, &chosen);
-  CPU_XOR(&spare, &all, &spare);  // those of all that are not chosen
-  return CPU_COUNT(&spare) > 0 ? spare : chosen;
+  const CpuSet chosen = current_cpus();
+  spare_cpus_ = all.without(chosen);
+  if (spare_cpus_.empty()) spare_cpus_ = chosen;
+}
+
+void ProcessSetUp::set_policy() const {
+  if (!is_realtime(options_) || options_.text("rt_scope") != "process") return;
+  // The middleware takes some of it when it starts; set_up_measuring_thread() adds as much again.
+  reserve_heap();
+  for (const int tid : threads_) rt_tests::set_policy(options_, tid);
 }
 
 void set_up_measuring_thread(const Options& options) {
@@ -139,29 +165,26 @@ void set_up_measuring_thread(const Options& options) {
 
 void set_up_thread(const std::string& policy, int64_t priority, const std::string& cpus) {
   if (!cpus.empty()) set_affinity(cpus, 0);
-  if (policy == "0") {
-    const sched_param normal{};
-    sched_setscheduler(0, SCHED_OTHER, &normal);
-  } else {
-    set_policy(policy, priority, 0);  // its stack is locked with the rest of the process
-  }
+  // Inherited from the thread that started it: what follows is done at normal scheduling.
+  const sched_param normal{};
+  sched_setscheduler(0, SCHED_OTHER, &normal);
+  if (policy == "0") return;
+  fill_heap(thread_heap_reserve_bytes);
+  set_policy(policy, priority, 0);  // its stack is locked with the rest of the process
 }
 
-void share_heap() {
+void set_up_heaps(Heaps heaps) {
   // Freed memory stays in the process: memory handed back to the kernel would cause page faults when allocated again.
   mallopt(M_TRIM_THRESHOLD, -1);
   mallopt(M_MMAP_MAX, 0);
-  // A heap of a thread's own would grow by a few pages at a time, and reserve 64 MiB of address space.
-  mallopt(M_ARENA_MAX, 1);
+  // A heap of a thread's own grows by a few pages at a time, and reserves 64 MiB of address space: only where threads of different
+  // scheduling would wait for one another. Then there are as many as threads, not a few for each CPU, as malloc has it by itself.
+  mallopt(M_ARENA_MAX, heaps == Heaps::one ? 1 : heaps_max);
 }
 
 void reserve_heap() {
   mallopt(M_TOP_PAD, 0);
-  void* const reserve = malloc(heap_reserve_bytes);
-  if (!reserve) throw std::bad_alloc();
-  const auto page = static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
-  for (std::size_t i = 0; i < heap_reserve_bytes; i += page) static_cast<volatile char*>(reserve)[i] = 0;
-  free(reserve);
+  fill_heap(heap_reserve_bytes);
   // Should it be used up, the heap grows as rarely as possible.
   mallopt(M_TOP_PAD, heap_reserve_bytes);
 }
@@ -190,12 +213,7 @@ std::optional<int32_t> cpu_dma_latency_us() {
   return good ? std::optional(lowest_us) : std::nullopt;
 }
 
-cpu_set_t current_cpus() {
-  cpu_set_t cpus;
-  CPU_ZERO(&cpus);
-  sched_getaffinity(0, sizeof cpus, &cpus);
-  return cpus;
-}
+CpuSet current_cpus() { return CpuSet::of_thread(0).value_or(CpuSet()); }
 
 void give_up_realtime() {
   for_each_thread([](int tid) {
@@ -209,17 +227,13 @@ std::vector<ThreadState> read_threads() {
   for_each_thread([&](int tid) {
     ThreadState state{tid, "", "", 0, {}};
     sched_param parameters{};
-    cpu_set_t cpus;
     const int policy = sched_getscheduler(tid);
-    if (policy < 0 || sched_getparam(tid, &parameters) != 0 || sched_getaffinity(tid, sizeof cpus, &cpus) != 0) {
-      return;  // the thread ended in the meantime
-    }
+    const auto cpus = CpuSet::of_thread(tid);
+    if (policy < 0 || sched_getparam(tid, &parameters) != 0 || !cpus) return;  // the thread ended in the meantime
     std::getline(std::ifstream("/proc/self/task/" + std::to_string(tid) + "/comm"), state.name);
     state.policy = policy_name(policy);
     state.priority = parameters.sched_priority;
-    for (int cpu = 0; cpu < CPU_SETSIZE; ++cpu) {
-      if (CPU_ISSET(cpu, &cpus)) state.cpus.push_back(cpu);
-    }
+    state.cpus = cpus->cpus();
     threads.push_back(state);
   });
   return threads;

@@ -46,7 +46,7 @@ const std::vector<std::string> trace_folders = {"/sys/kernel/tracing/instances/r
                                                 "/sys/kernel/debug/tracing"};
 
 OutlierTrace::OutlierTrace(const Options& options, const char* program, const std::string& output,
-                           const cpu_set_t& cpus, const std::vector<std::string>& folders)
+                           const CpuSet& cpus, const std::vector<std::string>& folders)
     : program_(program),
       output_(output),
       clock_(clock_of(options.text("clock"))),

@@ -22,16 +22,16 @@ struct Roscpp : rt_tests::Roscpp {
       message_.data.assign(topic.message_bytes(), 0xff);
     }
     unsigned char* bytes() noexcept { return message_.data.data(); }
-    bool send() {
-      publisher_.publish(message_);
-      return true;
+    bool send() noexcept {
+      return sending_.succeeds([this] { publisher_.publish(message_); });
     }
-    std::string problem() const { return ""; }
+    std::string problem() const { return sending_.problem(name); }
     int64_t subscribers() const { return publisher_.getNumSubscribers(); }
 
    private:
     ros::Publisher publisher_;
     Message message_;
+    rt_tests::Sending sending_;
   };
 
   // A queue of its own: its callbacks run on the thread that asks for messages, and on no other.

@@ -111,12 +111,11 @@ struct Transport {
     }
 
     // What cannot be written within the 100 ms of the reliability is lost.
-    bool publish(const rt_tests::Stamp& stamp) {
+    bool publish(const rt_tests::Stamp& stamp) noexcept {
       frame_.set(stamp);
-      writer_->write(&frame_);
-      return true;
+      return sending_.succeeds([this] { writer_->write(&frame_); });
     }
-    std::string problem() const { return ""; }
+    std::string problem() const { return sending_.problem(name); }
 
     int64_t subscribers() {
       fast::PublicationMatchedStatus status;
@@ -127,6 +126,7 @@ struct Transport {
    private:
     transport::Frame frame_;
     fast::DataWriter* writer_ = nullptr;
+    rt_tests::Sending sending_;
   };
 
   template <class CallBack>

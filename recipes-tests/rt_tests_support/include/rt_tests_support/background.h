@@ -2,9 +2,9 @@
 #pragma once
 
 #include <pthread.h>
-#include <sched.h>
-
 #include <functional>
+
+#include "rt_tests_support/cpus.h"
 
 namespace rt_tests {
 
@@ -13,7 +13,7 @@ namespace rt_tests {
 class Background {
  public:
   // `name` is the thread's name in the kernel, at most 15 characters. Throws Failure if no thread can be started.
-  Background(const char* name, int period_ms, const cpu_set_t& cpus, std::function<void()> work);
+  Background(const char* name, int period_ms, const CpuSet& cpus, std::function<void()> work);
   ~Background();  // waits for a call of `work` that has begun
   Background(const Background&) = delete;
   Background& operator=(const Background&) = delete;

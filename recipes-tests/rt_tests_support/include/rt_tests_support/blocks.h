@@ -22,7 +22,7 @@ class Blocks {
   // To be made before the measurement. Writes nothing for a run that is expected to end within one block. `cpus` are
   // those of the writing thread.
   template <std::size_t Columns>
-  Blocks(const std::string& npy, const Samples<Columns>& samples, int64_t expected_ns, const cpu_set_t& cpus,
+  Blocks(const std::string& npy, const Samples<Columns>& samples, int64_t expected_ns, const CpuSet& cpus,
          int period_ms = block_ms)
       : Blocks(npy, samples.data(), samples.capacity(), Columns, [&samples] { return samples.size(); }, cpus,
                expected_ns > period_ms * int64_t{1000000} ? period_ms : 0) {}
@@ -37,7 +37,7 @@ class Blocks {
 
  private:
   Blocks(const std::string& npy, const int64_t* rows, std::size_t capacity, std::size_t columns,
-         std::function<std::size_t()> size, const cpu_set_t& cpus, int period_ms);
+         std::function<std::size_t()> size, const CpuSet& cpus, int period_ms);
   void write_block() noexcept;
 
   const std::string path_;

@@ -49,7 +49,10 @@
 #pragma once
 
 #include <cstdint>
+#include <exception>
+#include <string>
 
+#include "rt_tests_support/errors.h"
 #include "rt_tests_support/options.h"
 #include "rt_tests_support/report.h"
 
@@ -65,6 +68,29 @@ struct Stamp {
   int64_t publication_ns;
   uint32_t seq;
   bool last;
+};
+
+// Keeps what a send threw. A loop that measures must neither unwind nor terminate the program by it: it ends, and says why.
+class Sending {
+ public:
+  // False, here and in no other case, where `send` throws.
+  template <class Send>
+  bool succeeds(Send send) noexcept {
+    try {
+      send();
+      return true;
+    } catch (...) {
+      thrown_ = std::current_exception();
+      return false;
+    }
+  }
+  // Empty, if nothing was thrown.
+  std::string problem(const std::string& middleware) const {
+    return thrown_ ? middleware + ": cannot publish: " + text_of(thrown_) : "";
+  }
+
+ private:
+  std::exception_ptr thrown_;
 };
 
 // Adds what a context, a publisher or a subscriber says is in effect of it.

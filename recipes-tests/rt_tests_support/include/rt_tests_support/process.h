@@ -1,14 +1,13 @@
 // The real-time set-up of a process (thesis, section 2.3.3), and its state as the kernel reports it.
 #pragma once
 
-#include <sched.h>
-
 #include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "rt_tests_support/cpus.h"
 #include "rt_tests_support/options.h"
 
 namespace rt_tests {
@@ -23,24 +22,50 @@ struct ThreadState {
 
 bool is_realtime(const Options& options);
 
-// Before the middleware starts, so that every later thread inherits it: affinity; with RR or FIFO memory locked and the stack
-// touched; policy and priority unless --rt-scope measuring-thread. Libraries may have started threads before main(), as
-// LTTng's does in programs of ROS 2: these get it, too. Throws Failure that names the missing right.
-// Returns the CPUs for threads that must not disturb the measurement: those that --cpu leaves free, or all CPUs of this
-// process if --cpu leaves none.
-cpu_set_t set_up_process(const Options& options);
+// Where threads allocate. Malloc locks a heap without priority inheritance: a real-time thread that shares one with threads of
+// normal scheduling waits until these get the CPU. On a busy CPU 1 allocation in 7 then took 5 to 8 ms, in place of 28 us at most.
+enum class Heaps {
+  one,         // of all threads, which therefore have one policy and priority
+  per_thread,  // of each thread
+};
+Heaps heaps_of(const Options& options);  // one, unless --rt-scope measuring-thread leaves the other threads at normal scheduling
 
-// On a measuring thread, once ROS is initialised and before its timer or publisher starts: policy and priority if
-// --rt-scope measuring-thread, which the threads that start afterwards inherit; with RR or FIFO the heap reserved.
+// The set-up of a process, in the order in which no real-time thread waits for memory: lock it, touch the stack, allocate, and
+// only then set the policy. Libraries may have started threads before main(), as LTTng's does in programs of ROS 2: these get
+// what the process gets.
+class ProcessSetUp {
+ public:
+  // Affinity; with RR or FIFO memory locked and the stack touched. Throws Failure that names the missing right.
+  ProcessSetUp(const Options& options, Heaps heaps);
+  explicit ProcessSetUp(const Options& options) : ProcessSetUp(options, heaps_of(options)) {}
+
+  // For threads that must not disturb the measurement: the CPUs that --cpu leaves free, or all CPUs of this process if it leaves
+  // none.
+  const CpuSet& spare_cpus() const { return spare_cpus_; }
+
+  // When all that is measured has its memory, and before the middleware starts, whose threads inherit it: with RR or FIFO, unless
+  // --rt-scope measuring-thread, the heap reserved, then policy and priority. Threads of Background that have started meanwhile
+  // keep theirs. Throws Failure that names the missing right.
+  void set_policy() const;
+
+ private:
+  const Options& options_;
+  const std::vector<int> threads_;  // that the process had
+  CpuSet spare_cpus_;
+};
+
+// On a measuring thread, once ROS is initialised and before its timer or publisher starts: with RR or FIFO the heap reserved, then
+// policy and priority if --rt-scope measuring-thread, which the threads that start afterwards inherit.
 void set_up_measuring_thread(const Options& options);
 
-// Policy ("0", RR or FIFO), priority and CPUs of the calling thread alone, of whatever the process has. Throws Failure.
+// Policy ("0", RR or FIFO), priority and CPUs of the calling thread alone, of whatever the process has; with RR or FIFO its heap is
+// reserved before. Throws Failure.
 void set_up_thread(const std::string& policy, int64_t priority, const std::string& cpus);
 
-// Before any thread starts: one heap for all threads, of which nothing is handed back to the kernel.
-void share_heap();
+// Before any thread starts: the heaps, of which nothing is handed back to the kernel.
+void set_up_heaps(Heaps heaps);
 
-// Extends that heap, so that the threads can allocate this much without a system call or a page fault: a
+// Extends the heap of the calling thread, so that it can allocate this much without a system call or a page fault: a
 // subscriber's queue of 1000 messages may take 2 KiB for each.
 constexpr std::size_t heap_reserve_bytes = 2 * 1024 * 1024;
 void reserve_heap();
@@ -61,7 +86,7 @@ class CpuDmaLatency {
 // The lowest latency that any program holds, in microseconds, as the kernel reports it; none where it cannot be read.
 std::optional<int32_t> cpu_dma_latency_us();
 
-cpu_set_t current_cpus();  // of the calling thread
+CpuSet current_cpus();  // of the calling thread
 
 // After the last measurement: puts every thread back to normal scheduling. A node that keeps a higher priority than the
 // ROS master can block a single CPU in ros::shutdown (thesis, section 4.4).

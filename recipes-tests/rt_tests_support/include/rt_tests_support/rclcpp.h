@@ -64,7 +64,12 @@ struct Rclcpp {
       timer_ = context.node().create_wall_timer(std::chrono::nanoseconds(period_ns), called);
       cancel();
     }
-    ~Timer() { cancel(); }
+    ~Timer() {
+      try {
+        cancel();
+      } catch (...) {  // the program ends
+      }
+    }
     Timer(const Timer&) = delete;
     Timer& operator=(const Timer&) = delete;
 

@@ -1,7 +1,6 @@
 // A measurement from its set-up to its results: the steps that every measuring program takes, in their order.
 #pragma once
 
-#include <sched.h>
 #include <semaphore.h>
 
 #include <algorithm>
@@ -22,12 +21,12 @@
 namespace rt_tests {
 
 // Columns is the number of columns of the samples. The members are made in the order in which they are declared: the
-// process is set up before any memory of the measurement is allocated, and everything before the middleware.
+// process is set up before any memory of the measurement is allocated, and all of it before the process gets its policy.
 template <std::size_t Columns>
 class MeasurementSession {
   const Options& options_;
   const Destination destination_;
-  const cpu_set_t spare_cpus_;
+  const ProcessSetUp process_;
   const CpuDmaLatency cpu_dma_latency_;
 
  public:
@@ -47,11 +46,12 @@ class MeasurementSession {
                      int64_t period_ns)
       : options_(options),
         destination_(destination(options, output)),
-        spare_cpus_(set_up_process(options)),
+        process_(options),
         cpu_dma_latency_(options),
-        outliers(options, program.name, destination_.path(""), spare_cpus_),
+        outliers(options, program.name, destination_.path(""), process_.spare_cpus()),
         samples(available_rows(rows)),
-        blocks_(destination_.path(".npy"), samples, rows * std::max(period_ns, shortest_period_ns), spare_cpus_),
+        blocks_(destination_.path(".npy"), samples, rows * std::max(period_ns, shortest_period_ns),
+                process_.spare_cpus()),
         report(program, options),
         surroundings(clock_of(options.text("clock"))) {
     report.asked = options.number("repetitions");
@@ -59,6 +59,9 @@ class MeasurementSession {
   }
 
   clockid_t clock() const noexcept { return surroundings.clock; }
+
+  // When all that is measured has its memory, and before the middleware is initialised, whose threads inherit it.
+  void set_policy() { process_.set_policy(); }
 
   // On the measuring thread, once the middleware is initialised, before the first timer: threads that start with it, as
   // roscpp's that waits for the timers, inherit the policy. From here on a signal ends the measurement, and posts `wake`.

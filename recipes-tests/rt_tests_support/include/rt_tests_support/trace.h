@@ -34,7 +34,7 @@ class OutlierTrace {
   // Opens the trace if one of the options was given. Throws Failure if no folder has a trace that may be written to.
   // `cpus` are those of the thread that copies.
   OutlierTrace(const Options& options, const char* program, const std::string& output,
-               const cpu_set_t& cpus, const std::vector<std::string>& folders = trace_folders);
+               const CpuSet& cpus, const std::vector<std::string>& folders = trace_folders);
   ~OutlierTrace();
   OutlierTrace(const OutlierTrace&) = delete;
   OutlierTrace& operator=(const OutlierTrace&) = delete;

@@ -71,7 +71,7 @@ class HostedNode {
   // One activation: takes the newest message of each input, or of `only` one, does its work, and has each of its outputs
   // published by `publish(output, seq)`. False: there is no room for it.
   template <class Publish>
-  bool activate(int64_t due_ns, std::size_t only, Publish publish) noexcept {
+  bool activate(int64_t due_ns, std::size_t only, Publish publish) {
     const auto number = static_cast<int64_t>(activations.rows());
     int64_t* const row = activations.append();
     if (!row) return false;

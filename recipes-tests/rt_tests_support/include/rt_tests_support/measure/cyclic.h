@@ -52,6 +52,7 @@ int run(int argc, char* argv[]) {
   const rt_tests::Options options = rt_tests::parse(program, argc, argv);
   Session session(program, options, output(options), options.number("repetitions") + 1,
                   grid_ns(1, options.number("frequency_hz")));
+  session.set_policy();
   typename Middleware::Context context(argc, argv, program, options);
   rt_tests::add_facts(session.surroundings.facts, context);
   rt_tests::info("Performing latency measurements...");

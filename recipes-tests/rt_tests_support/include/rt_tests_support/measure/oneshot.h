@@ -53,18 +53,23 @@ void fire_first(Context& context, Timer& timer, const bool& fired) {
   while (!fired && !rt_tests::stop_requested()) {
     if (!context.ok()) rt_tests::request_stop();
     if (rt_tests::now_ns(CLOCK_MONOTONIC) - begin_ns > wait_limit_ns) {
-      rt_tests::catch_stop_signals(nullptr);  // the semaphore ends with the caller
       throw rt_tests::Failure(std::string("the first ROS timer did not fire within 5 s") + Timer::never_fired);
     }
     timer.spin(rt_tests::spin_limit_ns);
   }
 }
 
+// However the measurement ends, its semaphore ends with it, and signals may come later.
+struct WakesNobody {
+  ~WakesNobody() { rt_tests::catch_stop_signals(nullptr); }
+};
+
 template <class Middleware>
 void measure(const rt_tests::Options& options, Session& session, typename Middleware::Context& context) {
   const clockid_t clock = session.clock();
   const int64_t timeout_ns = options.number("timeout_us") * rt_tests::ns_per_us;
   ShotBox box(clock, timeout_ns + wait_limit_ns);
+  const WakesNobody afterwards;
   bool fired = false;
   const auto call_back = [&](int64_t expected_ns, int64_t real_ns) {
     const int64_t end_ns = rt_tests::now_ns(clock);
@@ -83,7 +88,6 @@ void measure(const rt_tests::Options& options, Session& session, typename Middle
         [&] { timer.cancel(); }, [&] { return waiter.wait(); });
     session.end();
   }
-  rt_tests::catch_stop_signals(nullptr);  // the semaphore ends with this function
 }
 
 template <class Middleware>
@@ -93,6 +97,7 @@ int run(int argc, char* argv[]) {
   const rt_tests::Options options = rt_tests::parse(program, argc, argv);
   Session session(program, options, output(options), options.number("repetitions"),
                   options.number("timeout_us") * rt_tests::ns_per_us);
+  session.set_policy();
   typename Middleware::Context context(argc, argv, program, options);
   rt_tests::add_facts(session.surroundings.facts, context);
   rt_tests::info("Performing ROS Timer latency measurements...");

@@ -26,6 +26,7 @@ template <class Publisher, class Context>
 Published publish(const rt_tests::Options& options, clockid_t clock, Context& context, Publisher& publisher) {
   const int64_t count = options.number("repetitions");
   const int64_t frequency_hz = options.number("frequency_hz");
+  static_assert(noexcept(publisher.publish({})), "what a send throws is kept in Sending");
   Pace pace(frequency_hz);
   int64_t sent = 0, first_ns = 0, publication_ns = 0;
   while (true) {
@@ -77,9 +78,10 @@ int run_publisher(int argc, char* argv[]) {
   const rt_tests::Options options = rt_tests::parse(program, argc, argv);
   require_payload(options, Middleware::name, Middleware::payload_bytes_max);
   const rt_tests::Destination destination = rt_tests::destination(options, output(options));
-  rt_tests::set_up_process(options);
+  const rt_tests::ProcessSetUp set_up(options);
   const rt_tests::CpuDmaLatency cpu_dma_latency(options);
   rt_tests::Surroundings surroundings(rt_tests::clock_of(options.text("clock")));
+  set_up.set_policy();
   typename Middleware::Context context(argc, argv, program, options);
   typename Middleware::Publisher publisher(context, options);
   rt_tests::add_facts(surroundings.facts, context);

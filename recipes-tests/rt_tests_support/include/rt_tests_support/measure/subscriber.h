@@ -69,6 +69,7 @@ int run_subscriber(int argc, char* argv[]) {
   Session session(program, options, output(options), options.number("repetitions"),
                   rt_tests::ns_per_s / options.number("frequency_hz"));
   Receptions receptions(session.samples);
+  session.set_policy();
   typename Middleware::Context context(argc, argv, program, options);
   const std::string ended_by = receive<Middleware>(options, session, receptions, context);
   session.tear_down();

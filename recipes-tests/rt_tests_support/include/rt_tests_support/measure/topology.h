@@ -7,7 +7,7 @@
 //     struct Sender {
 //       Sender(Context& context, const topology::Topic& topic);  // throws Failure
 //       unsigned char* bytes() noexcept;                         // topic.message_bytes() of them, to be filled
-//       bool send() noexcept;                                    // false: no further message can be sent
+//       bool send() noexcept;                                    // false: no further message can be sent; checked
 //       std::string problem();                                   // why, after that
 //       int64_t subscribers();                                   // how many are connected
 //     };
@@ -111,6 +111,16 @@ class ExecutorThread {
     topics_ = topics;
     if (!topics.empty()) receiver_ = std::make_unique<Receiver>(context, topics, call_back_);
   }
+
+  // Where something threw before the thread was told to end.
+  ~ExecutorThread() {
+    if (!thread_.joinable()) return;
+    rt_tests::request_stop();
+    begin();
+    end();
+  }
+  ExecutorThread(const ExecutorThread&) = delete;
+  ExecutorThread& operator=(const ExecutorThread&) = delete;
 
   // What is not connected yet, empty: nothing.
   std::string missing() {
@@ -264,6 +274,7 @@ class ExecutorThread {
   void activate(Ends& ends, int64_t due_ns, std::size_t only) {
     const bool good = ends.node->activate(due_ns, only, [&](std::size_t output, int64_t number) {
       auto& sender = *ends.outputs[output];
+      static_assert(noexcept(sender.send()), "what a send throws is kept in Sending");
       const Head head{Head::magic_number, static_cast<uint64_t>(number), rt_tests::now_ns(CLOCK_MONOTONIC)};
       std::memcpy(sender.bytes(), &head, sizeof head);
       if (!sender.send()) stop(sender.problem());
@@ -307,9 +318,11 @@ int run(int argc, char* argv[]) {
   const Process& process = line.process;
   const rt_tests::Options& options = line.options;
   const rt_tests::Destination destination{rt_tests::destination(options, "process-" + process.name)};
-  rt_tests::set_up_process(options);
+  // Its executors have policies of their own, and some have none.
+  const rt_tests::ProcessSetUp set_up(options, rt_tests::Heaps::per_thread);
   const rt_tests::CpuDmaLatency cpu_dma_latency(options);
   Run run(process, line.program, options, destination);
+  set_up.set_policy();
   typename M::Context context(argc, argv, line.program, options);
   rt_tests::add_facts(run.surroundings.facts, context);
   rt_tests::set_up_measuring_thread(options);
@@ -330,7 +343,7 @@ int run(int argc, char* argv[]) {
       }
       return missing;
     });
-  } catch (const rt_tests::Failure& error) {
+  } catch (const std::exception& error) {
     failure = error.what();
   }
   run.surroundings.begin();
