@@ -34,6 +34,7 @@ class Fates(Protocol):
     def matched(self, reception: Reception, publication: Publication) -> None: ...
     def ambiguous(self, reception: Reception, candidates: Sequence[Publication]) -> None: ...
     def duplicate(self, reception: Reception, publication: Publication) -> None: ...
+    def historic(self, reception: Reception) -> None: ...
     def unmatched(self, reception: Reception) -> None: ...
     def forgotten(self, publication: Publication) -> None: ...
 
@@ -135,7 +136,14 @@ class PayloadMatching:
         same = self._seen(key, reception.at_ns)
         end = reception.endpoint.end
         candidates = len(same.published) - same.done.get(end, 0)
-        if not candidates:
+        begin_ns = reception.endpoint.begin_ns
+        if begin_ns is not None and same.published and same.published[-1].at_ns < begin_ns:
+            # It was not there yet: a publisher that latches its last message gives that to whoever comes later.
+            if end in same.waiting:
+                self._give_up(same, end, same.waiting.pop(end))
+            same.done[end] = len(same.published)
+            self._fates.historic(reception)
+        elif not candidates:
             # Of a publisher that is not observed, or published before: so may be the next ones with these bytes.
             self._fates.unmatched(reception)
             self._make_unclear(same)

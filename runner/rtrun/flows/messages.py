@@ -249,7 +249,7 @@ class MessageRecord:
     def matched(self, reception: Reception, publication: Publication) -> None:
         subscriber, publisher = reception.endpoint, publication.endpoint
         if subscriber.begin_ns is not None and publication.at_ns < subscriber.begin_ns:
-            subscriber.end.historic += 1
+            self.historic(reception)
             return
         link = subscriber.links.get(publisher)
         if link is None:
@@ -270,6 +270,9 @@ class MessageRecord:
     def duplicate(self, reception: Reception, publication: Publication) -> None:
         reception.endpoint.end.duplicates += 1
         self._pair(publication.endpoint.end, reception.endpoint.end).duplicates += 1
+
+    def historic(self, reception: Reception) -> None:
+        reception.endpoint.end.historic += 1
 
     def unmatched(self, reception: Reception) -> None:
         reception.endpoint.end.unmatched += 1

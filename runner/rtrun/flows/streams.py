@@ -36,7 +36,8 @@ def streams(observed: FlowAccumulator) -> list[Stream]:
 
 def _streams(observed: FlowAccumulator) -> Iterator[Stream]:
     for pair in observed.topics.pairs.values():
-        yield replace(_messages(pair), open_ns=_untaken_ns(pair, observed))
+        told_apart_by = observed.topics.told_apart_by(pair.publisher.topic)
+        yield replace(_messages(pair, told_apart_by), open_ns=_untaken_ns(pair, observed))
     for timer in observed.calls.timers.values():
         made = _timer(timer, observed.offsets)
         yield replace(made, open_ns=_overdue_ns(made.period_ns, timer, observed))
@@ -77,11 +78,12 @@ def path_identity(path: tuple[str, ...], publisher: End) -> Identity:
     return {"path": ",".join(path), "publisher": publisher.label}
 
 
-def _messages(pair: MessagePair) -> Stream:
+def _messages(pair: MessagePair, told_apart_by: str) -> Stream:
     counts = pair.counts()
     remarks: tuple[str, ...] = ()
     if counts.ambiguous:
-        remarks = (f"not known of {counted(counts.ambiguous, 'publication')} whether they came: the same bytes again",)
+        unknown = f"not known of {counted(counts.ambiguous, 'publication')} whether they came"
+        remarks = (f"{unknown}: other messages have the same {told_apart_by}",)
     return Stream(
         kind=StreamKind.MESSAGES,
         identity=message_identity(pair),

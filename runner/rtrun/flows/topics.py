@@ -49,6 +49,12 @@ class TopicRecord(MessageRecord):
             matching.cut()
         self.unlink()
 
+    def told_apart_by(self, topic: str) -> str:
+        """What is compared to tell the messages of a topic apart, in words."""
+        by = ["time stamp"] * (topic in self._by_stamp)
+        by += [f"first {_KEY_BYTES} bytes and length"] * (topic in self._by_bytes)
+        return " or ".join(by)
+
     def _matchings(self) -> list[StampMatching | PayloadMatching]:
         return [*self._by_stamp.values(), *self._by_bytes.values()]
 

@@ -320,6 +320,56 @@ def test_the_same_bytes_in_short(seen, pairs, ambiguous):
     assert ends(observed)["subscriber", "process 2"].counts["ambiguous"] == ambiguous
 
 
+@pytest.mark.parametrize(
+    ("seen", "pairs", "historic"),
+    [
+        ("p0 s900 t901", [], 1),  # latched: given to a subscriber that came later
+        ("p0 t1 s900 t901", [(0, 1)], 1),  # and again to one that comes back
+        ("p0 t1 s900 t901 s950 t951 p960 t961", [(0, 1), (960, 961)], 2),
+        ("p0 p1 t2 s900 t901", [], 1),  # of the first one it was not known which it was
+        ("p0 q1 s900 t901", [], 1),  # whichever it was
+        ("s900 p901 t960", [(901, 960)], 0),
+        ("p0 t1 s900 p901 t902", [(0, 1), (901, 902)], 0),
+        ("p0 s1500 t1501", [], 0),  # too long ago to be known
+    ],
+)
+def test_what_a_latched_topic_gives_to_a_subscriber_that_came_later_has_no_latency(seen, pairs, historic):
+    """As above, and subscriptions that are made."""
+    observed = FlowAccumulator(begin_ns=0, horizon_ns=1000)
+    for word in seen.split():
+        at_ns, payload = 5000 + int(word[1:]), (1, 2, 30)
+        made = {
+            "s": hit(at_ns, "subscription_init", pid=2, endpoint=0xB0, topic="/a"),
+            "t": take_bytes(at_ns, payload),
+        }
+        observed.feed([made.get(word[0]) or publish_bytes(at_ns, payload, pid=ord(word[0]))])
+    observed.finish()
+    rows = []
+    for stream in messages(observed).values():
+        columns = (stream.columns[key] - 5000 for key in ("publication_ns", "reception_ns"))
+        rows += zip(*(column.tolist() for column in columns), strict=True)
+    assert sorted(rows) == pairs
+    counts = ends(observed)["subscriber", "process 2"].counts
+    assert counts["historic"] == historic
+    assert counts["messages"] == seen.count("t") == sum(counts.values()) - counts["messages"]
+
+
+def test_what_could_not_be_told_apart_is_named_by_what_was_compared():
+    """Of bytes the first twelve and the length, which is not all of them; or the time stamps."""
+    observed = FlowAccumulator(begin_ns=0, horizon_ns=1000)
+    payload = (1, 2, 30)
+    bytes_of_two = [publish_bytes(5000 + pid, payload, pid=pid) for pid in (1, 3)]
+    stamps_of_two = [publish(6000 + pid, "/b", pid=pid, endpoint=pid, stamp=7) for pid in (1, 3)]
+    observed.feed([*bytes_of_two, take_bytes(5010, payload), take_bytes(5011, payload)])
+    observed.feed([*stamps_of_two, take(6010, 7 - WALL_NS, "/b", endpoint=0xB1)])
+    observed.finish()
+    made = [stream for stream in streams(observed) if stream.kind is StreamKind.MESSAGES]
+    assert {(stream.identity["topic"], stream.remarks) for stream in made} == {
+        (topic, (f"not known of 1 publication whether they came: other messages have the same {compared}",))
+        for topic, compared in (("/a", "first 12 bytes and length"), ("/b", "time stamp"))
+    }
+
+
 @pytest.mark.parametrize(("unlike", "pairs"), [(99, []), (100, [(0, 1)])])
 def test_of_the_first_bytes_after_the_begin_nobody_knows_unless_their_publisher_does_not_repeat_itself(unlike, pairs):
     """The same may have been published before, and this one be lost."""

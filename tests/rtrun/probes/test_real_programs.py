@@ -26,6 +26,7 @@ from suites.test_ros2 import set_up
 pytestmark = [pytest.mark.trace, pytest.mark.ros, pytest.mark.timeout(1200)]
 COUNT = 2000
 TALKER, NODE = (Path(__file__).with_name(f"{name}.py") for name in ("talker", "chain_node"))
+LATCHED = Path(__file__).with_name("latched.cpp")
 RELEASES = ["kilted", pytest.param("jazzy", marks=pytest.mark.ros2)]
 
 
@@ -179,6 +180,36 @@ def test_programs_in_c(here, request, distro, middleware, suites_of, tmp_path):
         assert len([hit for hit in on_topic if hit.event == "callback_begin"]) == COUNT
         # Where the program publishes, not where a thread of roscpp sends it later.
         assert {hit.tid for hit in on_topic if hit.event == "publish"} == {pids[1]}
+
+
+def test_a_latched_message_is_no_late_one(here, ros_master, tmp_path):
+    """roscpp gives it to each subscriber that comes later: how late, is when the subscriber came."""
+    node = tmp_path / "latched"
+    libraries = subprocess.run(["pkg-config", "--libs", "roscpp"], check=True, capture_output=True, text=True).stdout
+    subprocess.run(["c++", "-O1", "-o", node, LATCHED, *libraries.split()], check=True)
+    own = {"ROS_MASTER_URI": f"http://127.0.0.1:{ros_master}", "ROS_IP": "127.0.0.1", "ROS_LOG_DIR": str(tmp_path)}
+    environment, pids, batches = os.environ | own, [], []
+    with running(node, "latched_publisher", env=environment, stdin=subprocess.PIPE) as publisher:
+        assert publisher.stdout.readline() == "begins\n"
+        stream = observed(here, publisher.pid)
+        assert isinstance(next(stream), Began)
+        publisher.stdin.write("\n")
+        publisher.stdin.flush()
+        batches += [next(stream), next(stream)]
+        for _ in range(2):
+            with running(node, "latched_subscriber", env=environment) as subscriber:
+                pids.append(subscriber.pid)
+                assert subscriber.stdout.readline() == "begins\n" and subscriber.stdout.readline() == "took\n"
+                batches += [next(stream), next(stream)]
+        stream.close()
+    flows = FlowAccumulator(begin_ns=batches[0].begin_ns)
+    flows.observe([])
+    for batch in batches:
+        flows.feed([*(hit for hit in batch.hits if hit.pid in (publisher.pid, *pids)), *batch.gaps])
+    flows.finish()
+    ends = [flows.topics.ends["subscriber", "/latched", f"process {pid}"] for pid in pids]
+    assert [(len(end.times), end.historic, end.received, end.ambiguous) for end in ends] == [(1, 1, 0, 0)] * 2
+    assert len(flows.topics.ends["publisher", "/latched", f"process {publisher.pid}"].times) == 1
 
 
 @pytest.mark.parametrize("distro", RELEASES)
