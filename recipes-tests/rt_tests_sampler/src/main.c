@@ -81,8 +81,10 @@ struct count {
   uint64_t total;
 };
 
+/* Those from `of_cpus` on are counted for the CPUs that are online, which the first line of /proc/interrupts names. */
 struct counts {
-  size_t number;
+  size_t number, of_cpus;
+  struct text cpus;
   struct count count[COUNTS_MAX];
 };
 
@@ -266,10 +268,16 @@ static void count_memory_stall(struct counts *now) {
 
 /* Each line is "24:", a number for each CPU, and words of which the last one names the device. */
 static void count_interrupts(struct counts *now) {
+  now->of_cpus = now->number;
+  now->cpus.length = 0;
+  append(&now->cpus, "", 0);
   char *line = contents(proc, "interrupts");
   size_t cpus = 0;
   for (char *next; line != NULL; line = next) {
     next = cut_line(line);
+    if (cpus == 0 && strncmp(line + strspn(line, " \t"), "CPU", 3) == 0) {
+      append(&now->cpus, line, strlen(line));
+    }
     char *rest = NULL, *const first = strtok_r(line, " \t", &rest);
     if (first == NULL) {
       continue;
@@ -569,7 +577,10 @@ static void take_counts(struct counts *now, struct text *busy) {
 
 static void add_counts(struct text *out, const struct counts *now, const struct counts *before) {
   append(out, "\ncounts", strlen("\ncounts"));
-  for (size_t place = 0; before->number > 0 && place < now->number; ++place) {
+  /* What a CPU had counted before it went offline is counted again once it is back, and is not new. */
+  const bool are_same_cpus = before->cpus.data != NULL && strcmp(now->cpus.data, before->cpus.data) == 0;
+  const size_t end = are_same_cpus ? now->number : now->of_cpus;
+  for (size_t place = 0; before->number > 0 && place < end; ++place) {
     const struct count *const each = &now->count[place];
     const uint64_t old = counted_before(before, each->name, place);
     if (each->total > old) {

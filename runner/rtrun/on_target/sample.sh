@@ -86,7 +86,7 @@ count() {
     cat /proc/stat /proc/pressure/memory /proc/interrupts 2>/dev/null | awk -v before="$1" '
         BEGIN {
             words = split(before, word, " ")
-            for (i = 1; i <= words; i++) { name = word[i]; sub(/=.*/, "", name); sub(/.*=/, "", word[i]); old[name] = word[i] + 0 }
+            for (i = 1; i <= words; i++) { name = word[i]; sub(/=.*/, "", name); sub(/.*=/, "", word[i]); old[name] = word[i] }
         }
         # As many names as the reader takes.
         function add(name, number) { if (number > 0 && (name in total || names++ < 511)) total[name] += number }
@@ -94,19 +94,25 @@ count() {
         $1 == "intr" { add("interrupts", $2) }
         $1 == "processes" { add("new_processes", $2) }
         $1 == "some" { sub(/.*total=/, ""); add("memory_stall_us", $1) }
-        $1 ~ /^CPU[0-9]+$/ { cpus = NF; next }
+        $1 ~ /^CPU[0-9]+$/ { cpus = NF; online = $0; gsub(/[ \t]+/, ",", online); next }
         cpus && $1 ~ /:$/ {
             number = 0
             for (i = 2; i <= cpus + 1 && $i ~ /^[0-9]+$/; i++) number += $i
             name = ($1 ~ /^[0-9]/) ? $1 $NF : $1
             sub(/:$/, "", name)
             gsub(/[^A-Za-z0-9_.:-]/, "_", name)
-            add(substr(name, 1, 32), number)
+            name = substr(name, 1, 32)
+            of_cpus[name]
+            add(name, number)
         }
         END {
+            # What a CPU had counted before it went offline is counted again once it is back, and is not new.
+            totals = " /online=" online
+            are_same_cpus = online == old["/online"]
             for (name in total) {
                 totals = totals " " name "=" sprintf("%.0f", total[name])
-                if (words && total[name] > old[name]) more = more " " name "=" sprintf("%.0f", total[name] - old[name])
+                new = total[name] - old[name]
+                if (words && new > 0 && (are_same_cpus || !(name in of_cpus))) more = more " " name "=" sprintf("%.0f", new)
             }
             print totals
             print "counts" more

@@ -195,3 +195,30 @@ def test_program_and_script_count_the_same(sampler_program, tmp_path):
         found.append({word for words in counts for word in words if word[0].isdigit() or word.startswith("NMI")})
     assert found[0] == found[1] and len(found[0]) > 500
     assert {"NMI=5", f"7:b__{'y' * 27}=7"} <= found[0]
+
+
+def test_interrupts_of_a_cpu_that_comes_back_online_are_not_new(sampler, tmp_path):
+    """/proc/interrupts has a column for each CPU that is online, with all that it ever counted."""
+    states = [
+        "     CPU1 CPU3\nNMI: 3 4000 a\n7: 5 6000 b\n",
+        "     CPU1\nNMI: 3 a\n7: 5 b\n",
+        "     CPU1 CPU3\nNMI: 3 4000 a\n7: 5 6000 b\n",
+        "     CPU1 CPU2\nNMI: 3 9000 a\n7: 5 9000 b\n",  # another one: as many columns
+        "     CPU1 CPU2\nNMI: 3 9002 a\n7: 5 9000 b\n",
+    ]
+    interrupts, output = tmp_path / "interrupts", tmp_path / "sampler.stdout"
+    interrupts.write_text(states[0].ljust(80, "\n"))
+    mount = ["unshare", "--mount", "sh", "-c", 'mount --bind "$0" /proc/interrupts && exec "$@"', str(interrupts)]
+    with output.open("wb") as stream:
+        process = subprocess.Popen([*mount, *sampler, str(tmp_path), "95", ""], stdout=stream)
+    for number, state in enumerate(states):
+        with interrupts.open("r+") as file:  # at once: whoever reads meanwhile never finds it empty
+            file.write(state.ljust(80, "\n"))
+        # An observation that had begun before may have read the state before.
+        seen = output.read_text().count("\ncounts")
+        wait_until(lambda least=seen + 1 + (number > 0): output.read_text().count("\ncounts") >= least)
+    process.terminate()
+    process.wait(60)
+    words = [word for each in observations_in(output.read_text()) for word in each.counts.split()]
+    assert [word for word in words if word.startswith(("NMI", "7:"))] == ["NMI=2"]
+    assert any(word.startswith("interrupts=") for word in words), "of all CPUs, also those that are offline"
