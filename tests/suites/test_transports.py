@@ -16,6 +16,7 @@ import pytest
 from ports import free_domain, give_back_domain
 from rtgen import suites as builder
 from rtrun.kinds.output import Record, SenderRecord
+from rtrun.plan.suites import options
 
 from .conftest import Bench, Ended, check_outputs, end, is_measuring, wait_until
 
@@ -275,3 +276,13 @@ def test_help(bench: Bench, transport: str) -> None:
         assert [line.split()[0] for line in own] == (["--subscribers"] if role == "publisher" else [])
         version = bench.run(f"communication_tests_{role}_{transport}", "--version")
         assert version.out == f"communication_tests_{role}_{transport} 0.1.0\n"
+
+
+def test_a_campaign_takes_the_domains_that_the_programs_take(bench: Bench) -> None:
+    """What is planned is not refused by the first program that is started."""
+    highest = options()["domain_id"].max
+    for domain, status in ((highest, 0), (highest + 1, 2)):
+        bench.environment["ROS_DOMAIN_ID"] = str(domain)
+        ended = bench.run("communication_tests_subscriber_tcp", "-r", "1", "--idle-timeout", "1")
+        assert ended.status == status, ended
+    assert f"ROS_DOMAIN_ID takes an integer from 0 to {highest}, got '{highest + 1}'" in ended.err
