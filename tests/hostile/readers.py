@@ -116,6 +116,7 @@ def of_answer(read: Callable[[Link], object], *seeds: str) -> Reader:
             boot_id="1-1",
             check=lambda *_, **__: text,
             address=target.address,
+            shell=SimpleNamespace(execute=lambda _argv, _stdin, take, _s: (take(text.encode()), (0, ""))[1]),
             do=lambda step: step(link),
         )
         return read(cast(Link, link))
@@ -294,7 +295,7 @@ def _joined(link: Link) -> object:
 
 
 def _placed(link: Link) -> object:
-    found = parse_programs(PROGRAM.replace(" (deleted)", ""), "board")
+    found = parse_programs(PROGRAM.replace(" (deleted)", ""), "board").found
     return placement._look(link, [(each, mapped) for each in found for mapped in each.mapped])
 
 

@@ -253,6 +253,7 @@ def _print_list(watched: "Watched", graph: "RosGraph") -> None:
     from rtrun.flows.hazards import hazards
     from rtrun.flows.programs import label_of
     from rtrun.probes.placement import refusals
+    from rtrun.probes.programs import left_out_in_words
 
     events: dict[str, set[str]] = {}
     for probe in watched.placement.probes:
@@ -272,5 +273,6 @@ def _print_list(watched: "Watched", graph: "RosGraph") -> None:
         print_line(f"{path}: {', '.join(sorted(measured))}")
     for text in hazards([each.program for each in watched.found]):
         print_line(text)
-    for text in (*refusals(watched.placement.refused), *graph.remarks):
+    left_out = [left_out_in_words(watched.left_out)] if watched.left_out else []
+    for text in (*left_out, *refusals(watched.placement.refused), *graph.remarks):
         print_line(text)

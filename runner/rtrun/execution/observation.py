@@ -16,7 +16,7 @@ from rtrun.probes import session
 from rtrun.probes.hits import ObservedProgram
 from rtrun.probes.libraries.description import events
 from rtrun.probes.placement import Placement, place, refusals
-from rtrun.probes.programs import FoundProgram, find_programs
+from rtrun.probes.programs import FoundProgram, Roster, find_programs, left_out_in_words
 from rtrun.probes.session import Began, Finished
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import kernel_trace
@@ -37,6 +37,8 @@ class Watched:
 
     found: tuple[FoundProgram, ...]
     placement: Placement
+    left_out: int = 0
+    """Programs beyond what is observed at one time."""
 
 
 def _ignore(_seen: object) -> None:
@@ -71,6 +73,7 @@ class ObservationResult:
     finished: Finished | None
     start_time: str
     end_time: str
+    programs_left_out: int = 0
     late: LateValueRecord | None = None
     """Late values, with the kernel's traces of some; None: they were not asked for."""
 
@@ -78,6 +81,8 @@ class ObservationResult:
     def remarks(self) -> tuple[str, ...]:
         """What is missing in it, a sentence each."""
         lines = [*refusals(self.began.refused)]
+        if self.programs_left_out:
+            lines.append(left_out_in_words(self.programs_left_out))
         if self.flows.gaps:
             lines.append(f"{gaps_in_words(self.flows.gaps)}: what was then counts as neither seen nor lost")
         if self.finished and self.finished.lost_events:
@@ -92,10 +97,11 @@ class ObservationResult:
 def watch(link: Link, scripts: PurePosixPath, plan: ObservationPlan, *, trace: str = "") -> Watched:
     """Look at a target without changing it, and resolve the probes for its programs. Raises TargetError."""
     wanted = [event for event in events() if plan.followed or trace or event not in OF_PATHS]
-    found = find_programs(link, scripts)
+    listing = find_programs(link, scripts)
+    found = listing.found
     if not found and link.check(["id", "-u"]).strip() != "0":
         raise TargetError(f"{link.target.address}: observing takes root: the programs of other users cannot be seen")
-    return Watched(found=found, placement=place(link, found, events=wanted))
+    return Watched(found=found, placement=place(link, found, events=wanted), left_out=listing.left_out)
 
 
 def observe(
@@ -116,8 +122,7 @@ def observe(
     if not watched.placement.probes:
         nothing = "; ".join(refusals(watched.placement.refused)) or "no program runs there that uses ROS"
         raise TargetError(f"{link.target.address}: {nothing}")
-    alive = {each.program.pid: each.program for each in watched.found}
-    seen = {(each.pid, each.start_ticks): each for each in alive.values()}
+    roster = Roster(watched.found, watched.left_out)
     flows: FlowAccumulator | None = None
     figures: LiveFigures | None = None
     began, finished = Began(placed=(), refused=()), None
@@ -146,15 +151,14 @@ def observe(
                         recorder=onlooker.recorder,
                         on_turn=late.turn if late else None,
                     )
-                    flows.observe(alive.values())
+                    flows.observe(roster.alive)
                     figures = LiveFigures(flows, plan.deadlines, late.look if late else None)
                 for pid in each.ended:
-                    alive.pop(pid, None)
+                    roster.end(pid)
                 for program in each.programs:
-                    alive[program.program.pid] = program.program
-                    seen[program.program.pid, program.program.start_ticks] = program.program
+                    roster.begin(program.program)
                 if each.ended or each.programs:
-                    flows.observe(alive.values())
+                    flows.observe(roster.alive)
                 if each.realtime_offset_ns is not None:
                     flows.offset("system", each.until_ns, each.realtime_offset_ns)
                 if late is not None:
@@ -164,7 +168,7 @@ def observe(
                 onlooker.on_second(figures.snapshot(each.until_ns))
                 if late is not None:
                     late.cut(each.until_ns)
-                gone_ns = 0 if alive else gone_ns or each.until_ns
+                gone_ns = 0 if roster.alive else gone_ns or each.until_ns
                 if plan.system.start and gone_ns and each.until_ns - gone_ns > GONE_NS:
                     break
     except KeyboardInterrupt:
@@ -180,7 +184,8 @@ def observe(
         late.cut(flows.newest_ns + AFTER_NS)
     return ObservationResult(
         flows=flows,
-        programs=tuple(seen.values()),
+        programs=roster.seen,
+        programs_left_out=roster.left_out,
         began=began,
         finished=finished,
         start_time=start_time,

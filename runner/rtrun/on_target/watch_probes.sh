@@ -143,7 +143,7 @@ print_formats() {
 }
 
 # Programs whose threads have changed, and programs that are new: a library may be loaded seconds after the start. Once in
-# half a minute all processes are looked at.
+# half a minute all processes are looked at. There may be thousands of any of them.
 print_programs() {
     asked=
     still=
@@ -151,7 +151,7 @@ print_programs() {
         if [ -d "/proc/$pid" ]; then
             still="$still $pid"
             set -- "/proc/$pid"/task/*
-            eval "[ \"\${tasks_$pid-}\" = \"\$*\" ]" || asked="$asked /proc/$pid"
+            eval "[ \"\${tasks_$pid-}\" = \"\$*\" ]" || asked="$asked $pid"
             eval "tasks_$pid=\$*"
         else
             echo "ended $pid"
@@ -159,38 +159,35 @@ print_programs() {
     done
     watched=$still
     set -- /proc/[0-9]*
-    if [ "$*" != "$processes" ] || [ $((number % 30)) -eq 1 ]; then
-        for process; do
-            case " $processes " in
-            # It may have begun to run another program.
-            *" $process "*) [ $((number % 30)) -ne 1 ] || young="$young $process:0" ;;
-            *) young="$young $process:8" ;;
-            esac
-        done
+    all=
+    [ $((number % 30)) -ne 1 ] || all=1
+    found=
+    if [ "$*" != "$processes" ] || [ -n "$all$young" ]; then
+        # Each with the number of rounds in which it is looked at once more. An old one may have begun to run another
+        # program.
+        # shellcheck disable=SC2086 # names without blanks
+        young=$(printf '%s\n' known $processes young $young watched $watched now "$@" | awk -v all="$all" '
+            /^[a-z]/ { part = $0 }
+            part == "known" { known[$0] }
+            part == "young" && split($0, each, ":") == 2 { left[each[1]] = each[2] }
+            part == "watched" { watched["/proc/" $0] }
+            part == "now" && /^[/]/ && !($0 in watched) {
+                age = ($0 in left) ? left[$0] - 1 : ($0 in known) ? -1 : 8
+                if (age < 0 && all) age = 0
+                if (age >= 0) print $0 ":" age
+            }')
         processes=$*
     fi
-    older=
-    for each in $young; do
-        process=${each%:*} age=${each#*:}
-        [ -d "$process" ] || continue
-        case " $watched " in *" ${process#/proc/} "*) continue ;; esac
-        asked="$asked $process"
-        if [ "$age" -gt 0 ]; then older="$older $process:$((age - 1))"; fi
-    done
-    young=$older
-    [ -n "$asked" ] || return 0
-    # shellcheck disable=SC2086 # names without blanks
-    answer=$("$scripts/find_programs.sh" "$pattern" $asked)
-    [ -n "$answer" ] || return 0
+    [ -z "$young" ] || found=$(printf '%s\n' "$young" | sed 's,:.*,/maps,' | xargs grep -lsE -- "$pattern" |
+        sed 's,^/proc/\([0-9]*\)/.*,\1,')
+    # shellcheck disable=SC2086 # numbers
+    set -- $asked $found
+    [ $# -gt 0 ] || return 0
+    # shellcheck disable=SC2086
+    [ -z "$found" ] || watched="$watched $(echo $found)"
     echo "programs"
-    printf '%s\n' "$answer"
+    printf '%s\n' "$@" | "$scripts/find_programs.sh" "$pattern" -
     echo "rtrun end programs"
-    for process in $asked; do
-        pid=${process#/proc/}
-        case " $watched " in *" $pid "*) continue ;; esac
-        case $answer in *"program $pid
-"*) watched="$watched $pid" ;; esac
-    done
 }
 
 # Above the limit the events are switched off for so long that the mean is below it.
@@ -303,8 +300,10 @@ processes=$(echo /proc/[0-9]*)
 while read -r word one rest; do
     case $word in
     p)
+        # The same library at another place: the kernel places what belongs to an event when that is switched on.
+        { echo 0 >"$instance/events/$group/$one/enable"; } 2>/dev/null
         # Never by > alone: it would remove the probes of everybody.
-        if ! { echo "$word:$group/$one $rest" >>$tracing/uprobe_events; } 2>/dev/null; then
+        if ! { printf '%s\n' "$word:$group/$one $rest" >>$tracing/uprobe_events; } 2>/dev/null; then
             reason=$(sed -n 's,.* trace_uprobe: error: ,,p' $tracing/error_log 2>/dev/null | tail -n 1)
             case $reason in
             # The same file, which another container sees by another name.

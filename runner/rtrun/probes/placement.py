@@ -23,7 +23,8 @@ LOOK_S = 120.0
 # Since 5.3 several probes may be one event, and the kernel knows a second probe at the same place of the same file.
 _SHARED_SINCE = (5, 3)
 # The file as the kernel shows it to us, if that is the one that is mapped: a program in a container, or in a folder of
-# its own, sees others by this path, and the file may have been replaced. tracefs takes no blanks in a path.
+# its own, sees others by this path, and the file may have been replaced. tracefs ends a path at a blank and a line at #,
+# and the kernel writes a newline in a path as \012: a file that has such a path is known by its mapping.
 _LOOK = r"""
 cat /proc/sys/kernel/osrelease
 done=
@@ -31,10 +32,10 @@ while IFS=' ' read -r key pid range path; do
     case $done in *" $key "*) continue ;; esac
     mapped=/proc/$pid/map_files/$range
     for file in "$path" "/proc/$pid/root$path" "$mapped"; do
-        case $file in *[[:blank:]]*) continue ;; esac
+        case $file in *[[:space:]#\\]*) continue ;; esac
         [ "$file" -ef "$mapped" ] && break
     done
-    size=$(wc -c <"$file") && digest=$(sha256sum <"$file") && echo "$pid $range $size ${digest%% *} $file" &&
+    size=$(wc -c <"$file") && digest=$(sha256sum <"$file") && printf '%s\n' "$pid $range $size ${digest%% *} $file" &&
         done="$done $key "
 done 2>/dev/null
 exit 0
@@ -200,10 +201,10 @@ def _look(
     """
     asked = {(program.program.pid, each.range): each for program, each in users if not each.is_deleted}
     stdin = "".join(f"{each.device}-{each.inode} {pid} {each.range} {each.path}\n" for (pid, _), each in asked.items())
-    first, *lines = link.check(["sh", "-c", _LOOK], deadline_s=LOOK_S, stdin=stdin).splitlines() or [""]
+    first, *lines = link.check(["sh", "-c", _LOOK], deadline_s=LOOK_S, stdin=stdin).split("\n")
     release = tuple(int(number) for number in re.findall(r"\d{1,4}", first, re.ASCII)[:2])
     files = {}
-    for line in lines:
+    for line in filter(None, lines):
         match = _LOOKED.fullmatch(line)
         key = (int(match[1]), match[2]) if match is not None else None
         if match is None or key not in asked:

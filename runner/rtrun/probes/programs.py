@@ -1,31 +1,48 @@
 """The programs of a target that can be observed: the processes that map a library with probes, and their threads."""
 
+import itertools
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
-from rtfiles.untrusted import INT64_MAX, whole_number
+from rtfiles.output import counted
+from rtfiles.untrusted import INT64_MAX, MIB, whole_number
 from rtrun.plan.limits import CPUS_MAX, PID_MAX, RT_PRIORITY_MAX
 from rtrun.probes.hits import ObservedProgram, ProgramThread
 from rtrun.probes.libraries.description import libraries
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection.facts import POLICIES
+from rtrun.targets.shell import TooMuch
 
 if TYPE_CHECKING:
+    from rtrun.targets.connection import Connection
     from rtrun.targets.link import Link
 
+# Of one listing, and of an observation: those that live, and those that were there at any time. More are left out.
 PROGRAMS_MAX = 2000
 THREADS_MAX = 20_000
+# Names, paths and arguments of all programs together, as UTF-8.
+TEXT_BYTES_MAX = 16 * MIB
+# What find_programs.sh prints of one program: of a thread there are some 350 bytes.
+PROGRAM_BYTES_MAX = 8 * MIB
 ARGUMENTS_MAX = 1000
+LIBRARIES_MAX = 16
+# Different sets of CPUs that threads may run on.
+CPU_SETS_MAX = 256
 # A slow board with some hundred processes needs a second.
 FIND_S = 60.0
-NAME_CHARACTERS_MAX = 64
-# A name has 15 bytes at most, of threads of the kernel some more, and may hold anything: brackets, newlines.
-_STAT = re.compile(r"^(\d{1,7}) \((.{0,64}?)\) [A-Za-z]((?: -?\d{1,20}){38,80})$", re.ASCII | re.DOTALL | re.MULTILINE)
-_MAPS = re.compile(r"([0-9a-f]{1,16}-[0-9a-f]{1,16}) ([0-9a-f]{1,8}:[0-9a-f]{1,8}) (\d{1,20}) (/.{1,4096})", re.ASCII)
+# A name has 15 bytes at most, of threads of the kernel some more, and may hold anything: brackets, newlines. A byte that
+# is no UTF-8 is read as four characters.
+NAME_CHARACTERS_MAX = 256
+_STAT = re.compile(r"^(\d{1,7}) \((.{0,256}?)\) [A-Za-z]((?: -?\d{1,20}){38,80})$", re.ASCII | re.DOTALL | re.MULTILINE)
+_MAPS = re.compile(r"([0-9a-f]{1,16}-[0-9a-f]{1,16}) ([0-9a-f]{1,8}:[0-9a-f]{1,8}) (\d{1,20}) (/.{1,16384})", re.ASCII)
+_CPUS_CHARACTERS_MAX = 65536
 _DELETED = " (deleted)"
+LINE_BYTES_MAX = 64 * 1024
+CUT = "…"
+"""The end of an argument that was not read to its end, and what stands for arguments that were not read."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -52,89 +69,249 @@ class FoundProgram:
     mapped: tuple[MappedLibrary, ...]
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Listing:
+    """The programs of a target; of those beyond a limit it is known only that there are `left_out`."""
+
+    found: tuple[FoundProgram, ...]
+    left_out: int
+
+
+def left_out_in_words(number: int) -> str:
+    """What is not known where programs were left out."""
+    return (
+        f"{counted(number, 'program')} beyond {PROGRAMS_MAX} programs, {THREADS_MAX} threads or "
+        f"{TEXT_BYTES_MAX // MIB} MiB of names: their streams are named by their processes"
+    )
+
+
 def pattern() -> str:
     """What find_programs.sh is called with."""
     return f"/({'|'.join(library.file for library in libraries().values())})( .deleted.)?$"
 
 
-def find_programs(link: "Link", scripts: PurePosixPath) -> tuple[FoundProgram, ...]:
+def find_programs(link: "Link", scripts: PurePosixPath) -> Listing:
     """Ask a target for the programs that can be observed; it is not changed. Raises TargetError."""
-    text = link.check([str(scripts / "find_programs.sh"), pattern()], deadline_s=FIND_S)
-    return parse_programs(text, str(link.target.address))
+    script = str(scripts / "find_programs.sh")
+
+    def ask(connection: "Connection") -> Listing:
+        # Read while it comes: of a large system it is more than a command may print that is read whole.
+        reader, data = ProgramReader(str(link.target.address)), bytearray()
+
+        def take(chunk: bytes) -> None:
+            data.extend(chunk)
+            *lines, rest = data.split(b"\n")
+            if len(rest) > LINE_BYTES_MAX:
+                raise TooMuch(f"{LINE_BYTES_MAX} bytes in a line")
+            data[:] = rest
+            for line in lines:
+                reader.take(bytes(line))
+
+        status, stderr = connection.shell.execute([script, pattern()], [], take, FIND_S)
+        if status != 0:
+            last = stderr.strip().rpartition("\n")[2][:300]
+            raise TargetError(f"{link.target.address}: find_programs.sh ended with exit status {status}: {last}")
+        return reader.end()
+
+    return link.do(ask)
 
 
-def parse_programs(text: str, origin: str) -> tuple[FoundProgram, ...]:
-    """Read what find_programs.sh printed. A process that ended meanwhile is left out.
+class ProgramReader:
+    """Reads a listing of find_programs.sh, a line at a time. A process that ended meanwhile is left out.
 
-    Raises TargetError with the origin for what is no output of it.
+    Raises TargetError with the origin for what is no output of it. What goes beyond a limit is left out and counted:
+    a system may have any number of programs, and the others are observed all the same.
     """
-    programs: dict[int, FoundProgram] = {}
-    threads = 0
-    try:
-        for pid, lines in _blocks(text):
-            found = _program(pid, lines)
-            if found is not None:
-                programs[pid] = found
-                threads += len(found.program.threads)
-            if len(programs) > PROGRAMS_MAX or threads > THREADS_MAX:
-                raise ValueError(f"more than {PROGRAMS_MAX} programs or {THREADS_MAX} threads")
-    except ValueError as error:
-        raise TargetError(f"{origin}: what find_programs.sh printed cannot be read: {error}") from None
-    return tuple(programs.values())
 
+    def __init__(self, origin: str) -> None:
+        self._origin = origin
+        self._pid: int | None = None
+        self._lines: list[str] = []
+        self._line_bytes = 0
+        self._found: dict[int, FoundProgram] = {}
+        self._room = _Room()
+        self._left_out = 0
+        self._cpu_sets: dict[str, tuple[int, ...]] = {}
 
-def _blocks(text: str) -> Iterator[tuple[int, list[str]]]:
-    lines: list[str] | None = None
-    pid = 0
-    for line in text.split("\n"):
+    def take(self, raw: bytes) -> FoundProgram | None:
+        """Take a line, without its end; return the program that it completes."""
+        line = raw.decode("utf-8", "backslashreplace")
+        try:
+            return self._take(line, len(raw))
+        except ValueError as error:
+            raise TargetError(f"{self._origin}: what find_programs.sh printed cannot be read: {error}") from None
+
+    @property
+    def found(self) -> tuple[FoundProgram, ...]:
+        """The programs so far."""
+        return tuple(self._found.values())
+
+    def cut(self) -> None:
+        """No more is listed now: a program that is not whole is left out."""
+        self._pid, self._lines = None, []
+
+    def end(self) -> Listing:
+        """All programs, once everything was taken."""
+        if self._pid is not None:
+            within = f"it ends within program {self._pid}"
+            raise TargetError(f"{self._origin}: what find_programs.sh printed cannot be read: {within}")
+        return Listing(found=self.found, left_out=self._left_out)
+
+    def _take(self, line: str, size_bytes: int) -> FoundProgram | None:
         word, _, rest = line.partition(" ")
-        if lines is None:
+        if self._pid is None:
             if line:
                 if word != "program":
                     raise ValueError(f"expected 'program PID', got {line[:40]!r}")
-                lines, pid = [], whole_number(rest, lowest=1, highest=PID_MAX)
-        elif word == "end" and rest == str(pid):
-            yield pid, lines
-            lines = None
-        else:
-            lines.append(line)
-    if lines is not None:
-        raise ValueError(f"it ends within program {pid}")
+                self._pid, self._line_bytes = whole_number(rest, lowest=1, highest=PID_MAX), 0
+        elif word == "end" and rest == str(self._pid):
+            lines, pid = self._lines, self._pid
+            self._lines, self._pid = [], None
+            return self._added(pid, lines)
+        elif self._line_bytes <= PROGRAM_BYTES_MAX:
+            # A short line takes as much as its object does.
+            self._line_bytes += size_bytes + 64
+            self._lines.append(line)
+        return None
+
+    def _added(self, pid: int, lines: Sequence[str]) -> FoundProgram | None:
+        program = _program(pid, lines, self._cpus)
+        if program is None:
+            return None
+        if not self._room.take(program.program):
+            self._left_out += 1
+            return None
+        self._found[pid] = program
+        return program
+
+    def _cpus(self, ranges: str) -> tuple[int, ...]:
+        """The CPUs of a text as ``0-1,3``; threads that may run on the same ones share them."""
+        cpus = self._cpu_sets.get(ranges)
+        if cpus is None:
+            cpus = _cpus(ranges)
+            if len(self._cpu_sets) >= CPU_SETS_MAX:
+                return ()
+            self._cpu_sets[ranges] = cpus
+        return cpus
 
 
-def _program(pid: int, lines: Iterable[str]) -> FoundProgram | None:
+def parse_programs(text: str, origin: str) -> Listing:
+    """Read a whole listing, as `ProgramReader` does."""
+    reader = ProgramReader(origin)
+    for line in text.split("\n"):
+        reader.take(line.encode("utf-8", "replace"))
+    return reader.end()
+
+
+class _Room:
+    """What is left of the limits on programs that are kept."""
+
+    def __init__(self) -> None:
+        self._programs, self._threads, self._text_bytes = PROGRAMS_MAX, THREADS_MAX, TEXT_BYTES_MAX
+
+    def take(self, program: ObservedProgram) -> bool:
+        """Whether there was room for a program."""
+        left = self._programs - 1, self._threads - len(program.threads), self._text_bytes - _text_bytes(program)
+        if min(left) < 0:
+            return False
+        self._programs, self._threads, self._text_bytes = left
+        return True
+
+    def give_back(self, program: ObservedProgram) -> None:
+        self._programs += 1
+        self._threads += len(program.threads)
+        self._text_bytes += _text_bytes(program)
+
+
+class Roster:
+    """The programs of an observation: those that live now, and all that were there at any time, with their last state.
+
+    Both are limited as a listing is. `left_out` counts programs for which there was no room in one of them.
+    """
+
+    def __init__(self, found: Iterable[FoundProgram], left_out: int = 0) -> None:
+        self.left_out = left_out
+        self._alive: dict[int, ObservedProgram] = {}
+        self._seen: dict[tuple[int, int], ObservedProgram] = {}
+        self._room, self._room_of_seen = _Room(), _Room()
+        for each in found:
+            self.begin(each.program)
+
+    @property
+    def alive(self) -> tuple[ObservedProgram, ...]:
+        return tuple(self._alive.values())
+
+    @property
+    def seen(self) -> tuple[ObservedProgram, ...]:
+        return tuple(self._seen.values())
+
+    def begin(self, program: ObservedProgram) -> None:
+        """It is there, or its threads have changed."""
+        self.end(program.pid)
+        key = program.pid, program.start_ticks
+        is_new = key not in self._seen
+        if not is_new:
+            self._room_of_seen.give_back(self._seen.pop(key))
+        is_alive, is_seen = self._room.take(program), self._room_of_seen.take(program)
+        if is_alive:
+            self._alive[program.pid] = program
+        if is_seen:
+            self._seen[key] = program
+        self.left_out += is_new and not (is_alive and is_seen)
+
+    def end(self, pid: int) -> None:
+        """It has ended."""
+        if pid in self._alive:
+            self._room.give_back(self._alive.pop(pid))
+
+
+def _text_bytes(program: ObservedProgram) -> int:
+    """What the texts of a program take, as UTF-8 and with their objects."""
+    names = (program.name, *program.argv, *program.libraries, *(thread.name for thread in program.threads))
+    return sum(len(each.encode()) + 64 for each in names)
+
+
+def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int, ...]]) -> FoundProgram | None:
     """Read the lines of one process; None where it has ended, or maps nothing any more."""
-    parts: dict[str, list[str]] = {"argument": [], "locked": [], "stat": [], "cpus": [], "maps": []}
-    part = parts["argument"]
+    arguments: list[str] = []
+    stat: list[str] = []
+    cpus: dict[int, tuple[int, ...]] = {}
+    mapped: dict[str, MappedLibrary] = {}
+    locked = "0"
     for line in lines:
         word, _, rest = line.partition(" ")
-        if word in parts:
-            part = parts[word]
-            part.append(rest)
-        elif part is parts["stat"] and line:
-            # A name of a thread with a newline.
-            part[-1] += f"\n{line}"
-    cpus = dict(_cpus(line) for line in parts["cpus"][:THREADS_MAX])
+        if word == "argument" and len(arguments) < ARGUMENTS_MAX:
+            arguments.append(rest.replace("\1", "\n"))
+        elif word == "cut" and len(arguments) < ARGUMENTS_MAX:
+            arguments.append(f"{rest}{CUT}".replace("\1", "\n"))
+        elif word == "locked":
+            locked = rest.removesuffix(" kB")
+        elif word == "stat":
+            # Each line of a name that has several begins with the word.
+            stat.append(rest)
+        elif word == "cpus" and len(cpus) < THREADS_MAX:
+            tid, _, ranges = rest.replace("\t", " ").partition(" ")
+            cpus[whole_number(tid, lowest=1, highest=PID_MAX)] = cpus_of(ranges.strip())
+        elif word == "maps" and len(mapped) < LIBRARIES_MAX and (library := _mapped(rest)) is not None:
+            mapped.setdefault(library.path, library)
     threads, start_ticks, name = [], None, ""
-    for match in _STAT.finditer("\n".join(parts["stat"])):
+    for match in itertools.islice(_STAT.finditer("\n".join(stat)), THREADS_MAX):
         thread, ticks = _thread(match, cpus)
         threads.append(thread)
         if thread.tid == pid:
             start_ticks, name = ticks, thread.name
-    mapped = tuple({each.path: each for each in map(_mapped, parts["maps"]) if each is not None}.values())
     if start_ticks is None or not mapped:
         return None
-    locked = parts["locked"][0].removesuffix(" kB") if parts["locked"] else "0"
     program = ObservedProgram(
         pid=pid,
         start_ticks=start_ticks,
         name=name,
-        argv=tuple(each.replace("\1", "\n") for each in parts["argument"][:ARGUMENTS_MAX]),
+        argv=tuple(arguments),
         locked_bytes=whole_number(locked, lowest=0, highest=INT64_MAX // 1024) * 1024,
-        libraries=tuple(each.path for each in mapped),
+        libraries=tuple(mapped),
         threads=tuple(threads),
     )
-    return FoundProgram(program=program, mapped=mapped)
+    return FoundProgram(program=program, mapped=tuple(mapped.values()))
 
 
 def _thread(match: re.Match[str], cpus: dict[int, tuple[int, ...]]) -> tuple[ProgramThread, int]:
@@ -152,15 +329,15 @@ def _thread(match: re.Match[str], cpus: dict[int, tuple[int, ...]]) -> tuple[Pro
     return thread, whole_number(fields[22 - 4], lowest=0)
 
 
-def _cpus(line: str) -> tuple[int, tuple[int, ...]]:
-    """A thread and the CPUs it may run on, of a line as ``12 0-1,3``."""
-    tid, _, ranges = line.replace("\t", " ").partition(" ")
+def _cpus(ranges: str) -> tuple[int, ...]:
+    if len(ranges) > _CPUS_CHARACTERS_MAX:
+        raise ValueError(f"a list of CPUs of {len(ranges)} characters")
     cpus: set[int] = set()
-    for each in ranges.strip().split(",")[:CPUS_MAX]:
+    for each in ranges.split(",")[:CPUS_MAX]:
         first, _, last = each.partition("-")
         begin = whole_number(first, lowest=0, highest=CPUS_MAX)
         cpus.update(range(begin, whole_number(last or first, lowest=begin, highest=CPUS_MAX) + 1))
-    return whole_number(tid, lowest=1, highest=PID_MAX), tuple(sorted(cpus))
+    return tuple(sorted(cpus))
 
 
 def _mapped(line: str) -> MappedLibrary | None:

@@ -15,20 +15,20 @@ from rtrun.plan.limits import CPUS_MAX, PID_MAX, WALL_TIME_MAX_NS
 from rtrun.probes.formats import EventFormat, RawValues
 from rtrun.probes.hits import Gap, Hit
 from rtrun.probes.placement import PlacedProbe
-from rtrun.probes.programs import FoundProgram, parse_programs
+from rtrun.probes.programs import LINE_BYTES_MAX, FoundProgram, ProgramReader
 from rtrun.probes.ring_buffer import PageLayout, read_events, read_head
 from rtrun.probes.timers import TimerChecks
 from rtrun.probes.values import Values, converter
 from rtrun.targets.errors import TargetError
 
 _END_OF_PAGES = b"rtrun end pages\n"
-_LINE_BYTES_MAX = 64 * 1024
 # Formats and programs: 2000 of these take some MiB.
 _BLOCK_BYTES_MAX = 16 * 1024 * 1024
 _FORMATS_MAX = 2000
 # Of one round: far above what the buffers of the script can hold.
 _ROUND_BYTES_MAX = 1 << 30
 _PRINT = "print"
+_PROGRAMS = "programs"
 RESTED = "the probes rested: too many events"
 _TIMER_CALL = "timer_call"
 
@@ -100,7 +100,8 @@ class WatchReader:
         self._hits: list[Hit] = []
         self._kernel: list[Hit] = []
         self._gaps: list[Gap] = []
-        self._programs: list[FoundProgram] = []
+        self._programs = ProgramReader(origin)
+        """What was listed since the last batch."""
         self._ended: list[int] = []
         self._realtime_offset_ns: int | None = None
         self._round: int | None = None
@@ -141,7 +142,7 @@ class WatchReader:
                     continue
                 end = data.find(b"\n", place)
                 if end < 0:
-                    if len(data) - place > _LINE_BYTES_MAX:
+                    if len(data) - place > LINE_BYTES_MAX:
                         raise ValueError("a line without an end")
                     return
                 line, place = bytes(data[place:end]), end + 1
@@ -172,12 +173,17 @@ class WatchReader:
                 self._block = None
                 self._end_block(kind, text.decode("utf-8", "replace"))
                 return
+            if kind == _PROGRAMS:
+                found = self._programs.take(raw)
+                if found is not None:
+                    self._pids.update((thread.tid, found.program.pid) for thread in found.program.threads)
+                return
             text += raw + b"\n"
             if len(text) > _BLOCK_BYTES_MAX:
                 raise ValueError(f"{kind} of more than {_BLOCK_BYTES_MAX} bytes")
             return
         word, _, rest = line.partition(" ")
-        if word in ("header_page", "format", "programs"):
+        if word in ("header_page", "format", _PROGRAMS):
             self._block = (line, bytearray())
         elif word == "pages" and self._layout is not None:
             self._cpu = whole_number(rest, lowest=0, highest=CPUS_MAX)
@@ -206,11 +212,8 @@ class WatchReader:
         word, _, path = kind.partition(" ")
         if word == "header_page":
             self._layout = PageLayout.of(text)
-        elif word == "programs":
-            found = parse_programs(text, self._origin)
-            self._programs += found
-            for each in found:
-                self._pids.update((thread.tid, each.program.pid) for thread in each.program.threads)
+        elif word == _PROGRAMS:
+            self._programs.cut()
         else:
             self._add_format(path, EventFormat(text))
 
@@ -304,11 +307,11 @@ class WatchReader:
             hits=hits,
             kernel=kernel,
             gaps=gaps,
-            programs=tuple(self._programs),
+            programs=self._programs.found,
             ended=tuple(self._ended),
             realtime_offset_ns=self._realtime_offset_ns,
         )
-        self._programs, self._ended = [], []
+        self._programs, self._ended = ProgramReader(self._origin), []
         return batch
 
 

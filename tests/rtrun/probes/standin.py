@@ -58,7 +58,7 @@ def find(link: Link, *pids: int, scripts: PurePosixPath = SCRIPTS, within_s: flo
     """Those of these processes that can be observed, once all of them can: a library is loaded after the start."""
     deadline = time.monotonic() + within_s
     while True:
-        found = tuple(each for each in find_programs(link, scripts) if each.program.pid in pids)
+        found = tuple(each for each in find_programs(link, scripts).found if each.program.pid in pids)
         if len(found) == len(pids):
             return found
         assert time.monotonic() < deadline, found

@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -311,9 +312,27 @@ def test_a_library_of_a_mount_namespace(here, standin, tmp_path):
     assert any(probe.path.startswith(str(moved)) for probe in results[0].placed)
 
 
+@pytest.mark.parametrize("name", [b"a\\nb", b"a\nb", b"a#b", b"a b", b"\xff\xe2\x80\xa8"])
+def test_a_library_in_a_folder_of_any_name(here, standin, tmp_path, name):
+    """Its program is seen, with megabytes of arguments, and so is another one with a copy of the same library."""
+    folder = os.path.join(os.fsencode(tmp_path), name)
+    shutil.copytree(os.fsencode(standin.parent), folder)
+    more = [f"robot_description:={'<' * 120_000}"] * 15
+    with (
+        subprocess.Popen([os.path.join(folder, b"standin"), "100", "1000000", "0", "1", "/own", "-1", *more]) as odd,
+        running(standin, 100, 10**9) as other,
+    ):
+        try:
+            *results, last = observed(here, odd.pid, other.pid, for_s=2)
+        finally:
+            odd.kill()
+    seen = {(hit.pid, hit.values["topic"]) for hit in values_of(results, "take")}
+    assert seen == {(odd.pid, "/own"), (other.pid, "/a")} and last.is_clean
+
+
 def programs_of(link, path):
     """The pids of those that are called by a path below this one."""
-    return [each.program.pid for each in find_programs(link, SCRIPTS) if each.program.argv[0].startswith(path)]
+    return [each.program.pid for each in find_programs(link, SCRIPTS).found if each.program.argv[0].startswith(path)]
 
 
 def test_two_containers_of_one_image(here, standin, tmp_path):
