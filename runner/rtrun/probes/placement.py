@@ -23,8 +23,8 @@ LOOK_S = 120.0
 # Since 5.3 several probes may be one event, and the kernel knows a second probe at the same place of the same file.
 _SHARED_SINCE = (5, 3)
 # The file as the kernel shows it to us, if that is the one that is mapped: a program in a container, or in a folder of
-# its own, sees others by this path, and the file may have been replaced. tracefs ends a path at a blank and a line at #,
-# and the kernel writes a newline in a path as \012: a file that has such a path is known by its mapping.
+# its own, sees others by this path, and the file may have been replaced. tracefs ends a path at a blank and a line at
+# #, and the kernel writes a newline in a path as \012: a file that has such a path is known by its mapping.
 _LOOK = r"""
 cat /proc/sys/kernel/osrelease
 done=
@@ -102,10 +102,9 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
     `events` are the canonical names of those that are to be placed. Raises TargetError.
     """
     mapping = [(program, each) for program in found for each in program.mapped]
-    # One process for each file.
-    users: dict[tuple[str, int], tuple[FoundProgram, MappedLibrary]] = {}
+    users: dict[tuple[str, int], list[tuple[FoundProgram, MappedLibrary]]] = {}
     for program, each in mapping:
-        users.setdefault((each.device, each.inode), (program, each))
+        users.setdefault((each.device, each.inode), []).append((program, each))
     release, files = _look(link, mapping)
     is_shared = release >= _SHARED_SINCE
     resolved = {file.sha256: _resolve(link, file) for file in files.values()}
@@ -121,8 +120,11 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
     probes: list[PlacedProbe] = []
     refused: list[RefusedProbe] = []
     numbers: dict[str, int] = {}
-    for key, (program, mapped) in users.items():
+    for key, of_file in users.items():
+        # By one of its names it may be deleted.
+        mapped = next((each for _, each in of_file if not each.is_deleted), of_file[0][1])
         symbols = symbols_of(mapped)
+        besides = [{each.library: symbols_of(each) for each in program.mapped} for program, _ in of_file]
         if isinstance(symbols, NotProbed):
             refused.append(RefusedProbe(path=mapped.path, event="", reason=symbols.reason))
             continue
@@ -132,7 +134,7 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
         for index, probe in enumerate(library.probes):
             if probe.event not in events:
                 continue
-            is_for = _is_for(probe, {each.library: symbols_of(each) for each in program.mapped})
+            is_for = _is_for_any(probe, besides)
             if isinstance(is_for, NotProbed):
                 refused.append(RefusedProbe(path=mapped.path, event=probe.event, reason=is_for.reason))
             if is_for is not True:
@@ -153,6 +155,18 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
                 )
             )
     return Placement(probes=tuple(probes), refused=tuple(refused))
+
+
+def _is_for_any(probe: Probe, besides: Sequence[Mapping[str, LibrarySymbols | NotProbed]]) -> bool | NotProbed:
+    """Whether a probe is for the release of the programs that map a file, of each the libraries beside it.
+
+    A program that does not tell its release says nothing against those that do.
+    """
+    answers = [_is_for(probe, beside) for beside in besides]
+    told = {each for each in answers if not isinstance(each, NotProbed)}
+    if len(told) == 2:
+        return NotProbed("its arguments differ between releases, and its programs are of several")
+    return told.pop() if told else answers[0]
 
 
 def _is_for(probe: Probe, symbols: Mapping[str, LibrarySymbols | NotProbed]) -> bool | NotProbed:

@@ -33,8 +33,8 @@ LIBRARIES_MAX = 16
 CPU_SETS_MAX = 256
 # A slow board with some hundred processes needs a second.
 FIND_S = 60.0
-# A name has 15 bytes at most, of threads of the kernel some more, and may hold anything: brackets, newlines. A byte that
-# is no UTF-8 is read as four characters.
+# A name has 15 bytes at most, of threads of the kernel some more, and may hold anything: brackets, newlines. A byte
+# that is no UTF-8 is read as four characters.
 NAME_CHARACTERS_MAX = 256
 _STAT = re.compile(r"^(\d{1,7}) \((.{0,256}?)\) [A-Za-z]((?: -?\d{1,20}){38,80})$", re.ASCII | re.DOTALL | re.MULTILINE)
 _MAPS = re.compile(r"([0-9a-f]{1,16}-[0-9a-f]{1,16}) ([0-9a-f]{1,8}:[0-9a-f]{1,8}) (\d{1,20}) (/.{1,16384})", re.ASCII)
@@ -70,7 +70,7 @@ class FoundProgram:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Listing:
+class FoundPrograms:
     """The programs of a target; of those beyond a limit it is known only that there are `left_out`."""
 
     found: tuple[FoundProgram, ...]
@@ -90,11 +90,11 @@ def pattern() -> str:
     return f"/({'|'.join(library.file for library in libraries().values())})( .deleted.)?$"
 
 
-def find_programs(link: "Link", scripts: PurePosixPath) -> Listing:
+def find_programs(link: "Link", scripts: PurePosixPath) -> FoundPrograms:
     """Ask a target for the programs that can be observed; it is not changed. Raises TargetError."""
     script = str(scripts / "find_programs.sh")
 
-    def ask(connection: "Connection") -> Listing:
+    def ask(connection: "Connection") -> FoundPrograms:
         # Read while it comes: of a large system it is more than a command may print that is read whole.
         reader, data = ProgramReader(str(link.target.address)), bytearray()
 
@@ -150,12 +150,12 @@ class ProgramReader:
         """No more is listed now: a program that is not whole is left out."""
         self._pid, self._lines = None, []
 
-    def end(self) -> Listing:
+    def end(self) -> FoundPrograms:
         """All programs, once everything was taken."""
         if self._pid is not None:
             within = f"it ends within program {self._pid}"
             raise TargetError(f"{self._origin}: what find_programs.sh printed cannot be read: {within}")
-        return Listing(found=self.found, left_out=self._left_out)
+        return FoundPrograms(found=self.found, left_out=self._left_out)
 
     def _take(self, line: str, size_bytes: int) -> FoundProgram | None:
         word, _, rest = line.partition(" ")
@@ -195,7 +195,7 @@ class ProgramReader:
         return cpus
 
 
-def parse_programs(text: str, origin: str) -> Listing:
+def parse_programs(text: str, origin: str) -> FoundPrograms:
     """Read a whole listing, as `ProgramReader` does."""
     reader = ProgramReader(origin)
     for line in text.split("\n"):

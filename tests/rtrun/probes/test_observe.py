@@ -315,11 +315,11 @@ def test_a_library_of_a_mount_namespace(here, standin, tmp_path):
 @pytest.mark.parametrize("name", [b"a\\nb", b"a\nb", b"a#b", b"a b", b"\xff\xe2\x80\xa8"])
 def test_a_library_in_a_folder_of_any_name(here, standin, tmp_path, name):
     """Its program is seen, with megabytes of arguments, and so is another one with a copy of the same library."""
-    folder = os.path.join(os.fsencode(tmp_path), name)
+    folder = os.fsencode(tmp_path) + b"/" + name
     shutil.copytree(os.fsencode(standin.parent), folder)
     more = [f"robot_description:={'<' * 120_000}"] * 15
     with (
-        subprocess.Popen([os.path.join(folder, b"standin"), "100", "1000000", "0", "1", "/own", "-1", *more]) as odd,
+        subprocess.Popen([folder + b"/standin", "100", "1000000", "0", "1", "/own", "-1", *more]) as odd,
         running(standin, 100, 10**9) as other,
     ):
         try:
@@ -362,6 +362,21 @@ def test_two_containers_of_one_image(here, standin, tmp_path):
         numbers = [hit.values["source_ns"] for hit in values_of(results, "take") if hit.pid == pid]
         assert len(numbers) > 100 and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     assert last.is_clean
+
+
+def test_a_program_without_the_library_that_tells_the_release(here, standin):
+    """It is found first, and its own probes cannot be placed; those of the others are."""
+    code = "import ctypes, sys; ctypes.CDLL(sys.argv[1]); input()"
+    argv = [sys.executable, "-c", code, standin.parent / "libtracetools.so"]
+    with running(*argv, stdin=subprocess.PIPE) as without, running(standin, 100, 10**9) as other:
+        found = sorted(find(here, without.pid, other.pid), key=lambda each: each.program.pid != without.pid)
+        placement = place(here, found, events=EVENTS)
+        *results, last = observe(here, SCRIPTS, placement, found, for_s=1)
+        alone = place(here, found[:1], events=EVENTS)
+    assert {"publish", "take"} <= {probe.event for probe in placement.probes}
+    assert {hit.pid for hit in values_of(results, "take")} == {other.pid} and last.is_clean
+    (reason,) = {each.reason for each in alone.refused if each.event == "publish"}
+    assert reason.endswith("which librcl tells: the program does not map it")
 
 
 def test_a_library_that_was_replaced(here, tmp_path):
