@@ -365,7 +365,8 @@ static void find_sessions(DIR *folder) {
   }
 }
 
-/* The name of a thread, with line ends escaped as the kernel does; false when it has ended. */
+/* The name of a thread, in which "\n" stands for a line end: /proc has it as it is. False when it has ended, or waits
+ * as a zombie for its parent: it keeps its policy and never runs again. */
 static bool read_name(pid_t process, pid_t thread, char *name, size_t size) {
   char path[64];
   snprintf(path, sizeof path, "%d/task/%d/stat", (int)process, (int)thread);
@@ -375,10 +376,17 @@ static bool read_name(pid_t process, pid_t thread, char *name, size_t size) {
   if (begin == NULL || end == NULL || end < begin) {
     return false;
   }
-  const size_t length = (size_t)(end - begin - 1);
-  const size_t kept = length < size ? length : size - 1;
-  memcpy(name, begin + 1, kept);
-  name[kept] = '\0';
+  if (strncmp(end, ") Z", 3) == 0 || strncmp(end, ") X", 3) == 0 || strncmp(end, ") x", 3) == 0) {
+    return false;
+  }
+  size_t length = 0;
+  for (const char *at = begin + 1; at < end && length + 2 < size; ++at) {
+    if (*at == '\n') {
+      name[length++] = '\\';
+    }
+    name[length++] = *at == '\n' ? 'n' : *at;
+  }
+  name[length] = '\0';
   return true;
 }
 

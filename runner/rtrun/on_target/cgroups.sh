@@ -10,11 +10,11 @@ proc=${1:-/proc/self}
 # The limits in a folder of a group.
 limits() {
     for file in cpu.rt_runtime_us cpu.rt_period_us cpu.cfs_quota_us cpu.cfs_period_us cpu.max; do
-        [ -r "$1/$file" ] && { read -r value <"$1/$file"; echo "$file $value"; }
+        [ -r "$1/$file" ] && { read -r value <"$1/$file"; printf '%s\n' "$file $value"; }
     done
     [ -r "$1/cpu.stat" ] || return 0
     while read -r name value; do
-        case $name in nr_periods | nr_throttled | throttled_time | throttled_usec) echo "cpu.stat $name $value" ;; esac
+        case $name in nr_periods | nr_throttled | throttled_time | throttled_usec) printf '%s\n' "cpu.stat $name $value" ;; esac
     done <"$1/cpu.stat"
 }
 
@@ -32,7 +32,8 @@ hierarchy() {
         [ -d "$3$below" ] || below=
         while :; do
             group=$top$below
-            echo "group $1 ${group:-/}"
+            # Names may hold backslashes, which echo would read.
+            printf '%s\n' "group $1 ${group:-/}"
             limits "$3$below"
             [ -n "$below" ] || break
             below=${below%/*}

@@ -110,12 +110,16 @@ section threads
 # proc(5): after the name, in brackets, come state and then flags (7th), rt_priority (38th) and policy (39th). A thread at
 # SCHED_DEADLINE (6) has no priority; the chrt of busybox does not know its budget.
 for file in /proc/[0-9]*/task/[0-9]*/stat; do
-    { IFS= read -r line <"$file"; } 2>/dev/null || continue
+    # A line end in a name becomes "\n".
+    line=
+    while IFS= read -r part; do line="$line${line:+\\n}$part"; done 2>/dev/null <"$file" || continue
     rest=${line##*) }
     name=${line%) *}
     # shellcheck disable=SC2086 # the fields are to be split
     set -- $rest
     [ $# -ge 39 ] || continue
+    # A zombie has its policy still, and never runs again.
+    case $1 in Z | X | x) continue ;; esac
     [ "${38}" -gt 0 ] || [ "${39}" -eq 6 ] || continue
     kind=program priority=${38} budget=
     [ $(($7 / 2097152 % 2)) -eq 1 ] && kind=kernel

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Print what may betray a virtual machine: one line "source: value" for each fact. targets/inspection/platform_signs.yml judges them.
-show() { while IFS= read -r value || [ -n "$value" ]; do echo "$1: $value"; done; }
+show() { while IFS= read -r value || [ -n "$value" ]; do printf '%s\n' "$1: $value"; done; }
 {
     if grep -qwm1 '^flags.*hypervisor' /proc/cpuinfo; then echo "cpuinfo flag: hypervisor"; fi
     sed -n 's/^\(vendor_id\|model name\|Hardware\)[[:blank:]]*: */cpuinfo \1: /p' /proc/cpuinfo | sort -u

@@ -44,19 +44,32 @@ read_processes() {
 threads() {
     read_processes | awk -v priority="$priority" -v loads="$loads" '
         /^session / { program[$3] = $2; next }
+        # A name may hold line ends: the first line of a thread begins with its number.
         {
-            path = $0; sub(/\/stat:.*/, "", path)
+            begin = index($0, ":"); begun = substr($0, 1, begin - 1)
+            text = substr($0, begin + 1)
+            split(begun, of, "/")
+            if (begun == file && index(text, of[5] " (") != 1) { whole = whole "\\n" text; next }
+            if (file != "") list(file, whole)
+            file = begun; whole = text
+        }
+        END { if (file != "") list(file, whole) }
+        function list(file, whole,    path, part, name, owner) {
+            path = file; sub(/\/stat$/, "", path)
             split(path, part, "/")
             # The name itself may hold brackets.
+            $0 = whole
             name = $0; sub(/^[^(]*\(/, "", name)
             sub(/.*\) /, "")
             name = substr(name, 1, length(name) - length($0) - 2)
-            # From here $1 is field 3 of proc(5): $4 the session, $38 and $39 the real-time priority and the policy.
+            # From here $1 is field 3 of proc(5), the state: $4 the session, $38 and $39 the real-time priority and the
+            # policy. Of a zombie they are those that it had, but it never runs again.
+            if (NF < 39 || $1 ~ /^[ZXx]$/) return
             owner = program[$4]
             if (owner == "" && $39 == 6) print "rival", part[5], 6, "-", name
             else if (owner == "") { if ($38 >= priority && $38 > 0) print "rival", part[5], $39, $38, name }
             # supervise.sh and its watchdog are not the program that they started.
-            else if (owner == "sampler" || name == "supervise.sh" || name == "sleep") next
+            else if (owner == "sampler" || name == "supervise.sh" || name == "sleep") return
             else if (index(loads, " " owner " ")) { if (part[3] == part[5]) print "process", owner, path }
             else print "thread", owner, part[5], $39, $38, path, name
         }'

@@ -23,9 +23,10 @@ section memory;             head -n 3 /proc/meminfo 2>/dev/null
 section os_release;         cat /etc/os-release 2>/dev/null
 section cpuinfo;            cat /proc/cpuinfo 2>/dev/null
 # Real-time threads (field 40, rt_priority, is not 0, or 41, policy, is 6, SCHED_DEADLINE), then how many threads there are of
-# any kind.
+# any kind. A line end in a name becomes "\n"; a zombie has its policy still, and never runs again.
 section threads;            cat /proc/[0-9]*/task/[0-9]*/stat 2>/dev/null |
-                                sed -nE -e '/\) [A-Za-z]( -?[0-9]+){36} ([1-9]|0 6 )/p' -e '$='
+                                sed -nE -e ':whole' -e '/\) [A-Za-z]( -?[0-9]+){38,}$/!{' -e '$!{' -e 'N' -e 's/\n/\\n/' -e 'b whole' \
+                                    -e '}' -e '}' -e '/\) [^ZXx]( -?[0-9]+){36} ([1-9]|0 6 )/p' -e '$='
 }
 # In one piece: over SSH each write of a command is a packet, and there would be a hundred.
 printf '%s\n' "$(state)"

@@ -12,12 +12,15 @@ import pytest
 
 from conftest import kernel_threads_hidden
 from rtrun.targets.deploy import ON_TARGET
+from rtrun.targets.inspection.facts import parse_state
 from rtrun.validity.observations import COUNTS_MAX, Observation, observations_of, read_observations
 
 SCRIPT = ["sh", str(ON_TARGET / "sample.sh")]
 SAMPLERS = 40
 # Names of programs.
 BRACKETS, BLANKS, BACKSLASH = "a) R 1 (b", "two  blanks", "x\\ny"
+# As it is printed: it begins with a line end, and would end the state.
+LINE_END = "\\nend 1.0"
 
 
 @pytest.fixture(params=["program", "script"])
@@ -105,6 +108,13 @@ chrt -f 96 './{BRACKETS}' 500 &
 chrt -r 95 './{BLANKS}' 500 &
 chrt -d --sched-runtime 1000000 --sched-deadline 50000000 --sched-period 100000000 0 './{BACKSLASH}' 500 &
 chrt -f 94 ./lower 500 &
+chrt -f 96 python3 -c 'import time
+open("/proc/self/comm", "w").write("\\nend 1.0")
+time.sleep(500)' &
+chrt -f 97 python3 -c 'import os, time
+os.fork() or os._exit(0)
+os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+time.sleep(500)' &
 begin suite taskset -c 0 python3 -c 'import threading, time
 threads = [threading.Thread(target=time.sleep, args=(500,)) for _ in range(3)]
 [thread.start() for thread in threads]'
@@ -148,17 +158,26 @@ def test_program_and_script_print_the_same(sampler_program, tmp_path):
             return (
                 {name: len(threads) for name, threads in last.threads.items()} == expected
                 and {name: count for name, (count, _) in last.loads.items()} == {"stress": 3, "held": 1}
-                and len(last.rivals) == 3
+                and len(last.rivals) == 4
             )
 
         wait_until(lambda: all(is_seen(path) for path in outputs.values()))
+        printed = {
+            name: subprocess.run([*enter, "sh", ON_TARGET / name], check=True, capture_output=True, text=True).stdout
+            for name in ("state.sh", "check_rt.sh")
+        }
     texts = [path.read_text() for path in outputs.values()]
     for text in texts:
         assert blocks(text)[0] == blocks(texts[0])[0] and len(blocks(text)[0]) == 2, "nothing but settings"
         assert blocks(text)[-1] == blocks(texts[0])[-1]
         assert "" not in text.splitlines()
     last = observations_in(texts[0])[-1]
+    # Of whatever reads names: the whole name is on one line, and a zombie is none.
+    threads = {(each.name, each.priority) for each in parse_state(printed["state.sh"]).rt_threads}
+    assert threads >= {(BRACKETS, 96), (LINE_END, 96)} and 97 not in {priority for _, priority in threads}
+    assert f"96 program {LINE_END}\n" in printed["check_rt.sh"] and "\n97 program" not in printed["check_rt.sh"]
     assert {(each.name, each.policy, each.priority, each.runtime_ns, each.period_ns) for each in last.rivals} == {
+        (LINE_END, "FIFO", 96, None, None),
         (BRACKETS, "FIFO", 96, None, None),
         (" ".join(BLANKS.split()), "RR", 95, None, None),
         (BACKSLASH, "DEADLINE", 0, 1_000_000, 100_000_000),
