@@ -49,7 +49,7 @@ class FlowAccumulator:
         self.topics = TopicRecord(self.situation, self.paths, horizon_ns, recorder)
         self.calls = CallRecord(self.situation, recorder)
         self.turns = TurnRecord(on_turn, self.situation) if on_turn is not None else None
-        self._programs = LivingPrograms()
+        self._programs = LivingPrograms(self.situation)
         self._handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
             **self.topics.handlers,
             **self.calls.handlers,
@@ -89,6 +89,8 @@ class FlowAccumulator:
                 continue
             self.newest_ns = at_ns
             thread = thread_of(item.pid, item.tid)
+            if thread is None:
+                continue
             if (handler := handlers.get(item.event)) is not None:
                 handler(item, thread)
             else:

@@ -47,6 +47,8 @@ class CallRecord:
             self._situation.unreadable += 1
             return None
         timers = thread.process.timers
+        if not self._situation.has_room(handle, timers):
+            return None
         if handle in timers:
             timers[handle].is_replaced = True
         period_ns = period_ns if isinstance(period_ns, int) else None
@@ -84,6 +86,9 @@ class CallRecord:
             return
         timer.early.append(call)
         if len(timer.early) >= LEAST_CALLS:
+            if self._situation.is_full:
+                timer.early.clear()
+                return
             timer.log = self._log_of(timer)
             for at_ns, expected_ns, epoch in timer.early:
                 timer.log.add(at_ns, expected_ns, timer, epoch)
@@ -93,7 +98,11 @@ class CallRecord:
         name = self._situation.label(timer.process, timer.process.node(timer.node))
         alike = (name, timer.period_ns, timer.clock)
         number = self._situation.numbering.number(("timer", *alike), timer)
-        return self.timers.setdefault((*alike, number), TimerLog(*alike, number))
+        log = self.timers.get((*alike, number))
+        if log is None:
+            self._situation.add_stream()
+            log = self.timers[*alike, number] = TimerLog(*alike, number)
+        return log
 
     # Callbacks.
 
@@ -102,7 +111,7 @@ class CallRecord:
         thread.does_else()
         subscriptions, handle = thread.process.subscriptions, hit.values.get("object")
         endpoint = subscriptions.get(hit.values.get("subscription", ""))
-        if handle is not None and endpoint is not None:
+        if handle is not None and endpoint is not None and self._situation.has_room(handle, subscriptions):
             subscriptions[handle] = endpoint
 
     def _add_callback(self, hit: Hit, thread: ObservedThread) -> None:
@@ -113,6 +122,8 @@ class CallRecord:
             self._situation.unreadable += 1
             return
         process = thread.process
+        if not self._situation.has_room(handle, process.callbacks):
+            return
         if handle in process.callbacks:
             process.callbacks[handle].is_replaced = True
         made = process.callbacks[handle] = LivingCallback(process)
@@ -128,6 +139,8 @@ class CallRecord:
             return
         callback = thread.process.callbacks.get(handle)
         if callback is None:
+            if not self._situation.add_thing():
+                return
             callback = thread.process.callbacks[handle] = LivingCallback(thread.process)
         # roscpp tells the topic: another thread took the message.
         is_told = "topic" in hit.values
@@ -159,7 +172,9 @@ class CallRecord:
             log.ends.append(end.at_ns)
         else:
             callback.early.append((thread, begin_ns, end.at_ns))
-            if callback.is_ready:
+            if self._situation.is_full:
+                callback.early.clear()
+            elif callback.is_ready:
                 self._name(callback)
         if self._recorder is not None:
             name = callback.named[1] if callback.named else "callback"
@@ -176,7 +191,10 @@ class CallRecord:
             if log is None:
                 alike = (*callback.named, callback.number)
                 number = numbering.number(("thread", *alike), thread)
-                log = self.callbacks.setdefault((*alike, number), CallbackLog(*alike, number))
+                log = self.callbacks.get((*alike, number))
+                if log is None:
+                    self._situation.add_stream()
+                    log = self.callbacks[*alike, number] = CallbackLog(*alike, number)
                 callback.logs[thread] = log
             log.begins.append(begin_ns)
             log.ends.append(end_ns)

@@ -18,7 +18,6 @@ from rtrun.plan.observation import StreamDeadline, StreamKind
 from rtrun.probes.hits import Gap
 
 _BINS_OF_OCTAVE = 64
-_OCTAVES = 64
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,7 +57,9 @@ class BinnedValues:
     def __init__(self) -> None:
         self.n = self.misses = 0
         self.worst_ns: int | None = None
-        self._bins: Int64s = np.zeros(_BINS_OF_OCTAVE * _OCTAVES, np.int64)
+        # Those with values alone: there may be thousands of streams.
+        self._bins: Int64s = np.empty(0, np.int64)
+        self._counts: Int64s = np.empty(0, np.int64)
 
     def add(self, values_ns: Int64s, limit_ns: int | None) -> None:
         if not values_ns.size:
@@ -70,12 +71,15 @@ class BinnedValues:
             self.misses += int(np.count_nonzero(values_ns > limit_ns))
         part, octave = np.frexp(np.maximum(values_ns, 1).astype(np.float64))
         place = octave.astype(np.int64) * _BINS_OF_OCTAVE + ((part - 0.5) * 2 * _BINS_OF_OCTAVE).astype(np.int64)
-        self._bins += np.bincount(place, minlength=self._bins.size)
+        self._bins, inverse = np.unique(np.concatenate((self._bins, place)), return_inverse=True)
+        counts = np.zeros(self._bins.size, np.int64)
+        np.add.at(counts, inverse, np.concatenate((self._counts, np.ones(place.size, np.int64))))
+        self._counts = counts
 
     def quantile_ns(self, part: float) -> int | None:
         if self.worst_ns is None:
             return None
-        place = int(np.searchsorted(np.cumsum(self._bins), part * self.n))
+        place = int(self._bins[np.searchsorted(np.cumsum(self._counts), part * self.n)])
         octave, step = divmod(place, _BINS_OF_OCTAVE)
         return min(int(2.0**octave * (0.5 + (step + 1) / 2 / _BINS_OF_OCTAVE)), self.worst_ns)
 
@@ -240,6 +244,8 @@ class LiveFigures:
         observed = self._observed
         if observed.gaps:
             yield gaps_in_words(observed.gaps)
+        if observed.situation.left_out:
+            yield f"{counted(observed.situation.left_out, 'hit')} of more streams or programs than can be observed"
         if observed.situation.unreadable:
             yield f"{counted(observed.situation.unreadable, 'hit')} did not tell what they should"
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 from rtrun.flows.programs import LivingProcess
+from rtrun.flows.situation import Situation
 from rtrun.flows.threads import ObservedThread
 from rtrun.probes.hits import ObservedProgram
 
@@ -10,7 +11,8 @@ from rtrun.probes.hits import ObservedProgram
 class LivingPrograms:
     """The processes and threads that hits come from."""
 
-    def __init__(self) -> None:
+    def __init__(self, situation: Situation) -> None:
+        self._situation = situation
         self.processes: dict[int, LivingProcess] = {}
         self.threads: dict[int, ObservedThread] = {}
         self._ran_before: frozenset[tuple[str, ...]] | None = None
@@ -33,8 +35,12 @@ class LivingPrograms:
         if self._ran_before is None:
             self._ran_before = frozenset(program.argv for program in listed.values())
         for pid, program in listed.items():
-            made = LivingProcess(pid, program, has_own_name=program.argv in self._ran_before)
-            process = self.processes.setdefault(pid, made)
+            if pid not in self.processes:
+                if not self._situation.add_thing():
+                    continue
+                has_own_name = program.argv in self._ran_before
+                self.processes[pid] = LivingProcess(pid, program, has_own_name=has_own_name)
+            process = self.processes[pid]
             process.is_alive, process.program = True, program
         self._pids = {thread.tid: program.pid for program in listed.values() for thread in program.threads}
         for thread in list(self.threads.values()):
@@ -42,21 +48,33 @@ class LivingPrograms:
             if program and program.threads and all(thread.tid != one.tid for one in program.threads):
                 thread.has_ended = True
                 del self.threads[thread.tid]
+                self._situation.drop_things(1)
 
-    def thread(self, pid: int, tid: int) -> ObservedThread:
-        """The thread of a hit. Pid 0: the process was not known; the list, or its other hits, may tell."""
+    def thread(self, pid: int, tid: int) -> ObservedThread | None:
+        """The thread of a hit; None where there is no room for it.
+
+        Pid 0: the process was not known; the list, or its other hits, may tell.
+        """
         pid = pid or self._pids.get(tid, 0)
         thread = self.threads.get(tid)
         if thread is None or (pid and thread.process.pid != pid):
             pid = pid or -tid
-            process = self.processes.setdefault(pid, LivingProcess(pid, None))
+            process = self.processes.get(pid)
+            if process is None:
+                if not self._situation.add_thing():
+                    return None
+                process = self.processes[pid] = LivingProcess(pid, None)
+            if thread is None and not self._situation.add_thing():
+                return None
             thread = self.threads[tid] = ObservedThread(tid, process)
         return thread
 
     def _drop(self, process: LivingProcess) -> None:
         process.is_alive = False
         del self.processes[process.pid]
+        before = len(self.threads)
         self.threads = {tid: thread for tid, thread in self.threads.items() if thread.process is not process}
+        self._situation.drop_things(process.things + before - len(self.threads))
 
     def cut(self) -> None:
         """Hits are missing."""

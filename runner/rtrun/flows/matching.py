@@ -17,6 +17,8 @@ from rtrun.flows.situation import Situation
 
 # A stamp is carried as a fraction of a second with 32 bits, and comes out a nanosecond beside what went in.
 _STAMP_ROUNDING_NS = (-2, -1, 1, 2)
+# Of one time stamp; of a stamp that a thousand publications share each reception would have to look at all.
+_ALIKE_MAX = 64
 # So many messages in a row have to be unlike each other. At 10 Hz they are within the horizon.
 _UNLIKE_MIN = 100
 # Times of a realtime clock, 2014 to 2039: no part of a double that anyone sends looks like them.
@@ -51,6 +53,10 @@ class StampMatching:
     def publish(self, key: int, publication: Publication) -> None:
         self.expire(publication.at_ns)
         if (others := self._open.get(key)) is not None:
+            # Which one is received is not known of two already.
+            if len(others) >= _ALIKE_MAX:
+                self._fates.forgotten(publication)
+                return
             others.append(publication)
         else:
             self._open[key] = [publication]
@@ -80,6 +86,11 @@ class StampMatching:
         while oldest and oldest[0][0] < before_ns:
             for publication in self._open.pop(oldest.popleft()[1], ()):
                 self._fates.forgotten(publication)
+
+    @property
+    def open(self) -> int:
+        """How many messages are remembered."""
+        return len(self._oldest)
 
     def cut(self) -> None:
         """Forget everything: what comes next may not be joined with what was."""
@@ -251,6 +262,11 @@ class PayloadMatching:
             self._fates.matched(reception, publication)
         else:
             self._fates.ambiguous(reception, [publication])
+
+    @property
+    def open(self) -> int:
+        """How many messages are remembered, at either end."""
+        return len(self._oldest)
 
     def cut(self) -> None:
         """Forget everything: what comes next may not be joined with what was."""

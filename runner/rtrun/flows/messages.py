@@ -8,6 +8,7 @@ import numpy as np
 
 from rtrun.analysis.histogram import Int64s
 from rtrun.flows.programs import LivingProcess, LivingThing
+from rtrun.flows.situation import Situation
 from rtrun.flows.values import int64s
 from rtrun.kinds.messages import NOT_SEEN_NS
 
@@ -242,7 +243,8 @@ class MessagePair:
 class MessageRecord:
     """The pairs of an observation, told by the matching what became of each message."""
 
-    def __init__(self) -> None:
+    def __init__(self, situation: Situation) -> None:
+        self._situation = situation
         self.pairs: dict[tuple[End, End], MessagePair] = {}
         self._linked: list[Endpoint] = []
 
@@ -254,6 +256,8 @@ class MessageRecord:
         link = subscriber.links.get(publisher)
         if link is None:
             link = self._link(subscriber, publisher, publication.index)
+            if link is None:
+                return
         publication.takers += (subscriber.end,)
         reception.publication = publication
         subscriber.end.received += 1
@@ -265,11 +269,13 @@ class MessageRecord:
         for publication in candidates:
             if end not in publication.takers:
                 publication.takers += (end,)
-                self._pair(publication.endpoint.end, end).ambiguous.append(publication.index)
+                if (pair := self._pair(publication.endpoint.end, end)) is not None:
+                    pair.ambiguous.append(publication.index)
 
     def duplicate(self, reception: Reception, publication: Publication) -> None:
         reception.endpoint.end.duplicates += 1
-        self._pair(publication.endpoint.end, reception.endpoint.end).duplicates += 1
+        if (pair := self._pair(publication.endpoint.end, reception.endpoint.end)) is not None:
+            pair.duplicates += 1
 
     def historic(self, reception: Reception) -> None:
         reception.endpoint.end.historic += 1
@@ -287,14 +293,16 @@ class MessageRecord:
             endpoint.links.clear()
         self._linked.clear()
 
-    def _pair(self, publisher: End, subscriber: End) -> MessagePair:
+    def _pair(self, publisher: End, subscriber: End) -> MessagePair | None:
         pair = self.pairs.get((publisher, subscriber))
-        if pair is None:
+        if pair is None and self._situation.add_stream():
             pair = self.pairs[publisher, subscriber] = MessagePair(publisher, subscriber)
         return pair
 
-    def _link(self, subscriber: Endpoint, publisher: Endpoint, index: int) -> LinkedTime:
+    def _link(self, subscriber: Endpoint, publisher: Endpoint, index: int) -> LinkedTime | None:
         pair = self._pair(publisher.end, subscriber.end)
+        if pair is None:
+            return None
         link = subscriber.links[publisher] = LinkedTime(pair, index)
         pair.links.append(link)
         self._linked.append(subscriber)

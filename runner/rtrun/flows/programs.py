@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 _REMAPPED = re.compile(r"(?:[^:=]*:)?__(node|name|ns):=(.*)", re.DOTALL)
 _INTERPRETER = re.compile(r"python[0-9.]*")
 
+_TIDY_FROM = 50_000  # names, of which most are of what has ended
+
 Handle = int | str
 """What tells one thing from another in its process: a pointer."""
 
@@ -42,6 +44,12 @@ class LivingProcess:
         """By their handles in rcl, and by their objects in rclcpp."""
         self.timers: dict[Handle, LivingTimer] = {}
         self.callbacks: dict[Handle, LivingCallback] = {}
+
+    @property
+    def things(self) -> int:
+        """How many things it has, itself included."""
+        of_rcl = len(self.names_of_nodes) + len(self.publishers) + len(self.subscribers) + len(self.subscriptions)
+        return 1 + of_rcl + len(self.timers) + len(self.callbacks)
 
     def node(self, handle: Handle | None) -> str:
         """The name of a node that was seen to begin; of one that was not, the only node's, or the process' own.
@@ -83,6 +91,7 @@ class Numbering:
 
     def __init__(self) -> None:
         self._owners: dict[Hashable, list[_Mortal]] = {}
+        self._tidy_at = _TIDY_FROM
 
     def number(self, alike: Hashable, owner: _Mortal) -> int:
         """The number of a new owner, from 1."""
@@ -92,6 +101,10 @@ class Numbering:
                 owners[place] = owner
                 return place + 1
         owners.append(owner)
+        if len(self._owners) > self._tidy_at:
+            # Who has ended long ago has a number of its own no longer.
+            self._owners = {key: each for key, each in self._owners.items() if any(one.is_alive for one in each)}
+            self._tidy_at = max(_TIDY_FROM, 2 * len(self._owners))
         return len(owners)
 
 

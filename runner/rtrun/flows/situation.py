@@ -1,6 +1,8 @@
 """What all that reads hits needs to know of the observation so far."""
 
-from rtrun.flows.programs import LivingProcess, Numbering, numbered
+from collections.abc import Mapping
+
+from rtrun.flows.programs import Handle, LivingProcess, Numbering, numbered
 
 HITS_CLOCK = "steady"
 """The clock of the hits, CLOCK_MONOTONIC. How another one lies to it has to be told.
@@ -9,6 +11,16 @@ HITS_CLOCK = "steady"
 """
 FAULT = "(fault)"
 """The kernel's word for a text that it could not read."""
+
+
+# All that are measured, and all that lives: processes, threads, publishers, subscriptions, timers, callbacks, names. A
+# large robot has some thousand of each.
+STREAMS_MAX = 10_000
+THINGS_MAX = 50_000
+# Of names with what is needed to number them, of those that have ended, too.
+LABELS_MAX = 50_000
+# Of a topic, a node or a namespace. ROS 2 allows 255.
+NAME_CHARACTERS_MAX = 512
 
 
 class Situation:
@@ -25,6 +37,43 @@ class Situation:
         """How far each clock was ahead of that of the hits when it was last read."""
         self.unreadable = 0
         """Hits without what they should tell."""
+        self.left_out = 0
+        """Hits of what there was no room for."""
+        self._streams = self._things = 0
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there is no room for another stream."""
+        return self._streams >= STREAMS_MAX
+
+    def add_stream(self) -> bool:
+        """Whether there was room for another stream."""
+        if self._streams >= STREAMS_MAX:
+            self.left_out += 1
+            return False
+        self._streams += 1
+        return True
+
+    def add_thing(self) -> bool:
+        """Whether there was room for another thing that lives."""
+        if self._things >= THINGS_MAX:
+            self.left_out += 1
+            return False
+        self._things += 1
+        return True
+
+    def has_room(self, handle: Handle, known: Mapping[Handle, object]) -> bool:
+        """Whether a thing is known by its handle, or there was room for another one."""
+        return handle in known or self.add_thing()
+
+    def drop_things(self, number: int) -> None:
+        """So many have ended."""
+        self._things -= number
+
+    def add_pid(self, label: str, pid: int) -> None:
+        """A process had a label."""
+        if label in self.pids or len(self.pids) < LABELS_MAX:
+            self.pids.setdefault(label, set()).add(pid)
 
     def cut(self, until_ns: int) -> None:
         """Hits are missing until a time."""
@@ -36,5 +85,5 @@ class Situation:
         label = process.labels.get(name)
         if label is None:
             label = process.labels[name] = numbered(name, self.numbering.number(("process", name), process))
-        self.pids.setdefault(label, set()).add(process.pid)
+        self.add_pid(label, process.pid)
         return label

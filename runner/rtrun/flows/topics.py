@@ -7,7 +7,7 @@ from rtrun.flows.messages import End, Endpoint, MessageRecord, Payload, Publicat
 from rtrun.flows.paths import PathRecord
 from rtrun.flows.programs import Handle, LivingProcess, full_name
 from rtrun.flows.recorder import FlowRecorder
-from rtrun.flows.situation import FAULT, Situation
+from rtrun.flows.situation import FAULT, NAME_CHARACTERS_MAX, Situation
 from rtrun.flows.threads import ObservedThread
 from rtrun.probes.hits import Hit
 
@@ -15,13 +15,15 @@ PUBLISHER, SUBSCRIBER = "publisher", "subscriber"
 # Of ROS 2 itself, in every process: no messages of a system of nodes.
 _OF_ROS = frozenset(("ros_discovery_info", "/parameter_events"))
 _KEY_BYTES = 12
+_OPEN_MAX = 100_000  # messages that wait to be taken
+_HORIZON_LEAST_NS = 10**6
 
 
 class TopicRecord(MessageRecord):
     """The publishers and subscribers of an observation, and their messages."""
 
     def __init__(self, situation: Situation, paths: PathRecord, horizon_ns: int, recorder: FlowRecorder | None) -> None:
-        super().__init__()
+        super().__init__(situation)
         self.ends: dict[tuple[str, str, str], End] = {}
         """By role, topic and label."""
         self.handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
@@ -40,8 +42,17 @@ class TopicRecord(MessageRecord):
 
     def expire(self, now_ns: int) -> None:
         """Forget what was published too long ago."""
-        for matching in self._matchings():
-            matching.expire(now_ns)
+        matchings, horizon_ns = self._matchings(), self._horizon_ns
+        while True:
+            for matching in matchings:
+                matching.expire(now_ns + self._horizon_ns - horizon_ns)
+            if sum(matching.open for matching in matchings) <= _OPEN_MAX:
+                return
+            # More than a system publishes within the horizon at the highest rate: less is remembered.
+            horizon_ns //= 2
+            if horizon_ns < _HORIZON_LEAST_NS:
+                self.cut()
+                return
 
     def cut(self) -> None:
         """Hits are missing: decide what may be decided, and begin anew."""
@@ -111,7 +122,7 @@ class TopicRecord(MessageRecord):
         self, hit: Hit, process: LivingProcess, role: str, known: dict[Handle, Endpoint]
     ) -> Endpoint | None:
         topic = hit.values.get("topic")
-        if not isinstance(topic, str) or topic in ("", FAULT):
+        if not isinstance(topic, str) or topic in ("", FAULT) or len(topic) > NAME_CHARACTERS_MAX:
             return None
         handle = hit.values.get("endpoint", topic)
         endpoint = known.get(handle)
@@ -128,7 +139,10 @@ class TopicRecord(MessageRecord):
         known: dict[Handle, Endpoint],
         node: Handle | None = None,
         begin_ns: int | None = None,
-    ) -> Endpoint:
+    ) -> Endpoint | None:
+        situation = self._situation
+        if situation.is_full or not situation.has_room(handle, known):
+            return None
         if handle in known:
             known[handle].is_replaced = True
         endpoint = known[handle] = Endpoint(process, topic, begin_ns)
@@ -137,8 +151,12 @@ class TopicRecord(MessageRecord):
         if number > 1:
             # Of several in one process.
             label = f"{label} ({number})"
-            self._situation.pids.setdefault(label, set()).add(process.pid)
-        endpoint.end = self.ends.setdefault((role, topic, label), End(topic, label))
+            situation.add_pid(label, process.pid)
+        end = self.ends.get((role, topic, label))
+        if end is None:
+            situation.add_stream()
+            end = self.ends[role, topic, label] = End(topic, label)
+        endpoint.end = end
         return endpoint
 
     def _stamped(self, topic: str) -> StampMatching:
@@ -157,7 +175,7 @@ class TopicRecord(MessageRecord):
     def _init(self, hit: Hit, thread: ObservedThread, role: str, known: dict[Handle, Endpoint]) -> None:
         handle, topic = hit.values.get("endpoint"), hit.values.get("topic")
         thread.does_else()
-        if handle is None or not isinstance(topic, str) or topic in ("", FAULT):
+        if handle is None or not isinstance(topic, str) or topic in ("", FAULT) or len(topic) > NAME_CHARACTERS_MAX:
             self._situation.unreadable += 1
         else:
             self._made(thread.process, role, topic, handle, known, hit.values.get("node"), hit.at_ns)
@@ -166,15 +184,16 @@ class TopicRecord(MessageRecord):
         process = thread.process
         self._init(hit, thread, SUBSCRIBER, process.subscribers)
         handle, endpoint = hit.values.get("subscription"), process.subscribers.get(hit.values.get("endpoint", ""))
-        if handle is not None and endpoint is not None:
+        if handle is not None and endpoint is not None and self._situation.has_room(handle, process.subscriptions):
             process.subscriptions[handle] = endpoint
 
     def _init_node(self, hit: Hit, thread: ObservedThread) -> None:
         node, name, namespace = (hit.values.get(key, "") for key in ("node", "name", "namespace"))
         thread.does_else()
-        if not node or not isinstance(name, str) or not isinstance(namespace, str) or name in ("", FAULT):
+        is_told = node and isinstance(name, str) and isinstance(namespace, str) and name not in ("", FAULT)
+        if not is_told or len(name) + len(namespace) > NAME_CHARACTERS_MAX:
             self._situation.unreadable += 1
-        else:
+        elif self._situation.has_room(node, thread.process.names_of_nodes):
             thread.process.names_of_nodes[node] = full_name(name, "" if namespace == FAULT else namespace)
 
 

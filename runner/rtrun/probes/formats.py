@@ -13,6 +13,8 @@ from rtfiles.untrusted import whole_number
 
 FIELDS_MAX = 200
 EVENT_BYTES_MAX = 65536
+# The largest page of memory that Linux has where probes are known.
+PAGE_BYTES_MAX = 65536
 _FIELD = re.compile(
     r"\s*field:([^;]{1,200}?)\s*(\w{1,64})(\[[^\];]{0,40}\])?;\s*offset:(\d{1,5});\s*size:(\d{1,5});\s*signed:([01]);",
     re.ASCII,
@@ -156,5 +158,5 @@ def subbuffer_bytes(header_page: str) -> tuple[int, int, int]:
     size_bytes = data.offset + data.size
     if commit.offset != 8 or commit.size not in (4, 8) or data.offset != 8 + commit.size:
         raise ValueError("header_page is not that of a kernel known here")
-    whole_number(str(size_bytes), lowest=1024, highest=1024 * 1024)
+    whole_number(str(size_bytes), lowest=1024, highest=PAGE_BYTES_MAX)
     return size_bytes, commit.size, data.offset

@@ -36,7 +36,7 @@ BEAT_S = 10.0
 SILENCE_S = 30
 SILENT = 4  # the exit status then
 # Pieces of up to 2 MiB that arrived and were not taken yet: the target waits then.
-_PIECES_MAX = 64
+_PIECES_MAX = 8
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -5,6 +5,7 @@ script: hits in the order of time, of all CPUs together.
 """
 
 import re
+import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,20 +16,33 @@ from rtrun.plan.limits import CPUS_MAX, PID_MAX, WALL_TIME_MAX_NS
 from rtrun.probes.formats import EventFormat, RawValues
 from rtrun.probes.hits import Gap, Hit
 from rtrun.probes.placement import PlacedProbe
-from rtrun.probes.programs import LINE_BYTES_MAX, FoundProgram, ProgramReader
+from rtrun.probes.programs import LINE_BYTES_MAX, THREADS_MAX, FoundProgram, ProgramReader
 from rtrun.probes.ring_buffer import PageLayout, read_events, read_head
 from rtrun.probes.timers import TimerChecks
 from rtrun.probes.values import Values, converter
 from rtrun.targets.errors import TargetError
 
 _END_OF_PAGES = b"rtrun end pages\n"
-# Formats and programs: 2000 of these take some MiB.
-_BLOCK_BYTES_MAX = 16 * 1024 * 1024
-_FORMATS_MAX = 2000
-# Of one round: far above what the buffers of the script can hold.
-_ROUND_BYTES_MAX = 1 << 30
+# The format of an event has some KiB.
+_BLOCK_BYTES_MAX = 256 * 1024
+_FORMATS_MAX = 500
+# Events that wait for the end of their round, and their bytes. That is more than two seconds of the highest rate at
+# which the probes do not rest; of what goes beyond it, it is known when it was.
+_EVENTS_MAX = 100_000
+_EVENTS_BYTES_MAX = 16 * 1024 * 1024
+# Of a round: others are joined with the last one.
+_GAPS_MAX = 1000
+_ENDED_MAX = 20_000
+_PIDS_MAX = 2 * THREADS_MAX
+# A round begins a second after the one before: so many more than seconds have passed may have waited to be read.
+_ROUNDS_AHEAD_MAX = 120
+# What one round takes, or placing all probes; a busy board takes some seconds. A time in which this process itself did
+# not run counts as little as that between two beats.
+_ROUND_MAX_S = 300.0
+_PAUSE_MAX_S = 10.0
 _PRINT = "print"
 _PROGRAMS = "programs"
+TOO_MANY = "more events came than can be read"
 RESTED = "the probes rested: too many events"
 _TIMER_CALL = "timer_call"
 
@@ -87,7 +101,7 @@ class WatchReader:
         self.begin_ns = 0
         """Since when events are recorded; 0 before that is known."""
         self._is_whole = False
-        self._placed: list[str] = []
+        self._placed: dict[str, None] = {}
         self._refused: dict[str, str] = {}
         self._last_ns = self._until_ns = 0
         self._probes, self._origin = probes, origin
@@ -105,8 +119,13 @@ class WatchReader:
         self._ended: list[int] = []
         self._realtime_offset_ns: int | None = None
         self._round: int | None = None
-        self._round_ns: dict[int, int] = {}
-        self._round_bytes = 0
+        self._mark_ns: int | None = None
+        """When the round that is being read began."""
+        self._begin_s = self._fed_s = time.monotonic()
+        self._rounds = 0
+        self._round_s = 0.0
+        self._events_bytes = 0
+        self._left_out_ns: tuple[int, int] | None = None
         self._rests_ns: int | None = None
         self._cpu: int | None = None
         """Whose pages are being read."""
@@ -115,10 +134,12 @@ class WatchReader:
     def feed(self, chunk: bytes) -> Iterator[Ready | Batch]:
         """Take a piece of the output, and yield what is complete by it: `Ready` once, then batches."""
         self._data += chunk
-        self._round_bytes += len(chunk)
+        now_s = time.monotonic()
+        self._round_s += min(now_s - self._fed_s, _PAUSE_MAX_S)
+        self._fed_s = now_s
         try:
-            if self._round_bytes > _ROUND_BYTES_MAX:
-                raise ValueError(f"more than {_ROUND_BYTES_MAX} bytes in a second")
+            if self._round_s > _ROUND_MAX_S:
+                raise ValueError(f"a round that takes more than {_ROUND_MAX_S:g} s")
             yield from self._take()
         except (ValueError, KeyError) as error:
             raise TargetError(f"{self._origin}: what watch_probes.sh printed cannot be read: {error}") from error
@@ -177,6 +198,8 @@ class WatchReader:
                 found = self._programs.take(raw)
                 if found is not None:
                     self._pids.update((thread.tid, found.program.pid) for thread in found.program.threads)
+                    while len(self._pids) > _PIDS_MAX:
+                        del self._pids[next(iter(self._pids))]
                 return
             text += raw + b"\n"
             if len(text) > _BLOCK_BYTES_MAX:
@@ -190,14 +213,19 @@ class WatchReader:
         elif word == "round":
             if self._round is not None:
                 yield self._batch(self._round)
-            self._round, self._round_bytes = whole_number(rest, lowest=1), 0
+            self._round, self._round_s = whole_number(rest, lowest=1), 0.0
+            self._rounds += 1
+            if self._rounds > time.monotonic() - self._begin_s + _ROUNDS_AHEAD_MAX:
+                raise ValueError("rounds that follow one another faster than once in a second")
         elif word == "realtime":
             # A clock that was never set may be behind.
             self._realtime_offset_ns = whole_number(rest, lowest=-WALL_TIME_MAX_NS, highest=WALL_TIME_MAX_NS)
         elif word == "ended":
-            self._ended.append(whole_number(rest, lowest=1, highest=PID_MAX))
+            pid = whole_number(rest, lowest=1, highest=PID_MAX)
+            if len(self._ended) < _ENDED_MAX:
+                self._ended.append(pid)
         elif word == "placed" and rest in self._probes:
-            self._placed.append(rest)
+            self._placed[rest] = None
         elif word == "refused" and rest.partition(" ")[0] in self._probes:
             name, _, reason = rest.partition(" ")
             self._refused[name] = reason[:300]
@@ -234,7 +262,7 @@ class WatchReader:
         if head.has_lost:
             self.lost += head.lost or 0
             before_ns = min(self._last_of_cpu.get(cpu, self.begin_ns), head.begin_ns)
-            self._gaps.append(Gap(before_ns, head.begin_ns, f"the kernel lost events of CPU {cpu}"))
+            self._add_gap(Gap(before_ns, head.begin_ns, f"the kernel lost events of CPU {cpu}"))
         sources, pids = self._sources, self._pids
         at_ns = head.begin_ns
         for at_ns, start, size in read_events(page, layout, head):
@@ -245,7 +273,12 @@ class WatchReader:
                 continue
             tid = int.from_bytes(page[start + 4 : start + 8], "little")
             if source.is_kernel:
-                self._take_kernel_event(source, at_ns, cpu, tid, RawValues(source.format, page, start, size))
+                # Its own bytes alone: a page may hold nothing else that is kept.
+                values_of = RawValues(source.format, page[start : start + size], 0, size)
+                self._take_kernel_event(source, at_ns, cpu, tid, values_of, size)
+                continue
+            if not self._is_room(size):
+                self._leave_out(at_ns)
                 continue
             values = source.format.values(page, start, size)
             if source.convert is not None:
@@ -254,18 +287,42 @@ class WatchReader:
         self._last_of_cpu[cpu] = at_ns
         self._last_ns = max(self._last_ns, at_ns)
 
-    def _take_kernel_event(self, source: _Source, at_ns: int, cpu: int, tid: int, values: RawValues) -> None:
+    def _add_gap(self, gap: Gap) -> None:
+        if len(self._gaps) >= _GAPS_MAX:
+            last = self._gaps.pop()
+            gap = Gap(min(gap.from_ns, last.from_ns), max(gap.until_ns, last.until_ns), gap.reason)
+        self._gaps.append(gap)
+
+    def _is_room(self, size_bytes: int) -> bool:
+        """Whether another event can wait for the end of the round."""
+        self._events_bytes += size_bytes
+        is_room = len(self._hits) + len(self._kernel) < _EVENTS_MAX and self._events_bytes <= _EVENTS_BYTES_MAX
+        if not is_room:
+            self._events_bytes -= size_bytes
+        return is_room
+
+    def _leave_out(self, at_ns: int) -> None:
+        """There was no room for an event."""
+        if self._left_out_ns is None:
+            self._left_out_ns = (at_ns, at_ns + 1)
+        self._left_out_ns = (min(self._left_out_ns[0], at_ns), max(self._left_out_ns[1], at_ns + 1))
+
+    def _take_kernel_event(self, source: _Source, at_ns: int, cpu: int, tid: int, values: RawValues, size: int) -> None:
         if source.format.name == _PRINT:
             text = str(values.get("buf", "")).strip()
             if text.startswith("rtrun "):
                 self._take_mark(at_ns, text.removeprefix("rtrun "))
+            return
+        if not self._is_room(size):
+            self._leave_out(at_ns)
             return
         self._kernel.append(Hit(at_ns, cpu, self._pids.get(tid, 0), tid, source.event, values))
 
     def _take_mark(self, at_ns: int, mark: str) -> None:
         word, _, rest = mark.partition(" ")
         if word == "round":
-            self._round_ns[whole_number(rest, lowest=1)] = at_ns
+            if whole_number(rest, lowest=1) == self._round:
+                self._mark_ns = at_ns
         elif word == "rests":
             self._rests_ns = at_ns
         elif word == "observes":
@@ -276,21 +333,29 @@ class WatchReader:
     def _end_rest(self, until_ns: int) -> None:
         """Since its mark, or where that was lost, since the end of the batch before."""
         from_ns = self._rests_ns if self._rests_ns is not None else self._until_ns
-        self._gaps.append(Gap(min(from_ns, until_ns), until_ns, RESTED))
+        self._add_gap(Gap(min(from_ns, until_ns), until_ns, RESTED))
         self._rests_ns = None
 
     def _batch(self, number: int | None) -> Batch:
         """What is complete by the end of a round, or all there is: later events of some CPUs are still to come."""
-        until_ns = self._round_ns.get(number) if number is not None else max(self._last_ns + 1, self._until_ns)
-        self._round_ns.clear()
+        until_ns = self._mark_ns if number != 0 else None
+        if number is None:
+            until_ns = max(self._last_ns + 1, self._until_ns)
+        self._mark_ns = None
+        if self._left_out_ns is not None:
+            self._add_gap(Gap(*self._left_out_ns, TOO_MANY))
+            self._left_out_ns = None
         if until_ns is None:
             # The mark was lost: what is read is given with the next.
             until_ns = self._until_ns
         self._until_ns = until_ns
         # While probes are switched on or off one after the other, one end of a message is seen, and the other is not.
         silent = [(0, self.begin_ns), *((gap.from_ns, gap.until_ns) for gap in self._gaps if gap.reason == RESTED)]
+        before = len(self._hits) + len(self._kernel)
         hits, self._hits = _cut(self._hits, until_ns, silent)
         kernel, self._kernel = _cut(self._kernel, until_ns, silent)
+        # What is of the next round takes room there.
+        self._events_bytes = self._events_bytes * (len(self._hits) + len(self._kernel)) // max(before, 1)
         # The programs of a round are told after its pages.
         pids = self._pids
         hits = tuple(hit._replace(pid=pids[hit.tid]) if not hit.pid and hit.tid in pids else hit for hit in hits)

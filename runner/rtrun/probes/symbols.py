@@ -5,6 +5,7 @@ place makes programs compute wrongly.
 """
 
 import io
+import struct
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,13 @@ from rtrun.probes.libraries.description import Architecture
 FILE_BYTES_MAX = 64 * 1024 * 1024
 # libroscpp has 5000.
 SYMBOLS_MAX = 200_000
+# The parts of a file that are loaded, and those that a linker knows: of libraries there are 10 and 40.
+SEGMENTS_MAX = 256
+SECTIONS_MAX = 4096
+# A symbol in the table of dynamic symbols, by the bits of the file: which of the numbers are name, value, type, section.
+_SYMBOL = {64: (struct.Struct("<IBBHQQ"), (0, 4, 1, 3)), 32: (struct.Struct("<IIIBBH"), (0, 1, 3, 5))}
+_FUNCTION = 2
+_UNDEFINED = 0
 # The machine of ELF's header, its class in bits.
 _ARCHITECTURES: dict[tuple[str, int], Architecture] = {
     ("EM_X86_64", 64): "x86_64",
@@ -69,6 +77,8 @@ def _read(file: ELFFile, data: bytes, names: Collection[str]) -> LibrarySymbols 
         order = "little-endian" if file.little_endian else "big-endian"
         known = ", ".join(_ARCHITECTURES.values())
         return NotProbed(f"its architecture is {machine}, {bits} bits, {order}; probes are known for {known}")
+    if file.num_segments() > SEGMENTS_MAX or file.num_sections() > SECTIONS_MAX:
+        return NotProbed(f"it claims {file.num_segments()} segments and {file.num_sections()} sections")
     segments = [
         (each["p_vaddr"], each["p_offset"], each["p_filesz"])
         for each in file.iter_segments("PT_LOAD")
@@ -77,14 +87,22 @@ def _read(file: ELFFile, data: bytes, names: Collection[str]) -> LibrarySymbols 
     table = next((each for each in file.iter_sections("SHT_DYNSYM") if isinstance(each, SymbolTableSection)), None)
     if table is None:
         return NotProbed("it has no table of dynamic symbols: its section headers were stripped")
-    if table.num_symbols() > SYMBOLS_MAX or table["sh_size"] > len(data):
-        return NotProbed(f"its table claims {table.num_symbols()} symbols, more than any library has")
+    entry, (name_at, value_at, type_at, section_at) = _SYMBOL[bits]
+    count = table["sh_size"] // entry.size
+    if count > SYMBOLS_MAX or table["sh_size"] > len(data):
+        return NotProbed(f"its table claims {count} symbols, more than any library has")
+    texts = table.stringtable["sh_offset"]
+    # A name that is looked for, with its end: what has none is none of them, however long it is.
+    wanted = {name.encode(): name for name in names}
+    longest = max(map(len, wanted), default=0) + 1
     offsets: dict[str, int | NotProbed] = {}
-    for symbol in table.iter_symbols():
-        name = symbol.name
-        if name not in names or symbol["st_shndx"] == "SHN_UNDEF":
+    for numbers in entry.iter_unpack(data[table["sh_offset"] : table["sh_offset"] + count * entry.size]):
+        begin = texts + numbers[name_at]
+        text, end, _ = data[begin : begin + longest].partition(b"\0")
+        name = wanted.get(text) if end else None
+        if name is None or numbers[section_at] == _UNDEFINED:
             continue
-        offset = _offset(symbol["st_value"], symbol["st_info"]["type"], segments)
+        offset = _offset(numbers[value_at], numbers[type_at] & 15, segments)
         if architecture == "x86_64" and isinstance(offset, int) and data.startswith(_ENDBR64, offset):
             offset += len(_ENDBR64)
         if name in offsets and offsets[name] != offset:
@@ -93,10 +111,10 @@ def _read(file: ELFFile, data: bytes, names: Collection[str]) -> LibrarySymbols 
     return LibrarySymbols(architecture=architecture, offsets=offsets)
 
 
-def _offset(value: int, kind: str, segments: Collection[tuple[int, int, int]]) -> int | NotProbed:
+def _offset(value: int, kind: int, segments: Collection[tuple[int, int, int]]) -> int | NotProbed:
     """The offset in the file of an address, in the part of the file that is executed."""
-    if kind != "STT_FUNC":
-        return NotProbed(f"it is no plain function ({kind})")
+    if kind != _FUNCTION:
+        return NotProbed(f"it is no plain function (its type is {kind})")
     if value % 2:
         return NotProbed(
             "its address is odd, as that of Thumb code, where the kernel may take a probe that makes the program "

@@ -70,7 +70,7 @@ def test_whatever_arguments_and_paths_are(link, standin, tmp_path):
     shutil.copytree(os.fsencode(standin.parent), folder)
     large = b"robot_description:=" + b"<\xff\n>" * 25_000
     argv = [
-        os.path.join(folder, b"standin"),
+        folder + b"/standin",
         b"10",
         b"1000000",
         large,

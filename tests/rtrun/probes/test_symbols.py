@@ -99,6 +99,33 @@ def test_no_file_and_no_sections(compiled, tmp_path):
     assert "stripped" in read_symbols(tmp_path / "x", ["probed"]).reason
 
 
+@pytest.mark.timeout(60)
+def test_names_without_an_end(compiled, tmp_path):
+    """190 000 symbols whose names go on to the end of 30 MB: each was read to there."""
+    data = bytearray(compiled("gcc").read_bytes())
+    (sections_at,) = struct.unpack_from("<Q", data, 40)
+    size, count = struct.unpack_from("<HH", data, 58)
+    headers = [sections_at + size * number for number in range(count)]
+    (table,) = [at for at in headers if struct.unpack_from("<I", data, at + 4)[0] == 11]
+    names = headers[struct.unpack_from("<I", data, table + 40)[0]]
+    symbols_at = len(data)
+    symbols = b"".join(struct.pack("<IBBHQQ", number, 18, 0, 1, 4096, 1) for number in range(190_000))
+    struct.pack_into("<QQ", data, table + 24, symbols_at, len(symbols))
+    struct.pack_into("<QQ", data, names + 24, symbols_at + len(symbols), 30_000_000)
+    data += symbols + b"probed" * 5_000_000
+    (tmp_path / "x.so").write_bytes(data)
+    assert read_symbols(tmp_path / "x.so", ["probed", "absent"]).offsets == {}
+    (tmp_path / "x.so").write_bytes(data + b"\0")
+    assert read_symbols(tmp_path / "x.so", ["probed", "absent"]).offsets == {}, "no symbol begins at the last name"
+
+
+def test_more_segments_than_a_library_has(compiled, tmp_path):
+    data = bytearray(compiled("gcc").read_bytes())
+    struct.pack_into("<H", data, 56, 0xFFFE)
+    (tmp_path / "x.so").write_bytes(data)
+    assert "it claims 65534 segments" in read_symbols(tmp_path / "x.so", ["probed"]).reason
+
+
 @settings(max_examples=60)
 @given(st.data())
 def test_no_exception_whatever_is_in_the_file(compiled, tmp_path_factory, data):

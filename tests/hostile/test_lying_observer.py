@@ -1,0 +1,61 @@
+"""A target that lies while its programs are observed: the runner ends in time, and within its memory."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+LIAR = Path(__file__).with_name("lying_observer.py")
+MEMORY_MAX_KIB = 300 * 1024
+# The runner's own memory since it began to run: that of a child holds what the process had that started it.
+OBSERVE = """
+import sys
+from datetime import datetime
+from pathlib import Path, PosixPath, PurePosixPath
+from rtrun.execution import observation
+from rtrun.flows.streams import streams
+from rtrun.plan.observation import ObservationPlan
+from rtrun.probes import session
+from rtrun.probes.placement import Placement, PlacedProbe
+from rtrun.targets.address import ThisMachine
+from rtrun.targets.config import Target
+from rtrun.targets.link import Link
+session.SET_UP_S = 5.0
+session.END_S = 2.0
+target = Target(name="t", address=ThisMachine(), suites=None, work_dir=PurePosixPath("/x"), setup=None, master_port=1,
+                reconnect_s=0, boot_s=0, console=None, failure=lambda: None)
+events = {"publish_0_0": "publish", "take_0_1": "take", "callback_begin_0_2": "callback_begin"}
+probes = tuple(PlacedProbe(name=name, line="", event=event, arguments={}, constants={}, path="/x")
+               for name, event in events.items())
+watched = observation.Watched(found=(), placement=Placement(probes=probes, refused=()))
+with Link(target, print) as link:
+    try:
+        seen = observation.observe(link, PurePosixPath(sys.argv[1]), watched, ObservationPlan(for_s=6.0), trace="",
+                                   onlooker=observation.Onlooker(), now=datetime.now)
+        print("streams", len(streams(seen.flows)), seen.remarks)
+    except Exception as error:
+        print("error", type(error).__name__, error)
+print(next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")))
+"""
+LIES = (
+    "hits", "topics", "endpoints", "texts", "pages", "threads", "callbacks", "stamps", "still", "placed", "rounds",
+    "programs", "a program", "gaps", "one round",
+)  # fmt: skip
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("lie", LIES)
+def test_a_target_that_lies(lie, tmp_path):
+    script = tmp_path / "watch_probes.sh"
+    script.write_text(f"#!/bin/sh\nexec {sys.executable} {LIAR} '{lie}'\n")
+    script.chmod(0o755)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    argv = [sys.executable, "-c", OBSERVE, str(tmp_path)]
+    # What waits for no end is far below this, on a busy machine as well.
+    ended = subprocess.run(argv, env=environment, capture_output=True, text=True, timeout=240, check=True)
+    match = re.search(r"^VmHWM:\s+(\d+) kB$", ended.stdout, re.M)
+    assert match and int(match[1]) < MEMORY_MAX_KIB, ended.stdout
+    assert re.search("^(error TargetError|error DeadlineExpired|streams)", ended.stdout, re.M), ended.stdout
