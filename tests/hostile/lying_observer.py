@@ -13,7 +13,7 @@ from pathlib import Path
 
 TOP = Path(__file__).parents[2]
 sys.path[:0] = [str(TOP / folder) for folder in ("runner", "tools", "tests")]
-from watched import COMMON, HEADERS, PRINT, a_round, event, mark, page
+from watched import COMMON, HEADERS, PRINT, a_round, event, mark, page  # noqa: E402
 
 PUBLISH = f"""name: publish_0_0
 ID: 1501

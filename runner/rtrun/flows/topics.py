@@ -190,8 +190,10 @@ class TopicRecord(MessageRecord):
     def _init_node(self, hit: Hit, thread: ObservedThread) -> None:
         node, name, namespace = (hit.values.get(key, "") for key in ("node", "name", "namespace"))
         thread.does_else()
-        is_told = node and isinstance(name, str) and isinstance(namespace, str) and name not in ("", FAULT)
-        if not is_told or len(name) + len(namespace) > NAME_CHARACTERS_MAX:
+        if not node or not isinstance(name, str) or not isinstance(namespace, str) or name in ("", FAULT):
+            self._situation.unreadable += 1
+            return
+        if len(name) + len(namespace) > NAME_CHARACTERS_MAX:
             self._situation.unreadable += 1
         elif self._situation.has_room(node, thread.process.names_of_nodes):
             thread.process.names_of_nodes[node] = full_name(name, "" if namespace == FAULT else namespace)

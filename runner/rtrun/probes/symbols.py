@@ -23,7 +23,8 @@ SYMBOLS_MAX = 200_000
 # The parts of a file that are loaded, and those that a linker knows: of libraries there are 10 and 40.
 SEGMENTS_MAX = 256
 SECTIONS_MAX = 4096
-# A symbol in the table of dynamic symbols, by the bits of the file: which of the numbers are name, value, type, section.
+# A symbol in the table of dynamic symbols, by the bits of the file, and which of its numbers are name, value, type and
+# section.
 _SYMBOL = {64: (struct.Struct("<IBBHQQ"), (0, 4, 1, 3)), 32: (struct.Struct("<IIIBBH"), (0, 1, 3, 5))}
 _FUNCTION = 2
 _UNDEFINED = 0
