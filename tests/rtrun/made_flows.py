@@ -5,7 +5,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 
 from rtrun.flows.accumulator import HORIZON_NS, FlowAccumulator
-from rtrun.probes.hits import Gap, Hit, ObservedProgram, ProgramThread
+from rtrun.probes.hits import Gap, GapCause, Hit, ObservedProgram, ProgramThread
 
 MS = 10**6
 S = 10**9
@@ -179,4 +179,5 @@ def listener(label="/listener", pid=2, from_ns=BEGIN_NS - 5 * S, until_ns=BEGIN_
 
 
 def gap(from_s, until_s):
-    return Gap(BEGIN_NS + round(from_s * S), BEGIN_NS + round(until_s * S), "the kernel lost events")
+    from_ns, until_ns = (BEGIN_NS + round(at_s * S) for at_s in (from_s, until_s))
+    return Gap(from_ns, until_ns, "the kernel lost events", GapCause.EVENTS_LOST)

@@ -172,16 +172,9 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
 
     if args.perfetto is not None:
         atomic.write_named(args.perfetto, b"{}\n")  # better refused now than after the observation
-    not_drawn: list[UsageError] = []
     recorder = FlowRecorder(DRAWN_MAX) if args.perfetto else None
 
-    def draw(observed: ObservationResult) -> None:
-        if recorder is not None:
-            try:
-                atomic.write_named(args.perfetto, flow_trace(recorder, observed.programs).encode())
-            except UsageError as error:  # what was observed is kept all the same
-                not_drawn.append(error)
-
+    seen: list[ObservationResult] = []
     planned = replace(planned, name=f"{_next_number(results):03}")
     folder, uid = results / planned.name, f"observe-{secrets.token_hex(4)}"
     print_status(f"asking {config.name} what runs there")
@@ -191,7 +184,7 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
         LiveView(as_json=args.json) as view,
     ):
         print_status("")
-        onlooker = Onlooker(on_second=view.show, on_end=draw, recorder=recorder, is_attended=True)
+        onlooker = Onlooker(on_second=view.show, on_end=seen.append, recorder=recorder, is_attended=True)
         life = RunLife(lambda _state, _reason: None)
         record = run_execution.measure(
             ready, uid, planned.name, planned, folder, life, utc_now, may_be_begun=False, onlooker=onlooker
@@ -199,13 +192,14 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
     if not args.json:
         for text in said_of([folder]):
             print_line(text)
-    if record.status is not RunStatus.OK:
+    is_ok = record.status is RunStatus.OK
+    if not is_ok:
         with beside_the_answer(args.json):
             print_line(f"{record.status}: {record.reason}")
-        return InfrastructureError.exit_status
-    if not_drawn:
-        raise not_drawn[0]
-    return 0
+    if recorder is not None and seen:
+        # After the run is kept: this file may find no room.
+        atomic.write_named(args.perfetto, flow_trace(recorder, seen[0].programs).encode())
+    return 0 if is_ok else InfrastructureError.exit_status
 
 
 def _next_number(results: Path) -> int:

@@ -24,6 +24,7 @@ from rtrun.plan.run import Run
 from rtrun.results import run_directory
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
 from rtrun.targets import building
+from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import control_groups
 from rtrun.targets.inspection import facts as inspection
 from rtrun.targets.inspection.control_groups import ControlGroup
@@ -97,11 +98,19 @@ class RunEnd:
     """What the run has left in its folder on the target, name to size in bytes."""
 
 
-def close(work: Work, attempt: Attempt, end: RunEnd, observed: ObservationResult | None, now: Clock) -> RunRecord:
+def close(
+    work: Work,
+    attempt: Attempt,
+    end: RunEnd,
+    observed: ObservationResult | None,
+    now: Clock,
+    troubles: Sequence[str] = (),
+) -> RunRecord:
     """Fill the directory of a run that has ended on the target, and return the record that it is closed with.
 
-    What was observed, or went through a topology, makes runs of its own beside it. Raises TargetError when the target
-    does not hand over its files.
+    What was observed, or went through a topology, makes runs of its own beside it. `troubles` with the target are those
+    that came after something was observed. Raises TargetError when the target does not hand over its files, unless
+    something was observed: that is kept without them.
     """
     run = work.run
     with contextlib.ExitStack() as stack:
@@ -111,7 +120,13 @@ def close(work: Work, attempt: Attempt, end: RunEnd, observed: ObservationResult
             stream_runs.put_aside(place)
             place = stack.enter_context(run_directory.together(place.parent, place.name)) / place.name
         partial = stack.enter_context(run_directory.filling(place))
-        refused = _download(work, partial, attempt, end)
+        try:
+            refused = _download(work, partial, attempt, end)
+        except TargetError as error:
+            if observed is None:
+                raise
+            refused = dict.fromkeys(end.files, f"not taken: {error}")
+            troubles = [*troubles, str(error)]
         verdict = _judge(work, partial, attempt, end, refused)
         tables: TopologyTables | str = ""
         if run.topology is not None and verdict.status is RunStatus.OK:
@@ -120,7 +135,7 @@ def close(work: Work, attempt: Attempt, end: RunEnd, observed: ObservationResult
                 verdict = replace(verdict, status=RunStatus.INVALID, reason=tables)
         record = _record(work, partial, attempt, end, refused, verdict, now)
         if observed is not None:
-            record = observed_runs.write(partial, place, run, record, attempt.before, observed)
+            record = observed_runs.write(partial, place, run, record, attempt.before, observed, troubles)
         if run.topology is not None and not isinstance(tables, str):
             record = topology_runs.write(partial, place, run.topology, record, attempt.before, tables)
         run_directory.close(partial, place, record)
@@ -129,7 +144,6 @@ def close(work: Work, attempt: Attempt, end: RunEnd, observed: ObservationResult
 
 def _download(work: Work, partial: Path, attempt: Attempt, end: RunEnd) -> dict[str, str]:
     """Fill a run directory; return the files that were not taken, name to reason."""
-    refused = download.pull(work.link, work.remote, end.files, partial, work.programs.file_limits)
     if work.prepared.kernel_config:
         (partial / "kernel.config.gz").write_bytes(work.prepared.kernel_config)
     before, after = attempt.before.model_dump(), end.after.model_dump()
@@ -138,7 +152,7 @@ def _download(work: Work, partial: Path, attempt: Attempt, end: RunEnd) -> dict[
     console = work.link.target.console
     if console is not None and console.exists():
         (partial / "console.log").write_bytes(read_end(console, max_bytes=CONSOLE_LIMIT_BYTES))
-    return refused
+    return download.pull(work.link, work.remote, end.files, partial, work.programs.file_limits)
 
 
 def _judge(work: Work, partial: Path, attempt: Attempt, end: RunEnd, refused: Mapping[str, str]) -> RunOutcome:

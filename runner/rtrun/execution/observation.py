@@ -18,9 +18,10 @@ from rtrun.probes.libraries.description import events
 from rtrun.probes.placement import Placement, place, refusals
 from rtrun.probes.programs import FoundProgram, Roster, find_programs, left_out_in_words
 from rtrun.probes.session import Began, Finished
+from rtrun.results.coverage import Coverage, coverage
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import kernel_trace
-from rtrun.targets.link import Link
+from rtrun.targets.link import Link, TargetRebooted
 
 # Events that nothing is read from here, and their number in a second of a busy machine.
 _FOR_PEOPLE = ("osnoise",)
@@ -73,6 +74,9 @@ class ObservationResult:
     finished: Finished | None
     start_time: str
     end_time: str
+    coverage: Coverage
+    broken: str = ""
+    """What ended it before its time, where something did that nobody asked for."""
     programs_left_out: int = 0
     late: LateValueRecord | None = None
     """Late values, with the kernel's traces of some; None: they were not asked for."""
@@ -83,13 +87,17 @@ class ObservationResult:
         lines = [*refusals(self.began.refused)]
         if self.programs_left_out:
             lines.append(left_out_in_words(self.programs_left_out))
+        if self.coverage.in_words:
+            lines.append(self.coverage.in_words)
+        if self.broken:
+            lines.append(f"it was ended early: {self.broken}")
         if self.flows.gaps:
             lines.append(f"{gaps_in_words(self.flows.gaps)}: what was then counts as neither seen nor lost")
         if self.finished and self.finished.lost_events:
             lines.append(f"{counted(self.finished.lost_events, 'event')} lost by the kernel: what was then is left out")
         if self.finished and self.finished.rests:
             lines.append(f"{counted(self.finished.rests, 'rest')} of the probes: more events than the limit")
-        if self.finished and not self.finished.is_clean:
+        if self.finished is None or not self.finished.is_clean:
             lines.append("the probes were not seen to be taken off: the next call takes off what is left")
         return tuple(dict.fromkeys(lines))
 
@@ -117,7 +125,8 @@ def observe(
     """Observe for the time of the plan; `trace` is the limit above which kernel traces are kept, empty without.
 
     What was started for it is observed no longer than it lives. Raises TargetError where there is nothing to observe,
-    or the target cannot be observed.
+    or the target cannot be observed; what was seen before something ended it is returned. Of a run that nobody attends
+    a restart of the target raises TargetRebooted at any time: it is measured again.
     """
     if not watched.placement.probes:
         nothing = "; ".join(refusals(watched.placement.refused)) or "no program runs there that uses ROS"
@@ -125,7 +134,7 @@ def observe(
     roster = Roster(watched.found, watched.left_out)
     flows: FlowAccumulator | None = None
     figures: LiveFigures | None = None
-    began, finished = Began(placed=(), refused=()), None
+    began, finished, broken = Began(placed=(), refused=()), None, ""
     late = LateValueRecord(trace, kernel_trace.read_symbols(link)) if trace else None
     start_time, gone_ns, until_ns = now().isoformat(), 0, 0
     stream = session.observe(
@@ -142,7 +151,7 @@ def observe(
             if isinstance(each, Began):
                 began = each
             elif isinstance(each, Finished):
-                finished = each
+                finished, broken = each, each.broken
             elif each.begin_ns:
                 if flows is None or figures is None:
                     flows = FlowAccumulator(
@@ -174,11 +183,16 @@ def observe(
     except KeyboardInterrupt:
         if flows is None or not onlooker.is_attended:
             raise
+    except TargetRebooted as error:
+        if flows is None or not onlooker.is_attended:
+            raise
+        broken = str(error)
     finally:
         stream.close()
     if flows is None or figures is None:
         raise TargetError(f"{link.target.address}: the probes were placed, but nothing was recorded")
     flows.finish(until_ns)
+    asked_ns = round(plan.for_s * 1e9)
     if late is not None:
         figures.snapshot(flows.newest_ns)
         late.cut(flows.newest_ns + AFTER_NS)
@@ -190,5 +204,13 @@ def observe(
         finished=finished,
         start_time=start_time,
         end_time=now().isoformat(),
+        coverage=coverage(
+            begin_ns=flows.begin_ns,
+            # Nothing was missed after the last event of one that was read to its end.
+            until_ns=flows.begin_ns + asked_ns if finished and finished.is_clean else flows.until_ns,
+            asked_ns=asked_ns,
+            gaps=flows.gaps,
+        ),
+        broken=broken,
         late=late,
     )

@@ -1,9 +1,11 @@
 """What was observed of programs becomes runs like any other: a run directory for each stream, and one of it all."""
 
 import functools
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from rtfiles.output import counted
 from rtrun.execution.observation import ObservationResult
 from rtrun.execution.stream_runs import StreamFacts, write_streams
 from rtrun.flows.hazards import hazards
@@ -16,15 +18,26 @@ from rtrun.results.observed import Graph, PlacedEvent, RefusedEvent, write_graph
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus
 from rtrun.targets.inspection.facts import TargetState
 
+# graph.json and run.json of it. Where not even that is there, nothing can be kept.
+_RESERVE_BYTES = 2**20
+
 
 def write(
-    partial: Path, folder: Path, run: Run, record: RunRecord, state: TargetState, result: ObservationResult
+    partial: Path,
+    folder: Path,
+    run: Run,
+    record: RunRecord,
+    state: TargetState,
+    result: ObservationResult,
+    troubles: Sequence[str] = (),
 ) -> RunRecord:
     """Write a run for each stream beside `folder`, and one for each deadline of what was not seen.
 
     `record` is that of the run that observed, with what became of it; `partial` is filled with what was placed and
-    found. Returns the record that it is to be closed with: it has failed where no stream with a deadline was seen.
-    `state` is that of the target. Raises InfrastructureError where they cannot be written.
+    found. Returns the record that it is to be closed with: it has failed where no stream with a deadline was seen, and
+    is incomplete where something ended it early, or the disk does not take all of it. The reason of one that is ok
+    tells what it has not seen. `state` is that of the target, `troubles` came after it was observed. Raises
+    InfrastructureError where not even that can be written.
     """
     assert run.observation is not None
     deadlines = run.observation.deadlines
@@ -35,8 +48,13 @@ def write(
             "end_time": result.end_time,
             # Its streams have traces, and each a limit of its own.
             "trace": run.trace if run.trace == UNTRACED else "",
+            "coverage": result.coverage,
         }
     )
+    if record.status is RunStatus.OK and result.coverage.in_words:
+        record = record.model_copy(update={"reason": result.coverage.in_words})
+    reserve = partial / "reserve"
+    _reserve(reserve)
     written = write_streams(
         folder,
         StreamFacts(
@@ -50,10 +68,18 @@ def write(
         ),
         streams(result.flows),
         result.late.streams if result.late else {},
+        keeps_what_fits=True,
     )
+    reserve.unlink()
+    not_kept = written.not_kept
+    if record.status is RunStatus.OK and (result.broken or not_kept):
+        more = f"{counted(len(not_kept), 'stream')} not kept: {not_kept[0]}" if not_kept else ""
+        reason = "; ".join(filter(None, (record.reason, result.broken, more)))
+        record = record.model_copy(update={"status": RunStatus.INCOMPLETE, "reason": reason})
     unseen = written.unseen
-    if unseen and len(unseen) == len(deadlines) and record.status is RunStatus.OK:
-        record = record.model_copy(update={"status": RunStatus.FAILED, "reason": "; ".join(unseen)})
+    if unseen and len(unseen) == len(deadlines) and record.status in (RunStatus.OK, RunStatus.INCOMPLETE):
+        reasons = [*([record.reason] if record.reason else []), *unseen]
+        record = record.model_copy(update={"status": RunStatus.FAILED, "reason": "; ".join(reasons)})
     write_graph(
         partial,
         Graph(
@@ -62,11 +88,23 @@ def write(
             refused=[
                 RefusedEvent(event=each.event, path=each.path, reason=each.reason) for each in result.began.refused
             ],
-            remarks=[*result.remarks, *written.left_out, *(unseen if record.status is RunStatus.OK else ())],
+            remarks=[
+                *result.remarks,
+                *troubles,
+                *written.left_out,
+                *not_kept,
+                *(unseen if record.status in (RunStatus.OK, RunStatus.INCOMPLETE) else ()),
+            ],
             hazards=list(hazards(result.programs, with_pids=False)),
         ),
     )
     return record
+
+
+def _reserve(path: Path) -> None:
+    """Keep room for the observation's own files, before its streams take what is left of the disk."""
+    with path.open("wb") as file:
+        os.posix_fallocate(file.fileno(), 0, _RESERVE_BYTES)
 
 
 def _programs(

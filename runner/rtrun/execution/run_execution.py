@@ -3,7 +3,7 @@
 import contextlib
 import secrets
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from rtrun.targets import processes
 from rtrun.targets.connection import parse_listing
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import facts as inspection
-from rtrun.targets.link import OUT_OF_REACH
+from rtrun.targets.link import OUT_OF_REACH, TargetRebooted
 
 SUBSCRIBED_S = 60.0
 # The target ends a program at its deadline; the runner waits this much longer for that.
@@ -48,6 +48,8 @@ class _Measured:
     failure: str | None = None
     service: str = ""
     observed: ObservationResult | None = None
+    troubles: Sequence[str] = ()
+    """With the target, after something was observed."""
 
 
 def measure(
@@ -93,11 +95,41 @@ def measure(
         elif life.state is RunState.MEASURING and not isinstance(error, OUT_OF_REACH):
             raise TargetError(f"{error}; the run goes on and is picked up by the next call") from error
         raise
-    end = _end_background(work, measured, not_started)
-    record = close(work, attempt, end, measured.observed, now)
+    troubles = list(measured.troubles)
+    # Where nothing more is heard of the target, that much is known of how the run ended there.
+    end = RunEnd(
+        failure=not_started or measured.failure,
+        exits=measured.exits,
+        ended_early={},
+        service=attempt.service,
+        after=inspection.TargetState(),
+        files={},
+    )
+    with _keeping(measured.observed, work, troubles):
+        end = _end_background(work, measured, not_started)
+    record = close(work, attempt, end, measured.observed, now, troubles)
     life.move(RunEvent.CLOSE, f"{record.status}: {record.reason}" if record.reason else record.status)
-    processes.remove(work.link, remote)
+    with _keeping(measured.observed, work, troubles):
+        processes.remove(work.link, remote)
     return record
+
+
+@contextlib.contextmanager
+def _keeping(observed: ObservationResult | None, work: Work, troubles: list[str]) -> Iterator[None]:
+    """Note trouble with the target instead of raising it: what was observed is kept, whatever comes after it.
+
+    A restart of the target is raised all the same where nobody attends the run, which is measured again then.
+    """
+    try:
+        yield
+    except TargetRebooted as error:
+        if observed is None or not work.onlooker.is_attended:
+            raise
+        troubles.append(str(error))
+    except InfrastructureError as error:
+        if observed is None:
+            raise
+        troubles.append(str(error))
 
 
 def _resume(work: Work, life: RunLife) -> Attempt | None:
@@ -248,7 +280,7 @@ def _observe(work: Work, life: RunLife, not_started: str | None, now: Clock) -> 
     assert work.run.observation is not None
     link, scripts, plan = work.link, work.prepared.scripts, work.run.observation
     life.move(RunEvent.OBSERVE)
-    observed, failure = None, None
+    observed, failure, troubles = None, None, list[str]()
     if not_started is None:
         if work.programs.sampler:
             processes.start(link, scripts, work.remote, work.programs.sampler)
@@ -256,11 +288,15 @@ def _observe(work: Work, life: RunLife, not_started: str | None, now: Clock) -> 
         watched = observation.watch(link, scripts, plan, trace=trace)
         observed = observation.observe(link, scripts, watched, plan, trace=trace, onlooker=work.onlooker, now=now)
         work.onlooker.on_end(observed)
-        if work.starts_system and (ended := system.end_of(link, work.remote)):
-            failure = f"the system ended while it was observed, {ended}"
-    exits = [system.end(link, scripts, work.remote)] if work.starts_system else []
+        with _keeping(observed, work, troubles):
+            if work.starts_system and (ended := system.end_of(link, work.remote)):
+                failure = f"the system ended while it was observed, {ended}"
+    exits = [Exit(status=None, expired=False) for _ in work.programs.of_suite]
+    with _keeping(observed, work, troubles):
+        if work.starts_system:
+            exits = [system.end(link, scripts, work.remote)]
     life.move(RunEvent.END)
-    return _Measured(exits=exits, failure=failure, observed=observed)
+    return _Measured(exits=exits, failure=failure, observed=observed, troubles=troubles)
 
 
 def _wait(work: Work, life: RunLife) -> _Measured:

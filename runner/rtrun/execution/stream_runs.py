@@ -1,5 +1,6 @@
 """Streams that were measured become runs like any other: a run directory for each, and one for each that is missing."""
 
+import contextlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from rtfiles.errors import InfrastructureError
 from rtfiles.output import listed
 from rtfiles.quantities import time
 from rtrun.analysis.histogram import Int64s
@@ -59,20 +61,32 @@ class StreamFacts:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WrittenStreams:
-    """What was not written: `left_out` of streams, and of deadlines of what was not seen, a sentence each."""
+    """What was not written, a sentence each.
+
+    `left_out` is of streams, `not_kept` of those that the disk did not take, `unseen` of deadlines of what was not
+    seen.
+    """
 
     left_out: tuple[str, ...]
+    not_kept: tuple[str, ...]
     unseen: tuple[str, ...]
 
 
 def write_streams(
-    folder: Path, facts: StreamFacts, streams: Sequence[Stream], late: Mapping[object, LateValues]
+    folder: Path,
+    facts: StreamFacts,
+    streams: Sequence[Stream],
+    late: Mapping[object, LateValues],
+    *,
+    keeps_what_fits: bool = False,
 ) -> WrittenStreams:
     """Write a run for each stream beside `folder`, and one that failed for each deadline of what was not seen.
 
-    `late` has the late values of each stream by its source. Raises InfrastructureError where they cannot be written.
+    `late` has the late values of each stream by its source. Raises InfrastructureError where they cannot be written,
+    unless it `keeps_what_fits`: what was observed cannot be measured again.
     """
     names: set[str] = set()
+    not_kept: list[str] = []
     left_out: list[str] = []
     outputs: list[ObservedOutput] = []
     without_value: list[tuple[Stream, str]] = []
@@ -89,7 +103,8 @@ def write_streams(
             output = replace(output, asked=output.asked + 1, missing=output.missing + 1)
             left_out.append(f"{_in_words(stream)}: {_OPEN[stream.kind].format(time(stream.open_ns))}")
         outputs.append(output)
-        _write_run(_beside(folder, output, facts.parameters, names), facts, output)
+        with _noting(not_kept if keeps_what_fits else None, _in_words(stream)):
+            _write_run(_beside(folder, output, facts.parameters, names), facts, output)
     unseen: list[str] = []
     for deadline in facts.deadlines:
         if not any(deadline.is_of(output.suite, output.parameters) for output in outputs):
@@ -103,8 +118,20 @@ def write_streams(
                 asked=0,
                 measured=0,
             )
-            _write_run(_beside(folder, nothing, facts.parameters, names), facts, nothing, reason=reason)
-    return WrittenStreams(left_out=tuple(left_out), unseen=tuple(unseen))
+            with _noting(not_kept if keeps_what_fits else None, deadline.name):
+                _write_run(_beside(folder, nothing, facts.parameters, names), facts, nothing, reason=reason)
+    return WrittenStreams(left_out=tuple(left_out), not_kept=tuple(not_kept), unseen=tuple(unseen))
+
+
+@contextlib.contextmanager
+def _noting(not_kept: list[str] | None, name: str) -> Iterator[None]:
+    """Note what cannot be kept, where there is a list for it."""
+    try:
+        yield
+    except InfrastructureError as error:
+        if not_kept is None:
+            raise
+        not_kept.append(f"{name}: {error}")
 
 
 def _in_words(stream: Stream) -> str:

@@ -12,7 +12,7 @@ from rtrun.flows.threads import CallbackLog, ObservedThread
 from rtrun.flows.timers import ClockOffsets
 from rtrun.flows.topics import TopicRecord
 from rtrun.flows.turns import Turn, TurnRecord
-from rtrun.probes.hits import Gap, Hit, ObservedProgram
+from rtrun.probes.hits import Gap, GapCause, Hit, ObservedProgram
 
 HORIZON_NS = 10 * 10**9
 
@@ -83,7 +83,7 @@ class FlowAccumulator:
                 continue
             at_ns = item.at_ns
             if at_ns < self.newest_ns:
-                self._cut(Gap(at_ns, self.newest_ns, "hits came out of order"))
+                self._cut(Gap(at_ns, self.newest_ns, "hits came out of order", GapCause.EVENTS_LOST))
             if at_ns < situation.blind_until_ns:
                 self.in_gaps += 1
                 continue

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import NamedTuple
 
 
@@ -20,6 +21,20 @@ class Hit(NamedTuple):
     values: Mapping[str, int | str]
 
 
+class GapCause(StrEnum):
+    """Why hits are missing."""
+
+    RESTED = "rested"
+    """There were more events than the limit."""
+    EVENTS_LOST = "events lost"
+    """The kernel lost them, or gave them out of order."""
+    LINK_LOST = "link lost"
+    WATCHDOG_SILENT = "watchdog silent"
+    """What reads the probes on the target was stopped or killed, while the link was there."""
+    ENDED_EARLY = "ended early"
+    """It was over before the time that was asked for."""
+
+
 class Gap(NamedTuple):
     """A time in which hits are missing: the kernel lost events, or the probes rested because there were too many.
 
@@ -29,6 +44,7 @@ class Gap(NamedTuple):
     from_ns: int
     until_ns: int
     reason: str
+    cause: GapCause
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -4,16 +4,17 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
+from collections.abc import Collection, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
-from rtrun.probes.hits import Gap
+from rtrun.probes.hits import Gap, GapCause
 from rtrun.probes.placement import PlacedProbe, Placement, RefusedProbe
 from rtrun.probes.programs import FoundProgram, pattern
-from rtrun.probes.stream import RESTED, Batch, Ready, WatchReader
+from rtrun.probes.stream import Batch, Ready, WatchReader
 from rtrun.targets.errors import ConnectionLost, TargetError
+from rtrun.targets.link import TargetRebooted
 from rtrun.targets.shell import POLL_S
 
 if TYPE_CHECKING:
@@ -35,6 +36,10 @@ _BUFFER_KERNEL_KB = 4096
 BEAT_S = 10.0
 SILENCE_S = 30
 SILENT = 4  # the exit status then
+# The script prints a round about once a second, and after a rest of 10 s at most. Nothing for so long: what prints
+# there was stopped or killed. To take the probes off it waits for its last events, and for who reads them.
+QUIET_S = 40.0
+TAKE_OFF_S = 2.0 * SILENCE_S
 # Pieces of up to 2 MiB that arrived and were not taken yet: the target waits then.
 _PIECES_MAX = 8
 
@@ -51,13 +56,15 @@ class Began:
 class Finished:
     """The observation is over, and everything was taken off the target where `is_clean`.
 
-    `lost_events` are those that the kernel says it has lost. The gaps of all batches say when.
+    `lost_events` are those that the kernel says it has lost. The gaps of all batches say when. `broken` says why it
+    ended before its time, empty where it did not: what was yielded before is all there is.
     """
 
     lost_events: int
     rests: int
     reconnections: int
     is_clean: bool
+    broken: str = ""
 
 
 Observed = Began | Batch | Finished
@@ -78,9 +85,11 @@ def observe(
     `programs` are those whose threads are told with their processes; others that use the same libraries are found while
     it lasts. `kernel_events` are as in trace_events.yml. After `for_s` seconds, or when the caller closes the iterator,
     everything is taken off; the watchdog on the target does that, too, when the connection breaks or this process is
-    killed. A lost connection is made anew, and a gap tells how long nothing was seen.
+    killed. A lost connection is made anew, and so is the call where the target prints nothing any more; a gap tells how
+    long nothing was seen. What ends it for good once something was seen is told by `Finished`.
 
-    Meanwhile nobody else may use the link. Raises TargetError: no right, no probes in the kernel, or no answer.
+    Meanwhile nobody else may use the link. Raises TargetError: no right, no probes in the kernel, or no answer;
+    TargetRebooted at any time.
     """
     watching = _Watching(link, scripts, placement, programs, for_s, tuple(kernel_events), limit_per_s)
     thread = threading.Thread(target=watching.run, name="observe", daemon=True)
@@ -90,6 +99,12 @@ def observe(
     finally:
         watching.is_over.set()
         watching.let_end(thread)
+
+
+_LOST = {
+    GapCause.LINK_LOST: "the connection to the target was lost",
+    GapCause.WATCHDOG_SILENT: "nothing came from watch_probes.sh: it was stopped or killed on the target",
+}
 
 
 class _Watching:
@@ -121,6 +136,11 @@ class _Watching:
         self._stdin = "\n".join(lines).encode()
         self.is_over = threading.Event()
         self._connection: Connection | None = None
+        # How long nothing came, and how long the time is over: of this process' own time, in which it was not stopped.
+        self._asked_s = 0.0
+        self._quiet_s = self._over_s = 0.0
+        self._is_ready = False
+        self._lost = GapCause.LINK_LOST
         self._pieces: queue.Queue[bytes | WatchReader | BaseException | None] = queue.Queue(_PIECES_MAX)
 
     def run(self) -> None:
@@ -137,10 +157,11 @@ class _Watching:
         reader = WatchReader(self._probes, str(connection.address), self._pids)
         self._put(reader)
         self._connection = connection
+        self._asked_s, self._quiet_s, self._over_s, self._is_ready = time.monotonic(), 0.0, 0.0, False
         left_s = max(0.0, self._end_s - time.monotonic())
         argv = [self._script, str(round(left_s + SET_UP_S)), str(SILENCE_S), *self._arguments]
         status, stderr = connection.shell.execute(
-            argv, [self._stdin], self._put, left_s + 2 * SET_UP_S, feed=self._feed
+            argv, [self._stdin], self._take, left_s + 2 * SET_UP_S, feed=self._feed
         )
         if status == SILENT:
             # As with a connection that breaks: the probes are placed anew, and what lies between is a gap.
@@ -150,15 +171,35 @@ class _Watching:
         if status != 0:
             text = stderr.strip().rpartition("\n")[2][:300] or f"watch_probes.sh ended with exit status {status}"
             raise TargetError(f"{connection.address}: {text}")
+        if not self._is_time_over():
+            raise TargetError(f"{connection.address}: watch_probes.sh ended there before its time")
 
     def _feed(self) -> bytes | None:
-        """What the script reads while it lasts: a line now and then, by which it knows that somebody is there."""
+        """What the script reads while it lasts: a line now and then, by which it knows that somebody is there.
+
+        Raises ConnectionLost when it prints nothing any more, or does not end.
+        """
+        self._check_quiet()
         if self._is_time_over():
             return None
         if time.monotonic() < self._next_beat_s:
             return b""
         self._next_beat_s = time.monotonic() + BEAT_S
         return b"\n"
+
+    def _check_quiet(self) -> None:
+        now_s = time.monotonic()
+        passed_s, self._asked_s = min(now_s - self._asked_s, 2 * POLL_S), now_s
+        self._quiet_s += passed_s
+        self._over_s += passed_s if self._is_time_over() else 0.0
+        if self._quiet_s > (QUIET_S if self._is_ready else SET_UP_S) or self._over_s > TAKE_OFF_S:
+            self._lost = GapCause.WATCHDOG_SILENT
+            what = "is not ended" if self._over_s > TAKE_OFF_S else "prints nothing any more"
+            raise ConnectionLost(f"{self._script} {what} on the target: was it stopped or killed there?")
+
+    def _take(self, piece: bytes) -> None:
+        self._put(piece)
+        self._quiet_s = 0.0
 
     def _is_time_over(self) -> bool:
         return self.is_over.is_set() or time.monotonic() >= self._end_s
@@ -183,38 +224,57 @@ class _Watching:
             thread.join(END_S)
 
     def results(self) -> Iterator[Observed]:
-        """What the script prints, read."""
+        """What the script prints, read. Raises what ends it before the probes are placed."""
         reader: WatchReader | None = None
         calls = lost = rests = 0
         seen_ns = 0
+        broken = ""
         while True:
             piece = self._pieces.get()
             if isinstance(piece, BaseException):
-                raise piece
-            if isinstance(piece, bytes) and reader is not None:
-                read: Iterable[Ready | Batch] = reader.feed(piece)
-            else:
-                # The call has ended.
-                read = (reader.rest(),) if reader is not None and reader.begin_ns else ()
-            for each in read:
-                if isinstance(each, Batch):
-                    gap_ns, seen_ns = seen_ns, max(seen_ns, each.until_ns)
-                    if reader is not None and 0 < gap_ns < reader.begin_ns:
-                        gap = Gap(gap_ns, reader.begin_ns, "the connection to the target was lost")
-                        each = replace(each, gaps=(gap, *each.gaps))
-                    rests += sum(gap.reason == RESTED for gap in each.gaps)
-                    yield each
-                elif calls == 1:
-                    self._end_s = time.monotonic() + self._for_s
-                    yield self._began(each)
+                if not seen_ns or not isinstance(piece, TargetError) or isinstance(piece, TargetRebooted):
+                    raise piece
+                broken, piece = str(piece), None
+            try:
+                for each in self._read(reader, piece):
+                    if isinstance(each, Batch):
+                        gap_ns, seen_ns = seen_ns, max(seen_ns, each.until_ns)
+                        if reader is not None and 0 < gap_ns < reader.begin_ns:
+                            gap = Gap(gap_ns, reader.begin_ns, _LOST[self._lost], self._lost)
+                            each = replace(each, gaps=(gap, *each.gaps))
+                            self._lost = GapCause.LINK_LOST
+                        rests += sum(gap.cause is GapCause.RESTED for gap in each.gaps)
+                        yield each
+                    elif calls == 1:
+                        self._end_s = time.monotonic() + self._for_s
+                        yield self._began(each)
+            except TargetError as error:
+                # What cannot be read was printed by a target that nothing more is taken from.
+                if not seen_ns:
+                    raise
+                broken, piece = str(error), None
             if isinstance(piece, bytes):
                 continue
             lost += reader.lost if reader is not None else 0
             if piece is None:
-                is_clean = reader is not None and reader.is_done
-                yield Finished(lost_events=lost, rests=rests, reconnections=max(0, calls - 1), is_clean=is_clean)
+                yield Finished(
+                    lost_events=lost,
+                    rests=rests,
+                    reconnections=max(0, calls - 1),
+                    is_clean=not broken and reader is not None and reader.is_done,
+                    broken=broken,
+                )
                 return
             reader, calls = piece, calls + 1
+
+    def _read(self, reader: WatchReader | None, piece: "bytes | WatchReader | None") -> Iterator[Ready | Batch]:
+        if isinstance(piece, bytes) and reader is not None:
+            for each in reader.feed(piece):
+                self._is_ready |= isinstance(each, Ready)
+                yield each
+        elif reader is not None and reader.begin_ns:
+            # The call has ended.
+            yield reader.rest()
 
     def _began(self, ready: Ready) -> Began:
         refused = (

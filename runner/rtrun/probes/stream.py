@@ -14,7 +14,7 @@ from operator import itemgetter
 from rtfiles.untrusted import whole_number
 from rtrun.plan.limits import CPUS_MAX, PID_MAX, WALL_TIME_MAX_NS
 from rtrun.probes.formats import EventFormat, RawValues
-from rtrun.probes.hits import Gap, Hit
+from rtrun.probes.hits import Gap, GapCause, Hit
 from rtrun.probes.placement import PlacedProbe
 from rtrun.probes.programs import LINE_BYTES_MAX, THREADS_MAX, FoundProgram, ProgramReader
 from rtrun.probes.ring_buffer import PageLayout, read_events, read_head
@@ -262,7 +262,8 @@ class WatchReader:
         if head.has_lost:
             self.lost += head.lost or 0
             before_ns = min(self._last_of_cpu.get(cpu, self.begin_ns), head.begin_ns)
-            self._add_gap(Gap(before_ns, head.begin_ns, f"the kernel lost events of CPU {cpu}"))
+            why = f"the kernel lost events of CPU {cpu}"
+            self._add_gap(Gap(before_ns, head.begin_ns, why, GapCause.EVENTS_LOST))
         sources, pids = self._sources, self._pids
         at_ns = head.begin_ns
         for at_ns, start, size in read_events(page, layout, head):
@@ -290,7 +291,7 @@ class WatchReader:
     def _add_gap(self, gap: Gap) -> None:
         if len(self._gaps) >= _GAPS_MAX:
             last = self._gaps.pop()
-            gap = Gap(min(gap.from_ns, last.from_ns), max(gap.until_ns, last.until_ns), gap.reason)
+            gap = Gap(min(gap.from_ns, last.from_ns), max(gap.until_ns, last.until_ns), gap.reason, gap.cause)
         self._gaps.append(gap)
 
     def _is_room(self, size_bytes: int) -> bool:
@@ -333,7 +334,7 @@ class WatchReader:
     def _end_rest(self, until_ns: int) -> None:
         """Since its mark, or where that was lost, since the end of the batch before."""
         from_ns = self._rests_ns if self._rests_ns is not None else self._until_ns
-        self._add_gap(Gap(min(from_ns, until_ns), until_ns, RESTED))
+        self._add_gap(Gap(min(from_ns, until_ns), until_ns, RESTED, GapCause.RESTED))
         self._rests_ns = None
 
     def _batch(self, number: int | None) -> Batch:
@@ -343,14 +344,15 @@ class WatchReader:
             until_ns = max(self._last_ns + 1, self._until_ns)
         self._mark_ns = None
         if self._left_out_ns is not None:
-            self._add_gap(Gap(*self._left_out_ns, TOO_MANY))
+            self._add_gap(Gap(*self._left_out_ns, TOO_MANY, GapCause.EVENTS_LOST))
             self._left_out_ns = None
         if until_ns is None:
             # The mark was lost: what is read is given with the next.
             until_ns = self._until_ns
         self._until_ns = until_ns
         # While probes are switched on or off one after the other, one end of a message is seen, and the other is not.
-        silent = [(0, self.begin_ns), *((gap.from_ns, gap.until_ns) for gap in self._gaps if gap.reason == RESTED)]
+        rests = [gap for gap in self._gaps if gap.cause is GapCause.RESTED]
+        silent = [(0, self.begin_ns), *((gap.from_ns, gap.until_ns) for gap in rests)]
         before = len(self._hits) + len(self._kernel)
         hits, self._hits = _cut(self._hits, until_ns, silent)
         kernel, self._kernel = _cut(self._kernel, until_ns, silent)

@@ -38,6 +38,7 @@ from rtrun.plan.question import Question
 from rtrun.plan.run import KernelName
 from rtrun.plan.suites import Parameters, Subject, Value, middleware_of, suite, suites
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
+from rtrun.results.coverage import Coverage
 from rtrun.targets.inspection.control_groups import ControlGroup
 from rtrun.targets.inspection.facts import Fact
 from rtrun.targets.inspection.platform import Platform
@@ -206,6 +207,8 @@ class RunRecord(Config):
     """What the campaign asked traces for, as `Run.trace`; the threshold in effect is in the parameters."""
     observed_by: str = ""
     """Of a stream of what was observed: the run that observed it."""
+    coverage: Coverage | None = None
+    """Of an observation and its streams: how long it was asked for, and how long it has seen."""
     platform: Annotated[Platform, Field(strict=False)]
     platform_evidence: str
     """How the platform is known."""

@@ -154,10 +154,12 @@ def _exchange(
             remaining_s = deadline - time.monotonic()
             if remaining_s <= 0:
                 raise subprocess.TimeoutExpired(process.args, 0)
-            if feed is not None and not process.stdin.closed:
+            if feed is not None:
                 remaining_s = min(remaining_s, POLL_S)
                 more = feed()
-                if more is None:
+                if process.stdin.closed:
+                    pass
+                elif more is None:
                     _close_stdin(process.stdin, selector)
                 elif more:
                     chunks = itertools.chain(chunks, [more])

@@ -25,9 +25,9 @@ class Shell(Protocol):
     ) -> tuple[int, str]:
         """Run a command, hand what it prints to `take`, and return its exit status and its standard error.
 
-        Its standard input ends after `stdin`, or goes on with what `feed` gives, which is asked every POLL_S, until
-        that gives None. Raises DeadlineExpired once what was started has been killed; TargetError when `take` raises
-        TooMuch.
+        Its standard input ends after `stdin`, or goes on with what `feed` gives, which is asked every POLL_S as
+        long as the command lasts, until that gives None. What `feed` raises ends the command. Raises DeadlineExpired
+        once what was started has been killed; TargetError when `take` raises TooMuch.
         """
 
     def open_port(self, port: int, deadline_s: float) -> AbstractContextManager[Any]:

@@ -14,7 +14,7 @@ from rtrun.flows.live import LiveFigures
 from rtrun.flows.streams import streams
 from rtrun.flows.values import differences
 from rtrun.plan.observation import StreamKind, read_stream_deadline
-from rtrun.probes.hits import Gap
+from rtrun.probes.hits import Gap, GapCause
 from rtrun.report.live import LiveView, live_json, live_line, live_table
 
 DEADLINES = [
@@ -99,7 +99,8 @@ def test_rates_are_of_the_last_second(seen):
 def test_time_in_gaps_of_two_cpus_counts_once():
     observed = FlowAccumulator(begin_ns=0)
     gaps = ((4, 6, 1), (0, 3, 0), (1, 2, 1), (2, 5, 1))
-    observed.feed([Gap(begin * 10**9, end * 10**9, f"the kernel lost events of CPU {cpu}") for begin, end, cpu in gaps])
+    lost = GapCause.EVENTS_LOST
+    observed.feed([Gap(a * 10**9, b * 10**9, f"the kernel lost events of CPU {cpu}", lost) for a, b, cpu in gaps])
     (remark,) = LiveFigures(observed).snapshot(10**10).remarks
     reasons = "the kernel lost events of CPU 0, the kernel lost events of CPU 1"
     assert remark == f"4 gaps of 6 s together: {reasons}"

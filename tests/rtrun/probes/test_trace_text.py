@@ -7,7 +7,7 @@ import pytest
 from probes.standin import TRACING, observed, running
 
 from rtrun.causes.ftrace import parse
-from rtrun.probes.hits import Gap
+from rtrun.probes.hits import Gap, GapCause
 from rtrun.probes.session import Batch
 from rtrun.probes.trace_text import trace_text
 from rtrun.targets.inspection.kernel_trace import read_events, read_symbols
@@ -71,5 +71,6 @@ def test_the_text_is_that_of_the_kernel(here, standin, kernels_own):
 
     # The events of each CPU after a gap begin with what the kernel says where it has lost some.
     middle_ns = events[len(events) // 2].at_ns
-    said = sum("LOST EVENTS" in line for line in trace_text(events, [Gap(0, middle_ns, "rest")], symbols))
+    gap = Gap(0, middle_ns, "rest", GapCause.RESTED)
+    said = sum("LOST EVENTS" in line for line in trace_text(events, [gap], symbols))
     assert said == len({hit.cpu for hit in events[len(events) // 2 :]})

@@ -171,7 +171,6 @@ class SshShell:
                 more = feed()
                 with contextlib.suppress(OSError):
                     if more is None:
-                        feed = None
                         channel.shutdown_write()
                     elif more:
                         channel.sendall(more)

@@ -1,0 +1,252 @@
+"""What was observed is kept, whatever ends the observation, and its record tells what was not seen.
+
+Each ends one that asked for 8 s after some rounds, on real programs with real probes.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from probes.standin import SCRIPTS, build, left, running, skip_without_trace, wait_until_nothing_is_left
+from proxy import proxy_to
+
+from rtrun.cli import main
+from rtrun.execution import run_execution
+from rtrun.probes import session
+from rtrun.targets import deploy
+from rtrun.targets.errors import ConnectionLost
+
+pytestmark = [pytest.mark.trace, pytest.mark.timeout(180)]
+S = 10**9
+ASKED_S = 8
+
+
+@pytest.fixture(scope="module")
+def standin(tmp_path_factory):
+    """A program to observe, 500 messages a second."""
+    skip_without_trace()
+    with running(build(tmp_path_factory.mktemp("standin")), 500, 10**9, 4 * 10**15, 1000, "/kept") as process:
+        yield process
+
+
+@pytest.fixture(params=["local", "sshd"])
+def address(request, sshd, tmp_path):
+    """How a target file reaches this machine."""
+    if request.param == "local":
+        yield "kind: local\n"
+        return
+    lines = [
+        "kind: ssh",
+        "host: 127.0.0.1",
+        f"port: {sshd.port}",
+        f"user: {sshd.user}",
+        f"key: {sshd.key}",
+        f"known_hosts: {sshd.key.parent / 'known_hosts'}",
+    ]
+    yield "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    monkeypatch.setattr(session, "QUIET_S", 3.0)
+    monkeypatch.setattr(session, "TAKE_OFF_S", 4.0)
+    monkeypatch.setattr(session, "END_S", 5.0)
+
+
+def observe(tmp_path, address, standin, *more, act=None, results=None):
+    """Observe, and `act` after some rounds with the pid of the watchdog; returns the exit status, and the records."""
+    target = tmp_path / "target.yml"
+    target.write_text(f"schema: 1\nname: here\n{address}work_dir: {tmp_path}/work\n")
+    results = results or tmp_path / "results"
+
+    def wait_and_act():
+        before = set(left())
+        while not (new := [name for name in left() if name.startswith("rtrun-observe-") and name not in before]):
+            time.sleep(0.1)
+        time.sleep(3.5)
+        act(int(new[0].split("_")[-2]))
+
+    thread = threading.Thread(target=wait_and_act, daemon=True)
+    if act:
+        thread.start()
+    argv = ["observe", "--target", str(target), "--for", f"{ASKED_S}s", "--results", str(results), *more]
+    status = main(argv)
+    if act:
+        thread.join(30)
+    records = {path.parent.name: json.loads(path.read_text()) for path in results.glob("*/run.json")}
+    return status, records
+
+
+def of_stream(records, results, kind="messages"):
+    """The record and samples of the stand-in's stream; others may run on this machine."""
+    (name,) = [name for name in records if f"-{kind}-kept-standin" in name]
+    return records[name], np.load(results / name / f"{name}.npy")
+
+
+def causes_of(record):
+    return {gap["cause"] for gap in record["coverage"]["gaps"]}
+
+
+def check_kept(records, results):
+    """The observation and its stream hold the same coverage, and the stream has as many messages as were seen."""
+    stream, rows = of_stream(records, results)
+    coverage = records["001"]["coverage"]
+    assert stream["coverage"] == coverage and coverage["asked_ns"] == ASKED_S * S
+    assert 2 * S < coverage["seen_ns"] < ASKED_S * S
+    # 500 a second, but for a busy machine.
+    assert len(rows) > 500
+    assert " of 8 s were seen, with " in records["001"]["reason"]
+    return stream, coverage
+
+
+def test_all_of_it(tmp_path, address, standin):
+    """For the tests below: one that nothing ends has seen what it was asked for."""
+    status, records = observe(tmp_path, address, standin)
+    stream, rows = of_stream(records, tmp_path / "results")
+    assert (status, records["001"]["status"], stream["status"]) == (0, "ok", "ok")
+    assert stream["coverage"]["asked_ns"] == ASKED_S * S and len(rows) > 500
+    assert "ended early" not in causes_of(stream) and "watchdog silent" not in causes_of(stream)
+
+
+def test_a_stopped_watchdog(tmp_path, address, standin, impatient):
+    """It does not end, and prints no more. Another one is started, and what lies between is a gap."""
+    groups = []
+
+    def stop(pid):
+        groups.append(os.getpgid(pid))
+        os.killpg(groups[0], signal.SIGSTOP)
+
+    begin_s = time.monotonic()
+    try:
+        status, records = observe(tmp_path, address, standin, act=stop)
+    finally:
+        for group in groups:
+            os.killpg(group, signal.SIGCONT)
+    assert time.monotonic() - begin_s < 60
+    stream, coverage = check_kept(records, tmp_path / "results")
+    assert status == 0 and "watchdog silent" in causes_of(stream) and stream["status"] == "ok"
+    (gap,) = [gap for gap in coverage["gaps"] if gap["cause"] == "watchdog silent"]
+    assert gap["end_ns"] - gap["begin_ns"] > 2 * S
+    wait_until_nothing_is_left()
+
+
+def test_a_killed_watchdog(tmp_path, address, standin, impatient):
+    """What was killed cannot take the probes off: it is said, and the next call does."""
+    status, records = observe(tmp_path, address, standin, act=lambda pid: os.killpg(os.getpgid(pid), signal.SIGKILL))
+    check_kept(records, tmp_path / "results")
+    assert (status, records["001"]["status"]) == (3, "incomplete")
+    assert "was ended there by signal 9" in records["001"]["reason"]
+    assert causes_of(records["001"]) >= {"ended early"}
+    graph = json.loads((tmp_path / "results/001/graph.json").read_text())
+    assert "the probes were not seen to be taken off: the next call takes off what is left" in graph["remarks"]
+    observe(tmp_path, address, standin, results=tmp_path / "again")
+    wait_until_nothing_is_left()
+
+
+def test_a_link_that_is_lost_for_good(tmp_path, sshd, standin):
+    with proxy_to(sshd.port) as proxy:
+        address = "\n".join(
+            [
+                "kind: ssh",
+                "host: 127.0.0.1",
+                f"port: {proxy.port}",
+                f"user: {sshd.user}",
+                f"key: {sshd.key}",
+                f"host_key: {host_key_of(sshd)}",
+                "reconnect_s: 1",
+                "",
+            ]
+        )
+        status, records = observe(tmp_path, address, standin, act=lambda _: proxy.cut())
+    check_kept(records, tmp_path / "results")
+    assert (status, records["001"]["status"]) == (3, "incomplete")
+    wait_until_nothing_is_left()
+
+
+def host_key_of(sshd):
+    text = subprocess.run(["ssh-keyscan", "-p", str(sshd.port), "127.0.0.1"], capture_output=True, text=True).stdout
+    line = next(line for line in text.splitlines() if "ed25519" in line)
+    listed = subprocess.run(["ssh-keygen", "-l", "-f", "-"], input=line, capture_output=True, text=True, check=True)
+    return listed.stdout.split()[1]
+
+
+@pytest.mark.parametrize(
+    ("lie", "said"),
+    [
+        ('echo "a lie"', "unexpected line 'a lie'"),
+        ('echo "round 0"', "cannot be read"),
+        ("echo done; kill -KILL 0", "was ended there by signal 9"),
+    ],
+)
+def test_a_lying_target(tmp_path, standin, monkeypatch, impatient, lie, said):
+    scripts = tmp_path / "lying"
+    scripts.mkdir()
+    for path in Path(str(SCRIPTS)).glob("*"):
+        if path.is_file():
+            (scripts / path.name).write_bytes(path.read_bytes())
+            (scripts / path.name).chmod(0o755)
+    honest = (scripts / "watch_probes.sh").read_text()
+    place = '        mark "round $number"\n'
+    assert place in honest
+    (scripts / "watch_probes.sh").write_text(
+        honest.replace(place, f"{place}        [ $number -ne 5 ] || {{ {lie}; }}\n")
+    )
+    monkeypatch.setattr(deploy, "ON_TARGET", scripts)
+    status, records = observe(tmp_path, "kind: local\n", standin)
+    check_kept(records, tmp_path / "results")
+    assert (status, records["001"]["status"]) == (3, "incomplete") and said in records["001"]["reason"]
+    monkeypatch.undo()
+    observe(tmp_path, "kind: local\n", standin, results=tmp_path / "again")
+    wait_until_nothing_is_left()
+
+
+def test_a_disk_of_the_runner_that_has_no_room_for_all(tmp_path, standin):
+    """The streams that fit are kept, and the others are named."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    # Room for the reserve, and for some of the streams: 500 rows of a second are 16 kB of each.
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1200k", "tmpfs", disk], check=True)
+    try:
+        status, records = observe(tmp_path, "kind: local\n", standin, results=disk)
+        assert (status, records["001"]["status"]) == (3, "incomplete")
+        assert "cannot keep the results" in records["001"]["reason"]
+        assert len(records) > 1, records["001"]["reason"]
+        assert records["001"]["coverage"]["asked_ns"] == ASKED_S * S
+    finally:
+        subprocess.run(["umount", "-l", disk], check=True)
+
+
+def test_ctrl_c(tmp_path, standin):
+    status, records = observe(tmp_path, "kind: local\n", standin, act=lambda _: os.kill(os.getpid(), signal.SIGINT))
+    stream, _ = check_kept(records, tmp_path / "results")
+    assert (status, stream["status"], causes_of(stream) >= {"ended early"}) == (0, "ok", True)
+
+
+@pytest.mark.parametrize("step", ["_end_background", "processes.remove"])
+def test_trouble_after_it_takes_nothing_away(tmp_path, standin, monkeypatch, step):
+    def fail(*_args, **_more):
+        raise ConnectionLost("127.0.0.1: the connection broke")
+
+    owner, _, name = step.rpartition(".")
+    monkeypatch.setattr(run_execution.processes if owner else run_execution, name, fail)
+    status, records = observe(tmp_path, "kind: local\n", standin)
+    assert (status, records["001"]["status"]) in ((0, "ok"), (3, "ok"))
+    assert len(of_stream(records, tmp_path / "results")[1]) > 500
+
+
+def test_a_picture_that_finds_no_room(tmp_path, standin):
+    """It is written once the runs are kept."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", disk], check=True)
+    try:
+        status, records = observe(tmp_path, "kind: local\n", standin, "--perfetto", str(disk / "trace"))
+    finally:
+        subprocess.run(["umount", "-l", disk], check=True)
+    assert status != 0 and records["001"]["status"] == "ok"
