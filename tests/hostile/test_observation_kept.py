@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -47,7 +48,7 @@ def address(request, sshd, tmp_path):
         f"port: {sshd.port}",
         f"user: {sshd.user}",
         f"key: {sshd.key}",
-        f"known_hosts: {sshd.key.parent / 'known_hosts'}",
+        f"host_key: {sshd.host_key}",
     ]
     yield "\n".join(lines) + "\n"
 
@@ -158,7 +159,7 @@ def test_a_link_that_is_lost_for_good(tmp_path, sshd, standin):
                 f"port: {proxy.port}",
                 f"user: {sshd.user}",
                 f"key: {sshd.key}",
-                f"host_key: {host_key_of(sshd)}",
+                f"host_key: {sshd.host_key}",
                 "reconnect_s: 1",
                 "",
             ]
@@ -167,13 +168,6 @@ def test_a_link_that_is_lost_for_good(tmp_path, sshd, standin):
     check_kept(records, tmp_path / "results")
     assert (status, records["001"]["status"]) == (3, "incomplete")
     wait_until_nothing_is_left()
-
-
-def host_key_of(sshd):
-    text = subprocess.run(["ssh-keyscan", "-p", str(sshd.port), "127.0.0.1"], capture_output=True, text=True).stdout
-    line = next(line for line in text.splitlines() if "ed25519" in line)
-    listed = subprocess.run(["ssh-keygen", "-l", "-f", "-"], input=line, capture_output=True, text=True, check=True)
-    return listed.stdout.split()[1]
 
 
 @pytest.mark.parametrize(
@@ -250,3 +244,28 @@ def test_a_picture_that_finds_no_room(tmp_path, standin):
     finally:
         subprocess.run(["umount", "-l", disk], check=True)
     assert status != 0 and records["001"]["status"] == "ok"
+
+
+TWO = """
+import sys
+sys.path[:0] = {path!r}
+from rtrun.cli import main
+sys.exit(main({argv!r}))
+"""
+
+
+def test_two_observers_of_one_folder(tmp_path, standin):
+    """Each has a number of its own, and nothing of either is put aside."""
+    target = tmp_path / "target.yml"
+    target.write_text(f"schema: 1\nname: here\nkind: local\nwork_dir: {tmp_path}/work\n")
+    results = tmp_path / "results"
+    argv = ["observe", "--target", str(target), "--for", "4s", "--results", str(results)]
+    code = TWO.format(path=sys.path, argv=argv)
+    started = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    said = [process.communicate(timeout=120)[0] for process in started]
+    assert [process.returncode for process in started] == [0, 0, 0], said
+    names = sorted(path.name for path in results.iterdir())
+    assert [name for name in names if name.isdecimal()] == ["001", "002", "003"], names
+    assert not [name for name in names if ".old-" in name or name.startswith(".")], names
+    for number in ("001", "002", "003"):
+        assert [name for name in names if name.startswith(f"{number}-messages-kept-standin")], names

@@ -98,6 +98,8 @@ def _read_until(text: str) -> "dict[str, object]":
 
 def run(args: argparse.Namespace) -> int:
     """Observe, show it while it lasts, keep it. 0: it was observed, 3: out of reach, or it cannot be observed."""
+    from dataclasses import replace
+
     from rtfiles.errors import UsageError
     from rtrun.plan.campaign import plan
     from rtrun.plan.run import UNTRACED
@@ -123,7 +125,8 @@ def run(args: argparse.Namespace) -> int:
         statuses = measure_until(Path("rtrun observe"), campaign, campaign.until, groups, groups, targets, results)
         status = print_failed(statuses)
     else:
-        status = _observe_once(args, config, planned, results)
+        with run_directory.numbered(results) as folder:
+            status = _observe_once(args, config, replace(planned, name=folder.name), folder)
     if not args.json:
         _print_what_follows(results, has_traces=bool(args.trace))
     return status
@@ -151,10 +154,9 @@ def _campaign(args: argparse.Namespace, name: str) -> "Campaign":
     return parse(asked, Campaign, "rtrun observe")
 
 
-def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Run", results: Path) -> int:
-    """Observe as one run, with the next number that is free in the results."""
+def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Run", folder: Path) -> int:
+    """Observe as one run into a folder, whose name it has."""
     import secrets
-    from dataclasses import replace
 
     from rtfiles import atomic
     from rtfiles.errors import InfrastructureError, UsageError
@@ -175,8 +177,7 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
     recorder = FlowRecorder(DRAWN_MAX) if args.perfetto else None
 
     seen: list[ObservationResult] = []
-    planned = replace(planned, name=f"{_next_number(results):03}")
-    folder, uid = results / planned.name, f"observe-{secrets.token_hex(4)}"
+    uid = f"observe-{secrets.token_hex(4)}"
     print_status(f"asking {config.name} what runs there")
     with (
         linked(config, args.target.parent) as link,
@@ -200,13 +201,6 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
         # After the run is kept: this file may find no room.
         atomic.write_named(args.perfetto, flow_trace(recorder, seen[0].programs).encode())
     return 0 if is_ok else InfrastructureError.exit_status
-
-
-def _next_number(results: Path) -> int:
-    import re
-
-    taken = [int(match[1]) for path in results.iterdir() if (match := re.match(r"([0-9]{1,9})(?![0-9])", path.name))]
-    return max(taken, default=0) + 1
 
 
 def _print_what_follows(results: Path, *, has_traces: bool) -> None:

@@ -52,7 +52,6 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.output import console, print_status
     from rtrun.commands._boards import TargetFile, measure_on, print_failed
     from rtrun.commands._link import linked
-    from rtrun.commands.run import fresh
     from rtrun.execution import progress
     from rtrun.judgement.study import study
     from rtrun.plan.campaign import read_campaign
@@ -62,15 +61,15 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.targets.inspection import rt_readiness
 
     data = _target(args)
-    results = fresh(args.results)
-    file = results / "target.yml" if data else Path(args.target)
+    file = run_directory.unused_results(args.results) / "target.yml" if data else Path(args.target)
     config = parse_target(data, args.target or NAME) if data else read_target(file)
     print_status(f"asking {config.name} what it is")
     with linked(config, file.parent) as link:
         findings = rt_readiness.judge(rt_readiness.read_checks(), rt_readiness.read_facts(link))
         campaign = _campaign(link, args)
     print_status("")
-    run_directory.make_results(results)
+    results = run_directory.make_new_results(args.results)
+    file = results / "target.yml" if data else file
     if data:
         atomic.write_text(file, yaml.safe_dump(data, sort_keys=False))
     atomic.write_text(results / "campaign.yml", yaml.safe_dump(campaign, sort_keys=False))

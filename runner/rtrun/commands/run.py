@@ -64,11 +64,14 @@ def run(args: argparse.Namespace) -> int:
     chosen = select(runs, args.expression)
     results: Path = args.results or Path("results") / campaign.name
     if args.fresh:
-        results = fresh(results)
+        results = run_directory.unused_results(results)
     if args.collect_only:
         return _list_runs(chosen, len(runs), results, as_json=args.json)
     targets = read_targets(args.target, args.targets, args.lg_env)
-    run_directory.make_results(results)
+    if args.fresh:
+        results = run_directory.make_new_results(results)
+    else:
+        run_directory.make_results(results)
     with beside_the_answer(args.json):
         if campaign.until is None:
             statuses = _measure(campaign, runs, chosen, targets, args, results)
@@ -136,13 +139,3 @@ def _measure(
     for line in said_of(results / each.name for each in chosen):
         print_line(line)
     return statuses
-
-
-def fresh(results: Path) -> Path:
-    """The folder, or the first of its name and a number that is not there."""
-    if not results.exists():
-        return results
-    number = 2
-    while (candidate := results.with_name(f"{results.name}-{number}")).exists():
-        number += 1
-    return candidate

@@ -141,12 +141,11 @@ def _resume(work: Work, life: RunLife) -> Attempt | None:
         return leftovers.attempt
     if leftovers.cut_off:
         life.move(RunEvent.RESTART, "the target was restarted while nobody looked")
-        kept = run_directory.unused(work.folder, "incomplete")
-        with run_directory.filling(kept) as partial:
+        with run_directory.filling(work.folder) as partial:
             limits = work.programs.file_limits
             present = parse_listing(work.link.check(download.listing(work.remote, limits), deadline_s=LISTING_S)).sizes
             download.pull(work.link, work.remote, present, partial, limits)
-            run_directory.rename(partial, kept)
+            kept = run_directory.keep_beside(partial, work.folder, "incomplete")
         life.move(RunEvent.KEEP, f"kept as {kept.name}")
     if leftovers.has_folder:
         _give_up(work)

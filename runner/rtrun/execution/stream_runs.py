@@ -144,7 +144,7 @@ def put_aside(folder: Path) -> None:
         if path.name.startswith(f"{folder.name}-") and path.is_dir():
             closed = run_directory.closing_record(path)
             if closed is not None and closed.observed_by == folder.name:
-                path.rename(run_directory.unused(path, "old"))
+                run_directory.put_aside(path)
 
 
 def _not_seen(deadline: StreamDeadline, outputs: Sequence[ObservedOutput]) -> str:

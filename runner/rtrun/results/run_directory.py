@@ -1,8 +1,13 @@
-"""Run directories: filled under a temporary name, closed by run.json, renamed into place (see docs/formats.md)."""
+"""Run directories: filled under a temporary name, closed by run.json, renamed into place (see docs/formats.md).
+
+Several may work in one folder of results. Whoever takes a name there that is free does so under the folder's lock.
+"""
 
 import contextlib
+import fcntl
 import hashlib
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +28,62 @@ def make_results(folder: Path) -> None:
         raise InfrastructureError(f"{folder}: cannot keep the results: {error.strerror}") from error
     if not os.access(folder, os.W_OK):
         raise InfrastructureError(f"{folder}: cannot keep the results: it is read-only")
+
+
+def unused_results(folder: Path) -> Path:
+    """The folder, or the first of its name and a number that is not there."""
+    if not folder.exists():
+        return folder
+    number = 2
+    while (candidate := folder.with_name(f"{folder.name}-{number}")).exists():
+        number += 1
+    return candidate
+
+
+def make_new_results(folder: Path) -> Path:
+    """Make `unused_results` of a folder; nobody else gets it. Raises InfrastructureError."""
+    while True:
+        made = unused_results(folder)
+        try:
+            made.parent.mkdir(parents=True, exist_ok=True)
+            made.mkdir()
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise InfrastructureError(f"{made}: cannot keep the results: {error.strerror}") from error
+        return made
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder, which is there; others wait meanwhile. It is not to be taken twice."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextlib.contextmanager
+def numbered(results: Path) -> Iterator[Path]:
+    """Take the next number in a folder of results, as 007; nobody else gets it. Yields the folder to be filled.
+
+    Raises InfrastructureError where nothing can be written there.
+    """
+    try:
+        with locked(results):
+            names = (re.match(r"\.?([0-9]{1,9})(?![0-9])", path.name) for path in results.iterdir())
+            folder = results / f"{max((int(match[1]) for match in names if match), default=0) + 1:03}"
+            taken = results / f".{folder.name}.taken"
+            taken.mkdir()
+    except OSError as error:
+        raise InfrastructureError(f"{results}: cannot keep the results: {error.strerror}") from error
+    try:
+        yield folder
+    finally:
+        with contextlib.suppress(OSError):
+            taken.rmdir()
 
 
 @contextlib.contextmanager
@@ -78,14 +139,29 @@ def close(partial: Path, folder: Path, record: RunRecord) -> None:
 
 def rename(source: Path, folder: Path) -> None:
     """Move a folder into place for good; what stood there before is kept as ``<name>.old-<n>``."""
-    if folder.exists():
-        folder.rename(unused(folder, "old"))
-    source.rename(folder)
+    with locked(folder.parent):
+        if folder.exists():
+            folder.rename(_unused(folder, "old"))
+        source.rename(folder)
     atomic.sync_folder(folder.parent)
 
 
-def unused(folder: Path, kind: str) -> Path:
-    """Return the first ``<name>.<kind>-<n>`` beside a folder that is not taken."""
+def put_aside(folder: Path) -> None:
+    """Move a run directory to the first ``<name>.old-<n>`` that is free."""
+    with locked(folder.parent):
+        folder.rename(_unused(folder, "old"))
+
+
+def keep_beside(partial: Path, folder: Path, kind: str) -> Path:
+    """Move what was filled to the first ``<name>.<kind>-<n>`` beside a folder that is free; returns that."""
+    with locked(folder.parent):
+        kept = partial.rename(_unused(folder, kind))
+    atomic.sync_folder(folder.parent)
+    return kept
+
+
+def _unused(folder: Path, kind: str) -> Path:
+    """The first ``<name>.<kind>-<n>`` beside a folder that is free, for who holds the lock."""
     number = 1
     while (candidate := folder.with_name(f"{folder.name}.{kind}-{number}")).exists():
         number += 1

@@ -29,14 +29,24 @@ _WHOLE = 'cd "$1" && LC_ALL=C sha256sum -c - 2>/dev/null; exit 0'
 _ADOPT = 'cd "$1" && echo "$3  $2" | sha256sum -c - >/dev/null && chmod 755 "$2" && sync "$2" && mv "$2" "$3"'
 _LINK = """
 set -e
+listing=$(cat)
 mkdir -p "$1.$3"; cd "$1.$3"
-while read -r digest path; do
+echo "$listing" | while read -r digest path; do
     case $path in */*) mkdir -p "${path%/*}";; esac
     ln "$2/$digest" "$path"
 done
 # The listing ends early when the link does: what is not whole gets no name.
 [ "$(find . -type f | wc -l)" -eq "$4" ]
-cd ..; rm -rf "$1"; mv "$1.$3" "$1"
+cd ..
+if (cd "$1" && echo "$listing" | sha256sum -c -) >/dev/null 2>&1; then
+    # Another runner was faster, and may use it already.
+    rm -rf "$1.$3"
+    exit
+fi
+[ ! -e "$1" ] || mv "$1" "$1.$3.damaged"
+mv "$1.$3" "$1"
+# Into it, where it has come in between.
+rm -rf "$1/${1##*/}.$3" "$1.$3.damaged"
 """
 # Nothing while a program of any run lives: it may have been started from any of the trees.
 _PRUNE = (

@@ -4,6 +4,8 @@ import contextlib
 import hashlib
 import json
 import subprocess
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -145,3 +147,54 @@ def test_run_directories_that_belong_together_are_all_there_or_none_is(tmp_path)
             assert sorted(path.name for path in tmp_path.iterdir()) == kept
     finally:
         subprocess.run(["umount", tmp_path], check=True)
+
+
+def in_parallel(work, times):
+    """What calls at the same time return; each opens the folder anew, as a process of its own would."""
+    barrier = threading.Barrier(times)
+
+    def one(number):
+        barrier.wait()
+        return work(number)
+
+    with ThreadPoolExecutor(times) as pool:
+        return list(pool.map(one, range(times)))
+
+
+def test_nobody_gets_the_number_of_another(tmp_path):
+    """Neither at the same time, nor while one of them is filled, nor when it stands there."""
+    (tmp_path / "004-messages-a").mkdir()
+    together = threading.Barrier(16)
+
+    def take(_):
+        with run_directory.numbered(tmp_path) as folder:
+            together.wait()
+            with run_directory.filling(folder) as partial:
+                run_directory.close(partial, folder, record_of())
+            return folder.name
+
+    assert sorted(in_parallel(take, 16)) == [f"{number:03}" for number in range(5, 21)]
+    with run_directory.numbered(tmp_path) as folder:
+        assert folder.name == "021"
+    with run_directory.numbered(tmp_path) as folder:
+        assert folder.name == "021", "nothing was kept of it"
+
+
+def test_what_is_put_aside_at_the_same_time_is_kept_each(tmp_path):
+    folder = tmp_path / "001"
+
+    def close(number):
+        partial = tmp_path / f".{number}"
+        partial.mkdir()
+        (partial / "a.txt").write_text(str(number))
+        run_directory.close(partial, folder, record_of())
+
+    in_parallel(close, 16)
+    kept = {path.name: (path / "a.txt").read_text() for path in tmp_path.iterdir()}
+    assert set(kept) == {"001", *(f"001.old-{number}" for number in range(1, 16))}
+    assert sorted(kept.values(), key=int) == [str(number) for number in range(16)]
+
+
+def test_nobody_gets_the_new_folder_of_another(tmp_path):
+    made = in_parallel(lambda _: run_directory.make_new_results(tmp_path / "a" / "quick").name, 16)
+    assert sorted(made) == sorted(["quick", *(f"quick-{number}" for number in range(2, 18))][:16])

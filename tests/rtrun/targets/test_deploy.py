@@ -128,6 +128,21 @@ def test_trees_that_nobody_uses_are_removed_and_their_objects_a_day_later(link, 
     assert all((path / "data").read_text() and (path / "lib/deep/program").exists() for path in there if path.is_dir())
 
 
+def test_a_tree_that_another_runner_has_made_meanwhile_stays(link, tree, monkeypatch):
+    """It may be in use: its files are not put there anew, and at no time are they away."""
+    send, made = deploy._send, []
+
+    def send_late(*args):
+        send(*args)
+        monkeypatch.setattr(deploy, "_send", send)
+        path = Path(deploy.deploy(link, tree, "suites"))
+        made.append((path, path.stat().st_ino, sorted(path.parent.iterdir())))
+
+    monkeypatch.setattr(deploy, "_send", send_late)
+    path = Path(deploy.deploy(link, tree, "suites"))
+    assert made == [(path, path.stat().st_ino, sorted(path.parent.iterdir()))]
+
+
 def test_an_empty_folder_is_an_error(link, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(UsageError, match="the folder is empty"):
