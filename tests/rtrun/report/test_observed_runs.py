@@ -3,6 +3,7 @@
 Each stream has a deadline of its own or none; one that somebody names comes before them.
 """
 
+import dataclasses
 import json
 import re
 import shutil
@@ -216,3 +217,13 @@ def test_all_else_takes_them(rtrun, results, tmp_path_factory):
     assert rtrun("archive", "add", results, "--to", archive)[0] == 0
     assert "messages /cmd_vel /controller -> /base" in rtrun("history", archive, "--by", "commit")[1]
     assert rtrun("compare", results, results)[0] == 0
+
+
+@pytest.mark.parametrize(("skipped", "overdue"), [(0, 0), (4, 0), (0, 1), (4, 1)])
+def test_the_header_of_a_timer_tells_skipped_periods_and_an_overdue_call_apart(tmp_path, skipped, overdue):
+    """Both miss: a call that had not come at the end does not hide the periods that were skipped before it."""
+    made = timer(skipped=skipped)
+    write(tmp_path, "a", dataclasses.replace(made, asked=made.asked + overdue, missing=overdue))
+    (group,) = study(tmp_path, Question(deadline_ns=10**9)).groups
+    (digest,) = [each for each in group.digests if each.header.main]
+    assert (digest.header.skipped, digest.header.missing) == (skipped, overdue)
