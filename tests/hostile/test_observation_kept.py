@@ -269,3 +269,40 @@ def test_two_observers_of_one_folder(tmp_path, standin):
     assert not [name for name in names if ".old-" in name or name.startswith(".")], names
     for number in ("001", "002", "003"):
         assert [name for name in names if name.startswith(f"{number}-messages-kept-standin")], names
+
+
+IN_A_CONTAINER = """
+import subprocess, sys
+sys.path[:0] = {path!r}
+from rtrun.cli import main
+with subprocess.Popen({standin!r}, stdout=subprocess.PIPE) as process:
+    try:
+        status = main({argv!r})
+    finally:
+        process.kill()
+sys.exit(status)
+"""
+
+
+def test_in_a_namespace_of_pids_it_is_told_how_to_start_the_container(tmp_path, standin):
+    """The kernel records pids that nobody in there can tell: nothing is placed, and no stream is made of them."""
+    target = tmp_path / "target.yml"
+    target.write_text(f"schema: 1\nname: here\nkind: local\nwork_dir: {tmp_path}/work\n")
+    argv = ["observe", "--target", str(target), "--for", "3s", "--results", str(tmp_path / "results")]
+    code = IN_A_CONTAINER.format(path=sys.path, argv=argv, standin=standin.args)
+    unshare = ["unshare", "--pid", "--fork", "--kill-child", "--mount-proc", sys.executable, "-c", code]
+    run = subprocess.run(unshare, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 3 and "start the container with --pid=host" in run.stderr, run
+    assert list((tmp_path / "results").iterdir()) == [] and left() == []
+
+
+def test_programs_of_a_container_are_observed_from_the_host(tmp_path, standin):
+    """They have other pids in there: the streams have their names, and the pids of the host."""
+    argv = ["unshare", "--pid", "--fork", "--kill-child", "--mount-proc", *standin.args[:-1], "/contained"]
+    with running(*argv) as process:
+        _, records = observe(tmp_path, "kind: local\n", standin)
+        (name,) = [name for name in records if "-messages-contained-" in name]
+        (program,) = records[name]["programs"]
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        assert [str(program["pid"])] == children
+    assert not [each for each in records if "thread" in each or "process" in each]

@@ -32,7 +32,9 @@ class LivingProcess:
     def __init__(self, pid: int, program: ObservedProgram | None, *, has_own_name: bool = False) -> None:
         self.pid = pid
         self.program = program
-        self.label = f"process {pid}" if program is None else label_of(program)
+        # A process that is not known has the number of its thread, below 0.
+        unknown = f"process {pid}" if pid > 0 else f"process of thread {-pid}"
+        self.label = unknown if program is None else label_of(program)
         self.is_alive = True
         self.has_own_name = has_own_name
         self.names_of_nodes: dict[Handle, str] = {}

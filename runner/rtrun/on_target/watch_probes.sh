@@ -275,6 +275,15 @@ namespace=$(readlink /proc/self/ns/pid)
 namespace=${namespace##*[}
 namespace=${namespace%]}
 name=${namespace:-0}_$$_$(started $$)
+# The kernel records pids as its own first namespace has them (PROC_PID_INIT_INO). Nobody within another one can tell
+# whose they are. /proc/1 is of the namespace whose pids this /proc shows.
+case $(readlink /proc/1/ns/pid) in
+"pid:[4026531836]" | "") ;;
+*)
+    fail "this is a container with pids of its own, and the kernel records those of the host:\
+ start the container with --pid=host, or observe the host itself"
+    ;;
+esac
 namespace=${namespace:-0}
 group=rtrun_observe_$name
 instance=$tracing/instances/rtrun-observe-$name

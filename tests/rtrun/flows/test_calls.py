@@ -216,7 +216,7 @@ def test_a_thread_of_an_unknown_process_is_one_of_the_process_that_is_known_by_o
     unknown = [sent(10, tid=11), sent(20, "/by_hits", 2, 0xA1), sent(30, "/by_hits", 2, 0xA1), sent(40, "/a", tid=99)]
     observed.feed(one._replace(pid=0) if place != 1 else one for place, one in enumerate(unknown))
     found = [(stream.identity["node"], stream.counts["messages"]) for stream in streams(observed)]
-    assert found == [("/lidar", 1), ("/detector", 2), ("process -99", 1)]
+    assert found == [("/lidar", 1), ("/detector", 2), ("process of thread 99", 1)]
 
 
 def test_the_last_hits_of_a_program_that_has_ended_are_still_its_own():

@@ -164,7 +164,7 @@ def in_parallel(work, times):
 def test_nobody_gets_the_number_of_another(tmp_path):
     """Neither at the same time, nor while one of them is filled, nor when it stands there."""
     (tmp_path / "004-messages-a").mkdir()
-    together = threading.Barrier(16)
+    together = threading.Barrier(16, timeout=20)
 
     def take(_):
         with run_directory.numbered(tmp_path) as folder:
