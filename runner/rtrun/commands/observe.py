@@ -159,7 +159,7 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
     import secrets
 
     from rtfiles import atomic
-    from rtfiles.errors import InfrastructureError, UsageError
+    from rtfiles.errors import InfrastructureError
     from rtfiles.output import beside_the_answer, print_line, print_status
     from rtrun.commands._link import linked
     from rtrun.execution import preparation, run_execution
