@@ -32,12 +32,7 @@ _PID = re.compile(r"[0-9]{1,7}", re.ASCII)
 
 def program_of(scripts: PurePosixPath, remote: PurePosixPath, command: str, deadline_s: float) -> Program:
     """The program of a run, whose folder on the target is `remote`, that runs a command."""
-    return Program(name=SYSTEM, argv=(str(scripts / "system.sh"), "run", _mark(remote), command), deadline_s=deadline_s)
-
-
-def _mark(remote: PurePosixPath) -> str:
-    """What tells the processes of a run from all others; the same in each attempt, and in no other campaign."""
-    return f"{remote.parent.name}/{remote.name}/"
+    return Program(name=SYSTEM, argv=(str(scripts / "system.sh"), "run", str(remote), command), deadline_s=deadline_s)
 
 
 def wait_ready(
@@ -116,7 +111,7 @@ def _published(
 
 
 def _pids(link: Link, scripts: PurePosixPath, remote: PurePosixPath) -> set[int]:
-    printed = link.check([str(scripts / "system.sh"), "pids", _mark(remote)])
+    printed = link.check([str(scripts / "system.sh"), "pids", str(remote)])
     return {int(word) for word in printed.split() if _PID.fullmatch(word)}
 
 
@@ -132,7 +127,7 @@ def end_of(link: Link, remote: PurePosixPath) -> str | None:
 def end(link: Link, scripts: PurePosixPath, remote: PurePosixPath) -> Exit:
     """End what the command has started and still runs, and nothing else. Its exit status where it ended by itself."""
     by_itself = SYSTEM in processes.list_ended(link, remote, [SYSTEM])
-    left = link.check([str(scripts / "system.sh"), "end", _mark(remote)], deadline_s=END_S).split()
+    left = link.check([str(scripts / "system.sh"), "end", str(remote)], deadline_s=END_S).split()
     if left:
         link.note(f"the system could not be ended: still there are the processes {', '.join(left)}")
     processes.end(link, remote, SYSTEM)

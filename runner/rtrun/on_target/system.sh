@@ -1,24 +1,37 @@
 #!/bin/sh
 # The user's system: run by its command, and ended with everything that it started, in whatever session.
 #
-#   system.sh run MARK COMMAND   run COMMAND by sh, in the home folder; it and what it starts have RTRUN_SYSTEM=MARK in
-#                                their environment. On SIGTERM all of that is ended.
-#   system.sh pids MARK          print the processes that have it, and their children
-#   system.sh end MARK           end them: as Ctrl-C does first, then by SIGTERM, at last by SIGKILL; print those that stay
+#   system.sh run FOLDER COMMAND   run COMMAND by sh, in the home folder; it and what it starts have a secret in their
+#                                  environment. On SIGTERM all of that is ended.
+#   system.sh pids FOLDER          print the processes that have it, and their children
+#   system.sh end FOLDER           end them: as Ctrl-C does first, then by SIGTERM, finally by SIGKILL; print those that stay
 #
-# MARK is of one run alone, and ends with a slash, so that none is the beginning of another.
+# FOLDER is that of the run. The secret is in a file there that only this user can read, and in no command line: whoever
+# knew it could let root end any process as a child of theirs.
 set -u
-mark=$2
+folder=$2
+file=$folder/system.secret
 
-# A program may have cleared its environment: it is known by its parent then. Of a process: its parent and its state.
+# Set `secret` to that of the run; it stays empty where there is none.
+read_secret() {
+    secret=${RTRUN_SECRET:-}
+    [ -n "$secret" ] || IFS= read -r secret <"$file" || secret=
+    # Whatever the file holds: an empty pattern would be found in every process.
+    case ${secret##*/} in ????????-????-????-????-????????????) ;; *) secret= ;; esac
+} 2>/dev/null
+
+# A program may have cleared its environment: it is known by its parent then. Names of processes may hold anything, line
+# ends as well; in `status` they are escaped.
 pids() {
+    read_secret
+    [ -n "$secret" ] || return 0
     {
-        grep -lsF "RTRUN_SYSTEM=$mark" /proc/[0-9]*/environ | sed 's,^/proc/\([0-9]*\)/.*,marked \1,'
-        # Names may hold blanks and brackets.
-        cat /proc/[0-9]*/stat 2>/dev/null | sed -n 's/^\([0-9]*\) (.*) \([A-Za-z]\) \([0-9]*\) .*/\1 \2 \3/p'
+        printf '%s\n' "RTRUN_SYSTEM=$secret" | grep -lsFf - /proc/[0-9]*/environ | sed 's,^/proc/\([0-9]*\)/.*,\1 marked,'
+        grep -s -e '^PPid:' -e '^State:' /proc/[0-9]*/status | sed 's,^/proc/\([0-9]*\)/status:,\1 ,'
     } | awk '
-        $1 == "marked" { ours[$2]; next }
-        { state[$1] = $2; parent[$1] = $3 }
+        $2 == "marked" { ours[$1] }
+        $2 == "State:" { state[$1] = $3 }
+        $2 == "PPid:" { parent[$1] = $3 }
         END {
             do {
                 found = 0
@@ -60,9 +73,15 @@ case $1 in
 run)
     cd "${HOME:-/}" || cd /
     trap '' INT
-    # Whoever ends this one kills it soon.
-    trap 'setsid "$0" end "$mark" >/dev/null 2>&1 9>&- &' TERM
-    RTRUN_SYSTEM=$mark sh -c "$3" &
+    campaign=${folder%/*}
+    read -r secret </proc/sys/kernel/random/uuid || exit 1
+    secret=${campaign##*/}/${folder##*/}/$secret
+    # Of an attempt before nothing lives.
+    rm -f "$file"
+    (umask 077 && printf '%s\n' "$secret" >"$file") || exit 1
+    # Whoever ends this one kills it soon, and removes the folder.
+    trap 'RTRUN_SECRET=$secret setsid "$0" end "$folder" >/dev/null 2>&1 9>&- &' TERM
+    RTRUN_SYSTEM=$secret sh -c "$3" &
     wait $!
     status=$?
     exit $status

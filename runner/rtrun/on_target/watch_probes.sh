@@ -48,7 +48,10 @@ fail() {
 
 # The start time of a process, in ticks since the boot: field 22 of proc(5).
 started() {
-    read -r stat <"/proc/$1/stat" || return 0
+    stat=
+    # The name may hold anything, brackets and lines too: the fields stand behind the last bracket.
+    while IFS= read -r line || [ -n "$line" ]; do stat=$line; done <"/proc/$1/stat"
+    [ -n "$stat" ] || return 0
     # shellcheck disable=SC2086 # numbers
     set -- ${stat##*) }
     shift 19

@@ -10,8 +10,9 @@ FUNCTIONS = """
 is_our_group() {
     [ "$1" -gt 1 ] || return 1
     for process in /proc/[0-9]*; do
-        read -r stat <"$process/stat" || continue
-        # After the name, which may hold blanks: state, parent, group (proc(5)).
+        stat=
+        # The name may hold anything, brackets and lines too. Behind the last bracket: state, parent, group (proc(5)).
+        while IFS= read -r line || [ -n "$line" ]; do stat=$line; done <"$process/stat"
         stat=${stat##*) }
         stat=${stat#* * }
         [ "${stat%% *}" = "$1" ] && is_ours "$process" && return
