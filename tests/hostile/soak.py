@@ -160,7 +160,7 @@ def _is_whole(folder: Path) -> bool:
 def small_disk(folder: Path) -> Iterator[bool]:
     """Mount a small disk on a folder; yields whether that is allowed."""
     folder.mkdir()
-    argv = ["mount", "-t", "tmpfs", "-o", f"size={DISK_MIB}m", "tmpfs", folder]
+    argv = ["mount", "-t", "tmpfs", "-o", f"size={DISK_MIB}m,mode=755", "tmpfs", folder]
     is_mounted = subprocess.run(argv, capture_output=True, check=False).returncode == 0
     try:
         yield is_mounted

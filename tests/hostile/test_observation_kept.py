@@ -205,7 +205,7 @@ def test_a_disk_of_the_runner_that_has_no_room_for_all(tmp_path, standin):
     disk = tmp_path / "disk"
     disk.mkdir()
     # Room for the reserve, and for some of the streams: 500 rows of a second are 16 kB of each.
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1200k", "tmpfs", disk], check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1200k,mode=755", "tmpfs", disk], check=True)
     try:
         status, records = observe(tmp_path, "kind: local\n", standin, results=disk)
         assert (status, records["001"]["status"]) == (3, "incomplete")
@@ -238,7 +238,7 @@ def test_a_picture_that_finds_no_room(tmp_path, standin):
     """It is written once the runs are kept."""
     disk = tmp_path / "disk"
     disk.mkdir()
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", disk], check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k,mode=755", "tmpfs", disk], check=True)
     try:
         status, records = observe(tmp_path, "kind: local\n", standin, "--perfetto", str(disk / "trace"))
     finally:
