@@ -42,15 +42,13 @@ def records(folder):
 
 
 def marked(folder):
-    """The processes that were started for a campaign, by what they run."""
-    work, found = str(folder / "results"), {}
-    uid = sqlite3.connect(f"{work}/journal.sqlite").execute("SELECT uid FROM campaign").fetchone()[0]
-    for path in Path("/proc").glob("[0-9]*"):
-        try:
-            if f"RTRUN_SYSTEM={uid}/".encode() in (path / "environ").read_bytes():
-                found[int(path.name)] = (path / "cmdline").read_bytes()
-        except OSError:
-            continue
+    """The processes that were started for a campaign, by what they run: each is in a control group of its program."""
+    found = {}
+    for known_by in (folder / "work/runs").glob("*/*/*.known_by"):
+        for procs in Path(known_by.read_text().strip()).rglob("cgroup.procs"):
+            for pid in procs.read_text().split():
+                with contextlib.suppress(OSError):
+                    found[int(pid)] = Path(f"/proc/{pid}/cmdline").read_bytes()
     return found
 
 
@@ -62,6 +60,12 @@ def marked(folder):
         ("exec sleep 600", "topic /a", "waited 2 s for a program .* has started none that uses ROS 2 or roscpp"),
         ("exec {standin} 200 999999", "topic /b", "waited 2 s for the system to publish /b: seen were /a"),
         ("timeout 8 {standin} 200 999999; exit 5", "topic /a", "ended while it was observed, with exit status 5"),
+        ("{standin} 200 999999 & sleep 6; exit 5", "topic /a", "ended while it was observed, with exit status 5"),
+        (
+            "{standin} 200 999999 & sleep 6; kill -KILL $(ps -o ppid= -p $$); sleep 60",
+            "topic /a",
+            "ended while it was observed, killed from outside",
+        ),
     ],
 )
 def test_what_does_not_come_up_or_does_not_stay_is_said(folder, standin, monkeypatch, start, ready, reason, capsys):

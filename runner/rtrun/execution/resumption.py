@@ -42,13 +42,12 @@ done
 """
 # Prints the first program that lives of any run, or of a build beside them, and its process group, if that is known.
 _BUSY = (
-    groups.OF_PROGRAM
-    + groups.LIVING
+    groups.FUNCTIONS
     + """
 busy=$({ living "$1"; living "${1%/*}/building"; } | head -n 1)
 if [ "$busy" ]; then
     name=${busy%.lock}
-    find_group || group=
+    cd "${busy%/*}" && find_group "${name##*/}" || group=
     echo "$name"
     echo "$group"
     exit 0

@@ -157,7 +157,7 @@ def _resume(work: Work, life: RunLife) -> Attempt | None:
 def _give_up(work: Work) -> None:
     """End all that runs of it, and remove its folder on the target."""
     if work.starts_system:
-        system.end(work.link, work.prepared.scripts, work.remote)
+        system.end(work.link, work.remote)
     processes.give_up(work.link, work.remote, work.programs.names)
 
 
@@ -293,7 +293,7 @@ def _observe(work: Work, life: RunLife, not_started: str | None, now: Clock) -> 
     exits = [Exit(status=None, expired=False) for _ in work.programs.of_suite]
     with _keeping(observed, work, troubles):
         if work.starts_system:
-            exits = [system.end(link, scripts, work.remote)]
+            exits = [system.end(link, work.remote)]
     life.move(RunEvent.END)
     return _Measured(exits=exits, failure=failure, observed=observed, troubles=troubles)
 

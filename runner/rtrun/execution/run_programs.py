@@ -92,7 +92,7 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
         stages, outputs = (of_topology.programs,), list[str]()
     elif run.observation is not None:
         deadline_s = run.expected_s + OBSERVED_EXTRA_S
-        stages, outputs = _observed(prepared, run, remote, deadline_s), []
+        stages, outputs = _observed(run, deadline_s), []
     else:
         stages, outputs = _of_suite(prepared, run, deadline_s, token)
     of_suite = [program for stage in stages for program in stage]
@@ -140,12 +140,10 @@ def _environment(prepared: Prepared, middleware: str) -> tuple[tuple[str, str], 
     return middlewares()[middleware].environment_with(ros_master_port=prepared.link.target.master_port)
 
 
-def _observed(
-    prepared: Prepared, run: Run, remote: PurePosixPath, deadline_s: float
-) -> tuple[tuple[Program, ...], ...]:
+def _observed(run: Run, deadline_s: float) -> tuple[tuple[Program, ...], ...]:
     """The program that runs the command of the user's system, where there is one."""
     command = run.observation.system.start if run.observation else ""
-    return ((system.program_of(prepared.scripts, remote, command, deadline_s),) if command else (),)
+    return ((system.program_of(command, deadline_s),) if command else (),)
 
 
 def _of_suite(

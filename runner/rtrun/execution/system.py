@@ -1,7 +1,6 @@
 """The user's system: started by its command on the target, waited for until it is ready, ended with all it started."""
 
 import contextlib
-import re
 import time
 from pathlib import PurePosixPath
 
@@ -24,15 +23,15 @@ READY_S = 180.0
 # A topic is looked for so long at a time: then there may be more programs, with other libraries.
 LOOK_S = 5.0
 POLL_S = 0.5
-# system.sh gives the programs 17 s.
+# The programs are given 17 s.
 END_S = 60.0
 _NAMES_SHOWN = 8
-_PID = re.compile(r"[0-9]{1,7}", re.ASCII)
+_RUN = 'cd "${HOME:-/}" || cd /; exec sh -c "$1"'
 
 
-def program_of(scripts: PurePosixPath, remote: PurePosixPath, command: str, deadline_s: float) -> Program:
-    """The program of a run, whose folder on the target is `remote`, that runs a command."""
-    return Program(name=SYSTEM, argv=(str(scripts / "system.sh"), "run", str(remote), command), deadline_s=deadline_s)
+def program_of(command: str, deadline_s: float) -> Program:
+    """The program of a run that runs a command by sh, in the home folder."""
+    return Program(name=SYSTEM, argv=("sh", "-c", _RUN, "sh", command), deadline_s=deadline_s)
 
 
 def wait_ready(
@@ -51,7 +50,7 @@ def wait_ready(
         watched = observation.watch(link, scripts, plan)
         own = watched.found
         if plan.system.start:
-            pids = _pids(link, scripts, remote)
+            pids = processes.look(link, remote, SYSTEM).pids
             own = tuple(each for each in watched.found if each.program.pid in pids)
         if own and not topic:
             return None
@@ -110,27 +109,24 @@ def _published(
     return published
 
 
-def _pids(link: Link, scripts: PurePosixPath, remote: PurePosixPath) -> set[int]:
-    printed = link.check([str(scripts / "system.sh"), "pids", str(remote)])
-    return {int(word) for word in printed.split() if _PID.fullmatch(word)}
-
-
 def end_of(link: Link, remote: PurePosixPath) -> str | None:
-    """How the command ended, with its last word; None while it runs."""
-    if SYSTEM not in processes.list_ended(link, remote, [SYSTEM]):
+    """How the system ended, with its last word; None while it runs.
+
+    A command that ended well may leave the system running. One that failed, or lost its supervisor, is no system.
+    """
+    standing = processes.look(link, remote, SYSTEM)
+    if standing.status is None and not standing.is_alone:
         return None
-    status = processes.wait(link, remote, SYSTEM, deadline_s=END_S).status
+    if standing.status == 0 and standing.pids:
+        return None
     said = processes.read_last_line(link, remote / f"{SYSTEM}.stderr") or "it said nothing"
-    return f"with exit status {status}: {said}" if status is not None else f"killed from outside: {said}"
+    if standing.status is None:
+        return f"killed from outside: {said}"
+    return f"with exit status {standing.status}: {said}"
 
 
-def end(link: Link, scripts: PurePosixPath, remote: PurePosixPath) -> Exit:
+def end(link: Link, remote: PurePosixPath) -> Exit:
     """End what the command has started and still runs, and nothing else. Its exit status where it ended by itself."""
-    by_itself = SYSTEM in processes.list_ended(link, remote, [SYSTEM])
-    left = link.check([str(scripts / "system.sh"), "end", str(remote)], deadline_s=END_S).split()
-    if left:
-        link.note(f"the system could not be ended: still there are the processes {', '.join(left)}")
-    processes.end(link, remote, SYSTEM)
-    if not by_itself:
-        return Exit(status=None, expired=False)
-    return processes.wait(link, remote, SYSTEM, deadline_s=END_S)
+    standing = processes.look(link, remote, SYSTEM)
+    processes.end(link, remote, SYSTEM, stages=processes.LIKE_CTRL_C)
+    return Exit(status=standing.status, expired=False)

@@ -30,6 +30,8 @@ hierarchy() {
         below=${path#"$top"}
         below=${below%/}
         [ -d "$3$below" ] || below=
+        # Made by processes.sh, without limits of its own.
+        case $below in */rtrun-????????-????-????-????-????????????) below=${below%/*} ;; esac
         while :; do
             group=$top$below
             # Names may hold backslashes, which echo would read.

@@ -17,6 +17,9 @@
 # The names of trace and probes tell which process takes them off: "rtrun-observe-" and "rtrun_observe_", then its
 # namespace, pid and start time. What a killed one has left is removed at the next start; other names are left alone.
 set -u
+scripts=${0%/*}
+# shellcheck source=runner/rtrun/on_target/processes.sh
+. "$scripts/processes.sh"
 case $1 in
 inside) shift ;;
 *)
@@ -25,7 +28,7 @@ inside) shift ;;
     exec 3<&0
     setsid "$0" inside "$@" <&3 3<&- &
     inside=$!
-    trap 'kill -TERM $inside' TERM HUP INT
+    trap 'send_child TERM $inside' TERM HUP INT
     wait $inside
     status=$?
     # A signal ends `wait` early.
@@ -36,7 +39,6 @@ esac
 seconds=$1 silence=$2 buffer_kb=$3 limit=$4 pattern=$5
 shift 5
 events=$*
-scripts=${0%/*}
 tracing=/sys/kernel/tracing
 # Whoever reads may go away: a failed print ends what prints, not this.
 trap '' PIPE
@@ -46,17 +48,8 @@ fail() {
     exit "${2:-3}"
 }
 
-# The start time of a process, in ticks since the boot: field 22 of proc(5).
-started() {
-    stat=
-    # The name may hold anything, brackets and lines too: the fields stand behind the last bracket.
-    while IFS= read -r line || [ -n "$line" ]; do stat=$line; done <"/proc/$1/stat"
-    [ -n "$stat" ] || return 0
-    # shellcheck disable=SC2086 # numbers
-    set -- ${stat##*) }
-    shift 19
-    echo "$1"
-} 2>/dev/null
+# The start time of a process, in ticks since the boot.
+started() { if look "$1"; then echo "$start"; fi; }
 
 # Whether the process in a name has ended. Processes of another namespace cannot be seen from here.
 is_gone() {
@@ -249,25 +242,51 @@ print_rounds() {
 
 # The last events are printed first, unless nobody reads any more: a busy machine may read late.
 take_off() {
-    trap '' TERM HUP INT ALRM
+    trap '' TERM HUP INT USR1 USR2
     trap - EXIT
+    if [ -n "$sleeper" ]; then send_child KILL "$sleeper"; fi
     if [ -n "$printer" ]; then
         echo 0 >"$instance/tracing_on"
-        kill -USR1 "$printer"
-        { sleep "$silence"; kill -TERM 0; } >/dev/null &
-        killer=$!
-        wait "$printer"
-        kill -KILL $killer
+        send_child USR1 "$printer"
+        give_time "$printer"
     fi 2>/dev/null
     word=done
     remove "$name" || word="left $name"
     # A dead link takes no more lines.
-    { sleep "$silence"; kill -KILL 0; } >/dev/null 2>&1 &
-    killer=$!
-    echo "$word"
-    kill -KILL $killer
-    # Whatever still sleeps: this group is ours alone.
+    echo "$word" &
+    give_time $!
+    # Whatever still sleeps.
     kill -TERM 0
+}
+
+# Wait for the end of a child as long as nothing may be heard, then end it, and all else that was started: this group is
+# ours alone. Nothing sleeps beside it that would have to be ended in turn.
+give_time() {
+    tries=$((silence * 10))
+    while look "$1" && [ "$parent" = $$ ] && [ "$state" != Z ]; do
+        if [ $tries -eq 0 ]; then
+            kill -TERM 0
+            send_child KILL "$1"
+            return
+        fi
+        sleep 0.1
+        tries=$((tries - 1))
+    done
+}
+
+# Tell the script of each line of the standard input, and of its end. Where it was killed, what it has left is ended.
+listen() {
+    read -r own _ </proc/self/stat
+    while read -r _; do tell USR2; done
+    # Again, as one that is killed may not be gone yet. This ends with the script.
+    while :; do
+        tell USR1
+        sleep 1
+    done
+}
+
+tell() {
+    if look "$own" && [ "$parent" = $$ ]; then kill "-$1" $$; else kill -KILL 0; fi
 }
 
 [ -d $tracing/instances ] || mount -t tracefs tracefs $tracing 2>/dev/null ||
@@ -291,11 +310,11 @@ namespace=${namespace:-0}
 group=rtrun_observe_$name
 instance=$tracing/instances/rtrun-observe-$name
 printer=
+sleeper=
 remove_leftovers
 mkdir "$instance" 2>/dev/null || fail "no kernel trace: $instance cannot be made; are there too many already?"
 trap take_off EXIT
 trap 'exit 3' TERM HUP
-trap 'fail "nothing was heard from rtrun for $silence s, so the probes were taken off" 4' ALRM
 echo mono >"$instance/trace_clock" || fail "no kernel trace: the kernel has no trace clock mono"
 echo "$buffer_kb" >"$instance/buffer_size_kb" 2>/dev/null ||
     fail "no kernel trace: there is no memory for $buffer_kb kB for each CPU"
@@ -349,16 +368,25 @@ mark observes
 echo "ready"
 print_rounds &
 printer=$!
-{ sleep "$seconds"; kill -TERM $$; } >/dev/null 2>&1 &
-guard_silence() {
-    { sleep "$silence"; kill -ALRM $$; } >/dev/null 2>&1 &
-    guard=$!
-}
-guard_silence
-# The end of the standard input is what this waits for.
-while read -r _; do
-    # KILL: another signal is lost in a shell that has only just begun.
-    kill -KILL $guard 2>/dev/null
-    guard_silence
+trap 'exit 0' USR1
+trap 'is_heard=1' USR2
+# In the background it would read nothing.
+exec 4<&0
+listen <&4 4<&- >/dev/null 2>&1 &
+exec </dev/null 4<&-
+read -r now _ </proc/uptime
+end=$((${now%.*} + seconds))
+while :; do
+    is_heard=
+    read -r now _ </proc/uptime
+    left=$((end - ${now%.*}))
+    [ $left -gt 0 ] || exit 3
+    [ $left -le "$silence" ] || left=$silence
+    # A signal ends the waiting, not the sleeping.
+    sleep $left >/dev/null 2>&1 &
+    sleeper=$!
+    wait $sleeper
+    send_child KILL $sleeper
+    [ -n "$is_heard" ] || [ $left -lt "$silence" ] ||
+        fail "nothing was heard from rtrun for $silence s, so the probes were taken off" 4
 done
-exit 0

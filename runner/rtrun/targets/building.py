@@ -1,5 +1,6 @@
 """The suites built on a target, by its own compiler and for the ROS that it has."""
 
+import secrets
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
@@ -22,7 +23,32 @@ SHOWN_LINES = 16
 SHOWN_CHARACTERS = 8000
 # The middlewares that a shell file sets up, of which the target may have several.
 OF_ROS = ("roscpp", "rcl")
-_LIVING_RUNS = groups.LIVING + 'cd "$1" && living runs'
+_LIVING_RUNS = groups.FUNCTIONS + 'cd "$1" && living runs'
+# Starts a build in the folder $2 below $1 by the words that follow, unless one is going on: of that it prints the
+# process group. A build holds the lock of all builds as long as a process of it lives, also when its runner is gone.
+# This may be repeated after a lost link: the build that it started is not refused.
+_START = (
+    groups.FUNCTIONS
+    + """
+mkdir -p "$1/$2" && cd "$1" || exit 1
+folder=$2
+shift 2
+[ ! -e "$folder/build.boot_id" ] || exit 0
+(umask 077 && : >>lock) && exec 7>lock || exit 1
+if ! flock -n 7; then
+    rm -rf "$folder"
+    other=$(living . | head -n 1)
+    cd "${other%/*}" 2>/dev/null && find_group build || group=
+    echo "busy ${group:-unknown}"
+    exit 0
+fi
+# Another runner may be about to read how its own has ended.
+for other in */; do
+    [ "$other" = "$folder/" ] || [ -n "$(find "$other/build.exit" -mtime -1 2>/dev/null)" ] || rm -rf "$other"
+done
+exec "$@"
+"""
+)
 
 
 def build(link: Link, sources: Path) -> Mapping[str, str]:
@@ -49,13 +75,11 @@ def build(link: Link, sources: Path) -> Mapping[str, str]:
         raise TargetError(f"{target.address}: a campaign measures there ({living[0]}): building would disturb it")
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     copied = deploy.deploy(link, sources, "sources")
-    folder = target.work_dir / "building"
+    folder = target.work_dir / "building" / secrets.token_hex(8)
     words = [str(copied), str(folder), str(target.work_dir / BUILT), *filter(None, setups)]
     program = Program(name=NAME, argv=(str(scripts / SCRIPT), *words), deadline_s=BUILD_S)
-    processes.give_up(link, folder)
     try:
-        link.check(["mkdir", "-p", str(folder)])
-        processes.start(link, scripts, folder, program)
+        _start(link, scripts, folder, program)
         ended = processes.wait(link, folder, NAME, deadline_s=BUILD_S + END_GRACE_S)
         if ended.status != 0:
             raise TargetError(f"{target.address}: {_last_words(link, folder)}")
@@ -66,6 +90,18 @@ def build(link: Link, sources: Path) -> Mapping[str, str]:
         raise
     processes.give_up(link, folder)
     return inspection.inspect(link).built_with
+
+
+def _start(link: Link, scripts: PurePosixPath, folder: PurePosixPath, program: Program) -> None:
+    """Start a build. Raises TargetError where another one is going on."""
+    words = ["sh", "-c", _START, "sh", str(folder.parent), folder.name, *processes.call(scripts, folder, program)]
+    printed = link.check(words).split()
+    if printed[:1] == ["busy"]:
+        group = printed[1] if printed[1:] else ""
+        how = f", or end it there: kill -- -{group}" if group.isdecimal() and group.isascii() else ""
+        raise TargetError(
+            f"{link.target.address}: a build of suites that another call started is going on there: wait for it{how}"
+        )
 
 
 def _last_words(link: Link, folder: PurePosixPath) -> str:

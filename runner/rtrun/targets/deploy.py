@@ -50,7 +50,7 @@ rm -rf "$1/${1##*/}.$3" "$1.$3.damaged"
 """
 # Nothing while a program of any run lives: it may have been started from any of the trees.
 _PRUNE = (
-    groups.LIVING
+    groups.FUNCTIONS
     + """
 cd "$1" || exit 1
 [ -z "$(living runs)" ] || exit 0

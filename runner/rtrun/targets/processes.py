@@ -1,12 +1,16 @@
 """Programs on the target, detached from the connection: started once, waited for, ended."""
 
+import contextlib
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import overload
 
+from rtfiles.output import listed
 from rtfiles.untrusted import whole_number
+from rtrun.plan.limits import PID_MAX
 from rtrun.plan.program import Exit, Program
 from rtrun.targets import groups
 from rtrun.targets.connection import join_commands
@@ -41,54 +45,70 @@ cat "$program.exit" 2>/dev/null
 exit 0
 """
 _LIST_ENDED = 'cd "$1" && shift && for name; do if flock -n -s "$name.lock" true; then echo "$name"; fi; done'
-# Programs, with the name * all that live, are asked to end (SIGTERM), and killed when their time is up: $2, pauses in
-# seconds.
+# Programs, with the name * all of the folder, are ended by the signals of $2, as `end_processes` reads them. Prints a
+# line "PROGRAM PID NAME" for each process that stays, without the last two words where the target shows none.
 _END = (
-    groups.OF_PROGRAM
-    + groups.LIVING
+    groups.FUNCTIONS
     + """
 cd "$1" 2>/dev/null || exit 0
-pauses=$2
+stages=$2
 shift 2
 if [ "$*" = "*" ]; then
     # Their names have no blanks.
     # shellcheck disable=SC2046
-    set -- $(living . | sed 's,.*/,,; s,[.]lock$,,')
+    set -- $(find . ! -name . -prune -name '*.known_by' | sed 's,^[.]/,,; s,[.]known_by$,,')
 fi
-boot_id=$(cat /proc/sys/kernel/random/boot_id)
-running=
-status=0
-for name; do
-    # The lock is taken before the program starts: while it is taken, the pid file is still to come.
+names=$*
+lives() { [ -e "$name.lock" ] && ! flock -n "$name.lock" true; }
+list_all() { for name in $names; do know "$name" && list_processes; done; }
+# The lock is taken before the program starts: while it is taken, what it is known by is still to come.
+for name in $names; do
     for _ in 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20; do
-        [ -s "$name.pid" ] && break
-        flock -n "$name.lock" true && continue 2
+        lives && ! { know "$name" && [ -n "$(list_processes)" ]; } || break
         sleep 0.2
     done
-    # After a reboot the pid belongs to another process.
-    [ "$(cat "$name.boot_id" 2>/dev/null)" = "$boot_id" ] || continue
-    if find_group; then
-        kill -TERM "-$group" 2>/dev/null && running="$running $name"
-    elif ! flock -n "$name.lock" true; then
-        echo "$PWD/$name runs, but its pid file does not say which process it is: end it on the target" >&2
-        status=1
+done
+end_processes "$stages" list_all >/dev/null
+for name in $names; do
+    know "$name"
+    remove_group
+    for _ in 1 2 3 4 5 6 7 8 9 10; do lives || break; sleep 0.1; done
+    left=$(list_processes)
+    ! lives || left=$({ echo "$left"; list_holders; } | sort -u)
+    if [ -n "$left" ]; then
+        name_processes $left | while IFS= read -r line; do echo "$name $line"; done
+    elif lives; then
+        echo "$name"
     fi
 done
-for name in $running; do
-    for pause in $pauses; do flock -n "$name.lock" true && continue 2; sleep $pause; done
-    find_group && kill -KILL "-$group" 2>/dev/null
-    for _ in 1 2 3 4 5 6 7 8 9 10; do flock -n "$name.lock" true && break; sleep 0.1; done
-done
-exit $status
+exit 0
 """
 )
 # For a program that puts something right at its end.
-_LONG_PAUSES_S = "0.05 0.05 0.1 0.2 0.2 0.2 0.4 0.4 0.4"
+_PATIENT = "TERM:20 KILL:10"
 # For a load, which has nothing to put right: a worker of stress-ng --vm ends only after its pass over the memory.
-_SHORT_PAUSES_S = "0.05 0.05 0.1"
+_IMPATIENT = "TERM:2 KILL:10"
+LIKE_CTRL_C = "INT:100 TERM:50 KILL:20"
+"""For a driver that stops its motors: as Ctrl-C first."""
+_LEFT_SHOWN = 8
+_LEFT = re.compile(r"([A-Za-z0-9_.-]{1,64})(?: ([0-9]{1,7}) ([ -~]{0,64}))?", re.ASCII)
+# How the command of a program stands: its exit status, whether its supervisor lives, the processes that it has started.
+_LOOK = (
+    groups.FUNCTIONS
+    + """
+cd "$1" && know "$2" || exit 1
+status=
+flock -n -s "$2.supervised" true && echo alone
+[ ! -e "$2.exit" ] || read -r status _ <"$2.exit"
+[ -z "$status" ] || echo "exit $status"
+list_processes | sed 's/:.*//; s/^/process /'
+exit 0
+"""
+)
 # supervise.sh starts nothing in a folder with this mark, not even when it was called before the mark was made.
 _GIVE_UP = '[ ! -d "$1" ] || : >"$1/given_up"; exit 0'
 _MARK = "== ended"
+_THEN = "== then"
 # A background program ended early when it ended before the last of the suite's programs. This answer and the service
 # that was seen at the end are kept in the folder before anything is ended: the caller may ask again after a lost link,
 # or after the runner was killed, and then what the runner itself has ended must not count.
@@ -148,13 +168,15 @@ def start(
     link: Link, scripts: PurePosixPath, folder: PurePosixPath, *programs: Program, setup: str | None = None
 ) -> None:
     """Start programs in this order in an existing folder of the target; a program is started there only once."""
-    commands = []
-    for program in programs:
-        env = ["env", *(f"{name}={value}" for name, value in program.environment)] if program.environment else []
-        deadline = str(round(program.deadline_s))
-        supervise = str(scripts / "supervise.sh")
-        commands.append([supervise, str(folder), program.name, deadline, setup or "", *env, *program.argv])
-    link.check(join_commands(commands))
+    link.check(join_commands([call(scripts, folder, program, setup=setup) for program in programs]))
+
+
+def call(scripts: PurePosixPath, folder: PurePosixPath, program: Program, *, setup: str | None = None) -> list[str]:
+    """The command that starts a program in an existing folder of the target."""
+    env = ["env", *(f"{name}={value}" for name, value in program.environment)] if program.environment else []
+    deadline = str(round(program.deadline_s))
+    supervise = str(scripts / "supervise.sh")
+    return [supervise, str(folder), program.name, deadline, setup or "", *env, *program.argv]
 
 
 @overload
@@ -196,27 +218,66 @@ def _exit_status(word: str) -> int | None:
         return None
 
 
-def end(link: Link, folder: PurePosixPath, *names: str) -> None:
-    """End those programs of a folder that still run, with everything they started."""
-    link.run(_end(folder, names), deadline_s=END_BACKGROUND_S)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """How a started program stands: the exit status of its command, once it has ended, and what of it lives.
+
+    `is_alone`: it has no supervisor any more. Without an exit status that was killed from outside.
+    """
+
+    status: int | None
+    is_alone: bool
+    pids: frozenset[int]
+
+
+def look(link: Link, folder: PurePosixPath, name: str) -> Standing:
+    """See how a program stands that was started, without waiting for it."""
+    words = [line.split() for line in link.check(["sh", "-c", _LOOK, "sh", str(folder), name]).splitlines()]
+    pids = set()
+    for word in (word for word in words if word[:1] == ["process"] and len(word) == 2):
+        with contextlib.suppress(ValueError):
+            pids.add(whole_number(word[1], lowest=2, highest=PID_MAX))
+    status = next((_exit_status(word[1]) for word in words if word[:1] == ["exit"] and len(word) == 2), None)
+    return Standing(status=status, is_alone=["alone"] in words, pids=frozenset(pids))
+
+
+def end(link: Link, folder: PurePosixPath, *names: str, stages: str = _PATIENT) -> None:
+    """End those programs of a folder that still run, with everything they started; a note names what stays."""
+    printed = link.check(_end(folder, names, stages), deadline_s=END_BACKGROUND_S)
+    if left := _left(printed):
+        link.note(f"{link.target.address}: {left}")
+
+
+def _left(printed: str) -> str:
+    """What `_END` says that stays, in words; empty: nothing does."""
+    lines = [match for line in printed.splitlines() if (match := _LEFT.fullmatch(line))]
+    names = [f"{each[2]} ({each[3]}) of {each[1]}" if each[2] else f"hidden ones of {each[1]}" for each in lines]
+    if not names:
+        return ""
+    return f"these processes could not be ended: {listed(names, _LEFT_SHOWN)}: end them on the target"
 
 
 def remove(link: Link, folder: PurePosixPath) -> None:
-    """Remove a folder of the target in which nothing runs, whatever is in it."""
-    link.check(["rm", "-rf", str(folder)], deadline_s=REMOVE_S)
+    """Remove a folder of the target, whatever is in it, and end what its programs left; a note says what stays."""
+    commands = [_end(folder, ["*"]), ["rm", "-rf", str(folder)]]
+    printed = link.check(join_commands(commands), deadline_s=END_BACKGROUND_S + REMOVE_S)
+    if left := _left(printed):
+        link.note(f"{link.target.address}: {left}")
 
 
 def give_up(link: Link, folder: PurePosixPath, names: Sequence[str] = ("*",)) -> None:
     """End these programs of a folder, or all; prevent pending starts, and remove the folder.
 
-    May be repeated after a failure.
+    May be repeated after a failure. Raises TargetError where something of them cannot be ended.
     """
-    commands = [["sh", "-c", _GIVE_UP, "sh", str(folder)], _end(folder, names), ["rm", "-rf", str(folder)]]
-    link.check(join_commands(commands), deadline_s=END_BACKGROUND_S + REMOVE_S)
+    commands = [["sh", "-c", _GIVE_UP, "sh", str(folder)], _end(folder, names)]
+    if left := _left(link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)):
+        raise TargetError(f"{link.target.address}: {folder}: {left}")
+    link.check(["rm", "-rf", str(folder)], deadline_s=REMOVE_S)
 
 
-def _end(folder: PurePosixPath, names: Sequence[str], pauses: str = _LONG_PAUSES_S) -> list[str]:
-    return ["sh", "-c", _END, "sh", str(folder), pauses, *names]
+def _end(folder: PurePosixPath, names: Sequence[str], stages: str = _PATIENT) -> list[str]:
+    return ["sh", "-c", _END, "sh", str(folder), stages, *names]
 
 
 def end_background(
@@ -241,12 +302,16 @@ def end_background(
         keep_end,
         ["echo", _MARK],
         _end(folder, first),
-        _end(folder, loads, _SHORT_PAUSES_S),
+        _end(folder, loads, _IMPATIENT),
         _end(folder, others),
+        ["echo", _THEN],
         *then,
     ]
     output = link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)
     kept, _, rest = output.partition(f"{_MARK}\n")
+    printed, _, rest = rest.partition(f"{_THEN}\n")
+    if left := _left(printed):
+        link.note(f"{link.target.address}: {left}")
     service, *early = kept.split("\n")
     return Ended(
         early={name: status for name, _, status in (line.partition(" ") for line in early if line)},

@@ -94,7 +94,7 @@ def test_on_a_small_target(here, standin, tmp_path):
     tools.mkdir()
     scripts.mkdir()
     subprocess.run(["busybox", "--install", "-s", tools], check=True)
-    for path in Path(str(SCRIPTS)).glob("*_pro*.sh"):
+    for path in Path(str(SCRIPTS)).glob("*pro*.sh"):
         (scripts / path.name).write_text(path.read_text().replace("#!/bin/sh\n", f"#!{tools}/sh\nPATH={tools}\n", 1))
         (scripts / path.name).chmod(0o755)
     with running(standin, 1000, 10**9) as process:
@@ -276,6 +276,48 @@ def test_what_comes_while_a_round_is_printed_is_there_at_the_end(here, standin, 
     assert len(numbers) > 1000 and numbers == list(range(numbers[0], published))
 
 
+@pytest.mark.parametrize("way", ["end of the input", "signal", "killed"])
+def test_nothing_sleeps_on_when_it_has_ended(here, standin, way):
+    """Not for the ten minutes that it may observe, nor for the five in which nothing may be heard."""
+    with running(standin, 100, 10**9) as process:
+        found = find(here, process.pid)
+        probes = place(here, found, events=EVENTS).probes
+        argv = [SCRIPTS / "watch_probes.sh", "600", "300", "4096", "40000", "nothing"]
+        with subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as script:
+            assert script.stdin is not None and script.stdout is not None
+            script.stdin.write("\n".join([*(probe.line for probe in probes), "go", "", ""]).encode())
+            script.stdin.flush()
+            while b"round 2" not in script.stdout.readline():
+                pass
+            # Each line begins the silence anew.
+            script.stdin.write(b"\n\n")
+            script.stdin.flush()
+            (inside,) = map(int, Path(f"/proc/{script.pid}/task/{script.pid}/children").read_text().split())
+            if way != "end of the input":
+                os.kill(inside, signal.SIGTERM if way == "signal" else signal.SIGKILL)
+            script.stdin.close()
+            # As long as something of it lives and could print.
+            script.stdout.read()
+            script.wait()
+        deadline = time.monotonic() + 60
+        while living := [each.name for each in Path("/proc").glob("[0-9]*") if is_of_session(each, inside)]:
+            assert time.monotonic() < deadline, living
+            time.sleep(0.02)
+        if way == "killed":
+            # Its trace is taken off at the next start.
+            assert left() != []
+            list(observed(here, process.pid, for_s=0.1))
+    assert left() == []
+
+
+def is_of_session(process, number):
+    try:
+        state, _, _, session, *_ = (process / "stat").read_text(errors="replace").rpartition(") ")[2].split()
+    except OSError:
+        return False
+    return state != "Z" and int(session) == number
+
+
 def test_a_program_that_starts_later(here, standin):
     """It has another pid, and the probes on the file see it."""
     with running(standin, 100, 10**9) as first:
@@ -417,5 +459,6 @@ def test_no_right_to_it(here, loopback, standin, tmp_path):
         )
         script.write_text(text)
         script.chmod(0o755)
+        shutil.copy(SCRIPTS / "processes.sh", tmp_path)
         with pytest.raises(TargetError, match=r"this machine: no kernel trace: it needs CONFIG_FTRACE"):
             list(observe(here, PurePosixPath(tmp_path), placement, found, for_s=5))

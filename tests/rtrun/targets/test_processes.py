@@ -6,12 +6,13 @@ import signal
 import subprocess
 import threading
 import time
+import uuid
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import pytest
 
-from conftest import apart, serve
+from conftest import apart, serve, without_groups
 from rtrun.plan.program import Exit, Program
 from rtrun.targets import deploy, processes
 from rtrun.targets.errors import DeadlineExpired, TargetError, TargetGone
@@ -176,10 +177,12 @@ def test_end_takes_the_whole_group_even_the_stubborn(link, scripts, folder):
         time.sleep(0.05)
 
 
-def test_end_waits_for_the_pid_of_what_has_just_been_started(link, folder):
-    starting = "exec 9>p.lock; flock 9; cat /proc/sys/kernel/random/boot_id >p.boot_id; sleep 0.3; echo $$ >p.pid"
-    process = subprocess.Popen(["setsid", "sh", "-c", f"{starting}; sleep 300; :"], cwd=folder)
-    while not (folder / "p.boot_id").exists():
+def test_end_waits_for_what_has_just_been_started(link, folder):
+    secret = f"RTRUN_PROGRAM={uuid.uuid4()}"
+    starting = "exec 9>p.lock; flock 9; : >begun; sleep 0.3; echo $RTRUN >p.known_by; echo $$ >p.pid; sleep 300; :"
+    environment = os.environ | {"RTRUN": secret, "RTRUN_PROGRAM": secret.partition("=")[2]}
+    process = subprocess.Popen(["setsid", "sh", "-c", starting], cwd=folder, env=environment)
+    while not (folder / "begun").exists():
         time.sleep(0.01)
     processes.end(link, PurePosixPath(folder), "p")
     try:
@@ -188,19 +191,15 @@ def test_end_waits_for_the_pid_of_what_has_just_been_started(link, folder):
         process.kill()
 
 
-def test_end_leaves_a_pid_of_another_boot_alone(link, scripts, folder):
-    processes.start(link, scripts, PurePosixPath(folder), sh("sleep 1; exit 4"))
-    (folder / "p.boot_id").write_text("00000000-0000-0000-0000-000000000000\n")
-    processes.end(link, PurePosixPath(folder), "p")
-    assert processes.wait(link, PurePosixPath(folder), "p", deadline_s=20).status == 4
-
-
-@pytest.mark.parametrize("content", ["1\n", "0\n", "-1\n", "", "none\n", "{other}", "{other}\n", "{own}"])
-def test_end_kills_nothing_that_a_wrong_pid_file_names(target, tmp_path, content, remarks):
-    """As root, a kill of the group 1 ends everything on the board."""
+@pytest.mark.parametrize("how", [apart, without_groups])
+@pytest.mark.parametrize(
+    "content", ["", "\n", "/\n", "/sys/fs/cgroup/unified\n", "RTRUN_PROGRAM=\n", "PATH=/\n", "{own}/.."]
+)
+def test_end_kills_nothing_that_a_wrong_file_names(target, tmp_path, content, how, remarks):
+    """As root, it could end everything on the board. A pid file counts for nothing."""
     for folder in (folders := [tmp_path / name for name in ("own", "other", "sshd")]):
         folder.mkdir()
-    with serve(folders.pop(), apart()) as server, contextlib.ExitStack() as stack:
+    with serve(folders.pop(), how()) as server, contextlib.ExitStack() as stack:
         stack.callback(server.process.kill)
         link = stack.enter_context(Link(replace(target, address=server.address), remarks.append))
         scripts = deploy_scripts(link)
@@ -208,13 +207,15 @@ def test_end_kills_nothing_that_a_wrong_pid_file_names(target, tmp_path, content
             processes.start(link, scripts, PurePosixPath(folder), sh("exec sleep 300"))
             while not (folder / "p.stderr").exists():
                 time.sleep(0.01)
-        own, other = [(folder / "p.pid").read_text().strip() for folder in folders]
-        (folders[0] / "p.pid").write_text(content.format(own=own, other=other))
-        with pytest.raises(TargetError, match="own/p runs, but its pid file does not say which process it is"):
+        own, _ = [(folder / "p.known_by").read_text() for folder in folders]
+        assert own.startswith("RTRUN_PROGRAM=" if how is without_groups else "/")
+        (folders[0] / "p.known_by").write_text(content.format(own=own.strip()))
+        (folders[0] / "p.pid").write_text((folders[1] / "p.pid").read_text())
+        with pytest.raises(TargetError, match=r"could not be ended: [0-9]+ \(\S+\) of p, .*[0-9]+ \(sleep\) of p"):
             processes.give_up(link, PurePosixPath(folders[0]), ["p"])
         assert [processes.list_ended(link, PurePosixPath(folder), ["p"]) for folder in folders] == [[], []]
         assert folders[0].exists() and not remarks
-        (folders[0] / "p.pid").write_text(f"{own}\n")
+        (folders[0] / "p.known_by").write_text(own)
         processes.give_up(link, PurePosixPath(folders[0]), ["p"])
         assert not folders[0].exists() and not processes.list_ended(link, PurePosixPath(folders[1]), ["p"])
 

@@ -1,7 +1,7 @@
 """Commands over SSH: each in a channel of its own, ended from a second one when its time is up."""
 
 import contextlib
-import secrets
+import re
 import select
 import shlex
 import threading
@@ -25,16 +25,19 @@ KILL_GRACE_S = 5.0
 # Beyond the deadline of a command: to end it, and for the answers to that.
 GRACE_S = 3 * KILL_GRACE_S
 _WORD = "RTRUN_COMMAND"
+_SECRET = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}", re.ASCII)
+# Whatever the login says, nobody else is to write to what is made there. The target draws the secret: what the runner drew would stand in the command line of the user's shell there.
+_BEGIN = f"umask go-w; read -r {_WORD} </proc/sys/kernel/random/uuid; export {_WORD}; echo $$ ${_WORD}; exec "
 # Not every SSH server starts a command as the leader of a group.
 _KILL = (
     groups.FUNCTIONS
     + """
-word=$2
-is_ours() { tr '\\0' '\\n' <"$1/environ" | grep -qxF "$word"; }
+read -r known_by
+lock=
 if is_our_group "$1"; then
     kill -KILL "-$1"
 else
-    is_ours "/proc/$1" 2>/dev/null && kill -KILL "$1"
+    is_marked "$1" && kill -KILL "$1"
 fi
 """
 )
@@ -49,13 +52,15 @@ class _FirstLineApart:
         self._is_complete = False
 
     @property
-    def pid(self) -> int | None:
-        """The process that the line names; None where it names none, or has not arrived to its end."""
+    def command(self) -> tuple[int, str] | None:
+        """The process that the line names, and its secret; None: it names none, or has not arrived to its end."""
         try:
             line = self._line.decode("ascii") if self._is_complete else ""
-            return whole_number(line, lowest=2, highest=PID_MAX)
+            number, _, secret = line.partition(" ")
+            pid = whole_number(number, lowest=2, highest=PID_MAX)
         except ValueError:
             return None
+        return (pid, secret) if _SECRET.fullmatch(secret) else None
 
     def __call__(self, chunk: bytes) -> None:
         if not self._is_complete:
@@ -124,13 +129,11 @@ class SshShell:
         deadline = time.monotonic() + deadline_s
         stderr = Collector(OUTPUT_BYTES_MAX)
         # The first line is the process to kill when time is up: sshd starts each command in a session of its own. By
-        # the word in its environment it is told from any other of that number.
+        # the secret in its environment it is told from any other of that number.
         stdout = _FirstLineApart(take)
-        word = f"{_WORD}={secrets.token_hex(8)}"
         with self._within(deadline_s + GRACE_S), self._session() as channel:
             channel.settimeout(deadline_s)
-            # Whatever the login says: nobody else is to write to what is made there.
-            channel.exec_command(f"umask go-w; export {word}; echo $$; exec {shlex.join(argv)}")
+            channel.exec_command(_BEGIN + shlex.join(argv))
             try:
                 # A command may end before it has read everything; its exit status says why.
                 with contextlib.suppress(OSError):
@@ -142,13 +145,13 @@ class SshShell:
                 # A status that comes as the time is up may stand before output that was not read.
                 status = channel.recv_exit_status() if ended and channel.exit_status_ready() else None
             except TooMuch as error:
-                self._kill(stdout.pid, word)
+                self._kill(stdout.command)
                 raise TargetError(f"{self.address}: {argv[0]} printed more than {error} and was ended") from error
             except InfrastructureError:
-                self._kill(stdout.pid, word)
+                self._kill(stdout.command)
                 raise
             if status is None:
-                fate = "was ended" if self._kill(stdout.pid, word) else "may go on: the target does not show it"
+                fate = "was ended" if self._kill(stdout.command) else "may go on: the target does not show it"
                 raise DeadlineExpired(f"{self.address}: {argv[0]} took longer than {deadline_s:g} s and {fate}")
             if status == -1 and not self.transport.is_active():
                 raise EOFError(f"while {argv[0]} was running")
@@ -194,13 +197,16 @@ class SshShell:
             select.select([channel], [], [], remaining_s)
         return False
 
-    def _kill(self, pid: int | None, word: str) -> bool:
-        """Kill what was started with a word in its environment; return whether that was found, and is killed."""
-        if pid is None:
+    def _kill(self, command: tuple[int, str] | None) -> bool:
+        """Kill what was started with a secret in its environment; return whether that was found, and is killed."""
+        if command is None:
             return False
+        pid, secret = command
         try:
             with self._session() as channel:
-                channel.exec_command(shlex.join(["sh", "-c", _KILL, "sh", str(pid), word]))
+                channel.exec_command(shlex.join(["sh", "-c", _KILL, "sh", str(pid)]))
+                channel.sendall(f"{_WORD}={secret}\n".encode())
+                channel.shutdown_write()
                 return bool(channel.status_event.wait(KILL_GRACE_S)) and channel.exit_status == 0
         except Exception:
             # As in `_within`; the reason to kill is what the caller reports.
