@@ -26,7 +26,8 @@ KILL_GRACE_S = 5.0
 GRACE_S = 3 * KILL_GRACE_S
 _WORD = "RTRUN_COMMAND"
 _SECRET = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}", re.ASCII)
-# Whatever the login says, nobody else is to write to what is made there. The target draws the secret: what the runner drew would stand in the command line of the user's shell there.
+# Whatever the login says, nobody else is to write to what is made there. The target draws the secret: what the runner
+# drew would stand in the command line of the user's shell there.
 _BEGIN = f"umask go-w; read -r {_WORD} </proc/sys/kernel/random/uuid; export {_WORD}; echo $$ ${_WORD}; exec "
 # Not every SSH server starts a command as the leader of a group.
 _KILL = (
