@@ -10,7 +10,6 @@ import itertools
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -23,6 +22,7 @@ import pytest
 
 import rtgen.cli
 from conftest import Sshd, serve
+from measured import measured
 from rtrun.results.record import RunStatus, read_record, verify
 
 TOP = Path(__file__).parents[2]
@@ -119,11 +119,9 @@ def measure(folder: Path, repeats: int, targets: Sequence[Path]) -> tuple[float,
     words = [word for target in targets for word in ("--target", str(target))]
     command = [sys.executable, "-m", "rtrun.cli", "run", "campaign.yml", *words, "--results", "results"]
     with (folder / "log").open("wb") as log:
-        process = subprocess.Popen(command, cwd=folder, stdout=log, stderr=log)
-        _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    assert process.returncode == 0, (folder / "log").read_text()[-2000:]
-    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+        used = measured(command, cwd=folder, output=log, check=False)
+    assert used.status == 0, (folder / "log").read_text()[-2000:]
+    return used.cpu_s, used.peak_mib
 
 
 def record_a_run(folder: Path, sshd: Sshd, ros_master: int) -> Path:

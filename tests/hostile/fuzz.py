@@ -25,6 +25,7 @@ import numpy as np
 import yaml
 from readers import READERS, Files
 
+from measured import own_peak_mib
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.analysis.histogram import LIMIT_NS
 from rtrun.plan import conditions, limits, suites
@@ -146,13 +147,6 @@ def _hang(*_: object) -> None:
     raise Hang
 
 
-def peak_mib() -> int:
-    """The highest memory of this process so far. getrusage would tell that of its parent too."""
-    peak = re.search(r"VmHWM:\s*(\d+)", Path("/proc/self/status").read_text())
-    assert peak is not None
-    return int(peak[1]) // 1024
-
-
 def feed(name: str, files: Files, folder: Path) -> None:
     """Give damaged files to a reader. Whatever is no error of ours goes through, and so does too much memory."""
     shutil.rmtree(folder, ignore_errors=True)
@@ -167,7 +161,7 @@ def feed(name: str, files: Files, folder: Path) -> None:
         str(error).encode()
     finally:
         signal.alarm(0)
-    assert peak_mib() < MEMORY_MIB, f"{peak_mib()} MiB"
+    assert own_peak_mib() < MEMORY_MIB, f"{own_peak_mib():.0f} MiB"
 
 
 def fuzz(rounds: Iterator[int], seed: int, names: list[str], failures: Path | None = None) -> int:

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import paramiko
 
+from measured import measured
+
 BLOCK = b"x" * 32768
 
 
@@ -103,9 +105,8 @@ def serving(
 
 
 # What the runner does with the target, in a process of its own: its highest memory is measured.
-# getrusage would tell the highest memory of the test runner too, from the moment of its fork.
 CLIENT = """
-import json, re, sys, time
+import json, sys, time
 from pathlib import Path, PurePosixPath
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.targets.address import Address
@@ -121,8 +122,7 @@ try:
     exec(action)
 except (InfrastructureError, UsageError) as error:
     outcome = f"{type(error).__name__}: {error}"
-print(json.dumps({"outcome": outcome, "seconds": time.monotonic() - started,
-    "peak_mib": int(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024}))
+print(json.dumps({"outcome": outcome, "seconds": time.monotonic() - started}))
 """
 
 
@@ -130,8 +130,8 @@ def act(action: str, server: tuple[int, str], key: Path, folder: Path, *, timeou
     """Run an action of the runner against a server; return its outcome, duration and highest memory (MiB)."""
     started = time.monotonic()
     argv = [sys.executable, "-c", CLIENT, action, str(server[0]), server[1], str(key), str(folder)]
-    done = subprocess.run(argv, capture_output=True, text=True, timeout=timeout_s, check=False)
-    assert done.returncode == 0, done.stderr
+    done = measured(argv, timeout_s=timeout_s, check=False)
+    assert done.status == 0, done.stderr
     assert "Traceback" not in done.stderr, done.stderr
     assert time.monotonic() - started < timeout_s
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+    return json.loads(done.stdout.splitlines()[-1]) | {"peak_mib": done.peak_mib}

@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import subprocess
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -12,17 +11,11 @@ import pyarrow.parquet
 import pytest
 from archive.archived import write_course
 
+from measured import measured
 from rtrun.archive import queries
 from rtrun.cli import main
 
 MEMORY_MIB = 600
-COMMAND = """
-import re, sys
-from pathlib import Path
-from rtrun.cli import main
-status = main(sys.argv[1:])
-print(status, re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1])
-"""
 
 
 @pytest.fixture(scope="module")
@@ -122,10 +115,8 @@ def history(archive, *words):
 
 def called(*words):
     """The status of a command, what it said, and its own highest memory in MiB."""
-    argv = [sys.executable, "-c", COMMAND, *map(str, words)]
-    done = subprocess.run(argv, capture_output=True, text=True, check=True)
-    status, peak_kib = done.stdout.split()[-2:]
-    return int(status), done.stderr, int(peak_kib) / 1024
+    done = measured([sys.executable, "-m", "rtrun.cli", *map(str, words)], check=False)
+    return done.status, done.stderr, done.peak_mib
 
 
 @pytest.mark.parametrize(
