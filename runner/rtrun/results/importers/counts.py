@@ -76,6 +76,45 @@ def mean_of(path: Path, where: str, value: object) -> float | None:
     return float(value)
 
 
+def check_statistics(
+    place: str,
+    bins: Mapping[int, int],
+    *,
+    width: int = 1,
+    overflow: int,
+    limit: int,
+    least: int | None,
+    mean: float | None,
+    most: int | None,
+) -> None:
+    """Refuse least, mean and most that contradict the bins, all in the unit of the bins.
+
+    `limit` is a lower bound of the values that are only counted. Means may be truncated to whole numbers. Raises
+    UsageError that starts with `place`.
+    """
+    filled = {value: count for value, count in bins.items() if count}
+    n = sum(filled.values()) + overflow
+    if n == 0:
+        return
+    lowest = min(filled, default=limit)
+    if least is not None and (least < lowest or (filled and least >= lowest + width)):
+        raise UsageError(f"{place}: a smallest value of {least}, but the lowest bin is {lowest}")
+    last = max(filled, default=0)
+    if most is not None and overflow and most < limit:
+        raise UsageError(f"{place}: a largest value of {most}, but {overflow} values are {limit} and more")
+    if most is not None and not overflow and not last <= most < last + width:
+        raise UsageError(f"{place}: a largest value of {most}, but the last bin is {last}")
+    if mean is None:
+        return
+    top = limit if most is None else most
+    inside = sum(value * count for value, count in filled.items())
+    low = inside + (overflow - 1) * limit + top if overflow else inside  # one of those above is the largest
+    high = inside + (width - 1) * (n - overflow) + overflow * top
+    # The hundredth is that of a mean printed with two decimals.
+    if mean <= low / n - 1 or (mean > high / n + 0.01 and not (overflow and most is None)):
+        raise UsageError(f"{place}: a mean of {mean:g}, but the bins allow {low / n:.2f} to {high / n:.2f}")
+
+
 def histogram(
     bins: Mapping[int, int],
     *,

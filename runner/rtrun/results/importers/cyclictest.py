@@ -1,4 +1,4 @@
-"""Reader of cyclictest's histograms: the text of ``-h`` and the file of ``--json`` (rt-tests 1.0 to 2.x)."""
+"""Reader of cyclictest's histograms: the text of ``-h`` and the file of ``--json`` (rt-tests 1.0 to 2.10)."""
 
 import re
 from dataclasses import dataclass, field
@@ -11,6 +11,7 @@ from rtrun.results.importers.counts import (
     NO_ORDER,
     bins_of,
     check_bins,
+    check_statistics,
     histogram,
     load,
     mean_of,
@@ -22,6 +23,8 @@ from rtrun.results.importers.histogram_file import Imported
 
 _ROW = re.compile(r"[0-9]+([ \t]+[0-9]+)+", re.ASCII)
 _SUMMARY = re.compile(r"# (Total|Min Latencies|Avg Latencies|Max Latencies|Histogram Overflows):(.*)", re.ASCII)
+_CYCLES = re.compile(r"# Thread ([0-9]{1,5}):((?:[ \t]+[0-9]+)*)(?:[ \t]+# ([0-9]{1,15}) others)?[ \t]*", re.ASCII)
+_ALWAYS = ("Min Latencies", "Avg Latencies", "Max Latencies", "Histogram Overflows")  # 2.9 dropped Total
 _LIMIT_OPTION = re.compile(r"(?:^|\s)(?:-h|-H|--histogram|--histofall)[= ]?([0-9]{1,9})(?=\s|$)")
 _INTERVAL_OPTION = re.compile(r"(?:^|\s)(?:-i|--interval)[= ]?([0-9]{1,9})(?=\s|$)")
 
@@ -33,11 +36,8 @@ class _Text:
     columns: list[dict[int, int]] = field(default_factory=list)
     limit: int = 0  # one more than the last bin
     summary: dict[str, list[int]] = field(default_factory=dict)
-    line_of_totals: int = 0
-
-    def of_thread(self, name: str, thread: int) -> int | None:
-        values = self.summary.get(name, [])
-        return values[thread] if thread < len(values) else None
+    lines: dict[str, int] = field(default_factory=dict)  # where each line of the summary stands
+    cycles: dict[int, int] = field(default_factory=dict)  # by thread: how many overflows are listed by their cycle
 
 
 def read_text(path: Path, text: str, *, interval_us: int | None = None) -> tuple[Imported, ...]:
@@ -46,15 +46,42 @@ def read_text(path: Path, text: str, *, interval_us: int | None = None) -> tuple
     Raises UsageError ``file:line: what is wrong``.
     """
     parts = _parts(path, text)
-    totals = parts.summary["Total"]
-    # With -H the last column sums up the others.
-    threads = len(parts.summary.get("Max Latencies", totals))
-    if not 0 < threads <= min(len(parts.columns), len(totals)):
-        raise UsageError(
-            f"{path}:{parts.line_of_totals}: {threads} threads in the summary, {len(parts.columns)} columns of bins, "
-            f"{len(totals)} totals"
-        )
+    threads = len(parts.summary["Min Latencies"])
+    _check_shape(path, parts, threads)
     return tuple(_thread(path, parts, thread, interval_us) for thread in range(threads))
+
+
+def _check_shape(path: Path, parts: _Text, threads: int) -> None:
+    """Refuse lines that disagree about the threads, and sums (of ``-H``, in a last column) that are none."""
+    widths = {name: len(values) for name, values in parts.summary.items()}
+    columns = widths["Max Latencies"]
+    if not parts.columns and "Total" not in parts.summary:  # since 2.9 empty rows are left out
+        parts.columns = [{} for _ in range(columns)]
+    place = f"{path}:{parts.lines['Max Latencies']}"
+    expected = dict.fromkeys(widths, columns) | {"Min Latencies": threads, "Avg Latencies": threads}
+    if not 0 < threads <= columns <= threads + 1 or widths != expected or len(parts.columns) != columns:
+        told = ", ".join(f"{count} in {name}" for name, count in widths.items())
+        raise UsageError(f"{place}: the number of threads differs: {len(parts.columns)} columns of bins, {told}")
+    for thread in range(threads):
+        listed, overflow = parts.cycles.get(thread), parts.summary["Histogram Overflows"][thread]
+        if listed is None:
+            raise UsageError(f"{path}: cut off: no line # Thread {thread}: below # Histogram Overflow at cycle number:")
+        if listed != overflow:
+            raise UsageError(f"{path}: # Thread {thread}: lists {listed} overflows, # Histogram Overflows: {overflow}")
+    if len(parts.cycles) != threads:
+        raise UsageError(f"{path}: {len(parts.cycles)} lines # Thread N:, but {threads} threads")
+    if columns == threads:
+        return
+    sums: dict[int, int] = {}
+    for column in parts.columns[:threads]:
+        for value, count in column.items():
+            sums[value] = sums.get(value, 0) + count
+    if sums != parts.columns[threads]:
+        raise UsageError(f"{place}: the last column is not the sum of the {threads} threads")
+    for name in ("Total", "Histogram Overflows", "Max Latencies"):
+        *each, last = parts.summary.get(name, [0])
+        if last != (max(each) if name == "Max Latencies" else sum(each)):
+            raise UsageError(f"{path}:{parts.lines[name]}: {name}: {last} does not sum up the threads")
 
 
 def _parts(path: Path, text: str) -> _Text:
@@ -65,7 +92,9 @@ def _parts(path: Path, text: str) -> _Text:
             started = True
         elif match := _SUMMARY.fullmatch(line):
             parts.summary[match[1]] = numbers_in(path, number, match[2])
-            parts.line_of_totals = number if match[1] == "Total" else parts.line_of_totals
+            parts.lines[match[1]] = number
+        elif match := _CYCLES.fullmatch(line):
+            parts.cycles[int(match[1])] = len(match[2].split()) + int(match[3] or 0)
         elif started and line and not line.startswith("#"):
             if not _ROW.fullmatch(line):
                 raise UsageError(f"{path}:{number}: expected a bin, 'value count count ...', got {line[:40]!r}")
@@ -81,18 +110,30 @@ def _parts(path: Path, text: str) -> _Text:
                     column[value] = count
                     bins += 1
             check_bins(path, bins)
-    if not parts.columns or "Total" not in parts.summary:
-        raise UsageError(f"{path}:{number}: cut off: no {'bins' if not parts.columns else 'line # Total:'}")
+    if not started or (not parts.columns and "Total" in parts.summary):
+        raise UsageError(f"{path}:{number}: cut off: no bins")
+    for name in _ALWAYS:
+        if name not in parts.summary:
+            raise UsageError(f"{path}:{number}: cut off: no line # {name}:")
     return parts
 
 
 def _thread(path: Path, parts: _Text, thread: int, interval_us: int | None) -> Imported:
-    bins, total = parts.columns[thread], parts.summary["Total"][thread]
+    bins = parts.columns[thread]
     seen = sum(bins.values())
-    if total != seen:
-        place = f"{path}:{parts.line_of_totals}"
+    if "Total" in parts.summary and (total := parts.summary["Total"][thread]) != seen:
+        place = f"{path}:{parts.lines['Total']}"
         raise UsageError(f"{place}: thread {thread}: a total of {total}, but the bins hold {seen}")
-    overflow = parts.of_thread("Histogram Overflows", thread) or 0
+    least, mean, most, overflow = (parts.summary[name][thread] for name in _ALWAYS)
+    check_statistics(
+        f"{path}:{parts.lines['Max Latencies']}: thread {thread}",
+        bins,
+        overflow=overflow,
+        limit=parts.limit,
+        least=least,
+        mean=mean,
+        most=most,
+    )
     left_out = [NO_ORDER]
     if interval_us is None:
         left_out.append("the interval, and whether -N changed the unit: microseconds are assumed")
@@ -107,8 +148,8 @@ def _thread(path: Path, parts: _Text, thread: int, interval_us: int | None) -> I
             width=1,
             overflow=overflow,
             overflow_from=parts.limit,
-            max_value=parts.of_thread("Max Latencies", thread),
-            mean_value=parts.of_thread("Avg Latencies", thread),
+            max_value=most,
+            mean_value=mean,
         ),
         period_ns=None if interval_us is None else 1000.0 * interval_us,
         left_out=tuple(left_out),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import lines_of
-from rtrun.results.importers.counts import NO_ORDER, check_bins, histogram
+from rtrun.results.importers.counts import NO_ORDER, check_bins, check_statistics, histogram
 from rtrun.results.importers.histogram_file import Imported
 
 _COLUMN = re.compile(r"(IRQ|Thr|Usr)-[0-9]{3,5}", re.ASCII)
@@ -42,10 +42,13 @@ def read_text(path: Path, text: str) -> tuple[Imported, ...]:
                 raise UsageError(f"{path}:{number}: {words[0]} does not rise")
             rows.append((int(words[0]), [int(word) for word in words[1:]]))
             check_bins(path, len(rows) * len(columns))
-    if not columns or "over:" not in summary or "count:" not in summary:
-        raise UsageError(f"{path}:{number}: cut off: no line {'Index' if not columns else 'over: and count:'}")
+    if missing := [name for name in ("Index", *_FIELDS) if name not in (summary | {"Index": 0} if columns else {})]:
+        raise UsageError(f"{path}:{number}: cut off: no line {missing[0]}")
     # The bucket size (-b) is not printed: it divides every index.
-    width = reduce(math.gcd, (value for value, _ in rows), 0) or 1
+    width = reduce(math.gcd, (value for value, _ in rows), 0)
+    if not width:  # only the first bucket is filled: it holds at least every largest value that is not over
+        inside = zip(summary["max:"], summary["over:"], strict=True)
+        width = 1 + max((most or 0 for most, over in inside if not over), default=0)
     return tuple(_column(path, k, name, rows, summary, unit_ns, width) for k, name in enumerate(columns))
 
 
@@ -70,6 +73,10 @@ def _column(
             f"{path}: {name}: a count of {count}, but the bins hold {sum(bins.values())} and {over} are over"
         )
     limit = max((value for value, _ in rows), default=-width) + width
+    least, mean, most = (summary[field][k] for field in ("min:", "avg:", "max:"))
+    check_statistics(
+        f"{path}: {name}", bins, width=width, overflow=over, limit=limit, least=least, mean=mean, most=most
+    )
     left_out = [NO_ORDER, "the period and the bucket size (taken as the largest that divides every index)"]
     if over:
         left_out.append(f"{over} values beyond the last bin: only the largest is known")
@@ -82,8 +89,8 @@ def _column(
             width=width,
             overflow=over,
             overflow_from=limit,
-            max_value=summary["max:"][k] if "max:" in summary else None,
-            mean_value=summary["avg:"][k] if "avg:" in summary else None,
+            max_value=most,
+            mean_value=mean,
         ),
         period_ns=None,
         left_out=tuple(left_out),

@@ -118,7 +118,7 @@ def test_logs_of_2014_become_runs(tmp_path, log, capsys):
 VENDOR = """# /dev/cpu_dma_latency set to 0us
 # Total: 000000006 000000005  \t
 # Min Latencies: 00001 00001
-# Avg Latencies: 00002 00002
+# Avg Latencies: 00029 00002
 # Max Latencies: 00200 00003
 # Histogram Overflows: 00001 00000
 # Histogram  \t
@@ -126,6 +126,9 @@ VENDOR = """# /dev/cpu_dma_latency set to 0us
 000001 000004\t000002 \t
 000002 000002\t000000
 000003 000000\t000003
+# Histogram Overflow at cycle number:
+# Thread 0: 00004
+# Thread 1:
 """
 
 
@@ -134,7 +137,7 @@ def test_cyclictest_is_read_whatever_the_order_of_its_parts(tmp_path):
     file.write_text(VENDOR)
     first, second = (one.histogram for one in read(file))
     assert (first.values_ns.tolist(), first.counts.tolist()) == ([1000, 2000], [4, 2])
-    assert (first.overflow, first.overflow_from_ns, first.max_ns, first.mean_ns) == (1, 4000, 200_000, 2000.0)
+    assert (first.overflow, first.overflow_from_ns, first.max_ns, first.mean_ns) == (1, 4000, 200_000, 29_000.0)
     assert (second.values_ns.tolist(), second.counts.tolist()) == ([1000, 3000], [2, 3])
 
 
@@ -144,7 +147,7 @@ def test_the_mean_that_was_printed_is_shown_in_spite_of_an_overflow(tmp_path, ca
     adopt(file, tmp_path / "out", platform=Platform.HARDWARE)
     assert main(["show", "--json", str(tmp_path / "out" / "vendor")]) == 0
     results = json.loads(capsys.readouterr().out)["results"]
-    assert [(one["n"], one["mean_us"], one["max_us"]) for one in results] == [(7, 2.0, 200.0), (5, 2.2, 3.0)]
+    assert [(one["n"], one["mean_us"], one["max_us"]) for one in results] == [(7, 29.0, 200.0), (5, 2.2, 3.0)]
 
 
 def test_an_interval_that_the_caller_set_is_known(tmp_path):
@@ -156,7 +159,8 @@ def test_an_interval_that_the_caller_set_is_known(tmp_path):
 
 
 def test_histograms_of_different_length_are_reported_together(tmp_path, capsys):
-    shorter = VENDOR.replace("00200", "00900").replace("000003 000000\t000003\n", "").replace("5  \t", "2  \t")
+    shorter = VENDOR.replace("00029 00002", "00129 00001").replace("00200 00003", "00900 00001")
+    shorter = shorter.replace("000003 000000\t000003\n", "").replace("5  \t", "2  \t")
     for name, text in (("a", VENDOR), ("b", shorter)):
         (tmp_path / f"{name}.txt").write_text(text)
         adopt(tmp_path / f"{name}.txt", tmp_path / "out", platform=Platform.HARDWARE)
@@ -276,11 +280,12 @@ def test_one_bad_file_does_not_stop_the_others(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("cut.txt", "# Histogram\n000001 000002\n", "cut off: no line # Total"),
+        ("cut.txt", "# Histogram\n000001 000002\n", "cut off: no line # Min Latencies"),
         ("empty.txt", "# Histogram\n# Total: 0\n", "cut off: no bins"),
         (
             "sum.txt",
-            "# Histogram\n000001 000002\n# Total: 3\n# Max Latencies: 1\n",
+            "# Histogram\n000001 000002\n# Total: 3\n# Min Latencies: 1\n# Avg Latencies: 1\n# Max Latencies: 1\n"
+            "# Histogram Overflows: 0\n# Histogram Overflow at cycle number:\n# Thread 0:\n",
             "sum.txt:3: thread 0: a total of 3",
         ),
         ("fall.txt", "# Histogram\n000005 000002\n000004 1\n# Total: 3\n", "fall.txt:3: 4 does not rise"),
@@ -302,6 +307,20 @@ def test_one_bad_file_does_not_stop_the_others(tmp_path, capsys):
         ("half.json", '{"cpu": {"\\ud800": {}}}', "half of a character"),
         ("tl.txt", TIMERLAT.replace("count:     1000", "count:     1001"), "IRQ-001: a count of 1001"),
         ("tl2.txt", TIMERLAT[: TIMERLAT.index("over:")], "cut off"),
+        *(
+            (f"tl-{k}.txt", TIMERLAT.replace(right, wrong), f"tl-{k}.txt: Thr-001: a {what}")
+            for k, (right, wrong, what) in enumerate(
+                [
+                    ("min:          0         3", "min:          0        12", "smallest value of 12"),
+                    ("avg:          1         7", "avg:          1        70", "mean of 70"),
+                    ("max:          7       210", "max:          7        29", "largest value of 29"),
+                ]
+            )
+        ),
+        *(
+            (f"tl-no-{word}.txt", TIMERLAT.replace(f"{word}:", "#", 1), f"cut off: no line {word}:")
+            for word in ("over", "count", "min", "avg", "max")
+        ),
         ("tl3.txt", TIMERLAT.replace("944       134", "944"), "tl3.txt:5: 5 values for 6 columns"),
     ],
 )
@@ -343,3 +362,40 @@ def test_an_edited_histogram_file_is_refused(tmp_path, change, message):
     path.write_text(json.dumps(good | change))
     with pytest.raises(UsageError, match=message):
         read_histogram(path)
+
+
+FILES = LOGS_2014.parent / "importers"
+
+
+def test_cyclictest_without_totals_and_empty_rows_is_read():
+    histograms = [one.histogram for one in read(FILES / "cyclictest-2.10-h.txt")]
+    assert [(one.n, one.overflow, one.max_ns) for one in histograms] == [(1500, 1, 740_000), (1500, 1, 737_000)]
+
+
+def test_the_sum_column_of_histofall_is_no_thread():
+    assert [one.histogram.n for one in read(FILES / "histofall-2threads-rt-tests-2.x.txt")] == [1200, 1200]
+
+
+def test_one_bucket_of_rtla_reaches_to_the_largest_value():
+    irq, thread = (one.histogram for one in read(FILES / "rtla-timerlat-b50-one-bucket.txt"))
+    assert irq.bin_ns == thread.bin_ns == 42_000 and thread.max_ns == 41_000
+
+
+@pytest.mark.parametrize("name", ["cyclictest-2.10-h.txt", "histofall-2threads-rt-tests-2.x.txt"])
+def test_each_line_of_the_summary_is_needed_and_agrees(tmp_path, name):
+    lines = (FILES / name).read_text().splitlines(keepends=True)
+    summary = [k for k, line in enumerate(lines) if "Latencies" in line or "Overflows" in line or "# Thread" in line]
+    for k in summary:
+        (tmp_path / "cut.txt").write_text("".join(lines[:k]))
+        with pytest.raises(UsageError, match="cut off"):
+            read(tmp_path / "cut.txt")
+        wrong = lines[k].replace(": 00", ": 90", 1) if ": 0" in lines[k] else lines[k].rstrip() + " 00007\n"
+        wrong = lines[k].rstrip() + " 00009\n" if "# Thread" in lines[k] else wrong
+        (tmp_path / "wrong.txt").write_text("".join([*lines[:k], wrong, *lines[k + 1 :]]))
+        with pytest.raises(UsageError, match=r"wrong\.txt"):
+            read(tmp_path / "wrong.txt")
+
+
+def test_a_text_that_was_cut_before_its_overflows_is_refused():
+    with pytest.raises(UsageError, match="cut off: no line # Histogram Overflows"):
+        read(FILES / "cyclictest-cut-before-overflows.txt")
