@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from proxy import proxy_to
 
 from rtrun.cli import main
 from rtrun.execution import run_execution
+from rtrun.flows.live import LiveFigures
 from rtrun.probes import session
 from rtrun.targets import deploy
 from rtrun.targets.errors import ConnectionLost
@@ -61,7 +63,7 @@ def impatient(monkeypatch):
 
 
 def observe(tmp_path, address, standin, *more, act=None, results=None):
-    """Observe, and `act` after some rounds with the pid of the watchdog; returns the exit status, and the records."""
+    """Observe, and `act` when two seconds were seen, with the pid of the watchdog; returns exit status and records."""
     target = tmp_path / "target.yml"
     target.write_text(f"schema: 1\nname: here\n{address}work_dir: {tmp_path}/work\n")
     results = results or tmp_path / "results"
@@ -70,14 +72,22 @@ def observe(tmp_path, address, standin, *more, act=None, results=None):
         before = set(left())
         while not (new := [name for name in left() if name.startswith("rtrun-observe-") and name not in before]):
             time.sleep(0.1)
-        time.sleep(3.5)
+        assert is_seen.wait(60)
         act(int(new[0].split("_")[-2]))
+
+    is_seen, snapshot = threading.Event(), LiveFigures.snapshot
+
+    def watch(figures, at_ns):
+        if at_ns > figures._observed.begin_ns + 2 * S:
+            is_seen.set()
+        return snapshot(figures, at_ns)
 
     thread = threading.Thread(target=wait_and_act, daemon=True)
     if act:
         thread.start()
     argv = ["observe", "--target", str(target), "--for", f"{ASKED_S}s", "--results", str(results), *more]
-    status = main(argv)
+    with mock.patch.object(LiveFigures, "snapshot", watch):
+        status = main(argv)
     if act:
         thread.join(30)
     records = {path.parent.name: json.loads(path.read_text()) for path in results.glob("*/run.json")}
@@ -100,8 +110,7 @@ def check_kept(records, results):
     coverage = records["001"]["coverage"]
     assert stream["coverage"] == coverage and coverage["asked_ns"] == ASKED_S * S
     assert 2 * S < coverage["seen_ns"] < ASKED_S * S
-    # 500 a second, but for a busy machine.
-    assert len(rows) > 500
+    assert len(rows) > 100  # of 500 a second, on a machine that may be busy
     assert " of 8 s were seen, with " in records["001"]["reason"]
     return stream, coverage
 

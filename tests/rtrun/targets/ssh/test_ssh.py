@@ -92,9 +92,10 @@ def test_a_key_with_a_passphrase(sshd, tmp_path):
 def test_agent(sshd, tmp_path, monkeypatch):
     agent = subprocess.Popen(["ssh-agent", "-D", "-a", tmp_path / "agent"], stdout=subprocess.DEVNULL)
     try:
-        while not (tmp_path / "agent").exists():
-            assert agent.poll() is None
         monkeypatch.setenv("SSH_AUTH_SOCK", str(tmp_path / "agent"))
+        # 2: it does not answer yet.
+        while subprocess.run(["ssh-add", "-l"], capture_output=True, check=False).returncode == 2:
+            assert agent.poll() is None
         with pytest.raises(TargetError, match="no key: name one as 'key'"):
             Connection(replace(sshd.address, key=None))
         subprocess.run(["ssh-add", "-q", sshd.key], check=True)
