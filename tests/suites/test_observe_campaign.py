@@ -14,6 +14,7 @@ from probes.standin import build, running, skip_without_trace
 
 from rtrun.cli import main
 from rtrun.execution import observation, system
+from rtrun.flows.live import LiveFigures
 
 pytestmark = pytest.mark.trace
 RTRUN = [sys.executable, "-c", "import sys; from rtrun.cli import main; sys.exit(main(sys.argv[1:]))"]
@@ -60,12 +61,6 @@ def marked(folder):
         ("exec sleep 600", "topic /a", "waited 2 s for a program .* has started none that uses ROS 2 or roscpp"),
         ("exec {standin} 200 999999", "topic /b", "waited 2 s for the system to publish /b: seen were /a"),
         ("timeout 8 {standin} 200 999999; exit 5", "topic /a", "ended while it was observed, with exit status 5"),
-        ("{standin} 200 999999 & sleep 6; exit 5", "topic /a", "ended while it was observed, with exit status 5"),
-        (
-            "{standin} 200 999999 & sleep 6; kill -KILL $(ps -o ppid= -p $$); sleep 60",
-            "topic /a",
-            "ended while it was observed, killed from outside",
-        ),
     ],
 )
 def test_what_does_not_come_up_or_does_not_stay_is_said(folder, standin, monkeypatch, start, ready, reason, capsys):
@@ -76,6 +71,30 @@ def test_what_does_not_come_up_or_does_not_stay_is_said(folder, standin, monkeyp
     record = records(folder)["001-observation"]
     assert record["status"] == "failed"
     assert re.search(reason, record["reason"]), record["reason"]
+    assert marked(folder) == {}
+
+
+@pytest.mark.parametrize(
+    ("then", "how"),
+    [("exit 5", "with exit status 5"), ("kill -KILL $PPID; sleep 600", "killed from outside"), ("exit 0", None)],
+)
+def test_what_it_leaves_running_does_not_hide_how_it_ended(folder, standin, monkeypatch, then, how, capsys):
+    """Nor that nobody watches over it any more. A command that ended well may have started the system and gone."""
+    real = LiveFigures.snapshot
+
+    def snapshot(*words):
+        (folder / "observed").touch()
+        return real(*words)
+
+    monkeypatch.setattr(LiveFigures, "snapshot", snapshot)
+    start = f"{standin} 200 999999 & until [ -e {folder}/observed ]; do sleep 0.1; done; {then}"
+    status = main(call(folder, {"subject": {"start": start, "ready": "topic /a"}, "for": "5s"}))
+    record = records(folder)["001-observation"]
+    if how is None:
+        assert (status, record["status"]) == (0, "ok"), capsys.readouterr()
+    else:
+        assert (status, record["status"]) == (3, "failed"), capsys.readouterr()
+        assert f"the system ended while it was observed, {how}: " in record["reason"]
     assert marked(folder) == {}
 
 
