@@ -56,8 +56,6 @@ NO_LIMITS = {
         "rtrun.targets.labgrid.watch.WATCH_S",
         "rtrun.targets.link.RETRY_S",
         "rtrun.targets.processes.POLL_S",
-        "rtrun.targets.processes._LONG_PAUSES_S",
-        "rtrun.targets.processes._SHORT_PAUSES_S",
         "rtrun.targets.processes.SLICE_S",
         "rtrun.targets.processes.WAIT_S",
         "rtrun.targets.restart.POLL_S",

@@ -219,8 +219,8 @@ def _exit_status(word: str) -> int | None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Standing:
-    """How a started program stands: the exit status of its command, once it has ended, and what of it lives.
+class Supervision:
+    """The state of a started program: the exit status of its command, once it has ended, and what of it lives.
 
     `is_alone`: it has no supervisor any more. Without an exit status that was killed from outside.
     """
@@ -230,7 +230,7 @@ class Standing:
     pids: frozenset[int]
 
 
-def look(link: Link, folder: PurePosixPath, name: str) -> Standing:
+def look(link: Link, folder: PurePosixPath, name: str) -> Supervision:
     """See how a program stands that was started, without waiting for it."""
     words = [line.split() for line in link.check(["sh", "-c", _LOOK, "sh", str(folder), name]).splitlines()]
     pids = set()
@@ -238,7 +238,7 @@ def look(link: Link, folder: PurePosixPath, name: str) -> Standing:
         with contextlib.suppress(ValueError):
             pids.add(whole_number(word[1], lowest=2, highest=PID_MAX))
     status = next((_exit_status(word[1]) for word in words if word[:1] == ["exit"] and len(word) == 2), None)
-    return Standing(status=status, is_alone=["alone"] in words, pids=frozenset(pids))
+    return Supervision(status=status, is_alone=["alone"] in words, pids=frozenset(pids))
 
 
 def end(link: Link, folder: PurePosixPath, *names: str, stages: str = _PATIENT) -> None:
