@@ -219,7 +219,7 @@ Index   IRQ-001   Thr-001   Usr-001
 over:         0         1         0
 count:        3         4         3
 min:          0         3        12
-avg:          1         7        13
+avg:          1        60        13
 max:          7       210        15
 ALL:        IRQ       Thr       Usr
 count:        3         4         3
@@ -230,9 +230,12 @@ CYCLICTEST = b"""# /dev/cpu_dma_latency set to 0us
 000015 000008\t000010
 # Total: 000000009 000000010
 # Min Latencies: 00014 00015
-# Avg Latencies: 00015 00015
+# Avg Latencies: 00019 00015
 # Max Latencies: 00062 00015
 # Histogram Overflows: 00001 00000
+# Histogram Overflow at cycle number:
+# Thread 0: 00003
+# Thread 1:
 """
 _THREAD = {"histogram": {"3": 5, "12": 4}, "cycles": 10, "min": 3, "max": 70, "avg": 9.5}
 CYCLICTEST_JSON = json.dumps(

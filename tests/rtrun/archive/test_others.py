@@ -27,7 +27,10 @@ def histogram_text(rng, mean_us, n=20_000):
         ("Histogram Overflows", counts[:, LAST_US]),
     ):
         lines.append(f"# {name}: " + " ".join(f"{number:09d}" for number in each))
-    lines += ["# Histogram Overflow at cycle number:", *(f"# Thread {cpu}:" for cpu in range(CPUS))]
+    lines += [
+        "# Histogram Overflow at cycle number:",
+        *(f"# Thread {cpu}:{' 1' * over}" for cpu, over in enumerate(counts[:, LAST_US])),
+    ]
     return "\n".join(lines) + "\n"
 
 
