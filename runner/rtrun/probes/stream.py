@@ -26,10 +26,12 @@ _END_OF_PAGES = b"rtrun end pages\n"
 # The format of an event has some KiB.
 _BLOCK_BYTES_MAX = 256 * 1024
 _FORMATS_MAX = 500
-# Events that wait for the end of their round, and their bytes. That is more than two seconds of the highest rate at
-# which the probes do not rest; of what goes beyond it, it is known when it was.
-_EVENTS_MAX = 100_000
-_EVENTS_BYTES_MAX = 16 * 1024 * 1024
+# Hits and events of the kernel that wait for the end of their round, and their bytes. Of hits that is more than two
+# seconds of the highest rate at which the probes do not rest, of events more than three: a busy machine takes so long
+# for a round with a trace. What goes beyond it is left out, and when that was is recorded.
+_HITS_MAX = 100_000
+_KERNEL_EVENTS_MAX = 300_000
+_EVENTS_BYTES_MAX = 32 * 1024 * 1024
 # Of a round: others are joined with the last one.
 _GAPS_MAX = 1000
 _ENDED_MAX = 20_000
@@ -278,7 +280,7 @@ class WatchReader:
                 values_of = RawValues(source.format, page[start : start + size], 0, size)
                 self._take_kernel_event(source, at_ns, cpu, tid, values_of, size)
                 continue
-            if not self._is_room(size):
+            if not self._is_room(self._hits, _HITS_MAX, size):
                 self._leave_out(at_ns)
                 continue
             values = source.format.values(page, start, size)
@@ -294,10 +296,10 @@ class WatchReader:
             gap = Gap(min(gap.from_ns, last.from_ns), max(gap.until_ns, last.until_ns), gap.reason, gap.cause)
         self._gaps.append(gap)
 
-    def _is_room(self, size_bytes: int) -> bool:
-        """Whether another event can wait for the end of the round."""
+    def _is_room(self, waiting: Sequence[Hit], most: int, size_bytes: int) -> bool:
+        """Whether another event can wait for the end of the round, beside those of its kind."""
         self._events_bytes += size_bytes
-        is_room = len(self._hits) + len(self._kernel) < _EVENTS_MAX and self._events_bytes <= _EVENTS_BYTES_MAX
+        is_room = len(waiting) < most and self._events_bytes <= _EVENTS_BYTES_MAX
         if not is_room:
             self._events_bytes -= size_bytes
         return is_room
@@ -314,7 +316,7 @@ class WatchReader:
             if text.startswith("rtrun "):
                 self._take_mark(at_ns, text.removeprefix("rtrun "))
             return
-        if not self._is_room(size):
+        if not self._is_room(self._kernel, _KERNEL_EVENTS_MAX, size):
             self._leave_out(at_ns)
             return
         self._kernel.append(Hit(at_ns, cpu, self._pids.get(tid, 0), tid, source.event, values))
