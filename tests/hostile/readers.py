@@ -112,6 +112,7 @@ def of_answer(read: Callable[[Link], object], *seeds: str) -> Reader:
             known_platform=None,
         )
         link = SimpleNamespace(
+            note=lambda _: None,
             target=target,
             boot_id="1-1",
             check=lambda *_, **__: text,

@@ -65,7 +65,7 @@ def start(link, folder, text, name="p", deadline_s=600.0):
 
 
 def wait_until(condition):
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 200
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)

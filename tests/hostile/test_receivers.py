@@ -151,7 +151,7 @@ def test_a_command_that_does_not_end_is_ended_with_what_it_started(tmp_path, mon
     ("script", "said"),
     [
         (
-            "yes no >&2 & sleep 0.1; kill $!; echo '\033[2Jthe last line' >&2; exit 5",
+            "yes no >&2 & sleep 0.1; kill $!; wait $!; echo '\033[2Jthe last line' >&2; exit 5",
             "sh ended with 5: ?[2Jthe last line",
         ),
         ("kill -9 $$", "sh ended with -9: "),
