@@ -132,8 +132,16 @@ def test_a_command(behaviour, action, outcome, key, tmp_path):
     assert result["peak_mib"] < MEMORY_MIB and result["seconds"] < 90
 
 
+SECRET = "01234567-89ab-cdef-0123-456789abcdef"
+WHOLE = f"{{other}} {SECRET}\n"
+
+
 @pytest.mark.parametrize(
-    "answer", ["1\n", "0\n", "-1\n", "\n", "none\n", "{other}", "{other}\n", "{other}\r\n", "{other} {other}\n"]
+    "answer",
+    [
+        *("1\n", "0\n", "-1\n", "\n", "none\n", "{other}", "{other}\n", "{other} {other}\n"),
+        *(f"1 {SECRET}\n", f"{{other}} {SECRET}", f"{{other}} {SECRET}\r\n", WHOLE),
+    ],
 )
 def test_the_process_that_a_command_was_started_as(answer, key, tmp_path):
     """Only what was started is killed: not every process there is, nor one whose number the target makes up."""
@@ -141,11 +149,11 @@ def test_the_process_that_a_command_was_started_as(answer, key, tmp_path):
     with subprocess.Popen(["sleep", "600"], start_new_session=True) as other:
 
         def claims(channel, command):
-            if b"true" in command:
+            if command.endswith(b"exec true"):
                 channel.sendall(answer.format(other=other.pid).encode())
                 time.sleep(3600)
             heard.append(command)
-            if answer == "{other}\n":
+            if answer == WHOLE:
                 honest(channel, command)
 
         try:
@@ -153,7 +161,7 @@ def test_the_process_that_a_command_was_started_as(answer, key, tmp_path):
                 result = act(RUN.format(deadline=1), server, key, tmp_path)
             assert re.search("DeadlineExpired: .*true took longer than 1 s and may go on", result["outcome"]), result
             assert other.poll() is None
-            assert bool(heard) == (answer == "{other}\n")
+            assert bool(heard) == (answer == WHOLE)
         finally:
             other.kill()
 
