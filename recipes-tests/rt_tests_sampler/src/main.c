@@ -445,8 +445,8 @@ static void add_thread(struct text *out, const struct session *session, pid_t pr
       add(out, "%d", priority);
     }
     add(out, " %s\n", name);
-    /* supervise.sh and its watchdog are not the program that they started. */
-  } else if (strcmp(name, "supervise.sh") == 0 || strcmp(name, "sleep") == 0) {
+    /* supervise.sh and its watchdog, which sleeps and waits for a lock, are not the program that they started. */
+  } else if (strcmp(name, "supervise.sh") == 0 || strcmp(name, "sleep") == 0 || strcmp(name, "flock") == 0) {
     return;
   } else if (session->is_load) {
     struct load *const load = &loads[session - sessions];

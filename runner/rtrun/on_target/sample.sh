@@ -68,8 +68,8 @@ threads() {
             owner = program[$4]
             if (owner == "" && $39 == 6) print "rival", part[5], 6, "-", name
             else if (owner == "") { if ($38 >= priority && $38 > 0) print "rival", part[5], $39, $38, name }
-            # supervise.sh and its watchdog are not the program that they started.
-            else if (owner == "sampler" || name == "supervise.sh" || name == "sleep") return
+            # supervise.sh and its watchdog, which sleeps and waits for a lock, are not the program that they started.
+            else if (owner == "sampler" || name ~ /^(supervise[.]sh|sleep|flock)$/) return
             else if (index(loads, " " owner " ")) { if (part[3] == part[5]) print "process", owner, path }
             else print "thread", owner, part[5], $39, $38, path, name
         }'
