@@ -58,9 +58,13 @@ def make_folder(path: Path) -> None:
             continue
         if not stat.S_ISDIR(found.st_mode):
             raise UsageError(f"{path}: {place} is no folder")
-        if place not in above_program and (why := _objection(found, trusted, is_last=not waiting)):
+        if place not in above_program and (why := _objection(place, found, trusted, is_last=False)):
             raise _unsafe(path, place, why)
         seen = place.rstrip("/")
+    # Where the way ends, by whatever turns.
+    end = seen or "/"
+    if end not in above_program and (why := _objection(end, os.lstat(end), trusted, is_last=True)):
+        raise _unsafe(path, end, why)
 
 
 def _trusted() -> set[int]:
@@ -71,17 +75,32 @@ def _trusted() -> set[int]:
     return trusted
 
 
-def _objection(found: os.stat_result, trusted: set[int], *, is_last: bool) -> str | None:
-    """Why a folder is not safe; None: it is. In the last one, others must not even add names."""
+def _objection(place: str, found: os.stat_result, trusted: set[int], *, is_last: bool) -> str | None:
+    """Why a folder is not safe; None: it is. In the last one, others must not even add names.
+
+    A list of rights (ACL) lets others write where the mode says that the group may. A default one, which chmod leaves
+    as it is, gives others what is made in a folder, whatever the umask says.
+    """
     if found.st_uid not in trusted:
         return f"belongs to {_name(found.st_uid)}"
     if found.st_mode & stat.S_ISVTX and not is_last:
         return None
     if found.st_mode & stat.S_IWOTH:
         return "can be written by every user"
-    if found.st_mode & stat.S_IWGRP and not _is_private(found):
-        return f"can be written by the group {found.st_gid}"
+    lists = _lists_of_rights(place)
+    if found.st_mode & stat.S_IWGRP and ("access" in lists or not _is_private(found)):
+        return f"can be written by the group {found.st_gid}" + (", or others (getfacl)" if "access" in lists else "")
+    if is_last and "default" in lists:
+        return "gives others rights to what is made there (getfacl)"
     return None
+
+
+def _lists_of_rights(place: str) -> set[str]:
+    """Which lists of rights a folder has: "access", "default", both or none, as where a file system knows none."""
+    with contextlib.suppress(OSError):
+        prefix = "system.posix_acl_"
+        return {name.removeprefix(prefix) for name in os.listxattr(place) if name.startswith(prefix)}
+    return set()
 
 
 def _is_private(found: os.stat_result) -> bool:
@@ -96,7 +115,7 @@ def _is_private(found: os.stat_result) -> bool:
 
 
 def _unsafe(path: Path, place: str, why: str) -> UsageError:
-    remedy = f"name a folder that is yours alone, or take that right away: chown {_name(os.geteuid())}, chmod go-w"
+    remedy = f"name a new folder that is yours alone, or take that right away: chown {_name(os.geteuid())}, chmod go-w"
     return UsageError(f"{path}: others could change what is kept there: {place} {why}: {remedy}")
 
 

@@ -12,6 +12,9 @@ umask go-w
 export LC_ALL=C
 me=$(id -u)
 work=$1
+# That of busybox does not show a list of rights (ACL), by which others may write where the group may.
+shows_lists=
+case $(ls --version 2>/dev/null) in *coreutils*) shows_lists=1 ;; esac
 
 refuse() {
     echo "$*"
@@ -50,7 +53,7 @@ objection() {
     ????????w*) why="can be written by every user" ;;
     # Of a list of rights (+) these are the ones that any other user or group may have by it.
     ?????w????+) why="can be written by others (getfacl)" ;;
-    ?????w*) private "$2" "$3" || why="can be written by group $3" ;;
+    ?????w*) [ -n "$shows_lists" ] && private "$2" "$3" || why="can be written by group $3" ;;
     esac
 }
 
@@ -81,11 +84,16 @@ while [ -n "$way" ]; do
     d*) ;;
     *) refuse "unsafe $place is no folder" ;;
     esac
-    # Nobody but its owner, root and the owners of the names in it changes a sticky folder.
-    case $1,$why,$way in ?????????[tT]*,can*,?*) why='' ;; esac
+    # Nobody but its owner, root and the owners of the names in it changes a sticky folder on the way.
+    case $1,$why in ?????????[tT]*,can*) why='' ;; esac
     [ -z "$why" ] || refuse "unsafe $place $why"
     at=${place%/}
 done
+# Where the way ends, by whatever turns, others must not even add names.
+# shellcheck disable=SC2046
+set -- $(ls -ldn "$at/")
+objection "$1" "$3" "$4"
+[ -z "$why" ] || refuse "unsafe ${at:-/} $why"
 
 # The runner removes folders in its working folder: it must be new, empty, or known by the mark. One of a version without
 # a mark is known by its names.
@@ -115,3 +123,11 @@ why=$(
 [ -z "$why" ] || refuse "unsafe $work holds something that $why"
 mkdir -p "$work/objects" "$work/suites" "$work/runs" "$work/master" 2>/dev/null && [ -w "$work" ] && (: >>"$mark") 2>/dev/null ||
     refuse "readonly $work"
+# A default list of rights, which chmod leaves as it is, gives others what is made there, whatever the umask says.
+probe=$work/.probe
+rmdir "$probe" 2>/dev/null
+mkdir "$probe" || refuse "readonly $work"
+# shellcheck disable=SC2046
+set -- $(ls -ldn "$probe")
+rmdir "$probe"
+case $1 in ?????w* | ????????w*) refuse "unsafe $work gives others the right to write to what is made there (getfacl)" ;; esac

@@ -1,0 +1,122 @@
+"""Folders that look safe: lists of rights (ACL), and ways that end in a folder where everybody may add names."""
+
+import os
+import struct
+import subprocess
+import sys
+
+import pytest
+
+from rtfiles import ownership
+from rtfiles.errors import UsageError
+from rtrun.targets.inspection import work_folder
+
+OTHER = 65534
+pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="gives folders to other users")
+
+
+def acl(permissions):
+    entries = [(1, 7, -1), (2, permissions, OTHER), (4, 5, -1), (16, 7, -1), (32, 5, -1)]
+    packed = [struct.pack("<HHI", tag, bits, who & 0xFFFFFFFF) for tag, bits, who in entries]
+    return struct.pack("<I", 2) + b"".join(packed)
+
+
+def by_script(path, *shell):
+    said = subprocess.run(
+        [*shell, "-s", str(path)], input=work_folder.SCRIPT.read_text(), capture_output=True, text=True, check=True
+    )
+    return said.stdout
+
+
+def by_runner(path):
+    try:
+        ownership.make_folder(path)
+    except UsageError as error:
+        return str(error)
+    return ""
+
+
+def other_writes(path):
+    code = f"import os; os.setgroups([]); os.setgid({OTHER}); os.setuid({OTHER}); open({str(path)!r}, 'w')"
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+@pytest.fixture
+def place(tmp_path):
+    for each in (tmp_path, *tmp_path.parents[:2]):
+        each.chmod(0o755)
+    return tmp_path
+
+
+def test_a_default_acl_that_the_remedy_leaves(place):
+    folder = place / "work"
+    folder.mkdir()
+    os.chown(folder, OTHER, OTHER)
+    os.setxattr(folder, "system.posix_acl_default", acl(7))
+    subprocess.run(["chown", "-R", "root:root", folder], check=True)
+    subprocess.run(["chmod", "-R", "go-w", folder], check=True)
+    said = by_script(folder, "sh")
+    assert said or not other_writes(folder / "objects/evil")
+
+
+def test_a_default_acl_of_a_folder_of_results(place):
+    os.setxattr(place, "system.posix_acl_default", acl(7))
+    said = by_runner(place / "results")
+    if not said:
+        (place / "results/001").mkdir()
+    assert said or not other_writes(place / "results/001/evil")
+
+
+def test_an_acl_by_the_runner(place):
+    folder = place / "results"
+    folder.mkdir()
+    os.setxattr(folder, "system.posix_acl_access", acl(7))
+    assert by_runner(folder) or not other_writes(folder / "evil")
+
+
+def test_an_acl_where_ls_is_that_of_busybox(place):
+    folder, tools = place / "work", place / "tools"
+    folder.mkdir()
+    tools.mkdir()
+    os.setxattr(folder, "system.posix_acl_access", acl(7))
+    for name in ("ls", "sh"):
+        (tools / name).symlink_to("/usr/bin/busybox")
+    said = by_script(folder, "env", f"PATH={tools}:/usr/bin:/bin", "sh")
+    assert said or not other_writes(folder / "evil")
+
+
+@pytest.mark.parametrize(
+    ("asked", "way"),
+    [
+        (by_runner, "new/.."),
+        (by_runner, "link to ."),
+        (lambda path: by_script(path, "sh"), "new/.."),
+        (lambda path: by_script(path, "sh"), "link to a folder/"),
+    ],
+    ids=["runner-up", "runner-dot", "script-up", "script-slash"],
+)
+def test_a_sticky_folder_at_the_end(place, asked, way):
+    sticky = place / "sticky"
+    sticky.mkdir()
+    sticky.chmod(0o1777)
+    path = sticky / way
+    if way == "link to a folder/":
+        path = place / "link"
+        path.symlink_to(f"{sticky}/")
+    elif way == "link to .":
+        # In the sticky folder's parent it would be another folder.
+        path = sticky / ".rt-tests-link"
+        path.symlink_to(".")
+    elif way == "new/..":
+        (sticky / "runs").mkdir()
+        path = sticky / "runs/.."
+    said = asked(path)
+    assert "can be written by every user" in said, said or "accepted"
+
+
+def test_a_list_of_rights_to_read_is_no_objection(place):
+    folder = place / "work"
+    folder.mkdir(0o755)
+    os.setxattr(folder, "system.posix_acl_access", acl(5))
+    folder.chmod(0o755)
+    assert by_script(folder, "sh") == by_runner(folder) == ""
