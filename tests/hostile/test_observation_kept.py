@@ -28,13 +28,15 @@ from rtrun.targets.errors import ConnectionLost
 pytestmark = [pytest.mark.trace, pytest.mark.timeout(180)]
 S = 10**9
 ASKED_S = 8
+# Of this process alone: what others publish on this machine is observed as well.
+TOPIC = f"kept{os.getpid()}"
 
 
 @pytest.fixture(scope="module")
 def standin(tmp_path_factory):
     """A program to observe, 500 messages a second."""
     skip_without_trace()
-    with running(build(tmp_path_factory.mktemp("standin")), 500, 10**9, 4 * 10**15, 1000, "/kept") as process:
+    with running(build(tmp_path_factory.mktemp("standin")), 500, 10**9, 4 * 10**15, 1000, f"/{TOPIC}") as process:
         yield process
 
 
@@ -96,7 +98,7 @@ def observe(tmp_path, address, standin, *more, act=None, results=None):
 
 def of_stream(records, results, kind="messages"):
     """The record and samples of the stand-in's stream; others may run on this machine."""
-    (name,) = [name for name in records if f"-{kind}-kept-standin" in name]
+    (name,) = [name for name in records if f"-{kind}-{TOPIC}-standin" in name]
     return records[name], np.load(results / name / f"{name}.npy")
 
 
@@ -156,6 +158,29 @@ def test_a_killed_watchdog(tmp_path, address, standin, impatient):
     graph = json.loads((tmp_path / "results/001/graph.json").read_text())
     assert "the probes were not seen to be taken off: the next call takes off what is left" in graph["remarks"]
     observe(tmp_path, address, standin, results=tmp_path / "again")
+    wait_until_nothing_is_left()
+
+
+def test_a_killed_printer(tmp_path, standin):
+    """The watchdog lives, and takes the probes off; what was not printed was not seen."""
+
+    def children_of(pid):
+        try:
+            return Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        except OSError:
+            return []
+
+    def kill_printer(pid):
+        # Of what the script has started it alone starts something in turn: it sleeps between two rounds.
+        while not (printers := [child for child in children_of(pid) if children_of(child)]):
+            time.sleep(0.01)
+        os.kill(int(printers[0]), signal.SIGKILL)
+
+    status, records = observe(tmp_path, "kind: local\n", standin, act=kill_printer)
+    check_kept(records, tmp_path / "results")
+    assert (status, records["001"]["status"]) == (3, "incomplete")
+    assert "what prints the events on the target was ended there" in records["001"]["reason"]
+    assert causes_of(records["001"]) >= {"ended early"}
     wait_until_nothing_is_left()
 
 
@@ -277,7 +302,7 @@ def test_two_observers_of_one_folder(tmp_path, standin):
     assert [name for name in names if name.isdecimal()] == ["001", "002", "003"], names
     assert not [name for name in names if ".old-" in name or name.startswith(".")], names
     for number in ("001", "002", "003"):
-        assert [name for name in names if name.startswith(f"{number}-messages-kept-standin")], names
+        assert [name for name in names if name.startswith(f"{number}-messages-{TOPIC}-standin")], names
 
 
 IN_A_CONTAINER = """

@@ -238,6 +238,8 @@ print_rounds() {
         sleep 1 >/dev/null &
         wait $!
     done
+    # Without this line somebody has ended what prints, and events are missing.
+    echo "rounds end"
 }
 
 # The last events are printed first, unless nobody reads any more: a busy machine may read late.

@@ -257,6 +257,8 @@ class _Watching:
                 continue
             lost += reader.lost if reader is not None else 0
             if piece is None:
+                if not broken and reader is not None and reader.is_done and not reader.is_read_to_end:
+                    broken = "what prints the events on the target was ended there"
                 yield Finished(
                     lost_events=lost,
                     rests=rests,

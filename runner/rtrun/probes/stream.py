@@ -98,11 +98,12 @@ class WatchReader:
     def __init__(self, probes: Mapping[str, PlacedProbe], origin: str, pids: Mapping[int, int]) -> None:
         self.is_done = False
         """Everything was taken off."""
+        self.is_read_to_end = False
+        """All rounds were printed, up to the last event."""
         self.lost = 0
         """Events that the kernel says it has lost; it may not know how many."""
         self.begin_ns = 0
         """Since when events are recorded; 0 before that is known."""
-        self._is_whole = False
         self._placed: dict[str, None] = {}
         self._refused: dict[str, str] = {}
         self._last_ns = self._until_ns = 0
@@ -150,7 +151,7 @@ class WatchReader:
         """What is left when the output has ended; where it was cut off, what came of a round is no whole one."""
         if self._rests_ns is not None:
             self._end_rest(max(self._rests_ns, self._last_ns) + 1)
-        return self._batch(None if self._is_whole else 0)
+        return self._batch(None if self.is_read_to_end else 0)
 
     def _take(self) -> Iterator[Ready | Batch]:
         place = 0
@@ -233,8 +234,10 @@ class WatchReader:
             self._refused[name] = reason[:300]
         elif line == "ready":
             yield Ready(placed=tuple(self._placed), refused=dict(self._refused))
+        elif line == "rounds end":
+            self.is_read_to_end = True
         elif line == "done" or word == "left":
-            self.is_done, self._is_whole = line == "done", True
+            self.is_done = line == "done"
         elif word != "lost" and line != "rtrun observes":
             raise ValueError(f"unexpected line {line[:80]!r}")
 
