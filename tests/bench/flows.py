@@ -41,9 +41,11 @@ def test_twenty_thousand_messages_a_second(message: Callable[[int, str, int], li
         began = time.process_time()
         observed.feed(hits)
         fed = time.process_time()
-        live.snapshot((second + 1) * S)
+        rows = live.snapshot((second + 1) * S).rows
         hit_us.append((fed - began) / len(hits) * 1e6)
         snapshot_ms.append((time.process_time() - fed) * 1e3)
+    received = sum(row.n for row in rows if row.kind == "messages")
+    assert received == SECONDS * MESSAGES_PER_S, [(row.kind, row.name, row.n) for row in rows]
     # In the last seconds publications are forgotten, too.
     least_us = min(hit_us[-3:])
     print(f"\n{message.__name__}: {least_us:.1f} us a hit, {min(snapshot_ms[-3:]):.1f} ms a snapshot")

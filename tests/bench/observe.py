@@ -7,6 +7,7 @@ with probes has one without near it. CPU time is what the kernel has counted for
 
 import os
 import platform
+import re
 import resource
 import subprocess
 import sys
@@ -136,6 +137,7 @@ def table(own, turns, hits):
         sure_us = stats.t.ppf(0.975, len(more_us) - 1) * stats.sem(more_us)
         values = np.concatenate(latency)
         median, high = np.median(values), np.percentile(values, 99.9)
+        assert len(values) and (name == "none") == (np.mean(seen) < 0.01), (name, len(values), np.mean(seen))
         rows.append((name, len(values), np.mean(seen), np.mean(cpu_us), more_us.mean(), sure_us, median, high))
     return rows
 
@@ -218,6 +220,12 @@ def test_hit(tmp_path):
         print(f"| {name} | {event} | {ns / 1000:.2f} |")
 
 
+def hits_of(name):
+    """How often the kernel saw a probe hit so far."""
+    counts = re.findall(rf"\s{name}\s+(\d+)", (TRACING / "uprobe_profile").read_text())
+    return sum(map(int, counts))
+
+
 def hit_ns(program, line, event, group):
     """The median of some turns with the probe, each less the one without before it."""
     word, rest = line.split(" ", 1)
@@ -228,10 +236,12 @@ def hit_ns(program, line, event, group):
             for _ in range(HIT_TURNS):
                 taken = []
                 for is_on in "01":
+                    before = hits_of(event.name)
                     (event / "enable").write_text(is_on)
                     process.stdin.write("topic\n" if ":string" in line else "pointers\n")
                     process.stdin.flush()
                     taken.append(float(process.stdout.readline()))
+                    assert (hits_of(event.name) > before) == (is_on == "1"), (event, is_on)
                 differences.append(taken[1] - taken[0])
             (event / "enable").write_text("0")
             process.stdin.close()
@@ -278,6 +288,7 @@ def test_agreement(programs, tmp_path):
     place = np.searchsorted(own[:, 0], observed[:, 0], side="right") - 1
     longer = ((own[place, 1] - own[place, 0]) - (observed[:, 1] - observed[:, 0])) / 1000
     assert (own[place, 1] >= observed[:, 1]).all()
+    assert len(longer) > AGREEMENT_S * FREQUENCY_HZ[middleware] / 2
     print(f"\n{middleware}, {len(longer)} messages: own latency less the observed one, us")
     names = ("least", "1 %", "median", "99 %", "99.9 %", "most")
     print(
