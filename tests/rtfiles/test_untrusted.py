@@ -93,7 +93,8 @@ from rtfiles.untrusted import parse_json
 assert len(parse_json('[' + ','.join(['{"":[]}'] * 160_000) + ']', "x")) == 160_000
 """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    assert measured([sys.executable, "-c", code], env=environment).peak_mib < 300
+    # 65 on x86-64 with Python 3.11, 2026-11-26; five times the items would take 281.
+    assert measured([sys.executable, "-c", code], env=environment).peak_mib < 100
 
 
 def test_the_end_of_a_file_of_any_size(tmp_path):
