@@ -267,7 +267,8 @@ def check_observing(board: Board, machine: str, place: Path, capsys: pytest.Capt
             assert cli.main(observing) == 3
             (line,) = capsys.readouterr().err.strip().splitlines()
             assert (
-                "no probe publish, take, callback_begin, timer_call in /usr/lib/arm-linux-gnueabihf/libroscpp" in line
+                "no probe publish, take, subscription_init, callback_begin, timer_call in "
+                "/usr/lib/arm-linux-gnueabihf/libroscpp" in line
             )
             assert line.count("its address is odd, as that of Thumb code") == 1
             board.output_of(f"kill {pid}")

@@ -9,7 +9,7 @@ from .conftest import PROGRAMS, Bench, options_of
 
 NOTHING = ("--bounding-set=-all", "--inh-caps=-all", "--ambient-caps=-all")
 # Root without its capabilities, or with just one; and no limits that would do instead.
-UNPRIVILEGED = ("prlimit", "--rtprio=0", "setpriv", "--securebits=+noroot", *NOTHING)
+UNPRIVILEGED = ("prlimit", "--rtprio=0", "--memlock=unlimited", "setpriv", "--securebits=+noroot", *NOTHING)
 ONLY_PRIORITY = (
     *("prlimit", "--memlock=65536", "setpriv", "--securebits=+noroot"),
     *(f"{word},+sys_nice" for word in NOTHING),

@@ -125,6 +125,7 @@ class _Watching:
         self._pids = {thread.tid: each.program.pid for each in programs for thread in each.program.threads}
         buffer_kb = min(max(limit_per_s * 2 * _EVENT_BYTES // 1024, _BUFFER_KB[0]), _BUFFER_KB[1])
         buffer_kb += _BUFFER_KERNEL_KB if kernel_events else 0
+        self._is_traced = bool(kernel_events)
         self._for_s = for_s
         self._next_beat_s = 0.0
         # Once the probes are placed, it is what was asked for.
@@ -154,7 +155,7 @@ class _Watching:
     def _call(self, connection: "Connection") -> None:
         if self._is_time_over():
             return
-        reader = WatchReader(self._probes, str(connection.address), self._pids)
+        reader = WatchReader(self._probes, str(connection.address), self._pids, is_traced=self._is_traced)
         self._put(reader)
         self._connection = connection
         self._asked_s, self._quiet_s, self._over_s, self._is_ready = time.monotonic(), 0.0, 0.0, False

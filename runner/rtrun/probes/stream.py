@@ -26,12 +26,14 @@ _END_OF_PAGES = b"rtrun end pages\n"
 # The format of an event has some KiB.
 _BLOCK_BYTES_MAX = 256 * 1024
 _FORMATS_MAX = 500
-# Hits and events of the kernel that wait for the end of their round, and their bytes. Of hits that is more than two
-# seconds of the highest rate at which the probes do not rest, of events more than three: a busy machine takes so long
-# for a round with a trace. What goes beyond it is left out, and when that was is recorded.
-_HITS_MAX = 100_000
-_KERNEL_EVENTS_MAX = 300_000
-_EVENTS_BYTES_MAX = 32 * 1024 * 1024
+# Hits that wait for the end of their round, and their bytes. That is four seconds of the highest rate at which the
+# probes do not rest. What goes beyond it is left out, and when that was is recorded.
+_HITS_MAX = 160_000
+_HITS_BYTES_MAX = 24 * 1024 * 1024
+# The same of the kernel's events, of an observation with a trace: a busy machine takes eight seconds and more for a
+# round with so many.
+_KERNEL_EVENTS_MAX = 1_000_000
+_KERNEL_BYTES_MAX = 128 * 1024 * 1024
 # Of a round: others are joined with the last one.
 _GAPS_MAX = 1000
 _ENDED_MAX = 20_000
@@ -89,13 +91,36 @@ class _Source:
     is_kernel: bool = False
 
 
+class _WaitingRoom:
+    """How many events may wait for the end of their round, and how many bytes of them."""
+
+    def __init__(self, events_max: int, bytes_max: int) -> None:
+        self._events_max, self._bytes_max = events_max, bytes_max
+        self._events = self._bytes = 0
+
+    def take(self, waiting: int, size_bytes: int) -> bool:
+        """Whether there is room for one more beside those that wait; it is taken then."""
+        if waiting >= self._events_max or self._bytes + size_bytes > self._bytes_max:
+            return False
+        self._events = waiting + 1
+        self._bytes += size_bytes
+        return True
+
+    def keep(self, waiting: int) -> None:
+        """Free the room of all but those of the next round."""
+        self._bytes = self._bytes * waiting // max(self._events, 1)
+        self._events = waiting
+
+
 class WatchReader:
     """Reads the output of one call of watch_probes.sh, for the probes by the names that they have there.
 
     Raises TargetError with the origin for whatever is not as the script prints it.
     """
 
-    def __init__(self, probes: Mapping[str, PlacedProbe], origin: str, pids: Mapping[int, int]) -> None:
+    def __init__(
+        self, probes: Mapping[str, PlacedProbe], origin: str, pids: Mapping[int, int], *, is_traced: bool = True
+    ) -> None:
         self.is_done = False
         """Everything was taken off."""
         self.is_read_to_end = False
@@ -109,6 +134,8 @@ class WatchReader:
         self._last_ns = self._until_ns = 0
         self._probes, self._origin = probes, origin
         self._pids = dict(pids)
+        self._is_traced = is_traced
+        """Whether events of the kernel were asked for; others are left out."""
         self._data = bytearray()
         self._layout: PageLayout | None = None
         self._sources: dict[int, _Source] = {}
@@ -127,7 +154,8 @@ class WatchReader:
         self._begin_s = self._fed_s = time.monotonic()
         self._rounds = 0
         self._round_s = 0.0
-        self._events_bytes = 0
+        self._hits_room = _WaitingRoom(_HITS_MAX, _HITS_BYTES_MAX)
+        self._kernel_room = _WaitingRoom(_KERNEL_EVENTS_MAX, _KERNEL_BYTES_MAX)
         self._left_out_ns: tuple[int, int] | None = None
         self._rests_ns: int | None = None
         self._cpu: int | None = None
@@ -283,7 +311,7 @@ class WatchReader:
                 values_of = RawValues(source.format, page[start : start + size], 0, size)
                 self._take_kernel_event(source, at_ns, cpu, tid, values_of, size)
                 continue
-            if not self._is_room(self._hits, _HITS_MAX, size):
+            if not self._hits_room.take(len(self._hits), size):
                 self._leave_out(at_ns)
                 continue
             values = source.format.values(page, start, size)
@@ -299,14 +327,6 @@ class WatchReader:
             gap = Gap(min(gap.from_ns, last.from_ns), max(gap.until_ns, last.until_ns), gap.reason, gap.cause)
         self._gaps.append(gap)
 
-    def _is_room(self, waiting: Sequence[Hit], most: int, size_bytes: int) -> bool:
-        """Whether another event can wait for the end of the round, beside those of its kind."""
-        self._events_bytes += size_bytes
-        is_room = len(waiting) < most and self._events_bytes <= _EVENTS_BYTES_MAX
-        if not is_room:
-            self._events_bytes -= size_bytes
-        return is_room
-
     def _leave_out(self, at_ns: int) -> None:
         """There was no room for an event."""
         if self._left_out_ns is None:
@@ -319,7 +339,9 @@ class WatchReader:
             if text.startswith("rtrun "):
                 self._take_mark(at_ns, text.removeprefix("rtrun "))
             return
-        if not self._is_room(self._kernel, _KERNEL_EVENTS_MAX, size):
+        if not self._is_traced:
+            return
+        if not self._kernel_room.take(len(self._kernel), size):
             self._leave_out(at_ns)
             return
         self._kernel.append(Hit(at_ns, cpu, self._pids.get(tid, 0), tid, source.event, values))
@@ -358,11 +380,10 @@ class WatchReader:
         # While probes are switched on or off one after the other, one end of a message is seen, and the other is not.
         rests = [gap for gap in self._gaps if gap.cause is GapCause.RESTED]
         silent = [(0, self.begin_ns), *((gap.from_ns, gap.until_ns) for gap in rests)]
-        before = len(self._hits) + len(self._kernel)
         hits, self._hits = _cut(self._hits, until_ns, silent)
         kernel, self._kernel = _cut(self._kernel, until_ns, silent)
-        # What is of the next round takes room there.
-        self._events_bytes = self._events_bytes * (len(self._hits) + len(self._kernel)) // max(before, 1)
+        self._hits_room.keep(len(self._hits))
+        self._kernel_room.keep(len(self._kernel))
         # The programs of a round are told after its pages.
         pids = self._pids
         hits = tuple(hit._replace(pid=pids[hit.tid]) if not hit.pid and hit.tid in pids else hit for hit in hits)
