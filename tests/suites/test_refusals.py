@@ -8,8 +8,8 @@ import pytest
 from .conftest import PROGRAMS, Bench, options_of
 
 NOTHING = ("--bounding-set=-all", "--inh-caps=-all", "--ambient-caps=-all")
-# Root without its capabilities, or with just one; and no limits that would do instead.
-UNPRIVILEGED = ("prlimit", "--rtprio=0", "--memlock=unlimited", "setpriv", "--securebits=+noroot", *NOTHING)
+# Root with just one of its capabilities, and no limits that would do instead.
+ONLY_MEMORY = ("prlimit", "--rtprio=0", "setpriv", "--securebits=+noroot", *(f"{word},+ipc_lock" for word in NOTHING))
 ONLY_PRIORITY = (
     *("prlimit", "--memlock=65536", "setpriv", "--securebits=+noroot"),
     *(f"{word},+sys_nice" for word in NOTHING),
@@ -77,7 +77,7 @@ def test_output_folder_is_looked_at_first(offline: Bench) -> None:
 
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_missing_right_to_real_time(offline: Bench, program: str) -> None:
-    ended = offline.run(program, "-s", "RR", before=UNPRIVILEGED)
+    ended = offline.run(program, "-s", "RR", before=ONLY_MEMORY)
     assert (ended.status, ended.out) == (1, "")
     assert ended.err.startswith(
         "\tERROR: cannot run with policy RR at priority 95: it needs the capability CAP_SYS_NICE or RLIMIT_RTPRIO"
