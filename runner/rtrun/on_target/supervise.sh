@@ -95,9 +95,10 @@ watch() {
 } 2>/dev/null
 
 "${0%/*}/cgroups.sh" >"$name.cgroups" 2>/dev/null
+# Before the program: that may kill this shell at once.
+watch &
 "$@" </dev/null >"$name.stdout" 2>"$name.stderr" 8>&- &
 program=$!
-watch &
 
 wait $program
 status=$?

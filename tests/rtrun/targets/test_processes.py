@@ -179,7 +179,7 @@ def test_end_takes_the_whole_group_even_the_stubborn(link, scripts, folder):
 
 def test_end_waits_for_what_has_just_been_started(link, folder):
     secret = f"RTRUN_PROGRAM={uuid.uuid4()}"
-    starting = "exec 9>p.lock; flock 9; : >begun; sleep 0.3; echo $RTRUN >p.known_by; echo $$ >p.pid; sleep 300; :"
+    starting = "exec 9>p.lock; flock 9; : >begun; sleep 0.3; echo $RTRUN >p.known_by; echo $$ >p.pid; exec sleep 300"
     environment = os.environ | {"RTRUN": secret, "RTRUN_PROGRAM": secret.partition("=")[2]}
     process = subprocess.Popen(["setsid", "sh", "-c", starting], cwd=folder, env=environment)
     while not (folder / "begun").exists():
