@@ -188,6 +188,7 @@ def test_results_and_cache_are_looked_at(tmp_path: Path, monkeypatch: pytest.Mon
 
     for use in (
         lambda: run_directory.make_results(tmp_path / "a/results"),
+        lambda: run_directory.make_new_results(tmp_path / "a/results"),
         lambda: cache.entry("kind", "key", lambda _: None),
         fill,
         lock,

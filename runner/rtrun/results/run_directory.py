@@ -41,7 +41,7 @@ def unused_results(folder: Path) -> Path:
 
 
 def make_new_results(folder: Path) -> Path:
-    """Make `unused_results` of a folder; nobody else gets it. Raises InfrastructureError."""
+    """Make `unused_results` of a folder; nobody else gets it. Raises as `make_results`."""
     while True:
         made = unused_results(folder)
         try:
@@ -51,6 +51,11 @@ def make_new_results(folder: Path) -> Path:
             continue
         except OSError as error:
             raise InfrastructureError(f"{made}: cannot keep the results: {error.strerror}") from error
+        try:
+            make_results(made)
+        except UsageError:
+            made.rmdir()
+            raise
         return made
 
 
