@@ -149,7 +149,7 @@ def test_a_stopped_watchdog(tmp_path, address, standin, impatient):
 
 
 def test_a_killed_watchdog(tmp_path, address, standin, impatient):
-    """What was killed cannot take the probes off: it is said, and the next call does."""
+    """What was killed cannot take the probes off: a remark reports that, and the next call does it."""
     status, records = observe(tmp_path, address, standin, act=lambda pid: os.killpg(os.getpgid(pid), signal.SIGKILL))
     check_kept(records, tmp_path / "results")
     assert (status, records["001"]["status"]) == (3, "incomplete")
@@ -180,6 +180,8 @@ def test_a_killed_printer(tmp_path, standin):
     check_kept(records, tmp_path / "results")
     assert (status, records["001"]["status"]) == (3, "incomplete")
     assert "what prints the events on the target was ended there" in records["001"]["reason"]
+    graph = json.loads((tmp_path / "results/001/graph.json").read_text())
+    assert not [remark for remark in graph["remarks"] if "taken off" in remark], "they were"
     assert causes_of(records["001"]) >= {"ended early"}
     wait_until_nothing_is_left()
 

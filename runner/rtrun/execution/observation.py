@@ -76,7 +76,7 @@ class ObservationResult:
     end_time: str
     coverage: Coverage
     broken: str = ""
-    """What ended it before its time, where something did that nobody asked for."""
+    """What ended it early against the user's will; empty: nothing did."""
     programs_left_out: int = 0
     late: LateValueRecord | None = None
     """Late values, with the kernel's traces of some; None: they were not asked for."""
@@ -207,7 +207,7 @@ def observe(
         coverage=coverage(
             begin_ns=flows.begin_ns,
             # Nothing was missed after the last event of one that was read to its end.
-            until_ns=flows.begin_ns + asked_ns if finished and finished.is_clean else flows.until_ns,
+            until_ns=flows.begin_ns + asked_ns if finished and finished.is_clean and not broken else flows.until_ns,
             asked_ns=asked_ns,
             gaps=flows.gaps,
         ),

@@ -86,7 +86,7 @@ def observe(
     it lasts. `kernel_events` are as in trace_events.yml. After `for_s` seconds, or when the caller closes the iterator,
     everything is taken off; the watchdog on the target does that, too, when the connection breaks or this process is
     killed. A lost connection is made anew, and so is the call where the target prints nothing any more; a gap tells how
-    long nothing was seen. What ends it for good once something was seen is told by `Finished`.
+    long nothing was seen. `Finished` reports what ended it, once something was seen.
 
     Meanwhile nobody else may use the link. Raises TargetError: no right, no probes in the kernel, or no answer;
     TargetRebooted at any time.
@@ -264,7 +264,7 @@ class _Watching:
                     lost_events=lost,
                     rests=rests,
                     reconnections=max(0, calls - 1),
-                    is_clean=not broken and reader is not None and reader.is_done,
+                    is_clean=reader is not None and reader.is_done,
                     broken=broken,
                 )
                 return
