@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-# In isolation and without site it has less than 10 MiB; whatever is smaller is said to have as much.
+# In isolation and without site it has less than 10 MiB; a smaller program is reported with as much.
 _LAUNCHER = """
 import os, signal, sys
 out = int(sys.argv[1])

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from rtrun.probes.libraries.description import Named
 from rtrun.probes.placement import PlacedProbe
+from rtrun.probes.programs import FoundPrograms, ProgramReader
 
 HEADER = """\tfield: u64 timestamp;\toffset:0;\tsize:8;\tsigned:0;
 \tfield: local_t commit;\toffset:8;\tsize:{size};\tsigned:1;
@@ -167,3 +168,11 @@ def watched():
     )
     text = output(*rounds, program.encode())
     return text.replace(b"ready\n", told.encode() + b"ready\n", 1)
+
+
+def parse_programs(text: str, origin: str) -> FoundPrograms:
+    """Read a whole listing of find_programs.sh, as it comes from a target line by line."""
+    reader = ProgramReader(origin)
+    for line in text.split("\n"):
+        reader.take(line.encode("utf-8", "replace"))
+    return reader.end()

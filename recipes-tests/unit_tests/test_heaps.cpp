@@ -1,4 +1,4 @@
-// In a program of its own: at the first use malloc settles for good how many heaps there may be.
+// In a program of its own: malloc fixes the number of heaps at its first use.
 #include <gtest/gtest.h>
 #include <unistd.h>
 

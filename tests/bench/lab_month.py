@@ -64,7 +64,7 @@ def receiving(told: dict[str, list[int]], night: list[int]) -> http.server.Threa
     class Hook(http.server.BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             for alarm in json.loads(self.rfile.read(int(self.headers["Content-Length"])))["alarms"]:
-                # None of the places has an exporter, and in the first night all boards are new.
+                # No place has an exporter, and in the first night all boards are new.
                 if alarm["kind"] not in ("offline", "new"):
                     told.setdefault(alarm["about"], []).append(night[0])
             self.send_response(200)

@@ -41,7 +41,7 @@ from rtrun.plan.goal import Goal
 from rtrun.plan.topology.planning import TopologyPlan
 from rtrun.plan.topology.topology import Executor, Topology, TopologyNode, TopologyTopic, Waits
 from rtrun.probes import placement
-from rtrun.probes.programs import find_programs, parse_programs
+from rtrun.probes.programs import find_programs
 from rtrun.probes.stream import Batch, WatchReader
 from rtrun.probes.symbols import read_symbols
 from rtrun.report import causes
@@ -299,7 +299,7 @@ def _joined(link: Link) -> object:
 
 
 def _placed(link: Link) -> object:
-    found = parse_programs(PROGRAM.replace(" (deleted)", ""), "board").found
+    found = watched.parse_programs(PROGRAM.replace(" (deleted)", ""), "board").found
     return placement._look(link, [(each, mapped) for each in found for mapped in each.mapped])
 
 

@@ -183,7 +183,7 @@ def _compact(args: argparse.Namespace) -> int:
 
 
 def _said(args: argparse.Namespace, kind: "type[NoteT]", /, **fields: Any) -> "NoteT":
-    """A note with who says it, when and why."""
+    """A note with its author, its time and its reason."""
     import getpass
     from datetime import UTC, datetime
 

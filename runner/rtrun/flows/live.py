@@ -15,7 +15,7 @@ from rtrun.flows.timers import ClockOffsets, TimerLog
 from rtrun.flows.values import int64s
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.plan.observation import StreamDeadline, StreamKind
-from rtrun.probes.hits import Gap
+from rtrun.probes.hits import Gap, covered_ns
 
 _BINS_OF_OCTAVE = 64
 
@@ -253,16 +253,8 @@ class LiveFigures:
 def gaps_in_words(gaps: Sequence[Gap]) -> str:
     """How many there were, of what time, and why."""
     reasons = ", ".join(dict.fromkeys(gap.reason for gap in gaps))
-    return printable(f"{counted(len(gaps), 'gap')} of {_covered_ns(gaps) / 1e9:.3g} s together: {reasons}")
-
-
-def _covered_ns(gaps: Iterable[Gap]) -> int:
-    """The time within any of these gaps. Those of two CPUs may overlap."""
-    covered_ns = until_ns = 0
-    for gap in sorted(gaps, key=lambda gap: gap.from_ns):
-        covered_ns += max(0, gap.until_ns - max(gap.from_ns, until_ns))
-        until_ns = max(until_ns, gap.until_ns)
-    return covered_ns
+    together_s = covered_ns((gap.from_ns, gap.until_ns) for gap in gaps) / 1e9
+    return printable(f"{counted(len(gaps), 'gap')} of {together_s:.3g} s together: {reasons}")
 
 
 def worst_first(rows: Iterable[LiveRow]) -> list[LiveRow]:

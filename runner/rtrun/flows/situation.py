@@ -48,7 +48,7 @@ class Situation:
 
     def add_stream(self) -> bool:
         """Whether there was room for another stream."""
-        if self._streams >= STREAMS_MAX:
+        if self.is_full:
             self.left_out += 1
             return False
         self._streams += 1

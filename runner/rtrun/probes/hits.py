@@ -1,6 +1,6 @@
 """What the probes saw: the types that pass from a target's trace to whoever reads messages and timers from it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
@@ -45,6 +45,15 @@ class Gap(NamedTuple):
     until_ns: int
     reason: str
     cause: GapCause
+
+
+def covered_ns(spans: Iterable[tuple[int, int]]) -> int:
+    """The time in ns within any of these spans, (begin, end), which may overlap as the gaps of two CPUs do."""
+    covered = until_ns = 0
+    for begin_ns, end_ns in sorted(spans):
+        covered += max(0, end_ns - max(begin_ns, until_ns))
+        until_ns = max(until_ns, end_ns)
+    return covered
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -195,14 +195,6 @@ class ProgramReader:
         return cpus
 
 
-def parse_programs(text: str, origin: str) -> FoundPrograms:
-    """Read a whole listing, as `ProgramReader` does."""
-    reader = ProgramReader(origin)
-    for line in text.split("\n"):
-        reader.take(line.encode("utf-8", "replace"))
-    return reader.end()
-
-
 class _Room:
     """What is left of the limits on programs that are kept."""
 

@@ -93,7 +93,7 @@ def _read(file: ELFFile, data: bytes, names: Collection[str]) -> LibrarySymbols 
     if count > SYMBOLS_MAX or table["sh_size"] > len(data):
         return NotProbed(f"its table claims {count} symbols, more than any library has")
     texts = table.stringtable["sh_offset"]
-    # A name that is looked for, with its end: what has none is none of them, however long it is.
+    # Each name to find, with its terminator. A text without one matches no name, however long it is.
     wanted = {name.encode(): name for name in names}
     longest = max(map(len, wanted), default=0) + 1
     offsets: dict[str, int | NotProbed] = {}

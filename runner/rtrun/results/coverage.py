@@ -9,7 +9,7 @@ from rtfiles.config import Config
 from rtfiles.output import counted, listed
 from rtfiles.quantities import time
 from rtrun.plan.limits import TIME_MAX_NS
-from rtrun.probes.hits import Gap, GapCause
+from rtrun.probes.hits import Gap, GapCause, covered_ns
 
 GAPS_MAX = 10_000
 """Of one cause; where there are more, those that lie close together become one."""
@@ -86,9 +86,4 @@ def _fewer(gaps: list[CoverageGap]) -> list[CoverageGap]:
 
 
 def _covered_ns(gaps: Iterable[CoverageGap]) -> int:
-    """The time within any of these gaps."""
-    covered_ns = until_ns = 0
-    for gap in sorted(gaps, key=lambda gap: gap.begin_ns):
-        covered_ns += max(0, gap.end_ns - max(gap.begin_ns, until_ns))
-        until_ns = max(until_ns, gap.end_ns)
-    return covered_ns
+    return covered_ns((gap.begin_ns, gap.end_ns) for gap in gaps)

@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 from probes.standin import SCRIPTS, find, running
 
 from rtrun.flows.programs import label_of
-from rtrun.probes.programs import PROGRAMS_MAX, Roster, parse_programs, pattern
+from rtrun.probes.programs import PROGRAMS_MAX, Roster, pattern
 from rtrun.targets.errors import TargetError
 from rtrun.targets.link import Link
+from watched import parse_programs
 
 
 @pytest.fixture

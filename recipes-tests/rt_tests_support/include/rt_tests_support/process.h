@@ -23,7 +23,7 @@ struct ThreadState {
 bool is_realtime(const Options& options);
 
 // Where threads allocate. Malloc locks a heap without priority inheritance: a real-time thread that shares one with threads of
-// normal scheduling waits until these get the CPU. On a busy CPU 1 allocation in 7 then took 5 to 8 ms, in place of 28 us at most.
+// normal scheduling waits until these get the CPU. On a busy CPU 1 allocation in 7 then took 5 to 8 ms, instead of 28 us at most.
 enum class Heaps {
   one,         // of all threads, which therefore have one policy and priority
   per_thread,  // of each thread
