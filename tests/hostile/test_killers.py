@@ -170,7 +170,7 @@ def test_a_killed_supervisor_leaves_nothing(place):
         ("sleep 600 & exit 5", "with exit status 5: it said nothing"),
         ("sleep 600 & exit 0", None),
         ("exit 0", "with exit status 0: it said nothing"),
-        # exec: of its child's end by a signal a shell says a word.
+        # exec: a shell that outlives its child would print "Terminated".
         ("kill -KILL $(cat {folder}/system.pid); exec sleep 600", "killed from outside: it said nothing"),
     ],
 )
