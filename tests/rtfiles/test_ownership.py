@@ -198,6 +198,19 @@ def test_results_and_cache_are_looked_at(tmp_path: Path, monkeypatch: pytest.Mon
     assert list((tmp_path / "a").iterdir()) == []
 
 
+def test_new_results_are_ours_whatever_the_umask(tmp_path: Path) -> None:
+    """With 002, as many users have it, their group could write what mkdir makes."""
+    given(tmp_path / "a", mode=0o755)
+    folder = tmp_path / "a/results/quick"
+    before = os.umask(0)
+    try:
+        made = [run_directory.make_new_results(folder) for _ in range(2)]
+    finally:
+        os.umask(before)
+    assert made == [folder, folder.with_name("quick-2")]
+    assert {path.stat().st_mode & 0o777 for path in (folder.parent, *made)} == {0o755}
+
+
 def test_what_is_in_the_cache_must_be_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("META_RT_TESTS_CACHE", str(tmp_path))
     os.chown(cache.entry("kind", "key", lambda _: None), OTHER, OTHER)

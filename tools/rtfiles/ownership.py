@@ -25,8 +25,8 @@ LINKS_MAX = 40
 _PROGRAM = Path(__file__)
 
 
-def make_folder(path: Path) -> None:
-    """Make a folder, and those above it that are missing, unless they are there.
+def make_folder(path: Path) -> bool:
+    """Make a folder, and those above it that are missing, unless they are there. Whether this call made the last one.
 
     Raises UsageError where somebody else may change one on the way to it, with the remedy; OSError where one cannot be
     made.
@@ -37,6 +37,7 @@ def make_folder(path: Path) -> None:
     waiting = ["", *path.absolute().parts[1:]]
     while waiting:
         name = waiting.pop(0)
+        is_new = False
         if name == "..":
             seen = os.path.dirname(seen)  # noqa: PTH120 - of a path without links, whose root is empty
             continue
@@ -44,6 +45,7 @@ def make_folder(path: Path) -> None:
         with contextlib.suppress(FileExistsError):
             if not os.path.lexists(place):
                 Path(place).mkdir(0o755)
+                is_new = True
         found = os.lstat(place)
         if stat.S_ISLNK(found.st_mode):
             links += 1
@@ -65,6 +67,7 @@ def make_folder(path: Path) -> None:
     end = seen or "/"
     if end not in above_program and (why := _objection(end, os.lstat(end), trusted, is_last=True)):
         raise _unsafe(path, end, why)
+    return is_new
 
 
 def _trusted() -> set[int]:

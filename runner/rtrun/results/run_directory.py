@@ -17,17 +17,18 @@ from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.results.record import FILE, FileRecord, RunRecord, read_record
 
 
-def make_results(folder: Path) -> None:
-    """Make the folder for the runs of a campaign, unless it is there.
+def make_results(folder: Path) -> bool:
+    """Make the folder for the runs of a campaign, unless it is there. Whether this call made it.
 
     Raises UsageError where others could change what it holds, InfrastructureError where it cannot be made.
     """
     try:
-        ownership.make_folder(folder)
+        is_new = ownership.make_folder(folder)
     except OSError as error:
         raise InfrastructureError(f"{folder}: cannot keep the results: {error.strerror}") from error
     if not os.access(folder, os.W_OK):
         raise InfrastructureError(f"{folder}: cannot keep the results: it is read-only")
+    return is_new
 
 
 def unused_results(folder: Path) -> Path:
@@ -42,21 +43,9 @@ def unused_results(folder: Path) -> Path:
 
 def make_new_results(folder: Path) -> Path:
     """Make `unused_results` of a folder; nobody else gets it. Raises as `make_results`."""
-    while True:
-        made = unused_results(folder)
-        try:
-            made.parent.mkdir(parents=True, exist_ok=True)
-            made.mkdir()
-        except FileExistsError:
-            continue
-        except OSError as error:
-            raise InfrastructureError(f"{made}: cannot keep the results: {error.strerror}") from error
-        try:
-            make_results(made)
-        except UsageError:
-            made.rmdir()
-            raise
-        return made
+    while not make_results(made := unused_results(folder)):
+        pass  # another took that name first
+    return made
 
 
 @contextlib.contextmanager
