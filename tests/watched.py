@@ -66,7 +66,7 @@ def page(begin_ns, data, *, flags=0, lost=b"", bits=64):
     return (head + data + lost).ljust(4096, b"\0")
 
 
-def output(*rounds, end=b"rounds end\ndone\n"):
+def output(*rounds, end=b"rounds end\nrtrun end done\n"):
     head = f"rtrun observes\nheader_page\n{HEADERS[64]}rtrun end header_page\nplaced take_0_1\n"
     formats = {"rtrun_observe_1_2_3/take_0_1": TAKE, "ftrace/print": PRINT}
     told = "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in formats.items())

@@ -252,13 +252,13 @@ take_off() {
         send_child USR1 "$printer"
         give_time "$printer"
     fi 2>/dev/null
+    # Whatever still sleeps, or still reads a page where what prints was killed.
+    kill -TERM 0
     word=done
     remove "$name" || word="left $name"
     # A dead link takes no more lines.
-    echo "$word" &
+    echo "rtrun end $word" &
     give_time $!
-    # Whatever still sleeps.
-    kill -TERM 0
 }
 
 # Wait for the end of a child as long as nothing may be heard, then end it, and all else that was started: this group is

@@ -22,7 +22,9 @@ from rtrun.probes.timers import TimerChecks
 from rtrun.probes.values import Values, converter
 from rtrun.targets.errors import TargetError
 
-_END_OF_PAGES = b"rtrun end pages\n"
+_END = b"rtrun end "
+# The last line. Where what prints was killed, it stands within whatever was being printed.
+_TAKEN_OFF = re.compile(r"rtrun end (?:(done)|left .*)")
 # The format of an event has some KiB.
 _BLOCK_BYTES_MAX = 256 * 1024
 _FORMATS_MAX = 500
@@ -186,6 +188,9 @@ class WatchReader:
         data = self._data
         try:
             while True:
+                # No page has that where the length of its events is.
+                if data.startswith(_END, place):
+                    self._cpu = None
                 if self._cpu is not None:
                     taken = self._take_page(place)
                     if not taken:
@@ -203,14 +208,8 @@ class WatchReader:
             del data[:place]
 
     def _take_page(self, place: int) -> int:
-        """Read a page, or the end of those of a CPU; how many bytes that were, 0 when more have to come."""
+        """Read a page; how many bytes that were, 0 when more have to come."""
         assert self._layout is not None and self._cpu is not None
-        if len(self._data) - place < len(_END_OF_PAGES):
-            return 0
-        # No page has that where the length of its events is.
-        if self._data.startswith(_END_OF_PAGES, place):
-            self._cpu = None
-            return len(_END_OF_PAGES)
         size_bytes = self._layout.size_bytes
         if len(self._data) - place < size_bytes:
             return 0
@@ -219,6 +218,9 @@ class WatchReader:
 
     def _take_line(self, raw: bytes) -> Iterator[Ready | Batch]:
         line = raw.decode("utf-8", "replace")
+        if taken_off := _TAKEN_OFF.fullmatch(line):
+            self._block, self.is_done = None, taken_off[1] is not None
+            return
         if self._block is not None:
             kind, text = self._block
             if line == f"rtrun end {kind.partition(' ')[0]}":
@@ -264,9 +266,7 @@ class WatchReader:
             yield Ready(placed=tuple(self._placed), refused=dict(self._refused))
         elif line == "rounds end":
             self.is_read_to_end = True
-        elif line == "done" or word == "left":
-            self.is_done = line == "done"
-        elif word != "lost" and line != "rtrun observes":
+        elif word != "lost" and line not in ("rtrun end pages", "rtrun observes"):
             raise ValueError(f"unexpected line {line[:80]!r}")
 
     def _end_block(self, kind: str, text: str) -> None:

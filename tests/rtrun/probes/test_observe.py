@@ -269,7 +269,7 @@ def test_what_comes_while_a_round_is_printed_is_there_at_the_end(here, standin, 
             script.stdin.close()
             time.sleep(late_s)
             printed = script.stdout.read()
-            assert (script.wait(30), printed.endswith(b"\ndone\n")) == (0, True)
+            assert (script.wait(30), printed.endswith(b"\nrtrun end done\n")) == (0, True)
     reader = WatchReader({probe.name: probe for probe in placement.probes}, "here", {})
     taken = values_of([*reader.feed(printed), reader.rest()], "take")
     numbers = [hit.values["source_ns"] for hit in taken]

@@ -88,8 +88,11 @@ def test_a_gap_that_lasts_longer_than_its_round_comes_with_the_hits_within_it():
     assert [(gap.from_ns, gap.until_ns) for gap in batch.gaps] == [(1200, 2500)]
 
 
+TAKEN_OFF, LEFT = b"rtrun end done\n", b"rtrun end left 1_2_3\n"
+
+
 @pytest.mark.parametrize(
-    "end", [b"", b"pages 1\n", b"done\n", b"left 1_2_3\n", b"rounds end\ndone\n", b"rounds end\nleft 1_2_3\n"]
+    "end", [b"", b"pages 1\n", TAKEN_OFF, LEFT, b"rounds end\n" + TAKEN_OFF, b"rounds end\n" + LEFT]
 )
 def test_a_round_that_was_cut_off_is_no_whole_one(end):
     """The pages of another CPU, of before these, did not come. That the probes were taken off tells nothing of that."""
@@ -98,6 +101,17 @@ def test_a_round_that_was_cut_off_is_no_whole_one(end):
     is_whole = end.startswith(b"rounds end")
     assert [hit.values["source_ns"] for hit in last.hits] == [3, 5] * is_whole
     assert last.until_ns == (2001 if is_whole else 1010)
+
+
+@pytest.mark.parametrize("piece", [1, 10**6])
+@pytest.mark.parametrize("end", [TAKEN_OFF, LEFT])
+@pytest.mark.parametrize("within", [b"", b"pages 1\n", b"programs\n", b"programs\nprogram 7\n", b"format x\nname: x\n"])
+def test_what_was_taken_off_is_told_wherever_the_printer_was_killed(within, end, piece):
+    reader = WatchReader({"take_0_1": PROBE}, "board", {7: 70})
+    text = output(a_round(1, cpu0=page(1000, BEGUN)), end=within + end)
+    for start in range(0, len(text), piece):
+        list(reader.feed(text[start : start + piece]))
+    assert (reader.is_done, reader.is_read_to_end) == (end == TAKEN_OFF, False)
 
 
 @settings(max_examples=300)
