@@ -49,16 +49,13 @@ def measure_on_boards(session: Session, boards: Sequence[Board], next_round: Nex
     allotment = Allotment(next_round, [board.name for board in boards], session.owners)
     work = _FarmThreads(session=session, allotment=allotment)
     # A second Ctrl-C ends the program at once: it waits for no thread.
-    threads = [threading.Thread(target=work.measure_on, args=(board,), daemon=True) for board in boards]
-    for thread in threads:
-        thread.start()
+    for board in boards:
+        threading.Thread(target=work.measure_on, args=(board,), daemon=True).start()
     try:
-        for thread in threads:
-            thread.join()
+        work.wait(len(boards))
     except KeyboardInterrupt:
         work.stop()
-        for thread in threads:
-            thread.join()
+        work.wait(len(boards))
         raise
     for error in work.errors.values():
         if _is_of_this_machine(error) or not isinstance(error, InfrastructureError | KeyboardInterrupt):
@@ -91,6 +88,8 @@ class _FarmThreads:
         self._session, self._allotment = session, allotment
         self._links: list[Link] = []
         self._lock = threading.Lock()
+        self._changed = threading.Condition()
+        self._ended = 0
         self._is_stopped = False
 
     def measure_on(self, board: Board) -> None:
@@ -124,6 +123,17 @@ class _FarmThreads:
             with contextlib.suppress(Exception):
                 is_shown = isinstance(error, InfrastructureError) and not _is_of_this_machine(error)
                 self._say_left(board, str(error) if is_shown else None)
+            with self._changed:
+                self._ended += 1
+                self._changed.notify_all()
+
+    def wait(self, boards: int) -> None:
+        """Wait until so many boards have ended.
+
+        Not by Thread.join: in Python 3.11 a KeyboardInterrupt within it makes it take its thread for ended.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._ended == boards)
 
     def _say_waiting(self, board: Board) -> None:
         """Say which boards left their runs to others, now that this one can be reached and asks for its own."""

@@ -89,8 +89,12 @@ def measure(
         measured = _observe(work, life, not_started, now) if run.observation else _wait(work, life)
     except (KeyboardInterrupt, InfrastructureError) as error:
         if must_give_up(life.state, error):
-            with contextlib.suppress(TargetError):
+            try:
                 _give_up(work)
+            except TargetError as left:
+                work.link.note(
+                    f"{run.name} was given up, and {remote} stays on the target: {left}; run this again to end it"
+                )
             life.move(RunEvent.GIVE_UP, str(error) or type(error).__name__)
         elif life.state is RunState.MEASURING and not isinstance(error, OUT_OF_REACH):
             raise TargetError(f"{error}; the run goes on and is picked up by the next call") from error

@@ -179,6 +179,29 @@ def test_ctrl_c_leaves_nothing_on_any_board(farm):
     assert closed() == {}
 
 
+def test_what_ctrl_c_cannot_remove_is_said(farm):
+    words = command(farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101]}]\n")
+    for board in farm:
+        board.wishes.will("await /nonexistent")
+    process = subprocess.Popen([sys.executable, "-m", "rtrun.cli", *words], stderr=subprocess.PIPE, text=True)
+    for board in farm:
+        board.wishes.await_calls()
+    (folder,) = farm[0].work_dir.glob("runs/*/*")
+    mounted = folder / "mounted"
+    mounted.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "tmpfs", mounted], check=True)
+    try:
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    finally:
+        subprocess.run(["umount", mounted], check=True)
+    assert process.returncode == 130
+    assert f"{folder.name} was given up, and {folder} stays on the target: " in said and "mounted" in said
+    assert not list(farm[1].work_dir.glob("runs/*/*"))
+    assert main(words) == 0
+    assert not list(farm[0].work_dir.glob("runs/*"))
+
+
 def test_a_run_that_is_closed_is_not_measured_again_where_its_board_fails_after_that(farm, capsys):
     """Its folder on the target cannot be removed."""
     left, right = farm
