@@ -3,6 +3,7 @@
 Each ends one that asked for 8 s after some rounds, on real programs with real probes.
 """
 
+import contextlib
 import json
 import os
 import signal
@@ -19,11 +20,12 @@ from probes.standin import SCRIPTS, build, left, running, skip_without_trace, wa
 from proxy import proxy_to
 
 from rtrun.cli import main
-from rtrun.execution import run_execution
+from rtrun.execution import observed_runs, run_execution
 from rtrun.flows.live import LiveFigures
 from rtrun.probes import session
 from rtrun.targets import deploy
 from rtrun.targets.errors import ConnectionLost
+from rtrun.targets.link import TargetRebooted
 
 pytestmark = [pytest.mark.trace, pytest.mark.timeout(180)]
 S = 10**9
@@ -238,12 +240,13 @@ def test_a_lying_target(tmp_path, standin, monkeypatch, impatient, lie, said):
     observe(tmp_path, "kind: local\n", standin, results=tmp_path / "again")
 
 
-def test_a_disk_of_the_runner_that_has_no_room_for_all(tmp_path, standin):
+def test_a_disk_of_the_runner_that_has_no_room_for_all(tmp_path, standin, monkeypatch):
     """The streams that fit are kept, and the others are named."""
+    monkeypatch.setattr(observed_runs, "_ROOM_BYTES", 2**18)
     disk = tmp_path / "disk"
     disk.mkdir()
-    # Room for the reserve, and for some of the streams: 500 rows of a second are 16 kB of each.
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1200k,mode=755", "tmpfs", disk], check=True)
+    # Room for what tells of it, and for some of the streams: 500 rows of a second are 16 kB of each.
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=400k,mode=755", "tmpfs", disk], check=True)
     try:
         status, records = observe(tmp_path, "kind: local\n", standin, results=disk)
         assert (status, records["001"]["status"]) == (3, "incomplete")
@@ -258,6 +261,92 @@ def test_ctrl_c(tmp_path, standin):
     status, records = observe(tmp_path, "kind: local\n", standin, act=lambda _: os.kill(os.getpid(), signal.SIGINT))
     stream, _ = check_kept(records, tmp_path / "results")
     assert (status, stream["status"], causes_of(stream) >= {"ended early"}) == (0, "ok", True)
+
+
+def test_a_disk_that_others_fill_meanwhile(tmp_path, standin, monkeypatch, capsys):
+    """Room for what tells of the observation itself is kept from the beginning."""
+    monkeypatch.setattr(observed_runs, "_ROOM_BYTES", 2**18)
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m,mode=755", "tmpfs", disk], check=True)
+
+    def fill(_pid):
+        with contextlib.suppress(OSError), (disk / "of others").open("wb", buffering=0) as file:
+            while file.write(bytes(4096)):
+                pass
+
+    try:
+        status, records = observe(tmp_path, "kind: local\n", standin, act=fill, results=disk)
+        assert status == 3 and len(records) < 4
+        assert records["001"]["status"] == "incomplete" and "cannot keep the results" in records["001"]["reason"]
+        assert records["001"]["coverage"]["seen_ns"] > 2 * S
+        # Where there is none of it, that is said before anything is observed.
+        capsys.readouterr()
+        status, again = observe(tmp_path, "kind: local\n", standin, results=disk)
+        assert (status, again) == (3, records) and not [*disk.glob(".*")]
+        said = capsys.readouterr()
+        assert f"{disk}: cannot keep the results: No space left on device" in said.err and "0 s" not in said.out
+    finally:
+        subprocess.run(["umount", "-l", disk], check=True)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_ctrl_c_while_it_is_kept(tmp_path, standin, monkeypatch, times, capfd):
+    """The first one waits until it is; the second one does not."""
+    write_streams = observed_runs.write_streams
+
+    def interrupted(*args, **more):
+        for _ in range(times):
+            os.kill(os.getpid(), signal.SIGINT)
+        return write_streams(*args, **more)
+
+    monkeypatch.setattr(observed_runs, "write_streams", interrupted)
+    status, records = observe(tmp_path, "kind: local\n", standin)
+    assert status == 130 and run_execution._KEPT_FIRST in capfd.readouterr().err
+    assert [records[name]["status"] for name in records if name == "001"] == ["ok"] * (times == 1)
+    assert len(records) > 1 or not records
+    assert not [*(tmp_path / "results").glob(".*")]
+
+
+def campaign(tmp_path):
+    """The words for a campaign of one observation; nobody attends it."""
+    (tmp_path / "target.yml").write_text(f"schema: 1\nname: here\nkind: local\nwork_dir: {tmp_path}/work\n")
+    runs = {"schema": 1, "name": "own", "for": f"{ASKED_S}s", "subject": "attached", "runs": [{"condition": "idle"}]}
+    (tmp_path / "own.yml").write_text(json.dumps(runs))
+    results = str(tmp_path / "results")
+    return ["run", str(tmp_path / "own.yml"), "--target", str(tmp_path / "target.yml"), "--results", results]
+
+
+def ended_once(monkeypatch, error):
+    """Let this end the first observation, after some seconds."""
+    observe_all, ends = session.observe, [error]
+
+    def observed(*args, **more):
+        for number, each in enumerate(stream := observe_all(*args, **more)):
+            yield each
+            if number == 4 and ends:
+                stream.close()
+                raise ends.pop()
+
+    monkeypatch.setattr(session, "observe", observed)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), TargetRebooted("here: the target was restarted")])
+def test_a_campaign_keeps_what_was_seen_and_observes_again(tmp_path, standin, monkeypatch, error):
+    """At once after a restart of the target; with the next call after Ctrl-C."""
+    ended_once(monkeypatch, error)
+    words = campaign(tmp_path)
+    if isinstance(error, KeyboardInterrupt):
+        assert main(words) == 130
+    assert main(words) == 0
+    records = {path.parent.name: json.loads(path.read_text()) for path in tmp_path.glob("results/*/run.json")}
+    first, again = records["001-observation.old-1"], records["001-observation"]
+    assert (first["status"], again["status"]) == ("incomplete", "ok")
+    assert ("was interrupted" if isinstance(error, KeyboardInterrupt) else "was restarted") in first["reason"]
+    assert S < first["coverage"]["seen_ns"] < again["coverage"]["seen_ns"] and "ended early" in causes_of(first)
+    (name,) = (name for name in records if f"-messages-{TOPIC}-standin" in name and ".old-" in name)
+    assert records[name]["coverage"] == first["coverage"] and records[name]["status"] == "ok"
+    assert not [*(tmp_path / "work/runs").glob("*")]
 
 
 @pytest.mark.parametrize("step", ["_end_background", "processes.remove"])

@@ -173,7 +173,9 @@ def _measure(
             observer.note(f"{run.name}: {error}")
             if life.state is RunState.CLOSED:
                 record = read_record(folder)
-                return record.status, record.reason
+                # Of an observation that was cut off, what was seen is closed as a run.
+                if not run.observation or record.status is not RunStatus.INCOMPLETE or not attempts_left:
+                    return record.status, record.reason
             if not attempts_left:
                 raise
     raise AssertionError("the last attempt returns or raises")

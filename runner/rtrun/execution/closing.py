@@ -29,7 +29,7 @@ from rtrun.targets.inspection import control_groups
 from rtrun.targets.inspection import facts as inspection
 from rtrun.targets.inspection.control_groups import ControlGroup
 from rtrun.targets.inspection.platform import Platform
-from rtrun.targets.link import Link
+from rtrun.targets.link import Interrupted, Link
 from rtrun.validity import baselines, requirements
 from rtrun.validity.outcome import RunOutcome, judge
 
@@ -113,6 +113,8 @@ def close(
     something was observed: that is kept without them.
     """
     run = work.run
+    if observed is not None:
+        observed_runs.free_first_half(work.folder)
     with contextlib.ExitStack() as stack:
         place = work.folder
         if run.observation is not None or run.topology is not None:
@@ -122,11 +124,12 @@ def close(
         partial = stack.enter_context(run_directory.filling(place))
         try:
             refused = _download(work, partial, attempt, end)
-        except TargetError as error:
+        except (TargetError, Interrupted) as error:
             if observed is None:
                 raise
-            refused = dict.fromkeys(end.files, f"not taken: {error}")
-            troubles = [*troubles, str(error)]
+            reason = str(error) or "rtrun was interrupted"
+            refused = dict.fromkeys(end.files, f"not taken: {reason}")
+            troubles = [*troubles, reason]
         verdict = _judge(work, partial, attempt, end, refused)
         tables: TopologyTables | str = ""
         if run.topology is not None and verdict.status is RunStatus.OK:
@@ -135,7 +138,8 @@ def close(
                 verdict = replace(verdict, status=RunStatus.INVALID, reason=tables)
         record = _record(work, partial, attempt, end, refused, verdict, now)
         if observed is not None:
-            record = observed_runs.write(partial, place, run, record, attempt.before, observed, troubles)
+            free = observed_runs.room_of(work.folder)
+            record = observed_runs.write(partial, place, run, record, attempt.before, observed, free, troubles)
         if run.topology is not None and not isinstance(tables, str):
             record = topology_runs.write(partial, place, run.topology, record, attempt.before, tables)
         run_directory.close(partial, place, record)

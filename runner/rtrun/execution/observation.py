@@ -78,6 +78,8 @@ class ObservationResult:
     broken: str = ""
     """What ended it early against the user's will; empty: nothing did."""
     programs_left_out: int = 0
+    cut_off: KeyboardInterrupt | TargetRebooted | None = None
+    """What ended it, where nobody attends it: it ends more than this run, and is raised once that is kept."""
     late: LateValueRecord | None = None
     """Late values, with the kernel's traces of some; None: they were not asked for."""
 
@@ -125,8 +127,8 @@ def observe(
     """Observe for the time of the plan; `trace` is the limit above which kernel traces are kept, empty without.
 
     What was started for it is observed no longer than it lives. Raises TargetError where there is nothing to observe,
-    or the target cannot be observed; what was seen before something ended it is returned. Of a run that nobody attends
-    a restart of the target raises TargetRebooted at any time: it is measured again.
+    or the target cannot be observed; TargetRebooted and KeyboardInterrupt before something was seen. What was seen
+    before something ended it is returned.
     """
     if not watched.placement.probes:
         nothing = "; ".join(refusals(watched.placement.refused)) or "no program runs there that uses ROS"
@@ -135,6 +137,7 @@ def observe(
     flows: FlowAccumulator | None = None
     figures: LiveFigures | None = None
     began, finished, broken = Began(placed=(), refused=()), None, ""
+    cut_off: KeyboardInterrupt | TargetRebooted | None = None
     late = LateValueRecord(trace, kernel_trace.read_symbols(link)) if trace else None
     start_time, gone_ns, until_ns = now().isoformat(), 0, 0
     stream = session.observe(
@@ -180,13 +183,15 @@ def observe(
                 gone_ns = 0 if roster.alive else gone_ns or each.until_ns
                 if plan.system.start and gone_ns and each.until_ns - gone_ns > GONE_NS:
                     break
-    except KeyboardInterrupt:
-        if flows is None or not onlooker.is_attended:
+    except KeyboardInterrupt as error:
+        if flows is None:
             raise
+        if not onlooker.is_attended:
+            cut_off, broken = error, "rtrun was interrupted"
     except TargetRebooted as error:
-        if flows is None or not onlooker.is_attended:
+        if flows is None:
             raise
-        broken = str(error)
+        cut_off, broken = None if onlooker.is_attended else error, str(error)
     finally:
         stream.close()
     if flows is None or figures is None:
@@ -212,5 +217,6 @@ def observe(
             gaps=flows.gaps,
         ),
         broken=broken,
+        cut_off=cut_off,
         late=late,
     )

@@ -1,10 +1,12 @@
 """What was observed of programs becomes runs like any other: a run directory for each stream, and one of it all."""
 
+import contextlib
 import functools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from rtfiles.errors import InfrastructureError
 from rtfiles.output import counted
 from rtrun.execution.observation import ObservationResult
 from rtrun.execution.stream_runs import StreamFacts, write_streams
@@ -18,8 +20,8 @@ from rtrun.results.observed import Graph, PlacedEvent, RefusedEvent, write_graph
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus
 from rtrun.targets.inspection.facts import TargetState
 
-# graph.json and run.json of it. Where not even that is there, nothing can be kept.
-_RESERVE_BYTES = 2**20
+# What is written before the streams takes less than one half, graph.json and run.json less than the other.
+_ROOM_BYTES = 2**21
 
 
 def write(
@@ -29,6 +31,7 @@ def write(
     record: RunRecord,
     state: TargetState,
     result: ObservationResult,
+    room: Path,
     troubles: Sequence[str] = (),
 ) -> RunRecord:
     """Write a run for each stream beside `folder`, and one for each deadline of what was not seen.
@@ -36,8 +39,8 @@ def write(
     `record` is that of the run that observed, with what became of it; `partial` is filled with what was placed and
     found. Returns the record that it is to be closed with: it has failed where no stream with a deadline was seen, and
     is incomplete where something ended it early, or the disk does not take all of it. The reason of one that is ok
-    tells what it has not seen. `state` is that of the target, `troubles` came after it was observed. Raises
-    InfrastructureError where not even that can be written.
+    tells what it has not seen. `state` is that of the target, `room` is freed for the observation's own files,
+    `troubles` came after it was observed. Raises InfrastructureError where not even that can be written.
     """
     assert run.observation is not None
     deadlines = run.observation.deadlines
@@ -53,8 +56,6 @@ def write(
     )
     if record.status is RunStatus.OK and result.coverage.in_words:
         record = record.model_copy(update={"reason": result.coverage.in_words})
-    reserve = partial / "reserve"
-    _reserve(reserve)
     written = write_streams(
         folder,
         StreamFacts(
@@ -70,7 +71,7 @@ def write(
         result.late.streams if result.late else {},
         keeps_what_fits=True,
     )
-    reserve.unlink()
+    room.unlink(missing_ok=True)
     not_kept = written.not_kept
     if record.status is RunStatus.OK and (result.broken or not_kept):
         more = f"{counted(len(not_kept), 'stream')} not kept: {not_kept[0]}" if not_kept else ""
@@ -101,10 +102,33 @@ def write(
     return record
 
 
-def _reserve(path: Path) -> None:
-    """Keep room for the observation's own files, before its streams take what is left of the disk."""
-    with path.open("wb") as file:
-        os.posix_fallocate(file.fileno(), 0, _RESERVE_BYTES)
+def room_of(folder: Path) -> Path:
+    """The file that keeps the room for an observation's own files."""
+    return folder.with_name(f".{folder.name}.room")
+
+
+def free_first_half(folder: Path) -> None:
+    """Free room for what is written before the streams."""
+    with contextlib.suppress(FileNotFoundError):
+        os.truncate(room_of(folder), _ROOM_BYTES // 2)
+
+
+@contextlib.contextmanager
+def room(folder: Path) -> Iterator[None]:
+    """Keep room on the disk for an observation's own files: others may fill it meanwhile, and its streams after it.
+
+    Raises InfrastructureError where there is none.
+    """
+    path = room_of(folder)
+    try:
+        try:
+            with path.open("wb") as file:
+                os.posix_fallocate(file.fileno(), 0, _ROOM_BYTES)
+        except OSError as error:
+            raise InfrastructureError(f"{folder.parent}: cannot keep the results: {error.strerror}") from error
+        yield
+    finally:
+        path.unlink(missing_ok=True)
 
 
 def _programs(

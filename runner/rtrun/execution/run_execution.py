@@ -4,12 +4,13 @@ import contextlib
 import secrets
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 from rtfiles.errors import InfrastructureError
-from rtrun.execution import download, observation, resumption, system
+from rtfiles.interruption import deferred
+from rtrun.execution import download, observation, observed_runs, resumption, system
 from rtrun.execution.closing import Clock, RunEnd, Work, close
 from rtrun.execution.observation import NOBODY, ObservationResult, Onlooker
 from rtrun.execution.preparation import Prepared
@@ -38,6 +39,38 @@ LISTING_S = 120.0
 _PUT = 'cat >"$1.new" && [ "$(wc -c <"$1.new")" -eq "$2" ] && mv "$1.new" "$1"'
 # Stands between the state of the target and the list of files.
 _FILES = "== files"
+_KEPT_FIRST = "what was observed is kept first; Ctrl-C once more ends rtrun at once"
+
+
+@dataclass(slots=True, kw_only=True)
+class _Aftermath:
+    """What comes after something was observed, which is kept first, whatever comes."""
+
+    observed: ObservationResult | None = None
+    """None: nothing is observed, and whatever comes is raised at once."""
+    is_attended: bool = False
+    troubles: list[str] = field(default_factory=list)
+    """With the target."""
+    cut_off: KeyboardInterrupt | TargetRebooted | None = None
+    """What ends more than this run: raised once it is kept."""
+
+    @contextlib.contextmanager
+    def keeping(self) -> Iterator[None]:
+        """Note trouble, or Ctrl-C, instead of raising it."""
+        try:
+            with deferred(_KEPT_FIRST) if self.observed else contextlib.nullcontext():
+                yield
+        except KeyboardInterrupt as error:
+            if self.observed is None:
+                raise
+            self.cut_off = error
+        except InfrastructureError as error:
+            if self.observed is None:
+                raise
+            self.troubles.append(str(error))
+            # Who sits before it has seen that, and waits for nothing more.
+            if isinstance(error, TargetRebooted) and not self.is_attended:
+                self.cut_off = self.cut_off or error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,9 +80,7 @@ class _Measured:
     exits: Sequence[Exit] = ()
     failure: str | None = None
     service: str = ""
-    observed: ObservationResult | None = None
-    troubles: Sequence[str] = ()
-    """With the target, after something was observed."""
+    aftermath: _Aftermath = field(default_factory=_Aftermath)
 
 
 def measure(
@@ -68,8 +99,23 @@ def measure(
 
     Of a run that observes there are further folders beside it, one for each stream; `onlooker` is told meanwhile.
     Where `may_be_begun` is false, nobody looks for what an earlier call left. Raises TargetError when the target cannot
-    go on, TargetRebooted when this run was cut off by a restart.
+    go on, TargetRebooted when this run was cut off by a restart. What was observed is kept before anything is raised.
     """
+    with observed_runs.room(folder) if run.observation else contextlib.nullcontext():
+        return _measure(prepared, uid, campaign, run, folder, life, now, may_be_begun, onlooker)
+
+
+def _measure(
+    prepared: Prepared,
+    uid: str,
+    campaign: str,
+    run: Run,
+    folder: Path,
+    life: RunLife,
+    now: Clock,
+    may_be_begun: bool,
+    onlooker: Onlooker,
+) -> RunRecord:
     remote = prepared.link.target.work_dir / "runs" / uid / run.name
     token = secrets.token_hex(4)
     work = Work(
@@ -99,7 +145,7 @@ def measure(
         elif life.state is RunState.MEASURING and not isinstance(error, OUT_OF_REACH):
             raise TargetError(f"{error}; the run goes on and is picked up by the next call") from error
         raise
-    troubles = list(measured.troubles)
+    aftermath = measured.aftermath
     # Where nothing more is heard of the target, that much is known of how the run ended there.
     end = RunEnd(
         failure=not_started or measured.failure,
@@ -109,31 +155,16 @@ def measure(
         after=inspection.TargetState(),
         files={},
     )
-    with _keeping(measured.observed, work, troubles):
+    with aftermath.keeping():
         end = _end_background(work, measured, not_started)
-    record = close(work, attempt, end, measured.observed, now, troubles)
-    life.move(RunEvent.CLOSE, f"{record.status}: {record.reason}" if record.reason else record.status)
-    with _keeping(measured.observed, work, troubles):
+    with deferred(_KEPT_FIRST) if aftermath.observed else contextlib.nullcontext():
+        record = close(work, attempt, end, aftermath.observed, now, aftermath.troubles)
+        life.move(RunEvent.CLOSE, f"{record.status}: {record.reason}" if record.reason else record.status)
+    with aftermath.keeping():
         processes.remove(work.link, remote)
+    if aftermath.cut_off is not None:
+        raise aftermath.cut_off
     return record
-
-
-@contextlib.contextmanager
-def _keeping(observed: ObservationResult | None, work: Work, troubles: list[str]) -> Iterator[None]:
-    """Note trouble with the target instead of raising it: what was observed is kept, whatever comes after it.
-
-    A restart of the target is raised all the same where nobody attends the run, which is measured again then.
-    """
-    try:
-        yield
-    except TargetRebooted as error:
-        if observed is None or not work.onlooker.is_attended:
-            raise
-        troubles.append(str(error))
-    except InfrastructureError as error:
-        if observed is None:
-            raise
-        troubles.append(str(error))
 
 
 def _resume(work: Work, life: RunLife) -> Attempt | None:
@@ -283,23 +314,24 @@ def _observe(work: Work, life: RunLife, not_started: str | None, now: Clock) -> 
     assert work.run.observation is not None
     link, scripts, plan = work.link, work.prepared.scripts, work.run.observation
     life.move(RunEvent.OBSERVE)
-    observed, failure, troubles = None, None, list[str]()
+    aftermath, failure = _Aftermath(is_attended=work.onlooker.is_attended), None
     if not_started is None:
         if work.programs.sampler:
             processes.start(link, scripts, work.remote, work.programs.sampler)
         trace = "" if work.run.trace == UNTRACED else work.run.trace
         watched = observation.watch(link, scripts, plan, trace=trace)
         observed = observation.observe(link, scripts, watched, plan, trace=trace, onlooker=work.onlooker, now=now)
+        aftermath.observed, aftermath.cut_off = observed, observed.cut_off
         work.onlooker.on_end(observed)
-        with _keeping(observed, work, troubles):
+        with aftermath.keeping():
             if work.starts_system and (ended := system.end_of(link, work.remote)):
                 failure = f"the system ended while it was observed, {ended}"
     exits = [Exit(status=None, expired=False) for _ in work.programs.of_suite]
-    with _keeping(observed, work, troubles):
+    with aftermath.keeping():
         if work.starts_system:
             exits = [system.end(link, work.remote)]
     life.move(RunEvent.END)
-    return _Measured(exits=exits, failure=failure, observed=observed, troubles=troubles)
+    return _Measured(exits=exits, failure=failure, aftermath=aftermath)
 
 
 def _wait(work: Work, life: RunLife) -> _Measured:

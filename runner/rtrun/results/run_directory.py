@@ -67,16 +67,43 @@ def numbered(results: Path) -> Iterator[Path]:
     """
     try:
         with locked(results):
+            _free_numbers_of_the_dead(results)
             names = (re.match(r"\.?([0-9]{1,9})(?![0-9])", path.name) for path in results.iterdir())
             folder = results / f"{max((int(match[1]) for match in names if match), default=0) + 1:03}"
             taken = results / f".{folder.name}.taken"
             taken.mkdir()
+            handle = _hold(taken)
     except OSError as error:
         raise InfrastructureError(f"{results}: cannot keep the results: {error.strerror}") from error
     try:
         yield folder
     finally:
+        os.close(handle)
         with contextlib.suppress(OSError):
+            taken.rmdir()
+
+
+def _hold(taken: Path) -> int:
+    """Hold a number until the handle is closed. Raises BlockingIOError where somebody holds it."""
+    handle = os.open(taken, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        raise
+    return handle
+
+
+def _free_numbers_of_the_dead(results: Path) -> None:
+    """Remove what a killed call has left: the number that it took, and what it was filling."""
+    for taken in results.glob(".*.taken"):
+        number = taken.name[1:].removesuffix(".taken")
+        if not re.fullmatch(r"[0-9]{1,9}", number):
+            continue
+        with contextlib.suppress(OSError):
+            os.close(_hold(taken))
+            shutil.rmtree(results / f".{number}.partial", ignore_errors=True)
+            (results / f".{number}.room").unlink(missing_ok=True)
             taken.rmdir()
 
 

@@ -24,6 +24,10 @@ CONSOLE_END_BYTES = 16 * 1024
 T = TypeVar("T")
 
 
+class Interrupted(KeyboardInterrupt):
+    """Another thread wants what is done with a link to end: Ctrl-C reached that one."""
+
+
 class TargetRebooted(TargetError):
     """The target came back with another boot id: what was running there has ended."""
 
@@ -63,7 +67,7 @@ class Link:
             self._connection = None
 
     def interrupt(self) -> None:
-        """Let what another thread does with this link end by KeyboardInterrupt, once; after that it can clean up."""
+        """Let what another thread does with this link end by Interrupted, once; after that it can clean up."""
         self._is_interrupted = True
         if (connection := self._connection) is not None:
             connection.interrupt()
@@ -75,7 +79,7 @@ class Link:
     def _check_interrupt(self) -> None:
         if self._is_interrupted:
             self._is_interrupted = False
-            raise KeyboardInterrupt
+            raise Interrupted
 
     def do(self, action: Callable[[Connection], T]) -> T:
         """Run an action, reconnecting for as long as the target file allows.

@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import json
 import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -198,3 +199,23 @@ def test_what_is_put_aside_at_the_same_time_is_kept_each(tmp_path):
 def test_nobody_gets_the_new_folder_of_another(tmp_path):
     made = in_parallel(lambda _: run_directory.make_new_results(tmp_path / "a" / "quick").name, 16)
     assert sorted(made) == sorted(["quick", *(f"quick-{number}" for number in range(2, 18))][:16])
+
+
+def test_numbers_of_the_dead_are_free_and_those_of_the_living_are_not(tmp_path):
+    code = (
+        "import os, sys\nfrom pathlib import Path\nfrom rtrun.results import run_directory\n"
+        "with run_directory.numbered(Path(sys.argv[1])) as folder:\n"
+        "    folder.with_name(f'.{folder.name}.partial').mkdir()\n"
+        "    folder.with_name(f'.{folder.name}.room').touch()\n"
+        "    print('taken', flush=True)\n    sys.stdin.read()"
+    )
+    argv, pipe = [sys.executable, "-c", code, str(tmp_path)], subprocess.PIPE
+    with subprocess.Popen(argv, stdin=pipe, stdout=pipe, text=True) as process:
+        assert process.stdout.readline() == "taken\n"
+        with run_directory.numbered(tmp_path) as folder:
+            assert folder.name == "002"
+        process.kill()
+    with run_directory.numbered(tmp_path) as folder:
+        assert folder.name == "001"
+        assert [path.name for path in tmp_path.iterdir()] == [".001.taken"]
+    assert [*tmp_path.iterdir()] == []
