@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from conftest import seeing
 from rtfiles import ownership
 from rtfiles.errors import UsageError
 from rtrun.targets.inspection import work_folder
@@ -120,3 +121,22 @@ def test_a_list_of_rights_to_read_is_no_objection(place):
     os.setxattr(folder, "system.posix_acl_access", acl(5))
     folder.chmod(0o755)
     assert by_script(folder, "sh") == by_runner(folder) == ""
+
+
+@pytest.mark.parametrize("second", ["", "wheel:x:0:mallory\n"])
+def test_a_group_that_stands_in_two_lines(place, tmp_path, second):
+    """The number is what counts, and each line has members of its own."""
+    (tmp_path / "group").write_text(f"root:x:0:\nother:x:7:a,b\n{second}")
+    folder = place / "shared"
+    folder.mkdir(mode=0o775)
+    folder.chmod(0o775)
+    with_groups = seeing({"/etc/group": tmp_path / "group"})
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom rtfiles import ownership\nownership.make_folder(Path(sys.argv[1]))"
+    )
+    runner = subprocess.run(
+        [*with_groups, sys.executable, "-c", code, str(folder / "results")], capture_output=True, text=True, check=False
+    )
+    said = "can be written by the group 0"
+    assert (said in runner.stderr) == bool(second)
+    assert (said.replace("the ", "") in by_script(folder / "work", *with_groups, "sh")) == bool(second)

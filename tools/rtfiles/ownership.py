@@ -111,9 +111,11 @@ def _is_private(found: os.stat_result) -> bool:
     if found.st_uid != found.st_gid:
         return False
     with contextlib.suppress(KeyError):
-        owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
+        owner = pwd.getpwuid(found.st_uid).pw_name
+        # A number may stand in several lines, each with members of its own.
+        groups = [group.gr_mem for group in grp.getgrall() if group.gr_gid == found.st_gid]
         others = any(user.pw_gid == found.st_gid and user.pw_uid != found.st_uid for user in pwd.getpwall())
-        return not others and set(group.gr_mem) <= {owner}
+        return bool(groups) and not others and {name for names in groups for name in names} <= {owner}
     return False
 
 

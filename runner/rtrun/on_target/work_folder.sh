@@ -23,20 +23,21 @@ refuse() {
 # private OWNER GROUP: the group has no member but its owner, as the group of the same number that users get.
 private() {
     [ "$1" = "$2" ] || return 1
-    names=,
+    names=, known=
     while IFS=: read -r name _ uid gid _ || [ -n "$name" ]; do
         [ "$uid" != "$1" ] || names=$names$name,
         [ "$gid" != "$2" ] || [ "$uid" = "$1" ] || return 1
     done </etc/passwd
     while IFS=: read -r _ _ gid members || [ -n "$gid" ]; do
         [ "$gid" = "$2" ] || continue
+        # A number may stand in several lines, each with members of its own.
+        known=1
         while [ -n "$members" ]; do
             case $names in *",${members%%,*},"*) ;; *) return 1 ;; esac
-            case $members in *,*) members=${members#*,} ;; *) return 0 ;; esac
+            case $members in *,*) members=${members#*,} ;; *) break ;; esac
         done
-        return 0
     done </etc/group
-    return 1
+    [ -n "$known" ]
 }
 # objection MODE OWNER GROUP: sets $why where others can change what ls shows so.
 objection() {

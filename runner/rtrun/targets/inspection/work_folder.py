@@ -36,7 +36,10 @@ def make(link: "Link") -> None:
             f"{address}: {folder} cannot be written: {user} may not make or fill {why}: name a folder that {user} may "
             f"write to in a target file, as 'work_dir: {own}', or log in as root"
         )
+    above = not why.startswith((f"{folder} ", "/ "))
+    # Who has a file open can write to it, whatever becomes of the rights.
+    remedy = ", or take that right away (chown, chmod go-w)" if above else "; to take that right away is not enough"
     raise TargetError(
         f"{address}: {folder}: others could replace what {user} runs from there: {why}: name a new folder where nobody "
-        f"else may write in a target file, as 'work_dir: {own}', or take that right away (chown, chmod go-w)"
+        f"else may write in a target file, as 'work_dir: {own}'{remedy}"
     )
