@@ -1,9 +1,11 @@
 """Folders that look safe: lists of rights (ACL), and ways that end in a folder where everybody may add names."""
 
+import contextlib
 import os
 import struct
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -140,3 +142,32 @@ def test_a_group_that_stands_in_two_lines(place, tmp_path, second):
     said = "can be written by the group 0"
     assert (said in runner.stderr) == bool(second)
     assert (said.replace("the ", "") in by_script(folder / "work", *with_groups, "sh")) == bool(second)
+
+
+@contextlib.contextmanager
+def served(folder, user):
+    """A file system of FUSE that nobody answers for: whoever looks into it waits for ever."""
+    handle = os.open("/dev/fuse", os.O_RDWR)
+    try:
+        options = f"fd={handle},rootmode=40000,user_id={user},group_id={user},allow_other"
+        mount = ["mount", "-i", "-t", "fuse", "-o", options, "user_id=0", folder]
+        if subprocess.run(mount, pass_fds=[handle], check=False, capture_output=True).returncode:
+            pytest.skip("this kernel has no FUSE")
+        try:
+            yield
+        finally:
+            subprocess.run(["umount", "-l", folder], check=True)
+    finally:
+        os.close(handle)
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("name", ["mine", "with blank"])
+@pytest.mark.parametrize("below", ["", "/down/below"])
+def test_a_file_system_of_another_user_is_not_looked_into(place, name, below):
+    folder = place / name
+    folder.mkdir()
+    with served(folder, OTHER):
+        said = f"{folder} is a file system (FUSE) of another user"
+        assert said in by_runner(Path(f"{folder}{below}"))
+        assert by_script(f"{folder}{below}", "timeout", "20", "sh") == f"unsafe {said}\n"

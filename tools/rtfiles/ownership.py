@@ -15,6 +15,7 @@ import contextlib
 import grp
 import os
 import pwd
+import re
 import stat
 from pathlib import Path
 
@@ -33,6 +34,7 @@ def make_folder(path: Path) -> bool:
     """
     trusted = _trusted()
     above_program = {str(folder) for folder in _PROGRAM.resolve().parents}
+    served = _served_by_others(trusted)
     seen, links = "", 0
     waiting = ["", *path.absolute().parts[1:]]
     while waiting:
@@ -42,6 +44,8 @@ def make_folder(path: Path) -> bool:
             seen = os.path.dirname(seen)  # noqa: PTH120 - of a path without links, whose root is empty
             continue
         place = f"{seen}/{name}" if name else "/"
+        if place in served:
+            raise _unsafe(path, place, "is a file system (FUSE) of another user")
         with contextlib.suppress(FileExistsError):
             if not os.path.lexists(place):
                 Path(place).mkdir(0o755)
@@ -68,6 +72,19 @@ def make_folder(path: Path) -> bool:
     if end not in above_program and (why := _objection(end, os.lstat(end), trusted, is_last=True)):
         raise _unsafe(path, end, why)
     return is_new
+
+
+def _served_by_others(trusted: set[int]) -> set[str]:
+    """Where file systems of FUSE are mounted whose owner is not trusted: he says of his files whatever he likes."""
+    served = set()
+    for line in Path("/proc/self/mountinfo").read_bytes().splitlines():
+        mount, _, system = line.partition(b" - ")
+        kind, _, options = system.split(b" ", 2)
+        users = [int(each[8:]) for each in options.split(b",") if each.startswith(b"user_id=")]
+        if kind.startswith(b"fuse") and not trusted.issuperset(users):
+            place = re.sub(rb"\\([0-7]{3})", lambda octal: bytes([int(octal[1], 8)]), mount.split(b" ")[4])
+            served.add(os.fsdecode(place))
+    return served
 
 
 def _trusted() -> set[int]:

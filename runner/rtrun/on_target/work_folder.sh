@@ -58,6 +58,17 @@ objection() {
     esac
 }
 
+# Who serves a file system of FUSE says of its files whatever he likes. What such a one holds is not even looked at.
+nl='
+'
+served=$nl$(
+    while read -r _ _ _ _ at rest; do
+        case ${rest##* - } in fuse*user_id=*) ;; *) continue ;; esac
+        user=${rest##*user_id=}
+        case ${user%%,*} in 0 | "$me") ;; *) printf '%b\n' "$at" ;; esac
+    done </proc/self/mountinfo
+)$nl
+
 way=/$work/ at='' links=0
 while [ -n "$way" ]; do
     name=${way%%/*} way=${way#*/}
@@ -69,6 +80,7 @@ while [ -n "$way" ]; do
         ;;
     esac
     place=$at/$name
+    case $served in *"$nl$place$nl"*) refuse "unsafe $place is a file system (FUSE) of another user" ;; esac
     [ -e "$place" ] || [ -L "$place" ] || mkdir -m 755 "$place" 2>/dev/null || [ -e "$place" ] || refuse "readonly $place"
     # shellcheck disable=SC2046 # the words of the line are wanted
     set -- $(ls -ldn "$place")
