@@ -13,7 +13,7 @@ from pathlib import Path
 
 TOP = Path(__file__).parents[2]
 sys.path[:0] = [str(TOP / folder) for folder in ("runner", "tools", "tests")]
-from watched import COMMON, HEADERS, PRINT, a_round, event, mark, page  # noqa: E402
+from watched import COMMON, FIELD, HEADERS, PRINT, a_round, event, mark, page  # noqa: E402
 
 PUBLISH = f"""name: publish_0_0
 ID: 1501
@@ -30,6 +30,8 @@ ID: 1502
 """
 STAT = " S 1 1 1 0 -1 4194368 1 0 0 0 0 0 0 0 20 0 18 0 227595 1 1 1 1 1 1 1 1 0 0 0 0 0 0 0 17 1 0 0 0 0 0"
 PUBLISHED, TAKEN = 1501, 1500
+TEXTS_AT = 28
+"""Where fields of a message begin that no probe asked for."""
 BEGIN_NS = 10**9
 PAGES = 2000
 
@@ -56,6 +58,11 @@ def hits(lie: str):
             topic = b"/%d" % (n // 2) + b"\xf0\x9f\x98\x80" * 100
         elif lie == "pages":
             topic = b"/a" * 1900
+        elif lie == "one text":
+            text = b"/a" * 1000 + b"\0"
+            names = [len(text) << 16 | (TEXTS_AT + 4 * 190)] * 191
+            yield struct.pack("<HBBiQq191I", PUBLISHED, 0, 0, 7, 1, n, *names) + text + bytes(-(len(text) + 788) % 4)
+            continue
         source_ns = 5 if lie == "stamps" else n // 2
         yield message(
             (PUBLISHED, TAKEN)[n % 2 if lie != "stamps" else n // 50_000 % 2], tid, endpoint, source_ns, topic
@@ -67,7 +74,7 @@ def pages(lie: str):
     made, ready = hits(lie), []
     for _ in range(PAGES):
         data = b""
-        while len(data) < (100 if lie == "pages" else 3500):
+        while len(data) < (100 if lie in ("pages", "one text") else 3500):
             data += event(1, next(made))
         ready.append(page(BEGIN_NS, data)[8:])
     return (
@@ -88,6 +95,9 @@ def main() -> None:
     """Lie until the reader goes away."""
     lie = sys.argv[1]
     formats = {"publish_0_0": PUBLISH, "take_0_1": TAKE, "callback_begin_0_2": CALLBACK}
+    if lie == "one text":
+        more = "".join(FIELD.format("__data_loc char[]", f"x{n}", TEXTS_AT + 4 * n, 4, 1) for n in range(190))
+        formats["publish_0_0"] += more
     head = f"rtrun observes\nheader_page\n{HEADERS[64]}rtrun end header_page\n"
     head += "".join(f"placed {name}\n" for name in formats)
     told = {f"rtrun_observe_1_2_3/{name}": text for name, text in formats.items()} | {"ftrace/print": PRINT}

@@ -27,9 +27,10 @@ session.SET_UP_S = 5.0
 session.END_S = 2.0
 target = Target(name="t", address=ThisMachine(), suites=None, work_dir=PurePosixPath("/x"), setup=None, master_port=1,
                 reconnect_s=0, boot_s=0, console=None, failure=lambda: None)
-events = {"publish_0_0": "publish", "take_0_1": "take", "callback_begin_0_2": "callback_begin"}
-probes = tuple(PlacedProbe(name=name, line="", event=event, arguments={}, constants={}, path="/x")
-               for name, event in events.items())
+message = {"endpoint": "%di:u64", "source_ns": "%dx:s64", "topic": "+0(%si):string"}
+probes = tuple(PlacedProbe(name=name, line="", event=name[:-4], arguments=arguments, constants={}, path="/x")
+               for name, arguments in {"publish_0_0": message, "take_0_1": message,
+                                       "callback_begin_0_2": {"callback": "%di:u64"}}.items())
 watched = observation.Watched(found=(), placement=Placement(probes=probes, refused=()))
 with Link(target, print) as link:
     try:
@@ -42,7 +43,7 @@ print(next(line for line in Path("/proc/self/status").read_text().splitlines() i
 """
 LIES = (
     "hits", "topics", "endpoints", "texts", "pages", "threads", "callbacks", "stamps", "still", "placed", "rounds",
-    "programs", "a program", "gaps", "one round",
+    "programs", "a program", "gaps", "one round", "one text",
 )  # fmt: skip
 
 

@@ -40,13 +40,23 @@ class Field:
     is_rest: bool = False
     """A text that goes on to the end of the event."""
 
+    def is_of(self, kind: str) -> bool:
+        """Whether it is as the kernel makes it of a probe's argument of this type: u64, s32, x8, string."""
+        if kind == "string":
+            return self.is_dynamic
+        return not self.is_dynamic and self.code == _CODES[int(kind[1:]) // 8][0 if kind[0] == "s" else 1]
+
 
 class EventFormat:
-    """How to read the values of an event. Raises ValueError for a text that is no `format` file."""
+    """How to read the values of an event. Raises ValueError for a text that is no `format` file.
+
+    `types` are those of the values that a probe was told to record, as tracefs calls them: they alone are read, and the
+    format has to have each of them as that. Without it all values are read.
+    """
 
     __slots__ = ("_dynamic", "_names", "_struct", "_texts", "fields", "identifier", "name", "size_bytes")
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, types: Mapping[str, str] | None = None) -> None:
         name = re.search(r"^name: (\w{1,64})$", text, re.MULTILINE | re.ASCII)
         identifier = re.search(r"^ID: (\d{1,5})$", text, re.MULTILINE | re.ASCII)
         if name is None or identifier is None:
@@ -56,13 +66,18 @@ class EventFormat:
         lines = [line for line in text.splitlines() if line.lstrip().startswith("field:")]
         if len(lines) > FIELDS_MAX:
             raise ValueError(f"the format of {self.name} has more than {FIELDS_MAX} fields")
-        fields = sorted((_field(line) for line in lines), key=lambda field: field.offset)
+        by_name = {field.name: field for field in map(_field, lines)}
+        fields = sorted(by_name.values(), key=lambda field: field.offset)
         self.fields = tuple(fields)
-        by_name = {field.name: field for field in fields}
         if (by_name["common_pid"].offset, by_name["common_pid"].size) != (4, 4) if "common_pid" in by_name else True:
             raise ValueError(f"the format of {self.name} is not that of a kernel known here: it has no pid at 4")
         # Two underscores: where the kernel put a probe.
         own = [field for field in fields if not field.name.startswith(("common_", "__"))]
+        if types is not None:
+            own = [field for field in own if field.name in types]
+            for value, kind in types.items():
+                if value not in by_name or not by_name[value].is_of(kind):
+                    raise ValueError(f"the format of {self.name} has no field {value} that is a {kind}")
         code, end = "<", 0
         for field in (field for field in own if not field.is_rest):
             if field.offset < end:
@@ -76,12 +91,16 @@ class EventFormat:
         self._dynamic = tuple(field for field in own if field.is_dynamic or field.is_rest)
 
     def values(self, page: bytes, start: int, size_bytes: int) -> dict[str, int | str]:
-        """The values of an event that stands there in a page. Raises ValueError when it has not all of its fields."""
+        """The values of an event that stands there in a page.
+
+        Raises ValueError when it has not all of its fields, or its texts are longer than itself: many may be the same.
+        """
         if size_bytes < self.size_bytes:
             raise ValueError(f"an event {self.name} of {size_bytes} bytes; its fields take {self.size_bytes}")
         values = dict(zip(self._names, self._struct.unpack_from(page, start), strict=True))
         for name in self._texts:
             values[name] = values[name].partition(b"\0")[0].decode("utf-8", "replace")
+        left_bytes = size_bytes
         for field in self._dynamic:
             if field.is_rest:
                 begin, length = field.offset, size_bytes - field.offset
@@ -91,6 +110,9 @@ class EventFormat:
                     begin += field.offset + field.size
             if begin + length > size_bytes:
                 raise ValueError(f"an event {self.name} whose text {field.name} goes beyond its {size_bytes} bytes")
+            left_bytes -= length
+            if left_bytes < 0:
+                raise ValueError(f"an event {self.name} whose texts together are longer than its {size_bytes} bytes")
             text = page[start + begin : start + begin + length]
             values[field.name] = text.partition(b"\0")[0].decode("utf-8", "replace")
         return values

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 from rtfiles import cache
 from rtfiles.untrusted import read_bytes
-from rtrun.probes.libraries.description import Argument, Bytes, Halves, Named, Probe, Reduced, Seconds, libraries
+from rtrun.probes.libraries.description import Argument, Probe, libraries
 from rtrun.probes.programs import FoundProgram, MappedLibrary
 from rtrun.probes.symbols import FILE_BYTES_MAX, LibrarySymbols, NotProbed, read_symbols
+from rtrun.probes.values import recorded
 from rtrun.targets.errors import TargetError
 
 if TYPE_CHECKING:
@@ -193,16 +194,7 @@ def line_of(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without
     offset = symbols.offsets[symbol]
     if isinstance(offset, NotProbed):
         return NotProbed(f"{symbol}: {offset.reason}")
-    words: list[str] = []
-    for value, argument in values.items():
-        if isinstance(argument, Halves):
-            words += [f"{value}_low={argument.low}", f"{value}_high={argument.high}"]
-        elif isinstance(argument, Seconds):
-            words += [f"{value}_s={argument.seconds}", f"{value}_ns={argument.nanoseconds}"]
-        elif isinstance(argument, Named | Reduced | Bytes):
-            words.append(f"{value}={argument.number}")
-        else:
-            words.append(f"{value}={argument}")
+    words = [f"{value}={fetch}" for value, fetch in recorded(values).items()]
     return " ".join(["p", name, f"{path}:{offset:#x}", *words])
 
 

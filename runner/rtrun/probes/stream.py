@@ -19,7 +19,7 @@ from rtrun.probes.placement import PlacedProbe
 from rtrun.probes.programs import LINE_BYTES_MAX, THREADS_MAX, FoundProgram, ProgramReader
 from rtrun.probes.ring_buffer import PageLayout, read_events, read_head
 from rtrun.probes.timers import TimerChecks
-from rtrun.probes.values import Values, converter
+from rtrun.probes.values import Values, converter, recorded
 from rtrun.targets.errors import TargetError
 
 _END = b"rtrun end "
@@ -276,13 +276,16 @@ class WatchReader:
         elif word == _PROGRAMS:
             self._programs.cut()
         else:
-            self._add_format(path, EventFormat(text))
+            self._add_format(path, text)
 
-    def _add_format(self, path: str, event: EventFormat) -> None:
+    def _add_format(self, path: str, text: str) -> None:
         if len(self._sources) > _FORMATS_MAX:
             raise ValueError(f"more than {_FORMATS_MAX} formats of events")
+        event = EventFormat(text)
         probe = self._probes.get(event.name)
         if probe is not None and re.match(r"rtrun_observe_", path):
+            types = {name: fetch.rpartition(":")[2] for name, fetch in recorded(probe.arguments).items()}
+            event = EventFormat(text, types)
             convert = converter(probe.arguments, probe.constants)
             self._sources[event.identifier] = _Source(event, probe.event, convert)
             return

@@ -7,6 +7,19 @@ from rtrun.probes.libraries.description import Argument, Bytes, Halves, Named, R
 Values = dict[str, int | str]
 
 
+def recorded(arguments: Mapping[str, Argument]) -> dict[str, str]:
+    """What the kernel is told to record of the arguments: each with its type, by the name that it has in the event."""
+    told: dict[str, str] = {}
+    for name, argument in arguments.items():
+        if isinstance(argument, Halves):
+            told |= {f"{name}_low": argument.low, f"{name}_high": argument.high}
+        elif isinstance(argument, Seconds):
+            told |= {f"{name}_s": argument.seconds, f"{name}_ns": argument.nanoseconds}
+        else:
+            told[name] = argument if isinstance(argument, str) else argument.number
+    return told
+
+
 def converter(arguments: Mapping[str, Argument], constants: Mapping[str, str | int]) -> Callable[[Values], None] | None:
     """What turns the recorded values of a probe into its canonical ones, in place; None where they are the same.
 

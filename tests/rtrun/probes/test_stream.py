@@ -13,7 +13,7 @@ from rtrun.probes.stream import Batch, Ready, WatchReader
 from rtrun.probes.timers import TimerChecks
 from rtrun.probes.values import converter
 from rtrun.targets.errors import TargetError
-from watched import BEGUN, HEADERS, PROBE, ROUNDS, TAKE, a_round, event, mark, output, page, take
+from watched import BEGUN, FIELD, HEADERS, PROBE, ROUNDS, TAKE, a_round, event, mark, output, page, take
 
 
 def extend(ns):
@@ -143,6 +143,25 @@ def test_no_exception_of_another_kind(data):
 def test_formats_that_are_refused(text):
     with pytest.raises(ValueError, match=r"^(no |in |the )"):
         EventFormat(text)
+
+
+def test_fields_that_all_name_one_text():
+    """Of a probe only its own values are read; of any event its texts take no more than it has."""
+    more = "".join(FIELD.format("__data_loc char[]", f"x{n}", 29 + 4 * n, 4, 1) for n in range(100))
+    text = TAKE.replace("\nprint fmt", f"{more}\nprint fmt")
+    content = struct.pack("<HBBiQqB101I", 1500, 0, 0, 7, 0, 1, 1, *[1000 << 16 | 429] * 101) + b"y" * 1000
+    types = {"source_ns": "s64", "taken": "u8", "topic": "string"}
+    assert EventFormat(text, types).values(content, 0, len(content)).keys() == types.keys()
+    with pytest.raises(ValueError, match="whose texts together are longer than its"):
+        EventFormat(text).values(content, 0, len(content))
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("source_ns", "u64"), ("source_ns", "string"), ("topic", "u32"), ("taken", "u16"), ("x", "u8")]
+)
+def test_a_value_of_a_probe_that_is_not_of_its_type(name, kind):
+    with pytest.raises(ValueError, match=f"the format of take_0_1 has no field {name} that is a {kind}"):
+        EventFormat(TAKE, {name: kind})
 
 
 def test_values_are_made_canonical():
