@@ -2,9 +2,10 @@
 
 import itertools
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
+from sys import getsizeof
 from typing import TYPE_CHECKING
 
 from rtfiles.output import counted
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 # Of one listing, and of an observation: those that live, and those that were there at any time. More are left out.
 PROGRAMS_MAX = 2000
 THREADS_MAX = 20_000
-# Names, paths and arguments of all programs together, as UTF-8.
+# Names, paths and arguments of all programs together, as they are in memory.
 TEXT_BYTES_MAX = 16 * MIB
 # What find_programs.sh prints of one program: of a thread there are some 350 bytes.
 PROGRAM_BYTES_MAX = 8 * MIB
@@ -39,6 +40,8 @@ NAME_CHARACTERS_MAX = 256
 _STAT = re.compile(r"^(\d{1,7}) \((.{0,256}?)\) [A-Za-z]((?: -?\d{1,20}){38,80})$", re.ASCII | re.DOTALL | re.MULTILINE)
 _MAPS = re.compile(r"([0-9a-f]{1,16}-[0-9a-f]{1,16}) ([0-9a-f]{1,8}:[0-9a-f]{1,8}) (\d{1,20}) (/.{1,16384})", re.ASCII)
 _CPUS_CHARACTERS_MAX = 65536
+# Numbers take more than the sets that they are in, unless these share them.
+_EVERY_CPU = tuple(range(CPUS_MAX + 1))
 _DELETED = " (deleted)"
 LINE_BYTES_MAX = 64 * 1024
 CUT = "…"
@@ -131,7 +134,7 @@ class ProgramReader:
         self._found: dict[int, FoundProgram] = {}
         self._room = _Room()
         self._left_out = 0
-        self._cpu_sets: dict[str, tuple[int, ...]] = {}
+        self._cpu_sets = _CpuSets()
 
     def take(self, raw: bytes) -> FoundProgram | None:
         """Take a line, without its end; return the program that it completes."""
@@ -175,7 +178,7 @@ class ProgramReader:
         return None
 
     def _added(self, pid: int, lines: Sequence[str]) -> FoundProgram | None:
-        program = _program(pid, lines, self._cpus)
+        program = _program(pid, lines, lambda ranges: self._cpu_sets.share(ranges, lambda: _cpus(ranges)))
         if program is None:
             return None
         if not self._room.take(program.program):
@@ -184,15 +187,20 @@ class ProgramReader:
         self._found[pid] = program
         return program
 
-    def _cpus(self, ranges: str) -> tuple[int, ...]:
-        """The CPUs of a text as ``0-1,3``; threads that may run on the same ones share them."""
-        cpus = self._cpu_sets.get(ranges)
-        if cpus is None:
-            cpus = _cpus(ranges)
-            if len(self._cpu_sets) >= CPU_SETS_MAX:
+
+class _CpuSets:
+    """The sets of CPUs that threads may run on. Those that may run on the same ones share them."""
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, tuple[int, ...]] = {}
+
+    def share(self, key: Hashable, cpus: Callable[[], tuple[int, ...]]) -> tuple[int, ...]:
+        """The set of this key, which `cpus` tells where it is new; empty where there are too many."""
+        if key not in self._known:
+            if len(self._known) >= CPU_SETS_MAX:
                 return ()
-            self._cpu_sets[ranges] = cpus
-        return cpus
+            self._known[key] = cpus()
+        return self._known[key]
 
 
 class _Room:
@@ -218,14 +226,15 @@ class _Room:
 class Roster:
     """The programs of an observation: those that live now, and all that were there at any time, with their last state.
 
-    Both are limited as a listing is. `left_out` counts programs for which there was no room in one of them.
+    Both are limited as a listing is. `left_out` counts programs for which there was no room in one of them. Each
+    listing has sets of CPUs of its own: what is kept of all of them has CPU_SETS_MAX.
     """
 
     def __init__(self, found: Iterable[FoundProgram], left_out: int = 0) -> None:
         self.left_out = left_out
         self._alive: dict[int, ObservedProgram] = {}
         self._seen: dict[tuple[int, int], ObservedProgram] = {}
-        self._room, self._room_of_seen = _Room(), _Room()
+        self._room, self._room_of_seen, self._cpu_sets = _Room(), _Room(), _CpuSets()
         for each in found:
             self.begin(each.program)
 
@@ -240,6 +249,7 @@ class Roster:
     def begin(self, program: ObservedProgram) -> None:
         """It is there, or its threads have changed."""
         self.end(program.pid)
+        program = replace(program, threads=tuple(map(self._kept, program.threads)))
         key = program.pid, program.start_ticks
         is_new = key not in self._seen
         if not is_new:
@@ -251,6 +261,9 @@ class Roster:
             self._seen[key] = program
         self.left_out += is_new and not (is_alive and is_seen)
 
+    def _kept(self, thread: ProgramThread) -> ProgramThread:
+        return replace(thread, cpus=self._cpu_sets.share(thread.cpus, lambda: thread.cpus))
+
     def end(self, pid: int) -> None:
         """It has ended."""
         if pid in self._alive:
@@ -258,9 +271,9 @@ class Roster:
 
 
 def _text_bytes(program: ObservedProgram) -> int:
-    """What the texts of a program take, as UTF-8 and with their objects."""
+    """What the texts of a program take in memory: a single character may make all of a text four times as long."""
     names = (program.name, *program.argv, *program.libraries, *(thread.name for thread in program.threads))
-    return sum(len(each.encode()) + 64 for each in names)
+    return sum(map(getsizeof, names))
 
 
 def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int, ...]]) -> FoundProgram | None:
@@ -329,7 +342,7 @@ def _cpus(ranges: str) -> tuple[int, ...]:
         first, _, last = each.partition("-")
         begin = whole_number(first, lowest=0, highest=CPUS_MAX)
         cpus.update(range(begin, whole_number(last or first, lowest=begin, highest=CPUS_MAX) + 1))
-    return tuple(sorted(cpus))
+    return tuple(_EVERY_CPU[cpu] for cpu in sorted(cpus))
 
 
 def _mapped(line: str) -> MappedLibrary | None:

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from probes.standin import SCRIPTS, find, running
 
 from rtrun.flows.programs import label_of
-from rtrun.probes.programs import PROGRAMS_MAX, Roster, pattern
+from rtrun.probes.programs import CPU_SETS_MAX, PROGRAMS_MAX, Roster, pattern
 from rtrun.targets.errors import TargetError
 from rtrun.targets.link import Link
 from watched import parse_programs
@@ -142,8 +143,9 @@ def good(pid, thread_lines=1, argument="x"):
         # The next ones are there all the same.
         (good(1, 11_000) + good(20_000, 11_000) + good(40_000), 2, 1),
         ("".join(good(pid, argument="y" * 60_000) for pid in range(1, 600)) + good(1000), 279, 321),
+        ("".join(good(pid, argument="\U0001f916" + "y" * 59_999) for pid in range(1, 100)), 69, 30),
     ],
-    ids=["programs", "threads", "texts"],
+    ids=["programs", "threads", "texts", "wide texts"],
 )
 def test_what_is_beyond_a_limit_is_left_out(text, found, left_out):
     listing = parse_programs(text, "board")
@@ -165,6 +167,16 @@ def test_threads_that_may_run_on_the_same_cpus_share_them():
     (found,) = parse_programs(text, "board").found
     sets = {id(thread.cpus) for thread in found.program.threads}
     assert len(found.program.threads) == 999 and len(sets) <= 257
+
+
+def test_sets_of_cpus_are_limited_over_all_listings():
+    roster = Roster(())
+    for number in range(10):
+        lines = "".join(f"cpus {tid} {number}-{1000 + tid}\n" for tid in range(1, 101))
+        (found,) = parse_programs(good(1, 100).replace("maps", f"{lines}maps"), "board").found
+        roster.begin(replace(found.program, start_ticks=number))
+    kept = {thread.cpus for program in roster.seen for thread in program.threads}
+    assert len(roster.seen) == 10 and len(kept) == CPU_SETS_MAX + 1
 
 
 def test_one_in_words():
