@@ -103,7 +103,8 @@ def main() -> None:
     told = {f"rtrun_observe_1_2_3/{name}": text for name, text in formats.items()} | {"ftrace/print": PRINT}
     head += "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in told.items())
     say(f"{head}ready\n".encode())
-    say(a_round(1, cpu0=page(BEGIN_NS - 10, event(0, mark("observes")) + event(1, mark("round 1")))))
+    begin_ns = BEGIN_NS - 10 if lie != "clock" else 1 << 62
+    say(a_round(1, cpu0=page(begin_ns, event(0, mark("observes")) + event(1, mark("round 1")))))
     if lie == "placed":
         while True:
             say(b"placed take_0_1\n" * 4096)
@@ -116,6 +117,19 @@ def main() -> None:
             lines = [f"program {pid}", *(f"argument {'y' * 60_000}" for _ in range(3))]
             lines += [f"stat {pid} (x){STAT}", f"cpus {pid} {pid % 4000}-8191", "maps 1-2 fe:00 5 /x/librcl.so"]
             say("".join(f"{line}\n" for line in (*lines, f"end {pid}")).encode())
+    if lie == "cpu sets":
+        for number in itertools.count(2):
+            lines = [f"stat {tid} (x){STAT}\ncpus {tid} {number}-{8000 - tid}" for tid in range(1, 251)]
+            block = "\n".join(["programs", "program 1", *lines, "maps 1-2 fe:00 5 /x/librcl.so", "end 1", ""])
+            block = block.replace("227595", str(number), 1)
+            at_ns = BEGIN_NS + number * 1000
+            say(a_round(number, cpu0=page(at_ns, event(0, mark(f"round {number}")))))
+            say(f"{block}rtrun end programs\n".encode())
+    if lie in ("clock", "clock that jumps"):
+        for number in itertools.count(2):
+            at_ns = begin_ns + number if number < 6 else (1 << 63) - 1000
+            say(a_round(number, cpu0=page(at_ns, event(0, mark(f"round {number}")) + event(1, next(hits(lie))))))
+            time.sleep(0.1)
     if lie == "a program":
         say(b"programs\nprogram 1\n")
         while True:

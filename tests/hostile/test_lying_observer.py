@@ -25,6 +25,7 @@ from rtrun.targets.config import Target
 from rtrun.targets.link import Link
 session.SET_UP_S = 5.0
 session.END_S = 2.0
+session.TAKE_OFF_S = 1.0
 target = Target(name="t", address=ThisMachine(), suites=None, work_dir=PurePosixPath("/x"), setup=None, master_port=1,
                 reconnect_s=0, boot_s=0, console=None, failure=lambda: None)
 message = {"endpoint": "%di:u64", "source_ns": "%dx:s64", "topic": "+0(%si):string"}
@@ -34,7 +35,7 @@ probes = tuple(PlacedProbe(name=name, line="", event=name[:-4], arguments=argume
 watched = observation.Watched(found=(), placement=Placement(probes=probes, refused=()))
 with Link(target, print) as link:
     try:
-        seen = observation.observe(link, PurePosixPath(sys.argv[1]), watched, ObservationPlan(for_s=6.0), trace="",
+        seen = observation.observe(link, PurePosixPath(sys.argv[1]), watched, ObservationPlan(for_s=3.0), trace="",
                                    onlooker=observation.Onlooker(), now=datetime.now)
         print("streams", len(streams(seen.flows)), seen.remarks)
     except Exception as error:
@@ -44,10 +45,17 @@ print(next(line for line in Path("/proc/self/status").read_text().splitlines() i
 LIES = (
     "hits", "topics", "endpoints", "texts", "pages", "threads", "callbacks", "stamps", "still", "placed", "rounds",
     "programs", "a program", "gaps", "one round", "one text",
+    "cpu sets", "clock", "clock that jumps",
 )  # fmt: skip
 
+CLOCK = "what watch_probes.sh printed cannot be read: a page that claims .* ns on"
+ENDS = {
+    "clock": f"^error TargetError .*{CLOCK}",
+    "clock that jumps": f"^streams 1 .*'it was ended early: this machine: {CLOCK}",
+}
 
-@pytest.mark.timeout(300)
+
+@pytest.mark.timeout(150)
 @pytest.mark.parametrize("lie", LIES)
 def test_a_target_that_lies(lie, tmp_path):
     script = tmp_path / "watch_probes.sh"
@@ -56,7 +64,7 @@ def test_a_target_that_lies(lie, tmp_path):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     argv = [sys.executable, "-c", OBSERVE, str(tmp_path)]
     # What waits for no end is far below this, on a busy machine as well.
-    ended = subprocess.run(argv, env=environment, capture_output=True, text=True, timeout=240, check=True)
+    ended = subprocess.run(argv, env=environment, capture_output=True, text=True, timeout=120, check=True)
     match = re.search(r"^VmHWM:\s+(\d+) kB$", ended.stdout, re.M)
     assert match and int(match[1]) < MEMORY_MAX_KIB, ended.stdout
-    assert re.search("^(error TargetError|error DeadlineExpired|streams)", ended.stdout, re.M), ended.stdout
+    assert re.search(ENDS.get(lie, "^(error TargetError|streams) "), ended.stdout, re.M), ended.stdout

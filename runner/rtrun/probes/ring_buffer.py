@@ -9,6 +9,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from rtrun.plan.limits import TIME_MAX_NS
 from rtrun.probes.formats import subbuffer_bytes
 
 _MISSED = 1 << 31
@@ -18,7 +19,8 @@ _DATA_MAX, _PADDING, _TIME_EXTEND, _TIME_STAMP = 28, 29, 30, 31
 _DELTA_BITS, _DELTA_SHIFT = 27, 5
 # Of an absolute time the events have the lower 59 bits.
 _STAMP_UPPER = 0x1F << 59
-_TIME_MAX_NS = 2**63
+# Since the boot: 28 years. What is observed from then on for some years still has times up to those of the record.
+_CLOCK_MAX_NS = TIME_MAX_NS // 10 * 9
 _WORD = struct.Struct("<I")
 _HEAD = {4: struct.Struct("<QI"), 8: struct.Struct("<QQ")}
 
@@ -56,7 +58,7 @@ def read_head(page: bytes, layout: PageLayout) -> Page:
     commit, upper = whole & 0xFFFFFFFF, whole >> 32
     length = commit & _LENGTH
     end = layout.data_offset + length
-    if upper not in (0, 0xFFFFFFFF) or end > layout.size_bytes or begin_ns >= _TIME_MAX_NS:
+    if upper not in (0, 0xFFFFFFFF) or end > layout.size_bytes or begin_ns >= _CLOCK_MAX_NS:
         raise ValueError(f"a page that claims {length} bytes of events from {begin_ns} ns on")
     lost = None
     if commit & _MISSED_COUNTED:
@@ -97,8 +99,8 @@ def read_events(page: bytes, layout: PageLayout, head: Page) -> Iterator[tuple[i
                 at_ns = (at_ns & _STAMP_UPPER) | stamp_ns if kind == _TIME_STAMP else at_ns + stamp_ns
                 place += 8
                 continue
-        if size < 4 or start + size > end or at_ns >= _TIME_MAX_NS:
-            raise ValueError(f"a page with an event of {size} bytes at {place}, where it has {end}")
+        if size < 4 or start + size > end or at_ns >= _CLOCK_MAX_NS:
+            raise ValueError(f"a page with an event of {size} bytes at {place} and {at_ns} ns, where it has {end}")
         yield at_ns, start, size
         place = start + size
         # Every event begins at a multiple of four.
