@@ -82,12 +82,28 @@ def parse_json(text: str, origin: str, *, max_bytes: int = JSON_BYTES_MAX, max_i
     if text.count(",") + text.count("[") + text.count("{") > max_items:
         raise UsageError(f"{origin}: more than {max_items} values")
     try:
-        data = json.loads(text, parse_int=whole_number, parse_float=real_number, parse_constant=real_number)
+        data = json.loads(
+            text,
+            parse_int=whole_number,
+            parse_float=real_number,
+            parse_constant=real_number,
+            object_pairs_hook=_members,
+        )
         _check(data)
     except (ValueError, RecursionError) as error:
         reason = "nested too deeply" if isinstance(error, RecursionError) else error
         raise UsageError(f"{origin}: not JSON that is read here: {reason}") from error
     return data
+
+
+def _members(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The members of a JSON object. Raises ValueError for a key that stands twice: which one counts is not known."""
+    members: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in members:
+            raise ValueError(f"the key {key[:40]!r} stands twice")
+        members[key] = value
+    return members
 
 
 def _check(data: Any) -> None:
