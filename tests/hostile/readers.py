@@ -224,25 +224,34 @@ avg:          1        60        13
 max:          7       210        15
 ALL:        IRQ       Thr       Usr
 count:        3         4         3
+min:          0         3        12
+avg:          1        60        13
+max:          7       210        15
 """
 CYCLICTEST = b"""# /dev/cpu_dma_latency set to 0us
 # Histogram
 000014 000001\t000000
 000015 000008\t000010
-# Total: 000000009 000000010
 # Min Latencies: 00014 00015
-# Avg Latencies: 00019 00015
-# Max Latencies: 00062 00015
+# Avg Latencies: 01019 00015
+# Max Latencies: 10062 00015
 # Histogram Overflows: 00001 00000
 # Histogram Overflow at cycle number:
 # Thread 0: 00003
 # Thread 1:
 """
-_THREAD = {"histogram": {"3": 5, "12": 4}, "cycles": 10, "min": 3, "max": 70, "avg": 9.5}
+_THREAD = {"histogram": {"3": 5, "12": 4}, "min": 3, "max": 1070, "avg": 113.3}
 CYCLICTEST_JSON = json.dumps(
-    {"cmdline": "cyclictest -t1 -h 64 -i 200", "resolution_in_ns": 0, "thread": {"0": _THREAD}}
+    {
+        "cmdline:": "cyclictest -t1 -h 64 -i 200",
+        "num_threads": 1,
+        "resolution_in_ns": 0,
+        "thread": {"0": {**_THREAD, "cycles": 10}},
+    }
 ).encode()
-JITTERDEBUGGER = json.dumps({"sysinfo": {"resolution_in_ns": 1000}, "cpu": {"0": {**_THREAD, "count": 10}}}).encode()
+JITTERDEBUGGER = json.dumps(
+    {"version": 3, "sysinfo": {"resolution_in_ns": 1000, "cpus_online": 2}, "cpu": {"0": {**_THREAD, "count": 10}}}
+).encode()
 BOARD = json.dumps(
     {
         "schema": 2, "machine": "qemu-armv7", "kernel": "vmlinuz", "initrd": "initrd", "dtb": None,

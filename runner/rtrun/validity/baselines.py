@@ -5,6 +5,7 @@ from pathlib import Path
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
+from rtrun.plan import suites
 from rtrun.plan.run import Run
 from rtrun.results.importers import cyclictest
 from rtrun.results.importers.histogram_file import ENDING, histogram_text
@@ -19,7 +20,7 @@ def check_baseline_output(run: Run, text: str) -> str | None:
     if run.suite != "cyclictest":
         return None if "Max Latency" in text else "hwlatdetect printed no result (a line with Max Latency)"
     try:
-        histograms = cyclictest.read_text(Path("cyclictest.stdout"), text)
+        histograms = cyclictest.read_text(Path("cyclictest.stdout"), text, command=_command(run))
         for each in histograms:
             histogram_text(each)
     except UsageError as error:
@@ -31,6 +32,10 @@ def check_baseline_output(run: Run, text: str) -> str | None:
     if len(measured) != threads or min(measured) == 0 or max(measured) < asked:
         return f"{threads} threads were asked for {asked} measurements each, they made {measured}"
     return None
+
+
+def _command(run: Run) -> str:
+    return " ".join(suites.argv(run.suite, "cyclictest", run.parameters))
 
 
 def _held_otherwise(run: Run, text: str) -> str | None:
@@ -52,12 +57,8 @@ def keep_histograms(folder: Path, run: Run, output: str) -> list[str]:
     if run.suite != "cyclictest":
         return []
     printed = folder / f"{run.suite}.stdout"
-    interval_us = run.parameters["interval_us"]
-    histograms = cyclictest.read_text(
-        printed,
-        printed.read_text(encoding="utf-8", errors="replace"),
-        interval_us=interval_us if isinstance(interval_us, int) else None,
-    )
+    text = printed.read_text(encoding="utf-8", errors="replace")
+    histograms = cyclictest.read_text(printed, text, command=_command(run))
     outputs = [f"{output}-t{thread}" for thread in range(len(histograms))]
     for name, histogram in zip(outputs, histograms, strict=True):
         atomic.write_text(folder / f"{name}{ENDING}", histogram_text(histogram))

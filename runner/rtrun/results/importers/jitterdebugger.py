@@ -3,10 +3,19 @@
 from pathlib import Path
 
 from rtfiles.errors import UsageError
-from rtrun.results.importers.counts import NO_ORDER, bins_of, histogram, load, mean_of, numbered, whole
+from rtrun.results.importers.counts import (
+    NO_ORDER,
+    bins_of,
+    histogram,
+    load,
+    numbered,
+    overflow_of,
+    statistics_in,
+    whole,
+)
 from rtrun.results.importers.histogram_file import Imported
 
-_BINS = 1000  # its histogram ends there
+_BINS = {1000: 1000, 1: 1_000_000}  # by the resolution: its histogram ends at a millisecond
 
 
 def read_results(path: Path, text: str) -> tuple[Imported, ...]:
@@ -15,18 +24,22 @@ def read_results(path: Path, text: str) -> tuple[Imported, ...]:
     cpus, system = data.get("cpu"), data.get("sysinfo")
     if not isinstance(cpus, dict) or not cpus:
         raise UsageError(f"{path}: neither cyclictest's (cmdline, thread) nor jitterdebugger's (cpu) results")
-    resolution = system.get("resolution_in_ns", 1000) if isinstance(system, dict) else 1000
-    if resolution not in (1, 1000):
-        raise UsageError(f"{path}: sysinfo.resolution_in_ns: expected 1 or 1000, got {str(resolution)[:40]!r}")
+    # Version 2 of the file added sysinfo, version 3 the resolution; the first one has no number.
+    version = whole(path, "version", data.get("version", 1))
+    told = system if isinstance(system, dict) else {}
+    resolution = whole(path, "sysinfo.resolution_in_ns", told.get("resolution_in_ns", 1000 if version < 3 else None))
+    if resolution not in _BINS:
+        raise UsageError(f"{path}: sysinfo.resolution_in_ns: expected 1 or 1000, got {resolution}")
+    limit = _BINS[resolution]
+    threads = numbered(path, "cpu", cpus)
+    online = whole(path, "sysinfo.cpus_online", told.get("cpus_online", len(threads) if version < 2 else None))
+    if online < len(threads):
+        raise UsageError(f"{path}: sysinfo.cpus_online: {online}, but cpu has {len(threads)}")
     imported = []
-    for name, cpu in numbered(path, "cpu", cpus).items():
+    for name, cpu in threads.items():
         where = f"cpu.{name}"
-        bins = bins_of(path, f"{where}.histogram", cpu.get("histogram", {}))
-        count, most = whole(path, f"{where}.count", cpu.get("count")), whole(path, f"{where}.max", cpu.get("max"))
-        overflow = count - sum(bins.values())
-        if overflow < 0:
-            raise UsageError(f"{path}: {where}.count: {count}, but the bins hold {sum(bins.values())}")
-        limit = max(_BINS, max(bins, default=-1) + 1)
+        bins = bins_of(path, f"{where}.histogram", cpu.get("histogram"), limit=limit)
+        overflow = overflow_of(path, f"{where}.count", cpu.get("count"), bins)
         left_out = [NO_ORDER, "the interval"]
         if overflow:
             left_out.append(f"{overflow} values beyond the last bin: only the largest is known")
@@ -35,13 +48,7 @@ def read_results(path: Path, text: str) -> tuple[Imported, ...]:
                 source="jitterdebugger",
                 name=f"jitterdebugger-cpu{name}",
                 histogram=histogram(
-                    bins,
-                    unit_ns=resolution,
-                    width=1,
-                    overflow=overflow,
-                    overflow_from=limit,
-                    max_value=most,
-                    mean_value=mean_of(path, f"{where}.avg", cpu.get("avg")),
+                    bins, statistics_in(path, where, cpu), unit_ns=resolution, overflow=overflow, limit=limit
                 ),
                 period_ns=None,
                 left_out=tuple(left_out),
