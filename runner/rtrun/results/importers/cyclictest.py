@@ -30,7 +30,7 @@ _SUMMARY = re.compile(r"# (Total|Min Latencies|Avg Latencies|Max Latencies|Histo
 _CYCLES = re.compile(r"# Thread ([0-9]{1,5}):((?:[ \t]+[0-9]+)*)(?:[ \t]+# ([0-9]{1,15}) others)?[ \t]*", re.ASCII)
 _ALWAYS = ("Min Latencies", "Avg Latencies", "Max Latencies", "Histogram Overflows")  # 2.9 dropped Total
 _CYCLE_NUMBERS = "Histogram Overflow at cycle number"
-_BINS_MAX = 1_000_000  # cyclictest takes more as this
+_MOST_BINS = 1_000_000  # no limit of ours: cyclictest takes more as this
 # Short options without a value may stand before one in the same word, as in -qh400.
 _SHORT = r"(?:^|\s)-[BCEfImMnNPqrRsSuUvwWX]*"
 _BINS_OPTION = re.compile(rf"(?:{_SHORT}[hH]|\s--hist(?:ogram|ofall)[= ])\s?([0-9]{{1,9}})(?=\s|$)", re.ASCII)
@@ -51,7 +51,7 @@ def _read_command(words: str) -> _Command:
     # Of an option that is given twice, cyclictest takes the last one.
     limits, intervals = _BINS_OPTION.findall(words), _INTERVAL_OPTION.findall(words)
     return _Command(
-        limit=min(int(limits[-1]), _BINS_MAX) if limits else None,
+        limit=min(int(limits[-1]), _MOST_BINS) if limits else None,
         interval_us=int(intervals[-1]) if intervals else 1000,
         nanoseconds=_NANOSECONDS_OPTION.search(words) is not None,
     )
