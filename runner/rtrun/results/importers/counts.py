@@ -22,7 +22,7 @@ _NUMBERED = re.compile(r'"([0-9]{1,15})"\s*:\s*\{', re.ASCII)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Printed:
+class StatedSummary:
     """A number that a program printed of all values, None where it printed none, and the line or key it stands at."""
 
     place: str
@@ -36,9 +36,9 @@ class Statistics:
     A mean without `decimals` was truncated, any other one was rounded.
     """
 
-    least: Printed
-    mean: Printed
-    most: Printed
+    least: StatedSummary
+    mean: StatedSummary
+    most: StatedSummary
     decimals: int = 0
 
 
@@ -126,9 +126,9 @@ def statistics_in(path: Path, where: str, data: Mapping[str, Any]) -> Statistics
         raise UsageError(f"{path}: {where}.avg: expected a number from 0 to {COUNT_MAX}, got {str(mean)[:40]!r}")
     least, most = (whole(path, f"{where}.{key}", data.get(key)) for key in ("min", "max"))
     return Statistics(
-        least=Printed(place=f"{path}: {where}.min", value=least),
-        mean=Printed(place=f"{path}: {where}.avg", value=mean),
-        most=Printed(place=f"{path}: {where}.max", value=most),
+        least=StatedSummary(place=f"{path}: {where}.min", value=least),
+        mean=StatedSummary(place=f"{path}: {where}.avg", value=mean),
+        most=StatedSummary(place=f"{path}: {where}.max", value=most),
         decimals=2,
     )
 

@@ -10,7 +10,7 @@ from rtfiles.errors import UsageError
 from rtfiles.untrusted import lines_of
 from rtrun.results.importers.counts import (
     NO_ORDER,
-    Printed,
+    StatedSummary,
     Statistics,
     bins_of,
     check_bins,
@@ -24,6 +24,7 @@ from rtrun.results.importers.counts import (
     whole,
 )
 from rtrun.results.importers.histogram_file import Imported
+from rtrun.results.importers.unreadable import SUMMARY
 
 _ROW = re.compile(r"[0-9]+([ \t]+[0-9]+)+", re.ASCII)
 _SUMMARY = re.compile(r"# (Total|Min Latencies|Avg Latencies|Max Latencies|Histogram Overflows):(.*)", re.ASCII)
@@ -172,7 +173,7 @@ def _thread(path: Path, parts: _Text, thread: int, command: _Command | None) -> 
         place = f"{path}:{parts.lines['Total']}"
         raise UsageError(f"{place}: thread {thread}: a total of {total}, but the bins hold {seen}")
     least, mean, most = (
-        Printed(place=f"{path}:{parts.lines[name]}: thread {thread}", value=parts.summary[name][thread])
+        StatedSummary(place=f"{path}:{parts.lines[name]}: thread {thread}", value=parts.summary[name][thread])
         for name in ("Min Latencies", "Avg Latencies", "Max Latencies")
     )
     unknown = [] if command else ["the interval, and whether -N changed the unit: microseconds are assumed"]
@@ -216,10 +217,12 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
     data = load(path, text)
     words = next((data[key] for key in ("cmdline:", "cmdline") if isinstance(data.get(key), str)), "")
     threads: Any = data.get("thread")
-    if not isinstance(threads, dict) or "cyclictest" not in words:
+    if not isinstance(threads, dict) or not re.match(r"(?:\S*/)?cyclictest(?:\s|$)", words):
         return None
     command = _read_command(words)
     by_number = numbered(path, "thread", threads)
+    if command.limit is None and not any(each.get("histogram") for each in by_number.values()):
+        raise UsageError(f"{path}: {SUMMARY}")
     if (number := whole(path, "num_threads", data.get("num_threads"))) != len(by_number):
         raise UsageError(f"{path}: num_threads: {number}, but thread has {len(by_number)}")
     if (unit := whole(path, "resolution_in_ns", data.get("resolution_in_ns"))) != int(command.nanoseconds):

@@ -6,6 +6,7 @@ from rtfiles.errors import UsageError
 from rtfiles.untrusted import MIB, read_bytes
 from rtrun.results.importers import cyclictest, jitterdebugger, timerlat
 from rtrun.results.importers.histogram_file import Imported
+from rtrun.results.importers.unreadable import recognise
 
 MAX_BYTES = 16 * MIB
 READS = "a log of 2014 or of a suite, cyclictest -h or --json, jitterdebugger's results.json, rtla timerlat hist"
@@ -20,11 +21,15 @@ def read(path: Path) -> tuple[Imported, ...]:
         text = read_bytes(path, max_bytes=MAX_BYTES).decode("utf-8")
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: not text, expected {READS}") from error
-    if text.lstrip().startswith("{"):
-        imported = cyclictest.read_json_results(path, text)
-        return imported if imported is not None else jitterdebugger.read_results(path, text)
-    if "# Histogram" in text:
+    is_json = text.lstrip().startswith("{")
+    if is_json and (imported := cyclictest.read_json_results(path, text)) is not None:
+        return imported
+    if not is_json and "# Histogram" in text:
         return cyclictest.read_text(path, text)
-    if "RTLA timerlat histogram" in text:
+    if not is_json and "RTLA timerlat histogram" in text:
         return timerlat.read_text(path, text)
+    if kind := recognise(text):
+        raise UsageError(f"{path}: {kind}")
+    if is_json:
+        return jitterdebugger.read_results(path, text)
     raise UsageError(f"{path}: expected {READS}")

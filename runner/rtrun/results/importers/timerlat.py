@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import lines_of
-from rtrun.results.importers.counts import NO_ORDER, Printed, Statistics, check_bins, histogram, once
+from rtrun.results.importers.counts import NO_ORDER, StatedSummary, Statistics, check_bins, histogram, once
 from rtrun.results.importers.histogram_file import Imported
 
 _COLUMN = re.compile(r"(IRQ|Thr|Usr)-[0-9]{3,5}", re.ASCII)
@@ -22,7 +22,7 @@ _NUMBER = re.compile(r"[0-9]{1,15}", re.ASCII)
 
 
 @dataclass(kw_only=True, slots=True)
-class _Text:
+class _TimerlatText:
     """The parts of a text: bins and a summary for each column, and newer ones have a summary of all CPUs."""
 
     unit_ns: int = 1000
@@ -48,8 +48,8 @@ def read_text(path: Path, text: str) -> tuple[Imported, ...]:
     return columns
 
 
-def _parts(path: Path, text: str) -> _Text:
-    parts, number = _Text(), 0
+def _parts(path: Path, text: str) -> _TimerlatText:
+    parts, number = _TimerlatText(), 0
     for number, line in enumerate(lines_of(text, str(path)), start=1):
         words = line.split()
         if line.startswith(_HEADER):
@@ -90,7 +90,7 @@ def _parts(path: Path, text: str) -> _Text:
     return parts
 
 
-def _summarise(path: Path, parts: _Text, number: int, words: Sequence[str]) -> None:
+def _summarise(path: Path, parts: _TimerlatText, number: int, words: Sequence[str]) -> None:
     """Keep a line of the summary, of each column or below ``ALL:``."""
     values = [int(word) if _NUMBER.fullmatch(word) else None for word in words[1:]]
     if parts.contexts is None:
@@ -108,7 +108,7 @@ def _expect(path: Path, line: int, count: int, columns: int) -> None:
         raise UsageError(f"{path}:{line}: {count} values for {columns} columns")
 
 
-def _check_of_all(path: Path, parts: _Text, k: int, context: str) -> None:
+def _check_of_all(path: Path, parts: _TimerlatText, k: int, context: str) -> None:
     """Refuse a summary of all CPUs that is not the one of their columns."""
     of_cpus = [column for column, name in enumerate(parts.columns) if name.startswith(context)]
     counts = [_whole(path, parts, "count:", column) for column in of_cpus]
@@ -135,7 +135,7 @@ def _check_of_all(path: Path, parts: _Text, k: int, context: str) -> None:
             raise UsageError(f"{place}: {context}: {name} {value} of all, but the columns give {expected}")
 
 
-def _column(path: Path, parts: _Text, k: int, width: int) -> Imported:
+def _column(path: Path, parts: _TimerlatText, k: int, width: int) -> Imported:
     column = parts.columns[k]
     bins = {value: counts[k] for value, counts in parts.rows}
     over, count = (_whole(path, parts, name, k) for name in ("over:", "count:"))
@@ -166,13 +166,13 @@ def _column(path: Path, parts: _Text, k: int, width: int) -> Imported:
     )
 
 
-def _printed(path: Path, parts: _Text, name: str, k: int) -> Printed:
+def _printed(path: Path, parts: _TimerlatText, name: str, k: int) -> StatedSummary:
     """A number of a column; where nothing was measured it is a ``-``, or whatever older versions print."""
     value = _whole(path, parts, name, k) if parts.summary["count:"][k] else None
-    return Printed(place=f"{path}:{parts.lines[name]}: {parts.columns[k]}", value=value)
+    return StatedSummary(place=f"{path}:{parts.lines[name]}: {parts.columns[k]}", value=value)
 
 
-def _whole(path: Path, parts: _Text, name: str, k: int) -> int:
+def _whole(path: Path, parts: _TimerlatText, name: str, k: int) -> int:
     value = parts.summary[name][k]
     if value is None:
         raise UsageError(f"{path}:{parts.lines[name]}: {parts.columns[k]}: {name} expected a whole number")

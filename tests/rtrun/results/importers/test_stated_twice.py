@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rtfiles.errors import UsageError
-from rtrun.results.importers.counts import Printed, Statistics, check_statistics
+from rtrun.results.importers.counts import StatedSummary, Statistics, check_statistics
 from rtrun.results.importers.cyclictest import read_text
 from rtrun.results.importers.detect import read
 
@@ -320,9 +320,9 @@ def test_rows_of_a_text_with_totals_are_all_there(tmp_path):
 )
 def test_bounds_of_what_was_printed(bins, overflow, least, mean, most, wrong):
     printed = Statistics(
-        least=Printed(place="least", value=least),
-        mean=Printed(place="mean", value=mean),
-        most=Printed(place="most", value=most),
+        least=StatedSummary(place="least", value=least),
+        mean=StatedSummary(place="mean", value=mean),
+        most=StatedSummary(place="most", value=most),
     )
     if wrong is None:
         check_statistics(bins, printed, overflow=overflow, limit=10)
