@@ -24,7 +24,6 @@ from rtrun.results.importers.counts import (
     whole,
 )
 from rtrun.results.importers.histogram_file import Imported
-from rtrun.results.importers.unreadable import SUMMARY
 
 _ROW = re.compile(r"[0-9]+([ \t]+[0-9]+)+", re.ASCII)
 _SUMMARY = re.compile(r"# (Total|Min Latencies|Avg Latencies|Max Latencies|Histogram Overflows):(.*)", re.ASCII)
@@ -222,6 +221,8 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
     command = _read_command(words)
     by_number = numbered(path, "thread", threads)
     if command.limit is None and not any(each.get("histogram") for each in by_number.values()):
+        from rtrun.results.importers.unreadable import SUMMARY  # whoever measures reads no such file
+
         raise UsageError(f"{path}: {SUMMARY}")
     if (number := whole(path, "num_threads", data.get("num_threads"))) != len(by_number):
         raise UsageError(f"{path}: num_threads: {number}, but thread has {len(by_number)}")
