@@ -141,7 +141,7 @@ def _timer(expected_ns):
     return struct.pack("<HBBiqqqq", 1502, 0, 0, 7, 9, 1_000_000, expected_ns, 3)
 
 
-def _switch():
+def switch():
     return struct.pack("<HBBi16siiq16sii", 300, 1, 0, 7, b"hog", 6, 50, 1, b"listener", 7, 120)
 
 
@@ -158,7 +158,7 @@ def watched():
             event(10, mark(f"round {number}"))
             + event(5, _publish(number))
             + event(5, _timer(at_ns))
-            + event(5, _switch())
+            + event(5, switch())
         )
         rounds.append(a_round(number, cpu0=page(at_ns, data + event(20_000 * number, take(number)))))
     program = (

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtrun.probes import stream
 from rtrun.probes.formats import EventFormat
 from rtrun.probes.libraries.description import libraries
 from rtrun.probes.ring_buffer import PageLayout, read_events, read_head
@@ -13,7 +14,7 @@ from rtrun.probes.stream import Batch, Ready, WatchReader
 from rtrun.probes.timers import TimerChecks
 from rtrun.probes.values import converter
 from rtrun.targets.errors import TargetError
-from watched import BEGUN, FIELD, HEADERS, PROBE, ROUNDS, TAKE, a_round, event, mark, output, page, take
+from watched import BEGUN, FIELD, HEADERS, PROBE, ROUNDS, SWITCH, TAKE, a_round, event, mark, output, page, switch, take
 
 
 def extend(ns):
@@ -86,6 +87,37 @@ def test_a_gap_that_lasts_longer_than_its_round_comes_with_the_hits_within_it():
     (batch,) = [batch for batch in batches if batch.gaps]
     assert [hit.values["source_ns"] for hit in batch.hits] == [3, 4, 5]
     assert [(gap.from_ns, gap.until_ns) for gap in batch.gaps] == [(1200, 2500)]
+
+
+def test_gaps_of_a_round_are_joined_beyond_their_limit():
+    lost = b"".join(page(1100 + number, b"", flags=1 << 31) for number in range(3000))
+    first = a_round(1, cpu0=page(1000, BEGUN), cpu1=lost)
+    second = a_round(2, cpu0=page(5000, event(0, mark("round 2"))))
+    gaps = [gap for batch in batches_of(output(first, second)) for gap in batch.gaps]
+    assert len(gaps) == stream._GAPS_MAX and max(gap.until_ns for gap in gaps) == 1100 + 2999
+
+
+def test_ended_programs_of_a_round_are_limited():
+    *_, last = batches_of(output(a_round(1, cpu0=page(1000, BEGUN)), b"ended 5\n" * (stream._ENDED_MAX + 9)))
+    assert len(last.ended) == stream._ENDED_MAX
+
+
+@pytest.mark.parametrize("limit", ["_HITS_MAX", "_HITS_BYTES_MAX", "_KERNEL_EVENTS_MAX", "_KERNEL_BYTES_MAX"])
+def test_events_beyond_their_limit_are_left_out_and_are_a_gap(monkeypatch, limit):
+    is_kernel = limit.startswith("_KERNEL")
+    body = switch() if is_kernel else take(1)
+    monkeypatch.setattr(stream, limit, 50 * len(body) if "BYTES" in limit else 50)
+    told = f"format /events/sched/sched_switch/format\n{SWITCH}rtrun end format\n".encode()
+    pages = b"".join(page(2000 * number, event(1, body) * 20) for number in range(1, 9))
+    text = output(a_round(1, cpu0=page(1000, BEGUN), cpu1=pages))
+    *_, last = batches_of(text.replace(b"ready\n", told + b"ready\n", 1))
+    kept = last.kernel if is_kernel else last.hits
+    assert 0 < len(kept) <= 50 and [gap.reason for gap in last.gaps] == [stream.TOO_MANY]
+
+
+def test_rounds_that_come_faster_than_time_goes_by():
+    with pytest.raises(TargetError, match="rounds that follow one another faster than once in a second"):
+        batches_of(output(*(f"round {number}\n".encode() for number in range(1, 200))))
 
 
 TAKEN_OFF, LEFT = b"rtrun end done\n", b"rtrun end left 1_2_3\n"
