@@ -12,7 +12,7 @@ from rtrun.flows.threads import CallbackLog, ObservedThread
 from rtrun.flows.timers import ClockOffsets
 from rtrun.flows.topics import TopicRecord
 from rtrun.flows.turns import Turn, TurnRecord
-from rtrun.probes.hits import Gap, GapCause, Hit, ObservedProgram
+from rtrun.probes.hits import GAPS_MAX, Gap, GapCause, Hit, ObservedProgram, joined
 
 HORIZON_NS = 10 * 10**9
 
@@ -41,6 +41,7 @@ class FlowAccumulator:
         self.begin_ns = begin_ns
         self.newest_ns = self.until_ns = begin_ns
         self.gaps: list[Gap] = []
+        self._join_from = 2 * GAPS_MAX
         self.in_gaps = 0
         """Hits within gaps, which are left out."""
         self.situation = Situation(begin_ns)
@@ -114,6 +115,10 @@ class FlowAccumulator:
 
     def _cut(self, gap: Gap) -> None:
         self.gaps.append(gap)
+        if len(self.gaps) > self._join_from:
+            # They are to be twice as many before it is done again.
+            self.gaps = joined(self.gaps)
+            self._join_from = 2 * max(GAPS_MAX, len(self.gaps))
         self.situation.cut(gap.until_ns)
         self.topics.cut()
         self._programs.cut()

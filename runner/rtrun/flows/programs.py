@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 _REMAPPED = re.compile(r"(?:[^:=]*:)?__(node|name|ns):=(.*)", re.DOTALL)
 _INTERPRETER = re.compile(r"python[0-9.]*")
 
+# Of a topic, a node or a namespace. ROS 2 allows 255.
+NAME_CHARACTERS_MAX = 512
 _TIDY_FROM = 50_000  # names, of which most are of what has ended
 
 Handle = int | str
@@ -116,7 +118,14 @@ def numbered(label: str, number: int) -> str:
 
 
 def label_of(program: ObservedProgram) -> str:
-    """The full name of the node as the command line gives it, else the name of the program or of its script."""
+    """The full name of the node as the command line gives it, else the name of the program or of its script.
+
+    Of what is longer than any name it is the begin: a name is kept with every stream, and after its program has ended.
+    """
+    return _told_label(program)[:NAME_CHARACTERS_MAX]
+
+
+def _told_label(program: ObservedProgram) -> str:
     told: dict[str, set[str]] = {}
     for word in program.argv:
         if match := _REMAPPED.fullmatch(word):

@@ -17,10 +17,8 @@ FAULT = "(fault)"
 # large robot has some thousand of each.
 STREAMS_MAX = 10_000
 THINGS_MAX = 50_000
-# Of names with what is needed to number them, of those that have ended, too.
+# Of names with what is needed to number them, and pids that had one, of those that have ended, too.
 LABELS_MAX = 50_000
-# Of a topic, a node or a namespace. ROS 2 allows 255.
-NAME_CHARACTERS_MAX = 512
 
 
 class Situation:
@@ -39,7 +37,7 @@ class Situation:
         """Hits without what they should tell."""
         self.left_out = 0
         """Hits of what there was no room for."""
-        self._streams = self._things = 0
+        self._streams = self._things = self._pids = 0
 
     @property
     def is_full(self) -> bool:
@@ -72,8 +70,9 @@ class Situation:
 
     def add_pid(self, label: str, pid: int) -> None:
         """A process had a label."""
-        if label in self.pids or len(self.pids) < LABELS_MAX:
+        if self._pids < LABELS_MAX and pid not in self.pids.get(label, ()):
             self.pids.setdefault(label, set()).add(pid)
+            self._pids += 1
 
     def cut(self, until_ns: int) -> None:
         """Hits are missing until a time."""

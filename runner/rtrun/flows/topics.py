@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping
 from rtrun.flows.matching import PayloadMatching, StampMatching, has_header
 from rtrun.flows.messages import End, Endpoint, MessageRecord, Payload, Publication, Reception
 from rtrun.flows.paths import PathRecord
-from rtrun.flows.programs import Handle, LivingProcess, full_name
+from rtrun.flows.programs import NAME_CHARACTERS_MAX, Handle, LivingProcess, full_name
 from rtrun.flows.recorder import FlowRecorder
-from rtrun.flows.situation import FAULT, NAME_CHARACTERS_MAX, Situation
+from rtrun.flows.situation import FAULT, Situation
 from rtrun.flows.threads import ObservedThread
 from rtrun.probes.hits import Hit
 

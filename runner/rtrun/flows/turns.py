@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rtrun.flows.messages import Endpoint, Reception
-from rtrun.flows.programs import LivingProcess, LivingThing, numbered
+from rtrun.flows.programs import NAME_CHARACTERS_MAX, LivingProcess, LivingThing, numbered
 from rtrun.flows.situation import Situation
 from rtrun.flows.threads import ObservedThread, OpenTurn
 from rtrun.flows.timers import LivingTimer, timer_name
@@ -61,7 +61,7 @@ class TurnRecord:
         if hit.event == "callback_begin":
             topic = hit.values.get("topic")
             if isinstance(topic, str):
-                return f"{topic} of {self._label(thread.process, thread.process.label)}"
+                return f"{topic[:NAME_CHARACTERS_MAX]} of {self._label(thread.process, thread.process.label)}"
             owner = thread.callbacks[-1].callback.owner if thread.callbacks else None
             return self._name_of(owner, thread.process)
         if isinstance(thread.cause, LivingTimer):

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
+GAPS_MAX = 10_000
+"""Of one cause, of an observation; where there are more, those that lie close together become one."""
+
 
 class Hit(NamedTuple):
     """A probed function was called, or returned.
@@ -54,6 +57,36 @@ def covered_ns(spans: Iterable[tuple[int, int]]) -> int:
         covered += max(0, end_ns - max(begin_ns, until_ns))
         until_ns = max(until_ns, end_ns)
     return covered
+
+
+def joined(gaps: Iterable[Gap]) -> list[Gap]:
+    """In the order of their begins, those of a cause that overlap as one, and of each cause GAPS_MAX at most.
+
+    Beyond that the shortest times between them are given up, and count as not seen.
+    """
+    by_cause: dict[GapCause, list[Gap]] = {}
+    for gap in sorted(gaps):
+        _add(by_cause.setdefault(gap.cause, []), gap)
+    return sorted(gap for of_cause in by_cause.values() for gap in _fewer(of_cause))
+
+
+def _add(gaps: list[Gap], gap: Gap) -> None:
+    """Add a gap that begins no earlier than those before."""
+    if gaps and gap.from_ns <= gaps[-1].until_ns:
+        last = gaps.pop()
+        gap = last._replace(until_ns=max(gap.until_ns, last.until_ns))
+    gaps.append(gap)
+
+
+def _fewer(gaps: list[Gap]) -> list[Gap]:
+    if len(gaps) <= GAPS_MAX:
+        return gaps
+    between = sorted(range(1, len(gaps)), key=lambda place: gaps[place].from_ns - gaps[place - 1].until_ns)
+    given_up = set(between[: len(gaps) - GAPS_MAX])
+    fewer: list[Gap] = []
+    for place, gap in enumerate(gaps):
+        fewer.append(fewer.pop()._replace(until_ns=gap.until_ns) if place in given_up else gap)
+    return fewer
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

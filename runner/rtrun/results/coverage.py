@@ -9,10 +9,7 @@ from rtfiles.config import Config
 from rtfiles.output import counted, listed
 from rtfiles.quantities import time
 from rtrun.plan.limits import TIME_MAX_NS
-from rtrun.probes.hits import Gap, GapCause, covered_ns
-
-GAPS_MAX = 10_000
-"""Of one cause; where there are more, those that lie close together become one."""
+from rtrun.probes.hits import Gap, GapCause, covered_ns, joined
 
 SpanNs = Annotated[int, Field(ge=0, le=TIME_MAX_NS)]
 
@@ -54,35 +51,14 @@ class Coverage(Config):
 def coverage(*, begin_ns: int, until_ns: int, asked_ns: int, gaps: Iterable[Gap]) -> Coverage:
     """What was seen from `begin_ns` to `until_ns` of the time that was asked for, but for the gaps."""
     end_ns = begin_ns + asked_ns
-    by_cause: dict[GapCause, list[CoverageGap]] = {}
-    for gap in sorted(gaps):
-        from_ns, to_ns = (min(max(at_ns, begin_ns), end_ns) for at_ns in (gap.from_ns, gap.until_ns))
-        _add(by_cause.setdefault(gap.cause, []), from_ns, to_ns, gap.cause)
-    _add(by_cause.setdefault(GapCause.ENDED_EARLY, []), max(until_ns, begin_ns), end_ns, GapCause.ENDED_EARLY)
-    every = sorted((gap for each in by_cause.values() for gap in _fewer(each)), key=lambda gap: gap.begin_ns)
+    missed = [*gaps, Gap(max(until_ns, begin_ns), end_ns, "", GapCause.ENDED_EARLY)]
+    within = (
+        gap._replace(from_ns=max(gap.from_ns, begin_ns), until_ns=min(gap.until_ns, end_ns))
+        for gap in missed
+        if max(gap.from_ns, begin_ns) < min(gap.until_ns, end_ns)
+    )
+    every = [CoverageGap(begin_ns=gap.from_ns, end_ns=gap.until_ns, cause=gap.cause) for gap in joined(within)]
     return Coverage(begin_ns=begin_ns, asked_ns=asked_ns, seen_ns=asked_ns - _covered_ns(every), gaps=every)
-
-
-def _add(gaps: list[CoverageGap], begin_ns: int, end_ns: int, cause: GapCause) -> None:
-    """Add a gap of the same cause that begins no earlier than those before."""
-    if end_ns <= begin_ns:
-        return
-    if gaps and begin_ns <= gaps[-1].end_ns:
-        begin_ns, end_ns = gaps[-1].begin_ns, max(end_ns, gaps.pop().end_ns)
-    gaps.append(CoverageGap(begin_ns=begin_ns, end_ns=end_ns, cause=cause))
-
-
-def _fewer(gaps: list[CoverageGap]) -> list[CoverageGap]:
-    """At most GAPS_MAX: the shortest times between them are given up, and count as not seen."""
-    if len(gaps) <= GAPS_MAX:
-        return gaps
-    between = sorted(range(1, len(gaps)), key=lambda place: gaps[place].begin_ns - gaps[place - 1].end_ns)
-    joined = set(between[: len(gaps) - GAPS_MAX])
-    fewer: list[CoverageGap] = []
-    for place, gap in enumerate(gaps):
-        begin_ns = fewer.pop().begin_ns if place in joined else gap.begin_ns
-        fewer.append(CoverageGap(begin_ns=begin_ns, end_ns=gap.end_ns, cause=gap.cause))
-    return fewer
 
 
 def _covered_ns(gaps: Iterable[CoverageGap]) -> int:

@@ -2,6 +2,7 @@
 
 import pytest
 
+from rtrun.probes import hits
 from rtrun.probes.hits import Gap, GapCause
 from rtrun.results import coverage
 from rtrun.results.coverage import Coverage
@@ -43,7 +44,7 @@ def test_what_came_after_an_early_end_was_not_seen(until_s):
 
 
 def test_more_gaps_than_are_kept_are_joined_and_count_as_not_seen(monkeypatch):
-    monkeypatch.setattr(coverage, "GAPS_MAX", 3)
+    monkeypatch.setattr(hits, "GAPS_MAX", 3)
     made = of(*((at, at + 0.5, GapCause.RESTED) for at in (1, 2, 10, 11, 20)))
     assert spans(made) == [(1, 2.5, "rested"), (10, 11.5, "rested"), (20, 20.5, "rested")]
     assert made.seen_ns == round(24.5 * S)
