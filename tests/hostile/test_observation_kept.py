@@ -280,7 +280,7 @@ def test_a_disk_that_others_fill_meanwhile(tmp_path, standin, monkeypatch, capsy
         assert status == 3 and len(records) < 4
         assert records["001"]["status"] == "incomplete" and "cannot keep the results" in records["001"]["reason"]
         assert records["001"]["coverage"]["seen_ns"] > 2 * S
-        # Where there is none of it, that is said before anything is observed.
+        # A disk that is full already is reported before anything is observed.
         capsys.readouterr()
         status, again = observe(tmp_path, "kind: local\n", standin, results=disk)
         assert (status, again) == (3, records) and not [*disk.glob(".*")]

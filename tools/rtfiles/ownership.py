@@ -75,7 +75,7 @@ def make_folder(path: Path) -> bool:
 
 
 def _served_by_others(trusted: set[int]) -> set[str]:
-    """Where file systems of FUSE are mounted whose owner is not trusted: he says of his files whatever he likes."""
+    """Where FUSE file systems of users who are not trusted are mounted: they choose what is said of their files."""
     served = set()
     for line in Path("/proc/self/mountinfo").read_bytes().splitlines():
         mount, _, system = line.partition(b" - ")

@@ -127,9 +127,8 @@ def close(
         except (TargetError, Interrupted) as error:
             if observed is None:
                 raise
-            reason = str(error) or "rtrun was interrupted"
-            refused = dict.fromkeys(end.files, f"not taken: {reason}")
-            troubles = [*troubles, reason]
+            refused = dict.fromkeys(end.files, f"not taken: {error}")
+            troubles = [*troubles, str(error)]
         verdict = _judge(work, partial, attempt, end, refused)
         tables: TopologyTables | str = ""
         if run.topology is not None and verdict.status is RunStatus.OK:
@@ -138,7 +137,7 @@ def close(
                 verdict = replace(verdict, status=RunStatus.INVALID, reason=tables)
         record = _record(work, partial, attempt, end, refused, verdict, now)
         if observed is not None:
-            free = observed_runs.room_of(work.folder)
+            free = run_directory.room_of(work.folder)
             record = observed_runs.write(partial, place, run, record, attempt.before, observed, free, troubles)
         if run.topology is not None and not isinstance(tables, str):
             record = topology_runs.write(partial, place, run.topology, record, attempt.before, tables)

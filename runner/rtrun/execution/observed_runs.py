@@ -16,6 +16,7 @@ from rtrun.kinds.output import Thread
 from rtrun.plan.run import UNTRACED, Run
 from rtrun.plan.suites import Value
 from rtrun.probes.hits import ObservedProgram
+from rtrun.results import run_directory
 from rtrun.results.observed import Graph, PlacedEvent, RefusedEvent, write_graph
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus
 from rtrun.targets.inspection.facts import TargetState
@@ -102,15 +103,10 @@ def write(
     return record
 
 
-def room_of(folder: Path) -> Path:
-    """The file that keeps the room for an observation's own files."""
-    return folder.with_name(f".{folder.name}.room")
-
-
 def free_first_half(folder: Path) -> None:
     """Free room for what is written before the streams."""
     with contextlib.suppress(FileNotFoundError):
-        os.truncate(room_of(folder), _ROOM_BYTES // 2)
+        os.truncate(run_directory.room_of(folder), _ROOM_BYTES // 2)
 
 
 @contextlib.contextmanager
@@ -119,7 +115,7 @@ def room(folder: Path) -> Iterator[None]:
 
     Raises InfrastructureError where there is none.
     """
-    path = room_of(folder)
+    path = run_directory.room_of(folder)
     try:
         try:
             with path.open("wb") as file:

@@ -4,6 +4,7 @@ import contextlib
 import secrets
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -54,11 +55,15 @@ class _Aftermath:
     cut_off: KeyboardInterrupt | TargetRebooted | None = None
     """What ends more than this run: raised once it is kept."""
 
+    def deferring(self) -> AbstractContextManager[None]:
+        """Where something was observed, let the first Ctrl-C wait for the end of the context."""
+        return deferred(_KEPT_FIRST) if self.observed else contextlib.nullcontext()
+
     @contextlib.contextmanager
     def keeping(self) -> Iterator[None]:
         """Note trouble, or Ctrl-C, instead of raising it."""
         try:
-            with deferred(_KEPT_FIRST) if self.observed else contextlib.nullcontext():
+            with self.deferring():
                 yield
         except KeyboardInterrupt as error:
             if self.observed is None:
@@ -101,21 +106,6 @@ def measure(
     Where `may_be_begun` is false, nobody looks for what an earlier call left. Raises TargetError when the target cannot
     go on, TargetRebooted when this run was cut off by a restart. What was observed is kept before anything is raised.
     """
-    with observed_runs.room(folder) if run.observation else contextlib.nullcontext():
-        return _measure(prepared, uid, campaign, run, folder, life, now, may_be_begun, onlooker)
-
-
-def _measure(
-    prepared: Prepared,
-    uid: str,
-    campaign: str,
-    run: Run,
-    folder: Path,
-    life: RunLife,
-    now: Clock,
-    may_be_begun: bool,
-    onlooker: Onlooker,
-) -> RunRecord:
     remote = prepared.link.target.work_dir / "runs" / uid / run.name
     token = secrets.token_hex(4)
     work = Work(
@@ -128,6 +118,12 @@ def _measure(
         token=token,
         onlooker=onlooker,
     )
+    with observed_runs.room(folder) if run.observation else contextlib.nullcontext():
+        return _measure(work, life, now, may_be_begun=may_be_begun)
+
+
+def _measure(work: Work, life: RunLife, now: Clock, *, may_be_begun: bool) -> RunRecord:
+    run, remote = work.run, work.remote
     try:
         attempt, not_started = (_resume(work, life) if may_be_begun else None), None
         if attempt is None:
@@ -157,7 +153,7 @@ def _measure(
     )
     with aftermath.keeping():
         end = _end_background(work, measured, not_started)
-    with deferred(_KEPT_FIRST) if aftermath.observed else contextlib.nullcontext():
+    with aftermath.deferring():
         record = close(work, attempt, end, aftermath.observed, now, aftermath.troubles)
         life.move(RunEvent.CLOSE, f"{record.status}: {record.reason}" if record.reason else record.status)
     with aftermath.keeping():

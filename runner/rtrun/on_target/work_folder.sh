@@ -58,7 +58,7 @@ objection() {
     esac
 }
 
-# Who serves a file system of FUSE says of its files whatever he likes. What such a one holds is not even looked at.
+# The user who mounted a FUSE file system chooses what it says of its files. No file in it is looked at.
 nl='
 '
 served=$nl$(

@@ -97,14 +97,24 @@ def _hold(taken: Path) -> int:
 def _free_numbers_of_the_dead(results: Path) -> None:
     """Remove what a killed call has left: the number that it took, and what it was filling."""
     for taken in results.glob(".*.taken"):
-        number = taken.name[1:].removesuffix(".taken")
-        if not re.fullmatch(r"[0-9]{1,9}", number):
+        folder = results / taken.name[1:].removesuffix(".taken")
+        if not re.fullmatch(r"[0-9]{1,9}", folder.name):
             continue
         with contextlib.suppress(OSError):
             os.close(_hold(taken))
-            shutil.rmtree(results / f".{number}.partial", ignore_errors=True)
-            (results / f".{number}.room").unlink(missing_ok=True)
+            shutil.rmtree(_partial_of(folder), ignore_errors=True)
+            room_of(folder).unlink(missing_ok=True)
             taken.rmdir()
+
+
+def _partial_of(folder: Path) -> Path:
+    """What a run directory is called while it is filled."""
+    return folder.with_name(f".{folder.name}.partial")
+
+
+def room_of(folder: Path) -> Path:
+    """The file that keeps room on the disk for a run directory."""
+    return folder.with_name(f".{folder.name}.room")
 
 
 @contextlib.contextmanager
@@ -113,7 +123,7 @@ def filling(folder: Path) -> Iterator[Path]:
 
     A full local disk, or any other trouble with it, is an InfrastructureError. Raises as `make_results`, too.
     """
-    partial = folder.with_name(f".{folder.name}.partial")
+    partial = _partial_of(folder)
     make_results(folder.parent)
     try:
         shutil.rmtree(partial, ignore_errors=True)

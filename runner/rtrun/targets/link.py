@@ -79,7 +79,7 @@ class Link:
     def _check_interrupt(self) -> None:
         if self._is_interrupted:
             self._is_interrupted = False
-            raise Interrupted
+            raise Interrupted("rtrun was interrupted")
 
     def do(self, action: Callable[[Connection], T]) -> T:
         """Run an action, reconnecting for as long as the target file allows.

@@ -166,13 +166,19 @@ def test_what_a_board_had_begun_when_it_vanished_is_cleared_when_it_comes_back(f
     assert not list(right.work_dir.glob("runs/*"))
 
 
-def test_ctrl_c_leaves_nothing_on_any_board(farm):
+def begun_on_all(farm):
+    """The words of a campaign, and the rtrun that measures it, once each board has a run that goes on for ever."""
     words = command(farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101]}]\n")
     for board in farm:
         board.wishes.will("await /nonexistent")
     process = subprocess.Popen([sys.executable, "-m", "rtrun.cli", *words], stderr=subprocess.PIPE, text=True)
     for board in farm:
         board.wishes.await_calls()
+    return words, process
+
+
+def test_ctrl_c_leaves_nothing_on_any_board(farm):
+    _, process = begun_on_all(farm)
     process.send_signal(signal.SIGINT)
     assert process.wait(60) == 130, process.stderr.read()
     assert not [left for board in farm for left in board.work_dir.glob("runs/*/*")]
@@ -180,12 +186,7 @@ def test_ctrl_c_leaves_nothing_on_any_board(farm):
 
 
 def test_what_ctrl_c_cannot_remove_is_said(farm):
-    words = command(farm, "runs: [{suite: cyclic_timer_tests, repetitions: 10, frequency_hz: [100, 101]}]\n")
-    for board in farm:
-        board.wishes.will("await /nonexistent")
-    process = subprocess.Popen([sys.executable, "-m", "rtrun.cli", *words], stderr=subprocess.PIPE, text=True)
-    for board in farm:
-        board.wishes.await_calls()
+    words, process = begun_on_all(farm)
     (folder,) = farm[0].work_dir.glob("runs/*/*")
     mounted = folder / "mounted"
     mounted.mkdir()

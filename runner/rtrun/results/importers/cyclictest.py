@@ -212,7 +212,10 @@ def _imported(
 
 
 def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
-    """One histogram a thread; None when the file is not cyclictest's. Raises UsageError naming file and key."""
+    """One histogram a thread; None when the file is not cyclictest's, or of one without ``-h``.
+
+    Raises UsageError naming file and key.
+    """
     data = load(path, text)
     words = next((data[key] for key in ("cmdline:", "cmdline") if isinstance(data.get(key), str)), "")
     threads: Any = data.get("thread")
@@ -221,9 +224,7 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
     command = _read_command(words)
     by_number = numbered(path, "thread", threads)
     if command.limit is None and not any(each.get("histogram") for each in by_number.values()):
-        from rtrun.results.importers.unreadable import SUMMARY  # whoever measures reads no such file
-
-        raise UsageError(f"{path}: {SUMMARY}")
+        return None
     if (number := whole(path, "num_threads", data.get("num_threads"))) != len(by_number):
         raise UsageError(f"{path}: num_threads: {number}, but thread has {len(by_number)}")
     if (unit := whole(path, "resolution_in_ns", data.get("resolution_in_ns"))) != int(command.nanoseconds):

@@ -35,15 +35,16 @@ def _json_of(programs: str) -> str:
     return rf'"cmdline:?": *"(?:[^"\s]*/)?(?:{programs})[\s"]'
 
 
-SUMMARY = Unreadable(
-    program="cyclictest without -h",
-    sign=_sign(r"^(?:\x1b\[[0-9]+A)?T: ?[0-9]+ \( *[0-9]+\) P: ?[0-9]+ I: ?[0-9]+ C: *[0-9]+ Min:"),
-    lacks="prints only min, avg and max",
-    advice=_HISTOGRAM,
-)
-
 KINDS = (
-    SUMMARY,
+    Unreadable(
+        program="cyclictest without -h",
+        sign=_sign(
+            r"^(?:\x1b\[[0-9]+A)?T: ?[0-9]+ \( *[0-9]+\) P: ?[0-9]+ I: ?[0-9]+ C: *[0-9]+ Min:"
+            rf"|{_json_of('cyclictest')}"
+        ),
+        lacks="prints only min, avg and max",
+        advice=_HISTOGRAM,
+    ),
     Unreadable(
         program="signaltest",
         sign=_sign(rf"^T: ?[0-9]+ \( *[0-9]+\) P: ?[0-9]+ C: *[0-9]+ Min:|{_json_of('signaltest')}"),
