@@ -70,6 +70,8 @@ from rtrun.targets.connection import parse_listing
 from rtrun.targets.inspection import architecture, control_groups, platform_signs, rt_readiness
 from rtrun.targets.inspection import facts as inspection
 from rtrun.targets.inspection.platform import Platform
+from rtrun.targets.labgrid.environment import read_environment
+from rtrun.targets.labgrid.resources import read_resources, ssh_service
 from rtrun.targets.link import Link
 from rtrun.targets.qemu import emulator as qemu
 from rtrun.targets.ssh import host_keys, ssh_config
@@ -645,6 +647,25 @@ def _part(path: Path) -> None:
     partial_samples.salvage(path)
 
 
+def _labgrid_service(path: Path) -> None:
+    ssh_service(read_resources(path.read_text("utf-8", "replace"), "board"), "board")
+
+
+LABGRID = b"""targets:
+  main:
+    resources:
+      RemotePlace: {name: board}
+    drivers:
+      SSHDriver: {keyfile: keys/board}
+      NetworkPowerDriver: {}
+options: {coordinator_address: "lab:20408"}
+"""
+LABGRID_PRINTED = b"""Selected place board
+targets:
+  board:
+    resources:
+    - NetworkService: {address: 10.0.0.2, username: root, port: 22}
+"""
 KCONFIG = kconfig.load()
 CHECKS = rt_readiness.read_checks()
 LOGS = [path.read_bytes() for path in (*sorted(SUITES.glob("*.log")), *sorted(LOGS_2014.glob("*.log")))]
@@ -665,6 +686,8 @@ READERS: dict[str, Reader] = {
     "profile": of_file(
         lambda path: load_profile(str(path)), "profile.yml", *_contents(TOP / "tools/rtgen/profiles", "*.yml"), cost=4
     ),
+    "environment of labgrid": of_file(read_environment, "labgrid.yml", LABGRID),
+    "resources of labgrid": of_file(_labgrid_service, "printed", LABGRID_PRINTED),
     "kernel options": of_file(
         lambda path: [option.holds_for("6.1") for option in config.load(path, kconfig.Concern).options],
         "options.yml",

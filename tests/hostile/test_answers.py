@@ -27,9 +27,16 @@ SERVICE = "targets:\n  board:\n    resources:\n      NetworkService: {service}\n
         (SERVICE.format(service="{address: [1], username: root}"), "NetworkService: address: "),
         (SERVICE.format(service="{address: x, username: root, port: ssh}"), "NetworkService: port: "),
         (SERVICE.format(service="{address: x, username: root, port: 70000}"), "NetworkService: port: "),
+        (SERVICE.format(service='{"\\ud800": x}'), "printed no environment"),
+        (
+            "targets:\n  board:\n    resources: {NetworkService: {a0: &a0 [x, x], "
+            + ", ".join(f"a{n + 1}: &a{n + 1} [*a{n}, *a{n}]" for n in range(30))
+            + "}}",
+            "printed no environment",
+        ),
         ("targets: {board: {}}", "has no NetworkService"),
     ],
-    ids=range(7),
+    ids=range(9),
 )
 def test_an_environment_that_names_no_board(printed, message):
     with pytest.raises(TargetError, match=message):

@@ -24,6 +24,8 @@ from rtfiles.errors import UsageError
         (f"a: {'1:' * 500_000}1\n", ":1: no valid int: a number has at most 40 characters"),
         ("#" * (1 << 20) + "\n", ": larger than 1048576 bytes"),
         ("a: &a [*a]\n", ":1: an alias within what it names"),
+        ('a: 1\nb: "\\ud800"\n', ":2: a text with half of a character (a lone surrogate)"),
+        ('"\\udfff": 1\n', ":1: a text with half of a character (a lone surrogate)"),
         (
             "a0: &a0 [x, x]\n" + "".join(f"a{n + 1}: &a{n + 1} [*a{n}, *a{n}]\n" for n in range(30)),
             ":17: its aliases stand for more than 200000 values",

@@ -11,6 +11,7 @@ import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
+from rtfiles import untrusted
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import JSON_BYTES_MAX, JSON_ITEMS_MAX, parse_json, read_text
 from rtfiles.wording import SHOWN_CHARACTERS, mistake, unknown
@@ -103,7 +104,7 @@ YAML_NUMBER_MAX = 40
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """SafeLoader that refuses a key given twice, where YAML would silently keep the last."""
+    """SafeLoader that refuses half of a character, and a key given twice, where YAML would silently keep the last."""
 
     def get_single_node(self) -> Any:
         node = super().get_single_node()
@@ -151,6 +152,11 @@ def _count_nodes(node: yaml.Node, known: dict[yaml.Node, int]) -> int:
         return known[node]
     known[node] = 0
     parts: list[yaml.Node] = []
+    if isinstance(node, yaml.ScalarNode):
+        try:
+            untrusted.text(node.value)
+        except ValueError as error:
+            raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from None
     if isinstance(node, yaml.MappingNode):
         parts = [each for pair in node.value for each in pair]
     elif isinstance(node, yaml.SequenceNode):
@@ -171,10 +177,19 @@ def read_yaml(path: Path) -> Any:
 def read_yaml_with_place(path: Path) -> tuple[Any, Place]:
     """Return the plain data in a YAML file, and the place that knows the lines of its entries.
 
-    Raises UsageError naming file and line when it cannot be read, is not YAML, gives a key twice, or stands for more
-    than any file of ours does.
+    Raises UsageError when it cannot be read, and as `parse_yaml` does.
     """
-    text = read_text(path, max_bytes=YAML_BYTES_MAX)
+    return parse_yaml(read_text(path, max_bytes=YAML_BYTES_MAX), str(path))
+
+
+def parse_yaml(text: str, origin: str) -> tuple[Any, Place]:
+    """Return the plain data in a YAML text, and the place that knows the lines of its entries.
+
+    Raises UsageError naming origin and line when it is not YAML, gives a key twice, or is or stands for more than any
+    file of ours.
+    """
+    if len(text) > YAML_BYTES_MAX:  # a character takes a byte at least
+        raise UsageError(f"{origin}: larger than {YAML_BYTES_MAX} bytes")
     try:
         loader = _StrictLoader(text)
         try:
@@ -182,14 +197,14 @@ def read_yaml_with_place(path: Path) -> tuple[Any, Place]:
             data = None if node is None else loader.construct_document(node)
         finally:
             loader.dispose()
-        return data, Place(str(path), node=node)
+        return data, Place(origin, node=node)
     except yaml.MarkedYAMLError as error:
         line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise UsageError(f"{path}{line}: {error.problem}") from error
+        raise UsageError(f"{origin}{line}: {error.problem}") from error
     except RecursionError as error:
-        raise UsageError(f"{path}: nested too deeply") from error
+        raise UsageError(f"{origin}: nested too deeply") from error
     except yaml.YAMLError as error:
-        raise UsageError(f"{path}: not YAML: {error}") from error
+        raise UsageError(f"{origin}: not YAML: {error}") from error
 
 
 def parse(data: Any, model: type[ConfigT], origin: str | Place) -> ConfigT:

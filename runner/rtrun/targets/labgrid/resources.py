@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, Field, ValidationError
 
+from rtfiles.config import parse_yaml
+from rtfiles.errors import UsageError
 from rtrun.targets.errors import TargetError
 from rtrun.targets.labgrid.environment import entries
 
@@ -33,13 +35,11 @@ def ssh_service(resources: Mapping[str, Mapping[str, Any]], place: str) -> SshSe
 
 def read_resources(printed: str, place: str) -> dict[str, dict[str, Any]]:
     """The resources of a place by class, from what `labgrid-client env` printed."""
-    import yaml
-
     try:
         # Above the file it may say what it does.
-        data = yaml.safe_load(printed[printed.index("targets:") :])
+        data, _ = parse_yaml(printed[printed.index("targets:") :], "labgrid-client env")
         return dict(entries(data["targets"][place], "resources"))
-    except (ValueError, KeyError, TypeError, RecursionError, yaml.YAMLError) as error:
+    except (UsageError, ValueError, KeyError, TypeError) as error:
         raise TargetError(
             f"place {place}: labgrid-client env printed no environment: {printed.strip()[:200]!r}"
         ) from error
