@@ -26,7 +26,7 @@ from rtgen.kconfig import data as kconfig
 from rtgen.kconfig import fragment, verify
 from rtgen.profile import load_profile
 from rtrun import cli
-from rtrun.execution import journal, resumption, ros_graph, topology_runs
+from rtrun.execution import resumption, ros_graph, topology_runs
 from rtrun.execution.late_values import LateValueRecord
 from rtrun.execution.middleware import roscpp
 from rtrun.flows.accumulator import FlowAccumulator
@@ -45,7 +45,7 @@ from rtrun.probes.programs import find_programs
 from rtrun.probes.stream import Batch, WatchReader
 from rtrun.probes.symbols import read_symbols
 from rtrun.report import causes
-from rtrun.results import goal_file, partial_samples, reading, run_directory, series
+from rtrun.results import goal_file, journal, partial_samples, reading, run_directory, series
 from rtrun.results.gnuplot_lines import check_commands
 from rtrun.results.importers.adopt import adopt
 from rtrun.results.importers.detect import read

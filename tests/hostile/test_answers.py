@@ -9,8 +9,9 @@ from types import SimpleNamespace
 import pytest
 
 from rtfiles.errors import UsageError
-from rtrun.execution import journal, resumption
+from rtrun.execution import resumption
 from rtrun.execution.middleware import roscpp
+from rtrun.results import journal
 from rtrun.targets.errors import TargetError
 from rtrun.targets.labgrid import places as labgrid
 from rtrun.targets.labgrid.resources import read_resources, ssh_service

@@ -15,9 +15,9 @@ from rtrun.execution.board import Observer
 from rtrun.execution.board_progress import showing_boards
 from rtrun.execution.campaign_runner import PlanRounds
 from rtrun.execution.farm import Board
-from rtrun.execution.journal import place_of_begun
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import Run
+from rtrun.results.journal import place_of_begun
 from rtrun.results.record import RunStatus
 from rtrun.targets.config import LabgridConfig, Target, TargetConfig, connect, parse_target, read_target
 from rtrun.targets.labgrid import environment as labgrid_environment

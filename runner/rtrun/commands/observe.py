@@ -165,12 +165,12 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
     from rtrun.execution import preparation, run_execution
     from rtrun.execution.board import utc_now
     from rtrun.execution.observation import ObservationResult, Onlooker
-    from rtrun.execution.run_state import RunLife
     from rtrun.flows.recorder import FlowRecorder
     from rtrun.report.flow_trace import flow_trace
     from rtrun.report.live import LiveView
     from rtrun.results.observed import said_of
     from rtrun.results.record import RunStatus
+    from rtrun.results.run_state import RunLife
 
     if args.perfetto is not None:
         atomic.write_named(args.perfetto, b"{}\n")  # better refused now than after the observation

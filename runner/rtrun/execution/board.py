@@ -12,12 +12,12 @@ from typing import Protocol, Self
 from rtfiles.errors import UsageError
 from rtrun.execution import preparation, resumption, run_execution
 from rtrun.execution.allotment import Round
-from rtrun.execution.journal import Journal
-from rtrun.execution.run_state import RunEvent, RunLife, RunState
 from rtrun.execution.trace_threshold import with_threshold_of_warm_up
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import KernelName, Run
+from rtrun.results.journal import Journal
 from rtrun.results.record import RunStatus, is_finished, read_record
+from rtrun.results.run_state import RunEvent, RunLife, RunState
 from rtrun.targets import processes
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import work_folder

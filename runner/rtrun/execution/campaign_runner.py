@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from rtfiles.errors import UsageError
-from rtrun.execution import journal
 from rtrun.execution.allotment import NextRound, rounds_of_blocks
 from rtrun.execution.board import Clock, Observer, Session, measure_rounds, utc_now
 from rtrun.execution.farm import Board, measure_on_boards
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import Run, blocks, digest_of
-from rtrun.results import run_directory
+from rtrun.results import journal, run_directory
 from rtrun.results.record import RunStatus, is_finished
 from rtrun.targets.config import Target
 from rtrun.targets.link import Link

@@ -17,15 +17,15 @@ from rtrun.execution.observation import NOBODY, ObservationResult, Onlooker
 from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt
 from rtrun.execution.run_programs import programs_of
-from rtrun.execution.run_state import RunEvent, RunLife, RunState, must_give_up
 from rtrun.plan import conditions
 from rtrun.plan.program import Exit
 from rtrun.plan.run import UNTRACED, Run
 from rtrun.results import run_directory
 from rtrun.results.record import RunRecord
+from rtrun.results.run_state import RunEvent, RunLife, RunState
 from rtrun.targets import processes
 from rtrun.targets.connection import parse_listing
-from rtrun.targets.errors import TargetError
+from rtrun.targets.errors import DeadlineExpired, TargetError
 from rtrun.targets.inspection import facts as inspection
 from rtrun.targets.link import OUT_OF_REACH, TargetRebooted
 
@@ -41,6 +41,16 @@ _PUT = 'cat >"$1.new" && [ "$(wc -c <"$1.new")" -eq "$2" ] && mv "$1.new" "$1"'
 # Stands between the state of the target and the list of files.
 _FILES = "== files"
 _KEPT_FIRST = "what was observed is kept first; Ctrl-C once more ends rtrun at once"
+
+
+def must_give_up(state: RunState, error: BaseException) -> bool:
+    """Whether an error ends what runs on the target; otherwise the run stays as it is, for the next call to pick up."""
+    if isinstance(error, OUT_OF_REACH):
+        return False
+    if state in (RunState.STARTING, RunState.OBSERVING):
+        return isinstance(error, KeyboardInterrupt | InfrastructureError)
+    # The target itself should have ended it long before the deadline of the runner.
+    return state is RunState.MEASURING and isinstance(error, KeyboardInterrupt | DeadlineExpired)
 
 
 @dataclass(slots=True, kw_only=True)

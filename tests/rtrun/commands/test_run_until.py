@@ -12,7 +12,7 @@ import pytest
 from faulty import target_file
 
 from rtrun.cli import main
-from rtrun.execution.journal import Journal
+from rtrun.results.journal import Journal
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
 

@@ -15,7 +15,7 @@ from faulty import write_faulty_suites
 from conftest import serve
 from rtfiles.errors import InfrastructureError
 from rtrun.cli import main
-from rtrun.execution.journal import Journal
+from rtrun.results.journal import Journal
 from rtrun.results.record import verify
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]

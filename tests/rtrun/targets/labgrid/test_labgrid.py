@@ -19,7 +19,7 @@ from conftest import SSHD, serve
 from rtfiles.errors import UsageError
 from rtrun.cli import main
 from rtrun.commands._boards import read_targets
-from rtrun.execution.journal import place_of_begun
+from rtrun.results.journal import place_of_begun
 from rtrun.targets.config import parse_target
 from rtrun.targets.labgrid import environment as labgrid_environment
 from rtrun.targets.labgrid import watch

@@ -3,10 +3,6 @@
 from collections.abc import Callable
 from enum import StrEnum
 
-from rtfiles.errors import InfrastructureError
-from rtrun.targets.errors import DeadlineExpired
-from rtrun.targets.link import OUT_OF_REACH
-
 
 class RunState(StrEnum):
     """Where a run is in its life. Only MEASURING survives the end of the runner: the target goes on by itself."""
@@ -75,16 +71,6 @@ def transition(state: RunState, event: RunEvent) -> RunState:
         return _NEXT[state, event]
     except KeyError:
         raise ValueError(f"a run that is {state} cannot {event}") from None
-
-
-def must_give_up(state: RunState, error: BaseException) -> bool:
-    """Whether an error ends what runs on the target; otherwise the run stays as it is, for the next call to pick up."""
-    if isinstance(error, OUT_OF_REACH):
-        return False
-    if state in (RunState.STARTING, RunState.OBSERVING):
-        return isinstance(error, KeyboardInterrupt | InfrastructureError)
-    # The target itself should have ended it long before the deadline of the runner.
-    return state is RunState.MEASURING and isinstance(error, KeyboardInterrupt | DeadlineExpired)
 
 
 class RunLife:

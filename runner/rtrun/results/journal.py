@@ -14,7 +14,7 @@ from typing import Any
 from urllib.parse import quote
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtrun.execution.run_state import RunState
+from rtrun.results.run_state import RunState
 
 NAME = "journal.sqlite"
 SESSION = "session"

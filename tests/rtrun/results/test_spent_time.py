@@ -7,9 +7,9 @@ import pytest
 
 from rtfiles.errors import UsageError
 from rtrun.execution.campaign_runner import has_rounds
-from rtrun.execution.journal import open_journal
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.run import digest_of
+from rtrun.results.journal import open_journal
 
 
 def at(seconds):

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import pytest
 
 from rtfiles.errors import UsageError
-from rtrun.execution.journal import NAME, open_journal
+from rtrun.results.journal import NAME, open_journal
 
 
 def open_in(folder):

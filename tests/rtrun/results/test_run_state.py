@@ -2,7 +2,8 @@
 
 import pytest
 
-from rtrun.execution.run_state import RunEvent, RunLife, RunState, must_give_up, transition
+from rtrun.execution.run_execution import must_give_up
+from rtrun.results.run_state import RunEvent, RunLife, RunState, transition
 from rtrun.targets.errors import ConnectionLost, DeadlineExpired, TargetError, TargetGone
 from rtrun.targets.link import TargetRebooted
 
