@@ -14,7 +14,7 @@ from rtrun.plan.suites import suites
 
 # docs/house.md names them in this order.
 ROOMS = (
-    "plan", "targets", "analysis", "probes", "kinds", "results", "validity", "causes", "flows", "execution",
+    "plan", "targets", "analysis", "probes", "kinds", "results", "evidence", "validity", "causes", "flows", "execution",
     "judgement", "report", "archive", "on_target", "commands", "cli",
 )  # fmt: skip
 

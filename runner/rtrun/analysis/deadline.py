@@ -3,14 +3,21 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 
 from rtrun.analysis.constancy import examine_constancy, join_boots
 from rtrun.analysis.dependence import Events, cluster_effect, design_effect, effect_of_few, pool
 from rtrun.analysis.distributions import chi_squared_above, normal_quantile, student_quantile
-from rtrun.analysis.further import chance_of_no_miss, likely_further, longest_burst, missing_without_miss
-from rtrun.analysis.intervals import anytime_interval, anytime_lower
+from rtrun.analysis.further import (
+    chance_of_no_miss,
+    likely_further,
+    longest_burst,
+    missing_without_miss,
+    smallest,
+)
+from rtrun.analysis.intervals import anytime_interval, anytime_lower, anytime_upper
 from rtrun.analysis.stationarity import SIGNIFICANT, Change
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials
 from rtrun.plan.question import Question, unlike_share
@@ -35,7 +42,8 @@ class Verdict:
     """The answer to one deadline.
 
     ``lower`` and ``upper`` bound P(miss) at the confidence asked for, however often somebody looks
-    (`anytime_interval`). ``boots`` counts the boots that were measured, None where they are not known. ``boards``
+    (`anytime_interval`). ``boots`` counts the boots that were measured, None where they are not known;
+    ``boots_known`` are those that are known, all others together are none, or one where none is known. ``boards``
     counts the boards that were measured. ``longest_burst`` is the mean length of bursts of misses, none of which was
     seen, up to which PROVEN would hold; ``further_for_bursts`` gives (length, measurements without a miss that would
     cover it).
@@ -44,8 +52,10 @@ class Verdict:
     has the chance ``further_chance``. ``further_likely`` gives (answer, measurements) that nine times in ten are enough
     if misses go on at the rate seen, None where no number is.
 
-    ``off_rate`` counts runs that are left out because they were not measured at the rate that was asked for, beside
-    ``runs`` that were.
+    ``lost`` are attempts of which nothing is judged, beside ``runs`` that are, a sentence each; where there are some,
+    ``units_missing`` units (``unit``: boots, or runs of one boot) more without such a one would outweigh them, None
+    where no number would. ``unseen_share`` of the time of an observation was not seen, ``hidden_share`` because of
+    load, which counts as late. ``lower`` and ``upper`` have both in them.
     """
 
     answer: Answer
@@ -60,6 +70,7 @@ class Verdict:
     design_effect: float
     n_effective: float
     boots: int | None
+    boots_known: int
     boards: int
     longest_burst: float
     further_for_bursts: tuple[tuple[int, int], ...]
@@ -69,7 +80,11 @@ class Verdict:
     period_ns: float | None
     assumes: tuple[str, ...]
     runs: int
-    off_rate: int = 0
+    lost: tuple[str, ...] = ()
+    unit: Literal["boot", "run"] = "run"
+    units_missing: int | None = 0
+    unseen_share: float = 0.0
+    hidden_share: float = 0.0
     change: Change | None = None
     refused: str | None = None
 
@@ -80,8 +95,8 @@ class Verdict:
 
     @property
     def boots_missing(self) -> int:
-        """How many more boots the answer is to rest on, as far as boots are known."""
-        return 0 if self.boots is None else max(0, self.question.boots - self.boots)
+        """How many more boots the answer is to rest on."""
+        return max(0, self.question.boots - self.boots_known)
 
     @property
     def unlike_share(self) -> float | None:
@@ -98,14 +113,17 @@ class Circumstances:
     """How runs were measured, as far as it bears on their verdict.
 
     `measurements_per_event` measurements of one event (the subscribers of one message) count as one measurement.
-    `off_rate` runs beside these are left out because they missed the rate that was asked for.
+    `lost` are attempts beside these runs of which nothing is judged, a sentence each. Of the time of an observation,
+    `unseen_share` was not seen, and `hidden_share` because of load.
     """
 
     period_ns: float | None = None
     clock_step_ns: int | None = None
     emulated: bool = False
     measurements_per_event: int = 1
-    off_rate: int = 0
+    lost: tuple[str, ...] = ()
+    unseen_share: float = 0.0
+    hidden_share: float = 0.0
 
 
 def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = Circumstances()) -> Verdict:
@@ -114,8 +132,9 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     PROVEN: the interval's upper end is below it, and no run shows a change. IF_INDEPENDENT: the same, from counts that
     kept no order. REFUTED: the lower end is above it. Else, and with fewer boots than asked for, NEEDS MORE, with
     how many.
-    With runs left out that missed the rate that was asked for, nothing is PROVEN: runs that kept to it are the lucky
-    ones.
+    An attempt that was lost counts as a unit (a boot, or a run of one boot) that was late throughout, and so does the
+    time of an observation that load hid: what was seen beside it is the lucky part. For a refutation, time that was not
+    seen holds no miss.
     Numbers from an emulated board, or for a deadline below two clock steps, are no real-time statement.
     Raises ValueError when probability or confidence is not between 0 and 1.
     """
@@ -128,27 +147,36 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     misses = late + absent
     constancy = examine_constancy(join_boots(runs), probability=probability, confidence=confidence)
     effect, assumes = _effect(runs, misses, constancy.clusters, question, measured.measurements_per_event)
-    lower, upper = anytime_interval(misses / effect, n / effect, confidence)
+    boots = len({run.boot for run in runs}) if all(run.boot for run in runs) else None
+    names = {run.run or str(index) for index, run in enumerate(runs)}
+    unit: Literal["boot", "run"] = "boot" if boots is not None and boots > 1 else "run"
+    units = boots if boots is not None and boots > 1 else len(names)
+    lower, upper = anytime_interval(misses / effect, n / effect, _shared(confidence, measured))
     if unclear := sum(run.unclear for run in runs):
         # What may have met the deadline counts as late for a proof, and as in time for a refutation.
-        lower = anytime_lower((misses - unclear) / effect, n / effect, confidence)
+        lower = anytime_lower((misses - unclear) / effect, n / effect, _shared(confidence, measured))
         assumes = (*assumes, f"{unclear} values in the same bin of a log as the deadline are late")
-    is_constant = constancy.change is None and not measured.off_rate
-    covered = longest_burst(misses, n, effect, question)
-    boots = len({run.boot for run in runs}) if all(run.boot for run in runs) else None
+    is_constant = constancy.change is None
+    late_share = _late_share(units, question, measured)
+    lower, upper = lower * (1 - measured.unseen_share), min(1.0, upper + late_share)
+    left = replace(question, probability=question.probability - late_share, confidence=_shared(confidence, measured))
+    covered = longest_burst(misses, n, effect, left) if left.probability > 0 else 0.0
+    boots_known = len({run.boot for run in runs if run.boot}) or 1
     refused = _refusal(question, measured)
     answer = Answer.NEEDS_MORE
     if refused:
         answer = Answer.NO_STATEMENT
-    elif boots is not None and boots < question.boots:
+    elif boots_known < question.boots:
         pass
     elif covered >= question.bursts and is_constant:
         is_ordered = all(run.misses is not None for run in runs)
         answer = Answer.PROVEN if is_ordered else Answer.IF_INDEPENDENT
     elif n and lower > probability:
         answer = Answer.REFUTED
-    further = None if measured.off_rate else missing_without_miss(misses, n, effect, question)
-    likely = likely_further(misses, n, effect, question) if answer == Answer.NEEDS_MORE and is_constant else None
+    is_whole = not late_share
+    further = missing_without_miss(misses, n, effect, question) if is_whole else None
+    is_open = answer == Answer.NEEDS_MORE and is_constant and is_whole
+    likely = likely_further(misses, n, effect, question) if is_open else None
     is_proven = answer in (Answer.PROVEN, Answer.IF_INDEPENDENT)
     return Verdict(
         answer=answer,
@@ -163,6 +191,7 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
         design_effect=effect,
         n_effective=n / effect,
         boots=boots,
+        boots_known=boots_known,
         boards=len({run.board for run in runs}),
         longest_burst=covered,
         further_for_bursts=_further_for_bursts(misses, n, effect, question) if is_proven else (),
@@ -171,11 +200,40 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
         further_likely=likely and (Answer.PROVEN if likely[0] else Answer.REFUTED, likely[1]),
         period_ns=measured.period_ns,
         assumes=assumes,
-        runs=len({run.run or str(index) for index, run in enumerate(runs)}),
-        off_rate=measured.off_rate,
+        runs=len(names),
+        lost=measured.lost,
+        unit=unit,
+        units_missing=_units_missing(units, question, measured),
+        unseen_share=measured.unseen_share,
+        hidden_share=measured.hidden_share,
         change=constancy.change,
         refused=refused,
     )
+
+
+def _shared(confidence: float, measured: Circumstances) -> float:
+    """The confidence of each of two bounds that hold together: of what was measured, and of units that were lost."""
+    return (1 + confidence) / 2 if measured.lost else confidence
+
+
+def _late_share(units: int, question: Question, measured: Circumstances) -> float:
+    """The share of all units that may be like those lost, or was hidden by load: late throughout, for all one knows."""
+    lost = len(measured.lost)
+    of_units = anytime_upper(lost, units + lost, _shared(question.confidence, measured)) if lost else 0.0
+    return min(1.0, of_units + measured.hidden_share)
+
+
+def _units_missing(units: int, question: Question, measured: Circumstances) -> int | None:
+    """How many more units without such a one leave half of the probability to what was measured."""
+    lost = len(measured.lost)
+    most = question.probability / 2 - measured.hidden_share
+    if not lost:
+        return 0
+    if most <= 0:
+        return None
+    confidence = _shared(question.confidence, measured)
+    total = smallest(lambda clean: anytime_upper(lost, clean + lost, confidence) < most, max(1, units))
+    return None if total is None else total - units
 
 
 def _refusal(question: Question, measured: Circumstances) -> str | None:

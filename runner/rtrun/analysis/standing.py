@@ -40,4 +40,4 @@ class Standing:
     @property
     def is_final(self) -> bool:
         """Whether measuring on would not change the answer, or need not."""
-        return self.answer is not Answer.NEEDS_MORE or (self.verdict is not None and self.verdict.off_rate > 0)
+        return self.answer is not Answer.NEEDS_MORE or (self.verdict is not None and bool(self.verdict.lost))

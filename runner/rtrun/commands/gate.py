@@ -70,6 +70,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"with --against: chance that any in a year of daily gates is WORSE by mistake [{FALSE_ALARMS}]",
     )
     add_question(parser)
+    parser.add_argument(
+        "--instead-of-goal",
+        action="store_true",
+        help="let a question decide that asks less than the goal of the campaign, which else fails",
+    )
     add_verbose(parser)
 
 
@@ -84,6 +89,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report.formats import junit
     from rtrun.report.screen import print_answers, print_styled
     from rtrun.report.terminal import print_banner
+    from rtrun.results.goal_file import read_goal
     from rtrun.targets.inspection.platform import Platform
 
     if args.against:
@@ -92,12 +98,14 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--margin, --false-alarms: go with --against ARCHIVE")
     else:
         analysed = ask(args, bounds=False)
+        goal = None if args.instead_of_goal else read_goal(args.results)
         judged = gate(
             analysed,
             assume_independent=args.assume_independent,
             platform=Platform(args.platform),
             max_page_faults=args.max_page_faults,
             max_allocations=args.max_allocations,
+            goal=goal.question if goal else None,
         )
         if not args.json:
             print_banner(analysed.platform)

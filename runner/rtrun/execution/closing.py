@@ -134,7 +134,7 @@ def close(
         if run.topology is not None and verdict.status is RunStatus.OK:
             tables = topology_runs.read_run(partial, run, run.topology.topology)
             if isinstance(tables, str):
-                verdict = replace(verdict, status=RunStatus.INVALID, reason=tables)
+                verdict = replace(verdict, status=RunStatus.INVALID, reason=tables, unrelated_end=None)
         record = _record(work, partial, attempt, end, refused, verdict, now)
         if observed is not None:
             free = run_directory.room_of(work.folder)
@@ -172,10 +172,10 @@ def _judge(work: Work, partial: Path, attempt: Attempt, end: RunEnd, refused: Ma
         is_timed=work.prepared.platform.platform is not Platform.EMULATED,
     )
     if end.failure:
-        return replace(verdict, status=RunStatus.FAILED, reason=end.failure)
+        return replace(verdict, status=RunStatus.FAILED, reason=end.failure, unrelated_end=None)
     if work.service and end.service != attempt.service:
         reason = f"{work.service.name} died during the run" + (f"; {verdict.reason}" if verdict.reason else "")
-        return replace(verdict, status=RunStatus.FAILED, reason=reason)
+        return replace(verdict, status=RunStatus.FAILED, reason=reason, unrelated_end=None)
     return verdict
 
 
@@ -222,7 +222,7 @@ def _record(
     outputs = list(work.programs.outputs)
     if suites.suite(run.suite).is_baseline and verdict.status is RunStatus.OK:
         outputs = baselines.keep_histograms(partial, run, suites.output_name(run.suite, run.parameters))
-    return RunRecord(
+    record = RunRecord(
         schema=2,
         run=run.name,
         campaign=work.campaign,
@@ -264,3 +264,4 @@ def _record(
         ),
         files={},
     )
+    return record.model_copy(update={"unrelated_end": verdict.unrelated_end}) if verdict.unrelated_end else record

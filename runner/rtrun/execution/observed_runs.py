@@ -18,7 +18,7 @@ from rtrun.plan.suites import Value
 from rtrun.probes.hits import ObservedProgram
 from rtrun.results import run_directory
 from rtrun.results.observed import Graph, PlacedEvent, RefusedEvent, write_graph
-from rtrun.results.record import ProgramRecord, RunRecord, RunStatus
+from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, UnrelatedEnd
 from rtrun.targets.inspection.facts import TargetState
 
 # What is written before the streams takes less than one half, graph.json and run.json less than the other.
@@ -54,6 +54,7 @@ def write(
             "trace": run.trace if run.trace == UNTRACED else "",
             "coverage": result.coverage,
         }
+        | ({"unrelated_end": UnrelatedEnd.INTERRUPTED} if isinstance(result.cut_off, KeyboardInterrupt) else {})
     )
     if record.status is RunStatus.OK and result.coverage.in_words:
         record = record.model_copy(update={"reason": result.coverage.in_words})

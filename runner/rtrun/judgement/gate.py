@@ -7,13 +7,14 @@ from rtfiles.output import counted
 from rtrun.analysis.deadline import Answer
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
-from rtrun.judgement.verdicts import sentences, severity, verdict_line
+from rtrun.judgement.verdicts import hidden_in_words, sentences, severity, verdict_line
+from rtrun.plan.question import Question, weaker
 from rtrun.plan.suites import suites
 from rtrun.plan.topology.planning import SUITE as TOPOLOGY
 from rtrun.results.record import RunRecord
 from rtrun.targets.inspection.platform import Platform, weakest
 
-ALLOCATIONS, PAGE_FAULTS = "ALLOCATIONS", "PAGE FAULTS"
+ALLOCATIONS, PAGE_FAULTS, ASKS_LESS = "ALLOCATIONS", "PAGE FAULTS", "ASKS LESS"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +62,7 @@ def gate(
     platform: Platform = Platform.HARDWARE,
     max_page_faults: int | None = None,
     max_allocations: int | None = None,
+    goal: Question | None = None,
 ) -> Gate:
     """Judge a study. Only a proof passes: neither too little data nor an emulated board is one.
 
@@ -70,6 +72,7 @@ def gate(
     A run that failed, is incomplete or was refused does not pass: what it hides is not known. An attempt that a restart
     of the target cut off is named, and passes when its run was measured again. With `max_page_faults` no program of
     a suite may have had more while it measured, with `max_allocations` none of those that counted them.
+    What asks less than the `goal` of the campaign does not pass.
     """
     passing = {Answer.PROVEN, Answer.IF_INDEPENDENT} if assume_independent else {Answer.PROVEN}
     cases = [
@@ -89,6 +92,9 @@ def gate(
         Case(about=name, answer="REPEATED", text="cut off by a restart of the target, then measured again", passed=True)
         for name in study.source.repeated
     ]
+    if goal is not None and (less := weaker(goal, study.question)):
+        text = f"it asks less than the goal of the campaign: {'; '.join(less)}; to ask that instead: --instead-of-goal"
+        cases.insert(0, Case(about="question", answer=ASKS_LESS, text=text, passed=False))
     if max_page_faults is not None:
         telling = [record for record in study.records if record.suite in (*suites().suites, TOPOLOGY)]
         text = "nobody counted them: the programs of these runs are no suite's"
@@ -137,7 +143,7 @@ def _case(group: Group, name: str, passing: Container[str], platform: Platform, 
     reason = not_accepted = ""
     if verdict is None:
         reason = text
-    elif verdict.answer == Answer.NEEDS_MORE and (verdict.change is not None or verdict.off_rate > 0):
+    elif verdict.answer == Answer.NEEDS_MORE and (verdict.change is not None or hidden_in_words(verdict)):
         reason = sentences(verdict)[0]
     if is_member and line.answer == Answer.NEEDS_MORE:
         # The case of all boards together says whether they have measured enough.

@@ -2,7 +2,7 @@
 
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from rtrun.judgement.digest import JudgedDigest
 from rtrun.kinds.known import ELSE_IN_2014
 from rtrun.plan.observation import stream_words
 from rtrun.plan.question import Measure, Question
-from rtrun.plan.suites import NOT_TELLING, Value, measures, options
+from rtrun.plan.suites import NOT_TELLING, Value, measures, options, telling_parameters
 from rtrun.results.record import RunRecord
 from rtrun.targets.inspection.platform import Platform
 
@@ -129,14 +129,6 @@ def scenario(one: JudgedDigest) -> list[Any]:
     header, deadline_ns = one.header, one.question and one.question.deadline_ns
     telling = sorted(telling_parameters(header.parameters).items())
     return [header.suite, header.series, deadline_ns, one.histogram.bin_ns, telling]
-
-
-def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:
-    """The parameters that tell what was measured: runs in which they are the same are alike.
-
-    An option that was not given is left out: records of before it was added do not have it.
-    """
-    return {key: value for key, value in parameters.items() if key not in NOT_TELLING and value is not None}
 
 
 def format_parameters(parameters: dict[str, Value]) -> str:

@@ -1,8 +1,8 @@
 """A folder of runs, examined: groups of runs alike with their verdicts, and all that the formats write down."""
 
-import contextlib
 import functools
 import json
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,13 +13,17 @@ from rtfiles.errors import UsageError
 from rtfiles.output import showing_progress
 from rtrun.analysis.deadline import Circumstances, Verdict, judge
 from rtrun.analysis.extreme_values import Bound
+from rtrun.analysis.histogram import Histogram
 from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
+from rtrun.evidence.attempts import LostAttempt, kind_of, lost_attempts
+from rtrun.evidence.duplicates import copies_among
+from rtrun.evidence.time_seen import time_seen
 from rtrun.judgement.digest import Digest, JudgedDigest, digest
-from rtrun.judgement.groups import Group, key_of, scenario, slowest, telling_parameters
+from rtrun.judgement.groups import Group, key_of, scenario, slowest
 from rtrun.kinds.known import MAIN_2014
 from rtrun.plan.question import NONE_TOLERATED, THESIS, Question
-from rtrun.plan.suites import ALLOCATIONS, Value, judged, measures
+from rtrun.plan.suites import ALLOCATIONS, judged, measures, telling_parameters
 from rtrun.results import reading
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
@@ -117,7 +121,8 @@ def study(
     copies = reading.find_copies(records)
     records = {folder: record for folder, record in records.items() if folder not in copies}
     _check_of(path, records.values(), question)
-    runs = [_read_run(folder, record, question, known) for folder, record in records.items()]
+    read = {folder: _read_run(folder, record, question, known) for folder, record in records.items()}
+    runs = [*read.values()]
     digests = [one for run in runs for one in run.digests]
     if not source.folders:
         digests = [digest(series, question) for series in read_file(path, question.of)]
@@ -125,9 +130,12 @@ def study(
     basis = _Basis(
         question=question,
         records={record.run: record for record in records.values()},
-        off_rate=_off_rate([*records.values(), *_read_old(source)]),
+        lost=lost_attempts(
+            source, records, refused | {folder: run.unreadable for folder, run in read.items() if run.unreadable}
+        ),
     )
-    judged_digests = [one for one in digests if isinstance(one, JudgedDigest)]
+    same = _same_counts([one for one in digests if isinstance(one, JudgedDigest)])
+    judged_digests = [one for one in digests if isinstance(one, JudgedDigest) and one.run not in same]
     groups = _grouped([one for one in judged_digests if one.header.main], basis, bounds=bounds)
     return Study(
         source=source,
@@ -135,45 +143,56 @@ def study(
         groups=groups,
         pooled=tuple(_pooled(groups, basis)),
         groups_2014=_grouped([one for one in judged_digests if not one.header.main], basis, bounds=False),
-        others=tuple(one for one in digests if not one.header.main),
+        others=tuple(one for one in digests if not one.header.main and one.run not in same),
         records=tuple(records.values()),
         left_out=(
             *(f"{name}: incomplete, it has no run.json: nothing in it is analysed" for name in source.incomplete),
-            *refused,
+            *refused.values(),
             *copies.values(),
+            *(f"{run}: a copy? it and {other} hold the same counts, and neither counts" for run, other in same.items()),
             *(text for run in runs for text in run.left_out),
         ),
     )
 
 
+def _same_counts(digests: Sequence[JudgedDigest]) -> dict[str, str]:
+    """Runs alike, of counts without order, that hold the same as another one: each with the name of that."""
+    alike: dict[str, dict[str, Histogram]] = {}
+    for one in digests:
+        if one.trials is not None and one.trials.misses is None:
+            alike.setdefault(key_of(one.header.target, one), {})[one.run] = one.histogram
+    return {run: other for members in alike.values() for run, other in copies_among(members).items()}
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Basis:
-    """What every group of a study is judged with: the question, the records by run, and `_off_rate`."""
+    """What every group of a study is judged with: the question, the records by run, and what was attempted beside."""
 
     question: Question
     records: Mapping[str, RunRecord]
-    off_rate: Mapping[str, int]
+    lost: tuple[LostAttempt, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _DigestedRun:
-    """The complete series of a run, and what of it is left out, a line each."""
+    """The complete series of a run, and what of it is left out, a line each; all of it where it is `unreadable`."""
 
     digests: tuple[Digest, ...] = ()
     left_out: tuple[str, ...] = ()
+    unreadable: str = ""
 
 
-def _read_records(folders: Sequence[Path]) -> tuple[dict[Path, RunRecord], list[str]]:
+def _read_records(folders: Sequence[Path]) -> tuple[dict[Path, RunRecord], dict[Path, str]]:
     """The records of run directories, and why others are refused.
 
     Runs of one name, which were measured into several folders and put together here, are told by their folders' names.
     """
-    records, refused = {}, []
+    records, refused = {}, {}
     for folder in showing_progress(folders, "reading run"):
         try:
             records[folder] = read_record(folder)
         except UsageError as error:
-            refused.append(str(error))
+            refused[folder] = str(error)
     times = Counter(record.run for record in records.values())
     return {
         folder: record.model_copy(update={"run": folder.name}) if times[record.run] > 1 else record
@@ -199,7 +218,7 @@ def _read_run(
             else:
                 digests.append(digest(series, asked))
     except UsageError as error:
-        return _DigestedRun(left_out=(str(error),))
+        return _DigestedRun(left_out=(str(error),), unreadable=str(error))
     if known is not None:
         known[folder] = tuple(
             replace(one, tail=None, blocks=None, course=None) if isinstance(one, JudgedDigest) else one
@@ -237,24 +256,6 @@ def _grouped(digests: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) ->
     alike = showing_progress([*by_key.values()], "judging group")
     groups = [_group(members, basis, bounds=bounds) for members in alike]
     return tuple(sorted(groups, key=lambda group: (group.suite, group.target)))
-
-
-def _read_old(source: Source) -> Iterator[RunRecord]:
-    """The records of attempts that were measured again, as far as they can be read."""
-    for folder in source.old:
-        with contextlib.suppress(UsageError):
-            yield read_record(folder)
-
-
-def _off_rate(records: Iterable[RunRecord]) -> Counter[str]:
-    """How many runs of each kind, on each target, missed the rate that was asked for, the repeated ones included."""
-    return Counter(
-        _kind(reading.target_of(record), record.suite, record.circumstances) for record in records if record.is_off_rate
-    )
-
-
-def _kind(target: str, suite: str, parameters: Mapping[str, Value]) -> str:
-    return json.dumps([target, suite, sorted(telling_parameters(parameters).items())])
 
 
 def _pooled(groups: Sequence[Group], basis: _Basis) -> Iterator[Group]:
@@ -298,9 +299,10 @@ def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Gro
 
 def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], question: Question, basis: _Basis) -> Verdict:
     first = alike[0].header
-    kinds = {_kind(one.header.target, one.header.suite, one.header.parameters) for one in alike}
+    kinds = {kind_of(one.header.target, one.header.suite, one.header.parameters) for one in alike}
+    seen = time_seen([basis.records[run] for run in dict.fromkeys(one.run for one in alike) if run in basis.records])
     periods = [one.header.period_ns for one in alike if one.header.period_ns]
-    # Subscribers of one run receive the same messages; threads of cyclictest only measure at the same time.
+    # Subscribers of one run receive the same messages; threads of cyclictest wait for the same interrupts.
     side_by_side = len(alike) / len({one.run for one in alike})
     return judge(
         trials,
@@ -309,8 +311,10 @@ def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], question: Questi
             period_ns=sum(periods) / len(periods) / side_by_side if periods else None,
             clock_step_ns=_clock_step_ns(alike),
             emulated=first.platform is Platform.EMULATED,
-            measurements_per_event=round(side_by_side) if "subscribers" in first.parameters else 1,
-            off_rate=sum(basis.off_rate.get(kind, 0) for kind in kinds),
+            measurements_per_event=math.ceil(side_by_side),
+            lost=tuple(str(one) for one in basis.lost if not one.kind or one.kind in kinds),
+            unseen_share=seen.unseen_share,
+            hidden_share=seen.hidden_share,
         ),
     )
 

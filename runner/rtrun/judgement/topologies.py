@@ -3,9 +3,10 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from rtrun.judgement.groups import format_parameters, telling_parameters
+from rtrun.judgement.groups import format_parameters
 from rtrun.judgement.study import Study
 from rtrun.plan.observation import StreamDeadline, StreamKind
+from rtrun.plan.suites import telling_parameters
 from rtrun.plan.topology.planning import SUITE, own_deadlines
 from rtrun.results.record import RunRecord, RunStatus
 from rtrun.results.topology_record import (

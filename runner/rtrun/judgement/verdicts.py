@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from rtfiles.output import counted, printable
+from rtfiles.output import counted, listed, printable
 from rtfiles.quantities import duration, grouped, percent, time
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.judgement.boards import spread
@@ -12,6 +12,7 @@ from rtrun.plan.question import NONE_TOLERATED
 
 # Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5
+_LOST_SHOWN = 3
 # In this order a reader has to see the answers.
 WORST_FIRST = (
     *(Answer.REFUTED, Answer.NEEDS_MORE, Answer.IF_INDEPENDENT, Answer.PROVEN),
@@ -74,8 +75,8 @@ def sentences(verdict: Verdict) -> list[str]:
         chance = f"p = {p_value:.1g}" if p_value > 1e-99 else "p below 1e-99"
         change = f"it did not stay the same: {verdict.change.text} ({chance})"
         parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), change)
-    if missed := off_rate(verdict):
-        parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), missed)
+    if hidden := hidden_in_words(verdict):
+        parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), hidden)
     if verdict.answer == Answer.NEEDS_MORE:
         parts += _more(verdict)
     elif verdict.answer in (Answer.PROVEN, Answer.IF_INDEPENDENT):
@@ -83,15 +84,20 @@ def sentences(verdict: Verdict) -> list[str]:
     return parts
 
 
-def off_rate(verdict: Verdict) -> str:
-    """How many runs missed the rate that was asked for; empty where none did."""
-    if not verdict.off_rate:
-        return ""
-    total = verdict.runs + verdict.off_rate
-    return (
-        f"{verdict.off_rate} of {counted(total, 'run')} missed the rate that was asked for and are left out: nothing "
-        "is proven by those that kept to it; ask for a rate that every run keeps, and measure anew with --fresh"
-    )
+def hidden_in_words(verdict: Verdict) -> str:
+    """What was attempted, or happened, and nobody saw: it counts as late; empty where there is nothing."""
+    parts = []
+    if verdict.lost:
+        total = verdict.runs + len(verdict.lost)
+        more = verdict.units_missing
+        outweighed = "" if not more else f"; {counted(more, f'more {verdict.unit}')} without one outweigh that"
+        parts.append(
+            f"{len(verdict.lost)} of {counted(total, 'attempt')} gave no values ({listed(verdict.lost, _LOST_SHOWN)}) "
+            f"and count as late{outweighed}"
+        )
+    if verdict.hidden_share:
+        parts.append(f"{percent(verdict.hidden_share)} of the time was not seen because of load, and counts as late")
+    return "; ".join(parts)
 
 
 def _between(verdict: Verdict) -> str:
@@ -128,7 +134,10 @@ def _scope(verdict: Verdict) -> list[str]:
     whole = math.floor(verdict.longest_burst)
     covered = f"holds for bursts of up to {grouped(whole)} misses" if whole > 1 else "holds for misses that come singly"
     more = [f"{amount(verdict, count)} for bursts of {length}" for length, count in verdict.further_for_bursts]
-    return [covered + (f" (without a miss, {', '.join(more)})" if more else ""), *_boots(verdict)]
+    parts = [covered + (f" (without a miss, {', '.join(more)})" if more else ""), *_boots(verdict)]
+    if verdict.unseen_share:
+        parts.append(f"holds for the {percent(1 - verdict.unseen_share)} of the time that was seen")
+    return parts
 
 
 def _boots(verdict: Verdict) -> list[str]:
@@ -152,7 +161,7 @@ def _more(verdict: Verdict) -> list[str]:
                 f"{amount(verdict, verdict.change.missing_loops)}"
             )
         return parts
-    if verdict.off_rate:
+    if hidden_in_words(verdict):
         return parts
     if verdict.further:
         chance = "" if verdict.misses else f" (chance of that: {100 * verdict.further_chance:.0f} %)"

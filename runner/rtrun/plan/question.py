@@ -32,6 +32,11 @@ class Tolerance:
         """How many such ends the fewest misses that count make, when they follow one another: they count as one."""
         return self.among - self.misses
 
+    def is_within(self, other: "Tolerance") -> bool:
+        """Whether the other one tolerates whatever this one does: the most misses that it lets into its windows."""
+        whole, rest = divmod(other.among, self.among)
+        return whole * self.misses + min(self.misses, rest) <= other.misses
+
     def __str__(self) -> str:
         """As `read_tolerance` takes it."""
         return f"{self.misses} in a row" if self.overlap == 1 else f"{self.misses} of {self.among}"
@@ -94,6 +99,22 @@ def may_follow(first: Question, later: Question) -> bool:
     series, and with misses that are tolerated.
     """
     return (later.of, later.tolerance, later.deadline_ns) == (first.of, first.tolerance, first.deadline_ns)
+
+
+def weaker(goal: Question, asked: Question) -> tuple[str, ...]:
+    """In what a question asks less than a goal, a few words each, or asks something else."""
+    parts = []
+    if asked.of != goal.of:
+        parts.append(f"of the {asked.of or 'lateness'}, not of the {goal.of or 'lateness'}")
+    if asked.deadline_ns > goal.deadline_ns:
+        parts.append(f"a deadline of {time(asked.deadline_ns)}, not {time(goal.deadline_ns)}")
+    if asked.probability > goal.probability:
+        parts.append(f"a probability of {asked.probability:g}, not {goal.probability:g}")
+    if asked.confidence < goal.confidence:
+        parts.append(f"a confidence of {asked.confidence:g}, not {goal.confidence:g}")
+    if not asked.tolerance.is_within(goal.tolerance):
+        parts.append(f"misses tolerated: {asked.tolerance}, not {goal.tolerance}")
+    return tuple(parts)
 
 
 THESIS = Question()

@@ -413,3 +413,11 @@ def _log_pattern(suite_name: str) -> re.Pattern[str]:
     if logs:
         pattern += f"-(?P<log>{'|'.join(map(re.escape, logs))})"
     return re.compile(rf"(?P<prefix>.*?){pattern}\.log", re.DOTALL)
+
+
+def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:
+    """The parameters that tell what was measured: runs in which they are the same are alike.
+
+    An option that was not given is left out: records of before it was added do not have it.
+    """
+    return {key: value for key, value in parameters.items() if key not in NOT_TELLING and value is not None}

@@ -11,7 +11,7 @@ from rtrun.analysis.standing import Standing
 from rtrun.analysis.stationarity import Change
 from rtrun.execution.goal import Progress
 from rtrun.judgement.study import Study
-from rtrun.judgement.verdicts import amount, off_rate, scope_in_short
+from rtrun.judgement.verdicts import amount, hidden_in_words, scope_in_short
 from rtrun.plan.goal import Goal
 from rtrun.report.screen import fitted
 
@@ -63,7 +63,7 @@ def _has_reason(standing: Standing) -> bool:
     verdict = standing.verdict
     if verdict is None or verdict.refused:
         return True
-    return standing.answer is Answer.NEEDS_MORE and (verdict.change is not None or verdict.off_rate > 0)
+    return standing.answer is Answer.NEEDS_MORE and (verdict.change is not None or bool(hidden_in_words(verdict)))
 
 
 def progress_line(progress: Progress, goal: Goal) -> str:
@@ -76,7 +76,7 @@ def progress_line(progress: Progress, goal: Goal) -> str:
     if goal.boots > 1 and verdict.boots is not None:
         parts.append(f"{verdict.boots} of {goal.boots} boots")
     if standing.answer is Answer.NEEDS_MORE:
-        parts.append(off_rate(verdict) or _remaining(progress.left_s, verdict))
+        parts.append(hidden_in_words(verdict) or _remaining(progress.left_s, verdict))
     return f"{standing.answer:{len(Answer.NEEDS_MORE)}}  {printable(standing.label)}: {'; '.join(parts)}"
 
 
@@ -104,8 +104,8 @@ def missing(standing: Standing) -> str:
         return verdict.refused
     if standing.answer is not Answer.NEEDS_MORE:
         return ""
-    if verdict.off_rate:
-        return off_rate(verdict)
+    if hidden := hidden_in_words(verdict):
+        return hidden
     if verdict.change is not None:
         return _changed(verdict.change)
     parts = [_count(verdict.boots_missing, "boot")] if verdict.boots_missing else []

@@ -6,6 +6,7 @@ import re
 import secrets
 import sqlite3
 import threading
+from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -14,6 +15,7 @@ from typing import Any
 from urllib.parse import quote
 
 from rtfiles.errors import InfrastructureError, UsageError
+from rtrun.results.record import RunStatus
 from rtrun.results.run_state import RunState
 
 NAME = "journal.sqlite"
@@ -155,6 +157,22 @@ def place_of_begun(folder: Path, target: str) -> str | None:
         elif run:
             begun.add(run)
     return place if begun else None
+
+
+def closings(folder: Path) -> dict[str, int] | None:
+    """How often each run was closed, by the journal of a results folder; None without one that can be read."""
+    path = folder / NAME
+    if not path.is_file():
+        return None
+    try:
+        with contextlib.closing(sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)) as database:
+            rows = database.execute("SELECT run, reason FROM event WHERE what = ?", (RunState.CLOSED,)).fetchall()
+    except sqlite3.Error:
+        return None
+    # A restart of the target after its end leaves a run closed as it is, and is noted with another reason.
+    statuses = tuple(RunStatus)
+    closed = (run for run, reason in rows if isinstance(reason, str) and reason.startswith(statuses))
+    return dict(Counter(run for run in closed if isinstance(run, str) and _RUN.fullmatch(run)))
 
 
 def open_journal(folder: Path, name: str, plan: str, *targets: str) -> Journal:

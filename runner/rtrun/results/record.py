@@ -78,6 +78,17 @@ class RunStatus(StrEnum):
     INVALID = "invalid"
 
 
+class UnrelatedEnd(StrEnum):
+    """What ended a run before its time, and has nothing to do with how late anything was."""
+
+    INTERRUPTED = "interrupted"
+    """By the user of the runner."""
+    LINK_LOST = "link lost"
+    DISK_FULL = "disk full"
+    OTHER_SETUP = "other set-up"
+    """What ran was not what was asked for."""
+
+
 class ProgramRecord(Config):
     """A program that ran; no exit status: something else than the program ended it, or it ran on.
 
@@ -214,6 +225,8 @@ class RunRecord(Config):
     """How the platform is known."""
     status: Annotated[RunStatus, Field(strict=False)]
     reason: str | None
+    unrelated_end: Annotated[UnrelatedEnd | None, Field(strict=False)] = None
+    """None where its end may have had to do with lateness, and of a run that went to its end."""
     requested: Requested = Field(default_factory=Requested)
     in_effect: Observed = Field(default_factory=Observed)
     start_time: Moment

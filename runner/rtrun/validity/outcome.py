@@ -14,7 +14,7 @@ from rtrun.plan.conditions import Background
 from rtrun.plan.program import Exit, Program
 from rtrun.plan.run import Run
 from rtrun.results.gnuplot_log import Log, read_log
-from rtrun.results.record import Observed, RunStatus
+from rtrun.results.record import Observed, RunStatus, UnrelatedEnd
 from rtrun.results.samples import read_samples
 from rtrun.validity import baselines, requirements
 from rtrun.validity.observations import (
@@ -28,6 +28,8 @@ from rtrun.validity.observations import (
     while_measuring,
 )
 
+_UNSEEN = "nobody saw what was in effect to the end"
+_DISK_FULL = "the disk of the target was full (df -h)"
 LISTED_MAX = 1000  # The suites list so many indices of each kind at most.
 
 
@@ -42,6 +44,8 @@ class RunOutcome:
     """The json of outputs, by output, as far as they were read."""
     heads: Mapping[str, Record | SenderRecord]
     """The json of each program, by its name."""
+    unrelated_end: UnrelatedEnd | None = None
+    """Why it is not ok, where that has nothing to do with lateness."""
 
 
 def judge(
@@ -66,6 +70,7 @@ def judge(
     observations: list[Observation] = []
     is_attached = run.observation is not None
     reason: str | None
+    unrelated_end: UnrelatedEnd | None = None
     status, reason = _of_programs(folder, programs, exits) or (RunStatus.OK, None)
     if reason and (others := _said_by_others(folder, outputs)):
         reason = f"{reason}; {others}"
@@ -79,7 +84,7 @@ def judge(
     if status in (RunStatus.OK, RunStatus.INCOMPLETE) and is_timed and (missed := _missed_rate(senders)):
         status, reason = RunStatus.INVALID, missed
     if status in (RunStatus.OK, RunStatus.INCOMPLETE) and (other := _other_middleware(run, heads)):
-        status, reason = RunStatus.INVALID, other
+        status, reason, unrelated_end = RunStatus.INVALID, other, UnrelatedEnd.OTHER_SETUP
     try:
         observations = observations_of(folder)
         wrong = requirements.find_violation(run, background, observations, records)
@@ -87,11 +92,11 @@ def judge(
         wrong = str(error)
     cut = refused.get(SAMPLER_OUTPUT)
     if ended_early.get(SAMPLER) == DISK_FULL:
-        cut = "the disk of the target was full (df -h)"
+        cut = _DISK_FULL
         ended_early = {name: exit_status for name, exit_status in ended_early.items() if name != SAMPLER}
     # What is seen to be wrong in the part that was taken comes first; that nobody saw anything says too little.
     if cut and (wrong is None or not while_measuring(observations, is_attached=is_attached)):
-        wrong = f"nobody saw what was in effect to the end: {cut}"
+        wrong = f"{_UNSEEN}: {cut}"
     if status in (RunStatus.OK, RunStatus.INCOMPLETE):
         if ended_early:
             name, exit_status = next(iter(ended_early.items()))
@@ -100,10 +105,19 @@ def judge(
             )
             wrong = f"condition {run.condition}: {name} ended in the middle of the run, {how}"
         if wrong is not None:
-            status, reason = RunStatus.INVALID, wrong
+            status, reason, unrelated_end = RunStatus.INVALID, wrong, None
+        if wrong == f"{_UNSEEN}: {_DISK_FULL}":
+            unrelated_end = UnrelatedEnd.DISK_FULL
     states = requirements.measuring_threads(run, observations, records)
     in_effect = summarize(observations, states, is_attached=is_attached)
-    return RunOutcome(status=status, reason=reason, in_effect=in_effect, records=records, heads=heads)
+    return RunOutcome(
+        status=status,
+        reason=reason,
+        in_effect=in_effect,
+        records=records,
+        heads=heads,
+        unrelated_end=unrelated_end,
+    )
 
 
 def _by_writer(

@@ -200,3 +200,46 @@ def test_windows_are_decided_by_an_order_statistic(tolerance, deadline_ns, step_
         assert np.array_equal(getattr(windows, each), getattr(expected, each)), each
     assert (without.n, without.late + without.absent) == (expected.n, expected.late)
     assert without.absent == np.count_nonzero(decides == 10**15)
+
+
+def clean_runs(number: int, boot: str = "boot") -> list[Trials]:
+    return [
+        replace(count_misses(with_misses(500), DEADLINE), run=f"{k}", boot=boot or f"{k}", start_time=f"{k:04}")
+        for k in range(number)
+    ]
+
+
+@pytest.mark.parametrize(("boot", "unit"), [("boot", "run"), ("", "boot")])
+def test_as_many_clean_units_as_it_says_outweigh_one_that_was_lost(boot: str, unit: str) -> None:
+    first = verdict(*clean_runs(20, boot), probability=0.1, lost=("x: it hung",))
+    assert (first.answer, first.unit) == (Answer.NEEDS_MORE, unit) and first.further is None
+    assert first.units_missing and first.upper > 0.1
+    enough = 20 + first.units_missing
+    assert verdict(*clean_runs(enough, boot), probability=0.1, lost=("x: it hung",)).answer == Answer.PROVEN
+    few = verdict(*clean_runs(enough // 3, boot), probability=0.1, lost=("x: it hung",))
+    assert few.answer == Answer.NEEDS_MORE
+
+
+def test_an_attempt_that_was_lost_takes_no_refutation_away() -> None:
+    spread = count_misses(with_misses(5000, *range(0, 5000, 250)), DEADLINE)
+    assert verdict(spread, lost=("x: it hung",)).answer == Answer.REFUTED
+
+
+def test_time_that_load_hid_is_late_for_a_proof_and_in_time_for_a_refutation() -> None:
+    good, bad = (count_misses(with_misses(5000, *range(0, late, 250)), DEADLINE) for late in (0, 5000))
+    hidden = {"unseen_share": 0.002, "hidden_share": 0.002}
+    assert verdict(good, **hidden).answer == Answer.NEEDS_MORE
+    assert verdict(good, probability=1e-2, **hidden).answer == Answer.PROVEN
+    assert verdict(good, unseen_share=0.5).answer == Answer.PROVEN, "and it says of how much of the time"
+    assert verdict(bad, unseen_share=0.1).answer == Answer.REFUTED
+    assert verdict(bad, unseen_share=0.9).answer == Answer.NEEDS_MORE
+
+
+def test_boots_that_nobody_knows_are_one() -> None:
+    question = Question(deadline_ns=DEADLINE, probability=1e-3, boots=5)
+    unknown = [replace(run, boot="") for run in clean_runs(20)]
+    judged = judge(unknown, question)
+    assert (judged.answer, judged.boots, judged.boots_missing) == (Answer.NEEDS_MORE, None, 4)
+    known = [replace(run, boot=f"{number % 4}") for number, run in enumerate(clean_runs(20))]
+    assert judge([*known, *unknown], question).boots_missing == 1
+    assert judge([replace(run, boot=f"{n % 5}") for n, run in enumerate(known)], question).answer == Answer.PROVEN

@@ -139,16 +139,20 @@ def test_a_failed_run_does_not_pass_unseen(tmp_path, capsys):
     assert "NOT ANALYSED" in capsys.readouterr().out
 
 
-def test_what_a_restart_cut_off_passes_once_it_was_measured_again(tmp_path, capsys):
+def test_what_a_restart_cut_off_is_named_and_counts_as_late(tmp_path, capsys):
     write_oneshot(tmp_path, "a")
     # Its warm-up, too.
     write_oneshot(tmp_path, "a.warm-up")
     for name in ("a", "a.warm-up"):
         (tmp_path / f"{name}.incomplete-1").mkdir()
     question = ["gate", str(tmp_path), "--probability", "1e-3"]
-    assert main(question) == 0
+    assert main(question) == 1
     printed = capsys.readouterr().out
     assert re.search(r"^pass  REPEATED +a.incomplete-1 +-", printed, re.M)
+    assert (
+        "1 of 2 attempts gave no values (a.incomplete-1: cut off by a restart of the target) and count as late"
+        in printed
+    )
     assert "2 scenarios: cut off by a restart" in printed
     (tmp_path / "b.incomplete-1").mkdir()
     assert main(question) == 1

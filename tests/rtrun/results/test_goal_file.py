@@ -36,3 +36,35 @@ def test_what_the_interval_holds_for_may_change(tmp_path, change):
     measure(tmp_path)
     write_goal(tmp_path, goal(**change))
     assert read_goal(tmp_path) == goal(**change)
+
+
+LESS = {
+    "probability": ["--probability", "1e-2"],
+    "deadline": ["--deadline", "11ms"],
+    "confidence": ["--confidence", "0.9"],
+    "misses tolerated": ["--tolerate", "2 in a row"],
+}
+
+
+@pytest.mark.parametrize("what", LESS)
+def test_a_gate_that_asks_less_than_the_goal_fails_unless_it_is_told_to(tmp_path, what, capsys):
+    write_goal(tmp_path, goal())
+    oneshot_run(tmp_path, "001", latencies(40_000, 1))
+    assert main(["gate", str(tmp_path)]) == 0
+    assert "ASKS LESS" not in capsys.readouterr().out
+    assert main(["gate", str(tmp_path), *LESS[what]]) == 1
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "FAIL ASKS LESS question" in printed and f"asks less than the goal of the campaign: a {what} of" in (
+        printed.replace("goal of the campaign: misses tolerated: ", "goal of the campaign: a misses tolerated of ")
+    )
+    assert main(["gate", str(tmp_path), *LESS[what], "--instead-of-goal"]) == 0
+
+
+@pytest.mark.parametrize(
+    "more", [["--probability", "1e-3"], ["--deadline", "9ms"], ["--tolerate", "1 in a row"], ["--confidence", "0.99"]]
+)
+def test_a_gate_that_asks_more_decides(tmp_path, more, capsys):
+    write_goal(tmp_path, goal(probability="1e-2", tolerate="2 in a row"))
+    oneshot_run(tmp_path, "001", latencies(40_000, 1))
+    main(["gate", str(tmp_path), *more])
+    assert "ASKS LESS" not in capsys.readouterr().out

@@ -1,0 +1,1 @@
+"""What was seen of a system, and what was not: the account that every answer is given by."""

@@ -1,0 +1,106 @@
+"""Attempts of which nothing is judged count as late, whoever removed them, unless their end had another reason."""
+
+import json
+import shutil
+from contextlib import closing
+
+import pytest
+from report.campaigns import latencies, message_run
+
+from rtrun.cli import main
+from rtrun.results.journal import NAME, open_journal
+from rtrun.results.run_state import RunState
+
+QUESTION = ["--deadline", "400us", "--probability", "1e-3"]
+
+
+def write(root, name, seed, **record):
+    return message_run(root, name, [latencies(4000, seed)], hz=1000, **{"attempt": name, **record})
+
+
+@pytest.fixture
+def results(tmp_path):
+    for number in (1, 2):
+        write(tmp_path, f"{number:02}-messages", number)
+    return tmp_path
+
+
+def closed(results, *runs):
+    """A journal by which these runs were closed."""
+    with closing(open_journal(results, "test", "1:plan", "board")) as log:
+        for run in runs:
+            log.note("2026-11-21T10:00:00+00:00", run, RunState.MEASURING)
+            log.note("2026-11-21T10:01:00+00:00", run, RunState.CLOSED, "ok")
+
+
+def lost_of(results, capsys):
+    """The attempts that the verdict of the only group counts as late."""
+    passes = main(["gate", str(results), *QUESTION]) == 0
+    capsys.readouterr()
+    assert main(["verdict", str(results), *QUESTION, "--json"]) == 0
+    (group,) = json.loads(capsys.readouterr().out)["groups"]
+    assert (group["answer"] == "PROVEN") == (not group["verdict"]["lost"])
+    assert passes == (not group["verdict"]["lost"])
+    return group["verdict"]["lost"]
+
+
+def test_what_is_whole_is_proven(results, capsys):
+    assert lost_of(results, capsys) == []
+    closed(results, "01-messages", "02-messages")
+    assert lost_of(results, capsys) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "why"),
+    [
+        ("01-messages.old-1", "failed", "failed, then measured again"),
+        ("01-messages.old-1", "ok", "ok, then measured again"),
+        ("03-messages", "failed", "failed: the publisher did not end within 60 s"),
+        ("03-messages", "incomplete", "incomplete: the publisher did not end within 60 s"),
+    ],
+)
+def test_an_attempt_that_gave_nothing_counts(results, name, status, why, capsys):
+    write(results, name, 9, status=status, reason="the publisher did not end within 60 s")
+    assert lost_of(results, capsys) == [f"{name}: {why}"]
+
+
+@pytest.mark.parametrize("end", ["interrupted", "link lost", "disk full", "other set-up"])
+def test_an_end_that_had_another_reason_does_not(results, end, capsys):
+    write(results, "01-messages.old-1", 9, status="failed", reason="it was ended", unrelated_end=end)
+    assert lost_of(results, capsys) == []
+
+
+def test_another_kind_is_not_concerned(results, capsys):
+    write(results, "01-messages.old-1", 9, status="failed", reason="it hung", condition="cpu80")
+    assert lost_of(results, capsys) == []
+
+
+def test_a_record_that_cannot_be_read_may_have_been_of_any_kind(results, capsys):
+    (write(results, "01-messages.old-1", 9) / "run.json").write_text("{}")
+    assert lost_of(results, capsys)[0].startswith("01-messages.old-1: measured again, and its record cannot be read")
+
+
+def test_a_run_that_was_deleted_is_known_from_the_journal(results, capsys):
+    closed(results, "01-messages", "02-messages", "03-messages")
+    assert lost_of(results, capsys) == ["03-messages: closed 1 time by the journal, 0 of them are here"]
+
+
+def test_so_is_an_attempt_that_was_measured_again(results, capsys):
+    closed(results, "01-messages", "01-messages", "02-messages")
+    assert lost_of(results, capsys) == ["01-messages: closed 2 times by the journal, 1 of them is here"]
+
+
+def test_without_a_journal_the_numbers_tell(results, capsys):
+    shutil.move(results / "02-messages", results / "04-messages")
+    whys = [f"number {number}: there is no such run, and no journal" for number in (2, 3)]
+    assert lost_of(results, capsys) == whys
+    (results / NAME).write_bytes(b"garbage" * 1000)
+    assert lost_of(results, capsys) == whys
+
+
+def test_a_restart_after_the_end_of_a_run_loses_nothing(results, capsys):
+    with closing(open_journal(results, "test", "1:plan", "board")) as log:
+        for run in ("01-messages", "02-messages"):
+            log.note("2026-11-21T10:01:00+00:00", run, RunState.CLOSED, "ok")
+        log.note("2026-11-21T10:01:01+00:00", "02-messages", RunState.CLOSED, "board: was restarted")
+    assert lost_of(results, capsys) == []
