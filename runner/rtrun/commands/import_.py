@@ -3,10 +3,13 @@
 import argparse
 from pathlib import Path
 
+from rtrun.commands._question import argument
+from rtrun.plan.quantities import read_interval_us
+
 NAME = "import"
 HELP = "make run directories of 2014 logs and of histograms of cyclictest, jitterdebugger and rtla timerlat"
 EXAMPLES = (
-    "rtrun import cyclictest.hist --platform hardware --board farm-7",
+    "rtrun import cyclictest.hist --platform hardware --board farm-7 --interval 200us",
     "rtrun import 2014.log --platform hardware --results results/2014",
 )
 
@@ -28,6 +31,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--boot", default="", metavar="ID", help="the boot; runs of an unknown one are a boot each")
     parser.add_argument("--start", default="", metavar="TIME", help="when they were begun, as 2026-11-23T10:00:00")
     parser.add_argument(
+        "--interval",
+        type=argument(read_interval_us),
+        metavar="TIME",
+        help="between two wake-ups of a thread, as 200us, where the files do not state it",
+    )
+    parser.add_argument(
+        "--unit", choices=["ns", "us"], help="of their values, where the files do not state it: ns with cyclictest -N"
+    )
+    parser.add_argument(
         "--names",
         metavar="PATTERN",
         help="read these from the files' names, as '{board}-{kernel}-{start}.txt'; with folders '{board}/{start}.txt'",
@@ -39,20 +51,27 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import print_line
     from rtrun.results.importers.adopt import adopt
+    from rtrun.results.importers.given import UNITS_NS, Given
     from rtrun.results.importers.identity import FIELDS, Identity, read_pattern
+    from rtrun.results.record import read_record
     from rtrun.targets.inspection.platform import Platform
 
-    given = {name: getattr(args, name) for name in FIELDS}
+    where = {name: getattr(args, name) for name in FIELDS}
+    given = Given(unit_ns=UNITS_NS[args.unit] if args.unit else None, interval_us=args.interval)
     pattern = read_pattern(args.names) if args.names else None
     refused = []
     unknown: dict[str, list[str]] = {}
     for path in args.files:
         try:
-            identity = Identity(**{**given, **(pattern.read(path) if pattern else {})})
+            identity = Identity(**{**where, **(pattern.read(path) if pattern else {})})
             called = pattern.name_of(path) if pattern else None
-            made = adopt(path, args.results, platform=Platform(args.platform), identity=identity, called=called)
+            made = adopt(
+                path, args.results, platform=Platform(args.platform), identity=identity, called=called, given=given
+            )
             for folder, left_out in made:
-                print_line(str(folder))
+                record = read_record(folder)
+                failed = f": {record.status}: {record.reason}" if record.reason else ""
+                print_line(f"{folder}{failed}")
                 for text in left_out:
                     unknown.setdefault(text, []).append(folder.name)
         except UsageError as error:

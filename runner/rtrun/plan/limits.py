@@ -38,6 +38,8 @@ QUOTA_MAX_US = 2**44
 EXIT_STATUS_MAX = 255
 # Rows of a run in an archive's table of histograms: one for each step of the clock where a value is. 100 MB in memory.
 BINS_MAX = 2**22
+# PM QoS of the kernel holds it in an int of C.
+CPU_DMA_LATENCY_MAX_US = 2**31 - 1
 # Once in a nanosecond.
 RATE_MAX_HZ = 10**9
 
@@ -61,8 +63,7 @@ LoadAverage = Annotated[float, Field(ge=0, le=PID_MAX)]
 RtRuntimeUs = Annotated[int, Field(ge=-1, le=RT_RUNTIME_MAX_US)]
 QuotaUs = Annotated[int, Field(ge=1, le=QUOTA_MAX_US)]
 PeriodUs = Annotated[int, Field(ge=1, le=RT_RUNTIME_MAX_US)]
-# PM QoS of the kernel holds it in an int of C.
-CpuDmaLatencyUs = Annotated[int, Field(ge=0, lt=2**31)]
+CpuDmaLatencyUs = Annotated[int, Field(ge=0, le=CPU_DMA_LATENCY_MAX_US)]
 RateHz = Annotated[float, Field(ge=0, le=RATE_MAX_HZ)]
 ExitStatus = Annotated[int, Field(ge=0, le=EXIT_STATUS_MAX)]
 

@@ -30,6 +30,18 @@ def read_time_ns(text: object) -> int:
     return time_ns
 
 
+# Between two wake-ups of a thread; with longer ones nothing is measured in a day.
+INTERVAL_MAX_US = 60_000_000
+
+
+def read_interval_us(text: str) -> int:
+    """Read a whole number of microseconds from 1us to 60s. Raises ValueError."""
+    interval_us, rest = divmod(read_time_ns(text), 1000)
+    if rest or interval_us > INTERVAL_MAX_US:
+        raise ValueError(f"{text[:40]!r} is no whole number of microseconds up to 60s, as 200us or 1ms")
+    return interval_us
+
+
 def read_days(text: object) -> int | None:
     """Read a time that is a whole number of days, as ``90d`` or ``12w``; None: ``forever``. Raises ValueError."""
     if text == FOREVER:

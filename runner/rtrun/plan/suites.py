@@ -16,7 +16,9 @@ from pydantic import AfterValidator, Field
 from rtfiles.config import Config, load_own
 from rtfiles.errors import UsageError
 from rtfiles.wording import did_you_mean, unknown
+from rtrun.plan.limits import CPU_DMA_LATENCY_MAX_US, PID_MAX, RT_PRIORITY_MAX
 from rtrun.plan.middleware.description import DEFAULT, NONE, middleware_names, middlewares
+from rtrun.plan.quantities import INTERVAL_MAX_US
 from rtrun.plan.question import Measure
 
 Value = str | int | None
@@ -32,6 +34,14 @@ OBSERVED_FILE = Path(__file__).with_name("observed.yml")
 # Options that do not change what is measured: runs that differ in them only are alike.
 NOT_TELLING = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s", "trace_of")
 
+
+# The highest that a file of another program may state: such programs take more than ours and baselines are asked for.
+_HIGHEST_OF_OTHERS = {
+    "priority": RT_PRIORITY_MAX,
+    "interval_us": INTERVAL_MAX_US,
+    "threads": PID_MAX,
+    "cpu_dma_latency_us": CPU_DMA_LATENCY_MAX_US,
+}
 
 Subject = Literal["started", "attached"]
 """What a run measures: programs that it starts, or programs that run already."""
@@ -266,7 +276,13 @@ def check_numbers(values: dict[str, Value], known: Mapping[str, Option]) -> dict
 
 
 def _check_parameters(values: dict[str, Value]) -> dict[str, Value]:
-    return check_numbers(values, options())
+    of_others = {
+        key: value
+        for key, value in values.items()
+        if isinstance(value, int) and 1 <= value <= _HIGHEST_OF_OTHERS.get(key, 0)
+    }
+    check_numbers({key: value for key, value in values.items() if key not in of_others}, options())
+    return values
 
 
 def _check_asked(number: int) -> int:

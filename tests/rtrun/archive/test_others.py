@@ -51,7 +51,7 @@ def test_years_of_others(capsys, tmp_path, monkeypatch, number):
     names = ["--names", "{board}/{kernel}/{start}.txt", "--platform", "hardware", "--results", results]
     assert main(["import", *map(str, sorted((tmp_path / "lab").rglob("*.txt"))), *names]) == 0
     said = capsys.readouterr().out
-    assert f"not known of {number} runs: " in said and len(said.splitlines()) == number + 2
+    assert f"not known of {number} runs: " in said and len(said.splitlines()) == number + 4
     assert main(["archive", "add", results, "--to", archive]) == 0
     assert main(["archive", "compact", archive]) == 0
     capsys.readouterr()

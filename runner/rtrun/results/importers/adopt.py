@@ -15,22 +15,31 @@ from rtrun.results import run_directory
 from rtrun.results.gnuplot_lines import MAX_SIZE_BYTES
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers.detect import read
+from rtrun.results.importers.given import NOTHING_GIVEN, Given
 from rtrun.results.importers.histogram_file import ENDING, Imported, histogram_text
-from rtrun.results.importers.identity import Identity, target_facts
+from rtrun.results.importers.identity import Identity, target_facts, times
+from rtrun.results.importers.origin import NOWHERE, FileOrigin
 from rtrun.results.record import RunRecord, RunStatus
+from rtrun.results.series import period_of
 from rtrun.targets.inspection.platform import Platform
 
 NOBODY_KNOWS = Identity()
 
 
 def adopt(
-    path: Path, results: Path, *, platform: Platform, identity: Identity = NOBODY_KNOWS, called: str | None = None
+    path: Path,
+    results: Path,
+    *,
+    platform: Platform,
+    identity: Identity = NOBODY_KNOWS,
+    called: str | None = None,
+    given: Given = NOTHING_GIVEN,
 ) -> list[tuple[Path, tuple[str, ...]]]:
     """Import one file into `results`; returns each run directory made and what its format leaves out.
 
-    `called` is the run's name, by default that of the file. A log keeps its name and is read as a log of its suite;
-    other files become histograms, one run a context. Raises UsageError when the file is none that can be read, or a run
-    of that name exists.
+    `called` is the run's name, by default that of the file; `given` is what the user says of its numbers. A log keeps
+    its name and is read as a log of its suite; other files become histograms, one run a context. Raises UsageError when
+    the file is none that can be read or states otherwise than the user, or a run of that name exists.
     """
     if printable(path.name) != path.name:
         raise UsageError(f"{printable(str(path))}: a name of plain text is needed, rename the file")
@@ -43,6 +52,7 @@ def adopt(
         output = next(
             (path.stem.removesuffix(each) for each in endings.values() if path.stem.endswith(each)), path.stem
         )
+        given.check(path, unit_ns=1000, period_ns=period_of(log.parameters))
         record = _record(name, results, log.suite, log.parameters, [output], platform, path, identity)
         folder = _new(results, name)
         # A log may have been renamed: under this name it is read as that log of the output.
@@ -51,7 +61,7 @@ def adopt(
             shutil.copyfile(path, partial / f"{output}{ending}.log")
             run_directory.close(partial, folder, record)
         return [(folder, ("the samples, and their order but for the listed extremes", *log.remarks))]
-    histograms = read(path)
+    histograms = read(path, given)
     made = []
     contexts: dict[str, list[Imported]] = {}
     for one in histograms:
@@ -61,7 +71,15 @@ def adopt(
         folder = _new(results, run)
         first = members[0]
         record = _record(
-            run, results, first.source, first.parameters, [one.name for one in members], platform, path, identity
+            run,
+            results,
+            first.source,
+            first.parameters,
+            [one.name for one in members],
+            platform,
+            path,
+            identity,
+            first.origin,
         )
         with run_directory.filling(folder) as partial:
             shutil.copyfile(path, partial / f"original{path.suffix}")
@@ -88,7 +106,9 @@ def _record(
     platform: Platform,
     path: Path,
     identity: Identity,
+    origin: FileOrigin = NOWHERE,
 ) -> RunRecord:
+    start_time, end_time = times(identity, path, origin)
     return RunRecord(
         schema=2,
         run=run,
@@ -97,12 +117,12 @@ def _record(
         parameters=dict(parameters),
         platform=platform,
         platform_evidence="stated when it was imported",
-        status=RunStatus.OK,
-        reason=None,
-        start_time=identity.start_time,
-        end_time=identity.start_time,
+        status=RunStatus.FAILED if origin.failure else RunStatus.OK,
+        reason=origin.failure,
+        start_time=start_time,
+        end_time=end_time,
         programs=[],
         outputs=list(outputs),
-        target=target_facts(identity, path),
+        target=target_facts(identity, path, origin),
         files={},
     )

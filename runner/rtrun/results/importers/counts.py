@@ -14,6 +14,7 @@ from rtfiles.untrusted import parse_json, whole_number
 from rtrun.analysis.histogram import Histogram
 from rtrun.plan.limits import COUNT_MAX
 
+NO_INTERVAL = "the interval"
 NO_ORDER = "the order of the measurements: bursts and trends cannot be seen"
 MAX_BINS = 1_000_000  # that hold a value, of all histograms in a file; cyclictest has at most as many
 _KEY = re.compile(r"0|[1-9][0-9]{0,14}", re.ASCII)  # as %u prints it: no two keys are one number
@@ -93,6 +94,15 @@ def whole(path: Path, where: str, value: object) -> int:
     """A whole number from 0 on. Raises UsageError naming file and place."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= COUNT_MAX:
         raise UsageError(f"{path}: {where}: expected a whole number from 0 to {COUNT_MAX}, got {str(value)[:40]!r}")
+    return value
+
+
+def words_in(path: Path, where: str, value: object, *, most: int) -> str:
+    """A line of at most so many characters that can be shown. Raises UsageError naming file and place."""
+    if not isinstance(value, str) or len(value) > most or not value.isprintable():
+        raise UsageError(
+            f"{path}: {where}: expected one line of at most {most} printable characters, got {str(value)[:40]!r}"
+        )
     return value
 
 

@@ -1,14 +1,19 @@
 """Reader of cyclictest's histograms: the text of ``-h`` and the file of ``--json`` (rt-tests 1.0 to 2.10)."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import lines_of
+from rtrun.plan.limits import CPU_DMA_LATENCY_MAX_US, CPUS_MAX
+from rtrun.plan.suites import Value
+from rtrun.plan.topology.rates import cpus_text
+from rtrun.results.importers.command_line import Command, read_command
 from rtrun.results.importers.counts import (
+    NO_INTERVAL,
     NO_ORDER,
     StatedSummary,
     Statistics,
@@ -24,37 +29,27 @@ from rtrun.results.importers.counts import (
     whole,
 )
 from rtrun.results.importers.histogram_file import Imported
+from rtrun.results.importers.origin import NOWHERE, FileOrigin, read_origin
+from rtrun.results.series import period_of
 
+NO_UNIT = "whether -N changed the unit: microseconds are assumed"
+NO_OPTIONS = "policy, priority, CPUs and other options: runs that do not tell them are taken as alike"
 _ROW = re.compile(r"[0-9]+([ \t]+[0-9]+)+", re.ASCII)
 _SUMMARY = re.compile(r"# (Total|Min Latencies|Avg Latencies|Max Latencies|Histogram Overflows):(.*)", re.ASCII)
 _CYCLES = re.compile(r"# Thread ([0-9]{1,5}):((?:[ \t]+[0-9]+)*)(?:[ \t]+# ([0-9]{1,15}) others)?[ \t]*", re.ASCII)
 _ALWAYS = ("Min Latencies", "Avg Latencies", "Max Latencies", "Histogram Overflows")  # 2.9 dropped Total
 _CYCLE_NUMBERS = "Histogram Overflow at cycle number"
-_MOST_BINS = 1_000_000  # no limit of ours: cyclictest takes more as this
-# Short options without a value may stand before one in the same word, as in -qh400.
-_SHORT = r"(?:^|\s)-[BCEfImMnNPqrRsSuUvwWX]*"
-_BINS_OPTION = re.compile(rf"(?:{_SHORT}[hH]|\s--hist(?:ogram|ofall)[= ])\s?([0-9]{{1,9}})(?=\s|$)", re.ASCII)
-_INTERVAL_OPTION = re.compile(rf"(?:{_SHORT}i|\s--interval[= ])\s?([0-9]{{1,9}})(?=\s|$)", re.ASCII)
-_NANOSECONDS_OPTION = re.compile(rf"{_SHORT}N|\s--ns(?:ecs?|e)?(?=\s|$)", re.ASCII)
+_HELD = re.compile(r"# /dev/cpu_dma_latency set to ([0-9]{1,10})us", re.ASCII)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Command:
-    """What a command line of cyclictest tells about its histogram."""
+class _Known:
+    """What is known of all threads of a file, and a sentence for each thing that is not."""
 
-    limit: int | None = None  # one more than its last bin
-    interval_us: int | None = None
-    nanoseconds: bool = False
-
-
-def _read_command(words: str) -> _Command:
-    # Of an option that is given twice, cyclictest takes the last one.
-    limits, intervals = _BINS_OPTION.findall(words), _INTERVAL_OPTION.findall(words)
-    return _Command(
-        limit=min(int(limits[-1]), _MOST_BINS) if limits else None,
-        interval_us=int(intervals[-1]) if intervals else 1000,
-        nanoseconds=_NANOSECONDS_OPTION.search(words) is not None,
-    )
+    unit_ns: int
+    parameters: dict[str, Value]
+    left_out: tuple[str, ...] = ()
+    origin: FileOrigin = NOWHERE
 
 
 @dataclass(kw_only=True, slots=True)
@@ -66,18 +61,34 @@ class _Text:
     summary: dict[str, list[int]] = field(default_factory=dict)
     lines: dict[str, int] = field(default_factory=dict)  # where each line of the summary stands
     cycles: dict[int, int] = field(default_factory=dict)  # by thread: how many overflows are listed by their cycle
+    held_us: int | None = None  # the latency at which idle CPUs were kept awake, where a line tells that
 
 
-def read_text(path: Path, text: str, *, command: str | None = None) -> tuple[Imported, ...]:
+def read_text(path: Path, text: str, *, command: str | None = None, unit_ns: int | None = None) -> tuple[Imported, ...]:
     """One histogram a thread. `command` is the command line where the caller knows it; the text does not tell it.
 
-    Raises UsageError ``file:line: what is wrong``.
+    `unit_ns` is the unit where the caller knows that alone. Raises UsageError ``file:line: what is wrong``.
     """
-    known = None if command is None else _read_command(command)
-    parts = _parts(path, text, known.limit if known else None)
+    asked = None if command is None else read_command(path, "its command line", command)
+    parts = _parts(path, text, asked.limit if asked else None)
     threads = len(parts.summary["Min Latencies"])
     _check_shape(path, parts, threads)
+    known = _of_command(asked, threads) if asked else _of_text(parts, threads, unit_ns)
     return tuple(_thread(path, parts, thread, known) for thread in range(threads))
+
+
+def _of_command(command: Command, threads: int) -> _Known:
+    return _Known(unit_ns=1 if command.nanoseconds else 1000, parameters=command.parameters(threads))
+
+
+def _of_text(parts: _Text, threads: int, unit_ns: int | None) -> _Known:
+    """What a text tells without its command line: a parameter that it does not tell is unknown, no default."""
+    held: dict[str, Value] = {} if parts.held_us is None else {"cpu_dma_latency_us": parts.held_us}
+    return _Known(
+        unit_ns=unit_ns or 1000,
+        parameters={"threads": threads, **held},
+        left_out=(NO_INTERVAL, *(() if unit_ns else (NO_UNIT,)), NO_OPTIONS),
+    )
 
 
 def _check_shape(path: Path, parts: _Text, threads: int) -> None:
@@ -126,6 +137,11 @@ def _parts(path: Path, text: str, limit: int | None) -> _Text:
         if line.startswith("# Histogram") and ":" not in line:
             once(path, parts.lines, "Histogram", number)
             started = True
+        elif match := _HELD.fullmatch(line):
+            once(path, parts.lines, "/dev/cpu_dma_latency", number)
+            (parts.held_us,) = numbers_in(path, number, match[1])
+            if parts.held_us > CPU_DMA_LATENCY_MAX_US:
+                raise UsageError(f"{path}:{number}: expected at most {CPU_DMA_LATENCY_MAX_US} us")
         elif match := _SUMMARY.fullmatch(line):
             once(path, parts.lines, match[1], number)
             parts.summary[match[1]] = numbers_in(path, number, match[2])
@@ -165,7 +181,7 @@ def _parts(path: Path, text: str, limit: int | None) -> _Text:
     return parts
 
 
-def _thread(path: Path, parts: _Text, thread: int, command: _Command | None) -> Imported:
+def _thread(path: Path, parts: _Text, thread: int, known: _Known) -> Imported:
     bins = parts.columns[thread]
     seen = sum(bins.values())
     if "Total" in parts.summary and (total := parts.summary["Total"][thread]) != seen:
@@ -175,40 +191,50 @@ def _thread(path: Path, parts: _Text, thread: int, command: _Command | None) -> 
         StatedSummary(place=f"{path}:{parts.lines[name]}: thread {thread}", value=parts.summary[name][thread])
         for name in ("Min Latencies", "Avg Latencies", "Max Latencies")
     )
-    unknown = [] if command else ["the interval, and whether -N changed the unit: microseconds are assumed"]
     return _imported(
         str(thread),
         bins,
-        command or _Command(),
+        known,
         Statistics(least=least, mean=mean, most=most),
         overflow=parts.summary["Histogram Overflows"][thread],
         limit=parts.limit,
-        unknown=unknown,
     )
 
 
 def _imported(
     thread: str,
     bins: dict[int, int],
-    command: _Command,
+    known: _Known,
     printed: Statistics,
     *,
     overflow: int,
     limit: int,
-    unknown: Sequence[str] = (),
 ) -> Imported:
-    unit = "ns" if command.nanoseconds else "us"
-    left_out = [NO_ORDER, *unknown]
+    unit = "ns" if known.unit_ns == 1 else "us"
+    left_out = [NO_ORDER, *known.left_out]
     if overflow:
         left_out.append(f"{overflow} values of {limit} {unit} and more: only counted, the largest is known")
     return Imported(
         source="cyclictest",
         name=f"cyclictest-t{thread}",
-        histogram=histogram(bins, printed, unit_ns=1 if command.nanoseconds else 1000, overflow=overflow, limit=limit),
-        period_ns=1000.0 * command.interval_us if command.interval_us else None,
+        histogram=histogram(bins, printed, unit_ns=known.unit_ns, overflow=overflow, limit=limit),
+        period_ns=period_of(known.parameters),
         left_out=tuple(left_out),
-        parameters={},
+        parameters=known.parameters,
+        unit_ns=known.unit_ns,
+        origin=known.origin,
     )
+
+
+def _cpus(path: Path, threads: Mapping[str, Mapping[str, Any]]) -> dict[str, Value]:
+    """The CPUs that the threads were bound to, "" for none; nothing where the file does not tell them."""
+    cpus = [thread.get("cpu") for thread in threads.values()]
+    if None in cpus:
+        return {}
+    for name, cpu in zip(threads, cpus, strict=True):
+        if isinstance(cpu, bool) or not isinstance(cpu, int) or not -1 <= cpu < CPUS_MAX:
+            raise UsageError(f"{path}: thread.{name}.cpu: expected -1 to {CPUS_MAX - 1}, got {str(cpu)[:40]!r}")
+    return {"cpu": cpus_text({cpu for cpu in cpus if isinstance(cpu, int) and cpu >= 0})}
 
 
 def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
@@ -217,11 +243,12 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
     Raises UsageError naming file and key.
     """
     data = load(path, text)
-    words = next((data[key] for key in ("cmdline:", "cmdline") if isinstance(data.get(key), str)), "")
+    key = next((key for key in ("cmdline:", "cmdline") if isinstance(data.get(key), str)), None)
+    words = data[key] if key else ""
     threads: Any = data.get("thread")
-    if not isinstance(threads, dict) or not re.match(r"(?:\S*/)?cyclictest(?:\s|$)", words):
+    if not isinstance(threads, dict) or key is None or not re.match(r"(?:\S*/)?cyclictest(?:\s|$)", words):
         return None
-    command = _read_command(words)
+    command = read_command(path, key, words)
     by_number = numbered(path, "thread", threads)
     if command.limit is None and not any(each.get("histogram") for each in by_number.values()):
         return None
@@ -230,6 +257,8 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
     if (unit := whole(path, "resolution_in_ns", data.get("resolution_in_ns"))) != int(command.nanoseconds):
         asked = "nanoseconds (-N), expected 1" if command.nanoseconds else "microseconds (no -N), expected 0"
         raise UsageError(f"{path}: resolution_in_ns: {unit}, but its command line asks for {asked}")
+    known = _of_command(command, number)
+    known = replace(known, parameters=known.parameters | _cpus(path, by_number), origin=read_origin(path, data))
     imported = []
     for name, thread in by_number.items():
         where = f"thread.{name}"
@@ -240,7 +269,7 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
             _imported(
                 name,
                 bins,
-                command,
+                known,
                 statistics_in(path, where, thread),
                 overflow=overflow_of(path, f"{where}.cycles", thread.get("cycles"), bins),
                 # Without the option the last filled bin is where knowledge ends.

@@ -5,6 +5,7 @@ from pathlib import Path
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import MIB, read_bytes
 from rtrun.results.importers import cyclictest, jitterdebugger, timerlat
+from rtrun.results.importers.given import NOTHING_GIVEN, Given
 from rtrun.results.importers.histogram_file import Imported
 from rtrun.results.importers.unreadable import recognise
 
@@ -12,11 +13,15 @@ MAX_BYTES = 16 * MIB
 READS = "a log of 2014 or of a suite, cyclictest -h or --json, jitterdebugger's results.json, rtla timerlat hist"
 
 
-def read(path: Path) -> tuple[Imported, ...]:
+def read(path: Path, given: Given = NOTHING_GIVEN) -> tuple[Imported, ...]:
     """The histograms in a file of cyclictest, jitterdebugger or rtla timerlat, one a thread.
 
-    Raises UsageError ``file[:line]: what is wrong``.
+    `given` is what the user says of it. Raises UsageError ``file[:line]: what is wrong``.
     """
+    return tuple(given.complete(path, one) for one in _read(path, given))
+
+
+def _read(path: Path, given: Given) -> tuple[Imported, ...]:
     try:
         text = read_bytes(path, max_bytes=MAX_BYTES).decode("utf-8")
     except UnicodeDecodeError as error:
@@ -25,7 +30,7 @@ def read(path: Path) -> tuple[Imported, ...]:
     if is_json and (imported := cyclictest.read_json_results(path, text)) is not None:
         return imported
     if not is_json and "# Histogram" in text:
-        return cyclictest.read_text(path, text)
+        return cyclictest.read_text(path, text, unit_ns=given.unit_ns)
     if not is_json and "RTLA timerlat histogram" in text:
         return timerlat.read_text(path, text)
     if kind := recognise(text):

@@ -14,6 +14,7 @@ from rtfiles.untrusted import MIB
 from rtrun.analysis.histogram import Histogram
 from rtrun.plan.limits import COUNT_MAX, TIME_MAX_NS, Count, MeanNs, PeriodNs, TimeNs
 from rtrun.results.importers.counts import MAX_BINS
+from rtrun.results.importers.origin import NOWHERE, FileOrigin
 
 ENDING = ".histogram.json"
 MAX_BYTES = 64 * MIB
@@ -47,7 +48,8 @@ class _File(Config):
 class Imported:
     """One thread's histogram; ``name`` tells the threads of one file apart.
 
-    ``left_out`` says, a sentence each, what the format does not tell; ``parameters`` are those it does.
+    ``left_out`` says, a sentence each, what the format does not tell; ``parameters`` are those it does, and none that
+    it does not. ``unit_ns`` is the unit of the file's numbers; None: its format names it.
     """
 
     source: str
@@ -56,6 +58,8 @@ class Imported:
     period_ns: float | None
     left_out: tuple[str, ...]
     parameters: dict[str, str | int | None]
+    unit_ns: int | None = None
+    origin: FileOrigin = NOWHERE
 
 
 def histogram_text(imported: Imported) -> str:

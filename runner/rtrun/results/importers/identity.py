@@ -1,13 +1,14 @@
-"""What files of other programs do not say: on which board, kernel and boot they were measured, and when."""
+"""On which board, kernel and boot a file of another program was measured, and when: as the user and the file say."""
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from datetime import datetime
+from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
 
 from rtfiles.errors import UsageError
+from rtrun.results.importers.origin import NOWHERE, FileOrigin
 from rtrun.results.record import UNKNOWN, TargetFacts, moment
 
 _FIELD = re.compile(r"\{([^{}]*)\}")
@@ -81,13 +82,38 @@ def read_pattern(pattern: str) -> NamePattern:
     return NamePattern(text=pattern, form=re.compile("".join(words)))
 
 
-def target_facts(identity: Identity, path: Path) -> TargetFacts:
-    """The target of an imported file. Files of an unknown board are of one board only if they lie in one folder."""
+def target_facts(identity: Identity, path: Path, origin: FileOrigin = NOWHERE) -> TargetFacts:
+    """The target of an imported file. Files of an unknown board are of one board only if they lie in one folder.
+
+    They name one host then, too; that alone makes no board, as many are called localhost or raspberrypi. Raises
+    UsageError for a kernel that is not the one that the file states.
+    """
     folder = path.resolve().parent
-    unknown = f"{UNKNOWN} ({folder.name}, {sha256(bytes(folder)).hexdigest()[:8]})"
+    unknown = f"{origin.host or UNKNOWN} ({folder.name}, {sha256(bytes(folder)).hexdigest()[:8]})"
+    if identity.kernel and origin.kernel_release and identity.kernel != origin.kernel_release:
+        raise UsageError(
+            f"{path}: its kernel is {origin.kernel_release}, but --kernel or --names says {identity.kernel}"
+        )
     return TargetFacts(
         name=identity.board or unknown,
         is_identified=bool(identity.board),
-        kernel_release=identity.kernel or None,
+        preempt_rt=origin.preempt_rt,
+        kernel_release=identity.kernel or origin.kernel_release,
+        kernel_version=origin.kernel_version,
+        machine=origin.machine,
         boot_id=identity.boot or None,
     )
+
+
+def times(identity: Identity, path: Path, origin: FileOrigin) -> tuple[str, str]:
+    """Begin and end of the run, as run.json has them: those that the file states, else the begin that the user names.
+
+    Raises UsageError for a begin on another day than the file states.
+    """
+    given, start = identity.start_time, origin.start
+    if start is None:
+        return given, origin.end.isoformat() if origin.end else given
+    day = given.partition("T")[0]
+    if identity.start and day not in {start.date().isoformat(), start.astimezone(UTC).date().isoformat()}:
+        raise UsageError(f"{path}: it was begun at {start.isoformat()}, but --start or --names says {given}")
+    return start.isoformat(), (origin.end or start).isoformat()

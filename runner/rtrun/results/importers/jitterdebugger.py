@@ -4,6 +4,7 @@ from pathlib import Path
 
 from rtfiles.errors import UsageError
 from rtrun.results.importers.counts import (
+    NO_INTERVAL,
     NO_ORDER,
     bins_of,
     histogram,
@@ -14,6 +15,7 @@ from rtrun.results.importers.counts import (
     whole,
 )
 from rtrun.results.importers.histogram_file import Imported
+from rtrun.results.importers.origin import read_origin
 
 _BINS = {1000: 1000, 1: 1_000_000}  # by the resolution: its histogram ends at a millisecond
 
@@ -35,12 +37,13 @@ def read_results(path: Path, text: str) -> tuple[Imported, ...]:
     online = whole(path, "sysinfo.cpus_online", told.get("cpus_online", len(threads) if version < 2 else None))
     if online < len(threads):
         raise UsageError(f"{path}: sysinfo.cpus_online: {online}, but cpu has {len(threads)}")
+    origin = read_origin(path, data)
     imported = []
     for name, cpu in threads.items():
         where = f"cpu.{name}"
         bins = bins_of(path, f"{where}.histogram", cpu.get("histogram"), limit=limit)
         overflow = overflow_of(path, f"{where}.count", cpu.get("count"), bins)
-        left_out = [NO_ORDER, "the interval"]
+        left_out = [NO_ORDER, NO_INTERVAL]
         if overflow:
             left_out.append(f"{overflow} values beyond the last bin: only the largest is known")
         imported.append(
@@ -53,6 +56,8 @@ def read_results(path: Path, text: str) -> tuple[Imported, ...]:
                 period_ns=None,
                 left_out=tuple(left_out),
                 parameters={},
+                unit_ns=resolution,
+                origin=origin,
             )
         )
     return tuple(imported)

@@ -9,7 +9,15 @@ from pathlib import Path
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import lines_of
-from rtrun.results.importers.counts import NO_ORDER, StatedSummary, Statistics, check_bins, histogram, once
+from rtrun.results.importers.counts import (
+    NO_INTERVAL,
+    NO_ORDER,
+    StatedSummary,
+    Statistics,
+    check_bins,
+    histogram,
+    once,
+)
 from rtrun.results.importers.histogram_file import Imported
 
 _COLUMN = re.compile(r"(IRQ|Thr|Usr)-[0-9]{3,5}", re.ASCII)
@@ -145,7 +153,7 @@ def _column(path: Path, parts: _TimerlatText, k: int, width: int) -> Imported:
             f"and {over} are over"
         )
     least, mean, most = (_printed(path, parts, name, k) for name in ("min:", "avg:", "max:"))
-    left_out = [NO_ORDER, "the period and the bucket size (taken as the largest that divides every index)"]
+    left_out = [NO_ORDER, NO_INTERVAL, "the bucket size (taken as the largest that divides every index)"]
     if over:
         left_out.append(f"{over} values beyond the last bin: only the largest is known")
     return Imported(
@@ -163,6 +171,7 @@ def _column(path: Path, parts: _TimerlatText, k: int, width: int) -> Imported:
         period_ns=None,
         left_out=tuple(left_out),
         parameters={"context": _CONTEXTS[column[:3]]},
+        unit_ns=parts.unit_ns,
     )
 
 

@@ -75,7 +75,7 @@ VALID = {
 # Lines whose numbers the file states nowhere else.
 ONCE = {
     "cyclictest-2.10.txt": "[0-9]{6} |# Max Latencies",  # it prints no totals; its largest values lie above the bins
-    "cyclictest.json": ' "cmdline:"|   "max": 559',
+    "cyclictest.json": ' "cmdline:"|   "max": 559|   "cpu"',
     "jitterdebugger.json": '   "max": 2345',
     "timerlat.txt": "Index",  # the number of the CPU
 }

@@ -1,0 +1,46 @@
+"""What the user says of a file that does not state it: the unit of its numbers, and the interval."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rtfiles.errors import UsageError
+from rtrun.plan.quantities import time_text
+from rtrun.results.importers.counts import NO_INTERVAL
+from rtrun.results.importers.histogram_file import Imported
+
+UNITS_NS = {"ns": 1, "us": 1000}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Given:
+    """The unit in ns and the interval in us that options name; None: no option does."""
+
+    unit_ns: int | None = None
+    interval_us: int | None = None
+
+    def check(self, path: Path, *, unit_ns: int | None, period_ns: float | None) -> None:
+        """Refuse what a file states otherwise; None: it states nothing. Raises UsageError that names both values."""
+        if self.unit_ns and unit_ns and self.unit_ns != unit_ns:
+            raise UsageError(f"{path}: its values are in {_unit(unit_ns)}, but --unit says {_unit(self.unit_ns)}")
+        if self.interval_us and period_ns and 1000 * self.interval_us != period_ns:
+            stated, given = time_text(round(period_ns)), time_text(1000 * self.interval_us)
+            raise UsageError(f"{path}: its interval is {stated}, but --interval says {given}")
+
+    def complete(self, path: Path, one: Imported) -> Imported:
+        """A histogram with the interval where its file does not state that. Raises UsageError as `check` does."""
+        self.check(path, unit_ns=one.unit_ns, period_ns=one.period_ns)
+        if self.interval_us is None or one.period_ns is not None:
+            return one
+        return replace(
+            one,
+            period_ns=1000.0 * self.interval_us,
+            left_out=tuple(text for text in one.left_out if text != NO_INTERVAL),
+            parameters=one.parameters | {"interval_us": self.interval_us},
+        )
+
+
+NOTHING_GIVEN = Given()
+
+
+def _unit(unit_ns: int) -> str:
+    return next(name for name, ns in UNITS_NS.items() if ns == unit_ns)
