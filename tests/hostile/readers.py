@@ -245,10 +245,14 @@ CYCLICTEST = b"""# /dev/cpu_dma_latency set to 0us
 _THREAD = {"histogram": {"3": 5, "12": 4}, "min": 3, "max": 1070, "avg": 113.3}
 CYCLICTEST_JSON = json.dumps(
     {
-        "cmdline:": "cyclictest -t1 -h 64 -i 200",
+        "cmdline:": "cyclictest -t1 -mqh64 -i 200 --policy=rr -p 80 -c 1",
+        "start_time": "Thu, 26 Nov 2026 11:18:02 +0000",
+        "end_time": "Thu, 26 Nov 2026 11:18:04 +0000",
+        "return_code": 0,
+        "sysinfo": {"nodename": "vm", "release": "6.18.44", "version": "#1 SMP PREEMPT_RT @0", "realtime": 0},
         "num_threads": 1,
         "resolution_in_ns": 0,
-        "thread": {"0": {**_THREAD, "cycles": 10}},
+        "thread": {"0": {**_THREAD, "cycles": 10, "cpu": -1}},
     }
 ).encode()
 JITTERDEBUGGER = json.dumps(
