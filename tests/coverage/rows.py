@@ -31,6 +31,7 @@ from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.intervals import anytime_upper, clopper_pearson
 from rtrun.analysis.layers import attribute
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
+from rtrun.analysis.units import CountedRun
 from rtrun.judgement import study as studies
 from rtrun.judgement.study import study
 from rtrun.plan import question as questions
@@ -102,6 +103,17 @@ def proven(make: Callable[[Rng], Int64s], rng: Rng) -> bool:
 def proven_of_boots(number: int, n: int, rng: Rng) -> bool:
     runs = processes.boots(number, n, P, rng, spread=0.5)
     return verdict_on(runs, one_boot=False).answer == Answer.PROVEN
+
+
+def wrong_of_unlike_boots(answer: Answer, lengths: Sequence[int], sd: float, rng: Rng) -> bool:
+    """This answer from boots of these lengths, whose rates are lognormal with the mean P.
+
+    P is a millionth below (PROVEN) or above the target.
+    """
+    rates = P * np.exp(rng.normal(-(sd**2) / 2, sd, len(lengths)))
+    runs = [processes.independent(n, min(1.0, rate), rng) for n, rate in zip(lengths, rates, strict=True)]
+    question = QUESTION if answer is Answer.PROVEN else replace(QUESTION, probability=P * (1 + 1e-6))
+    return judged([trials_of(values, k, str(k)) for k, values in enumerate(runs)], question).answer == answer
 
 
 def proven_of_some_bad_boots(number: int, scope: float, rng: Rng) -> bool:
@@ -327,6 +339,11 @@ def enough(process: processes.Process, rate: float, as_seen: bool, rng: Rng) -> 
     return verdict_on([whole]).answer == Answer.PROVEN
 
 
+def as_measured(runs: Sequence[Trials]) -> list[CountedRun]:
+    """As if the longest boot were the mean."""
+    return [CountedRun(n=run.n, misses=run.late + run.absent) for run in runs]
+
+
 def _never_between(*_: object) -> float:
     return 0.0
 
@@ -538,6 +555,21 @@ ROWS = [
     Row(
         name="a publisher that misses its rate in half of all runs, and deadlines oftener then; repeated until kept",
         draw=proven_by_lucky_runs, at_most=0.0, quick=6, long=100, remedy=(studies, "lost_attempts", lambda *_: ()),
+    ),
+    *(
+        Row(
+            name=f"boots of {name} loops, lognormal, sd {sd:g}", event=answer,
+            draw=partial(wrong_of_unlike_boots, answer, lengths, sd), at_most=5.0, long=500,
+            quick=20 if sd == 1 and answer is Answer.PROVEN and lengths[0] == 10_000 else 0, reported=reported,
+            remedy=(deadline, "count_alike", as_measured) if lengths[0] == 10_000 else None,
+        )
+        for name, lengths, of_answers in (
+            ("four of 1e4 and one of 1e6", [*[10_000] * 4, 1_000_000], ("33", "20")),
+            ("ten of 200 and one of 2e5", [*[200] * 10, 200_000], ("48", "")),
+            ("ten of 1e3 to 1e6", [round(1000 * 10 ** (k / 3)) for k in range(10)], ("", "")),
+        )
+        for sd in (0.5, 1.0)
+        for answer, reported in zip((Answer.PROVEN, Answer.REFUTED), of_answers if sd == 1 else ("", ""), strict=True)
     ),
     Row(
         name="a run in ten hangs, and is measured again until it does not; P = 0.1, 40 runs",

@@ -1,5 +1,6 @@
 """Is a deadline met, with what probability, and how sure is that?"""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -20,6 +21,7 @@ from rtrun.analysis.further import (
 from rtrun.analysis.intervals import anytime_interval, anytime_lower, anytime_upper
 from rtrun.analysis.stationarity import SIGNIFICANT, Change
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials
+from rtrun.analysis.units import Cluster, CountedRun, boots_of, count_alike, sums
 from rtrun.plan.question import Question, unlike_share
 
 # Lengths of bursts for which a proof says how much longer it would have to measure.
@@ -142,11 +144,11 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     if not 0 < probability < 1 or not 0 < confidence < 1:
         raise ValueError("probability and confidence must lie between 0 and 1, both ends excluded")
     runs = sorted(runs, key=lambda run: run.start_time)
-    n = sum(run.n for run in runs)
     late, absent = sum(run.late for run in runs), sum(run.absent for run in runs)
-    misses = late + absent
+    alike = count_alike(runs)
+    n, misses = math.floor(sum(each.n for each in alike)), sum(each.misses for each in alike)
     constancy = examine_constancy(join_boots(runs), probability=probability, confidence=confidence)
-    effect, assumes = _effect(runs, misses, constancy.clusters, question, measured.measurements_per_event)
+    effect, assumes = _effect(runs, alike, constancy.clusters, question, measured.measurements_per_event)
     boots = len({run.boot for run in runs}) if all(run.boot for run in runs) else None
     names = {run.run or str(index) for index, run in enumerate(runs)}
     unit: Literal["boot", "run"] = "boot" if boots is not None and boots > 1 else "run"
@@ -154,7 +156,8 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     lower, upper = anytime_interval(misses / effect, n / effect, _shared(confidence, measured))
     if unclear := sum(run.unclear for run in runs):
         # What may have met the deadline counts as late for a proof, and as in time for a refutation.
-        lower = anytime_lower((misses - unclear) / effect, n / effect, _shared(confidence, measured))
+        surely = sum(each.misses - each.share * run.unclear for run, each in zip(runs, alike, strict=True))
+        lower = anytime_lower(surely / effect, n / effect, _shared(confidence, measured))
         assumes = (*assumes, f"{unclear} values in the same bin of a log as the deadline are late")
     is_constant = constancy.change is None
     late_share = _late_share(units, question, measured)
@@ -181,7 +184,7 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     return Verdict(
         answer=answer,
         question=question,
-        n=n,
+        n=sum(run.n for run in runs),
         late=late,
         absent=absent,
         worst_ns=max((run.worst_ns for run in runs if run.worst_ns is not None), default=None),
@@ -246,20 +249,24 @@ def _refusal(question: Question, measured: Circumstances) -> str | None:
     return None
 
 
-def _further_for_bursts(misses: int, n: int, effect: float, question: Question) -> tuple[tuple[int, int], ...]:
+def _further_for_bursts(misses: float, n: int, effect: float, question: Question) -> tuple[tuple[int, int], ...]:
     """(length of bursts, measurements without a miss that would cover them), as far as more are missing."""
     asked = [(length, replace(question, bursts=length)) for length in BURSTS]
     return tuple((length, more) for length, each in asked if (more := missing_without_miss(misses, n, effect, each)))
 
 
 def _effect(
-    runs: Sequence[Trials], misses: int, clusters: Sequence[tuple[int, int]], question: Question, per_event: int
+    runs: Sequence[Trials],
+    alike: Sequence[CountedRun],
+    clusters: Sequence[Cluster],
+    question: Question,
+    per_event: int,
 ) -> tuple[float, tuple[str, ...]]:
     """The design effect, at most the number of measurements, and what had to be assumed for it."""
-    of_runs, assumes = _effect_of_runs(runs, misses, question.confidence, per_event)
-    of_clusters = _effect_of_clusters(clusters, misses, question.confidence)
+    of_runs, assumes = _effect_of_runs(runs, alike, question.confidence, per_event)
+    of_clusters = _effect_of_clusters(clusters, question.confidence)
     effect = max(of_runs, of_clusters, _least_effect(question, per_event))
-    return min(effect, max(1.0, float(sum(run.n for run in runs)))), assumes
+    return min(effect, max(1.0, sum(each.n for each in alike))), assumes
 
 
 def _least_effect(question: Question, per_event: int) -> float:
@@ -268,11 +275,12 @@ def _least_effect(question: Question, per_event: int) -> float:
 
 
 def _effect_of_runs(
-    runs: Sequence[Trials], misses: int, confidence: float, measurements_per_event: int
+    runs: Sequence[Trials], alike: Sequence[CountedRun], confidence: float, measurements_per_event: int
 ) -> tuple[float, tuple[str, ...]]:
     """The design effect of all runs, and what had to be assumed: the largest of those within and between runs."""
-    between = _effect_between(runs, misses, confidence)
+    between = _effect_between(runs, alike, confidence)
     located = [run.misses for run in runs if run.misses is not None]
+    misses = sum(run.late + run.absent for run in runs)
     if len(located) < len(runs):
         return max(between, measurements_per_event), (
             "independent measurements: a log without samples keeps no order, bursts would not be seen",
@@ -288,7 +296,7 @@ def _effect_of_runs(
     return max(measurements_per_event * within, between), assumes
 
 
-def _effect_between(runs: Sequence[Trials], misses: int, confidence: float) -> float:
+def _effect_between(runs: Sequence[Trials], alike: Sequence[CountedRun], confidence: float) -> float:
     """The design effect of boards and of boots, the larger one; of runs, where all are of one boot and differ beyond
     chance. 0 where there is none.
 
@@ -296,31 +304,25 @@ def _effect_between(runs: Sequence[Trials], misses: int, confidence: float) -> f
     (Korn & Graubard 1998), but not beyond what it would be if each boot's misses were one burst, 1 + misses / boots.
     The same holds for boards. Runs of an unknown boot count as a boot each.
     """
-    boards = _sums(runs, [run.board for run in runs])
-    boots = _sums(runs, [run.boot or run.run or str(index) for index, run in enumerate(runs)])
+    boards, boots = ([*sums(alike, keys).values()] for keys in ([run.board for run in runs], boots_of(runs)))
     if len(boots) > 1:
-        return max(_effect_of_clusters(clusters, misses, confidence) for clusters in (boards, boots))
-    clusters = _sums(runs, [run.run or str(index) for index, run in enumerate(runs)])
+        return max(_effect_of_clusters(clusters, confidence) for clusters in (boards, boots))
+    clusters = [*sums(alike, [run.run or str(index) for index, run in enumerate(runs)]).values()]
     effect = cluster_effect(clusters)
     if len(clusters) < 2 or chi_squared_above((len(clusters) - 1) * effect, len(clusters) - 1) > SIGNIFICANT:
         return 0.0
     return effect * _few(len(clusters) - 1, confidence)
 
 
-def _effect_of_clusters(clusters: Sequence[tuple[int, int]], misses: int, confidence: float) -> float:
+def _effect_of_clusters(clusters: Sequence[Cluster], confidence: float) -> float:
+    """Of unlike lengths as many count as would make the same mean if they were alike (Kish 1965)."""
+    clusters = [cluster for cluster in clusters if cluster[0]]
+    misses = sum(events for _, events in clusters)
     if len(clusters) < 2 or not misses:
         return 0.0
     effect = cluster_effect(clusters)
-    return max(effect, min(effect * _few(len(clusters) - 1, confidence), 1 + misses / len(clusters)))
-
-
-def _sums(runs: Sequence[Trials], keys: Sequence[str]) -> list[tuple[int, int]]:
-    """(loops, misses) of the runs of each key."""
-    sums: dict[str, tuple[int, int]] = {}
-    for run, key in zip(runs, keys, strict=True):
-        loops, misses = sums.get(key, (0, 0))
-        sums[key] = (loops + run.n, misses + run.late + run.absent)
-    return [cluster for cluster in sums.values() if cluster[0]]
+    count = sum(n for n, _ in clusters) ** 2 / sum(n * n for n, _ in clusters)
+    return max(effect, min(effect * _few(max(1.0, count - 1), confidence), 1 + misses / count))
 
 
 def _few(degrees: float, confidence: float) -> float:

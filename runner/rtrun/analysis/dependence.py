@@ -74,7 +74,7 @@ def design_effect(events: Events) -> float:
     return min(worst, float(n))
 
 
-def cluster_effect(clusters: Sequence[tuple[int, int]]) -> float:
+def cluster_effect(clusters: Sequence[tuple[float, float]]) -> float:
     """Variance of the pooled share over that of independent trials, from (loops, events) of each cluster (boot, run).
 
     Ratio estimator over clusters (Cochran 1977, section 11.8), the design effect of Rao & Scott (1992); 0 where all

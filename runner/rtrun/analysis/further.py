@@ -41,13 +41,13 @@ def proves(misses: float, n: float, effect: float, question: Question) -> bool:
     return n > 0 and is_upper_below(misses / effect, n / effect, question.confidence, question.probability)
 
 
-def missing_without_miss(misses: int, n: int, effect: float, question: Question) -> int | None:
+def missing_without_miss(misses: float, n: int, effect: float, question: Question) -> int | None:
     """How many more measurements without another miss prove it; None where no number does."""
     total = smallest(lambda total: proves(misses, total, effect, question), n)
     return None if total is None else total - n
 
 
-def chance_of_no_miss(misses: int, n: int, effect: float, more: int) -> float:
+def chance_of_no_miss(misses: float, n: int, effect: float, more: int) -> float:
     """The chance that so many more measurements hold no miss, by what was seen.
 
     The rate of misses is gamma distributed after Jeffreys' prior for a Poisson rate (Gelman et al. 2013, section 2.6).
@@ -78,7 +78,7 @@ def plan_measurements(question: Question, *, rate: float = 0.0) -> tuple[bool, i
     return None if total is None else (rate < question.probability, total)
 
 
-def likely_further(misses: int, n: int, effect: float, question: Question) -> tuple[bool, int] | None:
+def likely_further(misses: float, n: int, effect: float, question: Question) -> tuple[bool, int] | None:
     """Whether it will be proven (True) or refuted, and the further measurements after which it is nine times in ten.
 
     The courses of the misses to come are simulated, at rates drawn from what was seen (Jeffreys' prior for a Poisson

@@ -66,8 +66,9 @@ def sentences(verdict: Verdict) -> list[str]:
     parts.append(f"P({verdict.question.miss}) {_between(verdict)}")
     if verdict.worst_ns is not None:
         parts.append(f"worst {time(verdict.worst_ns)}")
-    if verdict.design_effect > 1.005:
-        parts.append(f"dependent values: worth {grouped(verdict.n_effective)} independent measurements")
+    if verdict.n_effective * 1.005 < verdict.n:
+        why = "dependent values" if verdict.design_effect > 1.005 else "boots count alike, however long"
+        parts.append(f"{why}: worth {grouped(verdict.n_effective)} independent measurements")
     if verdict.refused:
         parts.insert(0, verdict.refused)
     elif verdict.change is not None:

@@ -82,7 +82,7 @@ def test_a_goal_is_reached_by_alike_boards_together_and_by_each_of_unlike_ones(t
     entry = {"suite": "oneshot_timer_tests", "repetitions": 100, "timeout_us": 1000, "policy": "RR"}
     (group,) = plan(Campaign(schema=1, name="test", order="interleaved", seed=7, runs=[entry]), "test")
     write(tmp_path, "a", n=6000, name=group.name)
-    write(tmp_path, "b", n=1000, name=f"{group.name}-r2", governor=governor)
+    write(tmp_path, "b", n=2000, name=f"{group.name}-r2", governor=governor)
     (chosen,) = standings_of([group], standings(study(tmp_path, QUESTION))).values()
     assert chosen.is_final == (governor == "performance")
     assert chosen.boards == ({"a", "b"} if governor == "performance" else {"b"})

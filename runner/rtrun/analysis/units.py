@@ -1,0 +1,55 @@
+"""Boots, and boards, count alike, however long each was measured: P(miss) is that of a boot like those measured.
+
+A boot that was measured for a hundred times as long as the others would else be the answer alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import median_low
+
+from rtrun.analysis.trials import Trials
+
+Cluster = tuple[float, float]
+"""Loops and misses of a unit."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CountedRun:
+    """What a run counts for: `share` of its measurements and of its misses."""
+
+    n: float
+    misses: float
+    share: float = 1.0
+
+    def cut(self, part: float) -> "CountedRun":
+        """A part of it, 0 to 1."""
+        return replace(self, n=part * self.n, misses=part * self.misses, share=part * self.share)
+
+
+def boots_of(runs: Sequence[Trials]) -> list[str]:
+    """The boot of each run; one of an unknown boot is a boot of its own."""
+    return [f"{run.board} {run.boot}" if run.boot else f" {run.run or index}" for index, run in enumerate(runs)]
+
+
+def count_alike(runs: Sequence[Trials]) -> list[CountedRun]:
+    """What each run counts for: a boot longer than half of all counts for no more than the one in the middle.
+
+    So it is with boards. Shorter ones count for what they are: lengths say nothing of rates, so that whatever weights
+    depend on lengths alone estimate the same mean.
+    """
+    counted = [CountedRun(n=run.n, misses=run.late + run.absent) for run in runs]
+    for keys in (boots_of(runs), [run.board for run in runs]):
+        lengths = [n for n, _ in sums(counted, keys).values() if n]
+        most = median_low(lengths) if lengths else 0.0
+        of_key = {key: min(1.0, most / n) if n else 1.0 for key, (n, _) in sums(counted, keys).items()}
+        counted = [one.cut(of_key[key]) for one, key in zip(counted, keys, strict=True)]
+    return counted
+
+
+def sums(counted: Sequence[CountedRun], keys: Sequence[str]) -> dict[str, Cluster]:
+    """Loops and misses of the runs of each key."""
+    found: dict[str, Cluster] = {}
+    for one, key in zip(counted, keys, strict=True):
+        n, misses = found.get(key, (0.0, 0.0))
+        found[key] = (n + one.n, misses + one.misses)
+    return found
