@@ -370,6 +370,15 @@ def test_an_edited_histogram_file_is_refused(tmp_path, change, message):
         read_histogram(path)
 
 
+@pytest.mark.parametrize("bins", ["-qxh20", "-q -h20us", "-q --histogr 20", "-qH 20"])
+def test_json_whose_values_all_lie_beyond_the_last_bin_is_read(tmp_path, bins):
+    thread = {"histogram": {}, "cycles": 50, "min": 70, "max": 148, "avg": 96.38}
+    data = {"cmdline:": f"cyclictest {bins} -l50", "num_threads": 1, "resolution_in_ns": 0, "thread": {"0": thread}}
+    (tmp_path / "x.json").write_text(json.dumps(data))
+    (one,) = read(tmp_path / "x.json")
+    assert (one.histogram.n, one.histogram.overflow, one.histogram.overflow_from_ns) == (50, 50, 20_000)
+
+
 FILES = LOGS_2014.parent / "importers"
 
 
